@@ -1,0 +1,61 @@
+# The commands of the project; `make help` lists them.
+#   make test ARGS="-k sonar"             passes ARGS on to the program that the target runs
+#   make setup PYTHON311=/path/to/python  chooses the Python
+#   make setup PIP_ARGS="--index-url URL" adds options to the one pip call
+
+VENV ?= .venv
+WORKERS ?= 2
+PIP_ARGS ?=
+ARGS ?=
+export VENV PYTHON311
+
+python := $(VENV)/bin/python
+stamp := $(VENV)/.simnfnd-installed
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test check bench constraints clean
+
+help: ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
+
+setup: packages $(stamp) ## install the Debian libraries and the Python environment
+	@echo "Ready: $(python)"
+
+.PHONY: packages
+packages:
+	@bash tools/debian_packages.sh
+
+# Everything in one pip call: a second one could move numpy to 2, which bpy cannot load.
+$(stamp): pyproject.toml constraints.txt
+	@bash tools/debian_packages.sh
+	@$(python) -m pip --version >/dev/null 2>&1 \
+		|| { found="$$(bash tools/find_python.sh)" && "$$found" -m venv $(VENV); }
+	@$(python) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' \
+		|| { echo "error: $(VENV) is not Python 3.11; remove it and run make setup again" >&2; exit 2; }
+	$(python) -m pip install --disable-pip-version-check --quiet $(PIP_ARGS) \
+		-c constraints.txt -e '.[models,evaluation,zstd,dev]'
+	@touch $@
+
+demo: $(stamp) ## make a small dataset from nothing and a preview of it
+	$(python) -m factory experiment=demo $(ARGS)
+
+test: $(stamp) ## run the tests
+	$(python) -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
+
+check: $(stamp) ## lint, formatting and types
+	$(python) -m ruff check
+	$(python) -m ruff format --check
+	$(python) -m mypy
+
+bench: $(stamp) ## run every benchmark, or those named in ARGS
+	$(python) -m benchmarks $(ARGS)
+
+constraints: ## write the versions now installed into constraints.txt
+	@$(python) -m pip list --format=freeze > $(VENV)/versions.txt
+	@grep -E '^#|;' constraints.txt > $(VENV)/constraints.txt
+	@sed -E 's/\+[^ ]+$$//' $(VENV)/versions.txt | grep -v -E '^(pip|simnfnd)==' >> $(VENV)/constraints.txt
+	@mv $(VENV)/constraints.txt constraints.txt && rm $(VENV)/versions.txt
+
+clean: ## remove build products and caches, never outputs/ or the environment
+	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +

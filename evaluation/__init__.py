@@ -1,0 +1,1 @@
+"""How good are the pictures: metrics, measurements over whole datasets, reports."""

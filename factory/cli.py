@@ -1,0 +1,100 @@
+"""What the three command-line programs share: Hydra in, one clear line and an exit code out."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from omegaconf import DictConfig
+
+from factory.errors import FactoryError
+
+EXIT_BAD_INPUT = 2
+
+
+def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
+    """Run `task` as a Hydra application (single run or `-m` sweep) and return the exit code.
+
+    `task` gets the composed config and returns None or an int exit code.  FactoryError and every
+    mistake in the configuration become one line on stderr and exit code 2; a traceback is shown
+    only with `debug=true`.  In a sweep a point that fails does not stop the others, and the
+    largest exit code is returned.
+    """
+    # Hydra imports antlr and plugins; `factory` as a library must not pay for it.
+    import hydra
+    from hydra.errors import HydraException
+    from omegaconf.errors import OmegaConfBaseException
+
+    # Without this Hydra prints its own multi-line text and exits with 1.
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    debug = any(argument.replace(" ", "") in ("debug=true", "debug=True") for argument in sys.argv)
+    codes: list[int] = []
+
+    def guarded(config: DictConfig) -> int:
+        code = guard(lambda: task(config), debug=debug)
+        codes.append(code)
+        return code
+
+    def start() -> None:
+        hydra.main(version_base="1.3", config_path="pkg://conf", config_name=config_name)(guarded)()
+
+    def everything() -> int:
+        try:
+            start()
+        except (HydraException, OmegaConfBaseException) as error:
+            if debug:
+                raise
+            raise FactoryError(_config_line(error)) from error
+        return max(codes, default=0)
+
+    return guard(everything, debug=debug)
+
+
+def guard(action: Callable[[], Any], *, debug: bool = False) -> int:
+    """Run `action`; turn what a user can mend into one line and an exit code."""
+    try:
+        result = action()
+        return result if isinstance(result, int) else 0
+    except FactoryError as error:
+        if debug:
+            raise
+        return say_error(error)
+    except KeyboardInterrupt as stopped:
+        print("error: interrupted; what was finished is kept, run again to go on", file=sys.stderr)
+        # SIGTERM comes as a KeyboardInterrupt that knows its own exit code.
+        return int(getattr(stopped, "exit_code", 128 + signal.SIGINT))
+    except BrokenPipeError:
+        # The reader of our output (a pager, head) went away: not an error of ours.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
+
+
+def accept_dataset_folder() -> None:
+    """Let `dataset=DIR` on the command line mean `dataset.dir=DIR`.
+
+    Hydra takes `dataset=` for a choice from the config group of that name, which the factory has.
+    """
+    prefix = "dataset="
+    sys.argv[1:] = [
+        f"dataset.dir={argument.removeprefix(prefix)}" if argument.startswith(prefix) else argument
+        for argument in sys.argv[1:]
+    ]
+
+
+def say_error(error: Exception) -> int:
+    """Print the one line of a user-facing error and return its exit code."""
+    print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+    return EXIT_BAD_INPUT
+
+
+def _config_line(error: Exception) -> str:
+    """Hydra's several lines in one, with the remedy."""
+    reasons = [str(error)]
+    if error.__cause__ is not None:
+        reasons.append(str(error.__cause__))
+    text = " ".join(" ".join(reasons).split())
+    text = text.replace("To append to your config use", "If you really mean a new key use")
+    return f"config: {text} (see `--cfg job` for every key)"

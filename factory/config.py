@@ -1,0 +1,110 @@
+"""The root of the configuration, assembled from what every room declares."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import field
+from typing import Annotated, Any, Self
+
+from pydantic import Field, TypeAdapter, model_validator
+from pydantic.dataclasses import dataclass
+
+from factory.noise import NoiseSettings
+from factory.render.base import RenderSettings
+from factory.resample import ResampleSettings
+from factory.scenes import Scenes
+from factory.scheduler.settings import SchedulerSettings
+from factory.settings import STRICT, build
+from factory.shards.settings import DatasetSettings
+from factory.sonar.settings import SonarSettings
+
+
+@dataclass(frozen=True, config=STRICT)
+class FramesSettings:
+    """Keys of `frames`.
+
+    stride: use every n-th frame of a scene.  limit: at most so many frames a scene (after the
+    stride).  variants: pairs made of each frame, each with noise of its own.  only: names
+    (location/scene/frame) of the frames to use; null uses all.
+    """
+
+    stride: Annotated[int, Field(ge=1)] = 1
+    limit: Annotated[int, Field(ge=1)] | None = None
+    variants: Annotated[int, Field(ge=1)] = 1
+    only: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True, config=STRICT)
+class SplitSettings:
+    """Keys of `split`.
+
+    test: names (or patterns) of the scenes that test; the rest trains.  test_fraction: used when no
+    name is given; that part of the scenes, chosen by name and not by order.
+    """
+
+    test: tuple[str, ...] = ()
+    test_fraction: Annotated[float, Field(ge=0, lt=1)] = 0.25
+
+
+@dataclass(frozen=True, config=STRICT)
+class FactoryConfig:
+    """Everything `python -m factory` can be told."""
+
+    scenes: Scenes
+    seed: Annotated[int, Field(ge=0)] = 0
+    frames: FramesSettings = field(default_factory=FramesSettings)
+    split: SplitSettings = field(default_factory=SplitSettings)
+    render: RenderSettings = field(default_factory=RenderSettings)
+    noise: NoiseSettings = field(default_factory=NoiseSettings)
+    resample: ResampleSettings = field(default_factory=ResampleSettings)
+    sonar: SonarSettings = field(default_factory=SonarSettings)
+    dataset: DatasetSettings = field(default_factory=DatasetSettings)
+    scheduler: SchedulerSettings = field(default_factory=SchedulerSettings)
+    debug: bool = False
+
+    @model_validator(mode="after")
+    def _shadows(self) -> Self:
+        if self.render.kind == "analytic" and not self.sonar.mount.colocated:
+            raise ValueError(
+                "render.kind=analytic casts no shadows, so sonar.mount.translation_m must be "
+                "[0, 0, 0]; use render=cycles or render=embree for a sonar away from the camera"
+            )
+        return self
+
+
+def from_mapping(values: Mapping[str, Any]) -> FactoryConfig:
+    """Validate a composed configuration.
+
+    Raises FactoryError with one line that names every bad key.
+    """
+    config: FactoryConfig = build(FactoryConfig, values)
+    return config
+
+
+def plain(config: FactoryConfig) -> dict[str, Any]:
+    """The configuration as YAML-ready values; equal settings give equal values."""
+    values: dict[str, Any] = TypeAdapter(FactoryConfig).dump_python(config, mode="json")
+    return values
+
+
+def identity(config: FactoryConfig) -> dict[str, Any]:
+    """The part of the configuration that decides the bytes of the samples.
+
+    Left out: where things lie (the root of the recordings, the output folder), what the dataset is
+    called, and how many workers do it.
+    """
+    values = plain(config)
+    values["scenes"].pop("root", None)
+    for key in ("dir", "name", "preview_pairs", "licence"):
+        values["dataset"].pop(key, None)
+    values["scheduler"] = {"shard_size": values["scheduler"]["shard_size"]}
+    values.pop("debug")
+    return values
+
+
+def digest(values: Mapping[str, Any]) -> str:
+    """Hash of a configuration: 16 hexadecimal digits of blake2b over its sorted JSON."""
+    text = json.dumps(values, sort_keys=True, separators=(",", ":"))
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()

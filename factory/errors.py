@@ -1,0 +1,17 @@
+"""The errors a user is meant to read: one line that names what is wrong and what to do.
+
+Anything else that escapes is a defect of ours and keeps its traceback.
+"""
+
+from __future__ import annotations
+
+
+class FactoryError(Exception):
+    """Bad input or an environment that cannot do the job; ends the run with exit code 2.
+
+    The message is one line: the file or config key, what is wrong, what to do.
+    """
+
+
+class FrameError(FactoryError):
+    """One frame cannot be used.  The run skips it, records the reason and goes on."""

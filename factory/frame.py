@@ -1,0 +1,118 @@
+"""An RGBD frame as every reader delivers it, and the checks that no reader may skip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from factory.errors import FrameError
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """Pinhole camera: focal lengths and principal point in pixels (OpenCV axes, x right, y down).
+
+    `distortion` holds the radial-tangential coefficients (k1, k2, p1, p2), or nothing.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class FrameRef:
+    """Where a frame is, small enough to send to another process.
+
+    `scene` is the unit that train and test are split by: one recording (FLSea) or one procedural
+    seed (seabed).  `location` is the area it belongs to.  `paths` are the reader's own business.
+    """
+
+    location: str
+    scene: str
+    frame: str
+    paths: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """`location/scene/frame`, unique in a dataset (without the location when it is empty)."""
+        return "/".join(part for part in (self.location, self.scene, self.frame) if part)
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One RGBD frame.
+
+    rgb: (H, W, 3) uint8.
+    depth_m: (H, W) float32, distance along the optical axis (z, never slant range) in metres,
+        0 = no measurement.
+    intrinsics: of this very image size.
+    world_from_camera: (4, 4) float64 pose, or None where the recording has none.
+    segmentation: (H, W) uint8 object class, or None where nobody labelled it.
+    instance: (H, W) uint16 object number within the scene (0 = none), or None.
+    """
+
+    ref: FrameRef
+    rgb: npt.NDArray[np.uint8]
+    depth_m: npt.NDArray[np.float32]
+    intrinsics: Intrinsics
+    world_from_camera: npt.NDArray[np.float64] | None = None
+    segmentation: npt.NDArray[np.uint8] | None = None
+    instance: npt.NDArray[np.uint16] | None = None
+
+    @property
+    def valid(self) -> npt.NDArray[np.bool_]:
+        """(H, W) bool: pixels that carry a depth."""
+        return self.depth_m > 0
+
+
+def checked(frame: Frame, *, bad_depth: str = "reject", min_valid: int = 16) -> Frame:
+    """Return `frame` with clean depth, or raise FrameError that says what is wrong with it.
+
+    bad_depth: "reject" refuses NaN, infinite and negative depths; "mask" makes them invalid (0).
+    min_valid: fewer measured pixels than this make a frame useless.
+    """
+    name, depth_m = frame.ref.name, frame.depth_m
+    if frame.rgb.ndim != 3 or frame.rgb.shape[2] != 3 or frame.rgb.dtype != np.uint8:
+        raise FrameError(
+            f"{name}: colour image must be (H, W, 3) uint8, got {frame.rgb.shape} {frame.rgb.dtype}"
+        )
+    if depth_m.shape != frame.rgb.shape[:2]:
+        h, w = depth_m.shape[:2]
+        rgb_h, rgb_w = frame.rgb.shape[:2]
+        raise FrameError(
+            f"{name}: depth is {w}x{h} but colour is {rgb_w}x{rgb_h}; "
+            "give a depth map registered to the colour image"
+        )
+    bad = ~np.isfinite(depth_m) | (depth_m < 0)
+    count = int(bad.sum())
+    if count and bad_depth == "reject":
+        finite = np.isfinite(depth_m)
+        kinds = [
+            f"{int(np.isnan(depth_m).sum())} NaN",
+            f"{int(np.isinf(depth_m).sum())} infinite",
+            f"{int((finite & (depth_m < 0)).sum())} negative",
+        ]
+        raise FrameError(
+            f"{name}: depth has {', '.join(kinds)} pixels; repair the file, "
+            "or set scenes.bad_depth=mask to treat them as unmeasured"
+        )
+    if count:
+        depth_m = np.where(bad, np.float32(0), depth_m)
+    valid = int((depth_m > 0).sum())
+    if valid < min_valid:
+        raise FrameError(f"{name}: depth has only {valid} valid pixels; nothing to render")
+    depth_m = np.ascontiguousarray(depth_m, dtype=np.float32)
+    return Frame(
+        frame.ref,
+        frame.rgb,
+        depth_m,
+        frame.intrinsics,
+        frame.world_from_camera,
+        frame.segmentation,
+        frame.instance,
+    )

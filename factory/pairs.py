@@ -1,0 +1,157 @@
+"""One frame -> its pairs: the whole method (Yang et al. 2024, section 3).
+
+    frame -> render (light at the sonar) -> echoes -> resampled scene -+-> clean picture T
+                                                              + noise -+-> noisy picture X
+
+Clean and noisy come from the same resampled scene, through the same image formation and the same
+transfer curve.  Only the noise differs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from factory import noise, resample, seeds
+from factory.echoes import Echoes, from_xyz
+from factory.errors import FrameError
+from factory.frame import Frame, FrameRef
+from factory.record import columns, image_axes, record
+from factory.sample import Axis, Column, Pair
+from factory.sonar import polar, transfer
+from factory.sonar.fan import fan_table
+from factory.sonar.settings import SonarSettings
+from factory.sonar.window import Window
+from factory.sonar.window_fit import fit_window
+
+if TYPE_CHECKING:
+    from factory.config import FactoryConfig
+    from factory.render.base import Rendered
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The rendered scene as the sonar measures it, at full density; no randomness up to here.
+
+    echoes: every insonified surface point in the window, strengths after time-varying gain.
+    window: range and azimuth limits of the picture.  shadow: (H, W) bool picture.
+    """
+
+    ref: FrameRef
+    echoes: Echoes
+    window: Window
+    shadow: npt.NDArray[np.bool_]
+
+
+class PairMaker:
+    """Makes pairs in one process; a `factory.sample.PairSource`."""
+
+    def __init__(self, config: FactoryConfig) -> None:
+        # Readers and renderers bring Open3D and Blender: a box that only adds noise has neither.
+        from factory.render import open_renderer
+        from factory.scenes import open_reader
+
+        self.config = config
+        self.reader = open_reader(config.scenes)
+        self.renderer = open_renderer(config.render)
+
+    def axes(self) -> tuple[Axis, Axis]:
+        """Row and column axes of the pictures."""
+        return image_axes(self.config.sonar)
+
+    def columns(self) -> tuple[Column, ...]:
+        """Columns of the sample table."""
+        return columns(self.config.noise)
+
+    def pairs(self, ref: FrameRef, variants: tuple[int, ...]) -> list[Pair]:
+        """The asked variants of one frame.  Raises FrameError when the frame is bad."""
+        frame = self.reader.load(ref)
+        rendered = self.renderer.render(frame, self.config.sonar.mount)
+        scene = observe(frame, rendered, self.config.sonar)
+        return [make_pair(scene, variant, self.config) for variant in variants]
+
+
+def observe(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Scene:
+    """The rendered pixels of a frame as echoes around the sonar.
+
+    Raises FrameError when the sonar's sector holds no insonified surface.
+    """
+    from factory.cloud import back_project
+
+    surface = rendered.surface
+    points_m = sonar.mount.to_sonar(back_project(frame.depth_m, frame.intrinsics)[surface])
+    echoes = from_xyz(points_m, rendered.radiance[surface])
+    echoes = echoes.select(np.abs(echoes.elevation_rad) <= np.deg2rad(sonar.vfov_deg) / 2)
+    try:
+        window = fit_window(echoes, sonar)
+    except FrameError as error:
+        raise FrameError(f"{frame.ref.name}: {error}") from error
+    insonified = (polar.bin_index(echoes, window, sonar) >= 0) & (echoes.strength > 0)
+    echoes = echoes.select(insonified)
+    gain = (echoes.range_m.astype(np.float64)) ** (sonar.tvg_db_per_decade / 10)
+    strength = (echoes.strength * gain).astype(np.float32)
+    echoes = Echoes(echoes.range_m, echoes.azimuth_rad, echoes.elevation_rad, strength)
+    shadow = ~polar.covered(echoes, window, sonar) & polar.seen_beams(window, sonar)
+    return Scene(frame.ref, echoes, window, _lay_out_mask(shadow, window, sonar))
+
+
+def make_pair(scene: Scene, variant: int, config: FactoryConfig) -> Pair:
+    """One (noisy, clean) pair; the same scene, variant and configuration give the same bytes."""
+    sonar, window = config.sonar, scene.window
+    names = (scene.ref.location, scene.ref.scene, scene.ref.frame, variant)
+    rate = config.resample.rate.draw(seeds.stream(config.seed, "parameter", "resample", *names))
+    drawn = noise.draw(config.noise, config.seed, *names)
+
+    if config.resample.kind == "random":
+        thinning = seeds.stream(config.seed, "resample", *names)
+        kept = movable = resample.random_subset(scene.echoes, rate, thinning)
+    else:
+        size_m = resample.voxel_size_m(scene.echoes, rate)
+        kept, movable = resample.voxel(scene.echoes, size_m), scene.echoes
+    clean_level = _image_level(kept, window, sonar)
+    full_scale = transfer.full_scale(clean_level, sonar.transfer)
+
+    layers = noise.layers(kept, movable, window, drawn, config.seed, *names)
+    cloud = noise.combine(movable, layers, full_scale)
+    if config.resample.kind == "voxel":
+        cloud = resample.voxel(cloud, size_m)
+    noisy_level = _image_level(cloud, window, sonar)
+
+    clean, noisy = (
+        _lay_out(transfer.grey(level, full_scale, sonar.transfer), window, sonar)
+        for level in (clean_level, noisy_level)
+    )
+    dtype = config.dataset.dtype
+    return Pair(
+        noisy=transfer.quantise(noisy, dtype),
+        clean=transfer.quantise(clean, dtype),
+        shadow=scene.shadow,
+        record=record(scene.ref, variant, config, window, rate, drawn, kept, layers, full_scale),
+    )
+
+
+def _image_level(echoes: Echoes, window: Window, sonar: SonarSettings) -> npt.NDArray[np.float32]:
+    """(range_bins, beams) echo level as the device resolves it; 0 in beams without data."""
+    level = polar.spread_points(polar.accumulate(echoes, window, sonar), sonar)
+    level[:, ~polar.seen_beams(window, sonar)] = 0
+    return level
+
+
+def _lay_out(
+    grey: npt.NDArray[np.float32], window: Window, sonar: SonarSettings
+) -> npt.NDArray[np.float32]:
+    """The polar picture in the layout that was asked for."""
+    if sonar.image.layout == "polar":
+        return grey
+    return fan_table(sonar, window.near_fraction).bilinear(grey)
+
+
+def _lay_out_mask(
+    mask: npt.NDArray[np.bool_], window: Window, sonar: SonarSettings
+) -> npt.NDArray[np.bool_]:
+    if sonar.image.layout == "polar":
+        return mask
+    return fan_table(sonar, window.near_fraction).nearest(mask)

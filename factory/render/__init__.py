@@ -1,0 +1,42 @@
+"""Ideal sonar renders: the light is the sonar, the picture is what it would hear without noise."""
+
+from __future__ import annotations
+
+from factory.errors import FactoryError
+from factory.render.base import Rendered, Renderer, RenderSettings
+from factory.render.libraries import check_installed
+
+__all__ = ["RenderSettings", "Rendered", "Renderer", "check_renderer", "open_renderer"]
+
+
+def check_renderer(settings: RenderSettings) -> None:
+    """Raise FactoryError when the settings contradict each other or the library is not installed.
+
+    Imports nothing heavy, so that a run can be refused before its workers start.
+    """
+    if settings.geometry == "points" and settings.kind != "cycles":
+        raise FactoryError(
+            "render.geometry=points is for render=cycles only: "
+            f"set render.geometry=mesh for render={settings.kind}"
+        )
+    check_installed(settings.kind)
+
+
+def open_renderer(settings: RenderSettings) -> Renderer:
+    """The renderer that `settings.kind` names, ready to render frames in this process.
+
+    Raises FactoryError as `check_renderer` does, and when the library cannot be loaded.
+    """
+    check_renderer(settings)
+    # A worker that only adds noise must not pay for Blender or Open3D: import what is asked for.
+    if settings.kind == "cycles":
+        from factory.render.cycles import CyclesRenderer
+
+        return CyclesRenderer(settings)
+    if settings.kind == "embree":
+        from factory.render.embree import EmbreeRenderer
+
+        return EmbreeRenderer(settings)
+    from factory.render.analytic import AnalyticRenderer
+
+    return AnalyticRenderer(settings)

@@ -1,0 +1,26 @@
+"""The rendering equation in closed form: no ray is traced, so nothing casts a shadow.
+
+Exact when the sonar is at the camera, where all that the camera sees is insonified; with any other
+mount it lights what the sonar cannot see (`casts_shadows` is False, for callers to refuse that).
+"""
+
+from __future__ import annotations
+
+from factory.frame import Frame
+from factory.render.base import Rendered, RenderSettings
+from factory.render.surface import shade, surface_of
+from factory.sonar.mount import Mount
+
+
+class AnalyticRenderer:
+    """Shades the normals of the pixel grid; numpy alone."""
+
+    casts_shadows = False
+
+    def __init__(self, settings: RenderSettings) -> None:
+        self._settings = settings
+
+    def render(self, frame: Frame, mount: Mount) -> Rendered:
+        """Render one frame; see `factory.render.base.Renderer`."""
+        surface = surface_of(frame, self._settings)
+        return Rendered(shade(surface, mount.position_camera_m()), surface.mask)

@@ -1,0 +1,61 @@
+"""What every renderer returns: the ideal, noise-free echo strength of each camera pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass as plain_dataclass
+from typing import Annotated, Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from factory.frame import Frame
+from factory.settings import STRICT
+from factory.sonar.mount import Mount
+
+
+@dataclass(frozen=True, config=STRICT)
+class RenderSettings:
+    """Keys of the `render` group.
+
+    kind: cycles (Blender), embree (Open3D ray casting) or analytic (numpy alone, no shadows).
+    geometry: mesh, or points (Cycles only; wrong shadows when the sonar is not at the camera).
+    samples, bounces: of Cycles; 1 and 0 are exact for a point light at pixel centres.
+    albedo: rgb (luminance of the colour image), flattened (luminance over its local mean, which
+        takes out the water's haze and colour), or constant.
+    edge_ratio: neighbouring pixels whose depths differ by more than this fraction are different
+        surfaces and are never joined.
+    """
+
+    kind: Literal["cycles", "embree", "analytic"] = "cycles"
+    geometry: Literal["mesh", "points"] = "mesh"
+    samples: Annotated[int, Field(ge=1)] = 1
+    bounces: Annotated[int, Field(ge=0)] = 0
+    albedo: Literal["rgb", "flattened", "constant"] = "flattened"
+    edge_ratio: Annotated[float, Field(gt=0, le=1)] = 0.1
+
+
+@plain_dataclass(frozen=True, eq=False)
+class Rendered:
+    """The render of one frame, pixel by pixel of the camera.
+
+    radiance: (H, W) float32, albedo * cos(incidence) / range^2 with the light at the sonar, range
+        in metres; 0 where nothing is or where the sonar's sound does not reach (shadow).
+    surface: (H, W) bool, pixels whose ray meets the scene, lit or in shadow.
+    """
+
+    radiance: npt.NDArray[np.float32]
+    surface: npt.NDArray[np.bool_]
+
+    @property
+    def insonified(self) -> npt.NDArray[np.bool_]:
+        """(H, W) bool: pixels whose surface the sonar's sound reaches."""
+        return self.radiance > 0
+
+
+class Renderer(Protocol):
+    """Renders frames one after another in one process; holds its scene between frames."""
+
+    def render(self, frame: Frame, mount: Mount) -> Rendered:
+        """Render one frame with the light at the sonar.  Same input, same bytes."""

@@ -1,0 +1,166 @@
+"""Rendering with Blender's Cycles: a point light at the sonar, seen by the RGBD camera.
+
+One sample without bounces is not an estimate: a point light has one direction, and the ray goes
+through the pixel's centre.  With bounces, sound that was scattered before adds to each pixel (also
+in shadow), as noisily as `samples` allow.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from factory.frame import Frame
+from factory.render import blender
+from factory.render.base import Rendered, RenderSettings
+from factory.render.mesh import SHADOW_BIAS, surface_mesh
+from factory.render.surface import Surface, surface_of
+from factory.sonar.mount import Mount
+
+
+class CyclesRenderer:
+    """Keeps a Blender scene and puts one frame after another into it.
+
+    geometry mesh: `surface_mesh`, shaded with the pixels' normals.  geometry points: a sphere per
+    pixel, half a pixel in radius, shaded likewise; right with the sonar at the camera, but spheres
+    that touch shadow each other when it is not.
+    """
+
+    casts_shadows = True
+
+    def __init__(self, settings: RenderSettings) -> None:
+        """Raises FactoryError when bpy is not there."""
+        self._settings = settings
+        self._bpy = blender.import_bpy()
+        self._stage = blender.make_stage(self._bpy, settings)
+        self._shown = self._new_object("surface")
+        _hide_from_terminator(self._shown)
+        if settings.geometry == "points":
+            self._shown.data.materials.append(_material(self._bpy, normal_attribute=_NORMAL))
+            _turn_into_spheres(self._bpy, self._shown)
+            self._caster = None
+        else:
+            self._shown.data.materials.append(_material(self._bpy, normal_attribute=None))
+            self._caster = self._new_object("shadow caster", self._shown.data)
+            self._caster.scale = (1 + SHADOW_BIAS,) * 3
+            self._shown.visible_shadow = False
+            for ray in ("camera", "diffuse", "glossy", "transmission", "volume_scatter"):
+                setattr(self._caster, f"visible_{ray}", False)
+
+    def render(self, frame: Frame, mount: Mount) -> Rendered:
+        """Render one frame; see `factory.render.base.Renderer`."""
+        surface = surface_of(frame, self._settings)
+        height, width = surface.mask.shape
+        if not surface.mask.any():
+            return Rendered(np.zeros((height, width), np.float32), surface.mask)
+        blender.aim(self._stage, frame.intrinsics, height, width)
+        light = self._stage.light
+        light.location = mount.position_camera_m()
+        # What the camera sees, a sonar at its place insonifies: no shadow rays, no rounding.
+        light.data.use_shadow = not mount.colocated
+        if self._caster is not None:
+            self._caster.hide_render = mount.colocated
+            self._fill_mesh(surface, frame)
+        else:
+            self._fill_points(surface, frame)
+        pixels = blender.render_pixels(self._stage)
+        self._shown.data.clear_geometry()
+        hit = surface.mask & (pixels[..., 3] > 0.5)
+        return Rendered(np.where(hit, pixels[..., 0], np.float32(0)), hit)
+
+    def _new_object(self, name: str, mesh: Any = None) -> Any:
+        new = self._bpy.data.objects.new(name, mesh or self._bpy.data.meshes.new(name))
+        self._stage.scene.collection.objects.link(new)
+        return new
+
+    def _fill_mesh(self, surface: Surface, frame: Frame) -> None:
+        grid = surface_mesh(
+            surface.points_m, surface.normals, frame.intrinsics, self._settings.edge_ratio
+        )
+        mesh = self._shown.data
+        mesh.clear_geometry()
+        mesh.vertices.add(len(grid.vertices_m))
+        mesh.loops.add(grid.triangles.size)
+        mesh.polygons.add(len(grid.triangles))
+        # Straight into the attributes: by way of vertices.co and loops.vertex_index it takes 4 x
+        # the time.
+        _set(mesh, "position", grid.vertices_m)
+        _set(mesh, ".corner_vert", grid.triangles)
+        starts = np.arange(0, grid.triangles.size, 3, dtype=np.int32)
+        mesh.polygons.foreach_set("loop_start", starts)
+        _set(mesh, _ALBEDO, surface.albedo.ravel()[grid.pixel])
+        # The name by which Blender takes a vertex attribute as the mesh's own shading normals.
+        _set(mesh, "custom_normal", surface.normals.reshape(-1, 3)[grid.pixel])
+        mesh.update_tag()
+
+    def _fill_points(self, surface: Surface, frame: Frame) -> None:
+        points_m = surface.points_m[surface.mask]
+        radius_m = points_m[:, 2] * np.float32(0.5 / max(frame.intrinsics.fx, frame.intrinsics.fy))
+        # The ray through the centre meets a sphere's front: that is what must lie at the point.
+        set_back = 1 + radius_m / np.linalg.norm(points_m, axis=-1)
+        mesh = self._shown.data
+        mesh.clear_geometry()
+        mesh.vertices.add(len(points_m))
+        _set(mesh, "position", points_m * set_back[:, None])
+        _set(mesh, _RADIUS, radius_m)
+        _set(mesh, _ALBEDO, surface.albedo[surface.mask])
+        _set(mesh, _NORMAL, surface.normals[surface.mask])
+        mesh.update_tag()
+
+
+_ALBEDO, _NORMAL, _RADIUS = "albedo", "surface_normal", "sphere_radius"
+
+
+def _set(mesh: Any, name: str, values: npt.NDArray[Any]) -> None:
+    """Write a mesh attribute, as a new one on the vertices where Blender has none of that name."""
+    field = "vector" if values.ndim == 2 and values.dtype == np.float32 else "value"
+    kind = "FLOAT_VECTOR" if field == "vector" else "FLOAT"
+    attribute = mesh.attributes.get(name) or mesh.attributes.new(name, kind, "POINT")
+    attribute.data.foreach_set(field, np.ascontiguousarray(values).ravel())
+
+
+def _hide_from_terminator(shown: Any) -> None:
+    """Take back what Cycles does to soften the shading of coarse meshes; ours is a pixel fine."""
+    shown.shadow_terminator_geometry_offset = 0
+    shown.shadow_terminator_shading_offset = 0
+
+
+def _material(bpy: Any, normal_attribute: str | None) -> Any:
+    """A Lambert surface with the albedo of the vertices, and their normals where named."""
+    material = bpy.data.materials.new("sonar")
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    diffuse = nodes.new("ShaderNodeBsdfDiffuse")
+    diffuse.inputs["Roughness"].default_value = 0
+    albedo = nodes.new("ShaderNodeAttribute")
+    albedo.attribute_name = _ALBEDO
+    links.new(albedo.outputs["Fac"], diffuse.inputs["Color"])
+    if normal_attribute is not None:
+        normal = nodes.new("ShaderNodeAttribute")
+        normal.attribute_name = normal_attribute
+        links.new(normal.outputs["Vector"], diffuse.inputs["Normal"])
+    output = nodes.new("ShaderNodeOutputMaterial")
+    links.new(diffuse.outputs["BSDF"], output.inputs["Surface"])
+    return material
+
+
+def _turn_into_spheres(bpy: Any, shown: Any) -> None:
+    """Geometry nodes: vertices -> points with their own radius -> the object's material."""
+    tree = bpy.data.node_groups.new("spheres", "GeometryNodeTree")
+    tree.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
+    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    nodes, links = tree.nodes, tree.links
+    start, end = nodes.new("NodeGroupInput"), nodes.new("NodeGroupOutput")
+    radius = nodes.new("GeometryNodeInputNamedAttribute")
+    radius.data_type = "FLOAT"
+    radius.inputs["Name"].default_value = _RADIUS
+    points = nodes.new("GeometryNodeMeshToPoints")
+    paint = nodes.new("GeometryNodeSetMaterial")
+    paint.inputs["Material"].default_value = shown.data.materials[0]
+    links.new(start.outputs[0], points.inputs["Mesh"])
+    links.new(radius.outputs["Attribute"], points.inputs["Radius"])
+    links.new(points.outputs["Points"], paint.inputs["Geometry"])
+    links.new(paint.outputs["Geometry"], end.inputs[0])
+    shown.modifiers.new("spheres", "NODES").node_group = tree

@@ -1,0 +1,63 @@
+"""Shading as in `analytic`, and true shadows by ray casting with Embree (through Open3D)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from factory.frame import Frame
+from factory.render.base import Rendered, RenderSettings
+from factory.render.libraries import missing
+from factory.render.mesh import SHADOW_BIAS, surface_mesh
+from factory.render.surface import Surface, shade, surface_of
+from factory.sonar.mount import Mount
+
+
+class EmbreeRenderer:
+    """Casts one ray from each surface pixel to the sonar."""
+
+    casts_shadows = True
+
+    def __init__(self, settings: RenderSettings) -> None:
+        """Raises FactoryError when Open3D is not there."""
+        self._settings = settings
+        self._open3d = _import_open3d()
+
+    def render(self, frame: Frame, mount: Mount) -> Rendered:
+        """Render one frame; see `factory.render.base.Renderer`."""
+        surface = surface_of(frame, self._settings)
+        sonar_m = mount.position_camera_m()
+        radiance = shade(surface, sonar_m)
+        # What the camera sees, a sonar at its place insonifies.
+        if not mount.colocated and surface.mask.any():
+            radiance[self._shadow(surface, frame, sonar_m)] = 0
+        return Rendered(radiance, surface.mask)
+
+    def _shadow(
+        self, surface: Surface, frame: Frame, sonar_m: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.bool_]:
+        """(H, W) bool: surface pixels that the mesh hides from the sonar."""
+        mesh = surface_mesh(
+            surface.points_m, surface.normals, frame.intrinsics, self._settings.edge_ratio
+        )
+        scene = self._open3d.t.geometry.RaycastingScene(nthreads=1)
+        scene.add_triangles(
+            mesh.vertices_m * np.float32(1 + SHADOW_BIAS), mesh.triangles.astype(np.uint32)
+        )
+        points_m = surface.points_m[surface.mask]
+        rays = np.concatenate([points_m, sonar_m.astype(np.float32) - points_m], axis=-1)
+        hidden = scene.test_occlusions(self._open3d.core.Tensor(rays), tnear=0.0, tfar=1.0)
+        shadow = np.zeros(surface.mask.shape, np.bool_)
+        shadow[surface.mask] = hidden.numpy()
+        return shadow
+
+
+def _import_open3d() -> Any:
+    """Open3D takes half a second and 100 MB to import, and only workers that cast rays need it."""
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        raise missing("embree", error) from error
+    return open3d

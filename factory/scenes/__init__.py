@@ -1,0 +1,41 @@
+"""RGBD recordings in, checked frames out: one module a layout, chosen by `scenes.kind`."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Annotated
+
+from pydantic import Field
+
+from factory.scenes.base import Discovery, Reader, SceneSettings
+from factory.scenes.csv_list import CsvListSettings
+from factory.scenes.flsea import FlseaSettings
+from factory.scenes.redwood import RedwoodSettings
+from factory.scenes.seabed import SeabedSettings
+from factory.scenes.tum import TumSettings
+from factory.settings import union_tags
+
+__all__ = ["Discovery", "Reader", "SceneSettings", "Scenes", "open_reader"]
+
+Scenes = Annotated[
+    FlseaSettings | TumSettings | RedwoodSettings | CsvListSettings | SeabedSettings,
+    Field(discriminator="kind"),
+]
+
+# kind -> (module, reader class).  Modules are imported when a reader is opened, so that reading a
+# configuration loads no image or ray-casting library.
+_READERS = {
+    "flsea": ("factory.scenes.flsea", "FlseaReader"),
+    "tum": ("factory.scenes.tum", "TumReader"),
+    "redwood": ("factory.scenes.redwood", "RedwoodReader"),
+    "csv_list": ("factory.scenes.csv_list", "CsvListReader"),
+    "seabed": ("factory.scenes.seabed", "SeabedReader"),
+}
+union_tags(*_READERS)
+
+
+def open_reader(settings: Scenes) -> Reader:
+    """The reader of `settings.kind`; cheap, and equal in every process that has the settings."""
+    module, name = _READERS[settings.kind]
+    reader: Reader = getattr(import_module(module), name)(settings)
+    return reader

@@ -1,0 +1,48 @@
+"""What every reader of RGBD recordings offers, and the settings they share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass as plain_dataclass
+from dataclasses import field
+from typing import Literal, Protocol
+
+from pydantic.dataclasses import dataclass
+
+from factory.frame import Frame, FrameRef
+from factory.settings import STRICT
+
+
+@dataclass(frozen=True, config=STRICT)
+class SceneSettings:
+    """Keys that all `scenes` kinds have.
+
+    depth_kind: whether the depth files hold z (along the optical axis) or slant range.
+    bad_depth: what NaN, infinite and negative depths mean: a bad frame, or an unmeasured pixel.
+    """
+
+    depth_kind: Literal["z", "range"] = "z"
+    bad_depth: Literal["reject", "mask"] = "reject"
+
+
+@plain_dataclass(frozen=True)
+class Discovery:
+    """What a reader found.
+
+    frames: every usable frame, sorted by (location, scene, frame).
+    skipped: reason -> how many images were left out for it (for example no depth map).
+    notes: one-line remarks for the user (which scenes are absent, which calibration was used).
+    """
+
+    frames: tuple[FrameRef, ...]
+    skipped: dict[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+class Reader(Protocol):
+    """Finds frames and loads them.  Built from settings alone, so a worker can build its own."""
+
+    def discover(self) -> Discovery:
+        """List the frames.  Raises FactoryError when the root is missing or holds no frame."""
+
+    def load(self, ref: FrameRef) -> Frame:
+        """Read one frame, checked (`factory.frame.checked`).  Raises FrameError when it is bad."""

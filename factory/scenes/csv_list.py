@@ -1,0 +1,148 @@
+"""Any RGBD set, listed in a CSV file of one camera.
+
+    rgb,depth,scene                          a header is optional, and so is the third column
+    dive1/0001.png,dive1/0001_depth.tif,dive1
+
+Paths are relative to the CSV file.  Depth is a floating-point TIFF or .npy in metres, or an integer
+image divided by `depth_scale`.  `scene` is what train and test are split by; without it the whole
+list is one scene, named as the file.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import AfterValidator, Field
+from pydantic.dataclasses import dataclass
+
+from factory.errors import FactoryError
+from factory.frame import Frame, FrameRef, Intrinsics
+from factory.scenes.base import Discovery, SceneSettings
+from factory.scenes.calibration import Pinhole
+from factory.scenes.images import read_depth, read_rgb
+from factory.scenes.poses import numbered_lines
+from factory.scenes.rgbd import finished_frame
+from factory.scenes.roots import Root
+from factory.settings import STRICT
+
+_EXPECTED = "a CSV file of rgb,depth lines"
+
+
+def _none_or_four(coefficients: tuple[float, ...]) -> tuple[float, ...]:
+    if len(coefficients) not in (0, 4):
+        raise ValueError("give k1, k2, p1, p2, or [] for a lens without distortion")
+    return coefficients
+
+
+@dataclass(frozen=True, config=STRICT, kw_only=True)
+class CsvListSettings(SceneSettings):
+    """Keys of `scenes=csv_list`.
+
+    root: the CSV file.
+    intrinsics: fx, fy, cx, cy of the images as they are.
+    distortion: k1, k2, p1, p2 of the lens (OpenCV), or empty.
+    undistort: take that distortion out of colour and depth (same camera matrix).
+    depth_scale: what integer depths are divided by to give metres (1000: millimetres).
+    invalid_below_m: depths at or below this are pixels without a measurement; None: only 0 is.
+    invalid_above_m: depths at or above this are, too (a rendered sky, for example).
+    """
+
+    kind: Literal["csv_list"] = "csv_list"
+    root: Root
+    intrinsics: Pinhole
+    distortion: Annotated[tuple[float, ...], AfterValidator(_none_or_four)] = ()
+    undistort: bool = False
+    depth_scale: Annotated[float, Field(gt=0)] = 1000.0
+    invalid_below_m: float | None = 0.0
+    invalid_above_m: Annotated[float, Field(gt=0)] | None = None
+
+
+class CsvListReader:
+    """Reads the frames of the list."""
+
+    def __init__(self, settings: CsvListSettings) -> None:
+        self.settings = settings
+
+    def discover(self) -> Discovery:
+        """See `factory.scenes.base.Reader`."""
+        path = Path(self.settings.root).expanduser()
+        if not path.is_file():
+            fault = "is a folder" if path.is_dir() else "no such file"
+            raise FactoryError(
+                f"scenes.root={self.settings.root}: {fault}; set scenes.root to {_EXPECTED}"
+            )
+        rows = _rows(path)
+        frames = _named(path.parent, rows)
+        if not frames:
+            raise FactoryError(
+                f"scenes.root={self.settings.root}: no line lists a frame; give {_EXPECTED}"
+            )
+        if not any(Path(name).is_file() for ref in frames for name in ref.paths):
+            raise FactoryError(
+                f"scenes.root={self.settings.root}: none of the {len(frames)} listed frames "
+                f"exists, the first is {frames[0].paths[0]}; paths are relative to the CSV file"
+            )
+        twice = len(rows) - len(frames)
+        frames.sort(key=lambda ref: (ref.location, ref.scene, ref.frame))
+        return Discovery(tuple(frames), {"listed twice": twice} if twice else {})
+
+    def load(self, ref: FrameRef) -> Frame:
+        """See `factory.scenes.base.Reader`."""
+        image, depth = map(Path, ref.paths)
+        rgb = read_rgb(image)
+        depth_m = self._measured(read_depth(depth, self.settings.depth_scale))
+        intrinsics = Intrinsics(*self.settings.intrinsics, distortion=self.settings.distortion)
+        return finished_frame(
+            ref, rgb, depth_m, intrinsics, self.settings, undistort=self.settings.undistort
+        )
+
+    def _measured(self, depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """0 where the settings say that a depth is none; NaN and infinities stay to be refused."""
+        below, above = self.settings.invalid_below_m, self.settings.invalid_above_m
+        invalid = np.zeros(depth_m.shape, dtype=bool)
+        if below is not None:
+            invalid |= depth_m <= below
+        if above is not None:
+            invalid |= depth_m >= above
+        return np.where(invalid & np.isfinite(depth_m), np.float32(0), depth_m)
+
+
+def _rows(path: Path) -> list[tuple[str, str, str]]:
+    """(rgb, depth, scene) of every line; a header, empty lines and `#` comments are left out."""
+    rows = []
+    for index, (number, line) in enumerate(numbered_lines(path)):
+        try:
+            cells = [cell.strip() for cell in next(csv.reader([line]))]
+        except csv.Error:
+            cells = []
+        if index == 0 and [cell.lower() for cell in cells[:2]] == ["rgb", "depth"]:
+            continue
+        rgb, depth, scene = (*cells, "")[:3] if len(cells) in (2, 3) else ("", "", "")
+        if not rgb or not depth:
+            raise FactoryError(
+                f"{path}:{number}: expected `rgb,depth` or `rgb,depth,scene`, got {line[:80]!r}; "
+                "repair the line"
+            )
+        if "/" in scene or "\\" in scene:
+            raise FactoryError(f"{path}:{number}: a scene name must not hold a slash: {scene!r}")
+        rows.append((rgb, depth, scene or path.stem))
+    return rows
+
+
+def _named(folder: Path, rows: list[tuple[str, str, str]]) -> list[FrameRef]:
+    """A frame a row, named by the image's stem, or by its whole path where a stem comes again."""
+    stems = Counter((scene, Path(rgb).stem) for rgb, _, scene in rows)
+    frames: dict[tuple[str, str], FrameRef] = {}
+    for rgb, depth, scene in rows:
+        name = Path(rgb).stem
+        if stems[scene, name] > 1:
+            parts = Path(rgb).with_suffix("").parts
+            name = "-".join(part for part in parts if part not in (Path(rgb).anchor, "..", "."))
+        paths = (str(folder / rgb), str(folder / depth))
+        frames.setdefault((scene, name), FrameRef("", scene, name, paths))
+    return list(frames.values())

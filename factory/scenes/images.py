@@ -1,0 +1,122 @@
+"""Colour images and depth maps from files: TIFF (LZW and others), PNG, JPEG, NumPy arrays.
+
+Pillow decodes, because it refuses a truncated file where other libraries return half a picture.
+It is imported inside the functions so that importing the settings of a reader stays light.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import threading
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from factory.errors import FrameError
+
+# Pillow modes whose conversion to RGB loses nothing but transparency.
+_COLOUR_MODES = frozenset({"RGB", "RGBA", "RGBX", "L", "LA", "P", "PA", "YCbCr"})
+
+_REDIRECT = threading.Lock()
+
+
+def read_rgb(path: Path) -> npt.NDArray[np.uint8]:
+    """(H, W, 3) uint8 colour image; grey images are repeated in the three channels.
+
+    Raises FrameError when the file is missing, damaged or not an 8-bit image.
+    """
+    image = _decoded(path)
+    if image.mode not in _COLOUR_MODES:
+        raise FrameError(
+            f"{path}: colour image must be 8-bit RGB or grey, this one has Pillow's mode "
+            f"{image.mode}; convert it"
+        )
+    return np.ascontiguousarray(np.asarray(image.convert("RGB"), dtype=np.uint8))
+
+
+def read_depth(path: Path, units_per_m: float) -> npt.NDArray[np.float32]:
+    """(H, W) float32 depth in metres, exactly as stored: NaN, negatives and 0 are kept.
+
+    units_per_m: what integer files are divided by (1000: millimetres); floating-point files hold
+        metres already and are not scaled.
+    Raises FrameError when the file is missing, damaged or not a single-channel depth map.
+    """
+    stored = _load_array(path) if path.suffix.lower() == ".npy" else np.asarray(_decoded(path))
+    if stored.ndim != 2:
+        raise FrameError(f"{path}: depth must be one channel (H, W), got shape {stored.shape}")
+    if stored.dtype.kind == "f":
+        with np.errstate(over="ignore"):  # too large for float32 becomes infinite: checked later
+            return np.ascontiguousarray(stored, dtype=np.float32)
+    if stored.dtype.kind in "iu" and stored.dtype.itemsize > 1:
+        return np.ascontiguousarray(stored / units_per_m, dtype=np.float32)
+    raise FrameError(
+        f"{path}: depth is stored as {stored.dtype}, which holds no distances; "
+        "give floating-point metres or integers of 16 bits or more"
+    )
+
+
+def _decoded(path: Path) -> Any:
+    """A Pillow image with all its pixels in memory."""
+    from PIL import Image
+
+    try:
+        with _silent(), Image.open(path) as image:
+            image.load()
+            return image
+    except FileNotFoundError as error:
+        raise FrameError(f"{path}: no such file") from error
+    except MemoryError:
+        raise
+    except Exception as error:  # a damaged file makes decoders raise nearly anything
+        raise FrameError(f"{path}: {_damage(error)}; copy or download the file again") from error
+
+
+def _load_array(path: Path) -> npt.NDArray[Any]:
+    try:
+        array: npt.NDArray[Any] = np.load(path, allow_pickle=False)
+        return array
+    except FileNotFoundError as error:
+        raise FrameError(f"{path}: no such file") from error
+    except MemoryError:
+        raise
+    except Exception as error:  # see _decoded
+        raise FrameError(f"{path}: {_damage(error)}; copy or download the file again") from error
+
+
+def _damage(error: Exception) -> str:
+    if isinstance(error, PermissionError | IsADirectoryError):
+        return f"cannot be read ({error.strerror})"
+    text = " ".join(str(error).split()) or type(error).__name__
+    return f"truncated or damaged file ({text[:120]})"
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Drop what libtiff writes straight to the process's stderr, and Pillow's warnings.
+
+    The exception says the same in one line.  The lock keeps two threads from saving each other's
+    redirection as the original.
+    """
+    with _REDIRECT, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if sys.stderr is not None:
+            sys.stderr.flush()
+        try:
+            saved = os.dup(2)
+        except OSError:  # the process has no stderr: nothing to silence
+            yield
+            return
+        try:
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, 2)
+            os.close(null)
+            yield
+        finally:
+            os.dup2(saved, 2)
+            os.close(saved)

@@ -1,0 +1,131 @@
+"""Redwood RGBD recordings.
+
+    <recording>/color/00000.jpg      also rgb/ or image/
+    <recording>/depth/00000.png      uint16 millimetres, 0 = no measurement
+    <recording>/trajectory.log       world-from-camera poses by frame number, optional
+
+Colour and depth belong together when the number their names start with is the same.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from factory.errors import FactoryError
+from factory.frame import Frame, FrameRef, Intrinsics
+from factory.scenes.base import Discovery, SceneSettings
+from factory.scenes.calibration import Pinhole
+from factory.scenes.images import read_depth, read_rgb
+from factory.scenes.poses import redwood_poses
+from factory.scenes.rgbd import finished_frame
+from factory.scenes.roots import Root, folder_name, recordings, root_folder, visible_files
+from factory.settings import STRICT
+
+_COLOUR_FOLDERS = ("color", "rgb", "image")
+_COLOUR_SUFFIXES = (".jpg", ".jpeg", ".png")
+_EXPECTED = "a recording (a folder with color/ and depth/) or to a folder of recordings"
+
+
+@dataclass(frozen=True, config=STRICT, kw_only=True)
+class RedwoodSettings(SceneSettings):
+    """Keys of `scenes=redwood`.
+
+    root: one recording or a folder of recordings; each is a scene.
+    intrinsics: fx, fy, cx, cy of the images as they are; the default is the PrimeSense camera at
+        640x480 that the Redwood sets use.
+    depth_scale: what the integers in the depth files are divided by to give metres.
+    """
+
+    kind: Literal["redwood"] = "redwood"
+    root: Root
+    intrinsics: Pinhole = (525.0, 525.0, 319.5, 239.5)
+    depth_scale: Annotated[float, Field(gt=0)] = 1000.0
+
+
+class RedwoodReader:
+    """Pairs colour and depth by frame number and reads the frames."""
+
+    def __init__(self, settings: RedwoodSettings) -> None:
+        self.settings = settings
+
+    def discover(self) -> Discovery:
+        """See `factory.scenes.base.Reader`."""
+        root = root_folder(self.settings.root, _EXPECTED)
+        frames: list[FrameRef] = []
+        skipped: Counter[str] = Counter()
+        notes: list[str] = []
+        for folder in recordings(root, lambda folder: _colour_folder(folder) is not None):
+            frames += _recording_frames(folder, skipped)
+            trajectory = folder / "trajectory.log"
+            if trajectory.is_file():
+                redwood_poses(trajectory)  # a damaged file is told now, not at every frame
+            else:
+                notes.append(f"{folder_name(folder)}: no trajectory.log, frames have no pose")
+        if not frames:
+            raise FactoryError(
+                f"scenes.root={self.settings.root}: no frame found; set scenes.root to {_EXPECTED}"
+            )
+        frames.sort(key=lambda ref: (ref.location, ref.scene, ref.frame))
+        return Discovery(tuple(frames), dict(sorted(skipped.items())), tuple(notes))
+
+    def load(self, ref: FrameRef) -> Frame:
+        """See `factory.scenes.base.Reader`."""
+        image, depth, *trajectory = map(Path, ref.paths)
+        pose = redwood_poses(trajectory[0]).get(_number(ref.frame)) if trajectory else None
+        return finished_frame(
+            ref,
+            read_rgb(image),
+            read_depth(depth, self.settings.depth_scale),
+            Intrinsics(*self.settings.intrinsics),
+            self.settings,
+            world_from_camera=pose,
+        )
+
+
+def _colour_folder(folder: Path) -> Path | None:
+    if not (folder / "depth").is_dir():
+        return None
+    return next((folder / name for name in _COLOUR_FOLDERS if (folder / name).is_dir()), None)
+
+
+def _recording_frames(folder: Path, skipped: Counter[str]) -> list[FrameRef]:
+    colour = _colour_folder(folder)
+    assert colour is not None
+    images = _by_number(colour, _COLOUR_SUFFIXES)
+    depths = _by_number(folder / "depth", (".png",))
+    trajectory = folder / "trajectory.log"
+    pose = (str(trajectory),) if trajectory.is_file() else ()
+    if alone := len(images.keys() - depths.keys()):
+        skipped["image without a depth map"] += alone
+    if alone := len(depths.keys() - images.keys()):
+        skipped["depth map without an image"] += alone
+    return [
+        FrameRef(
+            "",
+            folder_name(folder),
+            Path(images[number]).stem,
+            (str(colour / images[number]), str(folder / "depth" / depths[number]), *pose),
+        )
+        for number in sorted(images.keys() & depths.keys())
+    ]
+
+
+def _by_number(folder: Path, suffixes: tuple[str, ...]) -> dict[int, str]:
+    """Frame number -> file name (the first by name when several carry the number)."""
+    files: dict[int, str] = {}
+    for name in visible_files(folder):
+        if name.lower().endswith(suffixes) and name[0].isdecimal():
+            files.setdefault(_number(name), name)
+    return files
+
+
+def _number(name: str) -> int:
+    """The whole number that a file name starts with."""
+    digits = re.match(r"\d+", name)
+    return int(digits.group()) if digits else -1

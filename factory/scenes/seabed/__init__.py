@@ -1,0 +1,10 @@
+"""Procedural seabed: FLSea-like RGBD frames of invented places, with labels and poses.
+
+A location is a number: it fixes the ground, the objects, the water and the camera's path.  Frames
+are ray-cast (Open3D), so depth, labels and pictures agree to the pixel.
+"""
+
+from factory.scenes.seabed.names import CLASSES
+from factory.scenes.seabed.reader import SeabedReader, SeabedSettings
+
+__all__ = ["CLASSES", "SeabedReader", "SeabedSettings"]

@@ -1,0 +1,267 @@
+"""Triangle meshes made from a few shapes: turned profiles, tubes, boxes, prisms and spheres."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from factory.scenes.seabed.fields import Arrays, Floats, waves
+
+Indices = npt.NDArray[np.int32]
+Colour = tuple[float, float, float]
+GREY: Colour = (0.5, 0.5, 0.5)
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A mesh with colours.
+
+    vertices: (V, 3) float32 metres, z up.  colours: (V, 3) float32 albedo.
+    triangles: (T, 3) int32.
+    """
+
+    vertices: Floats
+    colours: Floats
+    triangles: Indices
+
+    def moved(
+        self,
+        rotation: Arrays | None = None,
+        offset: Sequence[float] | Arrays = (0.0, 0.0, 0.0),
+        scale: float | Sequence[float] = 1.0,
+    ) -> Mesh:
+        """Scaled, then rotated by a (3, 3) matrix, then shifted by `offset` metres."""
+        points = self.vertices * np.asarray(scale, dtype=np.float32)
+        if rotation is not None:
+            points = np.einsum("ij,vj->vi", np.asarray(rotation, dtype=np.float32), points)
+        return Mesh(points + np.asarray(offset, dtype=np.float32), self.colours, self.triangles)
+
+    def standing(self) -> Mesh:
+        """The same mesh with its lowest point at z = 0."""
+        return self.moved(offset=(0, 0, -float(self.vertices[:, 2].min())))
+
+
+def rotation(axis: str, angle_rad: float) -> npt.NDArray[np.float64]:
+    """(3, 3) right-handed turn about "x", "y" or "z"."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+    matrix = np.eye(3)
+    matrix[first, first] = matrix[second, second] = c
+    matrix[first, second], matrix[second, first] = -s, s
+    return matrix
+
+
+def mesh(vertices: npt.ArrayLike, triangles: npt.ArrayLike, colour: npt.ArrayLike = GREY) -> Mesh:
+    """A mesh of one colour, or of one colour a vertex."""
+    points = np.asarray(vertices, dtype=np.float32)
+    colours = np.array(np.broadcast_to(np.asarray(colour, dtype=np.float32), points.shape))
+    return Mesh(points, colours, np.asarray(triangles, dtype=np.int32))
+
+
+def join(parts: Iterable[Mesh]) -> Mesh:
+    """All parts as one mesh."""
+    parts = list(parts)
+    starts = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+    return Mesh(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.colours for part in parts]),
+        np.concatenate(
+            [part.triangles + np.int32(start) for part, start in zip(parts, starts, strict=True)]
+        ),
+    )
+
+
+def vertex_normals(vertices: Floats, triangles: Indices) -> Floats:
+    """(V, 3) unit normals, the area-weighted mean of the triangles around each vertex."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    face = np.cross(b - a, c - a)
+    corners = triangles.ravel()
+    normals = np.stack(
+        [
+            np.bincount(corners, np.repeat(face[:, axis], 3), minlength=len(vertices))
+            for axis in range(3)
+        ],
+        axis=-1,
+    )
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(normals / np.maximum(length, 1e-20), dtype=np.float32)
+
+
+@functools.cache
+def grid_triangles(rows: int, columns: int, closed: bool = False) -> Indices:
+    """Triangles (T, 3) of a rows x columns vertex grid; `closed` joins its last and first columns.
+
+    Cell (i, j) is triangle 2 * (i * cells + j) and the next: (a, b, c) and (a, c, d) of its corners
+    a = (i, j), b = (i + 1, j), c = (i + 1, j + 1), d = (i, j + 1).
+    """
+    i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns - (not closed)), indexing="ij")
+    after = (j + 1) % columns
+    a, b = i * columns + j, (i + 1) * columns + j
+    c, d = (i + 1) * columns + after, i * columns + after
+    cells = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], axis=2)
+    triangles: Indices = cells.reshape(-1, 3).astype(np.int32)
+    triangles.setflags(write=False)
+    return triangles
+
+
+def lathe(
+    profile: npt.ArrayLike,
+    segments: int = 24,
+    colour: npt.ArrayLike = GREY,
+    crease: bool = False,
+) -> Mesh:
+    """Turn an (P, 2) profile of (radius, height) about the z axis.
+
+    colour: one, or one a profile point.  crease: keep the profile's corners sharp.
+    """
+    points = np.asarray(profile, dtype=np.float32)
+    colours = np.broadcast_to(np.asarray(colour, dtype=np.float32), (len(points), 3))
+    if crease:
+        pieces = [
+            lathe(points[k : k + 2], segments, colours[k : k + 2]) for k in range(len(points) - 1)
+        ]
+        return join(pieces)
+    angle = np.arange(segments) * (2 * np.pi / segments)
+    radius, height = points[:, :1], np.repeat(points[:, 1:], segments, axis=1)
+    vertices = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=-1)
+    triangles = grid_triangles(len(points), segments, closed=True)[:, ::-1]
+    return mesh(vertices.reshape(-1, 3), triangles, np.repeat(colours, segments, axis=0))
+
+
+def tube(
+    path: npt.ArrayLike,
+    radius: float | npt.ArrayLike,
+    segments: int = 10,
+    closed: bool = False,
+    colour: npt.ArrayLike = GREY,
+) -> Mesh:
+    """A round bar along an (N, 3) path; radius and colour may change along it; ends are capped."""
+    points = np.asarray(path, dtype=np.float64)
+    radii = np.broadcast_to(np.asarray(radius, dtype=np.float64), (len(points),))
+    colours = np.broadcast_to(np.asarray(colour, dtype=np.float32), points.shape)
+    if not closed:  # a ring of radius 0 at either end, and the rim twice to keep its edge
+        ends = [0, 0, *range(len(points)), -1, -1]
+        points, radii, colours = points[ends], radii[ends].copy(), colours[ends]
+        radii[[0, -1]] = 0
+    if closed:
+        tangents = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
+    else:
+        tangents = np.gradient(points[2:-2], axis=0)[np.r_[0, 0, 0 : len(points) - 4, -1, -1]]
+    side, up = _frames(tangents)
+    angle = np.arange(segments) * (2 * np.pi / segments)
+    ring = side[:, None] * np.cos(angle)[:, None] + up[:, None] * np.sin(angle)[:, None]
+    vertices = points[:, None] + radii[:, None, None] * ring
+    rows = len(points)
+    triangles = grid_triangles(rows + closed, segments, closed=True) % (rows * segments)
+    return mesh(vertices.reshape(-1, 3), triangles[:, ::-1], np.repeat(colours, segments, axis=0))
+
+
+def _frames(
+    tangents: npt.NDArray[np.float64],
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Two unit vectors across each tangent that do not spin along the path."""
+    tangents = tangents / np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
+    side = np.empty_like(tangents)
+    start = np.eye(3)[int(np.argmin(np.abs(tangents[0])))]
+    for k, tangent in enumerate(tangents):
+        start = start - tangent * float((start * tangent).sum())
+        start = start / max(float(np.sqrt((start * start).sum())), 1e-12)
+        side[k] = start
+    return side, np.cross(tangents, side)
+
+
+def bar(start: npt.ArrayLike, end: npt.ArrayLike, radius: float, segments: int = 8) -> Mesh:
+    """A straight round bar between two points."""
+    return tube(np.stack([np.asarray(start), np.asarray(end)]), radius, segments)
+
+
+def box(size: Sequence[float], centre: Sequence[float] = (0, 0, 0), colour: Colour = GREY) -> Mesh:
+    """A box with sharp edges."""
+    outline = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * size[:2]
+    return prism(outline, size[2], colour).moved(
+        offset=(centre[0], centre[1], centre[2] - size[2] / 2)
+    )
+
+
+def prism(outline: npt.ArrayLike, height: float, colour: Colour = GREY) -> Mesh:
+    """A counter-clockwise (P, 2) outline raised from z = 0 to `height`, edges sharp.
+
+    The middle of the outline must see all its corners.
+    """
+    flat = np.asarray(outline, dtype=np.float64)
+    count = len(flat)
+    low = np.column_stack([flat, np.zeros(count)])
+    high = low + np.array([0, 0, height])
+    fan = np.array([[count, k, (k + 1) % count] for k in range(count)])
+    lids = [np.concatenate([lid, lid.mean(axis=0, keepdims=True)]) for lid in (low, high)]
+    parts = [mesh(lids[1], fan, colour), mesh(lids[0], fan[:, ::-1], colour)]
+    for k in range(count):
+        after = (k + 1) % count
+        quad = [low[k], low[after], high[after], high[k]]
+        parts.append(mesh(quad, [[0, 1, 2], [0, 2, 3]], colour))
+    return join(parts)
+
+
+@functools.cache
+def _unit_sphere(subdivisions: int) -> tuple[npt.NDArray[np.float64], Indices]:
+    golden = (1 + np.sqrt(5)) / 2
+    corners = [(s, t * golden) for s in (-1, 1) for t in (-1, 1)]
+    points = np.array(
+        [(0, s, t) for s, t in corners]
+        + [(s, t, 0) for s, t in corners]
+        + [(t, 0, s) for s, t in corners]
+    )
+    from scipy.spatial import ConvexHull  # loads slowly; the sphere is made once a process
+
+    hull = ConvexHull(points)
+    outward = np.einsum("ij,ij->i", _normals(points[hull.simplices]), points[hull.simplices[:, 0]])
+    faces = np.where(outward[:, None] > 0, hull.simplices, hull.simplices[:, ::-1]).astype(np.int32)
+    for _ in range(subdivisions):
+        edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        unique, which = np.unique(edges, axis=0, return_inverse=True)
+        middle = (len(points) + which.reshape(-1, 3)).astype(np.int32)
+        points = np.concatenate([points, points[unique].mean(axis=1)])
+        a, b, c = faces.T
+        ab, bc, ca = middle.T
+        corners_of = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
+        faces = np.concatenate([np.stack(corner, axis=-1) for corner in corners_of])
+        points = points / np.linalg.norm(points, axis=1, keepdims=True)
+    return points / np.linalg.norm(points, axis=1, keepdims=True), faces
+
+
+def _normals(corners: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def sphere(subdivisions: int, colour: Colour = GREY) -> Mesh:
+    """A unit icosphere; 20 * 4 ** subdivisions triangles."""
+    points, faces = _unit_sphere(subdivisions)
+    return mesh(points, faces, colour)
+
+
+def rough(
+    smooth: Mesh, rng: np.random.Generator, depth_m: float, longest_m: float, shortest_m: float
+) -> Mesh:
+    """The mesh with fractal bumps of standard deviation `depth_m` along its normals."""
+    field = waves(rng, longest_m, shortest_m, 0.8, dimensions=3, per_octave=6)
+    bumps = field(*smooth.vertices.T) * np.float32(depth_m)
+    normals = vertex_normals(smooth.vertices, smooth.triangles)
+    return Mesh(smooth.vertices + normals * bumps[:, None], smooth.colours, smooth.triangles)
+
+
+def rock(rng: np.random.Generator, subdivisions: int) -> Mesh:
+    """A boulder of radius about 1: a ball cut by random planes, then roughened."""
+    ball = sphere(subdivisions)
+    radius = np.full(len(ball.vertices), 1.15, dtype=np.float32)
+    for _ in range(int(rng.integers(5, 12))):
+        normal = rng.standard_normal(3)
+        normal /= np.linalg.norm(normal)
+        facing = np.einsum("vi,i->v", ball.vertices, normal.astype(np.float32))
+        cut = rng.uniform(0.6, 1.0) / np.maximum(facing, 1e-3)
+        radius = np.minimum(radius, np.where(facing > 0, cut, radius)).astype(np.float32)
+    shape = Mesh(ball.vertices * radius[:, None], ball.colours, ball.triangles)
+    return rough(shape, rng, rng.uniform(0.03, 0.07), 1.6, 0.5 if subdivisions < 4 else 0.12)

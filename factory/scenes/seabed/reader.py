@@ -1,0 +1,97 @@
+"""The `seabed` reader: procedural locations, nothing to download."""
+
+from __future__ import annotations
+
+import re
+from collections import OrderedDict
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from factory.errors import FrameError
+from factory.frame import Frame, FrameRef, checked
+from factory.scenes.base import Discovery, SceneSettings
+from factory.scenes.seabed.names import PLACE_NAMES, KindName, PlaceName
+from factory.settings import STRICT
+
+if TYPE_CHECKING:
+    from factory.scenes.seabed.world import World
+
+_LAST = 10_000  # names have four digits and sort as numbers do
+_HELD = 2  # a location takes a second to build and tens of megabytes
+
+
+@dataclass(frozen=True, config=STRICT)
+class SeabedSettings(SceneSettings):
+    """Keys of `scenes` for the procedural seabed.
+
+    locations: how many, from number `first_location` on; a number is a place of its own.
+    frames_per_location: poses along its path.  width, height: pixels; the view is 45 degrees wide.
+    objects: factor on how many objects lie around.  kinds: only these (null: all).
+    places: only these kinds of place, taken in turn (null: all).
+    """
+
+    kind: Literal["seabed"] = "seabed"
+    depth_kind: Literal["z"] = "z"
+    locations: Annotated[int, Field(ge=1, le=_LAST)] = 20
+    first_location: Annotated[int, Field(ge=0, lt=_LAST)] = 0
+    frames_per_location: Annotated[int, Field(ge=1, le=_LAST)] = 10
+    width: Annotated[int, Field(ge=64, le=4096)] = 968
+    height: Annotated[int, Field(ge=48, le=4096)] = 608
+    objects: Annotated[float, Field(ge=0, le=4)] = 1.0
+    kinds: tuple[KindName, ...] | None = None
+    places: Annotated[tuple[PlaceName, ...], Field(min_length=1)] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse locations whose number has more than four digits."""
+        if self.first_location + self.locations > _LAST:
+            raise ValueError(f"first_location + locations must not exceed {_LAST}")
+
+
+class SeabedReader:
+    """Makes frames of procedural locations.  A frame depends on settings and its name alone."""
+
+    def __init__(self, settings: SeabedSettings) -> None:
+        """Nothing is built before the first frame is loaded."""
+        self._settings = settings
+        self._worlds: OrderedDict[int, World] = OrderedDict()
+
+    def discover(self) -> Discovery:
+        """List the frames: scene `seabed-0007` is location number 7, frame `0003` its pose 3."""
+        settings = self._settings
+        first = settings.first_location
+        refs = [
+            FrameRef("seabed", f"seabed-{location:04d}", f"{frame:04d}")
+            for location in range(first, first + settings.locations)
+            for frame in range(settings.frames_per_location)
+        ]
+        return Discovery(tuple(refs))
+
+    def load(self, ref: FrameRef) -> Frame:
+        """Build the location, if it is not at hand, and take the frame."""
+        scene = re.fullmatch(r"seabed-(\d{4})", ref.scene)
+        if scene is None or re.fullmatch(r"\d{4}", ref.frame) is None:
+            raise FrameError(
+                f"{ref.name}: not a procedural frame; names are like seabed/seabed-0007/0003"
+            )
+        # Reading a configuration imports this module, but needs nothing that makes pictures.
+        from factory.scenes.seabed.world import take
+
+        world = self._world(int(scene[1]))
+        settings = self._settings
+        frame = take(world, int(ref.frame), ref, settings.width, settings.height)
+        return checked(frame, bad_depth=settings.bad_depth)
+
+    def _world(self, location: int) -> World:
+        from factory.scenes.seabed.world import build_world
+
+        if location not in self._worlds:
+            places = self._settings.places or PLACE_NAMES
+            self._worlds[location] = build_world(
+                location, places, self._settings.objects, self._settings.kinds
+            )
+        self._worlds.move_to_end(location)
+        while len(self._worlds) > _HELD:
+            self._worlds.popitem(last=False)
+        return self._worlds[location]

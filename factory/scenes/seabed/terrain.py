@@ -1,0 +1,226 @@
+"""The ground: swells, slopes, rock outcrops, canyon walls, ripples, and relief down to centimetres.
+
+The surface is a pure function of (x, y).  Each view samples it finely where the camera looks
+(`view_mesh`), so every view of a spot shows the same ground.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from factory.scenes.seabed.fields import Arrays, Floats, Waves, lookup, smoothstep, tiles, wrapped
+from factory.scenes.seabed.meshes import Indices, grid_triangles
+
+FAR_M = 36.0  # the ground ends here; water hides it long before
+
+
+@dataclass(frozen=True, eq=False)
+class Banks:
+    """Rock walls on one or both sides of a winding axis through the origin.
+
+    heading_rad: direction of the axis.  half_width_m: from the axis to the foot of the walls.
+    sides: of +1 (left of the axis) and -1.  profile: (K, 2) distance behind the foot and height, m.
+    """
+
+    heading_rad: float
+    half_width_m: float
+    sides: tuple[int, ...]
+    profile: npt.NDArray[np.float64]
+    winding: Waves
+    winding_m: float
+    ragged: Waves
+    ragged_m: float
+
+    def axis_offset_m(self, along_m: Arrays) -> Floats:
+        """How far the winding axis is to the left of a straight line, at distances along it."""
+        zero = np.zeros_like(along_m)
+        return np.asarray(self.winding_m * (self.winding(along_m, zero) - self.winding(*_ZERO)))
+
+    def behind_foot_m(self, x: Arrays, y: Arrays) -> Floats:
+        """Distance behind the foot of the nearest wall, negative in front of it."""
+        c, s = np.float32(np.cos(self.heading_rad)), np.float32(np.sin(self.heading_rad))
+        along, across = c * x + s * y, -s * x + c * y
+        across = across - self.axis_offset_m(along)
+        ragged = np.float32(self.ragged_m) * self.ragged(x, y)
+        behind = np.full_like(across, -np.inf)
+        for side in self.sides:
+            behind = np.maximum(behind, side * across - self.half_width_m + ragged)
+        return behind
+
+
+_ZERO = (np.zeros(1, dtype=np.float32), np.zeros(1, dtype=np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class Terrain:
+    """A ground of one location.  Heights and lengths in metres; slope is dz/dx, dz/dy.
+
+    outcrop_cover: share of the ground that is bare rock.  gravel_cover: of the rest, gravel.
+    offset_m: where this ground lies on the noise pictures.
+    """
+
+    slope: tuple[float, float]
+    swell: Waves
+    swell_m: float
+    outcrop: Waves
+    outcrop_cover: float
+    outcrop_m: float
+    gravel: Waves
+    gravel_cover: float
+    ripples: Ripples | None
+    banks: Banks | None
+    rock_relief_m: float
+    sand_relief_m: float
+    offset_m: tuple[float, float]
+
+    def rockiness(self, x: Arrays, y: Arrays) -> Floats:
+        """0 on loose ground, 1 on rock."""
+        # Quantiles of a unit normal field, near enough for a share of the ground.
+        level = 1.6 * (0.5 - self.outcrop_cover) * 2
+        rock = smoothstep(level - 0.15, level + 0.25, self.outcrop(x, y))
+        if self.banks is not None:
+            rock = np.maximum(rock, smoothstep(-0.15, 0.2, self.banks.behind_foot_m(x, y)))
+        return rock
+
+    def height_m(self, x: Arrays, y: Arrays) -> Floats:
+        """(...) float32 height without the fine relief."""
+        x, y = np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32)
+        height = np.float32(self.slope[0]) * x + np.float32(self.slope[1]) * y
+        height = height + np.float32(self.swell_m) * self.swell(x, y)
+        field = self.outcrop(x, y)
+        level = 1.6 * (0.5 - self.outcrop_cover) * 2
+        ledge = smoothstep(level - 0.25, level + 0.5, field)
+        height += np.float32(self.outcrop_m) * ledge * (1 + 0.35 * np.clip(field - level, 0, 2))
+        if self.banks is not None:
+            behind = self.banks.behind_foot_m(x, y)
+            profile = self.banks.profile
+            height += np.interp(behind, profile[:, 0], profile[:, 1]).astype(np.float32)
+        return np.asarray(height, dtype=np.float32)
+
+    def surface(self, x: Arrays, y: Arrays) -> tuple[Floats, Floats]:
+        """Points of the ground with all relief, for a (R, C) grid of parameters.
+
+        Returns (R, C, 3) positions, and (R, C, 3) attributes: rockiness, gravel share, relief (in
+        units of its standard deviation, negative in crevices).
+        """
+        x, y = np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32)
+        height = self.height_m(x, y)
+        rock = self.rockiness(x, y)
+        level = 1.6 * (0.5 - self.gravel_cover) * 2
+        gravel = smoothstep(level - 0.3, level + 0.3, self.gravel(x, y)) * (1 - rock)
+        points = np.stack([x, y, height], axis=-1)
+        normals = grid_normals(points)
+        noise = tiles()
+        stone = wrapped(noise.rock, points, normals, 9.1, self.offset_m)
+        stone += 0.35 * wrapped(noise.rock, points, normals, 2.3, self.offset_m)
+        sand = lookup(noise.sand, x + self.offset_m[0], y + self.offset_m[1], 6.7)
+        pebbles = lookup(noise.rock, x + self.offset_m[0], y + self.offset_m[1], 1.7)
+        relief = self.rock_relief_m * rock * stone + self.sand_relief_m * (1 - rock) * sand
+        relief += 0.011 * gravel * pebbles
+        crest = np.zeros_like(height)
+        if self.ripples is not None:
+            crest = self.ripples.height(x, y) * (1 - rock) * (1 - 0.8 * gravel)
+            relief += np.float32(self.ripples.amplitude_m) * crest
+        tone = rock * stone + (1 - rock) * (0.4 * sand + 0.8 * crest + 0.5 * gravel * pebbles)
+        points += normals * relief[..., None]
+        return points, np.stack([rock, gravel, tone], axis=-1).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Ripples:
+    """Sand ripples with sharp crests and broad troughs, in patches."""
+
+    wavelength_m: float
+    amplitude_m: float
+    heading_rad: float
+    bend: Waves
+    bend_rad: float
+    patches: Waves
+    cover: float
+
+    def height(self, x: Floats, y: Floats) -> Floats:
+        """From -1 (trough) to 1 (crest), 0 outside the patches."""
+        rate = 2 * np.pi / self.wavelength_m
+        phase = np.float32(rate * np.cos(self.heading_rad)) * x
+        phase = phase + np.float32(rate * np.sin(self.heading_rad)) * y
+        phase += np.float32(self.bend_rad) * self.bend(x, y)
+        crest = 1 - 2 * np.sqrt(0.02 + 0.98 * np.sin(phase / 2) ** 2)
+        level = 1.6 * (0.5 - self.cover) * 2
+        return np.asarray(crest * smoothstep(level - 0.4, level + 0.4, self.patches(x, y)))
+
+
+def grid_normals(points: Floats) -> Floats:
+    """(R, C, 3) unit normals of a (R, C, 3) grid of points, turned upward."""
+    down = np.empty_like(points)
+    down[1:-1] = points[2:] - points[:-2]
+    down[0], down[-1] = points[1] - points[0], points[-1] - points[-2]
+    right = np.empty_like(points)
+    right[:, 1:-1] = points[:, 2:] - points[:, :-2]
+    right[:, 0], right[:, -1] = points[:, 1] - points[:, 0], points[:, -1] - points[:, -2]
+    normal = np.stack(
+        [
+            right[..., 1] * down[..., 2] - right[..., 2] * down[..., 1],
+            right[..., 2] * down[..., 0] - right[..., 0] * down[..., 2],
+            right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0],
+        ],
+        axis=-1,
+    )
+    normal *= np.where(normal[..., 2:] < 0, np.float32(-1), np.float32(1))
+    length = np.sqrt((normal**2).sum(axis=-1, keepdims=True))
+    return np.asarray(normal / np.maximum(length, 1e-20))
+
+
+@dataclass(frozen=True, eq=False)
+class GroundMesh:
+    """points, normals: (R, C, 3) float32.  attributes: (R, C, 3), see `Terrain.surface`."""
+
+    points: Floats
+    normals: Floats
+    attributes: Floats
+
+    @property
+    def triangles(self) -> Indices:
+        """(T, 3), two a cell, in the order of `grid_triangles`."""
+        return grid_triangles(*self.points.shape[:2])
+
+
+def view_mesh(
+    terrain: Terrain,
+    eye: npt.NDArray[np.float64],
+    azimuths_rad: tuple[float, float],
+    elevations_rad: tuple[float, float],
+    shape: tuple[int, int],
+) -> GroundMesh:
+    """A fan of ground under a camera at `eye`, as fine in each direction as the camera sees it.
+
+    azimuths_rad, elevations_rad: what the camera sees, world directions.  shape: rows (outward) and
+    columns (across) of the grid.
+    """
+    rows, columns = shape
+    coarse = max(columns // 4, 8)
+    ranges = np.geomspace(0.15, FAR_M, 160)
+    headings = np.linspace(*azimuths_rad, coarse)
+    grid_r, grid_a = np.meshgrid(ranges, headings, indexing="ij")
+    heights = terrain.height_m(eye[0] + grid_r * np.cos(grid_a), eye[1] + grid_r * np.sin(grid_a))
+    # Rows are dealt out by the angle that each stretch of ground fills in the view, hidden or not.
+    seen = np.clip(np.arctan2(heights - eye[2], grid_r), *elevations_rad)
+    angle = np.abs(np.diff(seen, axis=0))
+    share = 0.72 * angle / np.maximum(angle.sum(axis=0), 1e-6) + 0.28 / (len(ranges) - 1)
+    # Neighbouring columns get nearly the same rows: a sheared grid has bad normals.
+    share = cv2.blur(share, (coarse // 2 | 1, 5), borderType=cv2.BORDER_REPLICATE)
+    share /= share.sum(axis=0)
+    reached = np.concatenate([np.zeros((1, coarse)), np.cumsum(share, axis=0)])
+    even = np.linspace(0, 1, rows)
+    log_r = np.stack(
+        [np.interp(even, reached[:, k], np.log(ranges)) for k in range(coarse)], axis=-1
+    )
+    radius = np.exp(cv2.resize(log_r, (columns, rows), interpolation=cv2.INTER_LINEAR))
+    heading = np.linspace(*azimuths_rad, columns)
+    points, attributes = terrain.surface(
+        eye[0] + radius * np.cos(heading), eye[1] + radius * np.sin(heading)
+    )
+    return GroundMesh(points, grid_normals(points), attributes)

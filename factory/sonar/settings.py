@@ -1,0 +1,132 @@
+"""Keys of the `sonar` group: the device, its picture and where it is mounted."""
+
+from __future__ import annotations
+
+from dataclasses import field
+from typing import Annotated, Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from factory.settings import STRICT
+from factory.sonar.mount import Mount
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=2, le=8192)]
+
+
+@dataclass(frozen=True, config=STRICT)
+class RangeSettings:
+    """The range window.
+
+    auto: fit the window to each frame's echoes; then min_m and max_m only limit it.
+    min_m, max_m: first and last range in the picture, metres.
+    """
+
+    auto: bool = True
+    min_m: NotNegative = 0.2
+    max_m: Positive = 30.0
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.min_m >= self.max_m:
+            raise ValueError(
+                f"min_m must be smaller than max_m, got min_m={self.min_m:g} max_m={self.max_m:g}"
+            )
+        return self
+
+
+@dataclass(frozen=True, config=STRICT)
+class PointSpread:
+    """Standard deviations of the Gaussian point-spread: along range in bins, across in beams."""
+
+    range_bins: NotNegative = 0.7
+    beams: NotNegative = 0.7
+
+
+@dataclass(frozen=True, config=STRICT)
+class ImageSettings:
+    """layout: fan (Cartesian, far range on top) or polar (range_bins x beams, near range first).
+
+    width_px, height_px: of the fan picture; a polar picture has one pixel a bin.
+    """
+
+    layout: Literal["fan", "polar"] = "fan"
+    width_px: Count = 256
+    height_px: Count = 256
+
+
+@dataclass(frozen=True, config=STRICT)
+class TransferSettings:
+    """From echo level to grey value; the same curve for the clean and the noisy picture.
+
+    kind: linear, power (level ** exponent) or log (dynamic_range_db below full scale is black).
+    percentile: this percentile of the clean picture's echoing bins is shown at `reference`.
+    reference: grey value in (0, 1] of that percentile.
+    """
+
+    kind: Literal["linear", "power", "log"] = "linear"
+    percentile: Annotated[float, Field(gt=0, le=100)] = 90.0
+    reference: Annotated[float, Field(gt=0, le=1)] = 1.0
+    exponent: Positive = 1.0
+    dynamic_range_db: Positive = 40.0
+
+
+@dataclass(frozen=True, config=STRICT)
+class SonarSettings:
+    """Keys of the `sonar` group.
+
+    frequency_khz: of the device; kept with the data (resample.rate stands for its effect).
+    hfov_deg, vfov_deg: insonified sector; echoes outside are dropped.
+    beam_azimuths_deg: directions of the beams from left to right where they are not uniform.
+    projection: slant_range (what a sonar measures) or top_view (the paper's view from above).
+    accumulate: how echoes in one bin become its level: mean, max or sum.
+    tvg_db_per_decade: time-varying gain on the echoes, in dB per tenfold range; 20 undoes the
+        1/r^2 of the render.
+    """
+
+    name: str = "camera_matched"
+    frequency_khz: Positive = 900.0
+    hfov_deg: Annotated[float, Field(gt=0, le=180)] = 45.0
+    vfov_deg: Annotated[float, Field(gt=0, le=180)] = 30.0
+    beams: Count = 256
+    range_bins: Count = 256
+    beam_azimuths_deg: tuple[float, ...] | None = None
+    projection: Literal["slant_range", "top_view"] = "slant_range"
+    accumulate: Literal["mean", "max", "sum"] = "sum"
+    tvg_db_per_decade: float = 40.0
+    range: RangeSettings = field(default_factory=RangeSettings)
+    point_spread: PointSpread = field(default_factory=PointSpread)
+    image: ImageSettings = field(default_factory=ImageSettings)
+    transfer: TransferSettings = field(default_factory=TransferSettings)
+    mount: Mount = field(default_factory=Mount)
+
+    @model_validator(mode="after")
+    def _beam_table(self) -> Self:
+        table = self.beam_azimuths_deg
+        if table is not None:
+            if len(table) != self.beams:
+                raise ValueError(
+                    f"beam_azimuths_deg has {len(table)} entries for {self.beams} beams"
+                )
+            if np.any(np.diff(table) <= 0):
+                raise ValueError("beam_azimuths_deg must increase from left to right")
+            if max(abs(table[0]), abs(table[-1])) > self.hfov_deg / 2:
+                raise ValueError("beam_azimuths_deg must lie within hfov_deg")
+        return self
+
+    def beam_centres_rad(self) -> npt.NDArray[np.float64]:
+        """(beams,) azimuth of each beam, radians, positive to the right."""
+        if self.beam_azimuths_deg is not None:
+            return np.deg2rad(np.asarray(self.beam_azimuths_deg, dtype=np.float64))
+        step = self.hfov_deg / self.beams
+        return np.asarray(np.deg2rad((np.arange(self.beams) + 0.5) * step - self.hfov_deg / 2))
+
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns) of the picture."""
+        if self.image.layout == "polar":
+            return self.range_bins, self.beams
+        return self.image.height_px, self.image.width_px

@@ -1,0 +1,46 @@
+"""From echo level to grey value: one curve for the clean and the noisy picture, quantised last."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from factory.sonar.settings import TransferSettings
+
+
+def full_scale(clean: npt.NDArray[np.floating], transfer: TransferSettings) -> float:
+    """The echo level that becomes grey value 1, from the clean polar image.
+
+    `transfer.percentile` of its echoing bins maps to grey value `transfer.reference`.
+    """
+    echoing = clean[clean > 0]
+    if echoing.size == 0:
+        return 1.0
+    level = float(np.percentile(echoing, transfer.percentile))
+    if transfer.kind == "log":
+        return level * 10 ** ((1 - transfer.reference) * transfer.dynamic_range_db / 20)
+    return level / transfer.reference ** (1 / transfer.exponent if transfer.kind == "power" else 1)
+
+
+def grey(
+    level: npt.NDArray[np.floating], full_scale_level: float, transfer: TransferSettings
+) -> npt.NDArray[np.float32]:
+    """Grey values in [0, 1], float32, same shape.
+
+    log: y = clip((20 log10(A / A_ref) + DR) / DR, 0, 1) with DR = dynamic_range_db.
+    """
+    relative = np.asarray(level, dtype=np.float32) / np.float32(full_scale_level)
+    if transfer.kind == "log":
+        floor = 10 ** (-transfer.dynamic_range_db / 20)
+        decibel = 20 * np.log10(np.maximum(relative, floor))
+        relative = 1 + decibel / transfer.dynamic_range_db
+    elif transfer.kind == "power":
+        relative = relative**transfer.exponent
+    return np.clip(relative, 0, 1).astype(np.float32)
+
+
+def quantise(grey_values: npt.NDArray[np.floating], dtype: str) -> npt.NDArray[np.generic]:
+    """uint8 (0 to 255, rounded) or float32 (0 to 1)."""
+    if dtype == "uint8":
+        return np.asarray(np.rint(grey_values * 255), dtype=np.uint8)
+    return np.asarray(grey_values, dtype=np.float32)

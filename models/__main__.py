@@ -1,0 +1,51 @@
+"""`python -m models dataset=DIR` trains a denoiser; `python -m models denoise IN...` uses it."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any, cast
+
+from omegaconf import DictConfig, OmegaConf
+
+from factory.cli import accept_dataset_folder, guard, run_app
+from factory.errors import FactoryError
+from factory.settings import build
+
+
+def run(config: DictConfig) -> None:
+    """Train as the configuration says."""
+    if config.dataset.dir is None:
+        raise FactoryError(
+            "dataset: give the folder that `python -m factory` made, dataset=DIR "
+            "(or `python -m models denoise --help` to use trained weights)"
+        )
+    from models.settings import ModelsSettings
+
+    values = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    settings: ModelsSettings = build(ModelsSettings, values)
+    # torch and Lightning take seconds to import: only when there is something to train.
+    from models.train import output_folder, train
+    from models.weights import WEIGHTS_NAME
+
+    best = train(settings, values)
+    print(
+        f"validation: {best['psnr_noisy']:.2f} -> {best['psnr']:.2f} dB "
+        f"({best['gain_db']:+.2f}), SSIM {best['ssim_noisy']:.3f} -> {best['ssim']:.3f}, "
+        f"step {best['step']}"
+    )
+    print(f"weights: {output_folder(settings) / WEIGHTS_NAME}")
+
+
+def main() -> None:
+    """Entry point of `fls-models`."""
+    if sys.argv[1:2] == ["denoise"]:
+        from models.denoise import main as denoise
+
+        arguments = sys.argv[2:]
+        sys.exit(guard(lambda: denoise(arguments)))
+    accept_dataset_folder()
+    sys.exit(run_app(run, "models"))
+
+
+if __name__ == "__main__":
+    main()

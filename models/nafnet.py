@@ -1,0 +1,134 @@
+"""NAFNet, a restoration network without nonlinear activations.
+
+Chen, Chu, Zhang, Sun: Simple Baselines for Image Restoration, ECCV 2022.  Written from the paper.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import torch
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+from torch import Tensor, nn
+from torch.nn import functional
+
+from factory.settings import STRICT
+
+Blocks = Annotated[int, Field(ge=0, le=64)]
+
+
+@dataclass(frozen=True, config=STRICT)
+class NAFNetSettings:
+    """Keys of conf/model/nafnet.yaml.
+
+    width: channels at full resolution; they double at each of the len(encoder) downsamplings.
+    encoder: blocks at each resolution, from full to coarse; decoder: back, from coarse to full.
+    middle: blocks at the coarsest resolution.
+    """
+
+    kind: Literal["nafnet"]
+    width: Annotated[int, Field(ge=2, le=256)]
+    encoder: tuple[Blocks, ...]
+    middle: Blocks
+    decoder: tuple[Blocks, ...]
+
+    def __post_init__(self) -> None:
+        if not self.encoder or len(self.encoder) != len(self.decoder):
+            raise ValueError(
+                f"encoder has {len(self.encoder)} levels and decoder {len(self.decoder)}; "
+                "give one or more, and as many of each"
+            )
+
+
+class LayerNorm(nn.Module):
+    """Normalises the channels of every pixel, (N, C, H, W)."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.norm = nn.LayerNorm(channels, eps=1e-6)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Same shape."""
+        # In channels-last memory both permutations are free.
+        normed: Tensor = self.norm(x.permute(0, 2, 3, 1))
+        return normed.permute(0, 3, 1, 2)
+
+
+def gate(x: Tensor) -> Tensor:
+    """SimpleGate: one half of the channels times the other, (N, 2C, H, W) -> (N, C, H, W)."""
+    first, second = x.chunk(2, dim=1)
+    return first * second
+
+
+class Block(nn.Module):
+    """A gated depthwise convolution with channel attention, then a gated pointwise network.
+
+    Each half is a residual that starts as nothing (scale 0), so a deep network trains from the
+    identity.
+    """
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.norm1 = LayerNorm(channels)
+        self.expand = nn.Conv2d(channels, 2 * channels, 1)
+        self.depthwise = nn.Conv2d(2 * channels, 2 * channels, 3, padding=1, groups=2 * channels)
+        self.attention = nn.Linear(channels, channels)
+        self.project = nn.Conv2d(channels, channels, 1)
+        self.scale1 = nn.Parameter(torch.zeros(1, channels, 1, 1))
+        self.norm2 = LayerNorm(channels)
+        self.feed = nn.Conv2d(channels, 2 * channels, 1)
+        self.reduce = nn.Conv2d(channels, channels, 1)
+        self.scale2 = nn.Parameter(torch.zeros(1, channels, 1, 1))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Same shape."""
+        y = gate(self.depthwise(self.expand(self.norm1(x))))
+        y = y * self.attention(y.mean(dim=(2, 3)))[:, :, None, None]
+        x = x + self.scale1 * self.project(y)
+        fed: Tensor = self.reduce(gate(self.feed(self.norm2(x))))
+        return x + self.scale2 * fed
+
+
+class NAFNet(nn.Module):
+    """U-shaped stack of blocks that predicts what to add to the noisy image."""
+
+    def __init__(self, settings: NAFNetSettings) -> None:
+        super().__init__()
+        channels = settings.width
+        self.intro = nn.Conv2d(1, channels, 3, padding=1)
+        self.encoders, self.downs = nn.ModuleList(), nn.ModuleList()
+        for count in settings.encoder:
+            self.encoders.append(_blocks(channels, count))
+            self.downs.append(nn.Conv2d(channels, 2 * channels, 2, stride=2))
+            channels *= 2
+        self.middle = _blocks(channels, settings.middle)
+        self.ups, self.decoders = nn.ModuleList(), nn.ModuleList()
+        for count in settings.decoder:
+            self.ups.append(
+                nn.Sequential(nn.Conv2d(channels, 2 * channels, 1, bias=False), nn.PixelShuffle(2))
+            )
+            channels //= 2
+            self.decoders.append(_blocks(channels, count))
+        self.outro = nn.Conv2d(channels, 1, 3, padding=1)
+        self.stride = 2 ** len(settings.encoder)
+
+    def forward(self, noisy: Tensor) -> Tensor:
+        """(N, 1, H, W) -> (N, 1, H, W); sizes that do not divide are padded at right and bottom."""
+        height, width = noisy.shape[-2:]
+        pad = (0, -width % self.stride, 0, -height % self.stride)
+        x = self.intro(functional.pad(noisy, pad, mode="replicate"))
+        skips = []
+        for blocks, down in zip(self.encoders, self.downs, strict=True):
+            x = blocks(x)
+            skips.append(x)
+            x = down(x)
+        x = self.middle(x)
+        for up, blocks in zip(self.ups, self.decoders, strict=True):
+            x = blocks(up(x) + skips.pop())
+        residual: Tensor = self.outro(x)[..., :height, :width]
+        return noisy + residual
+
+
+def _blocks(channels: int, count: int) -> nn.Sequential:
+    return nn.Sequential(*(Block(channels) for _ in range(count)))

@@ -1,0 +1,38 @@
+"""A synthetic RGBD frame whose geometry is known in closed form."""
+
+import numpy as np
+
+from factory.frame import Frame, FrameRef, Intrinsics
+from factory.render.base import Rendered
+
+HEIGHT_M, PITCH_RAD, POST_M = 1.5, np.deg2rad(20), 3.0
+
+
+def ground_and_post(width=240, height=160, name="0001", scene="plain") -> Frame:
+    """A flat seabed 1.5 m below a camera that looks 20 degrees down, and an upright post 3 m ahead.
+
+    Rays that meet nothing within 12 m are invalid.
+    """
+    focal = width / 2 / np.tan(np.deg2rad(22.5))
+    intrinsics = Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2)
+    u, v = np.meshgrid(np.arange(width), np.arange(height))
+    x, y = (u - intrinsics.cx) / focal, (v - intrinsics.cy) / focal
+    down = y * np.cos(PITCH_RAD) + np.sin(PITCH_RAD)
+    with np.errstate(divide="ignore"):
+        depth_m = np.where(down > 0, HEIGHT_M / down, 0)
+    depth_m[depth_m > 12] = 0
+    post = (np.abs(x) < 0.05) & ((depth_m == 0) | (depth_m > POST_M)) & (v > height * 0.2)
+    depth_m[post] = POST_M
+    rng = np.random.default_rng(0)
+    rgb = rng.integers(90, 160, (height, width, 3), dtype=np.uint8)
+    return Frame(FrameRef("here", scene, name), rgb, depth_m.astype(np.float32), intrinsics)
+
+
+def plain_render(frame: Frame) -> Rendered:
+    """Every measured pixel echoes with 1 / range^2."""
+    focal, cx, cy = frame.intrinsics.fx, frame.intrinsics.cx, frame.intrinsics.cy
+    v, u = np.indices(frame.depth_m.shape)
+    slant = np.sqrt(1 + ((u - cx) / focal) ** 2 + ((v - cy) / focal) ** 2)
+    range_m = np.maximum(frame.depth_m * slant, 1e-6)
+    radiance = np.where(frame.valid, 1 / range_m**2, 0).astype(np.float32)
+    return Rendered(radiance, frame.valid)

@@ -1,0 +1,102 @@
+"""Small synthetic datasets of fan-like pairs for the tests of evaluation and models."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from factory.sample import Axis, Column, Pair
+from factory.shards.manifest import Manifest, save_manifest
+from factory.shards.schema import Provenance
+from factory.shards.settings import DatasetSettings
+from factory.shards.writer import write_shard
+
+COLUMNS = (
+    Column("location", "S16"),
+    Column("scene", "S16"),
+    Column("frame", "S16"),
+    Column("variant", "i4"),
+)
+PROVENANCE = Provenance({"made": "by a test"}, "0123abcd", "tests")
+
+
+def fan_mask(size: int) -> npt.NDArray[np.bool_]:
+    """(size, size) bool sector with its apex below the picture."""
+    rows, columns = np.mgrid[0:size, 0:size]
+    up, right = size * 1.05 - rows, columns - (size - 1) / 2
+    inside = np.hypot(up, right) < size * 1.05
+    return np.asarray(inside & (np.abs(np.arctan2(right, up)) < np.deg2rad(28)))
+
+
+def fan_images(
+    size: int, rng: np.random.Generator, noise: float = 0.25
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
+    """(noisy, clean, shadow): smooth seabed with black shadows, and haze plus scatter over it."""
+    sector = fan_mask(size)
+    ground = ndimage.gaussian_filter(rng.normal(size=(size, size)), size / 24)
+    ground = 0.45 + 0.2 * ground / ground.std()
+    dark = ndimage.gaussian_filter(rng.normal(size=(size, size)), size / 12)
+    shadow = sector & (dark > np.quantile(dark, 0.75))
+    clean = np.where(sector & ~shadow, np.clip(ground, 0.05, 1), 0)
+    haze = np.abs(rng.normal(0, noise, clean.shape)) + 0.1
+    noisy = np.where(sector, np.clip(clean + haze, 0, 1), 0)
+    return noisy.astype(np.float32), clean.astype(np.float32), shadow
+
+
+def write_dataset(
+    root: Path,
+    *,
+    train: int = 8,
+    test: int = 4,
+    size: int = 64,
+    per_shard: int = 4,
+    noise: float = 0.25,
+    dtype: str = "uint8",
+) -> Path:
+    """A dataset folder as the factory leaves it; two variants a frame, four frames a scene."""
+    rng = np.random.default_rng(7)
+    for split, count in (("train", train), ("test", test)):
+        for first in range(0, count, per_shard):
+            pairs = []
+            for number in range(first, min(first + per_shard, count)):
+                frame = number // 2
+                record: dict[str, float | int | str] = {
+                    "location": "test",
+                    "scene": f"{split}-{frame // 4}",
+                    "frame": f"{frame:04d}",
+                    "variant": number % 2,
+                }
+                pairs.append(Pair(*fan_images(size, rng, noise), record))
+            add_shard(root, f"{split}/shard-{first // per_shard:05d}.h5", pairs, dtype=dtype)
+    return root
+
+
+def add_shard(root: Path, relative: str, pairs: Iterable[Pair], *, dtype: str = "uint8") -> None:
+    """Write one shard and nothing else: a dataset without a manifest is a dataset, too."""
+    pairs = list(pairs)
+    axes = tuple(
+        Axis(name, "m", np.arange(count, dtype=float))
+        for name, count in zip(("range", "across"), pairs[0].noisy.shape, strict=True)
+    )
+    settings = DatasetSettings(dtype="float32" if dtype == "float32" else "uint8")
+    info = write_shard(root, relative, pairs, (axes[0], axes[1]), COLUMNS, PROVENANCE, settings)
+    assert info is not None
+
+
+def write_manifest(root: Path, *relative: str) -> None:
+    """A manifest that lists only these shards."""
+    from factory.shards.files import sha256_of
+    from factory.shards.manifest import ShardInfo
+
+    manifest = Manifest("0123abcd", "tests")
+    for path in relative:
+        file = root / path
+        split = path.split("/")[0]
+        manifest = manifest.with_shard(
+            ShardInfo(path, split, 1, file.stat().st_size, sha256_of(file))
+        )
+    save_manifest(root, manifest)

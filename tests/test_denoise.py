@@ -1,0 +1,182 @@
+"""`python -m models denoise`: what comes in comes out, denoised, under its own name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import h5py
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+
+from factory.errors import FactoryError
+from models import build_network
+from models.denoise import Item, denoise_image, find_items, main
+from models.weights import load_weights, save_weights
+from tests.small_dataset import fan_images, write_dataset, write_manifest
+
+TINY = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 0, "decoder": [1]}
+
+
+def half(gray: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """A denoiser whose result is easy to foretell."""
+    return gray / 2
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Weights of an untrained network: it changes images, and by how much can be computed."""
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("weights") / "weights.safetensors"
+    save_weights(path, build_network(TINY), TINY, {})
+    return path
+
+
+def through_network(weights: Path, image: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    network = load_weights(weights).network
+    with torch.inference_mode():
+        result = network(torch.from_numpy(image.astype(np.float32))[None, None])
+    return np.asarray(np.clip(result[0, 0].numpy(), 0, 1), dtype=np.float64)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
+@pytest.mark.parametrize("shape", [(6, 7), (6, 7, 3), (6, 7, 4), (1, 1)])
+def test_shape_dtype_and_scale_stay(dtype: str, shape: tuple[int, ...]) -> None:
+    full = {"uint8": 255, "uint16": 65535, "float32": 1}[dtype]
+    image = np.random.default_rng(0).random(shape) * full
+    image = image.astype(dtype) if dtype == "float32" else np.rint(image).astype(dtype)
+    result = denoise_image(image, half)
+    assert result.shape == shape
+    assert result.dtype == image.dtype
+    tolerance = 1e-6 if dtype == "float32" else 0.5
+    colours = np.s_[..., :3]
+    assert np.abs(result[colours] - image[colours] / 2.0).max() <= tolerance
+    if shape[-1] == 4:
+        assert np.array_equal(result[..., 3], image[..., 3]), "alpha is no echo"
+
+
+def test_unusable_pixels_are_refused() -> None:
+    for image, words in (
+        (np.full((4, 4), np.nan, np.float32), r"0\.\.1"),
+        (np.full((4, 4), 3, np.float32), r"0\.\.1"),
+        (np.zeros((4, 4), np.int32), "int32"),
+        (np.zeros((0, 4), np.uint8), "shape"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            denoise_image(image, half)
+
+
+def test_images_keep_name_size_and_dtype(
+    weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    noisy, _, _ = fan_images(40, np.random.default_rng(0))
+    noisy = noisy[:31]
+    images: dict[str, npt.NDArray[Any]] = {
+        "a.png": (noisy * 255).astype(np.uint8),
+        "deep/b.png": (noisy * 65535).astype(np.uint16),
+        "deep/c.tif": noisy,
+        "d.PNG": np.repeat((noisy * 255).astype(np.uint8)[..., None], 3, axis=2),
+    }
+    for name, image in images.items():
+        path = tmp_path / "in" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        assert cv2.imwrite(str(path), image)
+    out = tmp_path / "out"
+    arguments = [str(tmp_path / "in"), "--out", str(out), "--weights", str(weights), "--compare"]
+    assert main(arguments) == 0
+    assert "denoised: 4 file(s)" in capsys.readouterr().out
+    for name, image in images.items():
+        result = cv2.imread(str(out / name), cv2.IMREAD_UNCHANGED)
+        assert result is not None
+        assert (result.shape, result.dtype) == (image.shape, image.dtype)
+        full = {"uint8": 255, "uint16": 65535, "float32": 1}[str(image.dtype)]
+        gray = image[..., 0] if image.ndim == 3 else image
+        shown = result[..., 0] if result.ndim == 3 else result
+        expected = through_network(weights, gray / full)
+        assert np.abs(shown / full - expected).max() <= 0.51 / full + 1e-6
+        assert not np.array_equal(result, image)
+        sheet = cv2.imread(str((out / "compare" / name).with_suffix(".png")), cv2.IMREAD_UNCHANGED)
+        assert sheet is not None
+        assert sheet.shape[:2] == (31, 2 * 40 + 4)
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    assert main(arguments) == 0
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+
+
+def test_shards_become_denoised_shards(weights: Path, tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data", train=4, test=2, size=32)
+    write_manifest(dataset, "train/shard-00000.h5", "test/shard-00000.h5")
+    (dataset / "preview.png").write_bytes(b"no sonar image")
+    out = tmp_path / "out"
+    arguments = [str(dataset), "--out", str(out), "--weights", str(weights), "--compare"]
+    assert main(arguments) == 0
+    names = sorted(p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file())
+    assert names == [
+        "compare/test/shard-00000.png",
+        "compare/train/shard-00000.png",
+        "test/shard-00000.h5",
+        "train/shard-00000.h5",
+    ]
+    source = dataset / "train" / "shard-00000.h5"
+    with h5py.File(source) as noisy, h5py.File(out / "train" / "shard-00000.h5") as done:
+        assert done["denoised"].shape == noisy["noisy"].shape
+        assert done["denoised"].dtype == np.uint8
+        assert np.array_equal(done["meta"][()], noisy["meta"][()])
+        assert np.array_equal(done["axes/range"][()], noisy["axes/range"][()])
+        for row in range(4):
+            expected = through_network(weights, noisy["noisy"][row] / 255) * 255
+            assert np.abs(done["denoised"][row] - expected).max() <= 0.51
+    sheet = cv2.imread(str(out / "compare/train/shard-00000.png"))
+    assert sheet is not None
+    assert sheet.shape[:2] == (4 * 32, 3 * 32 + 2 * 4)
+
+
+def test_a_bad_file_among_good_ones_is_skipped(
+    weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "in"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "good.png"), np.zeros((9, 9), np.uint8))
+    (folder / "broken.png").write_bytes(b"\x89PNG not")
+    (folder / "empty.png").write_bytes(b"")
+    (folder / "other.h5").write_bytes(b"no HDF5")
+    out = tmp_path / "out"
+    assert main([str(folder), "--out", str(out), "--weights", str(weights)]) == 1
+    said = capsys.readouterr()
+    assert "denoised: 1 file(s)" in said.out
+    for name in ("broken.png: not a readable image", "empty.png", "other.h5: not a readable"):
+        assert name in said.err
+    assert [path.name for path in out.iterdir()] == ["good.png"]
+    (folder / "good.png").unlink()
+    with pytest.raises(FactoryError, match=r"broken\.png.*and 2 more"):
+        main([str(folder), "--out", str(out), "--weights", str(weights)])
+
+
+def test_no_result_replaces_another_file(tmp_path: Path) -> None:
+    for name in ("a/x.png", "b/x.png"):
+        path = tmp_path / name
+        path.parent.mkdir()
+        cv2.imwrite(str(path), np.zeros((9, 9), np.uint8))
+    first, second = tmp_path / "a" / "x.png", tmp_path / "b" / "x.png"
+    with pytest.raises(FactoryError, match=r"both become x\.png"):
+        find_items([first, second], tmp_path / "out")
+    with pytest.raises(FactoryError, match="would overwrite the input"):
+        find_items([first], tmp_path / "a")
+    # Results of an earlier run below the input folder are no input.
+    out = tmp_path / "a" / "out"
+    out.mkdir()
+    (out / "x.png").write_bytes(first.read_bytes())
+    assert find_items([tmp_path / "a"], out) == [Item(first, Path("x.png"))]
+
+
+def test_nothing_to_denoise(tmp_path: Path) -> None:
+    with pytest.raises(FactoryError, match="no such file or folder"):
+        find_items([tmp_path / "nowhere"], tmp_path / "out")
+    with pytest.raises(FactoryError, match="holds no image"):
+        find_items([tmp_path], tmp_path / "out")
+    (tmp_path / "notes.txt").write_text("words", encoding="utf-8")
+    with pytest.raises(FactoryError, match="neither an image nor a shard"):
+        find_items([tmp_path / "notes.txt"], tmp_path / "out")

@@ -1,0 +1,488 @@
+"""Networks, losses, data and training: from a dataset folder to weights that denoise."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import torch
+import yaml
+from hydra import compose, initialize_config_module
+from omegaconf import OmegaConf
+from torch.utils.data import DataLoader
+
+from evaluation import metrics
+from factory.errors import FactoryError
+from factory.settings import build
+from models import build_network, quality
+from models.data import Crops, Draws, SampleRef, Shards, hold_out, read_table, spread
+from models.losses import build_loss
+from models.settings import ModelsSettings
+from models.train import train
+from models.training import Training, rate_factor, read_checkpoint
+from models.weights import load_weights, save_weights
+from tests.small_dataset import fan_images, write_dataset
+
+ROOT = Path(__file__).parents[1]
+TINY = {"kind": "nafnet", "width": 8, "encoder": [1, 1], "middle": 1, "decoder": [1, 1]}
+# The recipe of every small training here, as overrides of conf/models.yaml.
+SMALL = (
+    "model.width=8",
+    "model.encoder=[1,1]",
+    "model.decoder=[1,1]",
+    "data.patch=32",
+    "data.batch=4",
+    "train.steps=90",
+    "train.check_every=30",
+    "train.warmup=5",
+    "train.learning_rate=0.003",
+    "train.ema=0.95",
+)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread() -> None:
+    # Tiny networks gain nothing from more, and test runs side by side would fight for cores.
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_dataset(tmp_path_factory.mktemp("data"), train=24, test=4, size=48)
+
+
+def config_for(dataset: Path, out: Path, *overrides: str) -> tuple[ModelsSettings, dict[str, Any]]:
+    with initialize_config_module("conf", version_base="1.3"):
+        composed = compose("models", [f"dataset.dir='{dataset}'", f"out='{out}'", *overrides])
+    values: Any = OmegaConf.to_container(composed, resolve=True)
+    return build(ModelsSettings, values), values
+
+
+def train_small(dataset: Path, out: Path, *overrides: str) -> dict[str, float | int]:
+    return train(*config_for(dataset, out, *SMALL, *overrides))
+
+
+@pytest.fixture(scope="module")
+def trained(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of an undisturbed small training."""
+    out = tmp_path_factory.mktemp("models") / "undisturbed"
+    train_small(dataset, out)
+    return out
+
+
+# --- networks and losses
+
+
+@pytest.mark.parametrize("size", [(1, 1), (17, 30), (48, 64), (33, 5)])
+def test_nafnet_takes_any_size(size: tuple[int, int]) -> None:
+    network = build_network(TINY)
+    assert network(torch.rand(2, 1, *size)).shape == (2, 1, *size)
+
+
+def test_small_nafnet_is_as_large_as_published() -> None:
+    """1.14 M parameters and 1.27 GMAC at 256x256, counted by torch from the operations."""
+    from torch.utils.flop_counter import FlopCounterMode
+
+    config = yaml.safe_load((ROOT / "conf/model/nafnet.yaml").read_text(encoding="utf-8"))
+    network = build_network(config)
+    assert sum(p.numel() for p in network.parameters()) == pytest.approx(1.14e6, rel=0.005)
+    with FlopCounterMode(display=False) as counter, torch.inference_mode():
+        network(torch.zeros(1, 1, 256, 256))
+    assert counter.get_total_flops() / 2 == pytest.approx(1.27e9, rel=0.005)
+
+
+def test_padding_does_not_reach_far_pixels() -> None:
+    """An image and its upper left part agree where attention over the whole image is the same."""
+    network = build_network(TINY)
+    image = torch.rand(1, 1, 37, 41)
+    padded = torch.nn.functional.pad(image, (0, 3, 0, 3), mode="replicate")
+    assert torch.equal(network(image), network(padded)[..., :37, :41])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"kind": "restormer9"}, "model.kind"),
+        ({"width": 0}, "model.width"),
+        ({"decoder": [1]}, "as many of each"),
+        ({"depth": 3}, "model.depth: unknown key"),
+    ],
+)
+def test_odd_networks_are_refused(change: dict[str, object], words: str) -> None:
+    with pytest.raises(FactoryError, match=words):
+        build_network({**TINY, **change})
+
+
+def test_losses_are_their_formulas() -> None:
+    a = torch.tensor([[0.0, 0.5]]).reshape(1, 1, 1, 2).requires_grad_()
+    b = torch.tensor([[0.3, 0.5]]).reshape(1, 1, 1, 2)
+    assert build_loss({"kind": "l1"})(a, b).item() == pytest.approx(0.15)
+    smooth = build_loss({"kind": "charbonnier", "epsilon": 0.4})
+    assert smooth(a, b).item() == pytest.approx((0.5 + 0.4) / 2)
+    (gradient,) = torch.autograd.grad(smooth(a, b), a)
+    assert gradient.flatten().tolist() == pytest.approx([-0.3 / 0.5 / 2, 0])
+    with pytest.raises(FactoryError, match=r"loss\.kind"):
+        build_loss({"kind": "l7"})
+
+
+def test_quality_agrees_with_the_evaluation() -> None:
+    noisy, clean, _ = fan_images(48, np.random.default_rng(3))
+    batch = [torch.from_numpy(image)[None, None] for image in (noisy, clean)]
+    assert float(quality.psnr_db(*batch)) == pytest.approx(
+        metrics.psnr(clean, noisy, data_range=1), abs=1e-4
+    )
+    assert float(quality.ssim(*batch)) == pytest.approx(
+        metrics.ssim(clean, noisy, data_range=1), abs=1e-6
+    )
+
+
+def test_learning_rate_climbs_and_falls() -> None:
+    factors = [rate_factor(step, 10, 100) for step in range(101)]
+    assert factors[0] == pytest.approx(1 / 11)
+    assert factors[10] == 1 == max(factors)
+    assert factors[55] == pytest.approx(0.5)
+    assert factors[100] == pytest.approx(0)
+    assert factors[10:] == sorted(factors[10:], reverse=True)
+
+
+# --- data
+
+
+def test_validation_shares_no_scene_with_training(dataset: Path) -> None:
+    samples = read_table(dataset, "train").samples
+    assert len(samples) == 24
+    learning, validation = hold_out(samples, 0.1, seed=0)
+    assert {s.scene for s in learning}.isdisjoint(s.scene for s in validation)
+    assert len(learning) + len(validation) == 24
+    assert len({s.scene for s in validation}) == 1
+    one = tuple(s for s in samples if s.scene == samples[0].scene)
+    learning, validation = hold_out(one, 0.3, seed=0)
+    assert {s.frame for s in learning}.isdisjoint(s.frame for s in validation)
+    assert learning
+    assert validation
+    with pytest.raises(FactoryError, match="one frame"):
+        hold_out(tuple(s for s in one if s.frame == one[0].frame), 0.5, seed=0)
+
+
+def test_spread_keeps_the_ends_of_a_long_list() -> None:
+    samples = tuple(SampleRef(Path("x"), row, "s", "f") for row in range(100))
+    rows = [sample.row for sample in spread(samples, 4)]
+    assert rows == [0, 25, 50, 75]
+    assert spread(samples, None) == spread(samples, 100) == samples
+
+
+def test_every_pair_is_drawn_before_any_is_drawn_again() -> None:
+    draws = Draws(7, 5, seed=1)
+    drawn = []
+    for interval in range(7):
+        draws.set_epoch(interval)
+        drawn += list(draws)
+    assert [number for number, _ in drawn] == list(range(35))
+    rounds = [[index for _, index in drawn[i : i + 7]] for i in range(0, 35, 7)]
+    assert all(sorted(indices) == list(range(7)) for indices in rounds)
+    assert len({tuple(indices) for indices in rounds}) > 1
+
+
+def test_crops_are_windows_of_the_images_mirrored_at_most(dataset: Path) -> None:
+    samples = read_table(dataset, "train").samples
+    crops = Crops(samples, patch=20, flip=True, seed=0)
+    windows, mirrored = set(), set()
+    for number in range(40):
+        crop = crops[(number, 3)]
+        noisy, clean = Shards().pair(samples[3])
+        places = [
+            (top, left, flip)
+            for top in range(29)
+            for left in range(29)
+            for flip in (False, True)
+            if all(
+                np.array_equal(
+                    image[top : top + 20, left : left + 20][:, :: -1 if flip else 1],
+                    crop[name][0].numpy(),
+                )
+                for name, image in (("noisy", noisy), ("clean", clean))
+            )
+        ]
+        assert len(places) >= 1, "a crop is no window of the image"
+        windows.add(places[0][:2])
+        mirrored.add(places[0][2])
+    assert len(windows) > 20
+    assert mirrored == {False, True}
+
+
+def test_reading_processes_change_nothing(dataset: Path) -> None:
+    samples = read_table(dataset, "train").samples
+
+    def batches(workers: int) -> list[torch.Tensor]:
+        draws = Draws(len(samples), 12, seed=0)
+        crops = Crops(samples, patch=16, flip=True, seed=0)
+        loader = DataLoader(
+            crops,
+            4,
+            sampler=draws,
+            num_workers=workers,
+            multiprocessing_context="spawn" if workers else None,
+        )
+        return [batch["noisy"] for batch in loader]
+
+    for one, other in zip(batches(0), batches(2), strict=True):
+        assert torch.equal(one, other)
+
+
+# --- training
+
+
+def test_training_learns_to_denoise(trained: Path, dataset: Path) -> None:
+    with (trained / "metrics.csv").open(encoding="utf-8") as file:
+        rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+    assert [row["step"] for row in rows] == [30, 60, 90]
+    assert rows[-1]["loss"] < 0.7 * rows[0]["loss"]
+    assert rows[-1]["gain_db"] > 3
+    assert rows[-1]["ssim"] > rows[-1]["ssim_noisy"]
+    names = {path.name for path in trained.iterdir()}
+    assert names == {
+        "checkpoint.ckpt",
+        "config.yaml",
+        "metrics.csv",
+        "samples.png",
+        "weights.safetensors",
+    }
+    # And on scenes that were neither trained nor validated on.
+    network = load_weights(trained / "weights.safetensors").network
+    for sample in read_table(dataset, "test").samples:
+        noisy, clean = Shards().pair(sample)
+        with torch.inference_mode():
+            denoised = network(torch.from_numpy(noisy)[None, None])[0, 0].clamp(0, 1).numpy()
+        before = metrics.psnr(clean, noisy, data_range=1)
+        assert metrics.psnr(clean, denoised, data_range=1) > before + 2
+
+
+def test_weights_describe_themselves(trained: Path) -> None:
+    loaded = load_weights(trained / "weights.safetensors")
+    assert loaded.model["width"] == 8
+    assert loaded.training["dataset.config_hash"] == "0123abcd"
+    assert loaded.training["validation"]["step"] in (30, 60, 90)
+    config = yaml.safe_load((trained / "config.yaml").read_text(encoding="utf-8"))
+    assert config["train"]["steps"] == 90
+
+
+def test_same_seed_same_weights_and_a_breakdown_changes_nothing(
+    trained: Path, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stopped in the middle of the second interval, training ends with the very same bytes."""
+    step, crop = Training.training_step, Crops.__getitem__
+    calls: list[int] = []
+    drawn: list[int] = []
+
+    def recorded(self: Crops, item: tuple[int, int]) -> Any:
+        drawn.append(item[0])
+        return crop(self, item)
+
+    def breaks_down(self: Training, batch: Any, index: int) -> Any:
+        calls.append(index)
+        if len(calls) == 47:
+            raise OSError("the power went")
+        return step(self, batch, index)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Training, "training_step", breaks_down)
+        with pytest.raises(OSError, match="power"):
+            train_small(dataset, tmp_path)
+    assert len((tmp_path / "metrics.csv").read_text(encoding="utf-8").splitlines()) == 2
+    # What was not in the checkpoint is drawn again, and every interval draws something new.
+    with monkeypatch.context() as patch:
+        patch.setattr(Crops, "__getitem__", recorded)
+        train_small(dataset, tmp_path)
+    assert drawn == list(range(30 * 4, 90 * 4))
+    name = "weights.safetensors"
+    assert (tmp_path / name).read_bytes() == (trained / name).read_bytes()
+    assert _without_seconds(tmp_path) == _without_seconds(trained)
+    assert (tmp_path / "samples.png").read_bytes() == (trained / "samples.png").read_bytes()
+
+
+def test_killed_training_continues(trained: Path, dataset: Path, tmp_path: Path) -> None:
+    """SIGKILL to the real program right after a checkpoint, then the same command again."""
+    command = [
+        *(sys.executable, "-m", "models", f"dataset={dataset}", f"out={tmp_path}"),
+        *SMALL,
+    ]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL)
+    try:
+        deadline = time.monotonic() + 60
+        while not (tmp_path / "checkpoint.ckpt").exists() and time.monotonic() < deadline:
+            assert process.poll() is None
+            time.sleep(0.02)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert read_checkpoint(tmp_path / "checkpoint.ckpt")["rows"][-1]["step"] < 90
+    train_small(dataset, tmp_path)
+    name = "weights.safetensors"
+    assert (tmp_path / name).read_bytes() == (trained / name).read_bytes()
+
+
+def test_finished_training_is_not_done_again(
+    trained: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Training, "training_step", None)
+    before = (trained / "weights.safetensors").stat().st_mtime_ns
+    best = train_small(dataset, trained)
+    assert best["gain_db"] > 3
+    assert (trained / "weights.safetensors").stat().st_mtime_ns == before
+
+
+def test_other_settings_do_not_continue_a_training(trained: Path, dataset: Path) -> None:
+    with pytest.raises(FactoryError, match=r"loss.kind l1 -> charbonnier.*resume=false"):
+        train_small(dataset, trained, "loss=charbonnier")
+
+
+def test_damaged_checkpoint_is_named(trained: Path, dataset: Path, tmp_path: Path) -> None:
+    content = (trained / "checkpoint.ckpt").read_bytes()
+    (tmp_path / "checkpoint.ckpt").write_bytes(content[: len(content) // 2])
+    with pytest.raises(FactoryError, match=r"checkpoint\.ckpt: damaged.*resume=false"):
+        train_small(dataset, tmp_path)
+
+
+def test_finished_weights_are_not_overwritten_unasked(
+    trained: Path, dataset: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "weights.safetensors").write_bytes(b"of somebody else")
+    with pytest.raises(FactoryError, match="holds weights but no checkpoint"):
+        train_small(dataset, tmp_path)
+    assert (tmp_path / "weights.safetensors").read_bytes() == b"of somebody else"
+
+
+def test_loss_that_is_no_number_stops_training(dataset: Path, tmp_path: Path) -> None:
+    with pytest.raises(FactoryError, match=r"the loss became (nan|inf).*learning_rate"):
+        train_small(dataset, tmp_path, "train.learning_rate=1e30", "train.warmup=0")
+    assert not (tmp_path / "weights.safetensors").exists()
+
+
+def test_damaged_sample_in_a_reading_process_is_one_line(tmp_path: Path) -> None:
+    broken = write_dataset(tmp_path / "data", train=8, test=0, size=48)
+    for path in sorted((broken / "train").glob("*.h5")):
+        with h5py.File(path, "r") as file:
+            places = [file["noisy"].id.get_chunk_info(row).byte_offset for row in range(4)]
+        content = bytearray(path.read_bytes())
+        for place in places:
+            content[place + 20] ^= 0xFF
+        path.write_bytes(content)
+    with pytest.raises(FactoryError, match=r"^\S*shard-0000\d\.h5: sample \d is damaged") as error:
+        train_small(broken, tmp_path / "out", "data.workers=1")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (("data.patch=64",), r"data\.patch=64 is larger than the images .*48x48"),
+        (("train.check_every=40",), "multiple of check_every"),
+        (("train.precision=16-mixed", "device=cpu"), "16-mixed needs a GPU"),
+        (("data.validation=1.0",), r"data\.validation"),
+        (("name=a/b",), "name"),
+    ],
+)
+def test_odd_settings_are_refused(
+    overrides: tuple[str, ...], words: str, dataset: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(FactoryError, match=words):
+        train_small(dataset, tmp_path, *overrides)
+
+
+def test_unusable_datasets_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(FactoryError, match="no such folder"):
+        train_small(tmp_path / "nowhere", tmp_path / "out")
+    only_test = write_dataset(tmp_path / "test only", train=0, test=2)
+    with pytest.raises(FactoryError, match="train split is empty"):
+        train_small(only_test, tmp_path / "out")
+    other = write_dataset(tmp_path / "other", train=4, test=0)
+    with h5py.File(other / "train" / "shard-00000.h5", "r+") as file:
+        file.attrs["schema"] = "simnfnd/2"
+    with pytest.raises(FactoryError, match=r"schema 'simnfnd/2'"):
+        train_small(other, tmp_path / "out")
+
+
+def test_output_that_cannot_be_written(dataset: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    with pytest.raises(FactoryError, match="out: cannot write"):
+        train_small(dataset, tmp_path / "file" / "model")
+
+
+def test_wrong_weights_files_are_named(trained: Path, tmp_path: Path) -> None:
+    path = tmp_path / "weights.safetensors"
+    with pytest.raises(FactoryError, match="no such file"):
+        load_weights(path)
+    good = (trained / "weights.safetensors").read_bytes()
+    for content in (b"", b"not weights", good[:-100]):
+        path.write_bytes(content)
+        with pytest.raises(FactoryError, match="not a safetensors file, or a damaged one"):
+            load_weights(path)
+    from safetensors.torch import save_file
+
+    save_file({"x": torch.zeros(2)}, path)
+    with pytest.raises(FactoryError, match="not made by this program"):
+        load_weights(path)
+    save_weights(path, build_network({**TINY, "width": 4}), TINY, {})
+    with pytest.raises(FactoryError, match="do not fit their network"):
+        load_weights(path)
+
+
+def test_bad_command_lines_are_one_line(tmp_path: Path) -> None:
+    for arguments, words in (
+        ((), "dataset: give the folder"),
+        (("dataset=nowhere", "modle=nafnet"), "modle"),
+        (("dataset=nowhere", "model=vgg"), "vgg"),
+        (("denoise", "a.png"), "--out"),
+        (("denoise", "a.png", "--out", "o", "--weights", "w"), "a.png: no such file"),
+    ):
+        done = subprocess.run(
+            [sys.executable, "-m", "models", *arguments],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+        )
+        assert done.returncode == 2, done.stderr
+        assert words in done.stderr
+        assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_best_weights_are_kept_not_the_last(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[int] = []
+
+    def worse_and_worse(image: torch.Tensor, clean: torch.Tensor) -> torch.Tensor:
+        calls.append(1)
+        return torch.full((len(image),), 50.0 - len(calls))
+
+    monkeypatch.setattr("models.training.psnr_db", worse_and_worse)
+    best = train_small(dataset, tmp_path, "train.steps=6", "train.check_every=2")
+    assert best["step"] == 2
+    loaded = load_weights(tmp_path / "weights.safetensors")
+    assert loaded.training["validation"]["step"] == 2
+    state = torch.load(tmp_path / "checkpoint.ckpt", weights_only=True)["state_dict"]
+    last = {name: value for name, value in state.items() if name.startswith("average.module.")}
+    kept = loaded.network.state_dict()
+    assert any(
+        not torch.equal(value, kept[name.removeprefix("average.module.")])
+        for name, value in last.items()
+    )
+
+
+def _without_seconds(folder: Path) -> list[str]:
+    lines = (folder / "metrics.csv").read_text(encoding="utf-8").splitlines()
+    return [line.rpartition(",")[0] for line in lines]
