@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import h5py
 import numpy as np
@@ -26,6 +26,9 @@ from factory.shards.reader import open_shard, shard_paths, value_range
 # Starting a process costs about as much as measuring this many pairs.
 _WORTH_A_PROCESS = 24
 _CHUNK = 8
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 union_tags("literal['auto']", "constrained-int")
 
@@ -112,7 +115,7 @@ def measure(settings: EvaluationSettings) -> list[Score]:
         workers = min(settings.workers, len(chunks))
     scores: list[Score] = []
     with tqdm(total=total, unit="pair", desc="measuring") as bar:
-        for part in _results(chunks, workers):
+        for part in in_order(_score_chunk, chunks, workers):
             scores.extend(part)
             bar.update(len(part))
     return scores
@@ -145,12 +148,15 @@ def score_pair(
     *,
     data_range: float,
     shadow_threshold: float,
+    sector: metrics.Mask | None = None,
 ) -> Quality:
     """The quality of one noisy image; raises MetricError when there is nothing to compare.
 
     noisy, clean: (H, W) of one dtype.  shadow: (H, W) bool.  shadow_threshold: fraction of range.
+    sector: where the sonar measures; needed for a denoised image, which may bleed out of it.
     """
-    sector = sector_of(noisy, clean, shadow)
+    if sector is None:
+        sector = sector_of(noisy, clean, shadow)
     if not sector.any():
         raise metrics.MetricError("clean, noisy and shadow are empty; nothing to measure")
     similarity = metrics.ssim_map(clean, noisy, data_range=data_range)
@@ -193,14 +199,18 @@ def _chunks(settings: EvaluationSettings) -> list[_Chunk]:
     return chunks
 
 
-def _results(chunks: list[_Chunk], workers: int) -> Iterator[list[Score]]:
+def in_order(work: Callable[[T], R], tasks: Sequence[T], workers: int) -> Iterator[R]:
+    """The results of `work` on the tasks, in their order, on so many processes.
+
+    Raises FactoryError when a process dies.
+    """
     if workers == 1:
-        yield from map(_score_chunk, chunks)
+        yield from map(work, tasks)
         return
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=context) as pool:
         try:
-            yield from pool.map(_score_chunk, chunks)
+            yield from pool.map(work, tasks)
         except BrokenProcessPool as error:
             raise FactoryError(
                 "a measuring process died (out of memory?); run again with workers=1"
@@ -231,11 +241,11 @@ def _score_chunk(chunk: _Chunk) -> list[Score]:
                 )
             except metrics.MetricError as error:
                 raise FactoryError(f"{path}: sample {index}: {error}") from error
-            scores.append(Score(name, index, *_identity(file, index), quality))
+            scores.append(Score(name, index, *identity_of(file, index), quality))
     return scores
 
 
-def _identity(file: h5py.File, index: int) -> tuple[str, str, str, int]:
+def identity_of(file: h5py.File, index: int) -> tuple[str, str, str, int]:
     """(location, scene, frame, variant) of a sample."""
     row = file["meta"][index]
     location, scene, frame = (row[key].decode() for key in ("location", "scene", "frame"))

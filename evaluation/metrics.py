@@ -8,16 +8,16 @@ restricts the average to those pixels, for example to the sonar's sector.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from evaluation.checks import Image as Image
+from evaluation.checks import Mask as Mask
+from evaluation.checks import MetricError as MetricError
+from evaluation.checks import checked_mask, checked_pair
 from factory.errors import FactoryError
-
-Image = npt.NDArray[Any]
-Mask = npt.NDArray[np.bool_]
 
 PSNR_CAP_DB = 100.0
 """What a pair of identical images (infinite PSNR) counts as in a mean; see `finite_psnr`."""
@@ -27,15 +27,11 @@ _SSIM_RADIUS = 5  # of the Gaussian window that scikit-image cuts at 3.5 sigma
 _GMSD_C = 170.0  # Xue et al. 2014, for gray values 0..255
 
 
-class MetricError(FactoryError, ValueError):
-    """The images cannot be compared: other shapes, NaN, too small, values beyond the data range."""
-
-
 def psnr(reference: Image, image: Image, *, data_range: float, mask: Mask | None = None) -> float:
     """Peak signal-to-noise ratio in dB, 10 log10(data_range^2 / MSE); inf for identical images."""
-    a, b = _checked(reference, image, data_range, smallest=1)
+    a, b = checked_pair(reference, image, data_range, smallest=1)
     squared = np.square(a - b)
-    error = float(np.mean(squared if mask is None else squared[_checked_mask(mask, a)]))
+    error = float(np.mean(squared if mask is None else squared[checked_mask(mask, a)]))
     return math.inf if error == 0 else 10 * math.log10(data_range**2 / error)
 
 
@@ -52,7 +48,7 @@ def ssim_map(reference: Image, image: Image, *, data_range: float) -> npt.NDArra
         raise FactoryError(
             'SSIM needs scikit-image: pip install "simnfnd[evaluation]" (or scikit-image)'
         ) from error
-    a, b = _checked(reference, image, data_range, smallest=2 * _SSIM_RADIUS + 1)
+    a, b = checked_pair(reference, image, data_range, smallest=2 * _SSIM_RADIUS + 1)
     _, similarity = structural_similarity(  # type: ignore[no-untyped-call]
         a,
         b,
@@ -78,7 +74,7 @@ def mean_ssim(similarity: npt.NDArray[np.float64], mask: Mask | None = None) -> 
     inner = (slice(_SSIM_RADIUS, -_SSIM_RADIUS),) * 2
     if mask is None:
         return float(similarity[inner].mean())
-    chosen = _checked_mask(mask, similarity)[inner]
+    chosen = checked_mask(mask, similarity)[inner]
     if not chosen.any():
         raise MetricError("mask has no pixel further than 5 from the border; SSIM is undefined")
     return float(similarity[inner][chosen].mean())
@@ -93,7 +89,7 @@ def gms_map(
     the mean of 2x2 blocks first, as the authors' program does ((ceil(H/2), ceil(W/2)) out); without
     it the formula is used as printed ((H, W) out).  Beyond the border all is 0, as in conv2 'same'.
     """
-    a, b = _checked(reference, image, data_range, smallest=6 if pooled else 3)
+    a, b = checked_pair(reference, image, data_range, smallest=6 if pooled else 3)
     gradients = []
     for gray in (a, b):
         gray = gray * (255.0 / data_range)
@@ -115,7 +111,7 @@ def gmsd(
     """Gradient magnitude similarity deviation, 0 = identical (Xue et al. 2014); see `gms_map`."""
     similarity = gms_map(reference, image, data_range=data_range, pooled=pooled)
     if mask is not None:
-        mask = _checked_mask(mask, np.asarray(reference))
+        mask = checked_mask(mask, np.asarray(reference))
     return deviation(similarity, mask, pooled=pooled)
 
 
@@ -185,46 +181,3 @@ def _prewitt_magnitude(gray: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]
         along = ndimage.correlate1d(gray, step, axis=axis, mode="constant")
         parts.append(ndimage.correlate1d(along, smooth, axis=1 - axis, mode="constant"))
     return np.asarray(np.hypot(parts[0], parts[1]))
-
-
-def _checked(
-    reference: Image, image: Image, data_range: float, *, smallest: int
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Both images as float64, or MetricError that says why they cannot be compared."""
-    if not (math.isfinite(data_range) and data_range > 0):
-        raise MetricError(f"data_range must be a positive number, got {data_range}")
-    reference, image = np.asarray(reference), np.asarray(image)
-    if reference.shape != image.shape:
-        raise MetricError(f"images differ in shape: {reference.shape} against {image.shape}")
-    if reference.ndim != 2:
-        raise MetricError(f"expected a gray image (H, W), got shape {reference.shape}")
-    if min(reference.shape) < smallest:
-        height, width = reference.shape
-        raise MetricError(f"image of {height}x{width} is too small; at least {smallest} a side")
-    pair = []
-    for name, array in (("reference", reference), ("image", image)):
-        values = array.astype(np.float64)
-        if not np.isfinite(values).all():
-            raise MetricError(f"{name} has NaN or infinite pixels")
-        low, high = float(values.min()), float(values.max())
-        # A denoiser may overshoot a little; a range that is off by a factor is a mistake.
-        if high > 1.5 * data_range or low < -0.5 * data_range:
-            raise MetricError(
-                f"{name} has values {low:g}..{high:g}, which do not fit data_range {data_range:g}"
-            )
-        if array.dtype.kind in "ui" and data_range < 2:
-            raise MetricError(f"{name} is {array.dtype} but data_range is {data_range:g}")
-        pair.append(values)
-    floats = reference.dtype.kind == "f" and image.dtype.kind == "f"
-    if floats and data_range >= 100 and 0 < max(pair[0].max(), pair[1].max()) <= 1:
-        raise MetricError(f"images have values 0..1 but data_range is {data_range:g}")
-    return pair[0], pair[1]
-
-
-def _checked_mask(mask: Mask, image: npt.NDArray[np.generic]) -> Mask:
-    mask = np.asarray(mask, dtype=bool)
-    if mask.shape != image.shape:
-        raise MetricError(f"mask is {mask.shape} but the image is {image.shape}")
-    if not mask.any():
-        raise MetricError("mask is empty; nothing to measure")
-    return mask

@@ -47,7 +47,7 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
         except (HydraException, OmegaConfBaseException) as error:
             if debug:
                 raise
-            raise FactoryError(_config_line(error)) from error
+            raise FactoryError(config_line(error)) from error
         return max(codes, default=0)
 
     return guard(everything, debug=debug)
@@ -90,7 +90,7 @@ def say_error(error: Exception) -> int:
     return EXIT_BAD_INPUT
 
 
-def _config_line(error: Exception) -> str:
+def config_line(error: Exception) -> str:
     """Hydra's several lines in one, with the remedy."""
     reasons = [str(error)]
     if error.__cause__ is not None:

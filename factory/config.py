@@ -13,12 +13,16 @@ from pydantic.dataclasses import dataclass
 
 from factory.noise import NoiseSettings
 from factory.render.base import RenderSettings
+from factory.render.cache import CacheSettings
 from factory.resample import ResampleSettings
 from factory.scenes import Scenes
-from factory.scheduler.settings import SchedulerSettings
+from factory.scheduler.settings import SchedulerSettings, ShardSlice
 from factory.settings import STRICT, build
 from factory.shards.settings import DatasetSettings
 from factory.sonar.settings import SonarSettings
+
+# Recordings whose frames can carry labels: a pack has those that went into it.
+_LABELLED = ("seabed", "pack")
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -62,6 +66,8 @@ class FactoryConfig:
     sonar: SonarSettings = field(default_factory=SonarSettings)
     dataset: DatasetSettings = field(default_factory=DatasetSettings)
     scheduler: SchedulerSettings = field(default_factory=SchedulerSettings)
+    cache: CacheSettings = field(default_factory=CacheSettings)
+    shard: ShardSlice = field(default_factory=ShardSlice)
     debug: bool = False
 
     @model_validator(mode="after")
@@ -70,6 +76,15 @@ class FactoryConfig:
             raise ValueError(
                 "render.kind=analytic casts no shadows, so sonar.mount.translation_m must be "
                 "[0, 0, 0]; use render=cycles or render=embree for a sonar away from the camera"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _labels(self) -> Self:
+        if "segmentation" in self.dataset.layers and self.scenes.kind not in _LABELLED:
+            raise ValueError(
+                f"dataset.layers: segmentation needs labelled frames and scenes={self.scenes.kind} "
+                "has none; leave it out or use scenes=seabed"
             )
         return self
 
@@ -97,10 +112,11 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
     """
     values = plain(config)
     values["scenes"].pop("root", None)
-    for key in ("dir", "name", "preview_pairs", "licence"):
+    for key in ("dir", "on_existing", "name", "preview_pairs", "licence"):
         values["dataset"].pop(key, None)
     values["scheduler"] = {"shard_size": values["scheduler"]["shard_size"]}
-    values.pop("debug")
+    for key in ("cache", "shard", "debug"):
+        values.pop(key)
     return values
 
 

@@ -15,3 +15,11 @@ class FactoryError(Exception):
 
 class FrameError(FactoryError):
     """One frame cannot be used.  The run skips it, records the reason and goes on."""
+
+
+class NotRendered(FactoryError):
+    """The render of a frame is not at hand; the scheduler has it made and tries again."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"{name}: its render is not in the cache; run the same command again")
+        self.frame = name

@@ -13,7 +13,9 @@ from factory.config import FactoryConfig, digest, from_mapping, identity, plain
 from factory.errors import FactoryError
 from factory.frame import FrameRef
 from factory.pairs import PairMaker
+from factory.render.cache import Limit
 from factory.shards.quality import seen_sector_deg
+from factory.views import ViewMaker, check_views, with_cache
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -29,22 +31,22 @@ def generate(composed: DictConfig) -> int:
     """
     from factory.sweep import note_result
 
-    config = from_mapping(_values(composed))
+    config = from_mapping(composed_values(composed))
     report, directory = run(config, arguments=sys.argv[1:])
     code = 1 if report.failures else 0
-    note_result(directory, config, report, code)
+    if config.shard.count == 1:
+        note_result(directory, config, report, code)
     print(f"dataset: {directory}")
     return code
 
 
 def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     """Discover, plan and make one dataset.  `arguments` are the words that would make it again."""
-    from factory.render import check_renderer
     from factory.scenes import open_reader
-    from factory.scheduler.generate import generate_dataset
+    from factory.scheduler.generate import generate_dataset, work_name
     from factory.scheduler.plan import plan_shards
 
-    check_renderer(config.render)
+    check_views(config)
     discovery = open_reader(config.scenes).discover()
     for note in discovery.notes:
         print(f"scenes: {note}")
@@ -58,11 +60,13 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     tasks = plan_shards(
         splits, config.frames.variants, config.scheduler.shard_size, config.dataset.limits
     )
+    working = with_cache(config, directory / work_name(config.shard))
     report = generate_dataset(
         directory,
         tasks,
         source=PairMaker,
-        config=config,
+        preparer=None if config.scenes.kind == "pack" else ViewMaker,
+        config=working,
         config_dict=plain(config),
         identity=values,
         config_hash=config_hash,
@@ -70,7 +74,15 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
         scheduler=config.scheduler,
         skipped=discovery.skipped,
         rerun_command=lambda ref: _rerun_command(ref, arguments, directory),
+        shard=config.shard,
+        keep_cache_within=Limit(working.cache),
     )
+    if config.shard.count > 1:
+        print(
+            f"slice {config.shard.index} of {config.shard.count} is done; when all are, "
+            "the same command without shard.index and shard.count completes the dataset"
+        )
+        return report, directory
     if not report.samples:
         first = report.failures[0].reason
         raise FactoryError(
@@ -154,7 +166,8 @@ def frames_digest(frames: tuple[FrameRef, ...]) -> str:
     return hashlib.blake2b(names.encode(), digest_size=8).hexdigest()
 
 
-def _values(composed: DictConfig) -> dict[str, Any]:
+def composed_values(composed: DictConfig) -> dict[str, Any]:
+    """The plain values of a composed configuration.  Raises FactoryError when one is missing."""
     from omegaconf import OmegaConf
     from omegaconf.errors import MissingMandatoryValue
 

@@ -9,23 +9,25 @@ transfer curve.  Only the noise differs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from factory import noise, resample, seeds
+from factory import noise, resample, seeds, truth
 from factory.echoes import Echoes, from_xyz
 from factory.errors import FrameError
 from factory.frame import Frame, FrameRef
 from factory.record import columns, image_axes, record
 from factory.sample import Axis, Column, Pair
 from factory.sonar import polar, transfer
-from factory.sonar.fan import fan_table
+from factory.sonar.fan import AnyNumber, fan_table
 from factory.sonar.settings import SonarSettings
 from factory.sonar.window import Window
 from factory.sonar.window_fit import fit_window
+from factory.views import open_views
 
 if TYPE_CHECKING:
     from factory.config import FactoryConfig
@@ -38,25 +40,22 @@ class Scene:
 
     echoes: every insonified surface point in the window, strengths after time-varying gain.
     window: range and azimuth limits of the picture.  shadow: (H, W) bool picture.
+    layers: (H, W) pictures of what is behind each pixel, where asked for.
     """
 
     ref: FrameRef
     echoes: Echoes
     window: Window
     shadow: npt.NDArray[np.bool_]
+    layers: Mapping[str, npt.NDArray[np.generic]] = field(default_factory=dict)
 
 
 class PairMaker:
-    """Makes pairs in one process; a `factory.sample.PairSource`."""
+    """Makes pairs of renders; a `factory.sample.PairSource`.  Needs no renderer."""
 
     def __init__(self, config: FactoryConfig) -> None:
-        # Readers and renderers bring Open3D and Blender: a box that only adds noise has neither.
-        from factory.render import open_renderer
-        from factory.scenes import open_reader
-
         self.config = config
-        self.reader = open_reader(config.scenes)
-        self.renderer = open_renderer(config.render)
+        self.views = open_views(config)
 
     def axes(self) -> tuple[Axis, Axis]:
         """Row and column axes of the pictures."""
@@ -67,16 +66,27 @@ class PairMaker:
         return columns(self.config.noise)
 
     def pairs(self, ref: FrameRef, variants: tuple[int, ...]) -> list[Pair]:
-        """The asked variants of one frame.  Raises FrameError when the frame is bad."""
-        frame = self.reader.load(ref)
-        rendered = self.renderer.render(frame, self.config.sonar.mount)
-        scene = observe(frame, rendered, self.config.sonar)
+        """The asked variants of one frame.
+
+        Raises FrameError when the frame is bad, NotRendered when its render is not at hand.
+        """
+        view = self.views.view(ref)
+        scene = observe(
+            view.frame(ref), view.rendered(), self.config.sonar, self.config.dataset.layers
+        )
         return [make_pair(scene, variant, self.config) for variant in variants]
 
+    def ready(self, ref: FrameRef) -> bool:
+        """Whether the frame's render is at hand."""
+        return self.views.holds(ref)
 
-def observe(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Scene:
+
+def observe(
+    frame: Frame, rendered: Rendered, sonar: SonarSettings, layers: Sequence[str] = ()
+) -> Scene:
     """The rendered pixels of a frame as echoes around the sonar.
 
+    layers: names of `dataset.layers`.
     Raises FrameError when the sonar's sector holds no insonified surface.
     """
     from factory.cloud import back_project
@@ -84,18 +94,26 @@ def observe(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Scene:
     surface = rendered.surface
     points_m = sonar.mount.to_sonar(back_project(frame.depth_m, frame.intrinsics)[surface])
     echoes = from_xyz(points_m, rendered.radiance[surface])
-    echoes = echoes.select(np.abs(echoes.elevation_rad) <= np.deg2rad(sonar.vfov_deg) / 2)
+    in_beam = np.abs(echoes.elevation_rad) <= np.deg2rad(sonar.vfov_deg) / 2
+    echoes, pixel = echoes.select(in_beam), np.flatnonzero(surface)[in_beam]
     try:
         window = fit_window(echoes, sonar)
     except FrameError as error:
         raise FrameError(f"{frame.ref.name}: {error}") from error
     insonified = (polar.bin_index(echoes, window, sonar) >= 0) & (echoes.strength > 0)
-    echoes = echoes.select(insonified)
+    echoes, pixel = echoes.select(insonified), pixel[insonified]
     gain = (echoes.range_m.astype(np.float64)) ** (sonar.tvg_db_per_decade / 10)
     strength = (echoes.strength * gain).astype(np.float32)
     echoes = Echoes(echoes.range_m, echoes.azimuth_rad, echoes.elevation_rad, strength)
     shadow = ~polar.covered(echoes, window, sonar) & polar.seen_beams(window, sonar)
-    return Scene(frame.ref, echoes, window, _lay_out_mask(shadow, window, sonar))
+    behind = truth.pictures(layers, frame, echoes, pixel, window, sonar)
+    return Scene(
+        frame.ref,
+        echoes,
+        window,
+        _lay_out_nearest(shadow, window, sonar),
+        {name: _lay_out_nearest(picture, window, sonar) for name, picture in behind.items()},
+    )
 
 
 def make_pair(scene: Scene, variant: int, config: FactoryConfig) -> Pair:
@@ -114,22 +132,27 @@ def make_pair(scene: Scene, variant: int, config: FactoryConfig) -> Pair:
     clean_level = _image_level(kept, window, sonar)
     full_scale = transfer.full_scale(clean_level, sonar.transfer)
 
-    layers = noise.layers(kept, movable, window, drawn, config.seed, *names)
-    cloud = noise.combine(movable, layers, full_scale)
-    if config.resample.kind == "voxel":
-        cloud = resample.voxel(cloud, size_m)
-    noisy_level = _image_level(cloud, window, sonar)
+    made = noise.layers(kept, movable, window, drawn, config.seed, *names)
 
-    clean, noisy = (
-        _lay_out(transfer.grey(level, full_scale, sonar.transfer), window, sonar)
-        for level in (clean_level, noisy_level)
-    )
-    dtype = config.dataset.dtype
+    def picture(level: npt.NDArray[np.float32]) -> npt.NDArray[np.generic]:
+        grey = transfer.grey(level, full_scale, sonar.transfer)
+        return transfer.quantise(_lay_out(grey, window, sonar), config.dataset.dtype)
+
+    def noisy(effects: dict[str, Echoes]) -> npt.NDArray[np.generic]:
+        cloud = noise.combine(movable, effects, full_scale)
+        if config.resample.kind == "voxel":
+            cloud = resample.voxel(cloud, size_m)
+        return picture(_image_level(cloud, window, sonar))
+
+    layers = dict(scene.layers)
+    if "effects" in config.dataset.layers:
+        layers |= {f"layers/{effect}": noisy({effect: one}) for effect, one in made.items()}
     return Pair(
-        noisy=transfer.quantise(noisy, dtype),
-        clean=transfer.quantise(clean, dtype),
+        noisy=noisy(made),
+        clean=picture(clean_level),
         shadow=scene.shadow,
-        record=record(scene.ref, variant, config, window, rate, drawn, kept, layers, full_scale),
+        record=record(scene.ref, variant, config, window, rate, drawn, kept, made, full_scale),
+        layers=layers,
     )
 
 
@@ -149,9 +172,11 @@ def _lay_out(
     return fan_table(sonar, window.near_fraction).bilinear(grey)
 
 
-def _lay_out_mask(
-    mask: npt.NDArray[np.bool_], window: Window, sonar: SonarSettings
-) -> npt.NDArray[np.bool_]:
+def _lay_out_nearest(
+    picture: npt.NDArray[AnyNumber], window: Window, sonar: SonarSettings
+) -> npt.NDArray[AnyNumber]:
+    """The same for masks, labels and lengths, which are never mixed; NaN outside for lengths."""
     if sonar.image.layout == "polar":
-        return mask
-    return fan_table(sonar, window.near_fraction).nearest(mask)
+        return picture
+    outside = np.nan if picture.dtype.kind == "f" else 0
+    return fan_table(sonar, window.near_fraction).nearest(picture, outside)

@@ -39,12 +39,22 @@ class Pair:
     noisy, clean: (H, W) uint8, or float32 in [0, 1].
     shadow: (H, W) bool, True inside the sonar's sector where no echo arrives in the ideal image.
     record: column name -> value, everything needed to make this very sample again.
+    layers: name -> (H, W) optional picture, as `factory.shards.schema` describes them.
     """
 
     noisy: npt.NDArray[np.generic]
     clean: npt.NDArray[np.generic]
     shadow: npt.NDArray[np.bool_]
     record: Mapping[str, float | int | str] = field(default_factory=dict)
+    layers: Mapping[str, npt.NDArray[np.generic]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What became of one frame.  hit: it was ready already.  bytes: added to the cache."""
+
+    hit: bool
+    bytes: int
 
 
 class PairSource(Protocol):
@@ -58,3 +68,13 @@ class PairSource(Protocol):
 
     def pairs(self, ref: FrameRef, variants: tuple[int, ...]) -> list[Pair]:
         """All asked variants of one frame.  Raises FrameError when the frame is bad."""
+
+    def ready(self, ref: FrameRef) -> bool:
+        """Whether `pairs` has all that it needs; else a `Preparer` has to see the frame first."""
+
+
+class Preparer(Protocol):
+    """Does what is slow and the same for all noise; its workers are few and heavy."""
+
+    def prepare(self, ref: FrameRef) -> Prepared:
+        """Make a frame ready for `PairSource.pairs`.  Raises FrameError when it is bad."""

@@ -6,13 +6,11 @@ matter which process reads it, or whether training was interrupted before.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 import torch
@@ -20,13 +18,13 @@ from torch.utils.data import Dataset, Sampler
 
 from factory.errors import FactoryError
 from factory.seeds import stream
-from factory.shards.reader import Split, open_shard, shard_paths, value_range
+from factory.shards import PairDataset
+from factory.shards.handles import OpenShards
+from factory.shards.pair_dataset import in_unit_range
+from factory.shards.reader import Split
 
 Batch = dict[str, torch.Tensor]
 """`noisy` and `clean`, (N, 1, H, W) float32 in 0..1."""
-
-# Well below the usual limit of 1024 open files a process.
-_OPEN_FILES = 256
 
 
 @dataclass(frozen=True)
@@ -51,21 +49,24 @@ class PairTable:
 
 def read_table(dataset: str | Path, split: Split) -> PairTable:
     """List the pairs of a split.  FactoryError: no dataset, another schema, mixed image sizes."""
-    samples: list[SampleRef] = []
-    shapes, hashes = set(), []
-    for path in shard_paths(dataset, split):
-        with open_shard(path) as file:
-            shapes.add(file["noisy"].shape[1:])
-            hashes.append(str(file.attrs["config_hash"]))
-            for row, meta in enumerate(file["meta"][()]):
-                location, scene, frame = (meta[k].decode() for k in ("location", "scene", "frame"))
-                samples.append(SampleRef(path, row, f"{location}/{scene}", frame))
-    if not samples:
-        raise FactoryError(f"dataset={dataset}: the {split} split holds no samples; generate some")
-    if len(shapes) > 1:
-        raise FactoryError(f"dataset={dataset}: images of several sizes ({sorted(shapes)})")
-    height, width = shapes.pop()
-    return PairTable(tuple(samples), height, width, hashes[0])
+    with PairDataset(dataset, split) as pairs:
+        if not len(pairs):
+            raise FactoryError(
+                f"dataset={dataset}: the {split} split holds no samples; generate some"
+            )
+        places = (pairs.place(index) for index in range(len(pairs)))
+        samples = tuple(
+            SampleRef(
+                path, row, f"{_text(meta['location'])}/{_text(meta['scene'])}", _text(meta["frame"])
+            )
+            for (path, row), meta in zip(places, pairs.meta(), strict=True)
+        )
+        height, width = pairs.shape
+        return PairTable(samples, height, width, pairs.config_hash)
+
+
+def _text(value: bytes) -> str:
+    return value.decode(errors="replace")
 
 
 def hold_out(
@@ -102,36 +103,15 @@ def spread(samples: tuple[SampleRef, ...], limit: int | None) -> tuple[SampleRef
 
 
 class Shards:
-    """Reads pairs; each process opens a shard when it first needs it and keeps it open."""
+    """Reads pairs, in any process."""
 
     def __init__(self) -> None:
-        self._files: dict[Path, h5py.File] = {}
-        self._process = os.getpid()
+        self._open = OpenShards()
 
     def pair(self, sample: SampleRef) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         """(noisy, clean), each (H, W) float32 in 0..1."""
-        file = self._open(sample.path)
-        scale = np.float32(1 / value_range(file))
-        try:
-            noisy, clean = (file[key][sample.row] for key in ("noisy", "clean"))
-        except OSError as error:
-            raise FactoryError(
-                f"{sample.path}: sample {sample.row} is damaged; generate it again"
-            ) from error
-        return noisy.astype(np.float32) * scale, clean.astype(np.float32) * scale
-
-    def _open(self, path: Path) -> h5py.File:
-        if self._process != os.getpid():
-            # HDF5's state must not be shared across a fork.
-            self._files, self._process = {}, os.getpid()
-        if path not in self._files:
-            if len(self._files) >= _OPEN_FILES:
-                self._files.pop(next(iter(self._files))).close()
-            self._files[path] = open_shard(path)
-        return self._files[path]
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {"_files": {}, "_process": -1}
+        noisy, clean = self._open.read(sample.path, ("noisy", "clean"), sample.row)
+        return in_unit_range(noisy), in_unit_range(clean)
 
 
 class Crops(Dataset[Batch]):
@@ -159,8 +139,21 @@ class Crops(Dataset[Batch]):
         }
 
 
+class Pairs(Dataset[Batch]):
+    """A split of a dataset for a torch DataLoader: whole images, in order."""
+
+    def __init__(self, dataset: str | Path, split: Split = "train") -> None:
+        self.pairs = PairDataset(dataset, split, scaled=True)
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    def __getitem__(self, index: int) -> Batch:
+        return {name: torch.from_numpy(image)[None] for name, image in self.pairs[index].items()}
+
+
 class Whole(Dataset[Batch]):
-    """Whole images, for validation."""
+    """Some whole images, for validation."""
 
     def __init__(self, samples: tuple[SampleRef, ...]) -> None:
         self.samples = samples

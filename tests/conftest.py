@@ -1,12 +1,24 @@
-"""What every test shares: how hypothesis searches."""
+"""What every test shares: how hypothesis searches, and a cache of renders that goes away again."""
 
 from __future__ import annotations
 
 import os
+import tempfile
+from collections.abc import Iterator
 
+import pytest
 from hypothesis import settings
 
 # Shared machines are slow now and then, so no deadline.  In CI the same examples every time: a
 # change must not fail on an example that it did not cause; at home the search goes on.
 settings.register_profile("simnfnd", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("simnfnd")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def cache_of_its_own() -> Iterator[None]:
+    """Renders of tests stay out of the user's cache, and those of an older code out of tests."""
+    with tempfile.TemporaryDirectory(prefix="simnfnd-cache-") as folder:
+        os.environ["SIMNFND_CACHE"] = folder
+        yield
+        del os.environ["SIMNFND_CACHE"]

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from factory.errors import FactoryError, FrameError
+from factory.errors import FactoryError, FrameError, NotRendered
 from factory.frame import FrameRef
-from factory.sample import Axis, Column, Pair
+from factory.sample import Axis, Column, Pair, Prepared
 from factory.seeds import stream
 
 
@@ -23,6 +23,7 @@ class FakeConfig:
     """What the fake makes, and which frames (by name) go wrong in which way.
 
     killed_once, late: names that die the first time, or wait, leaving a mark in `marks`.
+    prepared: folder in which a FakePreparer leaves a file a frame; empty: nothing is prepared.
     """
 
     shape: tuple[int, int] = (24, 20)
@@ -34,6 +35,7 @@ class FakeConfig:
     hangs: tuple[str, ...] = ()
     delay_s: float = 0.0
     marks: str = ""
+    prepared: str = ""
 
 
 def refs(count: int, scene: str = "alpha", location: str = "reef") -> list[FrameRef]:
@@ -73,30 +75,15 @@ class FakeSource:
 
     def pairs(self, ref: FrameRef, variants: tuple[int, ...]) -> list[Pair]:
         """The asked variants, unless the frame is one of those that misbehave."""
-        self._misbehave(ref.name)
+        if not self.ready(ref):
+            raise NotRendered(ref.name)
+        misbehave(self.config, ref.name)
         time.sleep(self.config.delay_s)
         return [self._pair(ref, variant) for variant in variants]
 
-    def _misbehave(self, name: str) -> None:
-        config = self.config
-        if name in config.bad:
-            raise FrameError(f"{name}: depth has 3 NaN pixels")
-        if name in config.buggy:
-            raise ZeroDivisionError("no such thing")
-        if name in config.fatal:
-            raise FactoryError("render.kind=cycles needs bpy")
-        if name in config.kills or (name in config.killed_once and self._first_time(name)):
-            os.kill(os.getpid(), signal.SIGKILL)
-        if name in config.hangs:
-            time.sleep(600)
-
-    def _first_time(self, name: str) -> bool:
-        mark = Path(self.config.marks) / name.replace("/", "-")
-        try:
-            mark.touch(exist_ok=False)
-        except FileExistsError:
-            return False
-        return True
+    def ready(self, ref: FrameRef) -> bool:
+        """Whether its file is there."""
+        return not self.config.prepared or prepared_file(self.config, ref).exists()
 
     def _pair(self, ref: FrameRef, variant: int) -> Pair:
         rng = stream(0, ref.name, variant)
@@ -117,6 +104,59 @@ class FakeSource:
                 "points.scene": int(clean.size),
             },
         )
+
+
+def prepared_file(config: FakeConfig, ref: FrameRef) -> Path:
+    """Where a FakePreparer leaves its mark."""
+    return Path(config.prepared) / ref.name.replace("/", "-")
+
+
+class FakePreparer:
+    """`factory.sample.Preparer`: the frames misbehave here, so that the source need not."""
+
+    def __init__(self, config: FakeConfig) -> None:
+        self.config = config
+
+    def prepare(self, ref: FrameRef) -> Prepared:
+        """Leave a file, unless it is there."""
+        file = prepared_file(self.config, ref)
+        if file.exists():
+            return Prepared(True, 0)
+        misbehave(self.config, ref.name)
+        time.sleep(self.config.delay_s)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(str(os.getpid()))
+        return Prepared(False, 1)
+
+
+class GentleSource(FakeSource):
+    """A source whose frames misbehave only while they are prepared."""
+
+    def __init__(self, config: FakeConfig) -> None:
+        super().__init__(FakeConfig(shape=config.shape, prepared=config.prepared))
+
+
+def misbehave(config: FakeConfig, name: str) -> None:
+    """Do what the configuration says of this frame."""
+    if name in config.bad:
+        raise FrameError(f"{name}: depth has 3 NaN pixels")
+    if name in config.buggy:
+        raise ZeroDivisionError("no such thing")
+    if name in config.fatal:
+        raise FactoryError("render.kind=cycles needs bpy")
+    if name in config.kills or (name in config.killed_once and _first_time(config, name)):
+        os.kill(os.getpid(), signal.SIGKILL)
+    if name in config.hangs:
+        time.sleep(600)
+
+
+def _first_time(config: FakeConfig, name: str) -> bool:
+    mark = Path(config.marks) / name.replace("/", "-")
+    try:
+        mark.touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    return True
 
 
 class BrokenSource:

@@ -35,6 +35,8 @@ def make(directory: Path, config: FakeConfig = FakeConfig(), **changes: object) 
         frame_timeout_s=given.pop("frame_timeout_s"),  # type: ignore[arg-type]
         recycle_frames=given.pop("recycle_frames"),  # type: ignore[arg-type]
         shard_size=8,
+        backoff_s=0.05,
+        **given.pop("scheduler", {}),
     )
     frames = {"train": refs(12), "test": refs(4, "beta")}
     return generate_dataset(

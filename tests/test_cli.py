@@ -212,6 +212,13 @@ def test_a_sweep_makes_one_named_dataset_a_point_and_one_table(monkeypatch, tmp_
     assert noisy["0.1"] > noisy["0.5"]
 
 
+def test_the_sweep_flag_may_stand_anywhere(monkeypatch, tmp_path, flsea):
+    monkeypatch.chdir(tmp_path)
+    words = ["scenes=flsea", f"scenes.root={flsea}", "-m", "seed=1,2", *FAST]
+    assert run(monkeypatch, *words) == 0
+    assert len(list(tmp_path.glob("outputs/*/manifest.json"))) == 2
+
+
 def test_a_bad_point_of_a_sweep_does_not_stop_the_others(monkeypatch, tmp_path, flsea):
     monkeypatch.chdir(tmp_path)
     code = run(

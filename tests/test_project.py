@@ -16,7 +16,9 @@ from tests.project_files import ROOT, files, imports, module_name, modules, proj
 
 MAX_LINES = 320
 # Slow or heavy to import: only inside the function that needs them.
-HEAVY = ("bpy", "open3d", "torch", "lightning", "matplotlib", "hdf5plugin")
+HEAVY = (
+    "bpy", "open3d", "torch", "lightning", "matplotlib", "hdf5plugin", "pyarrow", "webdataset",
+)  # fmt: skip
 
 
 def requirements() -> list[Requirement]:

@@ -43,6 +43,8 @@ TABLE: dict[str, How] = {
     "dataset.dir=outputs/polar": Run((*SMALL, "render=embree")),
     "python -m factory --help": Run(),
     "python -m factory preview outputs/demo --out outputs/sheet.png --pairs 4": Run(),
+    "python -m factory inspect outputs/demo": Run(),
+    "python -m factory export outputs/demo --to huggingface --out outputs/hub": Run(),
     "python -m models dataset=outputs/demo train.steps=200": Run(
         ("data.patch=64", "data.batch=2", "train.check_every=2"),
         instead=(("train.steps=200", "train.steps=4"),),

@@ -22,7 +22,7 @@ from factory.errors import FactoryError
 from factory.scheduler.attempts import Attempts
 from factory.scheduler.journal import open_journal, read_journal
 from factory.scheduler.plan import plan_shards
-from factory.scheduler.settings import MAX_AUTO_WORKERS, SchedulerSettings
+from factory.scheduler.settings import MAX_AUTO_WORKERS, Crew, SchedulerSettings
 from factory.settings import build
 from factory.shards.manifest import load_manifest
 from factory.shards.settings import DatasetSettings
@@ -125,19 +125,31 @@ def test_settings_file_states_the_defaults() -> None:
     assert set(stated) == set(SchedulerSettings.__dataclass_fields__)
 
 
-def test_worker_count_follows_cores_memory_and_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_crew_follows_cores_memory_and_work(monkeypatch: pytest.MonkeyPatch) -> None:
     from factory.scheduler import settings as module
 
-    monkeypatch.setattr(module, "usable_cores", lambda: 64)
-    monkeypatch.setattr(module, "available_memory_bytes", lambda: int(100e9))
-    auto = SchedulerSettings()
-    assert auto.worker_count(1000) == MAX_AUTO_WORKERS == 48
-    assert auto.worker_count(5) == 5
-    monkeypatch.setattr(module, "available_memory_bytes", lambda: int(3.5e9))
-    assert auto.worker_count(1000) == 3
-    monkeypatch.setattr(module, "available_memory_bytes", lambda: 0)
-    assert auto.worker_count(1000) == 1
-    assert SchedulerSettings(workers=7).worker_count(1000) == 7
+    def machine(cores: int, memory_gb: float) -> None:
+        monkeypatch.setattr(module, "usable_cores", lambda: cores)
+        monkeypatch.setattr(module, "available_memory_bytes", lambda: int(memory_gb * 1e9))
+
+    auto = SchedulerSettings(memory_per_worker_gb=0.3, memory_per_renderer_gb=1.0)
+    machine(64, 100)
+    assert auto.crew(1000, 0) == Crew(0, MAX_AUTO_WORKERS)
+    assert MAX_AUTO_WORKERS == 48
+    assert auto.crew(5, 0) == Crew(0, 5)
+    assert auto.crew(1000, 9000) == Crew(48, 0), "room for 48 that render"
+    machine(64, 30)
+    crew = auto.crew(1000, 9000)
+    assert crew.total == 48
+    assert 0.3 * crew.noise + 1.0 * crew.render < 30 * 0.8
+    machine(2, 24)
+    assert auto.crew(1000, 9000) == Crew(2, 0)
+    assert SchedulerSettings(workers=48, start_all=True).crew(4, 16) == Crew(2, 46)
+    assert SchedulerSettings(workers=48, render_workers=5).crew(100, 99) == Crew(5, 43)
+    machine(8, 0)
+    assert auto.crew(1000, 9000) == Crew(1, 0)
+    assert auto.crew(1000, 0) == Crew(0, 1)
+    assert SchedulerSettings(workers=7).crew(1000, 0) == Crew(0, 7)
 
 
 @pytest.mark.parametrize("workers", [0, -1, "many", 1.5])
@@ -266,7 +278,7 @@ def test_a_frame_that_hangs_is_given_up(tmp_path: Path) -> None:
 def test_what_no_frame_can_survive_ends_the_run_in_one_line(
     tmp_path: Path, changes: dict[str, object], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("factory.scheduler.run._MAX_BARREN_DEATHS", 3)
+    monkeypatch.setattr("factory.scheduler.loop._MAX_BARREN_DEATHS", 3)
     with pytest.raises(FactoryError, match=message) as caught:
         make(tmp_path / "dataset", **changes)  # type: ignore[arg-type]
     assert "\n" not in str(caught.value)

@@ -39,7 +39,8 @@ def import_bpy() -> Any:
     Raises FactoryError when it cannot be imported.
     """
     try:
-        with _one_core():
+        # It may greet the world (a warning where /etc/mtab is missing): stdout is the user's.
+        with _one_core(), _silent_stdout():
             import bpy
     except (ImportError, OSError) as error:
         raise missing("cycles", error) from error

@@ -10,6 +10,7 @@ from pydantic import Field
 from factory.scenes.base import Discovery, Reader, SceneSettings
 from factory.scenes.csv_list import CsvListSettings
 from factory.scenes.flsea import FlseaSettings
+from factory.scenes.pack import PackSettings
 from factory.scenes.redwood import RedwoodSettings
 from factory.scenes.seabed import SeabedSettings
 from factory.scenes.tum import TumSettings
@@ -18,7 +19,7 @@ from factory.settings import union_tags
 __all__ = ["Discovery", "Reader", "SceneSettings", "Scenes", "open_reader"]
 
 Scenes = Annotated[
-    FlseaSettings | TumSettings | RedwoodSettings | CsvListSettings | SeabedSettings,
+    FlseaSettings | TumSettings | RedwoodSettings | CsvListSettings | SeabedSettings | PackSettings,
     Field(discriminator="kind"),
 ]
 
@@ -29,6 +30,7 @@ _READERS = {
     "tum": ("factory.scenes.tum", "TumReader"),
     "redwood": ("factory.scenes.redwood", "RedwoodReader"),
     "csv_list": ("factory.scenes.csv_list", "CsvListReader"),
+    "pack": ("factory.scenes.pack", "PackReader"),
     "seabed": ("factory.scenes.seabed", "SeabedReader"),
 }
 union_tags(*_READERS)

@@ -1,7 +1,8 @@
-"""From a plan to a finished dataset folder: shards, manifest, failures, preview, card."""
+"""From a plan to a finished dataset folder: shards, manifest, failures, preview, descriptions."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,13 +10,17 @@ from typing import Any
 from factory import __version__
 from factory.errors import FactoryError
 from factory.frame import FrameRef
-from factory.sample import PairSource
+from factory.sample import PairSource, Preparer
+from factory.scheduler.lock import Lock
 from factory.scheduler.plan import ShardTask
 from factory.scheduler.run import RunReport, run
-from factory.scheduler.settings import SchedulerSettings
+from factory.scheduler.settings import SchedulerSettings, ShardSlice
+from factory.scheduler.signals import stop_signals
 from factory.scheduler.worker import Recipe
 from factory.shards.card import write_card
-from factory.shards.folder import open_folder
+from factory.shards.croissant import write_croissant
+from factory.shards.folder import WORK_NAME, empty_folder, forget_slices, open_folder
+from factory.shards.index import write_index
 from factory.shards.manifest import load_manifest
 from factory.shards.preview import preview
 from factory.shards.schema import Provenance
@@ -36,6 +41,9 @@ def generate_dataset(
     scheduler: SchedulerSettings,
     skipped: Mapping[str, int],
     rerun_command: Callable[[FrameRef], str],
+    preparer: Callable[[Any], Preparer] | None = None,
+    shard: ShardSlice = ShardSlice(),  # noqa: B008 (frozen)
+    keep_cache_within: Callable[[int], None] = lambda added_bytes: None,
 ) -> RunReport:
     """Make the dataset `directory`, or finish it; running the same again keeps what is whole.
 
@@ -46,6 +54,9 @@ def generate_dataset(
         for; written into every shard, so it must not tell the number of workers or a folder.
     skipped: reason -> images left out before planning; told in the card.
     rerun_command: frame -> the command line that tries it again; told in failed.jsonl.
+    preparer: likewise builds what prepares frames for `source` in the workers that render.
+    shard: which slice of the shards to make; the run of the whole, made last, takes them up.
+    keep_cache_within: told how many bytes were added whenever a frame was prepared.
 
     Raises FactoryError when the folder is another dataset's, cannot be written, or nothing was
     planned; Interrupted (a KeyboardInterrupt with `exit_code`) on Ctrl-C and SIGTERM.
@@ -54,12 +65,52 @@ def generate_dataset(
         raise FactoryError("nothing to make: no frame was chosen, or max_train and max_test are 0")
     compression_filter(dataset)
     provenance = Provenance(identity, config_hash, f"simnfnd {__version__}")
-    manifest = open_folder(directory, config_dict, provenance)
-    recipe = Recipe(directory, source, config, provenance, dataset, scheduler.frame_timeout_s)
-    report = run(tasks, recipe, manifest, scheduler, rerun_command)
+    part = f"{shard.index}-of-{shard.count}" if shard.count > 1 else ""
+    if part and dataset.on_existing == "overwrite":
+        raise FactoryError(
+            "dataset.on_existing=overwrite: slices would delete each other's shards; "
+            "empty the folder first"
+        )
+    with stop_signals(), Lock(directory, part) as lock:
+        emptied = dataset.on_existing == "overwrite" and empty_folder(directory)
+        manifest = open_folder(directory, config_dict, provenance, part, emptied=emptied)
+        recipe = Recipe(
+            Path(os.path.abspath(directory)),
+            source,
+            config,
+            provenance,
+            dataset,
+            scheduler.frame_timeout_s,
+            preparer,
+            work_name(shard),
+        )
+        mine = tasks[shard.index :: shard.count]
+        report = run(
+            mine, recipe, manifest, scheduler, rerun_command, lock, part, keep_cache_within
+        )
+        if not part:
+            forget_slices(directory)
+            _describe(directory, provenance, dataset, report, skipped)
+    return report
+
+
+def work_name(shard: ShardSlice) -> str:
+    """Name of the folder for what a run needs while it lasts."""
+    return f"{WORK_NAME}-{shard.index}-of-{shard.count}" if shard.count > 1 else WORK_NAME
+
+
+def _describe(
+    directory: Path,
+    provenance: Provenance,
+    dataset: DatasetSettings,
+    report: RunReport,
+    skipped: Mapping[str, int],
+) -> None:
+    """All that stands beside the shards."""
     finished = load_manifest(directory)
     if finished is not None and report.samples:
+        write_index(directory, finished)
         if dataset.preview_pairs:
             preview(directory, pairs=dataset.preview_pairs)
         write_card(directory, finished, provenance, dataset, report.failures, skipped)
-    return report
+        write_croissant(directory, finished, dataset)

@@ -7,7 +7,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -17,9 +17,11 @@ from typing import Any, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
 
+from factory.scheduler.settings import Crew, Kind
+
 T = TypeVar("T")
 
-_THREAD_VARIABLES = (
+THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
     "MKL_NUM_THREADS",
@@ -52,7 +54,8 @@ class _Slot:
     the wrong moment, or while it has no task, breaks the pool for all.  Alone, it breaks its own.
     """
 
-    def __init__(self, tasks_per_worker: int) -> None:
+    def __init__(self, kind: Kind, tasks_per_worker: int) -> None:
+        self.kind = kind
         self.context = _RememberingContext()
         self.future: Future[Any] | None = None
         self._tasks_per_worker = tasks_per_worker
@@ -63,13 +66,16 @@ class _Slot:
         return self.future is None or self.future.done()
 
     def submit(self, function: Callable[..., T], argument: Any, timeout_s: float) -> Future[T]:
+        self.start()
+        future: Future[T] = self._pool.schedule(function, args=[argument], timeout=timeout_s)
+        self.future = future
+        return future
+
+    def start(self) -> None:
         if self._pool is None or not self._pool.active:
             self.stop()
             self.join()
             self._pool = self._new_pool()
-        future: Future[T] = self._pool.schedule(function, args=[argument], timeout=timeout_s)
-        self.future = future
-        return future
 
     def stop(self) -> None:
         if self._pool is not None:
@@ -94,27 +100,40 @@ class _Slot:
 
 
 class LocalBackend:
-    """Worker processes behind the seam that every backend has: submit, free, why_died, stop.
+    """Worker processes on this machine; a `factory.scheduler.backend.Backend`.
 
     Start method spawn, because a process that has rendered does not survive a fork.  Whatever
     kills a worker costs the task it had in hand, and nothing else.
     """
 
-    def __init__(self, workers: int, tasks_per_worker: int, threads: int) -> None:
+    def __init__(
+        self, crew: Crew, tasks_per_worker: Mapping[Kind, int], threads: int, start_all: bool
+    ) -> None:
         # Read when a library is loaded, so set before a worker exists; recycled ones read it too.
-        self._saved = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
-        os.environ.update(dict.fromkeys(_THREAD_VARIABLES, str(threads)))
-        self._slots = [_Slot(tasks_per_worker) for _ in range(workers)]
+        self._saved = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+        os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
+        self._slots = [_Slot(kind, tasks_per_worker[kind]) for kind in crew.kinds()]
+        if start_all:
+            for slot in self._slots:
+                slot.start()
 
-    @property
-    def free(self) -> bool:
-        """Whether a worker waits for a task."""
-        return any(slot.free for slot in self._slots)
+    def free(self, kind: Kind) -> bool:
+        """Whether a worker waits for a task of this kind."""
+        return any(slot.free and kind in ("noise", slot.kind) for slot in self._slots)
 
-    def submit(self, function: Callable[..., T], argument: Any, timeout_s: float) -> Future[T]:
+    def submit(
+        self, function: Callable[..., T], argument: Any, timeout_s: float, kind: Kind
+    ) -> Future[T]:
         """Run `function(argument)` in a free worker; it is killed when it takes longer."""
-        slot = next(slot for slot in self._slots if slot.free)
+        fit = (slot for slot in self._slots if slot.free and kind in ("noise", slot.kind))
+        slot = min(fit, key=lambda slot: slot.kind != kind)
+        # To the end of the line, so that all get their share of the work.
+        self._slots.remove(slot)
+        self._slots.append(slot)
         return slot.submit(function, argument, timeout_s)
+
+    def poll(self) -> None:
+        """Nothing: pebble watches the time limits."""
 
     def why_died(self, error: BaseException) -> str | None:
         """What killed the worker, if that is what `error` of a future means; else None."""

@@ -34,8 +34,12 @@ class Resumed:
     notes: tuple[str, ...]
 
 
-def take_up(directory: Path, tasks: Sequence[ShardTask], manifest: Manifest) -> Resumed:
+def take_up(
+    directory: Path, tasks: Sequence[ShardTask], manifest: Manifest, *, whole: bool = True
+) -> Resumed:
     """Compare plan, manifest and disk; shards that the plan no longer has are removed.
+
+    whole: `tasks` are all of the dataset; of a slice nothing is removed.
 
     Raises FactoryError when the plan has fewer samples than the folder already holds: then frames
     have gone missing since, and going on would throw finished work away.
@@ -49,18 +53,19 @@ def take_up(directory: Path, tasks: Sequence[ShardTask], manifest: Manifest) -> 
     ]
     with ThreadPoolExecutor() as pool:
         found = list(pool.map(lambda info: damage(directory, info), same))
-    whole = {info.path: info for info, problem in zip(same, found, strict=True) if not problem}
+    good = {info.path: info for info, problem in zip(same, found, strict=True) if not problem}
     notes = tuple(
         f"{directory / info.path}: {problem}; it is made again"
         for info, problem in zip(same, found, strict=True)
         if problem
     )
-    _remove_unplanned(directory, planned)
-    kept = replace(manifest, shards=whole)
+    if whole:
+        _remove_unplanned(directory, planned)
+    kept = replace(manifest, shards=good)
     todo = tuple(
-        task for task in tasks if task.path not in whole or whole[task.path].samples < task.samples
+        task for task in tasks if task.path not in good or good[task.path].samples < task.samples
     )
-    lacking = {task.path: whole[task.path].failed for task in todo if task.path in whole}
+    lacking = {task.path: good[task.path].failed for task in todo if task.path in good}
     return Resumed(kept, todo, lacking, notes)
 
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
+
+_ONE_KEYPRESS_S = 0.3
 
 
 class Interrupted(KeyboardInterrupt):
@@ -19,20 +23,24 @@ class Interrupted(KeyboardInterrupt):
 
 @contextmanager
 def stop_signals() -> Iterator[None]:
-    """Within the block the first SIGINT or SIGTERM raises Interrupted, and later ones wait for it.
+    """Within the block the first SIGINT or SIGTERM raises Interrupted; a second ends it all.
 
-    Stopping takes about a second and must not be stopped half way.  In a thread that is not the
+    Stopping takes about a second.  Who cannot wait asks again: the workers notice that we are gone,
+    and what we leave behind the next run removes.  Both signals of one keypress (a shell's and a
+    terminal's) count as one.  In a thread that is not the
     main one, where Python delivers no signals, nothing is changed.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    seen: list[int] = []
+    first: list[float] = []
 
     def handle(number: int, _: FrameType | None) -> None:
-        if not seen:
-            seen.append(number)
+        if not first:
+            first.append(time.monotonic())
             raise Interrupted(number)
+        if time.monotonic() - first[0] > _ONE_KEYPRESS_S:
+            os._exit(128 + number)
 
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

@@ -1,24 +1,27 @@
-"""What a worker process does: make one shard, frame by frame."""
+"""What a worker process does: make one shard, frame by frame, or prepare one frame."""
 
 from __future__ import annotations
 
 import pickle
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from factory.errors import FactoryError, FrameError
+from factory.errors import FactoryError, FrameError, NotRendered
 from factory.frame import FrameRef
-from factory.sample import Axis, Column, Pair, PairSource
+from factory.sample import Axis, Column, Pair, PairSource, Preparer
 from factory.scheduler.journal import Journal, open_journal
 from factory.scheduler.plan import Item, ShardTask
 from factory.shards.failures import Failure, FailureKind
+from factory.shards.folder import WORK_NAME
 from factory.shards.manifest import ShardInfo
 from factory.shards.schema import Provenance, check_pair
 from factory.shards.settings import DatasetSettings
 from factory.shards.writer import write_shard
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,9 @@ class Recipe:
 
     source: builds the pair source from `config`; an importable function or class, because each
         worker process calls it for itself.
+    preparer: likewise builds what prepares the frames, in the workers that render; None when
+        nothing is to be prepared.
+    work: name of the folder of this run's own files, below the dataset's.
     """
 
     directory: Path
@@ -35,6 +41,13 @@ class Recipe:
     provenance: Provenance
     dataset: DatasetSettings
     frame_timeout_s: float
+    preparer: Callable[[Any], Preparer] | None = None
+    work: str = WORK_NAME
+
+    @property
+    def work_folder(self) -> Path:
+        """Where workers tell their progress, and leave what only this run needs."""
+        return self.directory / self.work
 
 
 @dataclass(frozen=True)
@@ -56,15 +69,37 @@ class ShardJob:
 
 @dataclass(frozen=True)
 class ShardResult:
-    """What came of a job: `info` is None when no frame gave a sample, or when `kept`."""
+    """What came of a job: `info` is None when no frame gave a sample, or when `kept`.
+
+    missing: frames that have to be prepared first; then there is nothing else.
+    """
 
     info: ShardInfo | None
     failures: tuple[Failure, ...]
     kept: bool = False
+    missing: tuple[FrameRef, ...] = ()
 
 
-# One source a process: it holds the renderer and its scene, which are slow to build.
-_built: tuple[tuple[object, str], PairSource] | None = None
+@dataclass(frozen=True)
+class PrepareJob:
+    """One attempt at preparing one frame."""
+
+    ref: FrameRef
+    recipe: Recipe
+    journal: Path
+
+
+@dataclass(frozen=True)
+class PrepareResult:
+    """What came of it.  hit: nothing had to be done.  bytes: that were added to the cache."""
+
+    failure: Failure | None
+    hit: bool = False
+    bytes: int = 0
+
+
+# Built once a process: a preparer holds the renderer and its scene, which are slow to build.
+_built: dict[str, tuple[tuple[Any, ...], Any]] = {}
 
 
 def run_job(pickled: bytes) -> ShardResult:
@@ -74,13 +109,44 @@ def run_job(pickled: bytes) -> ShardResult:
     not the death of a worker that could not read its task.  Errors are raised as plain
     FactoryError or RuntimeError (with the traceback as text), which every process can unpickle.
     """
+    return _carried(make_shard, pickled)
+
+
+def run_prepare(pickled: bytes) -> PrepareResult:
+    """`prepare_frame` as a pool calls it; see `run_job`."""
+    return _carried(prepare_frame, pickled)
+
+
+def _carried(function: Callable[[Any], T], pickled: bytes) -> T:
     try:
-        job: ShardJob = pickle.loads(pickled)
-        return make_shard(job)
+        return function(pickle.loads(pickled))
     except FactoryError as error:
         raise FactoryError(_one_line(str(error))) from None
     except Exception:
         raise RuntimeError(traceback.format_exc()) from None
+
+
+def prepare_frame(job: PrepareJob) -> PrepareResult:
+    """Prepare the job's frame, or tell why it cannot be.
+
+    Raises FactoryError for what no other frame can do better: a missing renderer, a full disk.
+    """
+    recipe, ref = job.recipe, job.ref
+    assert recipe.preparer is not None
+    with open_journal(job.journal, recipe.frame_timeout_s) as journal:
+        with journal.watched():
+            preparer: Preparer = _build(recipe.preparer, recipe)
+        journal.start(0)
+        try:
+            with journal.watched():
+                made = preparer.prepare(ref)
+            return PrepareResult(None, made.hit, made.bytes)
+        except FrameError as error:
+            return PrepareResult(Failure(ref, "frame", _one_line(str(error)), ""))
+        except FactoryError:
+            raise
+        except Exception as error:
+            return PrepareResult(Failure(ref, "error", _defect(ref, error), ""))
 
 
 def make_shard(job: ShardJob) -> ShardResult:
@@ -91,35 +157,58 @@ def make_shard(job: ShardJob) -> ShardResult:
     recipe = job.recipe
     with open_journal(job.journal, recipe.frame_timeout_s) as journal:
         with journal.watched():
-            source = _source(recipe)
+            source: PairSource = _build(recipe.source, recipe)
             frames = _Frames(job, source, journal, source.axes(), source.columns())
         lacking = [item for item in enumerate(job.task.items) if item[1][0].name in job.lacking]
-        if lacking:
-            failures = [frames.attempt(index, item)[1] for index, item in lacking]
-            if all(failures):
-                return ShardResult(None, tuple(f for f in failures if f), kept=True)
-        info = write_shard(
-            recipe.directory,
-            job.task.path,
-            frames.pairs(),
-            frames.axes,
-            frames.columns,
-            recipe.provenance,
-            recipe.dataset,
-        )
+        try:
+            return _made(job, source, frames, lacking)
+        except NotRendered as error:
+            gone = tuple(ref for ref, _ in job.task.items if ref.name == error.frame)
+            return ShardResult(None, (), missing=gone)
+
+
+def _made(
+    job: ShardJob, source: PairSource, frames: _Frames, lacking: list[tuple[int, Item]]
+) -> ShardResult:
+    recipe = job.recipe
+    given_up = {failure.ref.name for failure in job.given_up}
+
+    def missing(items: Iterable[Item]) -> ShardResult | None:
+        gone = [ref for ref, _ in items if ref.name not in given_up and not source.ready(ref)]
+        return ShardResult(None, (), missing=tuple(gone)) if gone else None
+
+    if lacking:
+        if result := missing(item for _, item in lacking):
+            return result
+        failures = [frames.attempt(index, item)[1] for index, item in lacking]
+        if all(failures):
+            return ShardResult(None, tuple(f for f in failures if f), kept=True)
+    if result := missing(job.task.items):
+        return result
+    info = write_shard(
+        recipe.directory,
+        job.task.path,
+        frames.pairs(),
+        frames.axes,
+        frames.columns,
+        recipe.provenance,
+        recipe.dataset,
+    )
     if info is not None:
         failed = tuple(failure.ref.name for failure in frames.failures)
         info = replace(info, plan=job.task.digest, failed=failed)
     return ShardResult(info, tuple(frames.failures))
 
 
-def _source(recipe: Recipe) -> PairSource:
-    global _built
-    key = (recipe.source, recipe.provenance.config_hash)
-    if _built is None or _built[0] != key:
-        _built = None
-        _built = (key, recipe.source(recipe.config))
-    return _built[1]
+def _build(maker: Callable[[Any], T], recipe: Recipe) -> T:
+    """The source or preparer of this process, built at its first job."""
+    key = (maker, recipe.provenance.config_hash, recipe.config)
+    name = f"{maker.__module__}.{maker.__qualname__}"
+    if name not in _built or _built[name][0] != key:
+        _built.pop(name, None)
+        _built[name] = (key, maker(recipe.config))
+    made: T = _built[name][1]
+    return made
 
 
 class _Frames:
@@ -169,13 +258,16 @@ class _Frames:
             raise
         except Exception as error:
             # A defect of ours in one frame must not cost the others; where it is gets recorded.
-            last = traceback.extract_tb(error.__traceback__)[-1]
-            place = f"{Path(last.filename).name}:{last.lineno}"
-            text = f"{ref.name}: {type(error).__name__}: {error} ({place})"
-            return [], self._failure(ref, "error", text)
+            return [], self._failure(ref, "error", _defect(ref, error))
 
     def _failure(self, ref: FrameRef, kind: FailureKind, reason: str) -> Failure:
         return Failure(ref, kind, _one_line(reason), self._job.task.path)
+
+
+def _defect(ref: FrameRef, error: Exception) -> str:
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    place = f"{Path(last.filename).name}:{last.lineno}"
+    return _one_line(f"{ref.name}: {type(error).__name__}: {error} ({place})")
 
 
 def _one_line(text: str) -> str:

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import h5py
+
 from factory.shards.failures import FAILURES_NAME, Failure
 from factory.shards.files import write_atomically
 from factory.shards.folder import CARD_NAME, PREVIEW_NAME
@@ -14,6 +16,7 @@ from factory.shards.manifest import Manifest
 from factory.shards.overview import Overview, read_overview
 from factory.shards.schema import SCHEMA, SPLITS, Provenance
 from factory.shards.settings import DatasetSettings
+from factory.shards.structure import optional_names
 
 # Identifiers that the Hugging Face hub knows; anything else goes there as "other" with a name.
 _HUB_LICENCES = (
@@ -22,6 +25,10 @@ _HUB_LICENCES = (
 )  # fmt: skip
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"))
 _TAGS = ("sonar", "forward-looking-sonar", "underwater", "denoising", "synthetic", "hdf5")
+PAPER = (
+    'T. Yang, T. Zhang, Y. Yao, "SimNFND: A Forward-Looking Sonar Denoising Model Trained on '
+    'Simulated Noise-Free and Noisy Data", Remote Sensing 16(15), 2815, 2024'
+)
 _SECTIONS = ("render", "resample", "noise", "sonar")
 
 
@@ -39,37 +46,41 @@ def write_card(
     """
     overview = read_overview(directory, manifest)
     parts = [
-        _front_matter(settings, manifest.samples()),
+        f"---\n{hub_fields(settings.name, settings.licence, manifest.samples())}\n---\n",
         _opening(directory, overview, manifest, settings),
         _making(provenance, manifest, failures, skipped or {}),
         _contents(overview),
+        _pictures(directory / overview.samples[0].path),
         *(
             _section(name, provenance.config[name])
             for name in _SECTIONS
             if name in provenance.config
         ),
         _reading(manifest, overview),
+        _limits(),
         _licence(settings),
+        _citation(),
     ]
     path = directory / CARD_NAME
     write_atomically(path, "\n".join(parts).encode())
     return path
 
 
-def _front_matter(settings: DatasetSettings, samples: int) -> str:
-    licence = (settings.licence or "unknown").strip()
-    known = licence.lower() if licence.lower() in (*_HUB_LICENCES, "unknown") else None
+def hub_fields(name: str, licence: str | None, samples: int) -> str:
+    """YAML lines of a card's front matter, for the Hugging Face hub."""
+    stated = (licence or "unknown").strip()
+    known = stated.lower() if stated.lower() in (*_HUB_LICENCES, "unknown") else None
     lines = [f"license: {known or 'other'}"]
     if not known:
-        lines.append(f"license_name: {re.sub(r'[^a-z0-9.-]+', '-', licence.lower()).strip('-')}")
+        lines.append(f"license_name: {re.sub(r'[^a-z0-9.-]+', '-', stated.lower()).strip('-')}")
     size = next((name for limit, name in _SIZES if samples < limit), "n>1M")
     lines += [
-        f"pretty_name: {settings.name}",
+        f"pretty_name: {name}",
         "task_categories:\n- image-to-image",
         "size_categories:\n- " + size,
         "tags:\n" + "\n".join(f"- {tag}" for tag in _TAGS),
     ]
-    return "---\n" + "\n".join(lines) + "\n---\n"
+    return "\n".join(lines)
 
 
 def _opening(
@@ -111,7 +122,11 @@ def _making(
     ]
     if "seed" in config:
         lines.append(f"- seed: {config['seed']}")
-    lines.append(f"- {len(manifest.shards)} shards, checksums in manifest.json")
+    lines.append(f"- {len(manifest.shards)} shards, checksums in manifest.json and croissant.json")
+    lines += [
+        f"- merged from a dataset of {part['samples']} pairs, config hash `{part['config_hash']}`"
+        for part in config.get("merged", ())
+    ]
     lines += [f"- images left out: {count}, {reason}" for reason, count in sorted(skipped.items())]
     if failures:
         lines.append(f"- frames that failed: {len(failures)}, reasons in {FAILURES_NAME}")
@@ -124,6 +139,16 @@ def _contents(overview: Overview) -> str:
         for (split, location, scene), count in overview.counts().items()
     ]
     return "## What is in it\n\n" + _table(("split", "location", "scene", "pairs"), rows)
+
+
+def _pictures(shard: Path) -> str:
+    """The stacks of a shard, as it describes them itself."""
+    rows: list[tuple[str, ...]] = []
+    with h5py.File(shard, "r") as file:
+        for name in ("noisy", "clean", "shadow", *optional_names(file)):
+            units, told = (str(file[name].attrs[key]) for key in ("units", "description"))
+            rows.append((f"`/{name}`", str(file[name].dtype), "" if units == "1" else units, told))
+    return "## Pictures\n\n" + _table(("name", "type", "unit", "what it is"), rows)
 
 
 def _section(name: str, values: Any) -> str:
@@ -181,7 +206,19 @@ def _reading(manifest: Manifest, overview: Overview) -> str:
         "```\n\n"
         f"`noisy` and `clean` are {full}; `shadow` is true inside the sonar's sector where no echo "
         "arrives. `meta` tells, for each sample, the frame it is of and every number that was "
-        "drawn for it. One chunk is one image, so samples can be read in any order.\n"
+        "drawn for it. One chunk is one image, so samples can be read in any order. index.h5 shows "
+        "all shards as one file (`train/noisy`, `test/noisy`, ...); look first that every file of "
+        "manifest.json is there, because HDF5 shows zeros for one that is not.\n\n"
+        "`python -m factory validate` checks a copy, `python -m factory export` writes WebDataset, "
+        "Hugging Face, PNG and other formats.\n"
+    )
+
+
+def _limits() -> str:
+    return (
+        "## What it is not\n\n"
+        "Values are relative echo strengths after the transfer curve, not target strengths. Scene, "
+        "noise and sonar are what the tables above say; what they do not name was not simulated.\n"
     )
 
 
@@ -193,6 +230,10 @@ def _licence(settings: DatasetSettings) -> str:
         "The terms of the source images hold for what is derived from them. They are yours to "
         "read and to respect before you use or pass on this dataset.\n"
     )
+
+
+def _citation() -> str:
+    return f"## Citation\n\nThe method: {PAPER}.\n"
 
 
 def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from factory.errors import FactoryError
 from factory.frame import FrameRef
 from factory.shards.files import write_atomically
+from factory.shards.manifest import part_name
 
 FAILURES_NAME = "failed.jsonl"
+_KEYS = ("frame", "shard", "kind", "reason", "command")
 
 FailureKind = Literal["frame", "error", "crash", "timeout"]
 
@@ -32,9 +35,14 @@ class Failure:
 
 
 def save_failures(
-    directory: Path, failures: Iterable[Failure], rerun_command: Callable[[FrameRef], str]
+    directory: Path,
+    failures: Iterable[Failure],
+    rerun_command: Callable[[FrameRef], str],
+    part: str = "",
 ) -> None:
     """Write failed.jsonl, one JSON object a line in the order of shards and frames.
+
+    part: slice of the dataset that the failures are of; it has a file of its own.
 
     `rerun_command(ref)` is the command line that tries that one frame again.
     """
@@ -50,4 +58,25 @@ def save_failures(
         )
         for failure in sorted(failures, key=lambda item: (item.shard, item.ref.name))
     ]
-    write_atomically(directory / FAILURES_NAME, "".join(f"{line}\n" for line in lines).encode())
+    path = directory / part_name(FAILURES_NAME, part)
+    write_atomically(path, "".join(f"{line}\n" for line in lines).encode())
+
+
+def load_failures(directory: Path) -> list[dict[str, str]]:
+    """The lines of failed.jsonl (and of those of slices): frame, shard, kind, reason, command.
+
+    Raises FactoryError when one is damaged.
+    """
+    items: list[dict[str, str]] = []
+    for path in sorted(
+        {*directory.glob(FAILURES_NAME), *directory.glob(part_name(FAILURES_NAME, "*-of-*"))}
+    ):
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+            try:
+                item = json.loads(line)
+                items.append({key: str(item[key]) for key in _KEYS})
+            except (ValueError, KeyError, TypeError) as error:
+                raise FactoryError(
+                    f"{path}:{number}: damaged; run the dataset's command again, it is written anew"
+                ) from error
+    return items

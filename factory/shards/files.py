@@ -21,23 +21,29 @@ _FOREIGN_HOST_STALE_S = 86_400.0
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
-def write_atomically(path: Path, content: bytes) -> None:
+def write_atomically(
+    path: Path, content: bytes, *, durable: bool = True, key: str = "dataset.dir"
+) -> None:
     """Write `content` to `path` so that a reader, a crash or a power cut never sees half a file.
 
+    durable: wait until the disk has it; without, a power cut may leave half a file after all, which
+        is for files that tell damage themselves.  key: named in the error.
     Raises FactoryError with one line when the folder cannot be written or the disk is full.
     """
     temporary = _temporary_for(path)
-    with explain_os_errors(path):
+    with explain_os_errors(path, key):
         try:
             with open(temporary, "wb") as file:
                 file.write(content)
                 file.flush()
-                os.fsync(file.fileno())
+                if durable:
+                    os.fsync(file.fileno())
             os.replace(temporary, path)
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
-        sync_folder(path.parent)
+        if durable:
+            sync_folder(path.parent)
 
 
 def sync_folder(folder: Path) -> None:

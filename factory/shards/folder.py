@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from factory.errors import FactoryError
+from factory.shards.failures import FAILURES_NAME
 from factory.shards.files import (
     check_writable,
+    explain_os_errors,
     is_temporary,
     remove_stale_temporaries,
     write_atomically,
 )
-from factory.shards.manifest import MANIFEST_NAME, Manifest, load_manifest, save_manifest
+from factory.shards.manifest import (
+    MANIFEST_NAME,
+    Manifest,
+    load_manifest,
+    part_name,
+    save_manifest,
+)
 from factory.shards.schema import SCHEMA, SPLITS, Provenance, plain_values
 
 CONFIG_NAME = "config.yaml"
@@ -24,13 +34,33 @@ CARD_NAME = "README.md"
 PREVIEW_NAME = "preview.png"
 # Journals of the workers; empty and gone after a run that ended by itself.
 WORK_NAME = ".work"
+# What happened to shards that had trouble.
+LOGS_NAME = "logs"
+STATUS_NAME = "status.json"
+
+# The manifest last: while it is there the folder is known as ours.
+_OURS = (
+    CARD_NAME, PREVIEW_NAME, STATUS_NAME, FAILURES_NAME, "index.h5", "croissant.json", CONFIG_NAME,
+    MANIFEST_NAME,
+)  # fmt: skip
 
 _SHOWN_DIFFERENCES = 6
 _HASH = re.compile(r"config hash (\w+)")
 
 
-def open_folder(directory: Path, config: Mapping[str, Any], provenance: Provenance) -> Manifest:
+def open_folder(
+    directory: Path,
+    config: Mapping[str, Any],
+    provenance: Provenance,
+    part: str = "",
+    *,
+    emptied: bool = False,
+) -> Manifest:
     """Make `directory` ready for a run of `provenance` and return what it already holds.
+
+    part: of a run that makes a slice of the dataset; it keeps a manifest of its own.  A run of the
+        whole takes up what slices have made.
+    emptied: a dataset was just removed from the folder, which may hold other files, too.
 
     A new folder gets an empty manifest.json and `config` as config.yaml; one of the same dataset
     is taken up again.  Temp files of dead writers are removed.
@@ -41,24 +71,33 @@ def open_folder(directory: Path, config: Mapping[str, Any], provenance: Provenan
     if directory.exists() and not directory.is_dir():
         raise FactoryError(f"dataset.dir: {directory} is a file; give a folder with dataset.dir=")
     ours = (directory / CONFIG_NAME).exists() or (directory / MANIFEST_NAME).exists()
-    if not ours:
+    if not ours and not emptied:
         _refuse_foreign(directory)
     check_writable(directory, "dataset.dir")
     for folder in (directory, *(directory / split for split in SPLITS)):
         remove_stale_temporaries(folder)
-    manifest = _same_dataset(directory, provenance) if ours else None
+    manifest = _same_dataset(directory, provenance, part) if ours else None
     if manifest is None:
         values = plain_values(provenance.config)
         manifest = Manifest(provenance.config_hash, provenance.generator, values)
-    save_manifest(directory, manifest)
+    if not part:
+        for other in slice_manifests(directory):
+            if other.config_hash == manifest.config_hash:
+                manifest = replace(manifest, shards={**other.shards, **manifest.shards})
+    save_manifest(directory, manifest, part)
     write_atomically(directory / CONFIG_NAME, _config_text(config, provenance).encode())
     return manifest
+
+
+def _passes(name: str) -> bool:
+    """Whether a file comes and goes with runs."""
+    return is_temporary(name) or name.startswith((".lock", ".claim-", WORK_NAME))
 
 
 def _refuse_foreign(directory: Path) -> None:
     if not directory.is_dir():
         return
-    foreign = sorted(entry.name for entry in directory.iterdir() if not is_temporary(entry.name))
+    foreign = sorted(entry.name for entry in directory.iterdir() if not _passes(entry.name))
     if foreign:
         shown = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
         raise FactoryError(
@@ -67,9 +106,45 @@ def _refuse_foreign(directory: Path) -> None:
         )
 
 
-def _same_dataset(directory: Path, provenance: Provenance) -> Manifest | None:
+def slice_manifests(directory: Path) -> Iterator[Manifest]:
+    """The manifests that slices of a run have left."""
+    for path in sorted(directory.glob(part_name(MANIFEST_NAME, "*-of-*"))):
+        manifest = load_manifest(directory, path.name.split(".")[1])
+        if manifest is not None:
+            yield manifest
+
+
+def forget_slices(directory: Path) -> None:
+    """Remove the manifests and failures of slices, once the whole holds them."""
+    for name in (MANIFEST_NAME, FAILURES_NAME):
+        for path in directory.glob(part_name(name, "*-of-*")):
+            path.unlink(missing_ok=True)
+
+
+def empty_folder(directory: Path) -> bool:
+    """Remove the dataset in `directory`, and nothing that is not of a dataset.
+
+    Returns whether there was one.
+    """
+    if not any((directory / name).exists() for name in (CONFIG_NAME, MANIFEST_NAME)):
+        return False
+    with explain_os_errors(directory):
+        for split in SPLITS:
+            for path in (directory / split).glob("shard-*.h5"):
+                path.unlink(missing_ok=True)
+        forget_slices(directory)
+        for name in _OURS:
+            (directory / name).unlink(missing_ok=True)
+        shutil.rmtree(directory / LOGS_NAME, ignore_errors=True)
+        for split in SPLITS:
+            if (directory / split).is_dir() and not any((directory / split).iterdir()):
+                (directory / split).rmdir()
+    return True
+
+
+def _same_dataset(directory: Path, provenance: Provenance, part: str) -> Manifest | None:
     """The folder's manifest when it is of this very dataset, None when it has none any more."""
-    manifest = load_manifest(directory)
+    manifest = load_manifest(directory, part)
     config_hash = manifest.config_hash if manifest else _hash_in_config(directory)
     if config_hash != provenance.config_hash:
         raise FactoryError(_difference(directory, manifest, provenance))

@@ -15,6 +15,8 @@ from factory.shards.schema import SCHEMA, SPLITS
 
 MANIFEST_NAME = "manifest.json"
 
+# A shard takes some 400 bytes: enough for a million of them.
+_MAX_BYTES = 1 << 29
 _PATH = re.compile(rf"({'|'.join(SPLITS)})/[A-Za-z0-9_-]+\.h5")
 
 
@@ -40,6 +42,9 @@ class ShardInfo:
         texts = (self.path, self.split, self.sha256, self.plan, *self.failed)
         if not all(type(count) is int and count >= 0 for count in counts):
             raise ValueError(f"samples and bytes must be counts, got {counts}")
+        # Every sample takes some bytes: no count may be what no file can hold.
+        if self.samples > self.bytes:
+            raise ValueError(f"{self.samples} samples in {self.bytes} bytes")
         if not all(isinstance(text, str) for text in texts):
             raise ValueError("path, split, sha256, plan and failed must be text")
         # Nothing outside the dataset's folder may be named, whoever wrote the file.
@@ -71,13 +76,34 @@ class Manifest:
         """Number of samples, in all or of one split."""
         return sum(s.samples for s in self.shards.values() if split in (None, s.split))
 
+    @property
+    def config_hashes(self) -> frozenset[str]:
+        """Hashes that its shards may state: its own, or those of the datasets merged into it."""
+        found, waiting = {self.config_hash}, [self.config]
+        while waiting:
+            merged = waiting.pop().get("merged")
+            parts = (
+                [part for part in merged if isinstance(part, dict)]
+                if isinstance(merged, list)
+                else []
+            )
+            found |= {str(part.get("config_hash")) for part in parts}
+            waiting += parts
+        return frozenset(found)
+
     def total_bytes(self) -> int:
         """Size of all shards together."""
         return sum(s.bytes for s in self.shards.values())
 
 
-def save_manifest(directory: Path, manifest: Manifest) -> None:
-    """Write manifest.json atomically; equal manifests give equal bytes."""
+def part_name(name: str, part: str) -> str:
+    """File name of a slice's own copy: manifest.json and 0-of-4 give manifest.0-of-4.json."""
+    stem, _, suffix = name.rpartition(".")
+    return f"{stem}.{part}.{suffix}" if part else name
+
+
+def save_manifest(directory: Path, manifest: Manifest, part: str = "") -> None:
+    """Write manifest.json (of a slice: `part`) atomically; equal manifests give equal bytes."""
     shards = [manifest.shards[path] for path in sorted(manifest.shards)]
     totals = {
         split: {
@@ -96,17 +122,25 @@ def save_manifest(directory: Path, manifest: Manifest) -> None:
         "shards": [asdict(shard) for shard in shards],
     }
     text = json.dumps(document, indent=1) + "\n"
-    write_atomically(directory / MANIFEST_NAME, text.encode())
+    write_atomically(directory / part_name(MANIFEST_NAME, part), text.encode())
 
 
-def load_manifest(directory: Path) -> Manifest | None:
-    """Read manifest.json, or None when there is none.  Raises FactoryError when it is damaged."""
-    path = directory / MANIFEST_NAME
+def load_manifest(directory: Path, part: str = "") -> Manifest | None:
+    """Read manifest.json (of a slice: `part`), or None when there is none.
+
+    Raises FactoryError when it is damaged.
+    """
+    path = directory / part_name(MANIFEST_NAME, part)
     try:
+        size = path.stat().st_size
+        if not path.is_file() or size > _MAX_BYTES:
+            raise ValueError(f"{size} bytes, or no regular file")
         document = json.loads(path.read_text(encoding="utf-8"))
         if document["schema"] != SCHEMA:
             raise ValueError(f"schema is {document['schema']!r}, expected {SCHEMA!r}")
         shards = [_shard(item) for item in document["shards"]]
+        if len({shard.path for shard in shards}) != len(shards):
+            raise ValueError("a shard is listed twice")
         hash_, generator = document["config_hash"], document["generator"]
         config = document["config"]
         if not (isinstance(hash_, str) and isinstance(generator, str) and isinstance(config, dict)):

@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from factory import palette
 from factory.errors import FactoryError
 from factory.shards.files import write_atomically
 from factory.shards.folder import PREVIEW_NAME
@@ -24,10 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PANELS = ("noisy", "clean", "shadow")
-_BACKGROUND, _TEXT, _FAINT = "#0d1117", "#e6edf3", "#8b949e"
-# Black over amber to near white, as imaging sonars show echoes; shadows in the opposite hue.
-_ECHO_COLOURS = ("#000000", "#3a1c08", "#8c4a12", "#d98f2b", "#f7d488", "#fffdf2")
-_SHADOW_COLOURS = ("#000000", "#39a0c8")
 _PANEL_INCHES, _DPI = 2.35, 150
 
 
@@ -140,14 +137,20 @@ def _draw(shown: Sequence[_Shown], title: str, config_hash: str) -> Figure:
     aspect = shown[0].images["noisy"].shape[0] / shown[0].images["noisy"].shape[1]
     panel_height = _PANEL_INCHES * min(max(aspect, 0.5), 1.6) if shown[0].same_units else 2.35
     size = (wide * 3 * _PANEL_INCHES + 0.9 * wide + 0.2, tall * (panel_height + 0.72) + 0.75)
-    figure = Figure(figsize=size, facecolor=_BACKGROUND)
+    figure = Figure(figsize=size, facecolor=palette.BACKGROUND)
     FigureCanvasAgg(figure)
     inch_x, inch_y = 1 / size[0], 1 / size[1]
     figure.text(
-        0.3 * inch_x, 1 - 0.34 * inch_y, title, color=_TEXT, fontsize=13, weight="bold", va="center"
+        0.3 * inch_x,
+        1 - 0.34 * inch_y,
+        title,
+        color=palette.TEXT,
+        fontsize=13,
+        weight="bold",
+        va="center",
     )
     figure.text(
-        1 - 0.3 * inch_x, 1 - 0.34 * inch_y, f"config {config_hash[:8]}", color=_FAINT,
+        1 - 0.3 * inch_x, 1 - 0.34 * inch_y, f"config {config_hash[:8]}", color=palette.FAINT,
         fontsize=9, ha="right", va="center", family="monospace",
     )  # fmt: skip
     for number, sample in enumerate(shown):
@@ -168,19 +171,17 @@ def _draw(shown: Sequence[_Shown], title: str, config_hash: str) -> Figure:
         figure.text(
             left, bottom + (panel_height + 0.2) * inch_y,
             f"{sample.name.split}   {heading}   variant {sample.name.variant}",
-            color=_TEXT, fontsize=9, va="bottom",
+            color=palette.TEXT, fontsize=9, va="bottom",
         )  # fmt: skip
     return figure
 
 
 def _draw_panel(axes: Axes, sample: _Shown, name: str, *, first: bool) -> None:
-    from matplotlib.colors import LinearSegmentedColormap
-
-    colours = _SHADOW_COLOURS if name == "shadow" else _ECHO_COLOURS
-    style: dict[str, Any] = {"color": _FAINT, "fontsize": 7.5}
+    colours = palette.SHADOW if name == "shadow" else palette.ECHO
+    style: dict[str, Any] = {"color": palette.FAINT, "fontsize": 7.5}
     axes.imshow(
         sample.images[name],
-        cmap=LinearSegmentedColormap.from_list(name, colours),
+        cmap=palette.colour_map(colours),
         vmin=0,
         vmax=1 if name == "shadow" else sample.full_scale,
         extent=sample.extent,
@@ -188,12 +189,12 @@ def _draw_panel(axes: Axes, sample: _Shown, name: str, *, first: bool) -> None:
         interpolation="antialiased",
     )
     axes.set_facecolor("black")
-    axes.set_title(name, color=_FAINT, fontsize=8, pad=2.5, loc="left")
-    axes.tick_params(colors=_FAINT, labelsize=6.5, length=2, width=0.5, pad=1.5)
+    axes.set_title(name, color=palette.FAINT, fontsize=8, pad=2.5, loc="left")
+    axes.tick_params(colors=palette.FAINT, labelsize=6.5, length=2, width=0.5, pad=1.5)
     axes.set_xlabel(sample.labels[1], labelpad=1, **style)
     if first:
         axes.set_ylabel(sample.labels[0], labelpad=2, **style)
     else:
         axes.tick_params(labelleft=False, left=False)
     for spine in axes.spines.values():
-        spine.set(color="#30363d", linewidth=0.5)
+        spine.set(color=palette.LINE, linewidth=0.5)

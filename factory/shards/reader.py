@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
@@ -10,7 +13,8 @@ import numpy as np
 
 from factory.errors import FactoryError
 from factory.shards.manifest import Manifest, load_manifest
-from factory.shards.schema import SCHEMA, SPLITS
+from factory.shards.schema import SPLITS
+from factory.shards.structure import check_shard, inside
 
 Split = Literal["train", "test", "all"]
 
@@ -20,14 +24,18 @@ def shard_paths(dataset: str | Path, split: Split) -> tuple[Path, ...]:
 
     `manifest.json` says which shards belong to the dataset; without one, every `*.h5` in the
     folders train/ and test/ does.  Raises FactoryError when the folder is no dataset, a listed
-    shard is absent or the split is empty.
+    shard is absent or outside the folder, or the split is empty.
     """
     root = Path(dataset)
+    return listed_shards(root, split, load_manifest(root))
+
+
+def listed_shards(root: Path, split: Split, manifest: Manifest | None) -> tuple[Path, ...]:
+    """The same for a manifest that was read already, or was found absent (None)."""
     if not root.is_dir():
         raise FactoryError(
             f"dataset={root}: no such folder; give one that `python -m factory` made"
         )
-    manifest = load_manifest(root)
     found = {name: _of_split(root, name, manifest) for name in SPLITS}
     if not any(found.values()):
         raise FactoryError(f"dataset={root}: no shards in train/ or test/; is it a dataset folder?")
@@ -39,27 +47,62 @@ def shard_paths(dataset: str | Path, split: Split) -> tuple[Path, ...]:
             f"dataset={root}: the {split} split is empty; it has {len(found[other])} shard(s) in "
             f"{other} (split={other})"
         )
+    for path in paths:
+        if not path.exists():
+            raise FactoryError(
+                f"{path}: listed in the manifest but absent; run the command that made the "
+                "dataset again"
+            )
+        if not inside(root, path):
+            raise FactoryError(f"{path}: leads out of the dataset's folder; not read")
     return paths
 
 
 def open_shard(path: Path) -> h5py.File:
-    """Open one shard for reading, after a look at whether it is one of ours.
+    """Open one shard for reading, after a look at whether it is one of ours (`structure`).
 
     Raises FactoryError when the file is absent, damaged or of another schema.
     """
     try:
-        file = h5py.File(path, "r")
+        # A pipe would wait for a writer for ever.
+        regular = stat.S_ISREG(path.stat().st_mode)
+        if not regular:
+            raise FactoryError(f"{path}: no regular file; not read")
+        # A chunk is a picture and read whole: HDF5's cache would only copy it once more (a fifth
+        # of the time of an uncompressed one) and hold megabytes for every open dataset.
+        file = h5py.File(path, "r", rdcc_nbytes=0)
     except FileNotFoundError as error:
         raise FactoryError(
             f"{path}: listed in the manifest but absent; generate it again"
         ) from error
     except OSError as error:
         raise FactoryError(f"{path}: not a readable HDF5 file; generate it again") from error
-    problem = _problem(file)
-    if problem:
+    try:
+        with _explained(path):
+            check_shard(file)
+    except FactoryError:
         file.close()
-        raise FactoryError(f"{path}: {problem}")
+        raise
     return file
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[h5py.File]:
+    """An open shard for the length of a `with`; damage found inside is a FactoryError, too."""
+    with open_shard(path) as file, _explained(path):
+        yield file
+
+
+@contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except FactoryError as error:
+        raise FactoryError(f"{path}: {error}") from error
+    except (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
+        # HDF5 reports damage of its own tables as almost any exception.
+        reason = " ".join(str(error).split())[:120]
+        raise FactoryError(f"{path}: damaged ({reason}); generate it again") from error
 
 
 def value_range(file: h5py.File) -> float:
@@ -71,34 +114,3 @@ def _of_split(root: Path, split: str, manifest: Manifest | None) -> list[Path]:
     if manifest is None:
         return sorted((root / split).glob("*.h5"))
     return [root / path for path, s in sorted(manifest.shards.items()) if s.split == split]
-
-
-def _problem(file: h5py.File) -> str | None:
-    """What keeps the shard from being used, or None."""
-    schema = file.attrs.get("schema")
-    if schema is None:
-        return "no schema attribute; not a SimNFND shard"
-    if schema != SCHEMA:
-        return f"schema {schema!r}, but this program reads {SCHEMA!r}; use a matching release"
-    for name in ("noisy", "clean", "shadow"):
-        if not isinstance(file.get(name), h5py.Dataset):
-            return f"dataset /{name} is absent; generate the shard again"
-        if file[name].ndim != 3 or file[name].shape != file["noisy"].shape:
-            return f"/{name} is {file[name].shape}, /noisy {file['noisy'].shape}; generate it again"
-        if not _can_decompress(file[name]):
-            return "compressed by a filter that is not installed: pip install 'simnfnd[zstd]'"
-    if file["noisy"].dtype not in (np.uint8, np.float32):
-        return f"/noisy is {file['noisy'].dtype}; expected uint8 or float32"
-    return None
-
-
-def _can_decompress(dataset: h5py.Dataset) -> bool:
-    filters = dataset.id.get_create_plist()
-    codes = [filters.get_filter(index)[0] for index in range(filters.get_nfilters())]
-    if all(h5py.h5z.filter_avail(code) for code in codes):
-        return True
-    try:
-        import hdf5plugin  # noqa: F401  (registers its filters; 186 MB, so only when needed)
-    except ImportError:
-        return False
-    return all(h5py.h5z.filter_avail(code) for code in codes)

@@ -1,13 +1,14 @@
 """The dataset format as data: names, shapes, dtypes, units and attributes of `simnfnd/1`.
 
-The writer follows this file, and so do reader, validator and documentation.
+The writer follows this file, and so do reader, validator and docs/dataset.md.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from factory.errors import FactoryError, FrameError
+from factory.labels import CLASSES
 from factory.sample import Axis, Column, Pair
 
 SCHEMA = "simnfnd/1"
@@ -28,19 +30,51 @@ LIBRARY_VERSIONS = ("v108", "v110")
 
 @dataclass(frozen=True)
 class Layer:
-    """One image stack of a shard: (samples, rows, columns), chunked one image at a time."""
+    """One image stack of a shard: (samples, rows, columns), chunked one image at a time.
+
+    classes: what the values 0, 1, 2, ... mean, for labels.
+    """
 
     name: str
     dtype: str
     description: str
+    units: str = "1"
+    classes: tuple[str, ...] = ()
 
 
-def layers(dtype: str) -> tuple[Layer, ...]:
-    """The image stacks of a shard whose images are stored as `dtype` (uint8 or float32)."""
+# Written where `dataset.layers` asks for them.
+OPTIONAL_LAYERS = (
+    Layer("range", "float32", "slant range of the strongest echo; NaN where there is none", "m"),
+    Layer(
+        "elevation", "float32", "elevation of the strongest echo; NaN where there is none", "rad"
+    ),
+    Layer("valid_azimuth", "bool", "inside the sector, at a bearing that the camera saw"),
+    Layer("segmentation", "uint8", "class of the object of the strongest echo", classes=CLASSES),
+    Layer("instance", "uint16", "number within its scene of that object, 0 = none"),
+)
+EFFECT_FOLDER = "layers/"
+_EFFECT = re.compile(rf"{EFFECT_FOLDER}[a-z][a-z0-9_]{{0,39}}")
+
+
+def layers(dtype: str, optional: Iterable[str] = ()) -> tuple[Layer, ...]:
+    """The image stacks of a shard whose images are stored as `dtype` (uint8 or float32).
+
+    optional: names of further layers.  Raises FactoryError for one that the format does not know.
+    """
+    known = {layer.name: layer for layer in OPTIONAL_LAYERS}
+    further = []
+    for name in optional:
+        if _EFFECT.fullmatch(name):
+            effect = name.removeprefix(EFFECT_FOLDER)
+            known[name] = Layer(name, dtype, f"noisy image with {effect} as its only noise")
+        if name not in known:
+            raise FactoryError(f"/{name}: no layer of {SCHEMA}")
+        further.append(known[name])
     return (
         Layer("noisy", dtype, "sonar image with noise; input of a denoiser"),
         Layer("clean", dtype, "ideal sonar image of the same points; target of a denoiser"),
         Layer("shadow", "bool", "inside the sector, where no echo arrives in the ideal image"),
+        *further,
     )
 
 
@@ -84,14 +118,17 @@ def plain_values(value: Any) -> Any:
     return value
 
 
+def config_text(config: Mapping[str, Any]) -> str:
+    """Settings as the JSON of the root attribute `config`."""
+    return json.dumps(plain_values(config), sort_keys=True, separators=(",", ":"))
+
+
 def root_attributes(provenance: Provenance, split: str, dtype: str) -> dict[str, Any]:
     """Root attribute name -> value, in the order of ROOT_ATTRIBUTES."""
     values = {
         "schema": SCHEMA,
         "generator": provenance.generator,
-        "config": json.dumps(
-            plain_values(provenance.config), sort_keys=True, separators=(",", ":")
-        ),
+        "config": config_text(provenance.config),
         "config_hash": provenance.config_hash,
         "split": split,
         "value_range": np.asarray(VALUE_RANGES[dtype], dtype=dtype),
@@ -170,19 +207,42 @@ def check_pair(pair: Pair, axes: tuple[Axis, Axis], columns: Sequence[Column], n
     """
     table_row(columns, pair.record, name)
     shape = tuple(len(axis.values) for axis in axes)
-    for layer in ("noisy", "clean", "shadow"):
-        image = getattr(pair, layer)
+    for layer in layers(str(pair.noisy.dtype), pair.layers):
+        image = image_of(pair, layer.name)
         if image.shape != shape:
-            raise FrameError(f"{name}: {layer} is {image.shape}, its axes say {shape}")
-        if layer == "shadow":
-            if image.dtype != np.bool_:
-                raise FrameError(f"{name}: shadow is {image.dtype}, expected bool")
+            raise FrameError(f"{name}: {layer.name} is {image.shape}, its axes say {shape}")
+        if not stores_grey(layer):
+            if image.dtype != layer.dtype:
+                raise FrameError(f"{name}: {layer.name} is {image.dtype}, expected {layer.dtype}")
         elif image.dtype == np.float32:
             # Also false for NaN, which compares as neither.
             if not (image.min() >= 0 and image.max() <= 1):
-                raise FrameError(f"{name}: {layer} has values outside 0..1, or NaN")
+                raise FrameError(f"{name}: {layer.name} has values outside 0..1, or NaN")
         elif image.dtype != np.uint8:
-            raise FrameError(f"{name}: {layer} is {image.dtype}, expected uint8 or float32")
+            raise FrameError(f"{name}: {layer.name} is {image.dtype}, expected uint8 or float32")
+
+
+def layer_attributes(layer: Layer) -> dict[str, Any]:
+    """Attribute name -> value of a layer's image stack."""
+    attributes: dict[str, Any] = {"description": layer.description}
+    if stores_grey(layer):
+        attributes["value_range"] = np.asarray(VALUE_RANGES[layer.dtype], dtype=layer.dtype)
+    attributes["units"] = layer.units
+    if layer.classes:
+        attributes["classes"] = list(layer.classes)
+    return attributes
+
+
+def stores_grey(layer: Layer) -> bool:
+    """Whether a layer holds grey values, stored as uint8 or float32 as the user chose."""
+    return layer.name in ("noisy", "clean") or layer.name.startswith(EFFECT_FOLDER)
+
+
+def image_of(pair: Pair, layer: str) -> npt.NDArray[np.generic]:
+    """The (H, W) picture of a pair that goes to a layer."""
+    if layer in ("noisy", "clean", "shadow"):
+        return np.asarray(getattr(pair, layer))
+    return pair.layers[layer]
 
 
 def stored_image(image: npt.NDArray[np.generic], dtype: str) -> npt.NDArray[np.generic]:

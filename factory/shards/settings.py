@@ -11,6 +11,8 @@ from pydantic.dataclasses import dataclass
 
 from factory.settings import STRICT
 
+LayerName = Literal["effects", "range", "elevation", "valid_azimuth", "segmentation"]
+
 _LEVELS = {"gzip": (0, 9), "zstd": (1, 22)}
 
 
@@ -24,16 +26,23 @@ class DatasetSettings:
     compression: gzip and none are readable everywhere; lzf by every h5py; zstd reads three times
         faster than gzip and needs the hdf5plugin package to write and to read.
     compression_level: of gzip (0..9) or zstd (1..22); the others have none.
+    on_existing: what to do with a dataset that is in the folder: resume goes on with it when it is
+        the very same, overwrite makes it anew.
+    layers: more pictures for each sample: `effects` (the noisy picture with one noise effect alone,
+        for each), and what lies behind a pixel: range, elevation, valid_azimuth, segmentation (of
+        procedural scenes; brings instance).
     max_train, max_test: upper limits on samples; None takes what there is.
     preview_pairs: pairs on the contact sheet preview.png; 0 draws none.
     licence: of the dataset, as the user decides; stated in the dataset card.
     """
 
     dir: str | None = None
+    on_existing: Literal["resume", "overwrite"] = "resume"
     name: str = "dataset"
     dtype: Literal["uint8", "float32"] = "uint8"
     compression: Literal["gzip", "lzf", "zstd", "none"] = "gzip"
     compression_level: int = 1
+    layers: tuple[LayerName, ...] = ()
     max_train: Annotated[int, Field(ge=0)] | None = None
     max_test: Annotated[int, Field(ge=0)] | None = None
     preview_pairs: Annotated[int, Field(ge=0, le=64)] = 8
@@ -44,6 +53,8 @@ class DatasetSettings:
             raise ValueError(
                 f"name {self.name!r} must be letters, digits, dot, dash and underscore"
             )
+        if len(set(self.layers)) != len(self.layers):
+            raise ValueError(f"layers {list(self.layers)} names one twice")
         level = self.compression_level
         low, high = _LEVELS.get(self.compression, (level, level))
         if not low <= level <= high:

@@ -10,19 +10,22 @@ from typing import Any
 import h5py
 import numpy as np
 
-from factory.errors import FactoryError
+from factory.errors import FactoryError, FrameError
 from factory.sample import Axis, Column, Pair
 from factory.shards.files import explain_os_errors, write_atomically
 from factory.shards.manifest import ShardInfo
 from factory.shards.schema import (
     LIBRARY_VERSIONS,
     SAMPLE_DIMENSION,
-    VALUE_RANGES,
+    Layer,
     Provenance,
     check_pair,
+    image_of,
+    layer_attributes,
     layers,
     root_attributes,
     stored_image,
+    stores_grey,
     table_dtype,
     table_row,
 )
@@ -62,15 +65,20 @@ def write_shard(
         block_size=_IMAGE_BLOCK_BYTES,
         libver=LIBRARY_VERSIONS,
     ) as file:
-        stacks = _create_stacks(file, axes, settings.dtype, compression)
+        stacks: dict[Layer, h5py.Dataset] = {}
         for pair in pairs:
             name = f"{relative} sample {len(rows)}"
             check_pair(pair, axes, columns, name)
+            wanted = layers(settings.dtype, pair.layers)
+            if not rows:
+                stacks = _create_stacks(file, axes, wanted, compression)
+            elif tuple(stacks) != wanted:
+                raise FrameError(f"{name}: has other layers than the samples before it")
             rows.append(table_row(columns, pair.record, name))
             for layer, stack in stacks.items():
                 stack.resize(len(rows), axis=0)
-                image = getattr(pair, layer)
-                stack[-1] = image if layer == "shadow" else stored_image(image, settings.dtype)
+                image = image_of(pair, layer.name)
+                stack[-1] = stored_image(image, layer.dtype) if stores_grey(layer) else image
         if not rows:
             return None
         _write_table(file, np.array(rows, dtype=dtype), columns)
@@ -113,13 +121,16 @@ def compression_filter(settings: DatasetSettings) -> Mapping[str, Any]:
 
 
 def _create_stacks(
-    file: h5py.File, axes: tuple[Axis, Axis], dtype: str, compression: Mapping[str, Any]
-) -> dict[str, h5py.Dataset]:
-    """Empty, growing /noisy, /clean and /shadow with their axes attached."""
-    scales = [_write_axis(file, axis) for axis in axes]
+    file: h5py.File,
+    axes: tuple[Axis, Axis],
+    wanted: tuple[Layer, ...],
+    compression: Mapping[str, Any],
+) -> dict[Layer, h5py.Dataset]:
+    """Empty, growing image stacks with their axes attached."""
+    scales = [write_axis(file, axis) for axis in axes]
     shape = tuple(len(axis.values) for axis in axes)
     stacks = {}
-    for layer in layers(dtype):
+    for layer in wanted:
         stack = file.create_dataset(
             layer.name,
             shape=(0, *shape),
@@ -130,19 +141,18 @@ def _create_stacks(
             track_times=False,
             **compression,
         )
-        stack.attrs["description"] = layer.description
-        if layer.dtype != "bool":
-            stack.attrs["value_range"] = np.asarray(VALUE_RANGES[dtype], dtype=dtype)
-        stack.attrs["units"] = "1"
+        for key, value in layer_attributes(layer).items():
+            stack.attrs[key] = value
         stack.dims[0].label = SAMPLE_DIMENSION
         for dimension, (axis, scale) in enumerate(zip(axes, scales, strict=True), start=1):
             stack.dims[dimension].label = axis.name
             stack.dims[dimension].attach_scale(scale)
-        stacks[layer.name] = stack
+        stacks[layer] = stack
     return stacks
 
 
-def _write_axis(file: h5py.File, axis: Axis) -> h5py.Dataset:
+def write_axis(file: h5py.File, axis: Axis) -> h5py.Dataset:
+    """Write an axis as a dimension scale, ready to be attached, and return it."""
     values = np.asarray(axis.values, dtype=np.float64)
     scale = file.create_dataset(f"axes/{axis.name}", data=values, track_times=False)
     scale.make_scale(axis.name)

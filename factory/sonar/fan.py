@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from factory.sonar.settings import SonarSettings
+
+AnyNumber = TypeVar("AnyNumber", bound=np.generic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +35,9 @@ class FanTable:
         fan[self.inside] = np.einsum("kp,kp->p", flat[self.index], self.weight)
         return fan
 
-    def nearest(self, polar: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """(H, W) bool fan picture of a mask; False outside the sector."""
-        fan = np.zeros(self.inside.shape, np.bool_)
+    def nearest(self, polar: npt.NDArray[AnyNumber], outside: float = 0) -> npt.NDArray[AnyNumber]:
+        """(H, W) fan picture of a mask, labels or lengths, never mixed; `outside` the sector."""
+        fan = np.full(self.inside.shape, outside, polar.dtype)
         best = np.take_along_axis(self.index, self.weight.argmax(axis=0)[None], axis=0)[0]
         fan[self.inside] = polar.ravel()[best]
         return fan

@@ -43,4 +43,5 @@ def quantise(grey_values: npt.NDArray[np.floating], dtype: str) -> npt.NDArray[n
     """uint8 (0 to 255, rounded) or float32 (0 to 1)."""
     if dtype == "uint8":
         return np.asarray(np.rint(grey_values * 255), dtype=np.uint8)
-    return np.asarray(grey_values, dtype=np.float32)
+    # Interpolation between full-scale pixels rounds to a hair beyond 1.
+    return np.clip(np.asarray(grey_values, dtype=np.float32), 0, 1)

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from factory.labels import CLASSES
 from factory.scenes.seabed import nature, works
 from factory.scenes.seabed.fields import WORLD_SEED
 from factory.scenes.seabed.kinds import KINDS
 from factory.scenes.seabed.meshes import Mesh, rotation
-from factory.scenes.seabed.names import CLASSES
 from factory.scenes.seabed.path import Loop
 from factory.scenes.seabed.places import Place, draw
 from factory.scenes.seabed.terrain import Terrain

@@ -1,0 +1,45 @@
+"""Damaged and malicious datasets: what reader and validator make of 1200 of them.
+
+Every one is a copy of a sound dataset with one mutation (tests/hostile.py).  An answer is pictures
+or one line; a crash, a hang, an exception of any other kind or a read outside of the folder is not,
+and fails the benchmark.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+from factory.shards.guarded import Guard
+from tests.hostile import check, copy, mutate, whole
+
+MUTATIONS = 1200
+
+
+def main() -> None:
+    """Print how many were read, refused and found invalid."""
+    counts: Counter[tuple[str, str]] = Counter()
+    slowest_s, bad = 0.0, []
+    with tempfile.TemporaryDirectory() as folder, Guard() as reader, Guard() as validator:
+        sound = whole(Path(folder) / "sound")
+        for number in range(MUTATIONS):
+            root = copy(sound, Path(folder) / "mutated")
+            said = mutate(root, number)
+            start = time.monotonic()
+            try:
+                read, found = check(root, reader, validator)
+            except Exception as error:
+                bad.append(f"{said}: {type(error).__name__}: {str(error)[-200:]}")
+                continue
+            slowest_s = max(slowest_s, time.monotonic() - start)
+            verdict = "valid" if found == "valid" else "refused or invalid"
+            counts[(read.split(":")[0], verdict)] += 1
+    print(f"| reader | validate --deep | datasets of {MUTATIONS} |\n|---|---|---:|")
+    for (read, verdict), count in sorted(counts.items()):
+        print(f"| {read} | {verdict} | {count} |")
+    print(f"| no clear answer | | {len(bad)} |")
+    print(f"\nSlowest answer of both together: {slowest_s:.1f} s (the limit is 2 s a shard here).")
+    if bad:
+        raise SystemExit("\n".join(bad))

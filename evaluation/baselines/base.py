@@ -1,0 +1,88 @@
+"""What a classical denoising method is to the report: a pure function and a grid to tune it on."""
+
+from __future__ import annotations
+
+import inspect
+import itertools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from factory.errors import FactoryError
+
+Gray = npt.NDArray[np.float32]
+"""(H, W) in 0..1, 0 = no echo; for methods of several looks (T, H, W)."""
+
+Number = int | float
+Parameters = dict[str, Number]
+
+
+_NOTHING_BEYOND: dict[str, tuple[Number, ...]] = {
+    "size": (2, 3),  # a window of one pixel is no filter
+    "iterations": (1,),
+    "levels": (1, 8),  # the eighth averages 256 pixels, a whole picture
+    "memory": (1.0,),
+    "sigma_px": (0.2,),  # a Gaussian so narrow is a single pixel
+}
+
+
+class BaselineError(FactoryError, ValueError):
+    """A method gave something that is no picture, or got parameters that it does not have."""
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """One method.
+
+    function: (image, **parameters) -> (H, W); the image is (H, W) or, with `looks`, (T, H, W).
+    default: what its authors or its library recommend, scaled to 0..1.
+    grid: the values to try of each parameter, ascending; parameters not in it stay at the default.
+    source: where the method was published.
+    """
+
+    name: str
+    function: Callable[..., npt.NDArray[np.floating]]
+    default: Mapping[str, Number]
+    grid: Mapping[str, tuple[Number, ...]]
+    source: str
+    looks: bool = False
+
+    def __post_init__(self) -> None:
+        # The first parameter is the image.
+        names = list(inspect.signature(self.function).parameters)[1:]
+        if set(self.default) != set(names) or not set(self.grid) <= set(names):
+            raise BaselineError(f"{self.name}: default or grid do not fit its parameters {names}")
+
+    def points(self) -> list[Parameters]:
+        """Every combination of the grid, completed by the defaults."""
+        combinations = itertools.product(*self.grid.values())
+        return [{**self.default, **dict(zip(self.grid, c, strict=True))} for c in combinations]
+
+    def edges(self, point: Mapping[str, Number]) -> list[str]:
+        """Names of the parameters that stand at an open end of their axis of the grid.
+
+        An end beyond which there is nothing (see `_NOTHING_BEYOND`) is not open.
+        """
+        return [
+            name
+            for name, axis in self.grid.items()
+            if len(axis) > 1
+            and point[name] in (axis[0], axis[-1])
+            and point[name] not in _NOTHING_BEYOND.get(name, ())
+        ]
+
+    def __call__(self, image: npt.NDArray[Any], parameters: Mapping[str, Number]) -> Gray:
+        """The denoised picture, (H, W) float32 clipped to 0..1.
+
+        Raises BaselineError when the method gives another shape or a value that is no number.
+        """
+        image = np.ascontiguousarray(image, dtype=np.float32)
+        result = np.asarray(self.function(image, **parameters))
+        if result.shape != image.shape[-2:]:
+            raise BaselineError(f"{self.name}: gave {result.shape} for {image.shape[-2:]}")
+        if not np.isfinite(result).all():
+            raise BaselineError(f"{self.name}: gave NaN or infinite pixels")
+        return np.clip(result, 0, 1).astype(np.float32)

@@ -1,0 +1,179 @@
+"""Speckle: how smooth are the smooth places, and is what was removed really noise?"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluation.checks import Image, Mask, MetricError, checked_mask, checked_pair
+from factory.seeds import stream
+
+Values = npt.NDArray[np.float64]
+
+_DARK = 0.01  # of full scale: below, a ratio says nothing
+_LEVELS = 16  # gray levels of the co-occurrence matrix
+_SHUFFLES = 10
+
+
+def homogeneous_zones(
+    image: Image, *, data_range: float, sector: Mask, side: int = 16, share: float = 0.1
+) -> npt.NDArray[np.int64]:
+    """(N, 2) top-left corners of the image's most even blocks, the evenest first.
+
+    Blocks of `side` pixels on a grid without overlap, wholly inside `sector` and with a mean above
+    5 % of full scale (shadow is even, too, but has no speckle); of these the `share` (at least one)
+    with the least std/mean.  Choose them on the clean image where there is one, so that all methods
+    are measured in the same places.  Empty when no block qualifies.
+    """
+    gray, _ = checked_pair(image, image, data_range, smallest=side)
+    inside = checked_mask(sector, gray)
+    rows, columns = (size // side for size in gray.shape)
+
+    def blocks(array: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+        cut = array[: rows * side, : columns * side].reshape(rows, side, columns, side)
+        return cut.transpose(0, 2, 1, 3).reshape(rows * columns, side * side)
+
+    values = blocks(gray)
+    mean, deviation = values.mean(axis=1), values.std(axis=1)
+    (usable,) = np.nonzero(blocks(inside).all(axis=1) & (mean > 0.05 * data_range))
+    if not usable.size:
+        return np.empty((0, 2), dtype=np.int64)
+    count = max(1, round(share * usable.size))
+    order = np.argsort(deviation[usable] / mean[usable], kind="stable")[:count]
+    chosen = usable[order]
+    corners = np.stack([chosen // columns * side, chosen % columns * side], axis=1)
+    return np.asarray(corners, dtype=np.int64)
+
+
+def zone_enl(image: Image, zones: npt.NDArray[np.int64], *, side: int = 16) -> Values:
+    """(N,) equivalent number of looks of each zone, mean^2 / variance; inf where all is equal."""
+    gray = np.asarray(image, dtype=np.float64)
+    result = np.empty(len(zones))
+    for number, (top, left) in enumerate(zones):
+        result[number] = _looks(gray[top : top + side, left : left + side])
+    return result
+
+
+def enl(image: Image, zones: npt.NDArray[np.int64], *, side: int = 16) -> float:
+    """Median ENL over the zones (NaN without any).  Blur alone raises it: never read it alone."""
+    return float(np.median(zone_enl(image, zones, side=side))) if len(zones) else math.nan
+
+
+def contrast_to_noise(image: Image, bright: Mask, dark: Mask) -> float:
+    """CNR of two regions, |m1 - m2| / sqrt(v1 + v2) with population variances (linear, not dB).
+
+    Here `bright` is the insonified seabed and `dark` the true shadow.  NaN when a region is empty,
+    inf when both are constant and differ.
+    """
+    gray = np.asarray(image, dtype=np.float64)
+    for mask in (bright, dark):
+        if mask.shape != gray.shape:
+            raise MetricError(f"mask is {mask.shape} but the image is {gray.shape}")
+    one, other = gray[bright], gray[dark]
+    if not one.size or not other.size:
+        return math.nan
+    difference = abs(float(one.mean() - other.mean()))
+    noise = math.sqrt(float(one.var() + other.var()))
+    if noise == 0:
+        return math.inf if difference else 0.0
+    return difference / noise
+
+
+def ratio_image(noisy: Image, denoised: Image, *, data_range: float) -> Values:
+    """(H, W) noisy / denoised: pure speckle of mean 1 if the filter took nothing but noise.
+
+    NaN where the denoised image is below 1 % of full scale.
+    """
+    above, below = checked_pair(noisy, denoised, data_range, smallest=1)
+    lit = below >= _DARK * data_range
+    result = np.full(below.shape, np.nan)
+    result[lit] = above[lit] / below[lit]
+    return result
+
+
+def ratio_mean(noisy: Image, denoised: Image, *, data_range: float) -> float:
+    """Mean of the ratio image, 1 = the mean is preserved; NaN when the denoised image is black."""
+    ratio = ratio_image(noisy, denoised, data_range=data_range)
+    known = np.isfinite(ratio)
+    return float(ratio[known].mean()) if known.any() else math.nan
+
+
+def structure(ratio: Values, *, seed: int = 0) -> float:
+    """Delta h of Gomez et al. 2017: how much structure a ratio image keeps, 0 = pure speckle.
+
+    100 |h - h'| / h with the homogeneity h = sum p(i, j) / (1 + (i - j)^2) of the co-occurrence
+    matrix of horizontal and vertical neighbours, and h' its mean over ten images of the same pixels
+    in random order.  Our choices: 16 levels, equally frequent ones, because a few bright ratios
+    would squeeze all others into one level; only neighbours that both exist (no NaN).  NaN with
+    fewer than two neighbours.
+    """
+    known = np.isfinite(ratio)
+    values = ratio[known]
+    if values.size < 2:
+        return math.nan
+    # Equal frequencies: the level is the rank, ties (a noiseless region) share the lowest one.
+    ranks = np.searchsorted(np.sort(values), values, side="left")
+    levels = np.zeros(ratio.shape, dtype=np.int64)
+    levels[known] = ranks * _LEVELS // values.size
+    before = _homogeneity(levels, known)
+    if math.isnan(before):
+        return math.nan
+    rng = stream(seed, "ratio image")
+    shuffled = []
+    for _ in range(_SHUFFLES):
+        mixed = np.zeros_like(levels)
+        mixed[known] = rng.permutation(levels[known])
+        shuffled.append(_homogeneity(mixed, known))
+    return 100 * abs(before - float(np.mean(shuffled))) / before
+
+
+def m_index(
+    noisy: Image,
+    denoised: Image,
+    zones: npt.NDArray[np.int64],
+    *,
+    data_range: float,
+    side: int = 16,
+) -> float:
+    """M of Gomez, Ospina and Frery (Remote Sensing 9(4), 389, 2017): 0 = an ideal speckle filter.
+
+    M = r + delta h.  r is half the mean over the homogeneous zones of |ENL_noisy - ENL_ratio| /
+    ENL_noisy + |1 - mean ratio|: a perfect filter leaves all of the speckle, with mean 1, in the
+    ratio image.  Mean and not sum over zones, so that it does not grow with their number.  delta h
+    is `structure` of the whole ratio image.  A zone's ENL term counts at most 1.  Mind: a filter
+    that does nothing gets 0.5 (a ratio of 1 everywhere has no structure), so M ranks filters that
+    do something, beside PSNR.  NaN without zones.
+    """
+    ratio = ratio_image(noisy, denoised, data_range=data_range)
+    before = zone_enl(noisy, zones, side=side)
+    residuals = []
+    for number, (top, left) in enumerate(zones):
+        block = ratio[top : top + side, left : left + side]
+        block = block[np.isfinite(block)]
+        if not block.size or not math.isfinite(before[number]) or before[number] == 0:
+            continue
+        # Without variance ENL is infinite; such a zone counts as wholly unlike.
+        unlike = min(abs(before[number] - _looks(block)) / before[number], 1.0)
+        residuals.append(0.5 * (unlike + abs(1 - float(block.mean()))))
+    if not residuals:
+        return math.nan
+    return float(np.mean(residuals)) + structure(ratio)
+
+
+def _looks(values: Values) -> float:
+    """Mean^2 / variance; inf for a constant, whose variance is rounding alone."""
+    squared, variance = float(values.mean()) ** 2, float(values.var())
+    return squared / variance if variance > 1e-20 * squared else math.inf
+
+
+def _homogeneity(levels: npt.NDArray[np.int64], known: Mask) -> float:
+    """Homogeneity of the co-occurrence of right and lower neighbours, NaN without any pair."""
+    total, pairs = 0.0, 0
+    for first, second in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        both = known[first] & known[second]
+        step = (levels[first] - levels[second])[both].astype(np.float64)
+        total += float((1 / (1 + step * step)).sum())
+        pairs += step.size
+    return total / pairs if pairs else math.nan

@@ -1,0 +1,21 @@
+"""`python -m factory export DIR --to FORMAT --out DIR`: a dataset for other ecosystems."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from factory.export import FORMATS, export
+from factory.shards.schema import SPLITS
+
+
+def main(words: list[str]) -> None:
+    """Write the export that `words` ask for."""
+    parser = argparse.ArgumentParser(prog="python -m factory export", description=__doc__)
+    parser.add_argument("dir", type=Path, help="folder of a dataset")
+    parser.add_argument("--to", required=True, choices=FORMATS, help="format")
+    parser.add_argument("--out", required=True, type=Path, help="new or empty folder to fill")
+    parser.add_argument("--split", choices=(*SPLITS, "all"), default="all", help="default: all")
+    given = parser.parse_args(words)
+    print(f"export: {export(given.dir, given.to, given.out, given.split)}")
+    print(f"folder: {given.out}")

@@ -1,0 +1,115 @@
+"""`python -m factory inspect DIR|FILE`: what is in a dataset, its index or one of its shards."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from factory.commands.inspection import Inspection, inspect
+from factory.export.notes import dataset_settings
+
+_BAR = 40
+_BINS = 10
+
+
+def main(words: list[str]) -> None:
+    """Print (and draw) what `words` ask for."""
+    parser = argparse.ArgumentParser(prog="python -m factory inspect", description=__doc__)
+    parser.add_argument("path", type=Path, help="folder of a dataset, index.h5 or a shard")
+    parser.add_argument("--pairs", type=int, default=200, help="most pairs to measure (200)")
+    parser.add_argument("--png", type=Path, help="draw the histograms into this file, too")
+    given = parser.parse_args(words)
+    found = inspect(given.path, given.pairs)
+    print("\n".join(report(found, str(given.path))))
+    if given.png is not None:
+        from factory.commands.inspect_figure import draw
+
+        print(f"\nfigure: {draw(found, given.png)}")
+
+
+def report(found: Inspection, name: str) -> Iterator[str]:
+    """The lines that `inspect` prints."""
+    source = found.source
+    counts = ", ".join(f"{count} {split}" for split, count in source.splits.items())
+    rows, columns = source.shape
+    scale = "0..255" if source.dtype == "uint8" else "0..1"
+    (row_axis, row_units, _), (column_axis, column_units, _) = source.axes
+    licence = dataset_settings(source.directory).get("licence") or "not stated"
+    yield f"{name}: {found.schema}, made by {found.generator}, config hash {source.config_hash}"
+    yield f"samples      {counts}, in {len(source.shards)} file(s)"
+    yield f"pictures     {rows} x {columns} {source.dtype} ({scale}), {source.layout}"
+    yield f"axes         rows {row_axis} [{row_units}], columns {column_axis} [{column_units}]"
+    yield f"layers       {', '.join(source.layers)}"
+    yield (
+        f"size         {found.stored_bytes / 1e6:.2f} MB on disk, {found.image_bytes / 1e6:.2f} MB "
+        f"of pictures ({found.image_bytes / max(found.stored_bytes, 1):.1f} : 1)"
+    )
+    yield f"compression  {found.compression}"
+    yield f"licence      {licence}"
+    yield ""
+    yield from _table(("split", "location", "scene", "pairs"), _scenes(found))
+    yield ""
+    yield from _table(("column", "lowest", "mean", "highest", "units", "samples"), _columns(found))
+    yield ""
+    yield f"noisy against clean, whole picture, {len(found.psnr_db)} of {len(found.splits)} pairs"
+    yield from _histogram("PSNR, dB", found.psnr_db)
+    yield from _histogram("SSIM", found.ssim)
+
+
+def _scenes(found: Inspection) -> list[tuple[str, ...]]:
+    counts: dict[tuple[str, ...], int] = {}
+    for split, row in zip(found.splits, found.table, strict=True):
+        key = (str(split), row["location"].decode() or "-", row["scene"].decode())
+        counts[key] = counts.get(key, 0) + 1
+    return [(*key, str(count)) for key, count in counts.items()]
+
+
+def _columns(found: Inspection) -> list[tuple[str, ...]]:
+    """One line a column: what was drawn lies between lowest and highest."""
+    lines: list[tuple[str, ...]] = []
+    for column in found.source.columns:
+        if column.name in ("location", "scene", "frame", "seed_key"):
+            continue
+        if np.dtype(column.dtype).kind == "S":
+            texts = sorted({text.decode() for text in found.table[column.name]} - {""})
+            told = ", ".join(texts[:4]) + (", ..." if len(texts) > 4 else "")
+            count = int(np.count_nonzero(found.table[column.name] != b""))
+            lines.append((column.name, told or "not drawn", "", "", "", str(count)))
+            continue
+        values = found.numbers(column.name)
+        figures = (
+            tuple(f"{v:.6g}" for v in (values.min(), values.mean(), values.max()))
+            if values.size
+            else ("not drawn", "", "")
+        )
+        units = "" if column.units == "1" else column.units
+        lines.append((column.name, *figures, units, str(values.size)))
+    return lines
+
+
+def _histogram(name: str, values: npt.NDArray[np.float64]) -> Iterator[str]:
+    values = values[np.isfinite(values)]
+    if not values.size:
+        yield f"{name}: pictures are too small for it"
+        return
+    yield (
+        f"{name}: mean {values.mean():.3f}, std {values.std():.3f}, "
+        f"{values.min():.3f} to {values.max():.3f}"
+    )
+    counts, edges = np.histogram(values, bins=_BINS if np.ptp(values) > 0 else 1)
+    for count, low, high in zip(counts, edges[:-1], edges[1:], strict=True):
+        bar = "#" * round(_BAR * count / counts.max())
+        yield f"  {low:8.3f} to {high:8.3f} |{bar:<{_BAR}} {count}"
+
+
+def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    lines = [head, *rows]
+    widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
+    for line in lines:
+        yield "  ".join(
+            cell.ljust(width) for cell, width in zip(line, widths, strict=True)
+        ).rstrip()

@@ -1,0 +1,242 @@
+"""`python -m factory merge A B ... --out DIR`: several datasets of one kind into one.
+
+The shards are copied as they are, so their checksums stay what they were.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from factory.errors import FactoryError
+from factory.export import refuse_files
+from factory.export.notes import dataset_settings
+from factory.export.source import Source, open_source
+from factory.shards.card import write_card
+from factory.shards.croissant import write_croissant
+from factory.shards.files import check_writable, explain_os_errors
+from factory.shards.folder import open_folder
+from factory.shards.index import write_index
+from factory.shards.manifest import MANIFEST_NAME, Manifest, damage, load_manifest, save_manifest
+from factory.shards.preview import preview
+from factory.shards.reader import open_shard
+from factory.shards.schema import SPLITS, Provenance
+from factory.shards.settings import DatasetSettings
+
+# What may differ: which frames there are, how their noise is seeded, and how they are stored.
+_FREE = ("seed", "scenes", "frames", "frames_found", "split", "scheduler", "merged")
+_FREE_OF_DATASET = ("compression", "compression_level", "max_train", "max_test")
+_SHOWN_DIFFERENCES = 4
+
+
+def main(words: list[str]) -> None:
+    """Merge what `words` name."""
+    parser = argparse.ArgumentParser(prog="python -m factory merge", description=__doc__)
+    parser.add_argument("dirs", nargs="+", type=Path, metavar="DIR", help="folders of datasets")
+    parser.add_argument("--out", required=True, type=Path, help="new or empty folder to fill")
+    parser.add_argument("--name", help="of the merged dataset (default: merged)")
+    parser.add_argument("--licence", help="of the merged dataset (default: theirs, if all agree)")
+    given = parser.parse_args(words)
+    manifest = merge(given.dirs, given.out, name=given.name or "merged", licence=given.licence)
+    splits = " and ".join(f"{manifest.samples(split)} {split}" for split in SPLITS)
+    print(f"merge: {splits} pairs in {len(manifest.shards)} shards")
+    print(f"dataset: {given.out}")
+
+
+def merge(
+    directories: Sequence[Path], out: Path, *, name: str = "merged", licence: str | None = None
+) -> Manifest:
+    """Copy the shards of all `directories` into the new dataset `out`; returns its manifest.
+
+    Raises FactoryError when a dataset is not whole, when two differ in more than their frames and
+    seeds, when a sample is in two of them, when a scene trains in one and tests in another, or
+    when their licences differ and none is given.
+    """
+    if len(directories) < 2:
+        raise FactoryError("merge: give at least two datasets")
+    refuse_files(out)
+    manifests = {directory: _whole(directory) for directory in directories}
+    if len(manifests) < len(directories):
+        raise FactoryError("merge: a dataset is named twice")
+    sources = {directory: open_source(directory, "all") for directory in directories}
+    _check_alike(manifests, sources)
+    _check_samples(sources)
+    settings = DatasetSettings(name=name, licence=licence or _common_licence(directories))
+    provenance = _provenance(manifests)
+    partial = out.absolute().parent / f".{out.absolute().name}.partial-{os.getpid()}"
+    with explain_os_errors(out, "--out"):
+        check_writable(partial, "--out")
+        try:
+            merged = _fill(partial, manifests, provenance, settings)
+            if out.exists():
+                out.rmdir()
+            os.replace(partial, out)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    return merged
+
+
+def _whole(directory: Path) -> Manifest:
+    """The manifest of a dataset all of whose shards are as it says."""
+    manifest = load_manifest(directory)
+    if manifest is None:
+        raise FactoryError(f"{directory}: no {MANIFEST_NAME}; give the folder of a dataset")
+    for info in manifest.shards.values():
+        if wrong := damage(directory, info):
+            raise FactoryError(
+                f"{directory / info.path}: {wrong}; run the command that made the dataset again"
+            )
+    return manifest
+
+
+def _check_alike(manifests: Mapping[Path, Manifest], sources: Mapping[Path, Source]) -> None:
+    first, *others = manifests
+    for other in others:
+        one, two = manifests[first], manifests[other]
+        if one.generator != two.generator:
+            raise FactoryError(
+                f"merge: {first} was made by {one.generator}, {other} by {two.generator}; "
+                "make them with one version"
+            )
+        there, here = (dict(_fixed(manifest.config)) for manifest in (one, two))
+        keys = sorted(key for key in there | here if there.get(key) != here.get(key))
+        if keys:
+            told = "; ".join(
+                f"{key} {there.get(key)!r} and {here.get(key)!r}"
+                for key in keys[:_SHOWN_DIFFERENCES]
+            )
+            more = ", ..." if len(keys) > _SHOWN_DIFFERENCES else ""
+            raise FactoryError(
+                f"merge: {first} and {other} were made with different settings ({told}{more}); "
+                "merge only what differs in frames and seed"
+            )
+        _check_form(sources[first], sources[other])
+
+
+def _check_form(one: Source, two: Source) -> None:
+    for what, first, second in (
+        ("picture sizes", one.shape, two.shape),
+        ("layers", dict(one.layers), dict(two.layers)),
+        ("columns", one.columns, two.columns),
+    ):
+        if first != second:
+            raise FactoryError(
+                f"merge: {one.directory} and {two.directory} differ in their {what}; make them "
+                "with the same settings"
+            )
+    for (name, units, values), (name_2, units_2, values_2) in zip(one.axes, two.axes, strict=True):
+        if (name, units) != (name_2, units_2) or not np.array_equal(values, values_2):
+            raise FactoryError(
+                f"merge: the {name} axes of {one.directory} and {two.directory} differ; make them "
+                "with the same sonar"
+            )
+
+
+def _check_samples(sources: Mapping[Path, Source]) -> None:
+    """No sample twice, and no scene in train here and in test there."""
+    owner: dict[tuple[Any, ...], Path] = {}
+    place: dict[tuple[str, str], tuple[str, Path]] = {}
+    for directory, source in sources.items():
+        for split, location, scene, frame, variant in _names(source):
+            sample = (location, scene, frame, variant)
+            if sample in owner:
+                raise FactoryError(
+                    f"merge: sample {'/'.join(sample[:3])} variant {variant} is in "
+                    f"{owner[sample]} and in {directory}; make one of them without it "
+                    "(scenes, frames.only)"
+                )
+            owner[sample] = directory
+            known = place.setdefault((location, scene), (split, directory))
+            if known[0] != split:
+                raise FactoryError(
+                    f"merge: scene {location}/{scene} is in {known[0]} of {known[1]} and in "
+                    f"{split} of {directory}; a denoiser would be tested on what it trained on "
+                    "(set split.test alike)"
+                )
+
+
+def _names(source: Source) -> Iterator[tuple[str, str, str, str, int]]:
+    for split, path, _ in source.shards:
+        with open_shard(path) as file:
+            table = file["meta"][:]
+        for row in table:
+            location, scene, frame = (row[key].decode() for key in ("location", "scene", "frame"))
+            yield split, location, scene, frame, int(row["variant"])
+
+
+def _common_licence(directories: Sequence[Path]) -> str | None:
+    stated = {directory: dataset_settings(directory).get("licence") for directory in directories}
+    if len(set(stated.values())) > 1:
+        told = ", ".join(f"{directory}: {value or 'none'}" for directory, value in stated.items())
+        raise FactoryError(f"merge: licences differ ({told}); say which holds with --licence")
+    return next(str(value) if value else None for value in stated.values())
+
+
+def _provenance(manifests: Mapping[Path, Manifest]) -> Provenance:
+    """What all have in common, and under `merged` what each was made with."""
+    from factory.config import digest  # needs the settings of every room, but only here
+
+    configs = [manifest.config for manifest in manifests.values()]
+    common = {
+        key: value
+        for key, value in configs[0].items()
+        if all(config.get(key) == value for config in configs) and key != "merged"
+    }
+    parts = [
+        {
+            "config_hash": manifest.config_hash,
+            "samples": manifest.samples(),
+            **{key: value for key, value in manifest.config.items() if key not in common},
+        }
+        for manifest in manifests.values()
+    ]
+    config = {**common, "merged": parts}
+    generator = next(iter(manifests.values())).generator
+    return Provenance(config, digest(config), generator)
+
+
+def _fill(
+    folder: Path,
+    manifests: Mapping[Path, Manifest],
+    provenance: Provenance,
+    settings: DatasetSettings,
+) -> Manifest:
+    shown = {"name": settings.name, "licence": settings.licence}
+    told = {**provenance.config, "dataset": {**provenance.config.get("dataset", {}), **shown}}
+    merged = open_folder(folder, told, provenance)
+    for split in SPLITS:
+        number = 0
+        (folder / split).mkdir()
+        for directory, manifest in manifests.items():
+            for path in sorted(manifest.shards):
+                info = manifest.shards[path]
+                if info.split == split:
+                    target = f"{split}/shard-{number:05d}.h5"
+                    shutil.copyfile(directory / path, folder / target)
+                    merged = merged.with_shard(replace(info, path=target))
+                    number += 1
+    save_manifest(folder, merged)
+    if settings.preview_pairs:
+        preview(folder, pairs=settings.preview_pairs)
+    write_index(folder, merged)
+    write_card(folder, merged, provenance, settings)
+    write_croissant(folder, merged, settings)
+    return merged
+
+
+def _fixed(value: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Leaves of a configuration that merged datasets must share, by dotted key."""
+    if not isinstance(value, Mapping) or not value:
+        yield prefix, value
+        return
+    free = {"": _FREE, "dataset": _FREE_OF_DATASET}.get(prefix, ())
+    for key, item in value.items():
+        if key not in free:
+            yield from _fixed(item, f"{prefix}.{key}" if prefix else str(key))

@@ -1,0 +1,188 @@
+"""`python -m factory plan [-m] ...`: what a command would make, and what it would cost.
+
+Three frames are really made, in memory and in a folder of the system's temporary files that goes
+again; nothing of the dataset, the cache or the sweep is written.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from factory.commands.compose import compose_points
+from factory.errors import FactoryError, FrameError
+from factory.frame import FrameRef
+from factory.scheduler.plan import ShardTask, plan_shards
+from factory.scheduler.settings import available_memory_bytes
+
+if TYPE_CHECKING:
+    from factory.config import FactoryConfig
+
+_PROBED = 3
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Of one frame: seconds to render and to add noise (one pair), bytes of render and pair."""
+
+    render_s: float
+    pair_s: float
+    render_bytes: float
+    pair_bytes: float
+
+
+def main(words: list[str]) -> int:
+    """Print the plan; returns 0, or 1 when disk or memory will not do."""
+    points = compose_points(words)
+    config = points[0][1]
+    frames, tasks = _planned(config)
+    shards = {split: [t for t in tasks if t.split == split] for split in ("train", "test")}
+    scenes = len({(ref.location, ref.scene) for ref in frames})
+    pairs = sum(task.samples for task in tasks)
+    if len(points) > 1:
+        print(f"sweep: {len(points)} points, {' ... '.join(' '.join(p[0]) for p in _ends(points))}")
+    print(f"frames: {len(frames)} of {scenes} scenes, {config.frames.variants} pairs each")
+    for split, own in shards.items():
+        print(f"{split}: {sum(t.samples for t in own)} pairs in {len(own)} shards")
+    used = tuple(dict.fromkeys(ref for task in tasks for ref, _ in task.items))
+    kept = _kept(config, used)
+    crew = config.scheduler.crew(len(tasks), len(used) if config.scenes.kind != "pack" else 0)
+    print(f"workers: {crew.render} that render and {crew.noise} that only add noise")
+    cost = probe(config, used)
+    print(
+        f"probe: {cost.render_s:.2f} s to render a frame, {cost.pair_s:.2f} s a pair; "
+        f"{cost.render_bytes / 1e3:.0f} kB a render, {cost.pair_bytes / 1e3:.0f} kB a pair"
+    )
+    renders = len(used) - kept
+    disk = len(points) * pairs * cost.pair_bytes + renders * cost.render_bytes
+    parallel = min(crew.total, _cores())
+    seconds = renders * cost.render_s / min(max(crew.render, 1), _cores())
+    seconds += len(points) * pairs * cost.pair_s / parallel
+    print(f"renders: {kept} of {len(used)} are in the cache, shared by all points")
+    print(f"expected: {_bytes(disk)} of disk, {_duration(seconds)}")
+    return 0 if _fits(config, disk, crew.render, crew.noise) else 1
+
+
+def _planned(config: FactoryConfig) -> tuple[tuple[FrameRef, ...], tuple[ShardTask, ...]]:
+    from factory.generate import choose_frames, split_frames
+    from factory.scenes import open_reader
+    from factory.views import check_views
+
+    check_views(config, touch=False)
+    frames = choose_frames(open_reader(config.scenes).discover().frames, config)
+    limits = config.dataset.limits
+    size = config.scheduler.shard_size
+    tasks = plan_shards(split_frames(frames, config), config.frames.variants, size, limits)
+    return frames, tasks[config.shard.index :: config.shard.count]
+
+
+def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
+    """Make three frames from all over the list, and see.
+
+    The first render of a process, which has Blender to load, is not counted.
+    Raises FactoryError when none of the three can be made.
+    """
+    from factory.pairs import PairMaker
+    from factory.render.view import encode
+    from factory.shards.schema import Provenance
+    from factory.shards.writer import write_shard
+    from factory.views import ViewMaker, with_cache
+
+    chosen = [frames[k * len(frames) // _PROBED] for k in range(min(_PROBED, len(frames)))]
+    with tempfile.TemporaryDirectory() as folder:
+        config = with_cache(
+            replace(config, cache=replace(config.cache, enabled=False)), Path(folder)
+        )
+        packed = config.scenes.kind == "pack"
+        maker, pairs = None if packed else ViewMaker(config), PairMaker(config)
+        render_s, pair_s, made, sizes, problem = [], [], [], [], ""
+        for ref in [chosen[0], *chosen]:
+            try:
+                begun = time.perf_counter()
+                if maker is None:
+                    sizes.append(0)
+                else:
+                    view = maker.render(ref)
+                    sizes.append(len(encode(view)))
+                    maker.views.cache.put(maker.views.keys.of(ref), view)
+                rendered = time.perf_counter()
+                made += pairs.pairs(ref, (0,))
+            except FrameError as error:
+                problem = str(error)
+                continue
+            render_s.append(rendered - begun)
+            pair_s.append(time.perf_counter() - rendered)
+        if not made:
+            raise FactoryError(f"plan: none of {len(chosen)} frames could be made: {problem}")
+        provenance = Provenance({}, "0" * 16, "plan")
+        axes, columns = pairs.axes(), pairs.columns()
+        info = write_shard(
+            Path(folder), "train/probe.h5", made, axes, columns, provenance, config.dataset
+        )
+        assert info is not None
+    counted = slice(1, None) if len(made) > 1 else slice(None)
+    return Cost(
+        _mean(render_s[counted]), _mean(pair_s[counted]), _mean(sizes), info.bytes / len(made)
+    )
+
+
+def _kept(config: FactoryConfig, frames: Sequence[FrameRef]) -> int:
+    """Frames whose render is at hand."""
+    from factory.views import open_views
+
+    if not config.cache.enabled and config.scenes.kind != "pack":
+        return 0
+    views = open_views(config)
+    return sum(views.holds(ref) for ref in frames)
+
+
+def _fits(config: FactoryConfig, disk: float, render: int, noise: int) -> bool:
+    folder = config.dataset.directory("0" * 16)
+    while not folder.exists():
+        folder = folder.absolute().parent
+    free = shutil.disk_usage(folder).free
+    settings = config.scheduler
+    memory = render * settings.memory_per_renderer_gb + noise * settings.memory_per_worker_gb
+    available = available_memory_bytes() / 1e9
+    good = disk < free and memory < available
+    print(f"disk: {_bytes(free)} free{'' if disk < free else ', TOO LITTLE'}")
+    print(
+        f"memory: about {memory:.1f} GB of {available:.1f} GB"
+        f"{'' if memory < available else ', TOO LITTLE; set scheduler.workers lower'}"
+    )
+    return good
+
+
+def _cores() -> int:
+    from factory.scheduler.settings import usable_cores
+
+    return usable_cores()
+
+
+def _ends(
+    points: Sequence[tuple[tuple[str, ...], FactoryConfig]],
+) -> Sequence[tuple[tuple[str, ...], FactoryConfig]]:
+    return [points[0], points[-1]]
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values)
+
+
+def _bytes(count: float) -> str:
+    for unit, size in (("GB", 1e9), ("MB", 1e6)):
+        if count >= size:
+            return f"{count / size:.1f} {unit}"
+    return f"{count / 1e3:.0f} kB"
+
+
+def _duration(seconds: float) -> str:
+    minutes, hours = seconds / 60, seconds / 3600
+    if hours >= 1:
+        return f"{hours:.1f} hours"
+    return f"{minutes:.0f} minutes" if minutes >= 2 else f"{seconds:.0f} seconds"

@@ -1,0 +1,26 @@
+"""`python -m factory validate DIR`: is a dataset whole, consistent and without leaks."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from factory.shards.validate import validate
+
+
+def main(words: list[str]) -> int:
+    """Print what is wrong with the dataset; 0 when nothing is, else 1."""
+    parser = argparse.ArgumentParser(prog="python -m factory validate", description=__doc__)
+    parser.add_argument("dir", type=Path, help="folder of a dataset")
+    parser.add_argument("--deep", action="store_true", help="read every picture, too")
+    given = parser.parse_args(words)
+    report = validate(given.dir, given.deep)
+    for finding in report.findings:
+        print(finding)
+    what = f"{report.samples} samples in {report.shards} shards"
+    depth = "every picture was read" if given.deep else "pictures were not read (--deep reads them)"
+    if report.errors:
+        print(f"invalid: {given.dir}: {len(report.errors)} error(s) in {what}")
+        return 1
+    print(f"valid: {given.dir}: {what}; {depth}")
+    return 0

@@ -1,0 +1,59 @@
+"""Datasets in the formats of other ecosystems, one module a format."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from importlib import import_module
+from pathlib import Path
+
+from factory.errors import FactoryError
+from factory.export.source import Source, open_source
+from factory.shards.files import check_writable, explain_os_errors
+from factory.shards.reader import Split
+
+# --to -> module with `write(source, folder) -> str`, which fills an empty folder and returns one
+# line that says what it wrote.
+FORMATS = {
+    "webdataset": "factory.export.webdataset",
+    "huggingface": "factory.export.huggingface",
+    "png": "factory.export.png",
+    "mdd": "factory.export.mdd",
+    "sonar_message": "factory.export.sonar_message",
+}
+
+
+def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") -> str:
+    """Write `dataset` in format `to` into the new folder `out`; returns what was written.
+
+    The folder appears when it is complete: an export that fails leaves nothing behind.
+    Raises FactoryError when the dataset cannot be read, does not fit the format, `out` holds files,
+    or the format's library is not installed.
+    """
+    if to not in FORMATS:
+        raise FactoryError(f"--to {to}: no such format; one of {', '.join(FORMATS)}")
+    source = open_source(Path(dataset), split)
+    folder = Path(out)
+    refuse_files(folder)
+    with explain_os_errors(folder, "--out"):
+        partial = folder.absolute().parent / f".{folder.absolute().name}.partial-{os.getpid()}"
+        check_writable(partial, "--out")
+        try:
+            told = _write(source, to, partial)
+            if folder.exists():
+                folder.rmdir()
+            os.replace(partial, folder)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    return told
+
+
+def refuse_files(folder: Path) -> None:
+    """Raise FactoryError when `folder` is there and not empty."""
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise FactoryError(f"--out {folder}: holds files already; give a new or empty folder")
+
+
+def _write(source: Source, to: str, folder: Path) -> str:
+    told: str = import_module(FORMATS[to]).write(source, folder)
+    return told

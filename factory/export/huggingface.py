@@ -1,0 +1,118 @@
+"""A Hugging Face `datasets` folder: `load_dataset("out")` gives train and test with images.
+
+Parquet as the hub keeps it: each image is a struct of PNG bytes and a path, and the schema's
+metadata tell `datasets` that these are images.  float32 pictures become Array2D columns.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from factory.errors import FactoryError
+from factory.export.notes import dataset_settings
+from factory.export.pictures import is_picture, png
+from factory.export.source import Sample, Source
+from factory.shards.card import hub_fields
+
+SAMPLES_PER_FILE = 1000
+# The hub reads whole row groups to show one row.
+_SAMPLES_PER_GROUP = 100
+
+
+def write(source: Source, folder: Path) -> str:
+    """Fill `folder` with data/SPLIT-NNNNN-of-NNNNN.parquet and the card that names them."""
+    try:
+        import pyarrow  # noqa: F401  (an extra)
+    except ImportError as error:
+        raise FactoryError(
+            "--to huggingface needs the pyarrow package: pip install 'simnfnd[export]'"
+        ) from error
+    (folder / "data").mkdir()
+    files = 0
+    for split, count in source.splits.items():
+        samples = source.samples(split)
+        parts = -(-count // SAMPLES_PER_FILE)
+        for part in range(parts):
+            path = folder / "data" / f"{split}-{part:05d}-of-{parts:05d}.parquet"
+            _write_part(
+                source, samples, path, min(SAMPLES_PER_FILE, count - part * SAMPLES_PER_FILE)
+            )
+        files += parts
+    _write_card(source, folder)
+    return f"{files} parquet files, {sum(source.splits.values())} samples"
+
+
+def _write_part(source: Source, samples: Iterator[Sample], path: Path, count: int) -> None:
+    import pyarrow
+    from pyarrow import parquet
+
+    schema = _schema(source)
+    # PNG bytes do not get smaller, so compression is for the table alone.
+    with parquet.ParquetWriter(path, schema, compression="snappy") as writer:
+        for first in range(0, count, _SAMPLES_PER_GROUP):
+            rows = [_row(next(samples)) for _ in range(min(_SAMPLES_PER_GROUP, count - first))]
+            writer.write_table(pyarrow.Table.from_pylist(rows, schema=schema))
+
+
+def _row(sample: Sample) -> dict[str, Any]:
+    row: dict[str, Any] = {}
+    for name, image in sample.images.items():
+        if is_picture(image.dtype):
+            row[name] = {"bytes": png(image), "path": f"{sample.key}.{name}.png"}
+        else:
+            row[name] = list(image)
+    return {**row, **sample.record}
+
+
+def _schema(source: Source) -> Any:
+    import pyarrow
+
+    image = pyarrow.struct({"bytes": pyarrow.binary(), "path": pyarrow.string()})
+    fields: list[tuple[str, Any]] = []
+    features: dict[str, dict[str, Any]] = {}
+    for name, dtype in source.layers.items():
+        if is_picture(dtype):
+            fields.append((name, image))
+            features[name] = {"_type": "Image"}
+        else:
+            values = pyarrow.from_numpy_dtype(dtype)
+            fields.append((name, pyarrow.list_(pyarrow.list_(values))))
+            features[name] = {"_type": "Array2D", "shape": list(source.shape), "dtype": str(dtype)}
+    for column in source.columns:
+        dtype = np.dtype(column.dtype)
+        text = dtype.kind == "S"
+        fields.append((column.name, pyarrow.string() if text else pyarrow.from_numpy_dtype(dtype)))
+        features[column.name] = {"_type": "Value", "dtype": "string" if text else str(dtype)}
+    told = json.dumps({"info": {"features": features}})
+    return pyarrow.schema(fields).with_metadata({"huggingface": told})
+
+
+def _write_card(source: Source, folder: Path) -> None:
+    settings = dataset_settings(source.directory)
+    name, licence = str(settings.get("name") or "dataset"), settings.get("licence")
+    data_files = "".join(
+        f"  - split: {split}\n    path: data/{split}-*.parquet\n" for split in source.splits
+    )
+    fields = hub_fields(name, str(licence) if licence else None, sum(source.splits.values()))
+    rows, columns = source.shape
+    (folder / "README.md").write_text(
+        f"---\n{fields}\nconfigs:\n- config_name: default\n  data_files:\n{data_files}---\n\n"
+        f"# {name}\n\n"
+        f"Pairs of simulated forward-looking-sonar images ({rows} x {columns}, {source.dtype}): "
+        "`noisy` is the input of a denoiser, `clean` its target, `shadow` is 255 where no echo "
+        "arrives. The other columns say which frame a sample is of and every number that was drawn "
+        "for it (NaN: not drawn).\n\n"
+        "```python\n"
+        "from datasets import load_dataset\n\n"
+        'pairs = load_dataset("PATH_OF_THIS_FOLDER")\n'
+        "```\n\n"
+        f"Exported from a SimNFND dataset, config hash `{source.config_hash}`.\n\n"
+        f"## Licence\n\n{licence or 'not stated'}. The terms of the source images hold for what is "
+        "derived from them.\n",
+        encoding="utf-8",
+    )

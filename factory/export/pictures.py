@@ -1,0 +1,41 @@
+"""Images as PNG and npy bytes, without loss."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+# Level 1: a third of the time of the default, a few per cent larger.
+_PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
+
+
+def is_picture(dtype: np.dtype[np.generic]) -> bool:
+    """Whether a PNG holds this type without loss."""
+    return dtype in (np.bool_, np.uint8, np.uint16)
+
+
+def png(image: npt.NDArray[Any]) -> bytes:
+    """(H, W) uint8, uint16 or bool (as 0 and 255) -> PNG."""
+    if image.dtype == np.bool_:
+        image = image.astype(np.uint8) * np.uint8(255)
+    elif not is_picture(image.dtype):
+        raise TypeError(f"a PNG cannot hold {image.dtype}")
+    done, encoded = cv2.imencode(".png", image, _PNG)
+    assert done  # only unknown types and empty images fail
+    return encoded.tobytes()
+
+
+def npy(image: npt.NDArray[np.generic]) -> bytes:
+    """Any array -> the bytes of a .npy file."""
+    buffer = io.BytesIO()
+    np.save(buffer, image, allow_pickle=False)
+    return buffer.getvalue()
+
+
+def sixteen_bit(image: npt.NDArray[np.floating]) -> npt.NDArray[np.uint16]:
+    """(H, W) in 0..1 -> 0..65535, to the nearest."""
+    return np.asarray(np.rint(image.astype(np.float64) * 65535), dtype=np.uint16)

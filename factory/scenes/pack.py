@@ -1,0 +1,45 @@
+"""The `pack` reader: frames whose renders somebody else has made and packed into one file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic.dataclasses import dataclass
+
+from factory.errors import FactoryError, FrameError
+from factory.frame import Frame, FrameRef
+from factory.scenes.base import Discovery, SceneSettings
+from factory.scenes.roots import Root
+from factory.settings import STRICT
+
+
+@dataclass(frozen=True, config=STRICT, kw_only=True)
+class PackSettings(SceneSettings):
+    """Keys of `scenes=pack`.  root: a file that `python -m factory cache pack` has written."""
+
+    kind: Literal["pack"] = "pack"
+    root: Root
+    depth_kind: Literal["z"] = "z"
+
+
+class PackReader:
+    """Lists the frames of a pack."""
+
+    def __init__(self, settings: PackSettings) -> None:
+        self.settings = settings
+
+    def discover(self) -> Discovery:
+        """See `factory.scenes.base.Reader`."""
+        from factory.render.pack import read_contents
+
+        contents = read_contents(Path(self.settings.root).expanduser())
+        if not contents.members:
+            raise FactoryError(f"scenes.root={self.settings.root}: the pack is empty; pack again")
+        loss = "" if contents.exact else ", radiance of 4x4 pixels together"
+        note = f"pack: {len(contents.members)} frames of render.kind={contents.render}{loss}"
+        return Discovery(tuple(contents.members), {}, (note,))
+
+    def load(self, ref: FrameRef) -> Frame:
+        """Always raises: a pack holds what was rendered, without the colour to render it again."""
+        raise FrameError(f"{ref.name}: scenes=pack has renders and no frames")
