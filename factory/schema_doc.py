@@ -36,7 +36,7 @@ _HEAD = f"""\
 A scene is in train or in test, never in both. The folder can be moved. Every file is HDF5 that
 any library since 1.10 reads; the pictures are compressed as `dataset.compression` says (`gzip` and
 `none` need nothing, `lzf` needs h5py, `zstd` needs the hdf5plugin package) and carry a Fletcher-32
-checksum, so that a damaged one is an error and not a wrong picture.
+checksum (all but `none`), so that a damaged one is an error and not a wrong picture.
 """
 
 _INDEX = """\

@@ -52,6 +52,11 @@ TABLE: dict[str, How] = {
     "python -m models denoise outputs/demo --out outputs/denoised "
     "--weights outputs/models/nafnet/weights.safetensors": Run(),
     "python -m evaluation dataset=outputs/demo": Run(),
+    "python -m evaluation tune dataset=outputs/demo": Run(("tuning.pairs=2", "baselines=[median]")),
+    "python -m evaluation dataset=outputs/demo baselines=[all]": Run(
+        instead=(("baselines=[all]", "baselines=[median]"),)
+    ),
+    "python -m factory validate outputs/demo --deep": Run(),
 }
 
 TIMEOUT_S = 300.0

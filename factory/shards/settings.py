@@ -24,7 +24,8 @@ class DatasetSettings:
     name: what the dataset is called.
     dtype: of /noisy and /clean: uint8 (0..255) or float32 (0..1).
     compression: gzip and none are readable everywhere; lzf by every h5py; zstd reads three times
-        faster than gzip and needs the hdf5plugin package to write and to read.
+        faster than gzip and needs the hdf5plugin package to write and to read.  none is the
+        fastest and has no checksum in its chunks: only `validate` finds a flipped bit.
     compression_level: of gzip (0..9) or zstd (1..22); the others have none.
     on_existing: what to do with a dataset that is in the folder: resume goes on with it when it is
         the very same, overwrite makes it anew.
