@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.literal import LiteralRecipe
-from benchmarks.shared import composed_config, cpu_seconds, write_pair
+from benchmarks.shared import cpu_seconds, write_pair
 from factory import pairs
+from factory.commands.compose import compose_config
 from factory.config import FactoryConfig
 from factory.frame import Frame
 from factory.render import RenderSettings, open_renderer
@@ -33,12 +34,14 @@ OURS = {
 
 def main() -> None:
     """Print the table."""
-    config = composed_config(
-        "scenes.locations=1",
-        "sonar.beams=512",
-        "sonar.range_bins=512",
-        "sonar.image.width_px=512",
-        "sonar.image.height_px=512",
+    config = compose_config(
+        [
+            "scenes.locations=1",
+            "sonar.beams=512",
+            "sonar.range_bins=512",
+            "sonar.image.width_px=512",
+            "sonar.image.height_px=512",
+        ]
     )
     reader = open_reader(config.scenes)
     frame = reader.load(reader.discover().frames[0])

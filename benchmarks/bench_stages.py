@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.shared import composed_config, cpu_seconds, write_pair
+from benchmarks.shared import cpu_seconds, write_pair
 from factory import noise, pairs, resample, seeds
+from factory.commands.compose import compose_config
 from factory.render import open_renderer
 from factory.scenes import open_reader
 from factory.sonar import polar, transfer
@@ -33,7 +34,7 @@ def main() -> None:
 
 def measure(folder: Path) -> None:
     """Time every stage, writing to `folder`, and print the table."""
-    config = composed_config("render=embree", "scenes.locations=1")
+    config = compose_config(["render=embree", "scenes.locations=1"])
     sonar = config.sonar
     reader, renderer = open_reader(config.scenes), open_renderer(config.render)
     frame = reader.load(reader.discover().frames[0])

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import tempfile
-import time
 from pathlib import Path
+
+from benchmarks.shared import factory_seconds
 
 FRAMES = ("scenes.locations=4", "scenes.frames_per_location=12")
 DENSITIES = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64)
@@ -25,14 +24,10 @@ def main() -> None:
 
 def _seconds(folder: Path, densities: tuple[float, ...]) -> float:
     values = ",".join(map(str, densities))
-    command = [
-        *(sys.executable, "-m", "factory", "-m", *FRAMES, f"noise.background.density={values}"),
+    words = [
+        *("-m", *FRAMES, f"noise.background.density={values}"),
         *("render=cycles", "dataset.preview_pairs=0", f"cache.dir={folder / 'cache'}"),
         *(f"hydra.sweep.dir={folder / 'sweep'}", "scheduler.shard_size=12"),
         f"dataset.dir={folder}/set-${{hydra:job.num}}",
     ]
-    begun = time.monotonic()
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise SystemExit(done.stderr[-2000:])
-    return time.monotonic() - begun
+    return factory_seconds(words)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import tempfile
-import time
 from pathlib import Path
+
+from benchmarks.shared import factory_seconds
 
 PAIRS = 12 * 24
 
@@ -29,15 +28,11 @@ def main() -> None:
 
 
 def _seconds(folder: Path, workers: int, variants: int) -> float:
-    command = [
-        *(sys.executable, "-m", "factory", "render=analytic", f"cache.dir={folder / 'cache'}"),
+    words = [
+        *("render=analytic", f"cache.dir={folder / 'cache'}"),
         *("scenes.locations=2", "scenes.frames_per_location=6", "dataset.preview_pairs=0"),
         *(f"scheduler.workers={workers}", f"frames.variants={variants}"),
         *(f"scheduler.shard_size={variants}", "dataset.on_existing=overwrite"),
         f"dataset.dir={folder / 'dataset'}",
     ]
-    begun = time.monotonic()
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise SystemExit(done.stderr[-2000:])
-    return time.monotonic() - begun
+    return factory_seconds(words)

@@ -1,27 +1,18 @@
-"""What the benchmarks share: the default configuration, a clock for CPU time, a pair on disk."""
+"""What the benchmarks share: clocks for calls and for whole commands, a pair on disk."""
 
 from __future__ import annotations
 
 import statistics
+import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import h5py
-from hydra import compose, initialize_config_module
-from omegaconf import OmegaConf
 
-from factory.config import FactoryConfig, from_mapping
 from factory.sample import Pair
-
-
-def composed_config(*overrides: str) -> FactoryConfig:
-    """What `python -m factory OVERRIDES` would compose."""
-    with initialize_config_module("conf", version_base="1.3"):
-        values = OmegaConf.to_container(compose("factory", list(overrides)), resolve=True)
-    assert isinstance(values, dict)
-    return from_mapping({str(key): value for key, value in values.items() if key != "experiment"})
 
 
 def cpu_seconds(action: Callable[[], Any], repeats: int) -> float:
@@ -33,6 +24,16 @@ def cpu_seconds(action: Callable[[], Any], repeats: int) -> float:
         action()
         spent.append(time.process_time() - start)
     return statistics.median(spent)
+
+
+def factory_seconds(words: Sequence[str]) -> float:
+    """Wall time of the whole command `python -m factory WORDS`; ends the benchmark if it fails."""
+    begun = time.monotonic()
+    command = [sys.executable, "-m", "factory", *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(done.stderr[-2000:])
+    return time.monotonic() - begun
 
 
 def write_pair(pair: Pair, folder: Path) -> None:

@@ -18,6 +18,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.memory import workers_of
 from factory.errors import FactoryError
 from factory.scheduler.attempts import Attempts
 from factory.scheduler.journal import open_journal, read_journal
@@ -283,18 +284,6 @@ def test_what_no_frame_can_survive_ends_the_run_in_one_line(
         make(tmp_path / "dataset", **changes)  # type: ignore[arg-type]
     assert "\n" not in str(caught.value)
     assert not workers_of(os.getpid())
-
-
-def workers_of(pid: int) -> list[psutil.Process]:
-    """Living worker processes below `pid`."""
-    workers = []
-    for child in psutil.Process(pid).children(recursive=True):
-        try:
-            if "spawn_main" in " ".join(child.cmdline()):
-                workers.append(child)
-        except psutil.NoSuchProcess:  # or a zombie, which is a kind of that
-            continue
-    return workers
 
 
 def truncate(path: Path) -> None:

@@ -6,7 +6,6 @@ The shards are copied as they are, so their checksums stay what they were.
 from __future__ import annotations
 
 import argparse
-import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -16,12 +15,11 @@ from typing import Any
 import numpy as np
 
 from factory.errors import FactoryError
-from factory.export import refuse_files
 from factory.export.notes import dataset_settings
 from factory.export.source import Source, open_source
 from factory.shards.card import write_card
 from factory.shards.croissant import write_croissant
-from factory.shards.files import check_writable, explain_os_errors
+from factory.shards.files import refuse_files, whole_folder
 from factory.shards.folder import open_folder
 from factory.shards.index import write_index
 from factory.shards.manifest import MANIFEST_NAME, Manifest, damage, load_manifest, save_manifest
@@ -70,17 +68,8 @@ def merge(
     _check_samples(sources)
     settings = DatasetSettings(name=name, licence=licence or _common_licence(directories))
     provenance = _provenance(manifests)
-    partial = out.absolute().parent / f".{out.absolute().name}.partial-{os.getpid()}"
-    with explain_os_errors(out, "--out"):
-        check_writable(partial, "--out")
-        try:
-            merged = _fill(partial, manifests, provenance, settings)
-            if out.exists():
-                out.rmdir()
-            os.replace(partial, out)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
-    return merged
+    with whole_folder(out) as partial:
+        return _fill(partial, manifests, provenance, settings)
 
 
 def _whole(directory: Path) -> Manifest:

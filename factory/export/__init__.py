@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from importlib import import_module
 from pathlib import Path
 
 from factory.errors import FactoryError
 from factory.export.source import Source, open_source
-from factory.shards.files import check_writable, explain_os_errors
+from factory.shards.files import refuse_files, whole_folder
 from factory.shards.reader import Split
 
 # --to -> module with `write(source, folder) -> str`, which fills an empty folder and returns one
@@ -35,23 +33,8 @@ def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") 
     source = open_source(Path(dataset), split)
     folder = Path(out)
     refuse_files(folder)
-    with explain_os_errors(folder, "--out"):
-        partial = folder.absolute().parent / f".{folder.absolute().name}.partial-{os.getpid()}"
-        check_writable(partial, "--out")
-        try:
-            told = _write(source, to, partial)
-            if folder.exists():
-                folder.rmdir()
-            os.replace(partial, folder)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
-    return told
-
-
-def refuse_files(folder: Path) -> None:
-    """Raise FactoryError when `folder` is there and not empty."""
-    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
-        raise FactoryError(f"--out {folder}: holds files already; give a new or empty folder")
+    with whole_folder(folder) as partial:
+        return _write(source, to, partial)
 
 
 def _write(source: Source, to: str, folder: Path) -> str:

@@ -6,6 +6,7 @@ import errno
 import hashlib
 import os
 import re
+import shutil
 import socket
 import time
 from collections.abc import Iterator
@@ -136,3 +137,27 @@ def _is_stale(path: Path, host: str, pid: int) -> bool:
         return True
     except psutil.AccessDenied:
         return False
+
+
+def refuse_files(folder: Path) -> None:
+    """Raise FactoryError when `folder` is there and not empty."""
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise FactoryError(f"--out {folder}: holds files already; give a new or empty folder")
+
+
+@contextmanager
+def whole_folder(folder: Path) -> Iterator[Path]:
+    """An empty folder to fill, which becomes `folder` (absent or empty until then) at the end.
+
+    When filling fails, nothing is left behind.  Raises FactoryError when it cannot be written.
+    """
+    partial = folder.absolute().parent / f".{folder.absolute().name}.partial-{os.getpid()}"
+    with explain_os_errors(folder, "--out"):
+        check_writable(partial, "--out")
+        try:
+            yield partial
+            if folder.exists():
+                folder.rmdir()
+            os.replace(partial, folder)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
