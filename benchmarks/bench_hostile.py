@@ -12,19 +12,21 @@ import time
 from collections import Counter
 from pathlib import Path
 
+from benchmarks.report import Options, Section, Table
 from factory.shards.guarded import Guard
 from tests.hostile import check, copy, mutate, whole
 
 MUTATIONS = 1200
 
 
-def main() -> None:
-    """Print how many were read, refused and found invalid."""
+def measure(options: Options) -> Section:
+    """How many were read, refused and found invalid."""
     counts: Counter[tuple[str, str]] = Counter()
     slowest_s, bad = 0.0, []
+    mutations = options.amount(MUTATIONS, 3)
     with tempfile.TemporaryDirectory() as folder, Guard() as reader, Guard() as validator:
         sound = whole(Path(folder) / "sound")
-        for number in range(MUTATIONS):
+        for number in range(mutations):
             root = copy(sound, Path(folder) / "mutated")
             said = mutate(root, number)
             start = time.monotonic()
@@ -36,10 +38,8 @@ def main() -> None:
             slowest_s = max(slowest_s, time.monotonic() - start)
             verdict = "valid" if found == "valid" else "refused or invalid"
             counts[(read.split(":")[0], verdict)] += 1
-    print(f"| reader | validate --deep | datasets of {MUTATIONS} |\n|---|---|---:|")
-    for (read, verdict), count in sorted(counts.items()):
-        print(f"| {read} | {verdict} | {count} |")
-    print(f"| no clear answer | | {len(bad)} |")
-    print(f"\nSlowest answer of both together: {slowest_s:.1f} s (the limit is 2 s a shard here).")
-    if bad:
-        raise SystemExit("\n".join(bad))
+    rows = [(read, verdict, count) for (read, verdict), count in sorted(counts.items())]
+    rows.append(("no clear answer", "", len(bad)))
+    columns = ("reader", "validate --deep", f"datasets of {mutations}")
+    note = f"Slowest answer of both together: {slowest_s:.1f} s (the limit is 2 s a shard here)."
+    return Section((Table(columns, tuple(rows), note=note),), failed="; ".join(bad)[:2000])

@@ -1,105 +1,168 @@
-"""A frame to a finished pair: the paper's recipe to the letter against ours, in one process.
+"""A frame to a finished pair: the paper's recipe to the letter against ours.
 
-Both start from the same decoded 968x608 frame (procedural, so anyone can repeat it) and end with
-both pictures on disk, 512x512.  CPU seconds of all threads, medians; ratios first.  Imports and
-Blender's start are paid before the clock runs, for both.
+All start from the same decoded 968x608 frame (procedural, so that anyone can repeat it; with
+--frame one of FLSea VI, too) and end with both pictures on disk, 512x512.  Ours are written as the
+factory does: a gzip-1 shard with checksums.  Warm ones begin with the render in the cache, on disk;
+a further variant with the echoes of its frame at hand.  Each row has a process of its own; imports,
+compilation and Blender's start are paid before the clock runs, for all.
 """
 
 from __future__ import annotations
 
-import os
-import sys
 import tempfile
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from benchmarks.literal import LiteralRecipe
-from benchmarks.shared import cpu_seconds, write_pair
-from factory import pairs
+from benchmarks.report import Options, Section, Table
+from benchmarks.shared import (
+    PROVENANCE,
+    Spent,
+    clock,
+    frame_words,
+    in_own_process,
+    quiet,
+    write_pair,
+)
 from factory.commands.compose import compose_config
 from factory.config import FactoryConfig
-from factory.frame import Frame
-from factory.render import RenderSettings, open_renderer
 from factory.scenes import open_reader
 
-LITERAL_REPEATS, OUR_REPEATS = 3, 7
-OURS = {
-    "cold, Cycles mesh": RenderSettings(kind="cycles"),
-    "cold, Cycles points": RenderSettings(kind="cycles", geometry="points"),
-    "cold, embree": RenderSettings(kind="embree"),
-    "cold, analytic": RenderSettings(kind="analytic"),
+PICTURES = (
+    *("sonar.beams=512", "sonar.range_bins=512"),
+    *("sonar.image.width_px=512", "sonar.image.height_px=512"),
+)
+COLD = {
+    "ours cold, Cycles": ["render=cycles"],
+    "ours cold, Cycles, stride 1": ["render=cycles", "render.stride=1"],
+    "ours cold, Cycles mesh, stride 1": [
+        *("render=cycles", "render.stride=1", "render.geometry=mesh"),
+    ],
+    "ours cold, embree": ["render=embree"],
+    "ours cold, analytic": ["render=analytic"],
 }
+LITERAL = "literal recipe"
+# A shard is many pairs: its own cost (opening, table, two fsyncs) is spread over them.
+PER_SHARD = 16
 
 
-def main() -> None:
-    """Print the table."""
-    config = compose_config(
-        [
-            "scenes.locations=1",
-            "sonar.beams=512",
-            "sonar.range_bins=512",
-            "sonar.image.width_px=512",
-            "sonar.image.height_px=512",
-        ]
+def measure(options: Options) -> Section:
+    """A table for the procedural frame, and one for a real frame."""
+    sources = {"procedural frame": ""}
+    if options.frame:
+        sources["FLSea VI frame"] = options.frame
+    tables = [_table(title, root, options) for title, root in sources.items()]
+    note = "" if options.frame else "Without --frame DIR (FLSea VI) no real frame was measured."
+    return Section(tuple(tables), note)
+
+
+def _table(title: str, root: str, options: Options) -> Table:
+    words = [*frame_words(root), *PICTURES]
+    ours, theirs = options.amount(7), options.amount(3)
+    spent: dict[str, Spent] = {LITERAL: in_own_process(literal, words, theirs)}
+    for label, render in COLD.items():
+        spent[label] = in_own_process(cold, [*words, *render], ours)
+    spent["ours warm, render in the cache"] = in_own_process(
+        warm, words, ours, options.amount(PER_SHARD, 2)
     )
-    reader = open_reader(config.scenes)
-    frame = reader.load(reader.discover().frames[0])
-    rows: list[tuple[str, float]] = []
+    spent["ours, a further variant"] = in_own_process(
+        further, words, ours, options.amount(PER_SHARD, 2)
+    )
+    rows = tuple(
+        (
+            label,
+            spent[LITERAL].cpu / one.cpu,
+            one.cpu,
+            one.spread,
+            one.wall,
+            round(one.peak_mb),
+        )
+        for label, one in spent.items()
+    )
+    columns = ("pair", "times less CPU", "CPU s", "least to most", "wall s", "peak memory, MB")
+    return Table(columns, rows, title, bars="times less CPU")
+
+
+def literal(words: list[str], repeats: int) -> Spent:
+    """The recipe of the paper."""
+    from benchmarks.literal import LiteralRecipe
+
+    frame = _frame(compose_config(words))
+    with tempfile.TemporaryDirectory() as folder, quiet():
+        recipe = LiteralRecipe(Path(folder))
+        return clock(lambda: recipe.pair(frame), repeats)
+
+
+def cold(words: list[str], repeats: int) -> Spent:
+    """Render, pair, shard of one."""
+    from factory import pairs
+    from factory.pairs import PairMaker
+    from factory.render import open_renderer
+
+    config = compose_config(words)
+    frame, renderer, maker = _frame(config), open_renderer(config.render), PairMaker(config)
+    axes, columns = maker.axes(), maker.columns()
+    with tempfile.TemporaryDirectory() as folder:
+
+        def one() -> None:
+            rendered = renderer.render(frame, config.sonar.mount)
+            scene = pairs.observe(frame, rendered, config.sonar)
+            write_pair(pairs.make_pair(scene, 0, config), axes, columns, Path(folder))
+
+        return clock(one, repeats)
+
+
+def warm(words: list[str], repeats: int, count: int) -> Spent:
+    """From the cached render: read and decode it, observe, make the pair, write it in a shard."""
+    from factory.pairs import PairMaker
+    from factory.shards.writer import write_shard
+
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for label, settings in OURS.items():
-            renderer = open_renderer(settings)
+        cached = [*words, "render=embree", f"cache.dir={folder / 'cache'}"]
+        in_own_process(prepare, cached)
+        config = compose_config(cached)
+        ref = open_reader(config.scenes).discover().frames[0]
 
-            def cold(renderer: Any = renderer) -> None:
-                rendered = renderer.render(frame, config.sonar.mount)
-                scene = pairs.observe(frame, rendered, config.sonar)
-                write_pair(pairs.make_pair(scene, 0, config), folder)
+        def shard() -> None:
+            # A source of its own each time: whatever it keeps of a frame, every frame is new to it.
+            made = (PairMaker(config).pairs(ref, (number,))[0] for number in range(count))
+            axes, columns = PairMaker(config).axes(), PairMaker(config).columns()
+            write_shard(folder, "train/warm.h5", made, axes, columns, PROVENANCE, config.dataset)
 
-            rows.append((label, cpu_seconds(cold, OUR_REPEATS)))
-        rows += warm_rows(frame, renderer.render(frame, config.sonar.mount), config, folder)
-        recipe = LiteralRecipe(folder)
-        with quiet():
-            literal = cpu_seconds(lambda: recipe.pair(frame), LITERAL_REPEATS)
-    print("| pair | times less CPU than the literal recipe | CPU s |")
-    print("|---|---:|---:|")
-    print(f"| literal recipe | 1 | {literal:.2f} |")
-    for label, spent in rows:
-        print(f"| ours, {label} | {literal / spent:.0f} | {spent:.3f} |")
+        return clock(shard, repeats, count)
 
 
-def warm_rows(
-    frame: Frame, rendered: Any, config: FactoryConfig, folder: Path
-) -> list[tuple[str, float]]:
-    """Pairs of a render that is at hand, and of echoes that are (further variants of a frame)."""
+def prepare(words: list[str]) -> None:
+    """Leave the frame's render in the cache, as a worker that renders does."""
+    from factory.views import ViewMaker
+
+    config = compose_config(words)
+    ViewMaker(config).prepare(open_reader(config.scenes).discover().frames[0])
+
+
+def further(words: list[str], repeats: int, count: int) -> Spent:
+    """Other noise on a frame whose echoes are at hand, written in a shard."""
+    from factory import pairs
+    from factory.pairs import PairMaker
+    from factory.render import open_renderer
+    from factory.shards.writer import write_shard
+
+    config = compose_config([*words, "render=analytic"])
+    frame, maker = _frame(config), PairMaker(config)
+    axes, columns = maker.axes(), maker.columns()
+    rendered = open_renderer(config.render).render(frame, config.sonar.mount)
     scene = pairs.observe(frame, rendered, config.sonar)
+    with tempfile.TemporaryDirectory() as folder:
 
-    def from_render() -> None:
-        again = pairs.observe(frame, rendered, config.sonar)
-        write_pair(pairs.make_pair(again, 0, config), folder)
+        def shard() -> None:
+            made = (pairs.make_pair(scene, number, config) for number in range(count))
+            write_shard(
+                Path(folder), "train/more.h5", made, axes, columns, PROVENANCE, config.dataset
+            )
 
-    return [
-        ("warm, from the render", cpu_seconds(from_render, OUR_REPEATS)),
-        (
-            "warm, a further variant",
-            cpu_seconds(lambda: write_pair(pairs.make_pair(scene, 0, config), folder), OUR_REPEATS),
-        ),
-    ]
+        return clock(shard, repeats, count)
 
 
-@contextmanager
-def quiet() -> Any:
-    """Blender tells of every render on the C level; the report is on stdout."""
-    sys.stdout.flush()
-    keep = os.dup(1)
-    with open(os.devnull, "w") as nowhere:
-        os.dup2(nowhere.fileno(), 1)
-    try:
-        yield
-    finally:
-        os.dup2(keep, 1)
-        os.close(keep)
-
-
-if __name__ == "__main__":
-    main()
+def _frame(config: FactoryConfig) -> Any:
+    reader = open_reader(config.scenes)
+    return reader.load(reader.discover().frames[0])

@@ -11,19 +11,23 @@ from pathlib import Path
 import psutil
 
 from benchmarks.memory import workers_of
+from benchmarks.report import Options, Section, Table
 
 
-def main() -> None:
+def measure(options: Options) -> Section:
     """A whole run with Cycles, watched from outside; PSS counts shared pages once."""
+    workers = options.amount(48, 3)
     with tempfile.TemporaryDirectory() as folder:
         command = [
             *(sys.executable, "-m", "factory", "scheduler=paper48", "scheduler.shard_size=1"),
-            *("scenes.locations=6", "scenes.frames_per_location=8", "dataset.preview_pairs=0"),
+            *(f"scenes.locations={options.amount(6)}", "dataset.preview_pairs=0"),
+            f"scenes.frames_per_location={options.amount(8)}",
             *(f"dataset.dir={folder}/dataset", f"cache.dir={folder}/cache"),
+            *((f"scheduler.workers={workers}",) if options.quick else ()),
         ]
         started = time.monotonic()
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-        most, pss, uss, samples = 0, 0, 0, 0
+        most, pss, uss = 0, 0, 0
         while process.poll() is None:
             tree = [psutil.Process(process.pid), *workers_of(process.pid)]
             memory = []
@@ -32,16 +36,14 @@ def main() -> None:
                     memory.append(one.memory_full_info())
                 except psutil.Error:
                     continue
-            samples += 1
             most = max(most, len(tree) - 1)
             pss = max(pss, sum(part.pss for part in memory))
             uss = max(uss, sum(part.uss for part in memory))
             time.sleep(0.5)
         seconds = time.monotonic() - started
         pairs = len(list(Path(folder, "dataset").glob("*/*.h5")))
-    print("| pairs | seconds | worker processes | peak PSS, GB | peak USS, GB | exit code |")
-    print("|---:|---:|---:|---:|---:|---:|")
-    row = f"| {pairs} | {seconds:.0f} | {most} | {pss / 1e9:.2f} | {uss / 1e9:.2f} |"
-    print(f"{row} {process.returncode} |")
-    if process.returncode or most < 48:
-        raise SystemExit(f"{most} workers, exit code {process.returncode}")
+    columns = ("pairs", "seconds", "worker processes", "peak PSS, GB", "peak USS, GB")
+    table = Table(columns, ((pairs, seconds, most, pss / 1e9, uss / 1e9),))
+    bad = process.returncode or most < workers
+    failed = f"{most} workers, exit code {process.returncode}" if bad else ""
+    return Section((table,), failed=failed)

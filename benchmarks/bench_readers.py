@@ -17,6 +17,8 @@ from typing import Literal
 import h5py
 import numpy as np
 
+from benchmarks.report import Cell, Options, Section, Table
+from benchmarks.shared import PROVENANCE
 from factory.config import FactoryConfig, from_mapping
 from factory.pairs import make_pair, observe
 from factory.record import columns, image_axes
@@ -24,7 +26,6 @@ from factory.sample import Pair
 from factory.shards import PairDataset
 from factory.shards.index import write_index
 from factory.shards.manifest import Manifest, save_manifest
-from factory.shards.schema import Provenance
 from factory.shards.settings import DatasetSettings
 from factory.shards.writer import write_shard
 
@@ -34,22 +35,30 @@ Compression = Literal["gzip", "zstd", "none"]
 WANTED = {"gzip": 350, "zstd": 1100, "none": 5000}
 
 
-def main() -> None:
-    """Print pairs a second for each compression, and for torch DataLoaders."""
-    config = _config()
-    pairs = list(_pairs(config))
+def measure(options: Options) -> Section:
+    """Pairs a second for each compression, and for torch DataLoaders."""
+    config = picture_config()
+    pairs = list(procedural_pairs(config))
+    amounts = options.amount(PER_SHARD, 3), options.amount(ROUNDS)
+    rows: list[tuple[Cell, ...]] = []
     with tempfile.TemporaryDirectory() as folder:
-        print("| compression | MB a pair | bare h5py | PairDataset | of bare | index.h5 | wanted |")
-        print("|---|---:|---:|---:|---:|---:|---:|")
         for compression in ("gzip", "zstd", "none"):
-            root = _dataset(Path(folder) / compression, pairs, config, compression)
-            _compare(root, compression)
-        print("\n| DataLoader, gzip | 1 worker | 2 workers | ratio |\n|---|---:|---:|---:|")
-        one, two = (_loader(Path(folder) / "gzip", workers) for workers in (1, 2))
-        print(f"| pairs a second, batches of 8 | {one:.0f} | {two:.0f} | {two / one:.2f} |")
+            root = _dataset(Path(folder) / compression, pairs, config, compression, amounts[0])
+            rows.append(_compare(root, compression, *amounts))
+        one, two = (
+            _loader(Path(folder) / "gzip", workers, options.amount(5, 2)) for workers in (1, 2)
+        )
+    columns = ("compression", "of bare h5py", "PairDataset, pairs/s", "bare h5py", "index.h5")
+    table = Table((*columns, "wanted", "MB a pair"), tuple(rows), bars=columns[2])
+    loaders = Table(
+        ("DataLoader, gzip, batches of 8", "times one worker", "pairs/s"),
+        (("1 worker", 1.0, one), ("2 workers", two / one, two)),
+    )
+    return Section((table, loaders))
 
 
-def _config() -> FactoryConfig:
+def picture_config() -> FactoryConfig:
+    """Pictures of 512x512 of procedural scenes."""
     picture = {"width_px": 512, "height_px": 512}
     return from_mapping(
         {
@@ -60,7 +69,8 @@ def _config() -> FactoryConfig:
     )
 
 
-def _pairs(config: FactoryConfig) -> Iterator[Pair]:
+def procedural_pairs(config: FactoryConfig) -> Iterator[Pair]:
+    """Thirty pairs: five variants of each of six frames."""
     from factory.render import open_renderer
     from factory.scenes import open_reader
 
@@ -72,17 +82,21 @@ def _pairs(config: FactoryConfig) -> Iterator[Pair]:
 
 
 def _dataset(
-    root: Path, pairs: list[Pair], config: FactoryConfig, compression: Compression
+    root: Path,
+    pairs: list[Pair],
+    config: FactoryConfig,
+    compression: Compression,
+    per_shard: int,
 ) -> Path:
     manifest = Manifest("0" * 16, "benchmark")
     for shard in range(SHARDS):
         info = write_shard(
             root,
             f"train/shard-{shard:05d}.h5",
-            (pairs[(shard + number) % len(pairs)] for number in range(PER_SHARD)),
+            (pairs[(shard + number) % len(pairs)] for number in range(per_shard)),
             image_axes(config.sonar),
             columns(config.noise),
-            Provenance({}, "0" * 16, "benchmark"),
+            PROVENANCE,
             DatasetSettings(compression=compression),
         )
         assert info is not None
@@ -92,8 +106,8 @@ def _dataset(
     return root
 
 
-def _compare(root: Path, compression: Compression) -> None:
-    order = np.random.default_rng(0).permutation(SHARDS * PER_SHARD).tolist()
+def _compare(root: Path, compression: Compression, per_shard: int, rounds: int) -> tuple[Cell, ...]:
+    order = np.random.default_rng(0).permutation(SHARDS * per_shard).tolist()
     # HDF5 opens a file once in a process, with the settings of whoever came first.
     copy = Path(shutil.copytree(root, root.with_name(f"{root.name}-copy")))
     files = [h5py.File(path) for path in sorted(copy.glob("train/*.h5"))]
@@ -103,7 +117,7 @@ def _compare(root: Path, compression: Compression) -> None:
 
     def bare() -> None:
         for number in order:
-            shard, row = divmod(number, PER_SHARD)
+            shard, row = divmod(number, per_shard)
             noisy, clean = stacks[shard]
             noisy[row], clean[row]
 
@@ -118,21 +132,19 @@ def _compare(root: Path, compression: Compression) -> None:
             for number in order:
                 pairs[number]
 
-        best = _best([bare, ours, through_index], len(order))
+        best = _best([bare, ours, through_index], len(order), rounds)
     for file in (*files, index):
         file.close()
     size = sum(path.stat().st_size for path in root.glob("train/*.h5")) / len(order)
     bare_rate, our_rate, index_rate = best
-    print(
-        f"| {compression} | {size / 1e6:.2f} | {bare_rate:.0f} | {our_rate:.0f} "
-        f"| {our_rate / bare_rate:.2f} | {index_rate:.0f} | {WANTED[compression]} |"
-    )
+    wanted = WANTED[compression]
+    return (compression, our_rate / bare_rate, our_rate, bare_rate, index_rate, wanted, size / 1e6)
 
 
-def _best(readers: list[Callable[[], None]], count: int) -> list[float]:
+def _best(readers: list[Callable[[], None]], count: int, rounds: int) -> list[float]:
     """Most pairs a second of each reader; they take turns."""
     best = [0.0] * len(readers)
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         for number, read in enumerate(readers):
             start = time.perf_counter()
             read()
@@ -140,7 +152,7 @@ def _best(readers: list[Callable[[], None]], count: int) -> list[float]:
     return best
 
 
-def _loader(root: Path, workers: int) -> float:
+def _loader(root: Path, workers: int, epochs: int) -> float:
     """Pairs a second of whole epochs after the first, in which the workers start."""
     from torch.utils.data import DataLoader
 
@@ -150,7 +162,7 @@ def _loader(root: Path, workers: int) -> float:
         Pairs(root), 8, shuffle=True, num_workers=workers, persistent_workers=True, drop_last=True
     )
     best = 0.0
-    for epoch in range(5):
+    for epoch in range(epochs):
         start = time.perf_counter()
         count = sum(len(batch["noisy"]) for batch in loader)
         if epoch:

@@ -7,13 +7,13 @@ seconds are those of all threads of the process.
 
 from __future__ import annotations
 
-import multiprocessing
 import statistics
 import time
-from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
+from benchmarks.report import Cell, Options, Section, Table
+from benchmarks.shared import in_own_process, quiet
 from factory.errors import FactoryError
 from factory.frame import Frame
 from factory.render import RenderSettings, open_renderer
@@ -23,7 +23,8 @@ from factory.sonar.mount import Mount
 REPEATS = 5
 SETTINGS = (
     RenderSettings(kind="cycles"),
-    RenderSettings(kind="cycles", geometry="points"),
+    RenderSettings(kind="cycles", stride=1),
+    RenderSettings(kind="cycles", stride=1, geometry="mesh"),
     RenderSettings(kind="embree"),
     RenderSettings(kind="analytic"),
 )
@@ -37,13 +38,14 @@ def seabed_frame() -> Frame:
     return reader.load(reader.discover().frames[0])
 
 
-def cpu_seconds(settings: RenderSettings, frame: Frame, mount: Mount) -> list[float]:
-    """CPU time of the first render of this process, opening included, and of REPEATS more."""
+def cpu_seconds(settings: RenderSettings, frame: Frame, mount: Mount, repeats: int) -> list[float]:
+    """CPU time of the first render of this process, opening included, and of `repeats` more."""
     spent = []
     start = time.process_time()
     renderer = open_renderer(settings)
-    for _ in range(1 + REPEATS):
-        rendered = renderer.render(frame, mount)
+    for _ in range(1 + repeats):
+        with quiet():
+            rendered = renderer.render(frame, mount)
         now = time.process_time()
         spent.append(now - start)
         start = now
@@ -52,38 +54,32 @@ def cpu_seconds(settings: RenderSettings, frame: Frame, mount: Mount) -> list[fl
     return spent
 
 
-def measured(settings: RenderSettings, frame: Frame, mount: Mount) -> list[float]:
-    """`cpu_seconds` in a fresh process."""
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=spawn) as pool:
-        return pool.submit(cpu_seconds, settings, frame, mount).result()
-
-
-def row(settings: RenderSettings, frame: Frame) -> str:
-    """One line of the table."""
-    name = f"{settings.kind}, {settings.geometry}"
-    try:
-        first, *others = measured(settings, frame, AT_CAMERA)
-        # Without occlusion, or with that of points, a sonar off the camera means nothing.
-        shadows = settings.geometry == "mesh" and settings.kind != "analytic"
-        above = measured(settings, frame, ABOVE)[1:] if shadows else []
-    except FactoryError as error:
-        return f"| {name} | {error} | | |"
-    off_camera = f"{statistics.median(above):.3f}" if above else "no shadows"
-    return f"| {name} | {first:.2f} | {statistics.median(others):.3f} | {off_camera} |"
-
-
-def main() -> None:
-    """Print the table."""
+def measure(options: Options) -> Section:
+    """A row for each renderer."""
     frame = seabed_frame()
     height, width = frame.depth_m.shape
-    print(f"One {width}x{height} frame, {int(frame.valid.sum())} measured pixels; CPU seconds,")
-    print(f"median of {REPEATS} renders after the first.\n")
-    print("| renderer | first render | sonar at the camera | sonar 1 m above it |")
-    print("|---|---|---|---|")
-    for settings in SETTINGS:
-        print(row(settings, frame), flush=True)
+    note = (
+        f"One {width}x{height} frame, {int(frame.valid.sum())} measured pixels; median of the "
+        "renders after the first."
+    )
+    rows = tuple(_row(settings, frame, options.amount(REPEATS)) for settings in SETTINGS)
+    columns = (
+        "renderer",
+        "CPU s, first render",
+        "CPU s, sonar at the camera",
+        "CPU s, 1 m above it",
+    )
+    return Section((Table(columns, rows, bars="CPU s, sonar at the camera"),), note)
 
 
-if __name__ == "__main__":
-    main()
+def _row(settings: RenderSettings, frame: Frame, repeats: int) -> tuple[Cell, ...]:
+    name = f"{settings.kind}, {settings.geometry}, stride {settings.stride}"
+    try:
+        first, *others = in_own_process(cpu_seconds, settings, frame, AT_CAMERA, repeats)
+        # Without occlusion, or with that of points, a sonar off the camera means nothing.
+        shadows = settings.geometry != "points" and settings.kind != "analytic"
+        above = in_own_process(cpu_seconds, settings, frame, ABOVE, repeats)[1:] if shadows else []
+    except FactoryError as error:
+        return (name, str(error), "", "")
+    off_camera = statistics.median(above) if above else "no shadows"
+    return (name, first, statistics.median(others), off_camera)

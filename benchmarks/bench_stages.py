@@ -1,6 +1,7 @@
-"""CPU milliseconds of every stage between a rendered frame and a finished pair.
+"""CPU milliseconds of every stage from a frame's file to a finished pair.
 
-One procedural 968x608 frame, the default sonar and noise; medians of repeated runs in one process.
+One procedural 968x608 frame (with --frame the first of FLSea VI), the default sonar and noise;
+medians of repeated runs in one process.
 Ratios are to one plain pass over the points (a copy of their coordinates), which cancels most of
 what differs between machines.
 """
@@ -15,10 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.shared import cpu_seconds, write_pair
+from benchmarks.report import Options, Section, Table
+from benchmarks.shared import cpu_seconds, frame_words, write_pair
 from factory import noise, pairs, resample, seeds
+from factory.cloud import back_project
 from factory.commands.compose import compose_config
+from factory.record import columns as sample_columns
+from factory.record import image_axes
 from factory.render import open_renderer
+from factory.render.view import decode, encode, view_of
 from factory.scenes import open_reader
 from factory.sonar import polar, transfer
 from factory.sonar.fan import fan_table
@@ -26,18 +32,19 @@ from factory.sonar.fan import fan_table
 REPEATS = 9
 
 
-def main() -> None:
-    """Print the table."""
+def measure(options: Options) -> Section:
+    """Time every stage."""
     with tempfile.TemporaryDirectory() as name:
-        measure(Path(name))
+        return Section((_table(Path(name), options),))
 
 
-def measure(folder: Path) -> None:
-    """Time every stage, writing to `folder`, and print the table."""
-    config = compose_config(["render=embree", "scenes.locations=1"])
+def _table(folder: Path, options: Options) -> Table:
+    config = compose_config(["render=embree", *frame_words(options.frame)])
+    repeats = options.amount(REPEATS)
     sonar = config.sonar
     reader, renderer = open_reader(config.scenes), open_renderer(config.render)
-    frame = reader.load(reader.discover().frames[0])
+    ref = reader.discover().frames[0]
+    frame = reader.load(ref)
     rendered = renderer.render(frame, sonar.mount)
     scene = pairs.observe(frame, rendered, sonar)
     window, names = scene.window, ("seabed", "seabed-0000", "0000", 0)
@@ -51,7 +58,15 @@ def measure(folder: Path) -> None:
     table = fan_table(sonar, window.near_fraction)
     pair = pairs.make_pair(scene, 0, config)
 
+    view = view_of(frame, rendered, sonar.mount)
+    packed, axes, columns = encode(view), image_axes(sonar), sample_columns(config.noise)
+
     stages: dict[str, Callable[[], Any]] = {
+        "load the frame (decode, or build the scene)": lambda: reader.load(ref),
+        "render, embree": lambda: renderer.render(frame, sonar.mount),
+        "back-project": lambda: back_project(frame.depth_m, frame.intrinsics),
+        "cached render: encode": lambda: encode(view),
+        "cached render: decode": lambda: decode(packed),
         "observe: pixels to echoes, window, shadow": lambda: pairs.observe(frame, rendered, sonar),
         "resample (random, 0.6)": lambda: resample.random_subset(
             scene.echoes, 0.6, seeds.stream(0, "thin")
@@ -68,17 +83,14 @@ def measure(folder: Path) -> None:
         "point-spread": lambda: polar.spread_points(level, sonar),
         "grey values": lambda: transfer.grey(level, full_scale, sonar.transfer),
         "fan, bilinear": lambda: table.bilinear(grey),
-        "gzip-1 of a pair": lambda: write_pair(pair, folder),
+        "shard of one pair, gzip-1": lambda: write_pair(pair, axes, columns, folder),
         "**make_pair, all of it**": lambda: pairs.make_pair(scene, 0, config),
     }
-    plain = cpu_seconds(lambda: np.stack([cloud.range_m, cloud.azimuth_rad]).copy(), REPEATS)
-    print(f"{len(scene.echoes)} echoes, {len(cloud)} points in the noisy cloud\n")
-    print("| stage | CPU ms | times one plain pass |")
-    print("|---|---:|---:|")
-    for name, action in stages.items():
-        spent = cpu_seconds(action, REPEATS)
-        print(f"| {name} | {1000 * spent:.2f} | {spent / plain:.1f} |")
-
-
-if __name__ == "__main__":
-    main()
+    plain = cpu_seconds(lambda: np.stack([cloud.range_m, cloud.azimuth_rad]).copy(), repeats)
+    rows = tuple(
+        (name, spent / plain, 1000 * spent)
+        for name, spent in ((name, cpu_seconds(one, repeats)) for name, one in stages.items())
+    )
+    note = f"{len(scene.echoes)} echoes, {len(cloud)} points in the noisy cloud."
+    columns_ = ("stage", "times one plain pass", "CPU ms")
+    return Table(columns_, rows, note=note, bars="CPU ms")

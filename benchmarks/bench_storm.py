@@ -5,24 +5,41 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+from benchmarks.report import Cell, Options, Section, Table
 from benchmarks.storm import HANGS, KILLS, storm, undisturbed
 
 SHARDS = 44
 
 
-def main() -> None:
-    """Print what happened and whether all came out as without it; ends with 1 when not."""
-    print("| backend | shards | workers killed | run killed | commands | seconds | outcome |")
-    print("|---|---:|---:|---:|---:|---:|---|")
-    bad = False
+def measure(options: Options) -> Section:
+    """What happened, and whether all came out as without it."""
+    rows: list[tuple[Cell, ...]] = []
+    shards, kills = options.amount(44, 8), options.amount(110, 6)
     with tempfile.TemporaryDirectory() as folder:
-        expected = undisturbed(Path(folder, "calm", "dataset"), SHARDS)
-        for backend in ("local", "dask"):
+        expected = undisturbed(Path(folder, "calm", "dataset"), shards)
+        for backend in ("local",) if options.quick else ("local", "dask"):
             directory = Path(folder, backend, "dataset")
-            done = storm(directory, backend, shards=SHARDS, kills=110, run_kills=2, delay_s=0.6)
+            done = storm(
+                directory,
+                backend,
+                shards=shards,
+                kills=kills,
+                run_kills=options.amount(2),
+                delay_s=0.6,
+            )
             good = done.shards == expected and done.named == (KILLS, HANGS)
-            bad |= not good
-            row = f"| {backend} | {len(done.shards)} | {done.worker_kills} | {done.run_kills} "
-            row += f"| {done.runs} | {done.seconds:.0f} "
-            print(row + f"| {'byte-identical, both bad frames named' if good else done.named} |")
-    raise SystemExit(bad)
+            outcome = "byte-identical, both bad frames named" if good else f"BAD: {done.named}"
+            rows.append(
+                (
+                    backend,
+                    len(done.shards),
+                    done.worker_kills,
+                    done.run_kills,
+                    done.runs,
+                    done.seconds,
+                    outcome,
+                )
+            )
+    columns = ("backend", "shards", "workers killed", "run killed", "commands", "s", "outcome")
+    bad = [str(row[0]) for row in rows if str(row[-1]).startswith("BAD")]
+    return Section((Table(columns, tuple(rows)),), failed=", ".join(bad))

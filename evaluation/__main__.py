@@ -1,78 +1,53 @@
-"""`python -m evaluation dataset=DIR`: a dataset's noisy images, and baselines, against its clean.
+"""`python -m evaluation`: how good are the images of a dataset, and of methods that denoise them?
 
-`python -m evaluation tune dataset=DIR` finds the best parameters of the baselines first.
+python -m evaluation dataset=DIR [KEY=VALUE ...]        the report on a dataset's pairs
+python -m evaluation tune dataset=DIR ...               best parameters of the baselines first
+python -m evaluation compare A B                        is one report's row better than another's
+python -m evaluation campaign FOLDER                    the table of `python -m models.campaign`
+python -m evaluation realism REAL SIM [SIM ...]         how near datasets are to real pictures
+python -m evaluation real IN                            what methods make of pictures without truth
+python -m evaluation fit REAL                           noise parameters nearest to real pictures
+python -m evaluation --help | --cfg job                 every key; VERB --help for a verb
 """
 
 from __future__ import annotations
 
 import sys
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from collections.abc import Sequence
+from importlib import import_module
 
-from omegaconf import DictConfig, OmegaConf
+from factory.cli import guard
 
-from factory.cli import accept_dataset_folder, run_app
-from factory.errors import FactoryError
-from factory.settings import build
+VERBS = {
+    "": "evaluation.command:report",
+    "tune": "evaluation.command:tune",
+    "campaign": "evaluation.campaign:campaign",
+    "compare": "evaluation.compare:main",
+    "realism": "evaluation.realism.command:realism",
+    "real": "evaluation.real.command:real",
+    "fit": "evaluation.fit:fit",
+}
+"""First word -> "module:function".  The function gets the other words and returns an exit code.
 
-if TYPE_CHECKING:
-    from evaluation.measure import EvaluationSettings
-    from evaluation.tuning import BaselineSettings
-
-
-def run(config: DictConfig) -> None:
-    """Measure, print the table and write the files."""
-    # Only after the configuration is known: `--help` and typing errors answer at once.
-    from evaluation import leaderboard, leaderboard_files, measure, summary
-
-    settings, own = settings_of(config)
-    methods, untuned = leaderboard.methods_of(settings, own)
-    name = Path(settings.dataset.dir).resolve().name
-    out = Path(settings.out or Path("outputs", "evaluation", f"{name}-{settings.split}"))
-    scores = measure.measure(settings)
-    estimates = measure.summarise(scores, settings)
-    summary.write(out, scores, estimates, settings)
-    print(summary.table(estimates))
-    if methods:
-        items, rows = leaderboard.leaderboard(settings, methods, texture=own.texture)
-        leaderboard_files.write(out, items, rows)
-        print(f"\n{leaderboard_files.table(rows)}")
-        if untuned:
-            print(
-                f"not tuned: {', '.join(untuned)}; `python -m evaluation tune dataset=DIR` gives "
-                "them rows with tuned parameters and levels"
-            )
-    print(f"report: {out / 'summary.md'}")
+A verb with a configuration of its own calls `evaluation.app.hydra_verb(task, CONFIG, words)`.
+"""
 
 
-def run_tune(config: DictConfig) -> None:
-    """Tune the baselines on validation pairs."""
-    from evaluation import tuning
+def run(words: Sequence[str]) -> int:
+    """Run the verb that `words` begin with, the report when there is none; returns the exit code.
 
-    print("\n".join(tuning.tune(*settings_of(config))))
-
-
-def settings_of(config: DictConfig) -> tuple[EvaluationSettings, BaselineSettings]:
-    """The checked settings.  FactoryError names the key that is wrong."""
-    from evaluation.measure import EvaluationSettings
-    from evaluation.tuning import BaselineSettings
-
-    if config.dataset.dir is None:
-        raise FactoryError("dataset: give the folder that `python -m factory` made, dataset=DIR")
-    values = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
-    own = {key: values.pop(key) for key in ("baselines", "texture", "tuning")}
-    settings: EvaluationSettings = build(EvaluationSettings, values)
-    return settings, build(BaselineSettings, own)
+    0, 2 for bad input, 130 when interrupted.
+    """
+    verb = words[0] if words and words[0] in VERBS else ""
+    module, function = VERBS[verb].split(":")
+    rest = list(words[1:] if verb else words)
+    debug = "debug=true" in rest
+    return guard(lambda: getattr(import_module(module), function)(rest), debug=debug)
 
 
 def main() -> None:
     """Entry point of `fls-evaluation`."""
-    task = run
-    if sys.argv[1:2] == ["tune"]:
-        del sys.argv[1]
-        task = run_tune
-    accept_dataset_folder()
-    sys.exit(run_app(task, "evaluation"))
+    sys.exit(run(sys.argv[1:]))
 
 
 if __name__ == "__main__":

@@ -11,28 +11,35 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from evaluation.checks import Image as Image
 from evaluation.checks import Mask as Mask
 from evaluation.checks import MetricError as MetricError
 from evaluation.checks import checked_mask, checked_pair
-from factory.errors import FactoryError
+from evaluation.reference import RADIUS_PX, Reference, mean_of_blocks
 
 PSNR_CAP_DB = 100.0
 """What a pair of identical images (infinite PSNR) counts as in a mean; see `finite_psnr`."""
 
-_SSIM_SIGMA = 1.5
-_SSIM_RADIUS = 5  # of the Gaussian window that scikit-image cuts at 3.5 sigma
-_GMSD_C = 170.0  # Xue et al. 2014, for gray values 0..255
+SSIM_SMALLEST = 2 * RADIUS_PX + 1
+"""Pixels a side: the window of SSIM must fit once."""
+
+GMSD_SMALLEST = 6
+"""Pixels a side of the pooled GMSD: three blocks for Prewitt's kernel."""
 
 
 def psnr(reference: Image, image: Image, *, data_range: float, mask: Mask | None = None) -> float:
     """Peak signal-to-noise ratio in dB, 10 log10(data_range^2 / MSE); inf for identical images."""
     a, b = checked_pair(reference, image, data_range, smallest=1)
     squared = np.square(a - b)
-    error = float(np.mean(squared if mask is None else squared[checked_mask(mask, a)]))
-    return math.inf if error == 0 else 10 * math.log10(data_range**2 / error)
+    return decibels(
+        float(np.mean(squared if mask is None else squared[checked_mask(mask, a)])), data_range
+    )
+
+
+def decibels(squared_error: float, data_range: float) -> float:
+    """The PSNR in dB that a mean squared error stands for; inf for none."""
+    return math.inf if squared_error == 0 else 10 * math.log10(data_range**2 / squared_error)
 
 
 def finite_psnr(value_db: float) -> float:
@@ -42,23 +49,8 @@ def finite_psnr(value_db: float) -> float:
 
 def ssim_map(reference: Image, image: Image, *, data_range: float) -> npt.NDArray[np.float64]:
     """(H, W) local structural similarity; Gaussian window of sigma 1.5, population covariance."""
-    try:
-        from skimage.metrics import structural_similarity  # slow to import, not needed by `--help`
-    except ImportError as error:
-        raise FactoryError(
-            'SSIM needs scikit-image: pip install "simnfnd[evaluation]" (or scikit-image)'
-        ) from error
-    a, b = checked_pair(reference, image, data_range, smallest=2 * _SSIM_RADIUS + 1)
-    _, similarity = structural_similarity(  # type: ignore[no-untyped-call]
-        a,
-        b,
-        data_range=data_range,
-        gaussian_weights=True,
-        sigma=_SSIM_SIGMA,
-        use_sample_covariance=False,
-        full=True,
-    )
-    return np.asarray(similarity, dtype=np.float64)
+    a, b = checked_pair(reference, image, data_range, smallest=SSIM_SMALLEST)
+    return Reference(a, data_range).ssim_map(b)
 
 
 def ssim(reference: Image, image: Image, *, data_range: float, mask: Mask | None = None) -> float:
@@ -71,7 +63,7 @@ def ssim(reference: Image, image: Image, *, data_range: float, mask: Mask | None
 
 def mean_ssim(similarity: npt.NDArray[np.float64], mask: Mask | None = None) -> float:
     """The SSIM of an `ssim_map`, over `mask` when one is given."""
-    inner = (slice(_SSIM_RADIUS, -_SSIM_RADIUS),) * 2
+    inner = (slice(RADIUS_PX, -RADIUS_PX),) * 2
     if mask is None:
         return float(similarity[inner].mean())
     chosen = checked_mask(mask, similarity)[inner]
@@ -89,15 +81,9 @@ def gms_map(
     the mean of 2x2 blocks first, as the authors' program does ((ceil(H/2), ceil(W/2)) out); without
     it the formula is used as printed ((H, W) out).  Beyond the border all is 0, as in conv2 'same'.
     """
-    a, b = checked_pair(reference, image, data_range, smallest=6 if pooled else 3)
-    gradients = []
-    for gray in (a, b):
-        gray = gray * (255.0 / data_range)
-        if pooled:
-            gray = _mean_of_blocks(gray)
-        gradients.append(_prewitt_magnitude(gray))
-    m_a, m_b = gradients
-    return np.asarray((2 * m_a * m_b + _GMSD_C) / (np.square(m_a) + np.square(m_b) + _GMSD_C))
+    smallest = GMSD_SMALLEST if pooled else 3
+    a, b = checked_pair(reference, image, data_range, smallest=smallest)
+    return Reference(a, data_range).gms_map(b, pooled=pooled)
 
 
 def gmsd(
@@ -124,7 +110,7 @@ def deviation(
     """
     if mask is None:
         return float(similarity.std())
-    chosen = _mean_of_blocks(mask.astype(np.float64)) > 0.5 if pooled else mask
+    chosen = mean_of_blocks(mask.astype(np.float64)) > 0.5 if pooled else mask
     if not chosen.any():
         raise MetricError("mask has no block of pixels; GMSD is undefined")
     return float(similarity[chosen].std())
@@ -164,20 +150,3 @@ def false_light_rate(shadow: Mask, image: Image, *, threshold: float) -> float:
         raise MetricError(f"shadow is {shadow.shape} but the image is {image.shape}")
     inside = image[shadow.astype(bool)]
     return float((inside > threshold).mean()) if inside.size else math.nan
-
-
-def _mean_of_blocks(gray: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Mean of 2x2 blocks; an odd size is filled up with a row or column of zeros."""
-    height, width = gray.shape
-    full = np.pad(gray, ((0, height % 2), (0, width % 2)))
-    return np.asarray(full.reshape(full.shape[0] // 2, 2, full.shape[1] // 2, 2).mean(axis=(1, 3)))
-
-
-def _prewitt_magnitude(gray: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Length of the gradient by Prewitt's kernels divided by 3, zeros beyond the border."""
-    step, smooth = np.array([1.0, 0.0, -1.0]), np.full(3, 1 / 3)
-    parts = []
-    for axis in (0, 1):
-        along = ndimage.correlate1d(gray, step, axis=axis, mode="constant")
-        parts.append(ndimage.correlate1d(along, smooth, axis=1 - axis, mode="constant"))
-    return np.asarray(np.hypot(parts[0], parts[1]))

@@ -2,33 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
+import h5py
 import numpy as np
 import numpy.typing as npt
 
-from evaluation import metrics
+from evaluation import image_pairs, metrics
 from evaluation.baselines.base import Gray
-from evaluation.measure import identity_of, sector_of
+from evaluation.measure import sector_of
 from factory.errors import FactoryError
+from factory.shards.files import sha256_of
+from factory.shards.manifest import load_manifest
 from factory.shards.reader import Split, open_shard, shard_paths, value_range
 
 Place = tuple[str, int]
-"""Shard file and row."""
+"""Shard file and row, or a noisy image file and image_pairs.ROW."""
 
 
 @dataclass(frozen=True)
 class Item:
     """One pair: where it is and what it shows.
 
+    key: changes with the content of the pair.
     looks: the noise variants of the same frame in the same split, this one last; methods of
     several looks see all of them.
     """
 
     shard: str
     place: Place
+    key: str
     location: str
     scene: str
     frame: str
@@ -43,39 +50,89 @@ class Item:
 
 @dataclass(frozen=True)
 class Picture:
-    """noisy, clean: (H, W) float32 in 0..1; shadow, sector: (H, W) bool."""
+    """noisy, clean: (H, W) float32 in 0..1; shadow, sector: (H, W) bool.
+
+    has_shadow: whether the truth about shadows is known; then `shadow` says it.
+    """
 
     noisy: Gray
     clean: Gray
     shadow: npt.NDArray[np.bool_]
     sector: npt.NDArray[np.bool_]
+    has_shadow: bool = True
 
 
-def items_of(root: Path, split: Split) -> list[Item]:
-    """Every pair of a split, in the dataset's order.  FactoryError: no readable dataset."""
-    rows: list[tuple[str, Place, tuple[str, str, str, int]]] = []
+def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
+    """Every pair of a split (the first `limit`), in the dataset's order.
+
+    root: a dataset, or a folder with noisy/ and clean/ images (`image_pairs`).
+    Raises FactoryError when it is neither.
+    """
+    if image_pairs.is_folder_of_pairs(root):
+        return [
+            Item(noisy.name, (str(noisy), image_pairs.ROW), key, "", root.name, noisy.stem, 0, ())
+            for noisy, key in image_pairs.noisy_files(root)
+        ][:limit]
+    manifest = load_manifest(root) if root.is_dir() else None
+    rows: list[tuple[str, Place, str, tuple[str, str, str, int]]] = []
     for path in shard_paths(root, split):
         name = path.relative_to(root).as_posix()
+        digest = manifest.shards[name].sha256 if manifest is not None else sha256_of(path)
         with open_shard(path) as file:
             rows += [
-                (name, (str(path), row), identity_of(file, row))
+                (name, (str(path), row), f"{digest[:24]}:{row}", identity_of(file, row))
                 for row in range(len(file["noisy"]))
             ]
     if not rows:
         raise FactoryError(f"dataset={root}: its shards hold no samples")
     frames: dict[tuple[str, str, str], list[Place]] = {}
-    for _, place, identity in rows:
+    for _, place, _, identity in rows:
         frames.setdefault(identity[:3], []).append(place)
     return [
-        Item(name, place, *identity, (*(p for p in frames[identity[:3]] if p != place), place))
-        for name, place, identity in rows
-    ]
+        Item(name, place, key, *identity, (*(p for p in frames[identity[:3]] if p != place), place))
+        for name, place, key, identity in rows
+    ][:limit]
 
 
-@lru_cache(maxsize=32)
+def identity_of(file: h5py.File, index: int) -> tuple[str, str, str, int]:
+    """(location, scene, frame, variant) of a sample."""
+    row = file["meta"][index]
+    location, scene, frame = (row[key].decode() for key in ("location", "scene", "frame"))
+    return location, scene, frame, int(row["variant"])
+
+
+def drawn_of(items: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
+    """Column of /meta -> (N,) what it says of each item: numbers (NaN where absent) or text."""
+    tables: dict[str, npt.NDArray[Any]] = {}
+    for path in dict.fromkeys(item.place[0] for item in items if item.place[1] >= 0):
+        with open_shard(Path(path)) as file:
+            tables[path] = file["meta"][:]
+    names = dict.fromkeys(name for t in tables.values() for name in t.dtype.names or ())
+    columns = {}
+    for name in names:
+        values = []
+        for item in items:
+            table = tables.get(item.place[0])
+            known = table is not None and name in (table.dtype.names or ())
+            values.append(table[item.place[1]][name] if table is not None and known else np.nan)
+        text = any(isinstance(value, bytes) for value in values)
+        columns[name] = np.array(
+            [value.decode() if isinstance(value, bytes) else "" for value in values]
+            if text
+            else [float(value) for value in values]
+        )
+    return columns
+
+
+@lru_cache(maxsize=16)
 def picture(place: Place) -> Picture:
     """Read one pair.  FactoryError when it is damaged, MetricError when it is not a number."""
     path, row = place
+    if row == image_pairs.ROW:
+        noisy, clean, mask = image_pairs.read_pair(Path(path))
+        shadow = np.zeros(clean.shape, bool) if mask is None else mask
+        sector = sector_of(noisy, clean, shadow)
+        return Picture(noisy, clean, shadow, sector, has_shadow=mask is not None)
     with open_shard(Path(path)) as file:
         full = value_range(file)
         try:

@@ -7,49 +7,29 @@ never looked at.  The result is a file that the report reads.
 from __future__ import annotations
 
 import hashlib
-import inspect
 import json
 import math
-import os
-import sys
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import Field
-from pydantic.dataclasses import dataclass as settings_dataclass
 from tqdm import tqdm
 
-from evaluation.baselines import REGISTRY, chosen
+from evaluation.baselines import REGISTRY
 from evaluation.baselines.base import Baseline, Gray, Parameters
+from evaluation.crew import Died, Team
 from evaluation.levels import Levels, fit_levels
-from evaluation.measure import EvaluationSettings, in_order
 from evaluation.metrics import finite_psnr, psnr
+from evaluation.networks import geometry_of
 from evaluation.pictures import Item, input_of, items_of, picture
+from evaluation.settings import EvaluationSettings
 from factory.errors import FactoryError
-from factory.settings import STRICT
 from factory.shards.files import explain_os_errors, write_atomically
 
 SCHEMA = "simnfnd-tuned/1"
-
-
-@settings_dataclass(frozen=True, config=STRICT)
-class TuningSettings:
-    """Keys of `tuning` in conf/evaluation.yaml."""
-
-    file: str | None
-    validation: Annotated[float, Field(gt=0, lt=1)]
-    pairs: Annotated[int, Field(ge=1)]
-
-
-@settings_dataclass(frozen=True, config=STRICT)
-class BaselineSettings:
-    """The keys of conf/evaluation.yaml that are about baselines."""
-
-    baselines: list[str]
-    texture: bool
-    tuning: TuningSettings
 
 
 @dataclass(frozen=True)
@@ -65,27 +45,19 @@ class Point:
 @dataclass(frozen=True)
 class _Task:
     baseline: str
+    number: int
     parameters: Parameters
     items: tuple[Item, ...]
 
 
-def tuned_file(settings: EvaluationSettings, own: BaselineSettings) -> Path:
-    """Where the result is kept."""
-    if own.tuning.file is not None:
-        return Path(own.tuning.file)
-    name = Path(settings.dataset.dir).resolve().name
-    return Path("outputs", "evaluation", f"{name}-tuned.json")
-
-
-def tune(settings: EvaluationSettings, own: BaselineSettings) -> list[str]:
-    """Tune the chosen baselines (all when none is named) and write the file after each.
+def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], team: Team) -> list[str]:
+    """Tune the baselines and write the file after each.
 
     What the file already has for the same pairs, grid and program is kept.  Returns lines to show:
     one a baseline, and warnings.  Raises FactoryError for anything that is no readable dataset.
     """
-    baselines = chosen(own.baselines or ["all"])
-    items = validation_items(settings, own.tuning)
-    path = tuned_file(settings, own)
+    items = validation_items(settings)
+    path = settings.tuned_file
     known = load_tuned(path)
     keys = {baseline.name: _key(baseline, items) for baseline in baselines}
     todo = [b for b in baselines if known.get(b.name, {}).get("key") != keys[b.name]]
@@ -93,29 +65,32 @@ def tune(settings: EvaluationSettings, own: BaselineSettings) -> list[str]:
     lost = {b.name: "needs several noise variants a frame" for b in todo if b.looks and not usable}
     todo = [b for b in todo if b.name not in lost]
     wanted = {b.name: _with_default(b) for b in todo}
-    tasks = [_Task(b.name, p, tuple(items)) for b in todo for p in wanted[b.name]]
-    workers = os.cpu_count() or 1 if settings.workers == "auto" else settings.workers
-    results = in_order(_measure_point, tasks, max(1, min(workers, len(tasks))))
-    with tqdm(total=len(tasks), unit="point", desc="tuning") as bar:
-        for baseline in todo:
-            bar.set_postfix_str(baseline.name)
-            points, errors = [], []
-            for _ in wanted[baseline.name]:
-                found = next(results)
-                bar.update()
-                if isinstance(found, Point):
-                    points.append(found)
-                else:
-                    errors.append(found)
-            if errors:
-                lost[baseline.name] = errors[0]
+    points: dict[str, dict[int, Point]] = {b.name: {} for b in todo}
+    waiting = deque(
+        _Task(b.name, n, p, tuple(items)) for b in todo for n, p in enumerate(wanted[b.name])
+    )
+    by_name = {baseline.name: baseline for baseline in todo}
+
+    def timeout_s(_: _Task) -> float:
+        return settings.image_timeout_s * len(items)
+
+    with tqdm(total=len(waiting), unit="point", desc="tuning") as bar:
+        for task, found in team.run(_measure_point, waiting, timeout_s):
+            bar.update()
+            name = task.baseline
+            if not isinstance(found, Point):
+                lost.setdefault(name, found.why if isinstance(found, Died) else found)
                 continue
-            known[baseline.name] = {"key": keys[baseline.name], **_entry(baseline, points)}
-            _save(path, known, items)
+            points[name][task.number] = found
+            if len(points[name]) == len(wanted[name]) and name not in lost:
+                # In the order of the grid, whichever came first.
+                whole = [point for _, point in sorted(points[name].items())]
+                known[name] = {"key": keys[name], **_entry(by_name[name], whole)}
+                _save(path, known, items)
     return [_line(b.name, known, lost) for b in baselines] + [f"tuned: {path}"]
 
 
-def validation_items(settings: EvaluationSettings, tuning: TuningSettings) -> list[Item]:
+def validation_items(settings: EvaluationSettings) -> list[Item]:
     """The pairs to tune on: those that `python -m models` validates on, with the same seed."""
     try:
         # torch takes seconds to import; the split must be the very one of training.
@@ -124,7 +99,7 @@ def validation_items(settings: EvaluationSettings, tuning: TuningSettings) -> li
         raise FactoryError(
             'tune shares the validation split of models: pip install "simnfnd[models]"'
         ) from error
-    root = Path(settings.dataset.dir)
+    root, tuning = Path(settings.dataset.dir), settings.tuning
     _, held = hold_out(read_table(root, "train").samples, tuning.validation, settings.seed)
     places = {(str(sample.path), sample.row) for sample in spread(held, tuning.pairs)}
     return [item for item in items_of(root, "train") if item.place in places]
@@ -160,7 +135,14 @@ def _measure_point(task: _Task) -> Point | str:
     baseline = REGISTRY[task.baseline]
     inputs = [input_of(item, baseline.looks) for item in task.items]
     try:
-        outputs = [baseline(image, task.parameters) for image in inputs]
+        outputs = [
+            baseline(
+                image,
+                task.parameters,
+                geometry_of(item.place) if baseline.uses_geometry else None,
+            )
+            for item, image in zip(task.items, inputs, strict=True)
+        ]
     except Exception as error:  # a method's own defect must not take the others along
         return reason(error)
     cleans = [picture(item.place).clean for item in task.items]
@@ -200,7 +182,7 @@ def _key(baseline: Baseline, items: list[Item]) -> str:
     pairs = [[item.shard, item.place[1], item.group, item.variant] for item in items]
     files = sorted({item.place[0] for item in items})
     sizes = [Path(file).stat().st_size for file in files]
-    program = inspect.getsource(sys.modules[baseline.function.__module__])
+    program = baseline.program()
     parts = [baseline.name, dict(baseline.default), dict(baseline.grid), program, pairs, sizes]
     return hashlib.blake2b(json.dumps(parts).encode(), digest_size=12).hexdigest()
 

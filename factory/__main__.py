@@ -10,6 +10,7 @@ python -m factory preview DIR [--out FILE] [--pairs N]  contact sheet of a datas
 python -m factory inspect DIR|FILE [--png FILE]         what is in a dataset or shard
 python -m factory validate DIR [--deep]                 is a dataset whole and consistent
 python -m factory gallery [--out DIR]                   the paper's figures, from procedural scenes
+python -m factory physics [--out DIR]                   devices and effects of the physical profile
 python -m factory merge A B ... --out DIR               several datasets into one
 python -m factory export DIR --to FORMAT --out DIR      for WebDataset, Hugging Face, PNG, ...
 python -m factory --help | --cfg job                    every group and key; VERB --help for a verb
@@ -31,6 +32,7 @@ VERBS = {
     "inspect": "factory.commands.inspect:main",
     "validate": "factory.commands.validate:main",
     "gallery": "factory.commands.gallery:main",
+    "physics": "factory.commands.physics:main",
     "merge": "factory.commands.merge:main",
     "export": "factory.commands.export:main",
 }

@@ -48,6 +48,13 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
             if debug:
                 raise
             raise FactoryError(config_line(error)) from error
+        except RuntimeError as error:
+            if debug or '"srun"' not in str(error):
+                raise
+            raise FactoryError(
+                "hydra/launcher=submitit_slurm: no srun here; give the command on a machine of "
+                "the Slurm cluster, or hydra/launcher=submitit_local"
+            ) from error
         return max(codes, default=0)
 
     return guard(everything, debug=debug)

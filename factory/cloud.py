@@ -17,11 +17,11 @@ from factory.frame import Intrinsics
 
 # A step between neighbours is large when over this part of the edge ratio.  At the default ratio
 # that is 2 % of the depth, more than the steps in which structured-light cameras measure.
-_LARGE_STEP = 0.2
+LARGE_STEP = 0.2
 
 # A large step belongs to a slope when at most this many times the step before or after it.  The
 # limb of a sphere, the steepest smooth outline there is, ends in steps of 1 : 2.4.
-_SLOPE_CHANGE = 3.0
+SLOPE_CHANGE = 3.0
 
 
 def back_project(
@@ -62,7 +62,7 @@ def joined(
     second = depth_m[down:, left + across : width - right + across]
     step, nearer = np.abs(second - first), np.minimum(first, second)
     same = step < edge_ratio * nearer
-    rows, columns = np.nonzero(same & (step > _LARGE_STEP * edge_ratio * nearer))
+    rows, columns = np.nonzero(same & (step > LARGE_STEP * edge_ratio * nearer))
     start = rows * width + columns + left
     same[rows, columns] = joined_pixels(depth_m, start, start + down * width + across, edge_ratio)
     return np.asarray(same)
@@ -78,11 +78,11 @@ def joined_pixels(
     flat_m = depth_m.ravel()
     step, nearer = flat_m[second] - flat_m[first], np.minimum(flat_m[first], flat_m[second])
     size = np.abs(step)
-    small = size <= _LARGE_STEP * edge_ratio * nearer
+    small = size <= LARGE_STEP * edge_ratio * nearer
     upwards = np.sign(step)
     before = upwards * _continued(depth_m, second, first)
     after = -upwards * _continued(depth_m, first, second)
-    goes_on = size <= _SLOPE_CHANGE * np.maximum(before, after)
+    goes_on = size <= SLOPE_CHANGE * np.maximum(before, after)
     return np.asarray((size < edge_ratio * nearer) & (small | goes_on))
 
 

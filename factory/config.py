@@ -11,7 +11,9 @@ from typing import Annotated, Any, Self
 from pydantic import Field, TypeAdapter, model_validator
 from pydantic.dataclasses import dataclass
 
-from factory.noise import NoiseSettings
+from factory.field.settings import AcousticsSettings
+from factory.noise import EFFECTS, NoiseSettings
+from factory.noise.physical import blocks
 from factory.render.base import RenderSettings
 from factory.render.cache import CacheSettings
 from factory.resample import ResampleSettings
@@ -19,6 +21,7 @@ from factory.scenes import Scenes
 from factory.scheduler.settings import SchedulerSettings, ShardSlice
 from factory.settings import STRICT, build
 from factory.shards.settings import DatasetSettings
+from factory.sonar.acoustics import WaterSettings
 from factory.sonar.settings import SonarSettings
 
 # Recordings whose frames can carry labels: a pack has those that went into it.
@@ -64,6 +67,8 @@ class FactoryConfig:
     noise: NoiseSettings = field(default_factory=NoiseSettings)
     resample: ResampleSettings = field(default_factory=ResampleSettings)
     sonar: SonarSettings = field(default_factory=SonarSettings)
+    water: WaterSettings = field(default_factory=WaterSettings)
+    acoustics: AcousticsSettings = field(default_factory=AcousticsSettings)
     dataset: DatasetSettings = field(default_factory=DatasetSettings)
     scheduler: SchedulerSettings = field(default_factory=SchedulerSettings)
     cache: CacheSettings = field(default_factory=CacheSettings)
@@ -76,6 +81,22 @@ class FactoryConfig:
             raise ValueError(
                 "render.kind=analytic casts no shadows, so sonar.mount.translation_m must be "
                 "[0, 0, 0]; use render=cycles or render=embree for a sonar away from the camera"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _formation(self) -> Self:
+        on = [name for name, block in blocks(self.noise).items() if block.enabled]
+        moving = [n for n in EFFECTS if EFFECTS[n].moves and getattr(self.noise, n).enabled]
+        if self.acoustics.formation == "points" and on:
+            raise ValueError(
+                f"noise.{on[0]} acts on the complex field; set acoustics=field, or "
+                "leave it out (noise=simnfnd)"
+            )
+        if self.acoustics.formation == "field" and moving:
+            raise ValueError(
+                f"noise.{moving[0]} moves points, and acoustics.formation=field has none; "
+                f"set noise.{moving[0]}.enabled=false, or use noise=physical"
             )
         return self
 
@@ -114,6 +135,11 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
     values["scenes"].pop("root", None)
     for key in ("dir", "on_existing", "name", "preview_pairs", "licence"):
         values["dataset"].pop(key, None)
+    if config.acoustics.formation == "points":
+        # Nothing of it reaches the paper's pictures.
+        values.pop("acoustics")
+        values.pop("water")
+        values["sonar"].pop("array")
     values["scheduler"] = {"shard_size": values["scheduler"]["shard_size"]}
     for key in ("cache", "shard", "debug"):
         values.pop(key)

@@ -111,6 +111,7 @@ _plain = PlainSerializer(lambda distribution: distribution.plain())
 AnyNumber = Annotated[Distribution, BeforeValidator(_within(-math.inf, math.inf)), _plain]
 NonNegative = Annotated[Distribution, BeforeValidator(_within(0.0, math.inf)), _plain]
 Fraction = Annotated[Distribution, BeforeValidator(_within(0.0, 1.0)), _plain]
+Positive = Annotated[Distribution, BeforeValidator(_within(1e-6, math.inf)), _plain]
 # A rate of 0 would keep no point at all; the limit is far below any use.
 PositiveFraction = Annotated[Distribution, BeforeValidator(_within(1e-6, 1.0)), _plain]
 

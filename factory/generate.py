@@ -42,11 +42,14 @@ def generate(composed: DictConfig) -> int:
 
 def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     """Discover, plan and make one dataset.  `arguments` are the words that would make it again."""
+    from factory.compiled import compile_all
     from factory.scenes import open_reader
+    from factory.scheduler.extend import plan_extension
     from factory.scheduler.generate import generate_dataset, work_name
     from factory.scheduler.plan import plan_shards
 
     check_views(config)
+    compile_all()
     discovery = open_reader(config.scenes).discover()
     for note in discovery.notes:
         print(f"scenes: {note}")
@@ -57,13 +60,11 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     values = {**identity(config), "frames_found": frames_digest(frames)}
     config_hash = digest(values)
     directory = config.dataset.directory(config_hash)
-    tasks = plan_shards(
-        splits, config.frames.variants, config.scheduler.shard_size, config.dataset.limits
-    )
+    how = (config.frames.variants, config.scheduler.shard_size, config.dataset.limits)
     working = with_cache(config, directory / work_name(config.shard))
     report = generate_dataset(
         directory,
-        tasks,
+        plan_shards(splits, *how),
         source=PairMaker,
         preparer=None if config.scenes.kind == "pack" else ViewMaker,
         config=working,
@@ -76,6 +77,7 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
         rerun_command=lambda ref: _rerun_command(ref, arguments, directory),
         shard=config.shard,
         keep_cache_within=Limit(working.cache),
+        extended=lambda earlier: plan_extension(splits, *how, earlier),
     )
     if config.shard.count > 1:
         print(
@@ -184,7 +186,7 @@ def _rerun_command(ref: FrameRef, arguments: list[str], directory: Path) -> str:
     words = [
         word
         for word in arguments
-        if not word.startswith(("dataset.dir=", "frames.only="))
+        if not word.startswith(("dataset.dir=", "dataset.on_existing=", "frames.only="))
         and word not in ("-m", "--multirun")
     ]
     again = [*words, f"frames.only=[{ref.name}]", f"dataset.dir={directory}-retry"]

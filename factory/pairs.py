@@ -17,13 +17,15 @@ import numpy as np
 import numpy.typing as npt
 
 from factory import noise, resample, seeds, truth
-from factory.echoes import Echoes, from_xyz
+from factory.echoes import Echoes, join
 from factory.errors import FrameError
+from factory.field.pairs import field_scene, make_field_pair
 from factory.frame import Frame, FrameRef
+from factory.memory import keep_freed_memory
 from factory.record import columns, image_axes, record
 from factory.sample import Axis, Column, Pair
-from factory.sonar import polar, transfer
-from factory.sonar.fan import AnyNumber, fan_table
+from factory.sonar import polar, surface, transfer
+from factory.sonar.fan import fan_table, lay_out_nearest
 from factory.sonar.settings import SonarSettings
 from factory.sonar.window import Window
 from factory.sonar.window_fit import fit_window
@@ -54,6 +56,7 @@ class PairMaker:
     """Makes pairs of renders; a `factory.sample.PairSource`.  Needs no renderer."""
 
     def __init__(self, config: FactoryConfig) -> None:
+        keep_freed_memory()
         self.config = config
         self.views = open_views(config)
 
@@ -71,10 +74,12 @@ class PairMaker:
         Raises FrameError when the frame is bad, NotRendered when its render is not at hand.
         """
         view = self.views.view(ref)
-        scene = observe(
-            view.frame(ref), view.rendered(), self.config.sonar, self.config.dataset.layers
-        )
-        return [make_pair(scene, variant, self.config) for variant in variants]
+        frame, rendered, config = view.frame(ref), view.rendered(), self.config
+        if config.acoustics.formation == "field":
+            heard = field_scene(frame, rendered, config)
+            return [make_field_pair(heard, variant, config) for variant in variants]
+        scene = observe(frame, rendered, config.sonar, config.dataset.layers)
+        return [make_pair(scene, variant, config) for variant in variants]
 
     def ready(self, ref: FrameRef) -> bool:
         """Whether the frame's render is at hand."""
@@ -89,30 +94,19 @@ def observe(
     layers: names of `dataset.layers`.
     Raises FrameError when the sonar's sector holds no insonified surface.
     """
-    from factory.cloud import back_project
-
-    surface = rendered.surface
-    points_m = sonar.mount.to_sonar(back_project(frame.depth_m, frame.intrinsics)[surface])
-    echoes = from_xyz(points_m, rendered.radiance[surface])
-    in_beam = np.abs(echoes.elevation_rad) <= np.deg2rad(sonar.vfov_deg) / 2
-    echoes, pixel = echoes.select(in_beam), np.flatnonzero(surface)[in_beam]
     try:
-        window = fit_window(echoes, sonar)
+        window = fit_window(surface.extent(frame, rendered, sonar), sonar)
     except FrameError as error:
         raise FrameError(f"{frame.ref.name}: {error}") from error
-    insonified = (polar.bin_index(echoes, window, sonar) >= 0) & (echoes.strength > 0)
-    echoes, pixel = echoes.select(insonified), pixel[insonified]
-    gain = (echoes.range_m.astype(np.float64)) ** (sonar.tvg_db_per_decade / 10)
-    strength = (echoes.strength * gain).astype(np.float32)
-    echoes = Echoes(echoes.range_m, echoes.azimuth_rad, echoes.elevation_rad, strength)
-    shadow = ~polar.covered(echoes, window, sonar) & polar.seen_beams(window, sonar)
+    echoes, pixel, hit = surface.insonified(frame, rendered, window, sonar)
+    shadow = ~polar.covered(hit) & polar.seen_beams(window, sonar)
     behind = truth.pictures(layers, frame, echoes, pixel, window, sonar)
     return Scene(
         frame.ref,
         echoes,
         window,
-        _lay_out_nearest(shadow, window, sonar),
-        {name: _lay_out_nearest(picture, window, sonar) for name, picture in behind.items()},
+        lay_out_nearest(shadow, window, sonar),
+        {name: lay_out_nearest(picture, window, sonar) for name, picture in behind.items()},
     )
 
 
@@ -129,7 +123,7 @@ def make_pair(scene: Scene, variant: int, config: FactoryConfig) -> Pair:
     else:
         size_m = resample.voxel_size_m(scene.echoes, rate)
         kept, movable = resample.voxel(scene.echoes, size_m), scene.echoes
-    clean_level = _image_level(kept, window, sonar)
+    clean_level = _image_level([kept], window, sonar)
     full_scale = transfer.full_scale(clean_level, sonar.transfer)
 
     made = noise.layers(kept, movable, window, drawn, config.seed, *names)
@@ -139,9 +133,9 @@ def make_pair(scene: Scene, variant: int, config: FactoryConfig) -> Pair:
         return transfer.quantise(_lay_out(grey, window, sonar), config.dataset.dtype)
 
     def noisy(effects: dict[str, Echoes]) -> npt.NDArray[np.generic]:
-        cloud = noise.combine(movable, effects, full_scale)
+        cloud = noise.parts(movable, effects, full_scale)
         if config.resample.kind == "voxel":
-            cloud = resample.voxel(cloud, size_m)
+            cloud = [resample.voxel(join(*cloud), size_m)]
         return picture(_image_level(cloud, window, sonar))
 
     layers = dict(scene.layers)
@@ -156,9 +150,12 @@ def make_pair(scene: Scene, variant: int, config: FactoryConfig) -> Pair:
     )
 
 
-def _image_level(echoes: Echoes, window: Window, sonar: SonarSettings) -> npt.NDArray[np.float32]:
+def _image_level(
+    cloud: Sequence[Echoes], window: Window, sonar: SonarSettings
+) -> npt.NDArray[np.float32]:
     """(range_bins, beams) echo level as the device resolves it; 0 in beams without data."""
-    level = polar.spread_points(polar.accumulate(echoes, window, sonar), sonar)
+    scene, *added = cloud
+    level = polar.spread_points(polar.accumulate(scene, window, sonar, *added), sonar)
     level[:, ~polar.seen_beams(window, sonar)] = 0
     return level
 
@@ -170,13 +167,3 @@ def _lay_out(
     if sonar.image.layout == "polar":
         return grey
     return fan_table(sonar, window.near_fraction).bilinear(grey)
-
-
-def _lay_out_nearest(
-    picture: npt.NDArray[AnyNumber], window: Window, sonar: SonarSettings
-) -> npt.NDArray[AnyNumber]:
-    """The same for masks, labels and lengths, which are never mixed; NaN outside for lengths."""
-    if sonar.image.layout == "polar":
-        return picture
-    outside = np.nan if picture.dtype.kind == "f" else 0
-    return fan_table(sonar, window.near_fraction).nearest(picture, outside)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sized
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +11,7 @@ from factory import seeds
 from factory.echoes import Echoes
 from factory.frame import FrameRef
 from factory.noise import Drawn, NoiseSettings, parameter_names
+from factory.noise.physical import parameters as field_parameters
 from factory.sample import Axis, Column
 from factory.sonar.fan import pixel_size
 from factory.sonar.settings import SonarSettings
@@ -53,7 +55,11 @@ def columns(noise: NoiseSettings) -> tuple[Column, ...]:
         Column(f"points.{effect}", "i8", "1", f"points that {effect} added or moved")
         for effect in effects
     )
-    return _WHAT + _WINDOW + _CLOUD + counts + parameters
+    of_field = tuple(
+        Column(f"noise.{effect}.{name}", "S16" if kind is str else "f8", unit)
+        for effect, name, kind, unit in field_parameters(noise)
+    )
+    return _WHAT + _WINDOW + _CLOUD + counts + parameters + of_field
 
 
 def record(
@@ -63,7 +69,7 @@ def record(
     window: Window,
     rate: float,
     drawn: dict[str, Drawn],
-    kept: Echoes,
+    kept: Sized,
     layers: dict[str, Echoes],
     full_scale: float,
 ) -> dict[str, float | int | str]:
@@ -88,6 +94,9 @@ def record(
         missing: float | str = "" if kind is str else float("nan")
         row[f"noise.{effect}.{name}"] = drawn.get(effect, {}).get(name, missing)
         row[f"points.{effect}"] = len(layers[effect]) if effect in layers else 0
+    for effect, name, kind, _ in field_parameters(config.noise):
+        missing = "" if kind is str else float("nan")
+        row[f"noise.{effect}.{name}"] = drawn.get(effect, {}).get(name, missing)
     return row
 
 

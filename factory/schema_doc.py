@@ -31,7 +31,11 @@ _HEAD = f"""\
   config.yaml            every setting of the run
   failed.jsonl           frames that gave no sample, why, and the command that tries them again
   README.md, preview.png
+  extended.json          of a dataset that was extended: the samples of the shards it began with
 ```
+
+While a run goes on, manifest.jsonl beside manifest.json has the shards that were finished since
+manifest.json was written last; the project's own readers take it in, and it is gone at the end.
 
 A scene is in train or in test, never in both. The folder can be moved. Every file is HDF5 that
 any library since 1.10 reads; the pictures are compressed as `dataset.compression` says (`gzip` and
@@ -95,6 +99,26 @@ h5open("outputs/demo/train/shard-00000.h5") do shard
 end
 ```
 
+## More of it
+
+```text
+python -m factory ... dataset.dir=DIR frames.variants=2 dataset.on_existing=extend
+```
+
+adds to the dataset in DIR what the new configuration has more: frames, scenes, variants, higher
+`dataset.max_train` and `max_test`, a download that has grown. The shards that are there stay as
+they are, to the byte; the new ones come after them and state the new configuration's hash, which
+each shard's entry of manifest.json tells (`config_hash`), while `extends` in its `config` tells of
+the earlier ones. Every sample is the one that a new dataset of the same configuration would have;
+only which shard it lies in differs, and, where a limit bites, which frames were taken.
+
+Any other key that differs is refused by name, and so are fewer variants, a lower limit, a frame
+that would be left out, and a scene that would change from train to test (with `split.test_fraction`
+new scenes may do that: name those that test with `split.test`). An extension that was interrupted
+goes on with the same command, or without `on_existing`. Frames that failed before are tried again.
+`python -m factory plan ... dataset.on_existing=extend` tells what would be added. Other noise or
+another sonar is another dataset: give it a folder of its own; a sweep names one for each point.
+
 ## Is it whole
 
 ```text
@@ -145,7 +169,10 @@ def markdown() -> str:
         "fixed, otherwise relative, and `range_min_m`, `range_max_m`, `metres_per_pixel` of "
         "`/meta` turn them into metres.\n",
         "## `/meta`\n",
-        "One row a sample. A parameter of an effect that is off is NaN or empty.\n",
+        "One row a sample. A parameter of an effect that is off is NaN or empty. With "
+        "`acoustics=field` there is a column `noise.<effect>.<parameter>` more for each "
+        "parameter of the effects in [physics.md](physics.md), and `full_scale` is an intensity "
+        "over the source level.\n",
         _table(
             ("column", "type", "units", "what it is"),
             [

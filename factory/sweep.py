@@ -47,10 +47,19 @@ def note_result(directory: Path, config: FactoryConfig, report: RunReport, exit_
 
 
 class SweepTable(Callback):
-    """Hydra callback: after the last point of a sweep, write and print its table."""
+    """Hydra callback: the points of a sweep share workers; after the last, print its table."""
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Points that this process makes one after another need not start workers each."""
+        from factory.scheduler.kept import keep_workers
+
+        keep_workers()
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Collect the rows that the points left under the sweep's folder."""
+        """Stop the workers; collect the rows that the points left under the sweep's folder."""
+        from factory.scheduler.kept import release_workers
+
+        release_workers()
         folder = Path(config.hydra.sweep.dir)
         points = sorted(
             (path.parent.name for path in folder.glob(f"*/{_RESULT}")),

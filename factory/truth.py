@@ -25,7 +25,7 @@ def pictures(
     asked: Sequence[str],
     frame: Frame,
     echoes: Echoes,
-    pixel: npt.NDArray[np.intp],
+    pixel: npt.NDArray[np.int32],
     window: Window,
     sonar: SonarSettings,
 ) -> dict[str, Picture]:

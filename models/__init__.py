@@ -1,6 +1,24 @@
 """Denoisers: networks, losses, training on the factory's pairs, and denoising of any image.
 
-A network is one file with a settings class and a torch module, and one line in `NETWORKS`.
+A network is one file with a settings class and a torch module, and one line in `NETWORKS`.  What
+training, denoising and the losses may rely on:
+
+- `build_network(config)` makes it from the `model` group, with fresh weights.
+- `forward(x)` maps (N, C, H, W) float in 0..1 to the same shape, for any H and W (it pads itself).
+  C is 1 or 3 for any network: three channels are denoised alike, one by one, where the network
+  was not built for three (`channels` of its settings).
+- `extras`, a class attribute, names what else it can use; each is a keyword of `forward`, and of
+  `with_mask`, that may be left out (None: not known): `range_fraction` (N, 1, H, W), slant range
+  of a pixel over range_max; `azimuth_rad` (N, 1, H, W), positive to the right; `sector`
+  (N, 1, H, W), 1 inside the insonified sector and 0 outside; `noise_level` (N,), root mean square
+  of noisy - clean.  Batches hold them under the same names.
+- A network with `has_mask = True` can tell shadows, too: `with_mask(x, ...)` returns (image,
+  shadow_logits), logits (N, 1, H, W), where `forward` returns the image alone.
+- A loss is `loss(prediction, clean, batch)`; the batch holds `noisy`, `clean`, `shadow`
+  (N, 1, H, W) float, 1 in shadow, where it is known, `shadow_logits` from a network with a mask,
+  and `progress`, a scalar, the share of the training that is done.
+- A network with `adversarial = True` is trained by `models.adversarial` against a discriminator,
+  any other by `models.training`; denoising with either is the same.
 """
 
 from __future__ import annotations
@@ -13,19 +31,23 @@ from factory.errors import FactoryError
 from factory.settings import build
 
 if TYPE_CHECKING:
-    from torch import nn
+    from models.network import Network
 
 NETWORKS = {
+    "dae": ("models.dae", "DAESettings", "DAE"),
     "nafnet": ("models.nafnet", "NAFNetSettings", "NAFNet"),
+    "restormer": ("models.restormer", "RestormerSettings", "Restormer"),
+    "sid_tgan": ("models.sid_tgan", "SIDTGANSettings", "SIDTGAN"),
+    "sonarnet": ("models.sonarnet", "SonarNetSettings", "SonarNet"),
+    "unet": ("models.unet", "UNetSettings", "UNet"),
 }
 """kind -> module, settings class, network class; torch is imported only when one is built."""
 
 
-def build_network(config: Mapping[str, Any]) -> nn.Module:
+def build_network(config: Mapping[str, Any]) -> Network:
     """The network that the `model` group of the configuration describes, with fresh weights.
 
-    It maps (N, 1, H, W) float32 in 0..1 to the same shape, for any H and W.  Raises FactoryError
-    for an unknown kind or key.
+    Raises FactoryError for an unknown kind or key.
     """
     kind = config.get("kind")
     if kind not in NETWORKS:
@@ -33,5 +55,5 @@ def build_network(config: Mapping[str, Any]) -> nn.Module:
     module_name, settings_name, network_name = NETWORKS[kind]
     module = import_module(module_name)
     settings: Any = build(getattr(module, settings_name), config, "model")
-    network: nn.Module = getattr(module, network_name)(settings)
+    network: Network = getattr(module, network_name)(settings)
     return network

@@ -1,50 +1,96 @@
-"""The factory's shards as training data.
-
-Every crop is a pure function of the seed and of its number in the whole training, so it does not
-matter which process reads it, or whether training was interrupted before.
-"""
+"""The factory's shards as training data: which pairs there are, and how they are read."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch.utils.data import Dataset, Sampler
+from torch.utils.data import Dataset
 
 from factory.errors import FactoryError
 from factory.seeds import stream
+from factory.settings import build
 from factory.shards import PairDataset
 from factory.shards.handles import OpenShards
 from factory.shards.pair_dataset import in_unit_range
-from factory.shards.reader import Split
+from factory.shards.reader import Split, open_shard
+from factory.sonar.settings import SonarSettings
+from models.geometry import Geometry, of_sonar
+
+Image = npt.NDArray[np.float32]
 
 Batch = dict[str, torch.Tensor]
-"""`noisy` and `clean`, (N, 1, H, W) float32 in 0..1."""
+"""`noisy`, `clean` and `shadow`, (N, 1, H, W) float32 in 0..1 (clean and shadow where they are
+known), and the extras that `models` describes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One training image.
+
+    noisy, clean: (H, W) float32 in 0..1; clean None where nobody knows it.
+    shadow: (H, W) float32, 1 in shadow, or None.  geometry: where range and bearing are, or None.
+    """
+
+    noisy: Image
+    clean: Image | None = None
+    shadow: Image | None = None
+    geometry: Geometry | None = None
+
+
+class Source(Protocol):
+    """Training images by their index, in any process."""
+
+    def __len__(self) -> int:
+        """How many images there are."""
+
+    def sample(self, index: int, visit: int | None) -> Sample:
+        """Image `index` as it is at its visit number `visit`; None: for validation.
+
+        Its noise may differ from visit to visit, and depends on nothing else.
+        Raises FactoryError when it cannot be read.
+        """
 
 
 @dataclass(frozen=True)
 class SampleRef:
-    """One pair of a dataset: where it is and which scene and frame it shows."""
+    """One pair of a dataset: where it is and which scene and frame it shows.
+
+    window: (range_min / range_max, first and last seen azimuth in radians), where it is known.
+    """
 
     path: Path
     row: int
     scene: str
     frame: str
+    window: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)
 class PairTable:
-    """All pairs of a split, the size of their images and the hash of the dataset's config."""
+    """All pairs of a split, the size of their images, and the dataset's configuration and hash."""
 
     samples: tuple[SampleRef, ...]
     height: int
     width: int
     config_hash: str
+    config: dict[str, Any]
+
+    @property
+    def sonar(self) -> SonarSettings | None:
+        """The device of the pictures; None for a dataset of another program."""
+        try:
+            sonar: SonarSettings = build(SonarSettings, self.config["sonar"])
+            return sonar
+        except (KeyError, TypeError, FactoryError):
+            return None
 
 
 def read_table(dataset: str | Path, split: Split) -> PairTable:
@@ -57,12 +103,25 @@ def read_table(dataset: str | Path, split: Split) -> PairTable:
         places = (pairs.place(index) for index in range(len(pairs)))
         samples = tuple(
             SampleRef(
-                path, row, f"{_text(meta['location'])}/{_text(meta['scene'])}", _text(meta["frame"])
+                path,
+                row,
+                f"{_text(meta['location'])}/{_text(meta['scene'])}",
+                _text(meta["frame"]),
+                _window(meta),
             )
             for (path, row), meta in zip(places, pairs.meta(), strict=True)
         )
-        height, width = pairs.shape
-        return PairTable(samples, height, width, pairs.config_hash)
+        with open_shard(pairs.paths[0]) as shard:
+            config = json.loads(shard.attrs["config"])
+        return PairTable(samples, *pairs.shape, pairs.config_hash, config)
+
+
+def _window(meta: np.void) -> tuple[float, float, float] | None:
+    names = ("range_min_m", "range_max_m", "azimuth_min_deg", "azimuth_max_deg")
+    if not set(names) <= set(meta.dtype.names or ()):
+        return None
+    near, far, low, high = (float(meta[name]) for name in names)
+    return near / far, math.radians(low), math.radians(high)
 
 
 def _text(value: bytes) -> str:
@@ -108,35 +167,59 @@ class Shards:
     def __init__(self) -> None:
         self._open = OpenShards()
 
-    def pair(self, sample: SampleRef) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    def pair(self, sample: SampleRef) -> tuple[Image, Image]:
         """(noisy, clean), each (H, W) float32 in 0..1."""
         noisy, clean = self._open.read(sample.path, ("noisy", "clean"), sample.row)
         return in_unit_range(noisy), in_unit_range(clean)
 
+    def layers(self, sample: SampleRef) -> tuple[Image, Image, Image]:
+        """(noisy, clean, shadow), each (H, W) float32 in 0..1."""
+        names = ("noisy", "clean", "shadow")
+        noisy, clean, shadow = self._open.read(sample.path, names, sample.row)
+        return in_unit_range(noisy), in_unit_range(clean), shadow.astype(np.float32)
 
-class Crops(Dataset[Batch]):
-    """Training crops; item (number, index) is what draw `number` cuts out of pair `index`."""
+
+class PairSource:
+    """`data=pairs`: the pairs of a dataset; a `Source`.
+
+    weaker: part of the visits in which the noise is blended towards the clean picture, by a factor
+    that is even in 0..1 and 0 in one case of eight.
+    """
 
     def __init__(
-        self, samples: tuple[SampleRef, ...], *, patch: int, flip: bool, seed: int
+        self,
+        samples: Sequence[SampleRef],
+        sonar: SonarSettings | None,
+        *,
+        weaker: float = 0.0,
+        seed: int = 0,
     ) -> None:
-        self.samples, self.patch, self.flip, self.seed = samples, patch, flip, seed
+        self.samples, self.sonar, self.weaker, self.seed = tuple(samples), sonar, weaker, seed
         self._shards = Shards()
 
     def __len__(self) -> int:
         return len(self.samples)
 
-    def __getitem__(self, item: tuple[int, int]) -> Batch:
-        number, index = item
-        noisy, clean = self._shards.pair(self.samples[index])
-        rng = stream(self.seed, "crop", number)
-        top, left = (int(rng.integers(size - self.patch + 1)) for size in noisy.shape)
-        window = np.s_[top : top + self.patch, left : left + self.patch]
-        step = -1 if self.flip and rng.random() < 0.5 else 1
-        return {
-            name: torch.from_numpy(image[window][:, ::step].copy())[None]
-            for name, image in (("noisy", noisy), ("clean", clean))
-        }
+    def sample(self, index: int, visit: int | None) -> Sample:
+        """See `Source`."""
+        ref = self.samples[index]
+        noisy, clean, shadow = self._shards.layers(ref)
+        if visit is not None:
+            strength = weakened(self.weaker, self.seed, index, visit)
+            if strength < 1:
+                noisy = clean + np.float32(strength) * (noisy - clean)
+        geometry = None
+        if self.sonar is not None and ref.window is not None:
+            geometry = of_sonar(self.sonar, *ref.window)
+        return Sample(noisy, clean, shadow, geometry)
+
+
+def weakened(share: float, seed: int, *names: int | str) -> float:
+    """The factor on the noise at a visit: 1, or in `share` of the visits less, down to 0 itself."""
+    rng = stream(seed, "weaker", *names)
+    if rng.random() >= share:
+        return 1.0
+    return 0.0 if rng.random() < 1 / 8 else float(rng.random())
 
 
 class Pairs(Dataset[Batch]):
@@ -150,45 +233,3 @@ class Pairs(Dataset[Batch]):
 
     def __getitem__(self, index: int) -> Batch:
         return {name: torch.from_numpy(image)[None] for name, image in self.pairs[index].items()}
-
-
-class Whole(Dataset[Batch]):
-    """Some whole images, for validation."""
-
-    def __init__(self, samples: tuple[SampleRef, ...]) -> None:
-        self.samples = samples
-        self._shards = Shards()
-
-    def __len__(self) -> int:
-        return len(self.samples)
-
-    def __getitem__(self, index: int) -> Batch:
-        noisy, clean = self._shards.pair(self.samples[index])
-        return {"noisy": torch.from_numpy(noisy)[None], "clean": torch.from_numpy(clean)[None]}
-
-
-class Draws(Sampler[tuple[int, int]]):
-    """The draws of one check interval: (number in the whole training, index of the pair).
-
-    All pairs are drawn once, in random order, before any is drawn again.
-    """
-
-    def __init__(self, pairs: int, per_interval: int, seed: int) -> None:
-        self.pairs, self.per_interval, self.seed = pairs, per_interval, seed
-        self._interval = 0
-
-    def set_epoch(self, epoch: int) -> None:
-        """Lightning calls this with the number of the interval, also after resuming."""
-        self._interval = epoch
-
-    def __len__(self) -> int:
-        return self.per_interval
-
-    def __iter__(self) -> Iterator[tuple[int, int]]:
-        first = self._interval * self.per_interval
-        round_, order = -1, np.empty(0, dtype=np.int64)
-        for number in range(first, first + self.per_interval):
-            if number // self.pairs != round_:
-                round_ = number // self.pairs
-                order = stream(self.seed, "order", round_).permutation(self.pairs)
-            yield number, int(order[number % self.pairs])

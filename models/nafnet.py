@@ -11,9 +11,9 @@ import torch
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
-from torch.nn import functional
 
 from factory.settings import STRICT
+from models.network import LayerNorm, Network, Pointwise, down_and_up, halves
 
 Blocks = Annotated[int, Field(ge=0, le=64)]
 
@@ -25,6 +25,7 @@ class NAFNetSettings:
     width: channels at full resolution; they double at each of the len(encoder) downsamplings.
     encoder: blocks at each resolution, from full to coarse; decoder: back, from coarse to full.
     middle: blocks at the coarsest resolution.
+    channels: of the images, 1 or 3.
     """
 
     kind: Literal["nafnet"]
@@ -32,6 +33,7 @@ class NAFNetSettings:
     encoder: tuple[Blocks, ...]
     middle: Blocks
     decoder: tuple[Blocks, ...]
+    channels: Literal[1, 3] = 1
 
     def __post_init__(self) -> None:
         if not self.encoder or len(self.encoder) != len(self.decoder):
@@ -41,23 +43,9 @@ class NAFNetSettings:
             )
 
 
-class LayerNorm(nn.Module):
-    """Normalises the channels of every pixel, (N, C, H, W)."""
-
-    def __init__(self, channels: int) -> None:
-        super().__init__()
-        self.norm = nn.LayerNorm(channels, eps=1e-6)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Same shape."""
-        # In channels-last memory both permutations are free.
-        normed: Tensor = self.norm(x.permute(0, 2, 3, 1))
-        return normed.permute(0, 3, 1, 2)
-
-
 def gate(x: Tensor) -> Tensor:
     """SimpleGate: one half of the channels times the other, (N, 2C, H, W) -> (N, C, H, W)."""
-    first, second = x.chunk(2, dim=1)
+    first, second = halves(x)
     return first * second
 
 
@@ -71,14 +59,14 @@ class Block(nn.Module):
     def __init__(self, channels: int) -> None:
         super().__init__()
         self.norm1 = LayerNorm(channels)
-        self.expand = nn.Conv2d(channels, 2 * channels, 1)
+        self.expand = Pointwise(channels, 2 * channels)
         self.depthwise = nn.Conv2d(2 * channels, 2 * channels, 3, padding=1, groups=2 * channels)
         self.attention = nn.Linear(channels, channels)
-        self.project = nn.Conv2d(channels, channels, 1)
+        self.project = Pointwise(channels, channels)
         self.scale1 = nn.Parameter(torch.zeros(1, channels, 1, 1))
         self.norm2 = LayerNorm(channels)
-        self.feed = nn.Conv2d(channels, 2 * channels, 1)
-        self.reduce = nn.Conv2d(channels, channels, 1)
+        self.feed = Pointwise(channels, 2 * channels)
+        self.reduce = Pointwise(channels, channels)
         self.scale2 = nn.Parameter(torch.zeros(1, channels, 1, 1))
 
     def forward(self, x: Tensor) -> Tensor:
@@ -90,13 +78,13 @@ class Block(nn.Module):
         return x + self.scale2 * fed
 
 
-class NAFNet(nn.Module):
+class NAFNet(Network):
     """U-shaped stack of blocks that predicts what to add to the noisy image."""
 
     def __init__(self, settings: NAFNetSettings) -> None:
-        super().__init__()
+        super().__init__(settings.channels, stride=2 ** len(settings.encoder))
         channels = settings.width
-        self.intro = nn.Conv2d(1, channels, 3, padding=1)
+        self.intro = nn.Conv2d(self.channels, channels, 3, padding=1)
         self.encoders, self.downs = nn.ModuleList(), nn.ModuleList()
         for count in settings.encoder:
             self.encoders.append(_blocks(channels, count))
@@ -106,27 +94,17 @@ class NAFNet(nn.Module):
         self.ups, self.decoders = nn.ModuleList(), nn.ModuleList()
         for count in settings.decoder:
             self.ups.append(
-                nn.Sequential(nn.Conv2d(channels, 2 * channels, 1, bias=False), nn.PixelShuffle(2))
+                nn.Sequential(Pointwise(channels, 2 * channels, bias=False), nn.PixelShuffle(2))
             )
             channels //= 2
             self.decoders.append(_blocks(channels, count))
-        self.outro = nn.Conv2d(channels, 1, 3, padding=1)
-        self.stride = 2 ** len(settings.encoder)
+        self.outro = nn.Conv2d(channels, self.channels, 3, padding=1)
 
-    def forward(self, noisy: Tensor) -> Tensor:
-        """(N, 1, H, W) -> (N, 1, H, W); sizes that do not divide are padded at right and bottom."""
-        height, width = noisy.shape[-2:]
-        pad = (0, -width % self.stride, 0, -height % self.stride)
-        x = self.intro(functional.pad(noisy, pad, mode="replicate"))
-        skips = []
-        for blocks, down in zip(self.encoders, self.downs, strict=True):
-            x = blocks(x)
-            skips.append(x)
-            x = down(x)
-        x = self.middle(x)
-        for up, blocks in zip(self.ups, self.decoders, strict=True):
-            x = blocks(up(x) + skips.pop())
-        residual: Tensor = self.outro(x)[..., :height, :width]
+    def restore(self, noisy: Tensor, **extras: Tensor) -> Tensor:
+        """(N, channels, H, W) -> the same; H and W divide by `stride`."""
+        x = self.intro(noisy)
+        x = down_and_up(x, self.encoders, self.downs, self.middle, self.ups, self.decoders)
+        residual: Tensor = self.outro(x)
         return noisy + residual
 
 

@@ -1,4 +1,4 @@
-"""PSNR and SSIM of batches on the training device; the same definitions as evaluation's."""
+"""PSNR, SSIM and shadow IoU of batches on the training device, defined as in evaluation."""
 
 from __future__ import annotations
 
@@ -38,3 +38,16 @@ def ssim(image: Tensor, clean: Tensor) -> Tensor:
     similarity = (2 * mu_a * mu_b + c1) * (2 * covariance + c2)
     similarity = similarity / ((mu_a.square() + mu_b.square() + c1) * (var_a + var_b + c2))
     return similarity.mean(dim=(1, 2, 3))
+
+
+def shadow_iou(image: Tensor, batch: dict[str, Tensor], threshold: float = 0.02) -> Tensor:
+    """(N,) overlap of the true shadow with what is at or below `threshold`, inside the sector.
+
+    1 where there is no shadow at all.  batch: `noisy`, `clean` and `shadow`, (N, 1, H, W).
+    """
+    truth = batch["shadow"] > 0.5
+    sector = truth | (batch["clean"] > 0) | (batch["noisy"] > 0)
+    seen = (image <= threshold) & sector
+    both = (truth & seen).sum(dim=(1, 2, 3)).float()
+    either = (truth | seen).sum(dim=(1, 2, 3)).float()
+    return torch.where(either > 0, both / either.clamp_min(1), torch.ones_like(both))

@@ -1,4 +1,4 @@
-"""Train a denoiser on the pairs of a dataset."""
+"""Train a denoiser as the configuration says."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import logging
 import os
 import warnings
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,67 +18,98 @@ from torch.utils.data import DataLoader
 from factory.errors import FactoryError
 from factory.shards.files import check_writable, write_atomically
 from models import build_network
-from models.data import Crops, Draws, PairTable, SampleRef, Whole, hold_out, read_table, spread
+from models.data import Batch
+from models.data_crops import Crops, Visits, Whole, join, whole
+from models.data_sources import Data, open_data
 from models.losses import build_loss
+from models.network import Network
 from models.samples import write_samples
-from models.settings import ModelsSettings
-from models.training import (
+from models.settings import ModelsSettings, RendersData, SelfSupervisedData
+from models.training import Row, Training
+from models.training_checks import (
     CHECKPOINT_NAME,
     Checks,
-    Training,
+    best_row,
+    is_stopped,
     read_checkpoint,
 )
+from models.training_self import SelfSupervised
 from models.weights import WEIGHTS_NAME, load_weights
 
 _SHOWN = 4
 
 
-def train(settings: ModelsSettings, config: Mapping[str, Any]) -> dict[str, float | int]:
+def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
     """Train, or continue, or find it done; returns the metrics row of the weights that were kept.
 
     config: the same settings as plain values, for config.yaml.  Writes weights.safetensors,
-    config.yaml, metrics.csv, samples.png and checkpoint.ckpt into `output_folder(settings)`.
-    Raises FactoryError for an unusable dataset, configuration, folder or a loss that became NaN.
+    config.yaml, metrics.csv, samples.png, samples/, tensorboard/ and checkpoint.ckpt into
+    `output_folder(settings)`.
+    Raises FactoryError for unusable data, configuration, folder or a loss that became NaN.
     """
     out = output_folder(settings)
-    table = read_table(settings.dataset.dir, "train")
-    if settings.data.patch > min(table.height, table.width):
-        raise FactoryError(
-            f"data.patch={settings.data.patch} is larger than the images of {settings.dataset.dir} "
-            f"({table.height}x{table.width}); choose at most {min(table.height, table.width)}"
-        )
-    if min(table.height, table.width) < 11:
-        raise FactoryError(
-            f"dataset={settings.dataset.dir}: images of {table.height}x{table.width} are too small"
-        )
-    learning, validation = hold_out(table.samples, settings.data.validation, settings.seed)
-    validation = spread(validation, settings.data.validation_limit)
+    accelerator = _accelerator(settings)
+    data = open_data(settings)
     # Everything that decides the weights, and nothing that does not.
-    recipe = _recipe(settings, table)
+    recipe = _recipe(settings, data)
     check_writable(out, "out")
     checkpoint = _checkpoint(out, recipe, settings)
-    accelerator = _accelerator(settings)
     torch.manual_seed(settings.seed)
-    network = build_network(settings.model)
-    module = Training(network, build_loss(settings.loss), settings.train)
-    checks = Checks(out, settings.model, recipe)
-    done = read_checkpoint(checkpoint)["rows"] if checkpoint else []
-    if done and done[-1]["step"] == settings.train.steps:
+    module = _module(settings)
+    extras = module.network.extras
+    count = len(data.validation)
+    picked = [i * count // min(_SHOWN, count) for i in range(min(_SHOWN, count))]
+    shown = [whole(data.validation.sample(i, None), extras) for i in picked]
+    checks = Checks(
+        out,
+        settings.model,
+        recipe,
+        shown=shown[: settings.pictures],
+        patience=settings.train.patience,
+        tensorboard=settings.tensorboard,
+    )
+    rows = read_checkpoint(checkpoint)["rows"] if checkpoint else []
+    finished = rows and rows[-1]["step"] == settings.train.steps
+    if finished or is_stopped(rows, module, settings.train.patience):
         print(f"{out} holds this training already, finished; resume=false trains it afresh")
-        checks.rows = done
+        checks.rows = rows
     else:
         text = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True)
         write_atomically(out / "config.yaml", text.encode())
-        _fit(module, checks, checkpoint, settings, accelerator, learning, validation)
-    write_samples(
-        out / "samples.png", load_weights(out / WEIGHTS_NAME).network, spread(validation, _SHOWN)
-    )
-    return checks.best
+        _fit(module, checks, checkpoint, settings, accelerator, data)
+    if not is_main_process():
+        return best_row(checks.rows, module)
+    network = load_weights(out / WEIGHTS_NAME).network
+    write_samples(out / "samples.png", network, shown, [data.labels[i] for i in picked])
+    return best_row(checks.rows, module)
+
+
+def is_main_process() -> bool:
+    """Whether this is the process that tells and writes; Lightning starts one more a device."""
+    return os.environ.get("LOCAL_RANK", "0") == "0"
 
 
 def output_folder(settings: ModelsSettings) -> Path:
     """Where the results of a training go."""
     return Path(settings.out or Path("outputs", "models", settings.name)).expanduser()
+
+
+def _module(settings: ModelsSettings) -> Training:
+    """The network with fresh weights and the way to train it."""
+    network: Network = build_network(settings.model)
+    loss = build_loss(settings.loss)
+    if isinstance(settings.data, SelfSupervisedData):
+        if network.adversarial:
+            raise FactoryError(
+                f"model.kind={settings.model['kind']}: is trained against clean images; "
+                "data=self_supervised has none"
+            )
+        return SelfSupervised(network, loss, settings.train, settings.seed, settings.data)
+    if network.adversarial:
+        from models.adversarial import Adversarial
+
+        return Adversarial(network, loss, settings.train, settings.seed)
+    return Training(network, loss, settings.train, settings.seed)
 
 
 def _fit(
@@ -86,30 +118,22 @@ def _fit(
     checkpoint: Path | None,
     settings: ModelsSettings,
     accelerator: str,
-    learning: tuple[SampleRef, ...],
-    validation: tuple[SampleRef, ...],
+    data: Data,
 ) -> None:
-    data, chosen = settings.data, settings.train
-    if data.workers == "auto":
-        workers = 0 if accelerator == "cpu" else min(8, max(1, (os.cpu_count() or 2) - 1))
-    else:
-        workers = data.workers
-    # spawn: a fork would copy HDF5's and torch's threads in whatever state they are.
-    shared: dict[str, Any] = {"num_workers": workers, "pin_memory": accelerator != "cpu"}
-    if workers:
-        shared |= {"multiprocessing_context": "spawn", "persistent_workers": True}
-    crops = Crops(learning, patch=data.patch, flip=data.flip, seed=settings.seed)
-    draws = Draws(len(learning), chosen.check_every * data.batch, settings.seed)
+    chosen = settings.train
     with warnings.catch_warnings():
         # Lightning's advice on loggers, worker counts and checkpoints does not apply here.
         warnings.filterwarnings("ignore", module=r"lightning\.")
         logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
         trainer = Trainer(
             accelerator=accelerator,
-            devices=1,
+            devices=settings.devices,
+            strategy="auto" if settings.devices == 1 else "ddp",
+            # Our own sampler shares the visits of a step among the devices.
+            use_distributed_sampler=False,
             precision=chosen.precision,
             max_epochs=chosen.steps // chosen.check_every,
-            gradient_clip_val=chosen.clip,
+            gradient_clip_val=chosen.clip if module.automatic_optimization else None,
             callbacks=[checks],
             default_root_dir=str(checks.out),
             logger=False,
@@ -121,9 +145,7 @@ def _fit(
         try:
             trainer.fit(
                 module,
-                DataLoader(crops, data.batch, sampler=draws, **shared),
-                # One at a time: whole images of any size fit, and the figures are means of images.
-                DataLoader(Whole(validation), 1),
+                *_loaders(settings, accelerator, data, module.network),
                 ckpt_path=checkpoint,
                 weights_only=True,
             )
@@ -136,6 +158,43 @@ def _fit(
         except SystemExit as error:
             # Lightning's answer to Ctrl-C.
             raise KeyboardInterrupt from error
+
+
+def _loaders(
+    settings: ModelsSettings, accelerator: str, data: Data, network: Network
+) -> tuple[DataLoader[Batch], DataLoader[Batch]]:
+    """What training and validation read from."""
+    kind, chosen = settings.data, settings.train
+    if kind.workers != "auto":
+        workers = kind.workers
+    elif accelerator == "cpu":
+        # A network keeps every core busy, unless pairs have to be made for it.
+        workers = 1 if isinstance(kind, RendersData) and (os.cpu_count() or 1) > 1 else 0
+    else:
+        workers = min(8, max(1, (os.cpu_count() or 2) - 1))
+    # spawn: a fork would copy HDF5's and torch's threads in whatever state they are.
+    shared: dict[str, Any] = {"num_workers": workers, "pin_memory": accelerator != "cpu"}
+    if workers:
+        shared |= {"multiprocessing_context": "spawn", "persistent_workers": True}
+    crops = Crops(
+        data.learning,
+        crops=kind.crops,
+        flip=kind.flip,
+        seed=settings.seed,
+        extras=network.extras,
+    )
+    visits = Visits(
+        len(data.learning),
+        kind,
+        chosen.steps // chosen.check_every,
+        chosen.check_every,
+        settings.seed,
+    )
+    return (
+        DataLoader(crops, batch_sampler=visits, collate_fn=join, **shared),
+        # One at a time: whole images of any size fit, and the figures are means of images.
+        DataLoader(Whole(data.validation, network.extras), None),
+    )
 
 
 def _checkpoint(out: Path, recipe: Mapping[str, Any], settings: ModelsSettings) -> Path | None:
@@ -162,27 +221,26 @@ def _checkpoint(out: Path, recipe: Mapping[str, Any], settings: ModelsSettings) 
     return path
 
 
-def _recipe(settings: ModelsSettings, table: PairTable) -> dict[str, Any]:
-    data, chosen = settings.data, settings.train
+def _recipe(settings: ModelsSettings, data: Data) -> dict[str, Any]:
+    """Key -> value, as JSON would give it back."""
+    chosen = {name: value for name, value in asdict(settings.data).items() if name != "workers"}
+    # Where the images lie decides nothing.
+    for name in ("pack", "cache", "folder", "geometry"):
+        chosen.pop(name, None)
     groups = {
         "model": dict(settings.model),
         "loss": dict(settings.loss),
-        "data": {
-            name: getattr(data, name)
-            for name in ("patch", "batch", "flip", "validation", "validation_limit")
-        },
-        "train": {name: getattr(chosen, name) for name in chosen.__dataclass_fields__},
+        "data": {name: _plain(value) for name, value in chosen.items()},
+        "train": asdict(settings.train),
     }
     flat = {
         f"{group}.{key}": value for group, keys in groups.items() for key, value in keys.items()
     }
-    return {
-        **flat,
-        "seed": settings.seed,
-        "dataset.config_hash": table.config_hash,
-        "dataset.pairs": len(table.samples),
-        "dataset.image": [table.height, table.width],
-    }
+    return {**flat, "seed": settings.seed, **data.facts}
+
+
+def _plain(value: Any) -> Any:
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _accelerator(settings: ModelsSettings) -> str:
@@ -192,6 +250,16 @@ def _accelerator(settings: ModelsSettings) -> str:
     device = ("gpu" if has_gpu else "cpu") if settings.device == "auto" else settings.device
     if device == "cpu" and settings.train.precision == "16-mixed":
         raise FactoryError("train.precision=16-mixed needs a GPU; on a CPU use 32-true")
+    if device == "gpu" and settings.devices > torch.cuda.device_count():
+        raise FactoryError(
+            f"devices={settings.devices}: there are {torch.cuda.device_count()} GPUs here"
+        )
+    for batch in (settings.data.batch, *(stage.batch for stage in settings.data.stages)):
+        if batch // settings.data.crops % settings.devices:
+            raise FactoryError(
+                f"devices={settings.devices}: must divide the images of a step, data.batch {batch} "
+                f"over data.crops {settings.data.crops}"
+            )
     return device
 
 

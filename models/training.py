@@ -1,54 +1,85 @@
-"""The Lightning side of training: one module, and one callback that checks, logs and saves."""
+"""The Lightning side of training: a network, the running average of its weights, and one step."""
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 import math
-import time
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
-from lightning.pytorch import LightningModule, Trainer
-from lightning.pytorch.callbacks import Checkpoint
-from torch import Tensor, nn
+from lightning.pytorch import LightningModule
+from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
-from tqdm import tqdm
 
 from factory.errors import FactoryError
-from factory.shards.files import write_atomically
+from factory.seeds import stream
 from models.data import Batch
 from models.losses import Loss
-from models.quality import psnr_db, ssim
+from models.network import Network
+from models.quality import psnr_db, shadow_iou, ssim
 from models.settings import TrainSettings
-from models.weights import WEIGHTS_NAME, channels_last, save_weights
+from models.weights import channels_last
 
-CHECKPOINT_NAME = "checkpoint.ckpt"
-METRICS_NAME = "metrics.csv"
+Row = dict[str, float | int]
 
 
 class Training(LightningModule):
     """A network, the running average of its weights, and how a step is made.
 
     The average is what validation measures and what is saved for use.
+
+    figures: what a validation measures, in the order of metrics.csv.
     """
 
-    def __init__(self, network: nn.Module, loss: Loss, settings: TrainSettings) -> None:
+    figures: ClassVar[tuple[str, ...]] = (
+        *("psnr_noisy", "psnr", "ssim_noisy", "ssim"),
+        *("shadow_iou_noisy", "shadow_iou"),
+    )
+
+    def __init__(
+        self, network: Network, loss: Loss, settings: TrainSettings, seed: int = 0
+    ) -> None:
         super().__init__()
-        self.network = channels_last(network)
+        self.network: Network = channels_last(network)
         self.average = AveragedModel(self.network, multi_avg_fn=_running_average(settings.ema))
         self.average.requires_grad_(False)
-        self.loss, self.settings = loss, settings
+        self.loss, self.settings, self.seed = loss, settings, seed
 
-    def training_step(self, batch: Batch, _: int) -> Tensor:
+    @staticmethod
+    def score(row: Mapping[str, float | int]) -> float:
+        """What is better the larger it is, of a row of metrics."""
+        return row["psnr"]
+
+    @property
+    def step(self) -> int:
+        """Steps of all intervals before the present one."""
+        return self.current_epoch * self.settings.check_every
+
+    def on_train_epoch_start(self) -> None:
+        """Give networks and losses that draw at random the same draws after resuming."""
+        draw = stream(self.seed, "torch", self.current_epoch).integers(2**62)
+        torch.manual_seed(int(draw))
+
+    def training_step(self, batch: Batch, index: int) -> Tensor:
         """The loss of one batch of crops; FactoryError when it is not a number."""
-        loss = self.loss(self.network(batch["noisy"]), batch["clean"])
+        return self.checked(self.objective(batch, index), index)
+
+    def objective(self, batch: Batch, index: int) -> Tensor:
+        """What is made small.  index: of the step in its interval."""
+        extras = known_extras(self.network, batch)
+        batch = {**batch, "progress": torch.tensor((self.step + index) / self.settings.steps)}
+        if self.network.has_mask:
+            prediction, logits = self.network.with_mask(batch["noisy"], **extras)
+            batch["shadow_logits"] = logits
+        else:
+            prediction = self.network(batch["noisy"], **extras)
+        return self.loss(prediction, batch["clean"], batch)
+
+    def checked(self, loss: Tensor, index: int) -> Tensor:
+        """The loss itself; FactoryError when it is not a number."""
         if not torch.isfinite(loss):
             raise FactoryError(
-                f"the loss became {loss.item()} at step {self.global_step}; lower "
+                f"the loss became {loss.item()} at step {self.step + index}; lower "
                 "train.learning_rate, or check the dataset for odd values"
             )
         return loss
@@ -57,20 +88,28 @@ class Training(LightningModule):
         """Let the average follow the weights."""
         self.average.update_parameters(self.network)
 
-    def validation_step(self, batch: Batch, _: int) -> None:
-        """Quality of the whole validation images before and after denoising."""
+    def validation_step(self, batch: Batch, index: int) -> None:
+        """Quality of a whole validation image before and after denoising."""
         noisy, clean = batch["noisy"], batch["clean"]
-        denoised = self.average(noisy).float().clamp(0, 1)
-        values = {
-            "psnr_noisy": psnr_db(noisy, clean),
-            "psnr": psnr_db(denoised, clean),
-            "ssim_noisy": ssim(noisy, clean),
-            "ssim": ssim(denoised, clean),
-        }
+        denoised = self.average(noisy, **known_extras(self.network, batch)).float().clamp(0, 1)
+        self.note(
+            {
+                "psnr_noisy": psnr_db(noisy, clean),
+                "psnr": psnr_db(denoised, clean),
+                "ssim_noisy": ssim(noisy, clean),
+                "ssim": ssim(denoised, clean),
+                "shadow_iou_noisy": shadow_iou(noisy, batch),
+                "shadow_iou": shadow_iou(denoised, batch),
+            },
+            len(noisy),
+        )
+
+    def note(self, values: Mapping[str, Tensor], count: int) -> None:
+        """Average figures of one validation batch into those of the interval."""
         self.log_dict(
             {name: value.mean() for name, value in values.items()},
             on_epoch=True,
-            batch_size=len(noisy),
+            batch_size=count,
             sync_dist=True,
         )
 
@@ -89,119 +128,9 @@ class Training(LightningModule):
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": rate, "interval": "step"}}
 
 
-class Checks(Checkpoint):
-    """After every interval of steps: a row of metrics, the best weights so far, a checkpoint.
-
-    `recipe` goes into the checkpoint, so that another training is not continued by mistake.
-    """
-
-    def __init__(self, out: Path, model: Mapping[str, Any], recipe: Mapping[str, Any]) -> None:
-        self.out, self.model, self.recipe = out, model, recipe
-        self.rows: list[dict[str, float | int]] = []
-        self._losses: list[Tensor] = []
-        self._bar: tqdm[Any] | None = None
-        self._started = 0.0
-
-    @property
-    def best(self) -> dict[str, float | int]:
-        """The row of the best validation PSNR."""
-        return max(self.rows, key=lambda row: row["psnr"])
-
-    def on_train_start(self, trainer: Trainer, module: LightningModule) -> None:
-        """Show how far training is."""
-        total, done = int(trainer.estimated_stepping_batches), trainer.global_step
-        self._bar = tqdm(total=total, initial=done, unit="step", desc="training")
-        self._started = time.monotonic()
-
-    def on_train_batch_end(
-        self, trainer: Trainer, module: LightningModule, outputs: Any, batch: Any, batch_idx: int
-    ) -> None:
-        """Remember the loss."""
-        self._losses.append(outputs["loss"].detach())
-        if self._bar is not None:
-            self._bar.update()
-
-    def on_train_epoch_end(self, trainer: Trainer, module: LightningModule) -> None:
-        """Write what this interval has brought."""
-        assert isinstance(module, Training)
-        measured = {name: float(value) for name, value in trainer.callback_metrics.items()}
-        row: dict[str, float | int] = {
-            "step": trainer.global_step,
-            "loss": float(torch.stack(self._losses).mean()),
-            "learning_rate": float(trainer.optimizers[0].param_groups[0]["lr"]),
-            **{name: measured[name] for name in ("psnr_noisy", "psnr", "ssim_noisy", "ssim")},
-            "gain_db": measured["psnr"] - measured["psnr_noisy"],
-            "seconds": round(time.monotonic() - self._started, 1),
-        }
-        if not math.isfinite(measured["psnr"]):
-            raise FactoryError(
-                f"the network returns NaN at step {trainer.global_step}; lower train.learning_rate"
-            )
-        self._losses.clear()
-        self.rows.append(row)
-        if self._bar is not None:
-            self._bar.set_postfix(
-                loss=f"{row['loss']:.4f}", psnr=f"{row['psnr']:.2f} ({row['gain_db']:+.2f} dB)"
-            )
-        if trainer.is_global_zero:
-            if self.best is row:
-                facts = {**self.recipe, "validation": _without_time(row)}
-                save_weights(self.out / WEIGHTS_NAME, module.average.module, self.model, facts)
-            write_metrics(self.out / METRICS_NAME, self.rows)
-        # Last: whatever is killed before this line is done again, with the same result.
-        save_checkpoint(trainer, self.out / CHECKPOINT_NAME)
-
-    def on_train_end(self, trainer: Trainer, module: LightningModule) -> None:
-        """Leave the terminal tidy."""
-        self._close_bar()
-
-    def on_exception(
-        self, trainer: Trainer, module: LightningModule, exception: BaseException
-    ) -> None:
-        """Leave the terminal tidy for the one line that says what went wrong."""
-        self._close_bar()
-
-    def _close_bar(self) -> None:
-        if self._bar is not None:
-            self._bar.close()
-
-    def state_dict(self) -> dict[str, Any]:
-        """What resuming needs, as JSON: a checkpoint is loaded without running code of it."""
-        return {"rows": json.dumps(self.rows), "recipe": json.dumps(dict(self.recipe))}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue the table of metrics."""
-        self.rows = json.loads(state["rows"])
-
-
-def save_checkpoint(trainer: Trainer, path: Path) -> None:
-    """Lightning's checkpoint, in place of the last one in a single step."""
-    temporary = path.with_suffix(".part")
-    trainer.save_checkpoint(temporary)
-    if trainer.is_global_zero:
-        temporary.replace(path)
-
-
-def read_checkpoint(path: Path) -> dict[str, Any]:
-    """The recipe and the rows of a checkpoint.  Raises FactoryError when it is damaged."""
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-        state = content["callbacks"][Checks.__qualname__]
-        return {name: json.loads(state[name]) for name in ("recipe", "rows")}
-    except Exception as error:
-        # torch reports a damaged file with a dozen exception types.
-        raise FactoryError(
-            f"{path}: damaged, or of another program; delete it or train with resume=false"
-        ) from error
-
-
-def write_metrics(path: Path, rows: list[dict[str, float | int]]) -> None:
-    """metrics.csv, one row an interval."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_atomically(path, text.getvalue().encode())
+def known_extras(network: Network, batch: Batch) -> dict[str, Tensor]:
+    """Of what the network can use beside the image, what the batch has."""
+    return {name: batch[name] for name in network.extras if name in batch}
 
 
 def rate_factor(step: int, warmup: int, steps: int) -> float:
@@ -221,7 +150,3 @@ def _running_average(decay: float) -> Any:
         torch._foreach_lerp_(average, current, 1 - keep)
 
     return update
-
-
-def _without_time(row: Mapping[str, float | int]) -> dict[str, float | int]:
-    return {name: value for name, value in row.items() if name != "seconds"}

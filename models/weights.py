@@ -16,6 +16,7 @@ from torch import nn
 from factory.errors import FactoryError
 from factory.shards.files import write_atomically
 from models import build_network
+from models.network import Network
 
 WEIGHTS_NAME = "weights.safetensors"
 FORMAT = "simnfnd-denoiser/1"
@@ -27,23 +28,34 @@ _KEY = "simnfnd"
 class Trained:
     """A network ready to denoise, the `model` configuration and what is told of its training."""
 
-    network: nn.Module
+    network: Network
     model: Mapping[str, Any]
     training: Mapping[str, Any]
 
 
-def channels_last(network: nn.Module) -> nn.Module:
+def channels_last(network: Network) -> Network:
     """The same network with the memory layout that halves its time on a CPU."""
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     return network
 
 
 def save_weights(
-    path: Path, network: nn.Module, model: Mapping[str, Any], training: Mapping[str, Any]
+    path: Path,
+    network: nn.Module,
+    model: Mapping[str, Any],
+    training: Mapping[str, Any],
+    *,
+    half: bool = False,
 ) -> None:
-    """Write the weights as they are in memory, whole or not at all; same weights, same bytes."""
+    """Write the weights as they are in memory, whole or not at all; same weights, same bytes.
+
+    half: round them to 16 bits, for half of the size.
+    """
     tensors = {
-        name: tensor.detach().cpu().contiguous()
+        name: (tensor.half() if half and tensor.is_floating_point() else tensor)
+        .detach()
+        .cpu()
+        .contiguous()
         for name, tensor in sorted(network.state_dict().items())
     }
     header = {"format": FORMAT, "model": dict(model), "training": dict(training)}
@@ -51,7 +63,7 @@ def save_weights(
 
 
 def load_weights(path: str | Path) -> Trained:
-    """Rebuild the network of a weights file, on the CPU, in evaluation mode.
+    """Rebuild the network of a weights file, on the CPU, in 32 bits, in evaluation mode.
 
     Nothing in the file is executed.  Raises FactoryError when it is absent, not a weights file, of
     another program, or does not fit the network that it describes.
@@ -62,6 +74,10 @@ def load_weights(path: str | Path) -> Trained:
         with safe_open(path, framework="pt") as file:
             header = json.loads((file.metadata() or {}).get(_KEY, "{}"))
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            tensors = {
+                name: tensor.float() if tensor.is_floating_point() else tensor
+                for name, tensor in tensors.items()
+            }
     except (SafetensorError, OSError, ValueError) as error:
         raise FactoryError(f"weights={path}: not a safetensors file, or a damaged one") from error
     if not isinstance(header, dict) or header.get("format") != FORMAT:

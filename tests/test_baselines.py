@@ -75,7 +75,8 @@ def test_gives_a_picture_for_every_picture(name: str, size: tuple[int, int]) -> 
 )
 def test_some_point_of_the_grid_helps(name: str) -> None:
     """Every denoiser gains on noise that it is made for."""
-    kind = "white" if name in ("bm3d", "nlm", "tv", "wavelet", "bilateral") else "speckle"
+    white = ("bm3d", "nlm", "tv", "wavelet", "bilateral", "convolutional")
+    kind = "white" if name in white else "speckle"
     clean, noisy = scene(), noisy_scene(kind)
     if name == "richardson_lucy":  # is made for blur
         noisy = ndimage.gaussian_filter1d(clean, 2, axis=0, mode="nearest")
@@ -83,7 +84,7 @@ def test_some_point_of_the_grid_helps(name: str) -> None:
         noisy = np.where(np.random.default_rng(0).random(clean.shape) < 0.03, 1, clean)
         noisy = noisy.astype(np.float32)
     before = psnr(clean, noisy.astype(np.float32), data_range=1)
-    slow = name in ("srad", "bm3d")
+    slow = name in ("srad", "bm3d", "structural")
     points = [dict(REGISTRY[name].default)] if slow else REGISTRY[name].points()
     if name == "srad":
         points = [{**points[0], "iterations": 60, "initial_cv": 0.3}]

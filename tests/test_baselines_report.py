@@ -7,35 +7,49 @@ import json
 import math
 import subprocess
 import sys
+from contextlib import closing
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
 
-from evaluation import leaderboard, leaderboard_files, measure, tuning
+from evaluation import __main__ as program
+from evaluation import tuning
 from evaluation.baselines import REGISTRY
 from evaluation.baselines.base import Baseline
+from evaluation.crew import Team
+from evaluation.journal import Journal
 from evaluation.levels import fit_levels
-from evaluation.metrics import psnr
+from evaluation.methods import baselines_of, methods_of
+from evaluation.metrics import gmsd, psnr
 from evaluation.pictures import input_of, items_of, picture
-from evaluation.statistics import estimate
-from evaluation.tuning import BaselineSettings
+from evaluation.report import build as builder
+from evaluation.rows import Row, measure_rows
+from evaluation.statistics import estimate, paired
 from factory.errors import FactoryError
 from factory.sample import Pair
-from factory.settings import build
+from tests.evaluation_settings import ROOT, evaluation, settings_for
 from tests.small_dataset import add_shard, fan_images, write_dataset
-from tests.test_evaluation import ROOT, evaluation, settings_for
 
 
-def own_settings(file: Path, *names: str, **changes: Any) -> BaselineSettings:
-    values = {
-        "baselines": list(names),
-        "texture": False,
-        "tuning": {"file": str(file), "validation": 0.3, "pairs": 3},
-    }
-    return build(BaselineSettings, {**values, **changes})
+def tune(dataset: Path, file: Path, *names: str, **changes: Any) -> list[str]:
+    """The lines of `evaluation tune` for these baselines."""
+    tuning_keys = {"file": str(file), **changes.pop("tuning", {})}
+    settings = settings_for(dataset, tuning=tuning_keys, **changes)
+    with Team(settings.workers) as team:
+        return tuning.tune(settings, baselines_of(names), team)
+
+
+def measured(dataset: Path, file: Path, *names: str, **changes: Any) -> dict[str, Row]:
+    """The rows of these baselines in all their forms, by label."""
+    settings = settings_for(dataset, **changes)
+    methods = methods_of(baselines_of(names), tuning.load_tuned(file))
+    items = items_of(dataset, "test")
+    with closing(Journal(file.parent / "journal")) as journal, Team(settings.workers) as team:
+        found = measure_rows(settings, items, methods, journal, team)
+    return {row.method.label: row for row in found}
 
 
 @pytest.fixture(scope="module")
@@ -47,23 +61,21 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_validation_is_what_training_holds_out(dataset: Path) -> None:
     from models.data import hold_out, read_table
 
-    own = own_settings(Path("unused"), tuning={"file": None, "validation": 0.3, "pairs": 99})
-    items = tuning.validation_items(settings_for(dataset), own.tuning)
+    items = tuning.validation_items(settings_for(dataset, tuning={"pairs": 99}))
     kept, held = hold_out(read_table(dataset, "train").samples, 0.3, 0)
     assert {item.place for item in items} == {(str(s.path), s.row) for s in held}
     assert not {item.scene for item in items} & {sample.scene.split("/")[1] for sample in kept}
     assert all(item.shard.startswith("train/") for item in items)
-    few = tuning.validation_items(settings_for(dataset), own_settings(Path("x")).tuning)
+    few = tuning.validation_items(settings_for(dataset))
     assert len(few) == 3
 
 
 def test_tuning_finds_the_best_of_the_grid(dataset: Path, tmp_path: Path) -> None:
     file = tmp_path / "deep" / "tuned.json"
-    own = own_settings(file, "gaussian", "identity")
-    lines = tuning.tune(settings_for(dataset), own)
+    lines = tune(dataset, file, "gaussian", "identity")
     content = json.loads(file.read_text(encoding="utf-8"))
     assert set(content["baselines"]) == {"identity", "gaussian"}
-    items = tuning.validation_items(settings_for(dataset), own.tuning)
+    items = tuning.validation_items(settings_for(dataset))
     assert content["validation"] == [f"{item.shard}#{item.place[1]}" for item in items]
 
     # By hand: every sigma on every pair.
@@ -89,7 +101,7 @@ def test_tuned_results_are_kept_until_something_changes(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "tuned.json"
-    tuning.tune(settings_for(dataset), own_settings(file, "median"))
+    tune(dataset, file, "median")
     before = file.read_bytes()
     measured: list[tuning._Task] = []
     honest = tuning._measure_point
@@ -99,20 +111,20 @@ def test_tuned_results_are_kept_until_something_changes(
         return honest(task)
 
     monkeypatch.setattr(tuning, "_measure_point", counted)
-    again = tuning.tune(settings_for(dataset), own_settings(file, "median"))
+    again = tune(dataset, file, "median")
     assert not measured
     assert again[0].startswith("median: ")
-    tuning.tune(settings_for(dataset), own_settings(file, "grey_opening"))
+    tune(dataset, file, "grey_opening")
     assert {task.baseline for task in measured} == {"grey_opening"}
     measured.clear()
     # Another grid, other pairs: another result.
     median = REGISTRY["median"]
     finer = Baseline("median", median.function, median.default, {"size": (3, 5)}, "here")
     monkeypatch.setitem(REGISTRY, "median", finer)
-    tuning.tune(settings_for(dataset), own_settings(file, "median"))
+    tune(dataset, file, "median")
     assert len(measured) == 2
     monkeypatch.undo()
-    tuning.tune(settings_for(dataset), own_settings(file, "median", "grey_opening"))
+    tune(dataset, file, "median", "grey_opening")
     content = json.loads(file.read_text(encoding="utf-8"))["baselines"]
     assert content["median"] == json.loads(before)["baselines"]["median"], "same bytes again"
 
@@ -121,7 +133,7 @@ def test_tuning_never_opens_the_test_split(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data", train=16, test=4, size=48)
     for path in (dataset / "test").glob("*.h5"):
         path.write_bytes(b"nothing to read here")
-    tuning.tune(settings_for(dataset), own_settings(tmp_path / "t.json", "median"))
+    tune(dataset, tmp_path / "t.json", "median")
 
 
 def test_an_optimum_at_the_edge_is_said(
@@ -130,7 +142,7 @@ def test_an_optimum_at_the_edge_is_said(
     gaussian = REGISTRY["gaussian"]
     narrow = Baseline("gaussian", gaussian.function, gaussian.default, {"sigma_px": (0.3, 0.4)}, "")
     monkeypatch.setitem(REGISTRY, "gaussian", narrow)
-    lines = tuning.tune(settings_for(dataset), own_settings(tmp_path / "t.json", "gaussian"))
+    lines = tune(dataset, tmp_path / "t.json", "gaussian")
     assert "warning: the optimum is at the edge of the grid in sigma_px" in lines[0]
 
 
@@ -147,86 +159,74 @@ def test_a_method_that_crashes_loses_its_row_alone(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     break_a_method(monkeypatch)
-    own = own_settings(tmp_path / "t.json", "broken", "median")
-    lines = tuning.tune(settings_for(dataset), own)
+    lines = tune(dataset, tmp_path / "t.json", "broken", "median")
     assert lines[0] == "broken: lost (ZeroDivisionError: no such luck)"
     assert lines[1].startswith("median: ")
-    methods, untuned = leaderboard.methods_of(settings_for(dataset), own)
-    assert untuned == ["broken"]
-    items, rows = leaderboard.leaderboard(settings_for(dataset), methods, texture=False)
-    by_label = {row.method.label: row for row in rows}
-    assert by_label["broken"].lost == "ZeroDivisionError: no such luck"
-    assert by_label["median"].lost is None
-    (tmp_path / "summary.md").write_text("# Report\n", encoding="utf-8")
-    leaderboard_files.write(tmp_path, items, rows)
-    text = (tmp_path / "summary.md").read_text(encoding="utf-8")
-    assert text.startswith("# Report\n")
+    settings = settings_for(
+        dataset,
+        baselines=["broken", "median"],
+        out=str(tmp_path / "out"),
+        tuning={"file": str(tmp_path / "t.json")},
+    )
+    content = builder.build(settings)
+    assert content["rows"][-1]["label"] == "broken"
+    assert content["rows"][-1]["lost"] == "ZeroDivisionError: no such luck"
+    assert {row["label"]: row["lost"] for row in content["rows"]}["median"] is None
+    text = (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
     assert "| broken | lost: ZeroDivisionError: no such luck |" in text
-    with (tmp_path / "leaderboard.csv").open(encoding="utf-8") as file:
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "lost: ZeroDivisionError" in page
+    with (tmp_path / "out" / "leaderboard.csv").open(encoding="utf-8") as file:
         table = list(csv.DictReader(file))
     assert table[-1]["method"] == "broken"
-    assert table[-1]["psnr"] in ("", None)
+    assert table[-1]["psnr"] == ""
 
 
 def test_rows_are_what_the_methods_give(dataset: Path, tmp_path: Path) -> None:
-    own = own_settings(tmp_path / "t.json", "median", "recursive", "identity")
-    settings = settings_for(dataset)
-    tuning.tune(settings, own)
-    methods, untuned = leaderboard.methods_of(settings, own)
-    assert untuned == []
+    file = tmp_path / "t.json"
+    names = ("median", "recursive", "identity")
+    tune(dataset, file, *names)
+    rows = measured(dataset, file, *names, texture=True)
     forms = ["", " + levels", " tuned", " tuned + levels"]
-    assert [m.label for m in methods] == [
+    assert list(rows) == [
+        "noisy",
         *(f"median{form}" for form in forms),
         *(f"recursive{form}" for form in forms),
-        "identity",
-        "identity + levels",
+        "noisy + levels",
     ]
-    items, rows = leaderboard.leaderboard(settings, methods, texture=True)
-    by_label = {row.method.label: row for row in rows}
-    assert rows[0].method.label == "identity"
-    # The noisy row is the one of the table above it.
-    origin = measure.measure(settings)
-    for name in measure.METRICS:
-        np.testing.assert_allclose(
-            rows[0].values[name], [getattr(s.quality, name) for s in origin], rtol=1e-5
-        )
+    items, noisy, row = items_of(dataset, "test"), rows["noisy"], rows["median tuned + levels"]
     # One pair by hand.
     number = 4
-    pair, row = picture(items[number].place), by_label["median tuned + levels"]
+    pair = picture(items[number].place)
     assert row.method.levels is not None
     image = row.method.levels(REGISTRY["median"](pair.noisy, row.method.parameters))
     assert row.values["psnr"][number] == pytest.approx(psnr(pair.clean, image, data_range=1.0))
     fan = psnr(pair.clean, image, data_range=1.0, mask=pair.sector)
     assert row.values["psnr_fan"][number] == pytest.approx(fan)
-    gains = row.values["psnr"] - rows[0].values["psnr"]
+    one = gmsd(pair.clean, image, data_range=1.0, pooled=False)
+    assert row.values["gmsd_unpooled"][number] == pytest.approx(one)
+    gains = row.values["psnr"] - noisy.values["psnr"]
     groups = [item.group for item in items]
-    assert row.gains["psnr"] == estimate(gains, groups, resamples=200, seed=0)
-    assert row.gains["psnr"].low > 0, "taking the haze off must help"
-    assert rows[0].means["ms_ssim"].count == 0, "48 pixels are too few for five scales"
-    assert rows[0].means["ratio_mean"].mean == pytest.approx(1)
-    assert row.means["edge_preservation"].count == len(items)
-    assert "| edges |" in leaderboard_files.texture_table(rows)
-
-
-def test_processes_do_not_change_the_figures(dataset: Path, tmp_path: Path) -> None:
-    own = own_settings(tmp_path / "t.json", "median", "lee")
-    methods, _ = leaderboard.methods_of(settings_for(dataset), own)
-    alone, together = (
-        leaderboard.leaderboard(settings_for(dataset, workers=n), methods, texture=False)[1]
-        for n in (1, 2)
+    found = paired(
+        row.values["psnr"], noisy.values["psnr"], groups, better=1, resamples=200, seed=0
     )
-    for one, other in zip(alone, together, strict=True):
-        assert one.means == other.means
-    # Tuned in two processes, the file has the same bytes.
+    assert found.difference == estimate(gains, groups, resamples=200, seed=0)
+    assert found.difference.low > 0, "taking the haze off must help"
+    assert np.isnan(noisy.values["ms_ssim"]).all(), "48 pixels are too few for five scales"
+    assert noisy.values["ratio_mean"] == pytest.approx(1)
+    assert np.isfinite(row.values["edge_preservation"]).all()
+
+
+def test_tuning_in_processes_writes_the_same_bytes(dataset: Path, tmp_path: Path) -> None:
     for workers in (1, 2):
-        own = own_settings(tmp_path / f"{workers}.json", "median", "grey_opening")
-        tuning.tune(settings_for(dataset, workers=workers), own)
+        tune(dataset, tmp_path / f"{workers}.json", "median", "grey_opening", workers=workers)
     assert (tmp_path / "1.json").read_bytes() == (tmp_path / "2.json").read_bytes()
 
 
 def test_several_looks_beat_one(tmp_path: Path) -> None:
     """Four variants of two frames, each with noise of its own over one clean image."""
     rng = np.random.default_rng(0)
+    data = tmp_path / "data"
     for split, scenes in (("train", 2), ("test", 1)):
         pairs = []
         for scene in range(scenes):
@@ -240,17 +240,14 @@ def test_several_looks_beat_one(tmp_path: Path) -> None:
                     "variant": variant,
                 }
                 pairs.append(Pair(noisy.astype(np.float32), clean, shadow, record))
-        add_shard(tmp_path, f"{split}/shard-00000.h5", pairs)
-    own = own_settings(tmp_path / "t.json", "recursive")
-    settings = settings_for(tmp_path)
-    tuning.tune(settings, own)
-    methods, _ = leaderboard.methods_of(settings, own)
-    items, rows = leaderboard.leaderboard(settings, methods, texture=False)
-    by_label = {row.method.label: row for row in rows}
-    assert by_label["recursive tuned"].method.parameters == {"memory": 1.0}, "nothing moves"
-    gains = by_label["recursive tuned"].values["psnr"] - rows[0].values["psnr"]
+        add_shard(data, f"{split}/shard-00000.h5", pairs)
+    tune(data, tmp_path / "t.json", "recursive")
+    rows = measured(data, tmp_path / "t.json", "recursive")
+    assert rows["recursive tuned"].method.parameters == {"memory": 1.0}, "nothing moves"
+    gains = rows["recursive tuned"].values["psnr"] - rows["noisy"].values["psnr"]
     # Four looks have a quarter of the variance: 6 dB, less what the logarithm's mean is off.
     assert 4 < gains.mean() < 6.1
+    items = items_of(data, "test")
     assert [item.looks[-1] for item in items] == [item.place for item in items]
 
 
@@ -258,46 +255,49 @@ def test_several_looks_need_several_variants(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data", train=16, test=3, size=48)
     assert [len(item.looks) for item in items_of(dataset, "test")] == [2, 2, 1]
     assert all(item.looks[-1] == item.place for item in items_of(dataset, "test"))
-    own = own_settings(tmp_path / "t.json", "recursive")
-    methods, _ = leaderboard.methods_of(settings_for(dataset), own)
-    _, rows = leaderboard.leaderboard(settings_for(dataset), methods, texture=False)
-    assert rows[1].lost == "needs several noise variants a frame"
-    assert math.isnan(rows[1].milliseconds)
+    row = measured(dataset, tmp_path / "t.json", "recursive")["recursive"]
+    assert row.lost == "needs several noise variants a frame"
+    assert math.isnan(row.milliseconds)
 
 
-def test_commands(dataset: Path, tmp_path: Path) -> None:
-    own: tuple[str, ...] = ("baselines=[median,gaussian]", f"tuning.file={tmp_path / 't.json'}")
-    own += ("tuning.pairs=2", "workers=1")
-    tuned = evaluation("tune", f"dataset={dataset}", *own, cwd=tmp_path)
-    assert tuned.returncode == 0, tuned.stderr
-    assert "gaussian: " in tuned.stdout
-    done = evaluation(f"dataset={dataset}", f"out={tmp_path / 'out'}", *own, cwd=tmp_path)
+def test_the_tune_command(dataset: Path, tmp_path: Path) -> None:
+    words = ("baselines=[median,gaussian]", f"tuning.file={tmp_path / 't.json'}")
+    done = evaluation("tune", f"dataset={dataset}", *words, "tuning.pairs=2", "workers=1")
     assert done.returncode == 0, done.stderr
-    assert "| median tuned + levels (size=" in done.stdout
-    assert "17.76 / 0.69 / 0.19" in done.stdout
-    names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert {"baselines.csv", "leaderboard.csv", "metrics.csv", "summary.md"} <= names
-    with (tmp_path / "out" / "baselines.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 9 * 6
-    assert {path.name for path in tmp_path.iterdir()} == {"t.json", "out"}, "Hydra left litter"
+    assert "gaussian: " in done.stdout
+    assert (tmp_path / "t.json").is_file()
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (("tune",), "dataset: give the folder"),
-        (("baselines=[wiener]",), "baselines: no 'wiener'"),
-        (("tune", "tuning.pairs=0"), "tuning.pairs: "),
-        (("tune", "tuning.speed=1"), "Could not override 'tuning.speed'"),
+        (("baselines=[wiener]", "dataset=."), "baselines: no 'wiener'"),
+        (("models=[nothing]", "dataset=."), "models: weights=nothing: no such file"),
+        (("tune", "dataset=.", "tuning.pairs=0"), "tuning.pairs: "),
+        (("robustness=[nowhere]", "dataset=."), "robustness=nowhere: no such folder"),
     ],
 )
-def test_bad_input_is_one_line(arguments: tuple[str, ...], words: str, tmp_path: Path) -> None:
-    folder = () if "give the folder" in words else ("dataset=nowhere",)
-    done: subprocess.CompletedProcess[str] = evaluation(*arguments, *folder, cwd=tmp_path)
-    assert done.returncode == 2
-    assert words in done.stderr
-    assert done.stderr.count("\n") == 1
+def test_bad_settings_are_one_line(
+    arguments: tuple[str, ...],
+    words: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["evaluation"])
+    assert program.run(arguments) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("verb", [verb for verb in program.VERBS if verb])
+def test_every_verb_is_told_and_exists(verb: str) -> None:
+    assert f"python -m evaluation {verb}" in (program.__doc__ or "")
+    module, function = program.VERBS[verb].split(":")
+    assert callable(getattr(import_module(module), function))
 
 
 def test_bad_files_are_named(dataset: Path, tmp_path: Path) -> None:
@@ -308,24 +308,12 @@ def test_bad_files_are_named(dataset: Path, tmp_path: Path) -> None:
             tuning.load_tuned(file)
     (tmp_path / "taken").write_text("", encoding="utf-8")
     with pytest.raises(FactoryError, match=r"tuning\.file: cannot write.*taken"):
-        tuning.tune(settings_for(dataset), own_settings(tmp_path / "taken" / "t.json", "identity"))
-    with pytest.raises(FactoryError, match=r"out=.*cannot write"):
-        leaderboard_files.write(tmp_path / "taken" / "x", [], [])
+        tune(dataset, tmp_path / "taken" / "t.json", "identity")
 
 
-def test_damage_is_not_blamed_on_a_method(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path / "data", train=0, test=2, size=48, dtype="float32")
-    with h5py.File(dataset / "test" / "shard-00000.h5", "r+") as file:
-        file["noisy"][1, 5, 5] = np.nan
-    own = own_settings(tmp_path / "t.json", "median")
-    methods, _ = leaderboard.methods_of(settings_for(dataset), own)
-    with pytest.raises(FactoryError, match=r"shard-00000\.h5: sample 1: noisy has NaN"):
-        leaderboard.leaderboard(settings_for(dataset), methods, texture=False)
-
-
-def test_help_does_not_import_torch() -> None:
-    """The leaderboard itself runs where torch is not installed."""
-    code = "import sys, evaluation.leaderboard; print('torch' in sys.modules)"
+def test_the_leaderboard_does_not_import_torch() -> None:
+    """It runs where torch is not installed."""
+    code = "import sys, evaluation.report.build; print('torch' in sys.modules)"
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
     )

@@ -8,11 +8,13 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
 
 from factory.__main__ import main
 from factory.config import FactoryConfig, from_mapping
@@ -65,6 +67,10 @@ def same(one: View, other: View) -> bool:
         one.depth_m.tobytes() == other.depth_m.tobytes()
         and one.radiance.tobytes() == other.radiance.tobytes()
         and (one.intrinsics, one.mount) == (other.intrinsics, other.mount)
+        and np.array_equal(
+            np.asarray(one.world_from_camera, dtype=object),
+            np.asarray(other.world_from_camera, dtype=object),
+        )
     )
 
 
@@ -101,6 +107,7 @@ def test_any_view_comes_back(seed: int, height: int, width: int, empty: bool) ->
         rgb=np.zeros((height, width, 3), np.uint8),
         segmentation=rng.integers(0, 20, (height, width), dtype=np.uint8),
         instance=rng.integers(0, 65535, (height, width), dtype=np.uint16),
+        world_from_camera=None if seed % 2 else rng.normal(size=(4, 4)),
     )
     surface = (rng.random((height, width)) < 0.7) & (not empty)
     radiance = np.exp(rng.uniform(-25, 10, (height, width))).astype(np.float32)
@@ -109,6 +116,7 @@ def test_any_view_comes_back(seed: int, height: int, width: int, empty: bool) ->
     view = view_of(frame, Rendered(radiance, surface), mount)
     again = decode(encode(view))
     assert same(again, view)
+    assert view.world_from_camera is frame.world_from_camera
     assert again.segmentation is not None
     assert again.instance is not None
     assert frame.segmentation is not None
@@ -126,6 +134,38 @@ def test_anything_else_is_no_view(cut: int, content: bytes) -> None:
     for bad in (content, encode(some_view())[:cut]):
         with pytest.raises(ValueError):  # noqa: PT011 (the cause is what was met first)
             decode(bad)
+
+
+@settings(max_examples=40, deadline=None)
+@given(codes=arrays(np.uint16, array_shapes(min_dims=2, max_dims=2, max_side=9)))
+def test_planes_are_folded_second_differences(codes: np.ndarray[Any, Any]) -> None:
+    """The compiled loops against the same steps in numpy."""
+    from factory.render import planes
+
+    down = np.diff(codes, axis=0, prepend=np.uint16(0))
+    step = np.diff(down, axis=1, prepend=np.uint16(0)).view(np.int16)
+    folded = ((step << 1) ^ (step >> 15)).astype("<u2")
+    expected = np.ascontiguousarray(folded.view(np.uint8).reshape(-1, 2).T).tobytes()
+    assert planes.pack(codes) == expected
+    table = np.random.default_rng(0).random(1 << 16).astype(np.float32)
+    height, width = codes.shape
+    np.testing.assert_array_equal(planes.unpack(expected, (height, width), table), table[codes])
+    with pytest.raises(ValueError, match="reshape"):
+        planes.unpack(expected[:-1], (height, width), table)
+
+
+@settings(max_examples=60, deadline=None)
+@given(place=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7), small=st.booleans())
+def test_a_flipped_bit_never_changes_a_picture(place: float, bit: int, small: bool) -> None:
+    view = some_view()
+    content = bytearray(encode(view, SMALL if small else FINE))
+    whole = decode(bytes(content))
+    content[int(place * len(content))] ^= 1 << bit
+    try:
+        found = decode(bytes(content))
+    except ValueError:
+        return
+    assert same(found, whole)  # a bit that the codec does not look at
 
 
 # --- keys -------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +12,23 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import ndimage
 
 from factory.errors import FactoryError
 from models import build_network
-from models.denoise import Item, denoise_image, find_items, main
+from models.denoise import Item, denoise_image, find_items, load_denoiser, main
+from models.geometry import polar_picture
+from models.network import Network
+from models.tile import starts, tiled
 from models.weights import load_weights, save_weights
 from tests.small_dataset import fan_images, write_dataset, write_manifest
 
 TINY = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 0, "decoder": [1]}
 
 
-def half(gray: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+def half(gray: npt.NDArray[np.float32], geometry: object = None) -> npt.NDArray[np.float32]:
     """A denoiser whose result is easy to foretell."""
     return gray / 2
 
@@ -180,3 +187,104 @@ def test_nothing_to_denoise(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("words", encoding="utf-8")
     with pytest.raises(FactoryError, match="neither an image nor a shard"):
         find_items([tmp_path / "notes.txt"], tmp_path / "out")
+
+
+def test_videos_become_folders_of_frames(weights: Path, tmp_path: Path) -> None:
+    noisy, _, _ = fan_images(48, np.random.default_rng(1))
+    grey = (noisy * 255).astype(np.uint8)
+    path = tmp_path / "dive.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10, (48, 48))
+    for shift in range(3):
+        writer.write(cv2.cvtColor(np.roll(grey, shift, axis=1), cv2.COLOR_GRAY2BGR))
+    writer.release()
+    out = tmp_path / "out"
+    assert main([str(path), "--out", str(out), "--weights", str(weights), "--compare"]) == 0
+    frames = sorted((out / "dive.avi").iterdir())
+    assert [frame.name for frame in frames] == ["000000.png", "000001.png", "000002.png"]
+    capture = cv2.VideoCapture(str(path))
+    for frame in frames:
+        _, original = capture.read()
+        result = cv2.imread(str(frame), cv2.IMREAD_UNCHANGED)
+        assert result is not None
+        expected = through_network(weights, original[..., 0] / 255.0) * 255
+        shown = result if result.ndim == 2 else result[..., 0]
+        assert np.abs(shown - expected).max() <= 0.51
+    assert (out / "compare" / "dive.png").is_file()
+    (tmp_path / "broken.mp4").write_bytes(b"no video")
+    with pytest.raises(FactoryError, match=r"broken\.mp4: not a readable video"):
+        main([str(tmp_path / "broken.mp4"), "--out", str(out), "--weights", str(weights)])
+
+
+@given(st.integers(1, 400), st.integers(8, 64), st.data())
+def test_tiles_cover_every_pixel_and_share_enough(
+    size: int, tile: int, data: st.DataObject
+) -> None:
+    overlap = data.draw(st.integers(0, tile // 2))
+    found = starts(size, tile, overlap)
+    assert found[0] == 0
+    assert found[-1] + tile >= size
+    assert size <= tile or found[-1] + tile == size
+    for first, second in pairwise(found):
+        assert overlap <= first + tile - second < tile
+
+
+def test_tiles_leave_no_seam() -> None:
+    rng = np.random.default_rng(0)
+    image = rng.random((90, 130)).astype(np.float32)
+    scale = {"scale": np.linspace(0, 1, 90 * 130, dtype=np.float32).reshape(90, 130)}
+
+    def local(part: npt.NDArray[np.float32], maps: Any) -> npt.NDArray[np.float32]:
+        # What a network with a small field of view does: pixels and their neighbours.
+        return np.asarray(ndimage.uniform_filter(part, 5, mode="nearest") * maps["scale"])
+
+    whole, parts = local(image, scale), tiled(local, image, scale, 48, 20)
+    np.testing.assert_allclose(parts[3:-3, 3:-3], whole[3:-3, 3:-3], atol=0.02)
+    middle = np.abs(parts - whole)[3:-3, 3:-3]
+    assert np.median(middle) < 1e-6
+
+    def brightening(part: npt.NDArray[np.float32], maps: Any) -> npt.NDArray[np.float32]:
+        # Each tile comes out brighter than the one before: the worst seam that there could be.
+        brightening.calls += 1  # type: ignore[attr-defined]
+        return np.full(part.shape, brightening.calls, np.float32)  # type: ignore[attr-defined]
+
+    brightening.calls = 0  # type: ignore[attr-defined]
+    blended = tiled(brightening, np.zeros((40, 200), np.float32), {}, 60, 20)
+    assert np.abs(np.diff(blended, axis=1)).max() <= 1.01 / 20
+    with pytest.raises(ValueError, match="half of the tile"):
+        tiled(local, image, scale, 32, 20)
+
+
+def test_large_pictures_are_denoised_in_tiles(weights: Path) -> None:
+    noisy, _, _ = fan_images(96, np.random.default_rng(2))
+    whole = load_denoiser(weights, "cpu")(noisy)
+    parts = load_denoiser(weights, "cpu", tile=64, overlap=24)(noisy)
+    # NAFNet's attention is a mean over the tile, so a little differs.
+    assert np.abs(whole - parts).max() < 0.05
+    assert parts.dtype == np.float32
+    with pytest.raises(FactoryError, match="--overlap 40: must be at most half"):
+        main(["x.png", "--out", "o", "--tile", "64", "--overlap", "40"])
+
+
+def test_geometry_reaches_the_network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[str, ...]] = []
+
+    class Told(Network):
+        extras = ("range_fraction", "sector", "noise_level")
+
+        def __init__(self) -> None:
+            super().__init__(channels=1, stride=1)
+            self.scale = torch.nn.Parameter(torch.ones(()))
+
+        def restore(self, noisy: torch.Tensor, **extras: torch.Tensor) -> torch.Tensor:
+            told.append(tuple(extras))
+            return noisy * self.scale
+
+    monkeypatch.setattr("models.weights.build_network", lambda model: Told())
+    path = tmp_path / "weights.safetensors"
+    save_weights(path, Told(), {"kind": "told"}, {})
+    denoise = load_denoiser(path, "cpu")
+    gray = np.zeros((20, 20), np.float32)
+    denoise(gray)
+    denoise(gray, polar_picture(20, 20))
+    denoise(gray, layout="polar")
+    assert told == [(), ("range_fraction", "sector"), ("range_fraction", "sector")]

@@ -49,7 +49,8 @@ def test_an_effect_alone_is_alone_and_at_the_end_of_its_range(effect: str) -> No
     config = compose(())
     for quantile, pick in ((0, min), (1, max)):
         one = alone(config, effect, quantile)
-        on = [item.name for item in fields(one.noise) if getattr(one.noise, item.name).enabled]
+        blocks = {item.name: getattr(one.noise, item.name) for item in fields(one.noise)}
+        on = [name for name, block in blocks.items() if block is not None and block.enabled]
         assert on == [effect]
         before, after = getattr(config.noise, effect), getattr(one.noise, effect)
         for item in fields(before):

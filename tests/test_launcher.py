@@ -10,7 +10,24 @@ from pathlib import Path
 
 import pytest
 
+from factory.__main__ import main
+
 ROOT = Path(__file__).parent.parent
+
+
+def test_without_slurm_its_launcher_says_so_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("hydra_plugins.hydra_submitit_launcher")
+    words = ["-m", "hydra/launcher=submitit_slurm", "noise.background.density=0.1,0.4"]
+    monkeypatch.setattr(sys, "argv", ["factory", *words, f"hydra.sweep.dir={tmp_path / 'sweep'}"])
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    said = capfd.readouterr().err.strip().splitlines()
+    assert said[-1].startswith("error: hydra/launcher=submitit_slurm: no srun here; ")
+    assert not any("Traceback" in line for line in said)
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from evaluation import metrics
+from evaluation.reference import Reference
 
 Array = npt.NDArray[Any]
 
@@ -101,6 +102,49 @@ def test_ssim_is_the_formula() -> None:
     expected = (2 * mu_a * mu_b + c1) * (2 * cov + c2)
     expected /= (mu_a**2 + mu_b**2 + c1) * (var_a + var_b + c2)
     assert metrics.ssim_map(clean, noisy, data_range=255)[12, 9] == pytest.approx(expected)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    height=st.integers(11, 70),
+    width=st.integers(11, 70),
+    kind=st.sampled_from(["waves", "random", "fan"]),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_ssim_is_that_of_scikit_image(height: int, width: int, kind: str, seed: int) -> None:
+    """Every pixel of the map, its borders too, in the units of the data range."""
+    from skimage.metrics import structural_similarity
+
+    rng = np.random.default_rng(seed)
+    a, b = waves(height, width)
+    if kind == "random":
+        a, b = rng.random((2, height, width)) * 255
+    elif kind == "fan":
+        a = np.where(np.add.outer(np.arange(height), np.arange(width)) % 29 < 9, 0, a)
+        b = np.where(a == 0, 0, b)
+    mean, similarity = structural_similarity(
+        a.astype(float), b.astype(float), data_range=255, gaussian_weights=True, sigma=1.5,
+        use_sample_covariance=False, full=True,
+    )  # fmt: skip
+    ours = metrics.ssim_map(a.astype(float), b.astype(float), data_range=255)
+    np.testing.assert_allclose(ours, similarity, rtol=0, atol=1e-9)
+    value = metrics.ssim(a.astype(float), b.astype(float), data_range=255)
+    assert value == pytest.approx(mean, abs=1e-9)
+
+
+def test_one_reference_serves_many_images() -> None:
+    """What is kept between comparisons changes none of them."""
+    clean, noisy = (image.astype(float) for image in waves(40, 52))
+    reference = Reference(clean, 255)
+    for image in (noisy, 0.5 * noisy, clean, noisy):
+        np.testing.assert_array_equal(
+            reference.ssim_map(image), metrics.ssim_map(clean, image, data_range=255)
+        )
+        for pooled in (True, False):
+            np.testing.assert_array_equal(
+                reference.gms_map(image, pooled=pooled),
+                metrics.gms_map(clean, image, data_range=255, pooled=pooled),
+            )
 
 
 def test_psnr_is_the_formula() -> None:

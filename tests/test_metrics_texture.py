@@ -207,7 +207,23 @@ def test_structure_against_scikit_image_and_probability() -> None:
     random = float((1 / (1 + (i - j) ** 2)).mean())
     expected = 100 * (before - random) / before
     assert expected > 30
-    assert structure(ratio) == pytest.approx(expected, rel=0.01)
+    assert structure(ratio) == pytest.approx(expected, rel=1e-3)
+
+
+def test_shuffling_is_the_mean_over_all_orders() -> None:
+    """Against many real shuffles of a picture with few pixels and many ties."""
+    rng = np.random.default_rng(5)
+    ratio = np.round(rng.gamma(2, 0.5, (7, 9)), 1)
+    levels = np.floor(16 * (ratio.ravel()[:, None] > ratio.ravel()).mean(axis=1)).astype(int)
+
+    def homogeneity(picture: Any) -> float:
+        steps = np.concatenate([np.diff(picture, axis=axis).ravel() for axis in (0, 1)])
+        return float((1 / (1 + steps**2.0)).mean())
+
+    before = homogeneity(levels.reshape(7, 9))
+    shuffled = np.mean([homogeneity(rng.permutation(levels).reshape(7, 9)) for _ in range(4000)])
+    expected = 100 * abs(before - shuffled) / before
+    assert structure(ratio) == pytest.approx(expected, abs=0.3)
 
 
 def test_structure_sees_what_a_filter_took_along() -> None:

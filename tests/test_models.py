@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import cv2
 import h5py
 import numpy as np
 import pytest
@@ -24,11 +25,13 @@ from evaluation import metrics
 from factory.errors import FactoryError
 from factory.settings import build
 from models import build_network, quality
-from models.data import Crops, Draws, SampleRef, Shards, hold_out, read_table, spread
+from models.data import PairSource, SampleRef, Shards, hold_out, read_table, spread
+from models.data_crops import Crops, Visit, Visits, interval_sizes, join
 from models.losses import build_loss
-from models.settings import ModelsSettings
+from models.settings import DATA, ModelsSettings
 from models.train import train
-from models.training import Training, rate_factor, read_checkpoint
+from models.training import Training, rate_factor
+from models.training_checks import is_stopped, read_checkpoint
 from models.weights import load_weights, save_weights
 from tests.small_dataset import fan_images, write_dataset
 
@@ -46,6 +49,8 @@ SMALL = (
     "train.warmup=5",
     "train.learning_rate=0.003",
     "train.ema=0.95",
+    "tensorboard=false",
+    "pictures=0",
 )
 
 
@@ -180,55 +185,110 @@ def test_spread_keeps_the_ends_of_a_long_list() -> None:
     assert spread(samples, None) == spread(samples, 100) == samples
 
 
-def test_every_pair_is_drawn_before_any_is_drawn_again() -> None:
-    draws = Draws(7, 5, seed=1)
-    drawn = []
-    for interval in range(7):
-        draws.set_epoch(interval)
-        drawn += list(draws)
-    assert [number for number, _ in drawn] == list(range(35))
-    rounds = [[index for _, index in drawn[i : i + 7]] for i in range(0, 35, 7)]
-    assert all(sorted(indices) == list(range(7)) for indices in rounds)
-    assert len({tuple(indices) for indices in rounds}) > 1
+def visits(images: int, data: Any, steps: int = 5, intervals: int = 7) -> list[list[Visit]]:
+    """All steps of a training."""
+    sampler = Visits(images, data, intervals, steps, seed=1)
+    found = []
+    for interval in range(intervals):
+        sampler.set_epoch(interval)
+        assert len(sampler) == steps
+        found += list(sampler)
+    return found
+
+
+def data_settings(**changes: Any) -> Any:
+    with initialize_config_module("conf", version_base="1.3"):
+        values: Any = OmegaConf.to_container(compose("models").data)
+    return build(DATA["pairs"], {**values, **changes})
+
+
+def test_every_image_is_visited_before_any_is_visited_again() -> None:
+    steps = visits(7, data_settings(batch=1))
+    drawn = [visit for step in steps for visit in step]
+    assert [visit.number for visit in drawn] == list(range(35))
+    assert [visit.round for visit in drawn] == [number // 7 for number in range(35)]
+    rounds = [[visit.image for visit in drawn[i : i + 7]] for i in range(0, 35, 7)]
+    assert all(sorted(images) == list(range(7)) for images in rounds)
+    assert len({tuple(images) for images in rounds}) > 1
+
+
+def test_stages_change_patch_and_batch_between_intervals() -> None:
+    stages = [{"share": 0.5, "patch": 16, "batch": 12}, {"share": 0.3, "patch": 24, "batch": 8}]
+    data = data_settings(stages=stages, patch=32, batch=4, crops=2)
+    assert interval_sizes(data, 10) == [(16, 12)] * 5 + [(24, 8)] * 3 + [(32, 4)] * 2
+    steps = visits(7, data, steps=3, intervals=10)
+    assert [len(step) for step in steps] == [6] * 15 + [4] * 9 + [2] * 6
+    drawn = [visit for step in steps for visit in step]
+    assert [visit.number for visit in drawn] == list(range(len(drawn)))
+    assert {visit.patch for visit in steps[0] + steps[15]} == {16, 24}
+
+
+def test_devices_share_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = data_settings(batch=6)
+    alone = visits(7, data)
+    parts = []
+    for rank in range(3):
+        monkeypatch.setattr("models.data_crops._place", lambda rank=rank: (rank, 3))
+        parts.append(visits(7, data))
+    for step, *shares in zip(alone, *parts, strict=True):
+        assert sorted(visit for share in shares for visit in share) == sorted(step)
+        assert [len(share) for share in shares] == [2, 2, 2]
 
 
 def test_crops_are_windows_of_the_images_mirrored_at_most(dataset: Path) -> None:
-    samples = read_table(dataset, "train").samples
-    crops = Crops(samples, patch=20, flip=True, seed=0)
+    table = read_table(dataset, "train")
+    samples = table.samples
+    crops = Crops(PairSource(samples, None), crops=4, flip=True, seed=0)
+    images = Shards().layers(samples[3])
     windows, mirrored = set(), set()
-    for number in range(40):
-        crop = crops[(number, 3)]
-        noisy, clean = Shards().pair(samples[3])
-        places = [
-            (top, left, flip)
-            for top in range(29)
-            for left in range(29)
-            for flip in (False, True)
-            if all(
-                np.array_equal(
-                    image[top : top + 20, left : left + 20][:, :: -1 if flip else 1],
-                    crop[name][0].numpy(),
+    for number in range(10):
+        batch = crops[Visit(number, 3, 0, 20)]
+        assert batch["noisy"].shape == (4, 1, 20, 20)
+        for row in range(4):
+            places = [
+                (top, left, flip)
+                for top in range(29)
+                for left in range(29)
+                for flip in (False, True)
+                if all(
+                    np.array_equal(
+                        image[top : top + 20, left : left + 20][:, :: -1 if flip else 1],
+                        batch[name][row, 0].numpy(),
+                    )
+                    for name, image in zip(("noisy", "clean", "shadow"), images, strict=True)
                 )
-                for name, image in (("noisy", noisy), ("clean", clean))
-            )
-        ]
-        assert len(places) >= 1, "a crop is no window of the image"
-        windows.add(places[0][:2])
-        mirrored.add(places[0][2])
+            ]
+            assert len(places) >= 1, "a crop is no window of the image"
+            windows.add(places[0][:2])
+            mirrored.add(places[0][2])
     assert len(windows) > 20
     assert mirrored == {False, True}
 
 
+def test_some_visits_show_weaker_noise_down_to_none(dataset: Path) -> None:
+    samples = read_table(dataset, "train").samples
+    source = PairSource(samples, None, weaker=0.5, seed=0)
+    noisy, clean, _ = Shards().layers(samples[0])
+    factors = []
+    for visit in range(60):
+        seen = source.sample(0, visit).noisy
+        factors.append(float(np.vdot(seen - clean, noisy - clean) / np.sum((noisy - clean) ** 2)))
+        np.testing.assert_allclose(seen, clean + factors[-1] * (noisy - clean), atol=1e-5)
+    assert 0.3 < np.mean(np.array(factors) < 0.999) < 0.7
+    assert min(factors) == pytest.approx(0, abs=1e-6)
+    np.testing.assert_array_equal(source.sample(0, None).noisy, noisy)
+    np.testing.assert_array_equal(source.sample(0, 7).noisy, source.sample(0, 7).noisy)
+
+
 def test_reading_processes_change_nothing(dataset: Path) -> None:
     samples = read_table(dataset, "train").samples
+    data = data_settings(batch=4, patch=16)
 
     def batches(workers: int) -> list[torch.Tensor]:
-        draws = Draws(len(samples), 12, seed=0)
-        crops = Crops(samples, patch=16, flip=True, seed=0)
         loader = DataLoader(
-            crops,
-            4,
-            sampler=draws,
+            Crops(PairSource(samples, None, weaker=0.5), flip=True, seed=0),
+            batch_sampler=Visits(len(samples), data, 1, 3, seed=0),
+            collate_fn=join,
             num_workers=workers,
             multiprocessing_context="spawn" if workers else None,
         )
@@ -283,9 +343,9 @@ def test_same_seed_same_weights_and_a_breakdown_changes_nothing(
     calls: list[int] = []
     drawn: list[int] = []
 
-    def recorded(self: Crops, item: tuple[int, int]) -> Any:
-        drawn.append(item[0])
-        return crop(self, item)
+    def recorded(self: Crops, visit: Visit) -> Any:
+        drawn.append(visit.number)
+        return crop(self, visit)
 
     def breaks_down(self: Training, batch: Any, index: int) -> Any:
         calls.append(index)
@@ -344,6 +404,49 @@ def test_finished_training_is_not_done_again(
 def test_other_settings_do_not_continue_a_training(trained: Path, dataset: Path) -> None:
     with pytest.raises(FactoryError, match=r"loss.kind l1 -> charbonnier.*resume=false"):
         train_small(dataset, trained, "loss=charbonnier")
+
+
+def test_training_stops_when_nothing_gets_better() -> None:
+    rows = [{"psnr": value} for value in (20.0, 22.0, 21.9, 22.0)]
+    assert not is_stopped(rows, Training, None)
+    assert not is_stopped(rows, Training, 3)
+    assert is_stopped(rows, Training, 2)
+    assert not is_stopped(rows[:2], Training, 2)
+    assert not is_stopped([*rows, {"psnr": 22.1}], Training, 2)
+
+
+def test_early_stopping_is_a_finished_training(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[int] = []
+
+    def worse_and_worse(image: torch.Tensor, clean: torch.Tensor) -> torch.Tensor:
+        calls.append(1)
+        return torch.full((len(image),), 50.0 - len(calls))
+
+    monkeypatch.setattr("models.training.psnr_db", worse_and_worse)
+    short = ("train.steps=12", "train.check_every=2", "train.patience=2")
+    assert train_small(dataset, tmp_path, *short)["step"] == 2
+    assert len((tmp_path / "metrics.csv").read_text(encoding="utf-8").splitlines()) == 4
+    done = len(calls)
+    assert train_small(dataset, tmp_path, *short)["step"] == 2
+    assert len(calls) == done, "a training that stopped early was continued"
+
+
+def test_curves_and_pictures_while_training(dataset: Path, tmp_path: Path) -> None:
+    short = ("train.steps=4", "train.check_every=2", "tensorboard=true", "pictures=2")
+    train_small(dataset, tmp_path, *short)
+    assert sorted(path.name for path in (tmp_path / "samples").iterdir()) == [
+        "000002.png",
+        "000004.png",
+    ]
+    sheet = cv2.imread(str(tmp_path / "samples" / "000004.png"), cv2.IMREAD_UNCHANGED)
+    assert sheet is not None
+    assert sheet.shape == (2 * 48 + 4, 3 * 48 + 2 * 4)
+    (events,) = (tmp_path / "tensorboard").iterdir()
+    content = events.read_bytes()
+    for tag in (b"psnr", b"loss", b"learning_rate", b"samples"):
+        assert tag in content
 
 
 def test_damaged_checkpoint_is_named(trained: Path, dataset: Path, tmp_path: Path) -> None:

@@ -53,9 +53,11 @@ TABLE: dict[str, How] = {
     "--weights outputs/models/nafnet/weights.safetensors": Run(),
     "python -m evaluation dataset=outputs/demo": Run(),
     "python -m evaluation tune dataset=outputs/demo": Run(("tuning.pairs=2", "baselines=[median]")),
-    "python -m evaluation dataset=outputs/demo baselines=[all]": Run(
+    "python -m evaluation dataset=outputs/demo baselines=[all] models=[outputs/models/nafnet]": Run(
         instead=(("baselines=[all]", "baselines=[median]"),)
     ),
+    "python -m evaluation compare outputs/evaluation/demo-test outputs/evaluation/demo-test "
+    "--row-b noisy": Run(),
     "python -m factory validate outputs/demo --deep": Run(),
 }
 

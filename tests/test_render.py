@@ -37,9 +37,13 @@ _open: dict[RenderSettings, Renderer] = {}
 
 
 def opened(kind: str, **keys: Any) -> Renderer:
-    """One renderer for each setting: Blender starts once in a test session."""
-    if kind == "points":
-        kind, keys = "cycles", {"geometry": "points", **keys}
+    """One renderer for each setting: Blender starts once in a test session.
+
+    Traced are all pixels, and by Cycles the mesh (or, as `points`, spheres), unless keys say else.
+    """
+    keys = {"stride": 1, **keys}
+    if kind in ("cycles", "points"):
+        kind, keys = "cycles", {"geometry": "mesh" if kind == "cycles" else "points", **keys}
     if kind in ("cycles", "embree"):
         pytest.importorskip({"cycles": "bpy", "embree": "open3d"}[kind])
     wanted: RenderSettings = build(RenderSettings, {"kind": kind, **keys})
@@ -460,7 +464,7 @@ def test_library_that_does_not_load_is_named(
 
 
 def test_points_are_for_cycles_only() -> None:
-    with pytest.raises(FactoryError, match=r"render\.geometry=points.*render\.geometry=mesh"):
+    with pytest.raises(FactoryError, match=r"render\.geometry=points.*render\.geometry=auto"):
         open_renderer(build(RenderSettings, {"kind": "embree", "geometry": "points"}))
 
 

@@ -372,8 +372,10 @@ def start(directory: Path, workers: int, delay_s: float) -> subprocess.Popen[byt
     )
 
 
-def read(path: Path) -> str:
-    return path.read_text() if path.exists() else ""
+def finished(directory: Path) -> int:
+    """Shards that are on record."""
+    manifest = load_manifest(directory)
+    return len(manifest.shards) if manifest else 0
 
 
 def wait_for(condition: Callable[[], object], seconds: float = 20.0) -> None:
@@ -403,7 +405,7 @@ def test_signals_stop_quickly_leave_nobody_and_lose_nothing(
 ) -> None:
     directory = tmp_path / "dataset"
     process = start(directory, 2, 0.1)
-    wait_for(lambda: '"path"' in read(directory / "manifest.json"))
+    wait_for(lambda: finished(directory))
     asked = time.monotonic()
     # Ctrl-C reaches every process of the terminal's group, kill only the one.
     (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
@@ -421,14 +423,59 @@ def test_signals_stop_quickly_leave_nobody_and_lose_nothing(
     assert shard_bytes(directory) == undisturbed
 
 
+NEVER_ENDING_STOP = """
+import sys, time
+from factory.scheduler.local import LocalBackend
+from pathlib import Path
+from tests.fake_source import FakeConfig
+from tests.run_fake import make
+def stop(self):
+    print("stopping", flush=True)
+    time.sleep(60)
+LocalBackend.stop = stop
+make(Path(sys.argv[1]), FakeConfig(delay_s=0.1))
+"""
+
+
+@pytest.mark.parametrize(
+    ("number", "exit_code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)], ids=["ctrl-c", "term"]
+)
+def test_a_second_signal_kills_at_once(
+    tmp_path: Path, undisturbed: dict[str, bytes], number: int, exit_code: int
+) -> None:
+    directory = tmp_path / "dataset"
+    process = subprocess.Popen(
+        [sys.executable, "-c", NEVER_ENDING_STOP, str(directory)],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    wait_for(lambda: finished(directory))
+    os.kill(process.pid, number)
+    assert process.stdout.readline() == b"stopping\n"
+    time.sleep(0.4)  # what comes sooner is the same keypress
+    assert process.poll() is None
+    asked = time.monotonic()
+    os.kill(process.pid, number)
+    assert process.wait(20) == exit_code
+    assert time.monotonic() - asked < 2
+    wait_for(lambda: not session_members(process.pid), 10)
+    process.stdout.close()
+    make(directory)
+    assert litter(directory) == []
+    assert shard_bytes(directory) == undisturbed
+
+
 def test_a_killed_parent_takes_its_workers_along_and_the_run_goes_on(
     tmp_path: Path, undisturbed: dict[str, bytes]
 ) -> None:
     directory = tmp_path / "dataset"
     for _ in range(2):
         process = start(directory, 3, 0.1)
-        there = read(directory / "manifest.json").count('"path"')
-        wait_for(lambda: read(directory / "manifest.json").count('"path"') > there)  # noqa: B023
+        there = finished(directory)
+        wait_for(lambda: finished(directory) > there)  # noqa: B023
         process.kill()
         process.communicate()
         wait_for(lambda: not session_members(process.pid), 5)  # noqa: B023

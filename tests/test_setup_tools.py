@@ -62,7 +62,8 @@ LOG = 'echo "apt-get $*" >> "${0%/*}/log"'
 
 
 def test_nothing_missing_says_nothing(machine: Machine) -> None:
-    path = machine({"dpkg-query": dpkg(*LIBRARIES), "apt-get": LOG, "python3.11": PYTHON})
+    present = dpkg(*LIBRARIES, "chromium")
+    path = machine({"dpkg-query": present, "apt-get": LOG, "id": "echo 0", "python3.11": PYTHON})
     said = run("debian_packages.sh", path)
     assert (said.returncode, said.stdout, said.stderr) == (0, "", "")
     assert not (path / "log").exists()
@@ -86,6 +87,7 @@ def test_root_installs_after_an_update(machine: Machine) -> None:
     update, install = (path / "log").read_text(encoding="utf-8").splitlines()
     assert update.startswith("apt-get update")
     assert install.split()[-len(LIBRARIES) :] == LIBRARIES
+    assert "chromium" in install, "for the test of the report"
 
 
 def test_a_failed_install_is_one_clear_line(machine: Machine) -> None:

@@ -5,13 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from factory.echoes import Echoes, from_xyz, in_plane
+from factory.echoes import from_xyz, in_plane
 from factory.errors import FactoryError, FrameError
 from factory.settings import build
 from factory.sonar import polar, transfer
 from factory.sonar.fan import fan_table, pixel_size
 from factory.sonar.mount import Mount
 from factory.sonar.settings import SonarSettings, TransferSettings
+from factory.sonar.surface import Extent
 from factory.sonar.window import Window
 from factory.sonar.window_fit import fit_window
 from tests.clouds import HALF_RAD, uniform_scene, window
@@ -43,9 +44,10 @@ def test_echoes_outside_window_or_sector_are_dropped():
 
 
 def test_tabled_beams_take_the_nearest_direction():
-    device = sonar(beams=4, beam_azimuths_deg=[-20, -5, 5, 20])
-    beams = polar.beam_index(np.deg2rad([-22, -13, -12, -1, 1, 12, 13, 30]), device)
-    assert beams.tolist() == [0, 0, 1, 1, 2, 2, 3, -1]
+    device = sonar(beams=4, range_bins=2, beam_azimuths_deg=[-20, -5, 5, 20])
+    azimuth = np.deg2rad([-22, -13, -12, -1, 1, 12, 13, 30])
+    echoes = in_plane(np.full(8, 3.0), azimuth, np.ones(8))
+    assert polar.bin_index(echoes, window(), device).tolist() == [0, 0, 1, 1, 2, 2, 3, 8]
 
 
 def test_a_table_of_uniform_directions_equals_uniform_beams():
@@ -145,7 +147,8 @@ def test_covered_closes_pinholes_but_not_shadows():
     rng = np.random.default_rng(1)
     scene = uniform_scene(60000)
     shadowed = (scene.range_m > 4) & (scene.range_m < 6) & (np.abs(scene.azimuth_rad) < 0.1)
-    covered = polar.covered(scene.select(~shadowed & (rng.random(60000) < 0.3)), window(), device)
+    some = scene.select(~shadowed & (rng.random(60000) < 0.3))
+    covered = polar.covered(polar.accumulate(some, window(), device) > 0)
     azimuth = device.beam_centres_rad()
     inside = np.abs(azimuth) < 0.08
     rows = (np.arange(64) + 0.5) / 64 * 8 + 1
@@ -194,24 +197,18 @@ def test_mount_axes():
 
 def test_window_fits_the_echoes_and_forgets_stray_points():
     scene = uniform_scene(near_m=3, far_m=8)
-    stray = in_plane(np.full(20, 25.0), np.zeros(20), np.ones(20))
-    both = Echoes(
-        *(
-            np.concatenate(pair)
-            for pair in zip(vars(scene).values(), vars(stray).values(), strict=True)
-        )
-    )
-    fitted = fit_window(both, build(SonarSettings, {}))
+    lit_m = np.concatenate([scene.range_m, np.full(20, 25, np.float32)])
+    fitted = fit_window(Extent(lit_m, -HALF_RAD, HALF_RAD), build(SonarSettings, {}))
     assert 2 < fitted.range_min_m < 3
     assert 7.9 < fitted.range_max_m < 8.6
-    assert fitted.azimuth_max_rad == pytest.approx(HALF_RAD, abs=1e-3)
+    assert (fitted.azimuth_min_rad, fitted.azimuth_max_rad) == (-HALF_RAD, HALF_RAD)
     assert fitted.near_fraction * 16 == pytest.approx(round(fitted.near_fraction * 16))
 
 
 def test_window_without_echo_is_a_bad_frame():
-    behind = in_plane(np.full(9, 3.0), np.full(9, 3.0), np.ones(9))
+    nothing = Extent(np.empty(0, np.float32), np.inf, -np.inf)
     with pytest.raises(FrameError, match="hfov_deg"):
-        fit_window(behind, build(SonarSettings, {}))
+        fit_window(nothing, build(SonarSettings, {}))
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def test_wheel_holds_every_module_and_every_configuration_file(wheel: Path) -> N
     wanted = {
         path.as_posix()
         for path in files()
-        if path.parts[0] in PACKAGES and path.suffix in (".py", ".yaml")
+        if path.parts[0] in PACKAGES and path.suffix in (".py", ".yaml", ".css", ".js")
     }
     assert wanted - names == set()
     assert {name.split("/")[0] for name in names} == set(PACKAGES)

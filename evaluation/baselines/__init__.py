@@ -6,7 +6,9 @@ from collections.abc import Sequence
 
 from evaluation.baselines.base import Baseline
 from evaluation.baselines.bm3d import bm3d
+from evaluation.baselines.convolutional import convolutional
 from evaluation.baselines.deblur import richardson_lucy_range
+from evaluation.baselines.dtcwt_map import dtcwt_map
 from evaluation.baselines.plain import (
     bilateral,
     gaussian,
@@ -19,6 +21,7 @@ from evaluation.baselines.plain import (
 from evaluation.baselines.pyramid import lpmsde, lpmsde_contrast
 from evaluation.baselines.recursive import recursive_least_squares
 from evaluation.baselines.speckle import frost, kuan, lee, srad
+from evaluation.baselines.structural import structural
 from evaluation.baselines.wavelet import wavelet
 from factory.errors import FactoryError
 
@@ -38,13 +41,20 @@ REGISTRY: dict[str, Baseline] = {
             "textbook",
         ),
         Baseline(
-            "grey_opening", grey_opening, {"size": 3}, {"size": (2, 3, 4, 5, 7)}, "Serra 1982"
+            "grey_opening",
+            grey_opening,
+            {"size": 3},
+            {"size": (2, 3, 4, 5, 7, 9, 13)},
+            "Serra 1982",
         ),
         Baseline(
             "bilateral",
             bilateral,
             {"sigma_px": 2.0, "sigma_gray": 0.1},
-            {"sigma_px": (0.5, 1.0, 2.0, 3.0, 5.0), "sigma_gray": (0.05, 0.1, 0.2, 0.4, 0.8)},
+            {
+                "sigma_px": (0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 12.0),
+                "sigma_gray": (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 100.0),
+            },
             "Tomasi and Manduchi 1998 (OpenCV)",
         ),
         Baseline(
@@ -74,6 +84,27 @@ REGISTRY: dict[str, Baseline] = {
             {"strength": 0.15, "levels": 3},
             {"strength": (0.03, 0.07, 0.15, 0.3, 0.6, 1.2), "levels": (1, 2, 3, 4, 6, 8)},
             "Coifman and Donoho 1995, Haar (own)",
+        ),
+        Baseline(
+            "dtcwt_map",
+            dtcwt_map,
+            {"strength": 1.0, "levels": 5},
+            {"strength": (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 1000.0), "levels": (1, 2, 3, 5, 8)},
+            "Isar, Moga and Isar 2009 (own, from the papers)",
+        ),
+        Baseline(
+            "convolutional",
+            convolutional,
+            {"strength": 0.1, "iterations": 20},
+            {"strength": (0.01, 0.03, 0.06, 0.1, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0, 1000.0)},
+            "Vishwakarma 2022, after the abstract; Wohlberg 2016",
+        ),
+        Baseline(
+            "structural",
+            structural,
+            {"strength": 1.0, "patches": 64},
+            {"strength": (0.35, 0.7, 1.0, 1.4, 2.0, 4.0, 1000.0), "patches": (16, 64, 256)},
+            "Jin et al. 2019, after the abstract",
         ),
         Baseline(
             "lee",
@@ -108,7 +139,7 @@ REGISTRY: dict[str, Baseline] = {
             richardson_lucy_range,
             {"sigma_px": 1.5, "iterations": 10},
             {"sigma_px": (0.2, 0.6, 1.0, 2.0, 4.0, 6.0, 9.0), "iterations": (1, 3, 10, 30)},
-            "Richardson 1972, Lucy 1974; along the columns",
+            "Richardson 1972, Lucy 1974; along range",
         ),
         Baseline(
             "lpmsde",

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import inspect
 import itertools
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from factory.errors import FactoryError
+
+if TYPE_CHECKING:
+    from models.geometry import Geometry
 
 Gray = npt.NDArray[np.float32]
 """(H, W) in 0..1, 0 = no echo; for methods of several looks (T, H, W)."""
@@ -26,6 +30,8 @@ _NOTHING_BEYOND: dict[str, tuple[Number, ...]] = {
     "levels": (1, 8),  # the eighth averages 256 pixels, a whole picture
     "memory": (1.0,),
     "sigma_px": (0.2,),  # a Gaussian so narrow is a single pixel
+    "strength": (1000.0,),  # nothing is above such a threshold
+    "sigma_gray": (100.0,),  # all grey values count alike: the Gaussian blur
 }
 
 
@@ -37,7 +43,8 @@ class BaselineError(FactoryError, ValueError):
 class Baseline:
     """One method.
 
-    function: (image, **parameters) -> (H, W); the image is (H, W) or, with `looks`, (T, H, W).
+    function: (image, **parameters) -> (H, W); the image is (H, W) or, with `looks`, (T, H, W).  One
+        with a parameter `geometry` gets where range and bearing are, or None.
     default: what its authors or its library recommend, scaled to 0..1.
     grid: the values to try of each parameter, ascending; parameters not in it stay at the default.
     source: where the method was published.
@@ -52,9 +59,28 @@ class Baseline:
 
     def __post_init__(self) -> None:
         # The first parameter is the image.
-        names = list(inspect.signature(self.function).parameters)[1:]
+        names = [name for name in self._arguments()[1:] if name != "geometry"]
         if set(self.default) != set(names) or not set(self.grid) <= set(names):
             raise BaselineError(f"{self.name}: default or grid do not fit its parameters {names}")
+
+    def _arguments(self) -> list[str]:
+        return list(inspect.signature(self.function).parameters)
+
+    @property
+    def uses_geometry(self) -> bool:
+        """Whether it can use where range and bearing are."""
+        return "geometry" in self._arguments()
+
+    def program(self) -> str:
+        """The source of the method: of its module and of those here that it takes things from."""
+        own = sys.modules[self.function.__module__]
+        package = __name__.rpartition(".")[0]
+        names = {getattr(thing, "__module__", None) or "" for thing in vars(own).values()}
+        others = sorted(name for name in names if name.startswith(f"{package}."))
+        return "".join(
+            inspect.getsource(sys.modules[name])
+            for name in [own.__name__, *(name for name in others if name != own.__name__)]
+        )
 
     def points(self) -> list[Parameters]:
         """Every combination of the grid, completed by the defaults."""
@@ -74,13 +100,20 @@ class Baseline:
             and point[name] not in _NOTHING_BEYOND.get(name, ())
         ]
 
-    def __call__(self, image: npt.NDArray[Any], parameters: Mapping[str, Number]) -> Gray:
+    def __call__(
+        self,
+        image: npt.NDArray[Any],
+        parameters: Mapping[str, Number],
+        geometry: Geometry | None = None,
+    ) -> Gray:
         """The denoised picture, (H, W) float32 clipped to 0..1.
 
+        geometry: where range and bearing are, if known; most methods do not look at it.
         Raises BaselineError when the method gives another shape or a value that is no number.
         """
         image = np.ascontiguousarray(image, dtype=np.float32)
-        result = np.asarray(self.function(image, **parameters))
+        known = {"geometry": geometry} if self.uses_geometry else {}
+        result = np.asarray(self.function(image, **parameters, **known))
         if result.shape != image.shape[-2:]:
             raise BaselineError(f"{self.name}: gave {result.shape} for {image.shape[-2:]}")
         if not np.isfinite(result).all():

@@ -101,8 +101,9 @@ def compose(settings: Iterable[str]) -> FactoryConfig:
 def alone(config: FactoryConfig, effect: str, quantile: float, **fixed: Any) -> FactoryConfig:
     """`config` with one noise effect, its parameters at `quantile` (0 or 1) of their ranges."""
     blocks = {
-        item.name: replace(getattr(config.noise, item.name), enabled=item.name == effect)
+        item.name: replace(block, enabled=item.name == effect)
         for item in fields(NoiseSettings)
+        if (block := getattr(config.noise, item.name)) is not None
     }
     block = blocks[effect]
     ends = {

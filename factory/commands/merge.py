@@ -22,14 +22,21 @@ from factory.shards.croissant import write_croissant
 from factory.shards.files import refuse_files, whole_folder
 from factory.shards.folder import open_folder
 from factory.shards.index import write_index
-from factory.shards.manifest import MANIFEST_NAME, Manifest, damage, load_manifest, save_manifest
+from factory.shards.manifest import (
+    MANIFEST_NAME,
+    PARTS,
+    Manifest,
+    damage,
+    load_manifest,
+    save_manifest,
+)
 from factory.shards.preview import preview
 from factory.shards.reader import open_shard
 from factory.shards.schema import SPLITS, Provenance
 from factory.shards.settings import DatasetSettings
 
 # What may differ: which frames there are, how their noise is seeded, and how they are stored.
-_FREE = ("seed", "scenes", "frames", "frames_found", "split", "scheduler", "merged")
+_FREE = ("seed", "scenes", "frames", "frames_found", "split", "scheduler", *PARTS)
 _FREE_OF_DATASET = ("compression", "compression_level", "max_train", "max_test")
 _SHOWN_DIFFERENCES = 4
 
@@ -176,7 +183,7 @@ def _provenance(manifests: Mapping[Path, Manifest]) -> Provenance:
     common = {
         key: value
         for key, value in configs[0].items()
-        if all(config.get(key) == value for config in configs) and key != "merged"
+        if all(config.get(key) == value for config in configs) and key not in PARTS
     }
     parts = [
         {

@@ -9,7 +9,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -51,6 +51,9 @@ def main(words: list[str]) -> int:
         print(f"{split}: {sum(t.samples for t in own)} pairs in {len(own)} shards")
     used = tuple(dict.fromkeys(ref for task in tasks for ref, _ in task.items))
     kept = _kept(config, used)
+    if not tasks:
+        print("nothing is to be made")
+        return 0
     crew = config.scheduler.crew(len(tasks), len(used) if config.scenes.kind != "pack" else 0)
     print(f"workers: {crew.render} that render and {crew.noise} that only add noise")
     cost = probe(config, used)
@@ -75,10 +78,39 @@ def _planned(config: FactoryConfig) -> tuple[tuple[FrameRef, ...], tuple[ShardTa
 
     check_views(config, touch=False)
     frames = choose_frames(open_reader(config.scenes).discover().frames, config)
-    limits = config.dataset.limits
-    size = config.scheduler.shard_size
-    tasks = plan_shards(split_frames(frames, config), config.frames.variants, size, limits)
-    return frames, tasks[config.shard.index :: config.shard.count]
+    splits = split_frames(frames, config)
+    how = (config.frames.variants, config.scheduler.shard_size, config.dataset.limits)
+    if config.dataset.on_existing == "extend" and (added := _added(config, frames, splits, how)):
+        return frames, added[0]
+    return frames, plan_shards(splits, *how)[config.shard.index :: config.shard.count]
+
+
+def _added(
+    config: FactoryConfig,
+    frames: tuple[FrameRef, ...],
+    splits: Mapping[str, Sequence[FrameRef]],
+    how: tuple[int, int, Mapping[str, int | None]],
+) -> tuple[tuple[ShardTask, ...]] | None:
+    """The shards that a dataset which is there lacks; None when there is none."""
+    from factory import __version__
+    from factory.config import digest, identity
+    from factory.generate import frames_digest
+    from factory.scheduler.earlier import read_earlier
+    from factory.scheduler.extend import plan_extension, refuse_other_settings
+    from factory.shards.manifest import load_manifest
+    from factory.shards.schema import Provenance
+
+    values = {**identity(config), "frames_found": frames_digest(frames)}
+    directory = config.dataset.directory(digest(values))
+    manifest = load_manifest(directory)
+    if manifest is None:
+        return None
+    made_by = f"simnfnd {__version__}"
+    refuse_other_settings(directory, manifest, Provenance(values, digest(values), made_by))
+    there = [read_earlier(directory, info, info.config_hash) for info in manifest.shards.values()]
+    paths = {shard.path for shard in there}
+    print(f"extends: {directory} has {manifest.samples()} pairs; what follows is what is added")
+    return (tuple(t for t in plan_extension(splits, *how, there) if t.path not in paths),)
 
 
 def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:

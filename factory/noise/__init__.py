@@ -13,6 +13,7 @@ from dataclasses import dataclass as plain_dataclass
 from dataclasses import field, fields
 from typing import Any
 
+from pydantic import SerializerFunctionWrapHandler, model_serializer
 from pydantic.dataclasses import dataclass
 
 from factory import seeds
@@ -21,6 +22,18 @@ from factory.echoes import Echoes, join
 from factory.noise.azimuth import AzimuthSettings, azimuth
 from factory.noise.background import BackgroundSettings, background
 from factory.noise.multipath import MultipathSettings, multipath
+from factory.noise.physical.beam_gain import BeamGainSettings
+from factory.noise.physical.crosstalk import CrosstalkSettings
+from factory.noise.physical.image_source import BottomMultipathSettings, SurfaceMultipathSettings
+from factory.noise.physical.near_range import CombLinesSettings, RingDownSettings
+from factory.noise.physical.receiver import ReceiverSettings
+from factory.noise.physical.saturation import SaturationSettings
+from factory.noise.physical.sidelobe_arcs import SidelobeArcsSettings
+from factory.noise.physical.speckle import SpeckleSettings
+from factory.noise.physical.spokes import SpokesSettings
+from factory.noise.physical.texture import TextureSettings
+from factory.noise.physical.tvg_error import TvgErrorSettings
+from factory.noise.physical.volume import VolumeSettings
 from factory.noise.range_arc import RangeArcSettings, range_arc
 from factory.noise.range_spreading import RangeSpreadingSettings, range_spreading
 from factory.settings import STRICT
@@ -31,13 +44,36 @@ Drawn = dict[str, float | str]
 
 @dataclass(frozen=True, config=STRICT)
 class NoiseSettings:
-    """Keys of the `noise` group, one block an effect, in the order in which they are applied."""
+    """Keys of the `noise` group, one block an effect, in the order in which they are applied.
+
+    The first five are the paper's and add or move points.  The others act on the polar field of
+    acoustics.formation=field (`factory.noise.physical`); a configuration that does not name one
+    does not have it.
+    """
 
     range_spreading: RangeSpreadingSettings = field(default_factory=RangeSpreadingSettings)
     multipath: MultipathSettings = field(default_factory=MultipathSettings)
     azimuth: AzimuthSettings = field(default_factory=AzimuthSettings)
     range_arc: RangeArcSettings = field(default_factory=RangeArcSettings)
     background: BackgroundSettings = field(default_factory=BackgroundSettings)
+    speckle: SpeckleSettings | None = None
+    volume: VolumeSettings | None = None
+    surface_multipath: SurfaceMultipathSettings | None = None
+    bottom_multipath: BottomMultipathSettings | None = None
+    texture: TextureSettings | None = None
+    sidelobe_arcs: SidelobeArcsSettings | None = None
+    crosstalk: CrosstalkSettings | None = None
+    receiver: ReceiverSettings | None = None
+    tvg_error: TvgErrorSettings | None = None
+    beam_gain: BeamGainSettings | None = None
+    spokes: SpokesSettings | None = None
+    ring_down: RingDownSettings | None = None
+    comb_lines: CombLinesSettings | None = None
+    saturation: SaturationSettings | None = None
+
+    @model_serializer(mode="wrap")
+    def _present(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {name: block for name, block in serialise(self).items() if block is not None}
 
 
 @plain_dataclass(frozen=True)
@@ -114,7 +150,12 @@ def layers(
 
 
 def combine(scene: Echoes, made: dict[str, Echoes], full_scale: float) -> Echoes:
-    """The noisy cloud: the (displaced) scene and all added echoes.
+    """The noisy cloud as one: `parts`, joined."""
+    return join(*parts(scene, made, full_scale))
+
+
+def parts(scene: Echoes, made: dict[str, Echoes], full_scale: float) -> list[Echoes]:
+    """The noisy cloud: the (displaced) scene, and the added echoes of each effect.
 
     full_scale: the echo level shown as grey value 1; strengths of added echoes are fractions of it.
     """
@@ -124,4 +165,4 @@ def combine(scene: Echoes, made: dict[str, Echoes], full_scale: float) -> Echoes
             scene = echoes
         else:
             added.append(echoes.louder(full_scale))
-    return join(scene, *added)
+    return [scene, *added]

@@ -14,6 +14,7 @@ from pydantic.dataclasses import dataclass
 from factory.distribution import Fraction, NonNegative, number
 from factory.echoes import Echoes, in_plane
 from factory.settings import STRICT
+from factory.sonar import polar
 from factory.sonar.window import Window
 
 # Cells of the density map, along range and bearing: about the size of the ghosts.
@@ -56,8 +57,8 @@ def multipath(
     """Ghost points behind the dense regions of `scene`."""
     clusters = round(count)
     points = round(density * len(scene)) if clusters else 0
-    cells = _top_view_density(scene, window)
-    if not points or not cells.any():
+    cells = _top_view_density(scene, window) if points else np.zeros(_CELLS)
+    if not cells.any():
         empty = np.empty(0, np.float32)
         return in_plane(empty, empty, empty)
     threshold = np.quantile(cells[cells > 0], quantile)
@@ -81,10 +82,5 @@ def multipath(
 
 def _top_view_density(scene: Echoes, window: Window) -> npt.NDArray[np.float64]:
     """Insonified points per top-view cell, normalised to a maximum of 1; shape `_CELLS`."""
-    row = np.floor(window.range_fraction(scene) * _CELLS[0])
-    column = np.floor(window.azimuth_fraction(scene) * _CELLS[1])
-    inside = (row >= 0) & (row < _CELLS[0]) & (column >= 0) & (column < _CELLS[1])
-    inside &= scene.strength > 0
-    flat = (row[inside] * _CELLS[1] + column[inside]).astype(np.intp)
-    counts = np.bincount(flat, minlength=_CELLS[0] * _CELLS[1]).astype(np.float64)
-    return np.asarray(counts.reshape(_CELLS) / max(counts.max(initial=0.0), 1.0))
+    counts = polar.density(scene, window, *_CELLS).astype(np.float64)
+    return np.asarray(counts / max(counts.max(), 1.0))

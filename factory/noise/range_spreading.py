@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
 from factory.distribution import NonNegative, number
@@ -46,13 +47,23 @@ def range_spreading(
         return _as_printed(scene, rng, alpha)
     scale_m = np.float32(alpha) * scene.range_m
     if mode == "radial":
-        delay_m = np.abs(rng.standard_normal(len(scene), dtype=np.float32)) * scale_m
+        delay_m = _half_normal(rng, len(scene))
+        delay_m *= scale_m
         strength = scene.strength
     else:
         unit_delay = rng.standard_exponential(len(scene), dtype=np.float32)
         delay_m = unit_delay * scale_m
         strength = scene.strength * np.exp(-unit_delay)
     return Echoes(scene.range_m + delay_m, scene.azimuth_rad, scene.elevation_rad, strength)
+
+
+def _half_normal(rng: np.random.Generator, count: int) -> npt.NDArray[np.float32]:
+    """(count,) float32 draws of |N(0, 1)|, by the inverse of its distribution."""
+    from factory.sonar import number_loops  # loads numba
+
+    size = np.empty(count, np.float32)
+    number_loops.half_normal(rng.random(count, dtype=np.float32), size)
+    return size
 
 
 def _as_printed(scene: Echoes, rng: np.random.Generator, alpha: float) -> Echoes:

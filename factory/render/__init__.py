@@ -17,7 +17,12 @@ def check_renderer(settings: RenderSettings) -> None:
     if settings.geometry == "points" and settings.kind != "cycles":
         raise FactoryError(
             "render.geometry=points is for render=cycles only: "
-            f"set render.geometry=mesh for render={settings.kind}"
+            f"set render.geometry=auto for render={settings.kind}"
+        )
+    if settings.bounces and settings.stride not in (1, "auto"):
+        raise FactoryError(
+            f"render.stride={settings.stride} is for direct sound only: "
+            "set render.stride=1, or render.bounces=0"
         )
     check_installed(settings.kind)
 

@@ -12,6 +12,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from factory.compiled import compiled
+from factory.render.joints import READ
+
 MEAN_ALBEDO = 0.5
 
 # Nothing measured is perfectly black: radiance 0 is kept for the sonar's shadow.
@@ -43,9 +46,19 @@ def albedo(
     luminance = linear_luminance(rgb)
     if kind == "rgb":
         return np.where(valid, np.maximum(luminance, np.float32(_DARKEST_RGB)), np.float32(0))
-    relative = luminance / np.maximum(_local_mean(luminance, valid), np.float32(1e-6))
-    flattened = np.clip(relative * np.float32(MEAN_ALBEDO), _DARKEST_FLATTENED, 1)
-    return np.where(valid, flattened, np.float32(0)).astype(np.float32)
+    side = max(3, round(luminance.shape[0] * _WINDOW) | 1)
+    weight = valid.astype(np.float32)
+    # Two box filters are close to a smooth tent.
+    total = _blur(_blur(luminance * weight, side), side)
+    share = _blur(_blur(weight, side), side)
+    return _flatten(
+        luminance,
+        total,
+        share,
+        np.ascontiguousarray(valid),
+        np.float32(MEAN_ALBEDO),
+        np.float32(_DARKEST_FLATTENED),
+    )
 
 
 def linear_luminance(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
@@ -54,21 +67,48 @@ def linear_luminance(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
     linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4).astype(
         np.float32
     )
-    return np.asarray(linear[rgb] @ _LUMINANCE)
-
-
-def _local_mean(
-    values: npt.NDArray[np.float32], valid: npt.NDArray[np.bool_]
-) -> npt.NDArray[np.float32]:
-    """Mean over the valid pixels around each one: two box filters, close to a smooth tent."""
-    side = max(3, round(values.shape[0] * _WINDOW) | 1)
-    weight = valid.astype(np.float32)
-    total = _blur(_blur(values * weight, side), side)
-    share = _blur(_blur(weight, side), side)
-    return np.asarray(total / np.maximum(share, np.float32(1e-6)))
+    return _weighted(np.ascontiguousarray(rgb), _LUMINANCE[:, None] * linear)
 
 
 def _blur(values: npt.NDArray[np.float32], side: int) -> npt.NDArray[np.float32]:
     return np.asarray(
         cv2.blur(values, (side, side), borderType=cv2.BORDER_CONSTANT), dtype=np.float32
     )
+
+
+@compiled("float32[:, ::1](Array(uint8, 3, 'C', readonly=True), float32[:, ::1])")
+def _weighted(
+    rgb: npt.NDArray[np.uint8], tables: npt.NDArray[np.float32]
+) -> npt.NDArray[np.float32]:
+    """(H, W) float32: the sum over the channels of (H, W, 3) codes of (3, 256) `tables` at them."""
+    height, width = rgb.shape[:2]
+    total = np.empty((height, width), np.float32)
+    for row in range(height):
+        for column in range(width):
+            red, green, blue = rgb[row, column]
+            total[row, column] = tables[0, red] + tables[1, green] + tables[2, blue]
+    return total
+
+
+@compiled(f"float32[:, ::1]({READ}, {READ}, {READ}, boolean[:, ::1], float32, float32)")
+def _flatten(
+    luminance: npt.NDArray[np.float32],
+    total: npt.NDArray[np.float32],
+    share: npt.NDArray[np.float32],
+    valid: npt.NDArray[np.bool_],
+    mean: np.float32,
+    darkest: np.float32,
+) -> npt.NDArray[np.float32]:
+    """(H, W) float32: luminance over its local mean total / share, times `mean`, in [darkest, 1].
+
+    0 where not `valid`.
+    """
+    height, width = luminance.shape
+    made = np.zeros((height, width), np.float32)
+    tiny = np.float32(1e-6)
+    for row in range(height):
+        for column in range(width):
+            local = max(total[row, column] / max(share[row, column], tiny), tiny)
+            value = min(max(luminance[row, column] / local * mean, darkest), np.float32(1))
+            made[row, column] = value if valid[row, column] else np.float32(0)
+    return made

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from factory.frame import Frame
 from factory.render.base import Rendered, RenderSettings
-from factory.render.surface import shade, surface_of
+from factory.render.surface import pixels_of
 from factory.sonar.mount import Mount
 
 
 class AnalyticRenderer:
-    """Shades the normals of the pixel grid; numpy alone."""
+    """Shades the normals of the pixel grid, in compiled loops."""
 
     casts_shadows = False
 
@@ -22,5 +22,5 @@ class AnalyticRenderer:
 
     def render(self, frame: Frame, mount: Mount) -> Rendered:
         """Render one frame; see `factory.render.base.Renderer`."""
-        surface = surface_of(frame, self._settings)
-        return Rendered(shade(surface, mount.position_camera_m()), surface.mask)
+        pixels = pixels_of(frame, self._settings)
+        return Rendered(pixels.radiance(mount.position_camera_m()), pixels.mask)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass as plain_dataclass
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
 from factory.frame import Frame
@@ -15,12 +15,25 @@ from factory.settings import STRICT
 from factory.sonar.mount import Mount
 
 
+def _stride(value: Any) -> Any:
+    if value != "auto" and not (type(value) is int and 1 <= value <= _COARSEST):
+        raise ValueError(f"give auto, or a whole number of pixels from 1 to {_COARSEST}")
+    return value
+
+
+_COARSEST = 8
+
+
 @dataclass(frozen=True, config=STRICT)
 class RenderSettings:
     """Keys of the `render` group.
 
     kind: cycles (Blender), embree (Open3D ray casting) or analytic (numpy alone, no shadows).
-    geometry: mesh, or points (Cycles only; wrong shadows when the sonar is not at the camera).
+    geometry: what Cycles traces: mesh, points (half the time; shadows are wrong when the sonar is
+        not at the camera), or auto: points where nothing casts a shadow or bounces, else mesh.
+    stride: every how-manieth row and column is traced.  Shading keeps full resolution, shadows and
+        their outlines are as fine as what is traced.  auto: 2 where nothing casts a shadow or
+        bounces, which changes no grey value by more than rounding, else 1.
     samples, bounces: of Cycles; 1 and 0 are exact for a point light at pixel centres.
     albedo: rgb (luminance of the colour image), flattened (luminance over its local mean, which
         takes out the water's haze and colour), or constant.
@@ -29,11 +42,28 @@ class RenderSettings:
     """
 
     kind: Literal["cycles", "embree", "analytic"] = "cycles"
-    geometry: Literal["mesh", "points"] = "mesh"
+    geometry: Literal["auto", "mesh", "points"] = "auto"
+    stride: Annotated[Literal["auto"] | int, BeforeValidator(_stride)] = "auto"
     samples: Annotated[int, Field(ge=1)] = 1
     bounces: Annotated[int, Field(ge=0)] = 0
     albedo: Literal["rgb", "flattened", "constant"] = "flattened"
     edge_ratio: Annotated[float, Field(gt=0, le=1)] = 0.1
+
+    def direct_only(self, mount: Mount) -> bool:
+        """Whether each pixel's light depends on that pixel alone: no shadows and no bounces."""
+        return mount.colocated and self.bounces == 0
+
+    def stride_at(self, mount: Mount) -> int:
+        """`stride` in pixels for a sonar at `mount`."""
+        if self.stride != "auto":
+            return self.stride
+        return 2 if self.direct_only(mount) else 1
+
+    def as_points(self, mount: Mount) -> bool:
+        """Whether Cycles traces points for a sonar at `mount`."""
+        if self.geometry == "auto":
+            return self.direct_only(mount)
+        return self.geometry == "points"
 
 
 @plain_dataclass(frozen=True, eq=False)

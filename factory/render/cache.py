@@ -1,12 +1,11 @@
 """Renders on disk: each frame is rendered once, however many datasets are made of it.
 
-One file an entry, written whole or not at all, with a checksum: an entry that was damaged is
+One file an entry, written whole or not at all, with checksums: an entry that was damaged is
 removed when it is met, and made again.  The file's time is when it was last used.
 """
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Iterator
 from contextlib import suppress
@@ -27,7 +26,6 @@ from factory.shards.files import (
 )
 
 _SUFFIX = ".view"
-_CHECKSUM_BYTES = 16
 # Room made at once, so that a full cache does not have to be gone through for every entry.
 _EVICT_TO = 0.9
 
@@ -78,7 +76,7 @@ class Cache:
         """The entry, or None when it is absent or was damaged (and is now removed)."""
         path = self._path(key)
         try:
-            view = _read(path)
+            view = decode(path.read_bytes())
         except FileNotFoundError:
             return None
         except (OSError, ValueError):
@@ -94,9 +92,9 @@ class Cache:
         path = self._path(key)
         with explain_os_errors(path.parent, "cache.dir"):
             path.parent.mkdir(parents=True, exist_ok=True)
-        # The checksum tells what a power cut left half done, so waiting for the disk is needless.
-        write_atomically(path, _checksum(content) + content, durable=False, key="cache.dir")
-        return len(content) + _CHECKSUM_BYTES
+        # Its checksums tell what a power cut left half done, so waiting for the disk is needless.
+        write_atomically(path, content, durable=False, key="cache.dir")
+        return len(content)
 
     def entries(self) -> Iterator[Entry]:
         """All entries; those that vanish meanwhile are left out."""
@@ -110,7 +108,7 @@ class Cache:
     def is_whole(self, entry: Entry) -> bool:
         """Whether an entry can be read; one that cannot is removed."""
         try:
-            _read(entry.path)
+            decode(entry.path.read_bytes())
         except (OSError, ValueError):
             entry.path.unlink(missing_ok=True)
             return False
@@ -163,14 +161,3 @@ class Limit:
         self._total += added_bytes
         if self._total > self._max_bytes:
             self._total = self._cache.evict(self._max_bytes)
-
-
-def _read(path: Path) -> View:
-    content = path.read_bytes()
-    if _checksum(content[_CHECKSUM_BYTES:]) != content[:_CHECKSUM_BYTES]:
-        raise ValueError("checksum differs")
-    return decode(content[_CHECKSUM_BYTES:])
-
-
-def _checksum(content: bytes) -> bytes:
-    return hashlib.blake2b(content, digest_size=_CHECKSUM_BYTES).digest()

@@ -11,12 +11,12 @@ from factory.frame import Frame
 from factory.render.base import Rendered, RenderSettings
 from factory.render.libraries import missing
 from factory.render.mesh import SHADOW_BIAS, surface_mesh
-from factory.render.surface import Surface, shade, surface_of
+from factory.render.surface import Surface, pixels_of
 from factory.sonar.mount import Mount
 
 
 class EmbreeRenderer:
-    """Casts one ray from each surface pixel to the sonar."""
+    """Casts one ray from each traced surface pixel to the sonar."""
 
     casts_shadows = True
 
@@ -27,21 +27,25 @@ class EmbreeRenderer:
 
     def render(self, frame: Frame, mount: Mount) -> Rendered:
         """Render one frame; see `factory.render.base.Renderer`."""
-        surface = surface_of(frame, self._settings)
+        pixels = pixels_of(frame, self._settings, self._settings.stride_at(mount))
         sonar_m = mount.position_camera_m()
-        radiance = shade(surface, sonar_m)
+        radiance = pixels.radiance(sonar_m)
         # What the camera sees, a sonar at its place insonifies.
-        if not mount.colocated and surface.mask.any():
-            radiance[self._shadow(surface, frame, sonar_m)] = 0
-        return Rendered(radiance, surface.mask)
+        if not mount.colocated and pixels.mask.any():
+            surface = pixels.surface()
+            shadow = self._shadow(surface, pixels.traced_edge_ratio, sonar_m)
+            if pixels.stride == 1:
+                radiance[shadow] = 0
+            else:
+                heard = np.where(shadow, 0, radiance[pixels.traced, pixels.traced])
+                radiance = pixels.apply(radiance, heard, surface.mask)
+        return Rendered(radiance, pixels.mask)
 
     def _shadow(
-        self, surface: Surface, frame: Frame, sonar_m: npt.NDArray[np.float64]
+        self, surface: Surface, edge_ratio: float, sonar_m: npt.NDArray[np.float64]
     ) -> npt.NDArray[np.bool_]:
-        """(H, W) bool: surface pixels that the mesh hides from the sonar."""
-        mesh = surface_mesh(
-            surface.points_m, surface.normals, frame.intrinsics, self._settings.edge_ratio
-        )
+        """(h, w) bool: surface pixels that the mesh hides from the sonar."""
+        mesh = surface_mesh(surface.points_m, surface.normals, surface.intrinsics, edge_ratio)
         scene = self._open3d.t.geometry.RaycastingScene(nthreads=1)
         scene.add_triangles(
             mesh.vertices_m * np.float32(1 + SHADOW_BIAS), mesh.triangles.astype(np.uint32)

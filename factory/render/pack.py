@@ -20,7 +20,7 @@ from factory.render.view import FINE, Precision, View, decode, encode
 from factory.shards.files import explain_os_errors
 from factory.sonar.mount import Mount
 
-_SCHEMA = "simnfnd-pack 1"
+_SCHEMA = "simnfnd-pack 2"
 _CONTENTS = "pack.json"
 # Equal packs of equal renders, whenever they are made.
 _TIME = (1980, 1, 1, 0, 0, 0)

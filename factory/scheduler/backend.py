@@ -58,14 +58,18 @@ class SerialBackend:
     For debuggers and profilers.  Time limits are not kept, and a crash is the end of the run.
     """
 
+    def __init__(self) -> None:
+        self._full = False
+
     def free(self, kind: Kind) -> bool:
-        """Always."""
-        return True
+        """For one task at a time: what is done is to be on record before the next begins."""
+        return not self._full
 
     def submit(
         self, function: Callable[..., T], argument: Any, timeout_s: float, kind: Kind
     ) -> Future[T]:
         """Run it here and now."""
+        self._full = True
         future: Future[T] = Future()
         try:
             future.set_result(function(argument))
@@ -78,7 +82,8 @@ class SerialBackend:
         return None
 
     def poll(self) -> None:
-        """Nothing to do."""
+        """The loop has seen the result."""
+        self._full = False
 
     def stop(self) -> None:
         """Nothing to stop."""

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+from tqdm import tqdm
 
 from factory import __version__
 from factory.errors import FactoryError
 from factory.frame import FrameRef
 from factory.sample import PairSource, Preparer
+from factory.scheduler.earlier import earlier_shards, provenances
+from factory.scheduler.extend import Plan, begin_extension
 from factory.scheduler.lock import Lock
 from factory.scheduler.plan import ShardTask
 from factory.scheduler.run import RunReport, run
@@ -26,6 +31,13 @@ from factory.shards.preview import preview
 from factory.shards.schema import Provenance
 from factory.shards.settings import DatasetSettings
 from factory.shards.writer import compression_filter
+
+_NO_SLICES = {
+    "overwrite": "dataset.on_existing=overwrite: slices would delete each other's shards; "
+    "empty the folder first",
+    "extend": "dataset.on_existing=extend: a dataset is extended as a whole; run it without "
+    "shard.index and shard.count, or make the addition elsewhere and merge",
+}
 
 
 def generate_dataset(
@@ -44,6 +56,7 @@ def generate_dataset(
     preparer: Callable[[Any], Preparer] | None = None,
     shard: ShardSlice = ShardSlice(),  # noqa: B008 (frozen)
     keep_cache_within: Callable[[int], None] = lambda added_bytes: None,
+    extended: Plan | None = None,
 ) -> RunReport:
     """Make the dataset `directory`, or finish it; running the same again keeps what is whole.
 
@@ -57,6 +70,7 @@ def generate_dataset(
     preparer: likewise builds what prepares frames for `source` in the workers that render.
     shard: which slice of the shards to make; the run of the whole, made last, takes them up.
     keep_cache_within: told how many bytes were added whenever a frame was prepared.
+    extended: plans the shards of a dataset that extends an earlier one, in place of `tasks`.
 
     Raises FactoryError when the folder is another dataset's, cannot be written, or nothing was
     planned; Interrupted (a KeyboardInterrupt with `exit_code`) on Ctrl-C and SIGTERM.
@@ -66,14 +80,19 @@ def generate_dataset(
     compression_filter(dataset)
     provenance = Provenance(identity, config_hash, f"simnfnd {__version__}")
     part = f"{shard.index}-of-{shard.count}" if shard.count > 1 else ""
-    if part and dataset.on_existing == "overwrite":
-        raise FactoryError(
-            "dataset.on_existing=overwrite: slices would delete each other's shards; "
-            "empty the folder first"
-        )
+    if part and dataset.on_existing != "resume":
+        raise FactoryError(_NO_SLICES[dataset.on_existing])
     with stop_signals(), Lock(directory, part) as lock:
         emptied = dataset.on_existing == "overwrite" and empty_folder(directory)
+        if dataset.on_existing == "extend" and extended:
+            for note in begin_extension(directory, provenance, extended):
+                tqdm.write(note, file=sys.stderr)
         manifest = open_folder(directory, config_dict, provenance, part, emptied=emptied)
+        earlier = earlier_shards(directory, manifest)
+        if earlier:
+            if extended is None or part:
+                raise FactoryError(_NO_SLICES["extend"])
+            tasks = extended(earlier)
         recipe = Recipe(
             Path(os.path.abspath(directory)),
             source,
@@ -86,7 +105,15 @@ def generate_dataset(
         )
         mine = tasks[shard.index :: shard.count]
         report = run(
-            mine, recipe, manifest, scheduler, rerun_command, lock, part, keep_cache_within
+            mine,
+            recipe,
+            manifest,
+            scheduler,
+            rerun_command,
+            lock,
+            part,
+            keep_cache_within,
+            provenances(manifest, earlier),
         )
         if not part:
             forget_slices(directory)

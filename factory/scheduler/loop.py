@@ -12,6 +12,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import replace
 from typing import Any
 
 from factory.errors import FactoryError
@@ -36,6 +37,7 @@ from factory.scheduler.worker import (
 from factory.shards.failures import Failure, FailureKind
 from factory.shards.files import explain_os_errors
 from factory.shards.manifest import Manifest
+from factory.shards.schema import Provenance
 
 _POLL_S = 0.2
 # So many workers that die without having begun a frame, one after another, are no accident.
@@ -47,7 +49,10 @@ Work = Attempts | Preparation
 
 
 class Loop:
-    """State of one run.  `save` is called whenever a shard is settled."""
+    """State of one run.
+
+    provenances: path -> what a shard is to state, where it is not what the recipe says.
+    """
 
     def __init__(
         self,
@@ -58,10 +63,12 @@ class Loop:
         progress: Progress,
         lock: Lock,
     ) -> None:
-        self.manifest = manifest
+        self.shards = dict(manifest.shards)
         self.failures: dict[str, tuple[Failure, ...]] = {}
         self.kept = 0
         self.on_prepared: Callable[[int], None] = lambda added_bytes: None
+        self.provenances: Mapping[str, Provenance] = {}
+        self._manifest, self._failed = manifest, 0
         self._recipe, self._settings, self._lacking = recipe, settings, lacking
         self._progress, self._lock = progress, lock
         self._work = recipe.work_folder
@@ -92,9 +99,14 @@ class Loop:
         """Frames that wait for a render worker."""
         return len(self._preparing)
 
-    def run(self, backend: Backend, save: Callable[[], None]) -> None:
-        """Go on until every shard is settled."""
-        self._backend, self._save = backend, save
+    @property
+    def manifest(self) -> Manifest:
+        """The shards that are finished by now."""
+        return replace(self._manifest, shards=dict(self.shards))
+
+    def run(self, backend: Backend, settled: Callable[[str], None]) -> None:
+        """Go on until every shard is settled; `settled` is told the path of each that is."""
+        self._backend, self._settled = backend, settled
         while self._open:
             self._submit_what_fits()
             done, _ = wait(self._flying, timeout=_POLL_S, return_when=FIRST_COMPLETED)
@@ -106,7 +118,7 @@ class Loop:
             self._lock.beat()
             self._progress.show(
                 [journal for work, journal in self._flying.values() if isinstance(work, Attempts)],
-                sum(map(len, self.failures.values())),
+                self._failed,
             )
 
     def _submit_what_fits(self) -> None:
@@ -120,9 +132,10 @@ class Loop:
         task = attempts.task
         attempts.number += 1
         journal = self._work / f"{task.path.replace('/', '-')}.{attempts.number}.journal"
-        job = ShardJob(
-            task, self._recipe, journal, attempts.given_up, self._lacking.get(task.path, ())
-        )
+        recipe = self._recipe
+        if task.path in self.provenances:
+            recipe = replace(recipe, provenance=self.provenances[task.path])
+        job = ShardJob(task, recipe, journal, attempts.given_up, self._lacking.get(task.path, ()))
         # The worker watches each frame itself; this is for one too stuck even for that.
         limit_s = (len(task.items) + 2) * self._settings.frame_timeout_s + 60.0
         future = self._backend.submit(run_job, pickle.dumps(job), limit_s, "noise")
@@ -238,14 +251,15 @@ class Loop:
         if result.kept:
             self.kept += 1
         elif result.info:
-            self.manifest = self.manifest.with_shard(result.info)
+            self.shards[task.path] = result.info
         else:
-            self.manifest = self.manifest.without(task.path)
+            self.shards.pop(task.path, None)
             with explain_os_errors(self._recipe.directory / task.path):
                 (self._recipe.directory / task.path).unlink(missing_ok=True)
         self.failures[task.path] = result.failures
+        self._failed += len(result.failures)
         self._log.finished(attempts, result)
-        self._save()
+        self._settled(task.path)
 
     def clear_work(self) -> None:
         """Remove what workers left for us to read."""

@@ -65,7 +65,7 @@ def plan_shards(
         raise FactoryError(f"splits are {' and '.join(SPLITS)}, got {', '.join(unknown)}")
     if variants < 1 or shard_size < 1:
         raise FactoryError("frames.variants and scheduler.shard_size must be at least 1")
-    _refuse_doubles(refs_by_split)
+    refuse_doubles(refs_by_split)
     tasks: list[ShardTask] = []
     for split in SPLITS:
         items = _limited(refs_by_split.get(split, ()), variants, (limits or {}).get(split))
@@ -96,7 +96,8 @@ def _cut(items: Sequence[Item], variants: int, shard_size: int) -> Iterator[Sequ
         yield items[start : start + frames]
 
 
-def _refuse_doubles(refs_by_split: Mapping[str, Sequence[FrameRef]]) -> None:
+def refuse_doubles(refs_by_split: Mapping[str, Sequence[FrameRef]]) -> None:
+    """Raise FactoryError when a frame is named twice."""
     seen: dict[str, str] = {}
     for split, refs in refs_by_split.items():
         for ref in refs:

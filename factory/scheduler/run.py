@@ -5,24 +5,30 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from tqdm import tqdm
 
+from factory.errors import FactoryError
 from factory.frame import FrameRef
-from factory.scheduler.backend import open_backend
+from factory.scheduler.kept import give_back, lease
 from factory.scheduler.lock import Lock
 from factory.scheduler.loop import Loop
 from factory.scheduler.plan import ShardTask
 from factory.scheduler.progress import Progress
 from factory.scheduler.resume import take_up
-from factory.scheduler.settings import SchedulerSettings
+from factory.scheduler.settings import Kind, SchedulerSettings
 from factory.scheduler.signals import Interrupted
 from factory.scheduler.worker import Recipe
 from factory.shards.failures import Failure, save_failures
 from factory.shards.files import remove_stale_temporaries
-from factory.shards.manifest import Manifest, save_manifest
-from factory.shards.schema import SPLITS
+from factory.shards.manifest import Additions, Manifest, save_manifest
+from factory.shards.schema import SPLITS, Provenance
+
+# manifest.json is written anew so seldom that it takes at most this part of the time.
+_SAVING_SHARE = 0.02
+_SAVING_EVERY_S = 30.0
 
 
 @dataclass(frozen=True)
@@ -42,6 +48,25 @@ class RunReport:
     seconds: float
 
 
+class _Pace:
+    """`with pace:` around what is not to be done too often; `due` when it may be done again."""
+
+    def __init__(self) -> None:
+        self._begun = self._next = 0.0
+
+    @property
+    def due(self) -> bool:
+        return time.monotonic() >= self._next
+
+    def __enter__(self) -> None:
+        self._begun = time.monotonic()
+
+    def __exit__(self, *_: object) -> None:
+        ended = time.monotonic()
+        wait_s = max(_SAVING_EVERY_S, (ended - self._begun) / _SAVING_SHARE)
+        self._next = ended + wait_s
+
+
 def run(
     tasks: Sequence[ShardTask],
     recipe: Recipe,
@@ -51,16 +76,20 @@ def run(
     lock: Lock,
     part: str = "",
     keep_cache_within: Callable[[int], None] = lambda added_bytes: None,
+    provenances: Mapping[str, Provenance] | None = None,
 ) -> RunReport:
     """Make every shard of `tasks` that `manifest` does not hold whole already.
 
-    manifest.json and failed.jsonl are rewritten after each shard, so a run that is killed can be
-    taken up where it was.
+    Every shard is on record as soon as it is settled, so a run that is killed can be taken up
+    where it was: manifest.json is written at the start, now and then, and at the end, and
+    manifest.jsonl has what came since.
+    provenances: path -> what a shard states that an earlier run with other settings has made.
     part: name of the slice of the dataset that `tasks` are; empty for the whole.
     keep_cache_within: told how many bytes were added whenever a frame was prepared.
 
     Raises FactoryError when the job as a whole cannot be done (no room, no renderer, no worker
-    that lives), and Interrupted on Ctrl-C or SIGTERM; no worker process outlives the call.
+    that lives), and Interrupted on Ctrl-C or SIGTERM.  No worker process outlives the call, unless
+    it ended well and `kept.keep_workers` was called before.
     """
     started = time.monotonic()
     resumed = take_up(recipe.directory, tasks, manifest, whole=not part)
@@ -75,12 +104,27 @@ def run(
     loop = Loop(recipe, resumed.manifest, settings, resumed.lacking, progress, lock)
     loop.on_prepared = keep_cache_within
 
-    def save() -> None:
-        # In this order: a shard in the manifest always has its failures on record.
+    loop.provenances = provenances or {}
+    additions, saving = Additions(directory, part), _Pace()
+
+    def save_failed() -> None:
         everything = [failure for failures in loop.failures.values() for failure in failures]
         save_failures(directory, everything, rerun_command, part)
-        save_manifest(directory, loop.manifest, part)
 
+    def save() -> None:
+        with saving:
+            save_manifest(directory, loop.manifest, part)
+
+    def on_record(path: str) -> None:
+        # In this order: a shard in the manifest always has its failures on record.
+        if loop.failures[path]:
+            save_failed()
+        if saving.due:
+            save()
+        else:
+            additions.note(path, loop.shards.get(path))
+
+    save_failed()
     save()
     state = "broken"
     try:
@@ -89,28 +133,39 @@ def run(
             loop.add(todo)
             largest = max(len(task.items) for task in todo)
             per_worker = max(1, settings.recycle_frames // largest)
-            backend = open_backend(
-                settings, crew, {"render": settings.recycle_frames, "noise": per_worker}
-            )
+            tasks_per_worker: dict[Kind, int] = {
+                "render": settings.recycle_frames,
+                "noise": per_worker,
+            }
+            backend = lease(settings, crew, tasks_per_worker)
             try:
-                loop.run(backend, save)
-            finally:
+                loop.run(backend, on_record)
+            except BaseException:
                 backend.stop()
+                raise
+            else:
+                give_back(backend, settings, crew, tasks_per_worker)
+            finally:
                 loop.clear_work()
                 for split in SPLITS:
                     remove_stale_temporaries(directory / split)
+        save()
         state = "finished"
-    except Interrupted:
-        state = "stopped"
+    except BaseException as error:
+        state = "stopped" if isinstance(error, Interrupted) else "broken"
+        # What ended the run is told, and not that a full disk has no room for this either:
+        # manifest.jsonl has it all.
+        with suppress(FactoryError):
+            save()
         raise
     finally:
         progress.close(state)
-    shards = loop.manifest.shards
+    made = loop.manifest
     return RunReport(
-        samples=loop.manifest.samples(),
-        samples_by_split={split: loop.manifest.samples(split) for split in SPLITS},
-        shards=len(shards),
-        bytes=loop.manifest.total_bytes(),
+        samples=made.samples(),
+        samples_by_split={split: made.samples(split) for split in SPLITS},
+        shards=len(made.shards),
+        bytes=made.total_bytes(),
         kept=len(tasks) - len(todo) + loop.kept,
         failures=tuple(
             failure for path in sorted(loop.failures) for failure in loop.failures[path]

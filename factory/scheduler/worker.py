@@ -196,7 +196,12 @@ def _made(
     )
     if info is not None:
         failed = tuple(failure.ref.name for failure in frames.failures)
-        info = replace(info, plan=job.task.digest, failed=failed)
+        info = replace(
+            info,
+            plan=job.task.digest,
+            failed=failed,
+            config_hash=recipe.provenance.config_hash,
+        )
     return ShardResult(info, tuple(frames.failures))
 
 

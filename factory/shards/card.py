@@ -124,8 +124,9 @@ def _making(
         lines.append(f"- seed: {config['seed']}")
     lines.append(f"- {len(manifest.shards)} shards, checksums in manifest.json and croissant.json")
     lines += [
-        f"- merged from a dataset of {part['samples']} pairs, config hash `{part['config_hash']}`"
-        for part in config.get("merged", ())
+        f"- {how} a dataset of {part['samples']} pairs, config hash `{part['config_hash']}`"
+        for key, how in (("merged", "merged from"), ("extends", "extends"))
+        for part in manifest.config.get(key, ())
     ]
     lines += [f"- images left out: {count}, {reason}" for reason, count in sorted(skipped.items())]
     if failures:

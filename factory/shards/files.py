@@ -131,8 +131,11 @@ def _is_stale(path: Path, host: str, pid: int) -> bool:
         # Shared storage: another machine's process cannot be looked up, only waited for.
         return time.time() - written > _FOREIGN_HOST_STALE_S
     try:
-        # A process that started after the file was written merely got the same number.
-        return psutil.Process(pid).create_time() > written + 1.0
+        process = psutil.Process(pid)
+        # A process that started after the file was written merely got the same number; a zombie is
+        # dead, only nobody has asked after it yet.
+        late = process.create_time() > written + 1.0
+        return late or process.status() == psutil.STATUS_ZOMBIE
     except psutil.NoSuchProcess:
         return True
     except psutil.AccessDenied:

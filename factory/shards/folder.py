@@ -21,7 +21,9 @@ from factory.shards.files import (
     write_atomically,
 )
 from factory.shards.manifest import (
+    ADDED_NAME,
     MANIFEST_NAME,
+    PARTS,
     Manifest,
     load_manifest,
     part_name,
@@ -37,12 +39,21 @@ WORK_NAME = ".work"
 # What happened to shards that had trouble.
 LOGS_NAME = "logs"
 STATUS_NAME = "status.json"
+# Of an extended dataset: the samples of the shards that were there before.
+EXTENDED_NAME = "extended.json"
 
 # The manifest last: while it is there the folder is known as ours.
 _OURS = (
-    CARD_NAME, PREVIEW_NAME, STATUS_NAME, FAILURES_NAME, "index.h5", "croissant.json", CONFIG_NAME,
-    MANIFEST_NAME,
+    CARD_NAME, PREVIEW_NAME, STATUS_NAME, FAILURES_NAME, "index.h5", "croissant.json",
+    EXTENDED_NAME, CONFIG_NAME, ADDED_NAME, MANIFEST_NAME,
 )  # fmt: skip
+
+# Keys that choose frames and how they are cut into shards: no picture of a frame depends on them,
+# so they may change where something is added.
+CHOOSING = re.compile(
+    r"frames\..+|frames_found|split\..+|dataset\.max_(train|test)|scheduler\.shard_size"
+    r"|scenes\.(locations|first_location|frames_per_location|scenes)"
+)
 
 _SHOWN_DIFFERENCES = 6
 _HASH = re.compile(r"config hash (\w+)")
@@ -81,12 +92,19 @@ def open_folder(
         values = plain_values(provenance.config)
         manifest = Manifest(provenance.config_hash, provenance.generator, values)
     if not part:
-        for other in slice_manifests(directory):
-            if other.config_hash == manifest.config_hash:
-                manifest = replace(manifest, shards={**other.shards, **manifest.shards})
+        manifest = with_slices(directory, manifest)
     save_manifest(directory, manifest, part)
     write_atomically(directory / CONFIG_NAME, _config_text(config, provenance).encode())
     return manifest
+
+
+def with_slices(directory: Path, manifest: Manifest) -> Manifest:
+    """`manifest` and what slices of the same dataset have made."""
+    shards = dict(manifest.shards)
+    for other in slice_manifests(directory):
+        if other.config_hash == manifest.config_hash:
+            shards = {**other.shards, **shards}
+    return replace(manifest, shards=shards)
 
 
 def _passes(name: str) -> bool:
@@ -116,7 +134,7 @@ def slice_manifests(directory: Path) -> Iterator[Manifest]:
 
 def forget_slices(directory: Path) -> None:
     """Remove the manifests and failures of slices, once the whole holds them."""
-    for name in (MANIFEST_NAME, FAILURES_NAME):
+    for name in (MANIFEST_NAME, ADDED_NAME, FAILURES_NAME):
         for path in directory.glob(part_name(name, "*-of-*")):
             path.unlink(missing_ok=True)
 
@@ -158,21 +176,39 @@ def _same_dataset(directory: Path, provenance: Provenance, part: str) -> Manifes
 
 def _difference(directory: Path, manifest: Manifest | None, provenance: Provenance) -> str:
     """One line that names the keys in which the folder's dataset differs from the asked one."""
-    there = dict(_leaves(manifest.config if manifest else {}))
-    here = dict(_leaves(plain_values(provenance.config)))
-    keys = sorted(key for key in there.keys() | here.keys() if there.get(key) != here.get(key))
-    changes = [
-        f"{key} {_shown(there, key)} -> {_shown(here, key)}" for key in keys[:_SHOWN_DIFFERENCES]
-    ]
-    if len(keys) > _SHOWN_DIFFERENCES:
-        changes.append(f"and {len(keys) - _SHOWN_DIFFERENCES} more")
-    if not manifest or not changes:
-        changes = ["its config hash differs"]
+    changes = differences(manifest.config if manifest else {}, provenance.config)
+    told = told_differences(changes) if manifest and changes else "its config hash differs"
+    adds = manifest and changes and all(CHOOSING.fullmatch(key) for key in changes)
+    extend = ", or dataset.on_existing=extend to add what it lacks" if adds else ""
     return (
-        f"dataset.dir: {directory} holds a dataset of another configuration "
-        f"({'; '.join(changes)}); "
-        "give another folder with dataset.dir=, or the old settings to go on with it"
+        f"dataset.dir: {directory} holds a dataset of another configuration ({told}); "
+        f"give another folder with dataset.dir=, or the old settings to go on with it{extend}"
     )
+
+
+def differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
+    """Dotted key -> (value there, value here), of every key in which two configurations differ.
+
+    What one of them tells of earlier datasets is left out.
+    """
+    one, two = (
+        dict(
+            _leaves({key: value for key, value in plain_values(config).items() if key not in PARTS})
+        )
+        for config in (there, here)
+    )
+    return {
+        key: (_shown(one, key), _shown(two, key))
+        for key in sorted(one.keys() | two.keys())
+        if key not in one or key not in two or one[key] != two[key]
+    }
+
+
+def told_differences(changes: Mapping[str, tuple[str, str]]) -> str:
+    """The first of them in a line."""
+    parts = [f"{key} {old} -> {new}" for key, (old, new) in changes.items()]
+    more = len(parts) - _SHOWN_DIFFERENCES
+    return "; ".join(parts[:_SHOWN_DIFFERENCES] + ([f"and {more} more"] if more > 0 else []))
 
 
 def _shown(values: Mapping[str, Any], key: str) -> str:

@@ -84,6 +84,7 @@ class PairDataset:
         manifest = load_manifest(self.folder)
         self.paths = listed_shards(self.folder, split, manifest)
         listed = manifest.shards if manifest else {}
+        self._config_hash = manifest.config_hash if manifest else ""
         infos = {self.folder / name: info for name, info in listed.items()}
         if not trusted:
             _look_at(self.paths)
@@ -137,8 +138,8 @@ class PairDataset:
 
     @property
     def config_hash(self) -> str:
-        """Of the settings that the dataset was made with."""
-        return self._read_form()[2]
+        """Of the settings that the dataset was made with, the last ones if it was extended."""
+        return self._config_hash or self._read_form()[2]
 
     @property
     def axes(self) -> tuple[Axis, Axis]:

@@ -170,6 +170,8 @@ def table_row(columns: Sequence[Column], record: Mapping[str, Any], name: str) -
 
 def _cell(column: Column, value: Any, name: str) -> Any:
     dtype = np.dtype(column.dtype)
+    if dtype == np.float64 and isinstance(value, float):
+        return value  # as most are, and nothing is lost
     where = f"{name}: column {column.name}"
     if dtype.kind == "S":
         if not isinstance(value, str):
@@ -200,12 +202,15 @@ def _cell(column: Column, value: Any, name: str) -> Any:
     return int(value)
 
 
-def check_pair(pair: Pair, axes: tuple[Axis, Axis], columns: Sequence[Column], name: str) -> None:
-    """Raise FrameError when a pair does not fit the axes or columns, or holds what none may hold.
+def check_pair(
+    pair: Pair, axes: tuple[Axis, Axis], columns: Sequence[Column], name: str
+) -> tuple[Any, ...]:
+    """The pair's row of /meta.
 
+    Raises FrameError when a pair does not fit the axes or columns, or holds what none may hold;
     `name` (of the frame) opens the message.
     """
-    table_row(columns, pair.record, name)
+    row = table_row(columns, pair.record, name)
     shape = tuple(len(axis.values) for axis in axes)
     for layer in layers(str(pair.noisy.dtype), pair.layers):
         image = image_of(pair, layer.name)
@@ -220,6 +225,7 @@ def check_pair(pair: Pair, axes: tuple[Axis, Axis], columns: Sequence[Column], n
                 raise FrameError(f"{name}: {layer.name} has values outside 0..1, or NaN")
         elif image.dtype != np.uint8:
             raise FrameError(f"{name}: {layer.name} is {image.dtype}, expected uint8 or float32")
+    return row
 
 
 def layer_attributes(layer: Layer) -> dict[str, Any]:

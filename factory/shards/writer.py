@@ -12,6 +12,7 @@ import numpy as np
 
 from factory.errors import FactoryError, FrameError
 from factory.sample import Axis, Column, Pair
+from factory.shards.chunks import write_gzip_chunk
 from factory.shards.files import explain_os_errors, write_atomically
 from factory.shards.manifest import ShardInfo
 from factory.shards.schema import (
@@ -27,7 +28,6 @@ from factory.shards.schema import (
     stored_image,
     stores_grey,
     table_dtype,
-    table_row,
 )
 from factory.shards.settings import DatasetSettings
 
@@ -68,17 +68,22 @@ def write_shard(
         stacks: dict[Layer, h5py.Dataset] = {}
         for pair in pairs:
             name = f"{relative} sample {len(rows)}"
-            check_pair(pair, axes, columns, name)
+            row = check_pair(pair, axes, columns, name)
             wanted = layers(settings.dtype, pair.layers)
             if not rows:
                 stacks = _create_stacks(file, axes, wanted, compression)
             elif tuple(stacks) != wanted:
                 raise FrameError(f"{name}: has other layers than the samples before it")
-            rows.append(table_row(columns, pair.record, name))
+            rows.append(row)
             for layer, stack in stacks.items():
                 stack.resize(len(rows), axis=0)
                 image = image_of(pair, layer.name)
-                stack[-1] = stored_image(image, layer.dtype) if stores_grey(layer) else image
+                if stores_grey(layer):
+                    image = stored_image(image, layer.dtype)
+                if settings.compression == "gzip":
+                    write_gzip_chunk(stack, len(rows) - 1, image, settings.compression_level)
+                else:
+                    stack[-1] = image
         if not rows:
             return None
         _write_table(file, np.array(rows, dtype=dtype), columns)

@@ -3,44 +3,63 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from factory.sonar.settings import SonarSettings
+from factory.sonar.window import Window
 
 AnyNumber = TypeVar("AnyNumber", bound=np.generic)
 
 
 @dataclass(frozen=True, eq=False)
 class FanTable:
-    """For each fan pixel the four polar bins around it and their bilinear weights.
+    """For each fan pixel inside the sector the four polar bins around it and where between them.
 
-    index: (4, P) flat polar bins; weight: (4, P) float32; inside: (H, W) bool sector mask; the P
-    pixels are those inside, in row order.  pixel_fraction: size of a pixel as a fraction of
-    range_max.
+    pixel: (P,) int32 flat fan pixels, in order.  corner: (P,) int32 flat polar bin nearest to the
+    sonar and furthest left.  down, across: (P,) float32 fractions of the way to the next range bin
+    and to the next beam.  inside: (H, W) bool sector mask.  beams: columns of the polar image.
+    pixel_fraction: size of a pixel as a fraction of range_max.
     """
 
-    index: npt.NDArray[np.intp]
-    weight: npt.NDArray[np.float32]
+    pixel: npt.NDArray[np.int32]
+    corner: npt.NDArray[np.int32]
+    down: npt.NDArray[np.float32]
+    across: npt.NDArray[np.float32]
     inside: npt.NDArray[np.bool_]
+    beams: int
     pixel_fraction: float
 
     def bilinear(self, polar: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
         """(H, W) float32 fan picture of a (range_bins, beams) image; 0 outside the sector."""
-        flat = np.ascontiguousarray(polar, dtype=np.float32).ravel()
+        from factory.sonar import picture_loops  # loads numba
+
         fan = np.zeros(self.inside.shape, np.float32)
-        fan[self.inside] = np.einsum("kp,kp->p", flat[self.index], self.weight)
+        picture_loops.bilinear(
+            np.ascontiguousarray(polar, dtype=np.float32),
+            self.pixel,
+            self.corner,
+            self.down,
+            self.across,
+            fan.reshape(-1),
+        )
         return fan
 
     def nearest(self, polar: npt.NDArray[AnyNumber], outside: float = 0) -> npt.NDArray[AnyNumber]:
         """(H, W) fan picture of a mask, labels or lengths, never mixed; `outside` the sector."""
-        fan = np.full(self.inside.shape, outside, polar.dtype)
-        best = np.take_along_axis(self.index, self.weight.argmax(axis=0)[None], axis=0)[0]
-        fan[self.inside] = polar.ravel()[best]
-        return fan
+        bins = np.append(polar.ravel(), np.asarray([outside], polar.dtype))
+        # An index of -1 is that of `outside`.
+        return np.asarray(bins.take(self.best, mode="wrap"))
+
+    @cached_property
+    def best(self) -> npt.NDArray[np.intp]:
+        """(H, W) flat polar bin whose centre is nearest in range and bearing, -1 outside."""
+        best = np.full(self.inside.shape, -1)
+        best[self.inside] = self.corner + (self.down > 0.5) * self.beams + (self.across > 0.5)
+        return best
 
 
 def pixel_size(sonar: SonarSettings, near_fraction: float) -> float:
@@ -68,13 +87,17 @@ def fan_table(sonar: SonarSettings, near_fraction: float) -> FanTable:
     row = (range_fraction[inside] - near_fraction) / (1 - near_fraction) * sonar.range_bins - 0.5
     beam = _fractional_beam(azimuth_rad[inside], sonar)
     row = np.clip(row, 0, sonar.range_bins - 1)
-    row0 = np.minimum(row.astype(np.intp), sonar.range_bins - 2)
-    beam0 = np.minimum(beam.astype(np.intp), sonar.beams - 2)
-    u, v = row - row0, beam - beam0
-    corner = row0 * sonar.beams + beam0
-    index = np.stack([corner, corner + 1, corner + sonar.beams, corner + sonar.beams + 1])
-    weight = np.stack([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v])
-    return FanTable(index, weight.astype(np.float32), inside, pixel)
+    row0 = np.minimum(row.astype(np.int32), sonar.range_bins - 2)
+    beam0 = np.minimum(beam.astype(np.int32), sonar.beams - 2)
+    return FanTable(
+        np.flatnonzero(inside).astype(np.int32),
+        (row0 * sonar.beams + beam0).astype(np.int32),
+        (row - row0).astype(np.float32),
+        (beam - beam0).astype(np.float32),
+        inside,
+        sonar.beams,
+        pixel,
+    )
 
 
 def _fractional_beam(
@@ -82,3 +105,16 @@ def _fractional_beam(
 ) -> npt.NDArray[np.float64]:
     """Position between beam centres; clamped at the outermost ones."""
     return np.interp(azimuth_rad, sonar.beam_centres_rad(), np.arange(sonar.beams))
+
+
+def lay_out_nearest(
+    picture: npt.NDArray[AnyNumber], window: Window, sonar: SonarSettings
+) -> npt.NDArray[AnyNumber]:
+    """A polar mask, label or length picture in the layout that was asked for, never mixed.
+
+    Outside the sector of a fan: NaN for lengths, 0 for the others.
+    """
+    if sonar.image.layout == "polar":
+        return picture
+    outside = np.nan if picture.dtype.kind == "f" else 0
+    return fan_table(sonar, window.near_fraction).nearest(picture, outside)

@@ -2,75 +2,136 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from factory.echoes import Echoes
 from factory.sonar.settings import SonarSettings
 from factory.sonar.window import Window
 
 Polar = npt.NDArray[np.float32]
+Grid = tuple[bool, np.float32, np.float32, int, np.float32, np.float32, int, Polar]
+
+_HOW = {"sum": 0, "max": 1, "mean": 2}
+# Bins smaller than the pixel grid of the camera leave pinholes up to this far from an echo.
+_PINHOLE_ROWS, _PINHOLE_BEAMS = 2, 1
 
 
-def beam_index(azimuth_rad: npt.NDArray[np.floating], sonar: SonarSettings) -> npt.NDArray[np.intp]:
-    """(N,) beam of each azimuth; -1 or `beams` outside the sector.
+def bin_index(echoes: Echoes, window: Window, sonar: SonarSettings) -> npt.NDArray[np.int32]:
+    """(N,) int32 flat index range_bin * beams + beam of each echo.
 
-    Uniform beams: floor((azimuth + hfov/2) / dtheta).  Tabled beams: the nearest direction.
+    range_bin = floor((distance - range_min) / range_span * range_bins), distance by the window's
+    projection.  Uniform beams: floor((azimuth + hfov/2) * beams / hfov).  Tabled beams: the nearest
+    direction.  range_bins * beams for an echo outside the window or sector.
     """
-    if sonar.beam_azimuths_deg is None:
-        half = np.float32(np.deg2rad(sonar.hfov_deg) / 2)
-        scale = np.float32(sonar.beams / (2 * half))
-        return np.asarray(np.floor((azimuth_rad + half) * scale), dtype=np.intp)
-    centres = sonar.beam_centres_rad()
-    beam = np.searchsorted((centres[1:] + centres[:-1]) / 2, azimuth_rad, side="right")
-    outside = np.abs(azimuth_rad) > np.deg2rad(sonar.hfov_deg) / 2
-    return np.where(outside, -1, beam)
+    return _cells(echoes, grid(window, sonar))
 
 
-def bin_index(echoes: Echoes, window: Window, sonar: SonarSettings) -> npt.NDArray[np.intp]:
-    """(N,) flat index range_bin * beams + beam, or -1 for an echo outside the window or sector."""
-    row = np.floor(window.range_fraction(echoes) * np.float32(sonar.range_bins)).astype(np.intp)
-    beam = beam_index(echoes.azimuth_rad, sonar)
-    inside = (row >= 0) & (row < sonar.range_bins) & (beam >= 0) & (beam < sonar.beams)
-    return np.where(inside, row * sonar.beams + beam, -1)
+def grid(window: Window, sonar: SonarSettings) -> Grid:
+    """The bins of a picture as the compiled loops want them."""
+    half = np.float32(np.deg2rad(sonar.hfov_deg) / 2)
+    edges = np.empty(0, np.float32)
+    if sonar.beam_azimuths_deg is not None:
+        centres = sonar.beam_centres_rad()
+        edges = ((centres[1:] + centres[:-1]) / 2).astype(np.float32)
+    beams_per_rad = np.float32(sonar.beams / (2 * half))
+    return _grid(window, sonar.range_bins, -half, beams_per_rad, sonar.beams, edges)
 
 
-def accumulate(echoes: Echoes, window: Window, sonar: SonarSettings) -> Polar:
-    """(range_bins, beams) float32 echo level: mean, max or sum of the strengths in each bin."""
-    index = bin_index(echoes, window, sonar)
-    kept = (index >= 0) & (echoes.strength > 0)
-    index, strength = index[kept], echoes.strength[kept]
-    size = sonar.range_bins * sonar.beams
-    level: npt.NDArray[np.floating]
-    if sonar.accumulate == "max":
-        level = np.zeros(size, np.float32)
-        np.maximum.at(level, index, strength)
-    else:
-        level = np.bincount(index, weights=strength, minlength=size).astype(np.float64)
-        if sonar.accumulate == "mean":
-            level /= np.maximum(np.bincount(index, minlength=size), 1)
-    return np.asarray(level.reshape(sonar.range_bins, sonar.beams), dtype=np.float32)
+def _grid(
+    window: Window,
+    rows: int,
+    left_rad: np.float32,
+    per_rad: np.float32,
+    columns: int,
+    edges_rad: npt.NDArray[np.float32],
+) -> Grid:
+    return (
+        window.projection == "top_view",
+        np.float32(window.range_min_m),
+        np.float32(window.range_span_m),
+        rows,
+        left_rad,
+        per_rad,
+        columns,
+        edges_rad,
+    )
+
+
+def density(echoes: Echoes, window: Window, rows: int, columns: int) -> npt.NDArray[np.int32]:
+    """(rows, columns) int32 number of insonified echoes in each cell of the window.
+
+    The cells divide the range window and the sector that the camera saw evenly.
+    """
+    from factory.sonar import picture_loops  # loads numba
+
+    left_rad = np.float32(window.azimuth_min_rad)
+    per_rad = np.float32(columns / max(window.azimuth_span_rad, 1e-9))
+    cells = _cells(echoes, _grid(window, rows, left_rad, per_rad, columns, np.empty(0, np.float32)))
+    level, count = np.zeros(rows * columns + 1, np.float32), np.zeros(rows * columns + 1, np.int32)
+    picture_loops.gather(cells, np.ascontiguousarray(echoes.strength), _HOW["mean"], level, count)
+    return count[:-1].reshape(rows, columns)
+
+
+def _cells(echoes: Echoes, bins: Grid) -> npt.NDArray[np.int32]:
+    from factory.sonar import picture_loops  # loads numba
+
+    cells = np.empty(len(echoes), np.int32)
+    places = (echoes.range_m, echoes.azimuth_rad, echoes.elevation_rad)
+    picture_loops.bin_of_each(*(*map(np.ascontiguousarray, places), *bins, cells))
+    return cells
+
+
+def accumulate(echoes: Echoes, window: Window, sonar: SonarSettings, *more: Echoes) -> Polar:
+    """(range_bins, beams) float32 echo level: mean, max or sum of the strengths in each bin.
+
+    more: further echoes of the same cloud, which then need not be joined.
+    """
+    from factory.sonar import picture_loops  # loads numba
+
+    size = sonar.range_bins * sonar.beams + 1
+    level, how = np.zeros(size, np.float32), _HOW[sonar.accumulate]
+    count = np.zeros(size if how == _HOW["mean"] else 1, np.int32)
+    for part in (echoes, *more):
+        bins, strength = bin_index(part, window, sonar), np.ascontiguousarray(part.strength)
+        picture_loops.gather(bins, strength, how, level, count)
+    if how == _HOW["mean"]:
+        level /= np.maximum(count, 1)
+    return level[:-1].reshape(sonar.range_bins, sonar.beams)
 
 
 def spread_points(level: Polar, sonar: SonarSettings) -> Polar:
     """Blur by the device's point-spread; echo energy is kept except at the picture's border."""
-    sigma = (sonar.point_spread.range_bins, sonar.point_spread.beams)
-    return np.asarray(ndimage.gaussian_filter(level, sigma, mode="constant", truncate=3.0))
+    from factory.sonar import picture_loops  # loads numba
+
+    blurred = np.empty(level.shape, np.float32)
+    down, across = gaussian(sonar.point_spread.range_bins), gaussian(sonar.point_spread.beams)
+    picture_loops.blur(np.ascontiguousarray(level, dtype=np.float32), down, across, blurred)
+    return blurred
 
 
-def covered(echoes: Echoes, window: Window, sonar: SonarSettings) -> npt.NDArray[np.bool_]:
+@cache
+def gaussian(sigma: float) -> npt.NDArray[np.float32]:
+    """(2 n + 1,) float32 weights of a Gaussian of `sigma` cells, cut at three sigma; sum 1."""
+    reach = int(3 * sigma + 0.5)
+    step = np.arange(-reach, reach + 1)
+    weight = np.exp(-0.5 * (step / sigma) ** 2) if sigma > 0 else np.ones(1)
+    return np.asarray(weight / weight.sum(), dtype=np.float32)
+
+
+def covered(hit: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     """(range_bins, beams) bool: bins that some insonified surface fills.
 
-    Asked of the full-density cloud.  Bins smaller than the pixel grid of the camera leave pinholes
-    that are no shadow: they are closed.
+    hit: (range_bins, beams) bool, bins that hold an echo of the full-density cloud.  Bins smaller
+    than the pixel grid of the camera leave pinholes that are no shadow: they are closed.
     """
-    index = bin_index(echoes, window, sonar)
-    hit = np.zeros(sonar.range_bins * sonar.beams, np.bool_)
-    hit[index[(index >= 0) & (echoes.strength > 0)]] = True
-    grid = np.pad(hit.reshape(sonar.range_bins, sonar.beams), 3)
-    closed = ndimage.binary_closing(grid, structure=np.ones((5, 3), np.bool_))
-    return np.asarray(closed[3:-3, 3:-3])
+    from factory.sonar import picture_loops  # loads numba
+
+    closed = np.empty(hit.shape, np.bool_)
+    picture_loops.close(np.ascontiguousarray(hit), _PINHOLE_ROWS, _PINHOLE_BEAMS, closed)
+    return closed
 
 
 def seen_beams(window: Window, sonar: SonarSettings) -> npt.NDArray[np.bool_]:

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from factory.settings import STRICT
+from factory.sonar.array import ArraySettings
 from factory.sonar.mount import Mount
 
 Positive = Annotated[float, Field(gt=0)]
@@ -79,7 +80,8 @@ class TransferSettings:
 class SonarSettings:
     """Keys of the `sonar` group.
 
-    frequency_khz: of the device; kept with the data (resample.rate stands for its effect).
+    frequency_khz: of the device; decides absorption and noise of acoustics.formation=field, and is
+        only kept with the data otherwise (resample.rate stands for its effect).
     hfov_deg, vfov_deg: insonified sector; echoes outside are dropped.
     beam_azimuths_deg: directions of the beams from left to right where they are not uniform.
     projection: slant_range (what a sonar measures) or top_view (the paper's view from above).
@@ -102,6 +104,7 @@ class SonarSettings:
     point_spread: PointSpread = field(default_factory=PointSpread)
     image: ImageSettings = field(default_factory=ImageSettings)
     transfer: TransferSettings = field(default_factory=TransferSettings)
+    array: ArraySettings = field(default_factory=ArraySettings)
     mount: Mount = field(default_factory=Mount)
 
     @model_validator(mode="after")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from factory.sonar.quantile import quantiles
 from factory.sonar.settings import TransferSettings
 
 
@@ -13,10 +14,11 @@ def full_scale(clean: npt.NDArray[np.floating], transfer: TransferSettings) -> f
 
     `transfer.percentile` of its echoing bins maps to grey value `transfer.reference`.
     """
-    echoing = clean[clean > 0]
-    if echoing.size == 0:
+    levels = np.asarray(clean, dtype=np.float32).reshape(-1)
+    silent = levels.size - int(np.count_nonzero(levels))
+    if silent == levels.size:
         return 1.0
-    level = float(np.percentile(echoing, transfer.percentile))
+    (level,) = quantiles(levels, (transfer.percentile / 100,), skip=silent)
     if transfer.kind == "log":
         return level * 10 ** ((1 - transfer.reference) * transfer.dynamic_range_db / 20)
     return level / transfer.reference ** (1 / transfer.exponent if transfer.kind == "power" else 1)

@@ -1,0 +1,189 @@
+"""`python -m evaluation compare A B`: is one run really better than another?
+
+A and B are folders of reports on the same pairs, or twice the same folder.  The rows are paired
+picture by picture: mean difference with its interval, Wilcoxon test, wins, and a verdict in words.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluation.names import METRIC_NAMES, written, written_p
+from evaluation.report.files import read_results
+from evaluation.report.tables import percent
+from evaluation.statistics import Paired, holm, paired
+from factory.errors import FactoryError
+from factory.shards.files import check_writable, write_atomically
+
+_ALPHA = 0.05
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        """One line, like every other mistake of the user."""
+        raise FactoryError(f"compare: {message} (see `python -m evaluation compare --help`)")
+
+
+def main(words: Sequence[str]) -> int:
+    """Print the comparison; with --out also write it as Markdown and JSON."""
+    parser = _Parser(
+        prog="python -m evaluation compare",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("a", metavar="A", help="folder of a report")
+    parser.add_argument("b", metavar="B", help="folder of another, or the same")
+    parser.add_argument("--row-a", help="row of A (default: its best but noisy, by PSNR)")
+    parser.add_argument("--row-b", help="row of B (default: as A)")
+    parser.add_argument("--out", help="folder for compare.md and compare.json")
+    parser.add_argument("--bootstrap", type=int, default=2000, help="resamples of the intervals")
+    parser.add_argument("--seed", type=int, default=0, help="of the bootstrap")
+    chosen = parser.parse_args(list(words))
+    if chosen.bootstrap < 100:
+        raise FactoryError(f"--bootstrap: at least 100, given {chosen.bootstrap}")
+    if chosen.out is not None:
+        check_writable(Path(chosen.out), "--out")
+    result = compare(
+        Path(chosen.a),
+        Path(chosen.b),
+        chosen.row_a,
+        chosen.row_b,
+        resamples=chosen.bootstrap,
+        seed=chosen.seed,
+    )
+    text = as_markdown(result)
+    print(text)
+    if chosen.out is not None:
+        out = Path(chosen.out)
+        write_atomically(out / "compare.md", (text + "\n").encode(), key="--out")
+        content = json.dumps(result, indent=1, allow_nan=False) + "\n"
+        write_atomically(out / "compare.json", content.encode(), key="--out")
+    return 0
+
+
+def compare(
+    a: Path, b: Path, row_a: str | None, row_b: str | None, *, resamples: int, seed: int
+) -> dict[str, Any]:
+    """The comparison of two rows as plain data.
+
+    Raises FactoryError when a folder is no report, has no such row, or the pairs are not the same.
+    """
+    results = read_results(a), read_results(b)
+    names = [row_a or _best(results[0]), row_b or _best(results[1])]
+    rows = [
+        _row(one, name, folder) for one, name, folder in zip(results, names, (a, b), strict=True)
+    ]
+    keys = [_keys(row) for row in rows]
+    common = sorted(set(keys[0]) & set(keys[1]))
+    if not common:
+        raise FactoryError(
+            f"{a} and {b}: reports on different pairs, none in common; give two on one dataset"
+        )
+    order = [[key.index(one) for one in common] for key in keys]
+    groups = [f"{location}/{scene}/{frame}" for _, location, scene, frame in common]
+    metrics = [name for name in METRIC_NAMES if all(name in row for row in rows)]
+    found = {}
+    for name in metrics:
+        first, second = (
+            row[name][places].astype(float) for row, places in zip(rows, order, strict=True)
+        )
+        better = METRIC_NAMES[name].better
+        found[name] = paired(first, second, groups, better=better, resamples=resamples, seed=seed)
+    judged = [name for name in metrics if METRIC_NAMES[name].better]
+    adjusted = dict(zip(judged, holm([found[name].p for name in judged]), strict=True))
+    return {
+        "a": {"folder": a.name, "row": names[0]},
+        "b": {"folder": b.name, "row": names[1]},
+        "pairs": len(common),
+        "frames": len(set(groups)),
+        "left_out": len(set(keys[0]) ^ set(keys[1])),
+        "metrics": {
+            name: _entry(name, found[name], adjusted.get(name, float("nan"))) for name in metrics
+        },
+    }
+
+
+def as_markdown(result: dict[str, Any]) -> str:
+    """The comparison for people, verdict first."""
+    a, b = (f"{result[side]['row']} ({result[side]['folder']})" for side in "ab")
+    left_out = f", {result['left_out']} in one report only" if result["left_out"] else ""
+    lines = [
+        f"A = {a}, B = {b}: {result['pairs']} pairs of {result['frames']} frames{left_out}",
+        "",
+        _verdict(result),
+        "",
+        "| metric | A minus B | 95 % interval | p (Holm) | A is better in | A |",
+        "|---|---:|:---:|---:|---:|---|",
+    ]
+    for name, one in result["metrics"].items():
+        metric = METRIC_NAMES[name]
+        digits = metric.digits + 1
+        low, high = written(one["low"], digits, True), written(one["high"], digits, True)
+        wins = percent(one["wins"]) if metric.better else "-"
+        lines.append(
+            f"| {metric.label} | {written(one['difference'], digits, True)} | {low} .. {high} "
+            f"| {written_p(one['p_holm'])} | {wins} | {one['verdict']} |"
+        )
+    return "\n".join(lines)
+
+
+def _entry(name: str, result: Paired, p_holm: float) -> dict[str, Any]:
+    better = METRIC_NAMES[name].better
+    item = result.difference
+    if not better or not item.count:
+        verdict = "not ranked" if item.count else "no figures"
+    elif np.isfinite(p_holm) and p_holm < _ALPHA and item.low * item.high > 0:
+        verdict = "better" if item.mean * better > 0 else "worse"
+    else:
+        verdict = "no difference shown"
+    values = {"difference": item.mean, "low": item.low, "high": item.high, "p": result.p}
+    values |= {"p_holm": p_holm, "wins": result.wins}
+    plain = {key: float(value) if np.isfinite(value) else None for key, value in values.items()}
+    return {**plain, "count": item.count, "verdict": verdict}
+
+
+def _verdict(result: dict[str, Any]) -> str:
+    """In words; better only where the interval excludes zero and Holm's p is below 0.05."""
+    said: dict[str, list[str]] = {"better": [], "worse": []}
+    for name, one in result["metrics"].items():
+        if one["verdict"] in said:
+            said[one["verdict"]].append(METRIC_NAMES[name].label.split(",")[0])
+    better, worse = said["better"], said["worse"]
+    if better and not worse:
+        return f"A is really better than B in {', '.join(better)}, and worse in nothing."
+    if worse and not better:
+        return f"A is really worse than B in {', '.join(worse)}, and better in nothing."
+    if better and worse:
+        return f"Mixed: A is better in {', '.join(better)} and worse in {', '.join(worse)}."
+    few = " (with fewer than 6 frames the test cannot show any)" if result["frames"] < 6 else ""
+    return f"No difference is shown: it could be chance with {result['frames']} frames{few}."
+
+
+def _best(results: dict[str, Any]) -> str:
+    labels = list(dict.fromkeys(str(label) for label in results["method"]))
+    others = [label for label in labels if label != "noisy"] or labels
+    means: dict[str, float] = {
+        label: float(np.mean(results["psnr"][results["method"] == label])) for label in others
+    }
+    return max(means, key=lambda label: means[label])
+
+
+def _row(results: dict[str, Any], name: str, folder: Path) -> dict[str, npt.NDArray[Any]]:
+    where = results["method"] == name
+    if not where.any():
+        known = ", ".join(dict.fromkeys(results["method"]))
+        raise FactoryError(f"{folder}: no row {name!r}; it has {known}")
+    return {column: values[where] for column, values in results.items()}
+
+
+def _keys(row: dict[str, npt.NDArray[Any]]) -> list[tuple[Any, ...]]:
+    """What a pair is known by: its content, and its frame for the bootstrap."""
+    names = ("pair", "location", "scene", "frame")
+    return list(zip(*(row[name].tolist() for name in names), strict=True))

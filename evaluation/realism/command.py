@@ -1,0 +1,105 @@
+"""`python -m evaluation realism REAL SIM [SIM ...]`: how near is simulated to real?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from omegaconf import DictConfig, OmegaConf
+
+from evaluation.app import hydra_verb
+from factory.errors import FactoryError
+from factory.settings import build
+
+if TYPE_CHECKING:
+    from evaluation.realism.pictures import Collection
+    from evaluation.realism.settings import RealismSettings
+
+
+def realism(words: Sequence[str]) -> int:
+    """`python -m evaluation realism REAL SIM [SIM ...] [KEY=VALUE ...]`."""
+    return hydra_verb(run, "realism", named(words, "real", "sim"))
+
+
+def named(words: Sequence[str], first: str, rest: str | None = None) -> list[str]:
+    """Words without `=` as overrides: the first one of `first`, the others a list of `rest`."""
+    plain = [word for word in words if "=" not in word and not word.startswith("-")]
+    told = [word for word in words if word not in plain]
+    if plain:
+        told.append(f"{first}={_quoted(plain[0])}")
+    if plain[1:]:
+        if rest is None:
+            raise FactoryError(f"{plain[1]}: unexpected; only one folder is taken here")
+        told.append(f"{rest}={listed(plain[1:])}")
+    return told
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words as a list in Hydra's grammar."""
+    return f"[{','.join(_quoted(word) for word in words)}]"
+
+
+def _quoted(word: str) -> str:
+    """A path as Hydra's grammar takes it, whatever characters it has."""
+    return "'" + word.replace("\\", "\\\\").replace("'", "\\'") + "'"
+
+
+def run(config: DictConfig) -> None:
+    """Measure, compare, print the table and write the report."""
+    from evaluation.realism import report
+    from evaluation.realism.compare import compare
+    from evaluation.realism.measure import measure
+    from evaluation.realism.real import open_real
+
+    settings = settings_of(config)
+    real = open_real(settings.real).at_most(settings.limit)
+    collections = {"real": real, **_simulations(settings)}
+    measured = {name: measure(item, settings.grid) for name, item in collections.items()}
+    comparisons = compare(
+        measured["real"],
+        {name: one for name, one in measured.items() if name != "real"},
+        resamples=settings.resamples,
+        halves=settings.halves,
+        seed=settings.seed,
+    )
+    first = next(name for name in collections if name != "real")
+    out = Path(settings.out or Path("outputs", "realism", first))
+    report.write(out, settings, collections, measured, comparisons)
+    for note in (note for item in collections.values() for note in item.notes):
+        print(note)
+    print(report.table(comparisons))
+    print(f"report: {out / 'realism.html'}")
+
+
+def _simulations(settings: RealismSettings) -> dict[str, Collection]:
+    """Name -> pictures; two folders of one name get a number."""
+    from evaluation.realism.real import open_real
+    from evaluation.realism.simulated import open_dataset
+
+    found: dict[str, Collection] = {}
+    for folder in settings.sim:
+        path = Path(folder).expanduser()
+        pictures = (path / "geometry.csv").is_file() or (path / "Images").is_dir()
+        opened = (
+            open_real(path) if pictures else open_dataset(path, settings.sim_split, settings.layer)
+        )
+        name, number = opened.name, 2
+        while name in found or name == "real":
+            name, number = f"{opened.name} {number}", number + 1
+        found[name] = opened.at_most(settings.limit)
+    return found
+
+
+def settings_of(config: DictConfig) -> RealismSettings:
+    """The checked settings.  FactoryError names the key that is wrong."""
+    from evaluation.realism.settings import RealismSettings
+
+    values = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+    usage = "give both folders: python -m evaluation realism REAL SIM"
+    if not values["real"] or not values["sim"]:
+        raise FactoryError(f"{'sim' if values['real'] else 'real'}: {usage}")
+    if isinstance(values["sim"], str):
+        values["sim"] = [values["sim"]]
+    settings: RealismSettings = build(RealismSettings, values)
+    return settings

@@ -1,0 +1,170 @@
+"""Folders of real pictures: the Marine Debris Dataset as it is, or pictures with geometry.csv.
+
+geometry.csv has one line a picture and these columns (docs/realism.md): file (`*` for all that have
+no line of their own), layout, hfov_deg and, for fans, apex_x_px, apex_y_px, near_px, far_px;
+optional x_scale, range_min_m and range_max_m.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import fields, replace
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluation.realism.geometry import Geometry, Gray, sector_mask
+from evaluation.realism.pictures import Collection, Source, label_of
+from factory.errors import FactoryError
+
+GEOMETRY_FILE = "geometry.csv"
+_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
+_COLUMNS = tuple(item.name for item in fields(Geometry) if item.name != "seen")
+_FAN = ("apex_x_px", "apex_y_px", "near_px", "far_px")
+
+MDD_SHAPE = (480, 320)
+MDD_GEOMETRIES = {
+    "A": Geometry("fan", 29.4, 159.3, 602.5, 139.5, 575.5),
+    "B": Geometry("fan", 29.6, 159.3, 748.5, 291.5, 718.5, x_scale=0.8),
+}
+"""The two fans that the pictures of the Marine Debris Dataset mix; metres are not published.
+
+Measured on the edges of the sector in its pictures, and drawn in by the one or two pixels over
+which they fade to black; B shows x squeezed to 0.8 of y.
+"""
+# The fit of a picture's black border to a fan: intersection over union below which it is none.
+_SAME = 0.9
+
+
+def open_real(folder: str | Path) -> Collection:
+    """The pictures of a folder, in the order of their names.
+
+    Raises FactoryError when there is none, or none that says where range and bearing are.
+    """
+    root = Path(folder).expanduser()
+    if not root.is_dir():
+        raise FactoryError(f"real={root}: no such folder; give one of real sonar pictures")
+    table = root / GEOMETRY_FILE
+    images = root / "Images" if (root / "Images").is_dir() else root
+    paths = sorted(path for path in images.iterdir() if path.suffix.lower() in _SUFFIXES)
+    if not paths:
+        raise FactoryError(
+            f"real={root}: no pictures ({', '.join(sorted(_SUFFIXES))}) there or in its Images/"
+        )
+    if table.is_file():
+        return Collection(label_of(root), _with_table(table, paths))
+    if images == root:
+        raise FactoryError(
+            f"real={root}: no {GEOMETRY_FILE}; write one (docs/realism.md says how), or give the "
+            "folder of the Marine Debris Dataset that holds Images/"
+        )
+    return _mdd(root, paths)
+
+
+def read_gray(path: Path) -> Gray:
+    """(H, W) float32 in 0..1; colours become their luminance, 16 bits keep theirs.
+
+    Raises FactoryError when it cannot be read.
+    """
+    import cv2
+
+    content = np.frombuffer(path.read_bytes(), np.uint8)
+    picture = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    if picture is None or not picture.size:
+        raise FactoryError(f"{path}: not a picture that can be read; remove it or save it again")
+    full = {"uint8": 255, "uint16": 65535}.get(str(picture.dtype))
+    if full is None:
+        raise FactoryError(f"{path}: {picture.dtype} grey values; save it with 8 or 16 bits")
+    return np.asarray(picture.astype(np.float32) / np.float32(full))
+
+
+def _mdd(root: Path, paths: list[Path]) -> Collection:
+    sources, counts = [], dict.fromkeys(MDD_GEOMETRIES, 0)
+    for path in paths:
+        name = mdd_geometry(read_gray(path))
+        if name is None:
+            raise FactoryError(
+                f"{path}: neither of the two fans of the Marine Debris Dataset (320x480, black "
+                f"outside the sector); write {root / GEOMETRY_FILE} (docs/realism.md says how)"
+            )
+        counts[name] += 1
+        sources.append(Source(path.name, MDD_GEOMETRIES[name], partial(read_gray, path)))
+    told = ", ".join(f"{count} of geometry {name}" for name, count in counts.items() if count)
+    return Collection(label_of(root), tuple(sources), (f"Marine Debris Dataset: {told}",))
+
+
+def mdd_geometry(picture: npt.NDArray[np.floating]) -> str | None:
+    """Which fan of the Marine Debris Dataset a picture shows, by its black border; None: neither.
+
+    The original download does not say it, so it is looked up in each picture.
+    """
+    if picture.shape != MDD_SHAPE:
+        return None
+    # A dark picture has black pixels inside as well: its outline is what counts.
+    lit = picture > 0
+    across = np.maximum.accumulate(lit, axis=1) & np.maximum.accumulate(lit[:, ::-1], 1)[:, ::-1]
+    agreement = {}
+    for name, geometry in MDD_GEOMETRIES.items():
+        sector = sector_mask(geometry, MDD_SHAPE)
+        agreement[name] = float((across & sector).sum() / max((across | sector).sum(), 1))
+    best = max(agreement, key=lambda name: agreement[name])
+    return best if agreement[best] >= _SAME else None
+
+
+def _with_table(table: Path, paths: list[Path]) -> tuple[Source, ...]:
+    lines: dict[str, Geometry] = {}
+    try:
+        with table.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file)
+            unknown = set(reader.fieldnames or ()) - {"file", *_COLUMNS}
+            if unknown or "file" not in (reader.fieldnames or ()):
+                what = f"unknown column {sorted(unknown)[0]!r}" if unknown else "no column 'file'"
+                raise FactoryError(f"{table}: {what}; columns are file, {', '.join(_COLUMNS)}")
+            for row in reader:
+                lines[row["file"]] = _geometry(row, f"{table}: line {reader.line_num}")
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise FactoryError(f"{table}: cannot be read ({error})") from error
+    absent = sorted(set(lines) - {"*"} - {path.name for path in paths})
+    if absent:
+        raise FactoryError(f"{table}: {absent[0]} is listed but there is no such picture")
+    sources = []
+    for path in paths:
+        geometry = lines.get(path.name, lines.get("*"))
+        if geometry is None:
+            raise FactoryError(f"{table}: no line for {path.name}; add one, or one for all: *")
+        sources.append(Source(path.name, geometry, partial(read_gray, path)))
+    return tuple(sources)
+
+
+def _geometry(row: dict[str, str], where: str) -> Geometry:
+    values: dict[str, float] = {}
+    for name in _COLUMNS:
+        text = (row.get(name) or "").strip()
+        if name == "layout" or not text:
+            continue
+        try:
+            values[name] = float(text)
+        except ValueError as error:
+            raise FactoryError(f"{where}: {name} is no number: {text!r}") from error
+        if not math.isfinite(values[name]):
+            raise FactoryError(f"{where}: {name} must be finite, got {text}")
+    layout = (row.get("layout") or "").strip()
+    if layout not in ("fan", "polar"):
+        raise FactoryError(f"{where}: layout must be fan or polar, got {layout!r}")
+    needed = ("hfov_deg", *(_FAN if layout == "fan" else ()))
+    missing = [name for name in needed if name not in values]
+    if missing:
+        raise FactoryError(f"{where}: {missing[0]} is missing; a {layout} needs {list(needed)}")
+    kind: Literal["fan", "polar"] = "fan" if layout == "fan" else "polar"
+    geometry = replace(Geometry(kind, 1.0), **values)  # type: ignore[arg-type]
+    if not 0 < geometry.hfov_deg <= 180:
+        raise FactoryError(f"{where}: hfov_deg must lie in (0, 180], got {geometry.hfov_deg:g}")
+    if layout == "fan" and not (0 <= geometry.near_px < geometry.far_px and geometry.x_scale > 0):
+        raise FactoryError(f"{where}: needs 0 <= near_px < far_px and x_scale > 0")
+    if geometry.span_m is not None and geometry.span_m <= 0:
+        raise FactoryError(f"{where}: range_max_m must be larger than range_min_m")
+    return geometry

@@ -1,0 +1,1 @@
+"""The report: what the figures of all rows say together, and the files that show it."""

@@ -1,0 +1,88 @@
+"""The whole report, step by step: tune, measure, compute, write."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from evaluation import tuning
+from evaluation.crew import Team
+from evaluation.journal import Journal
+from evaluation.methods import NOISY, baselines_of, methods_of
+from evaluation.networks import costs_of, networks_of
+from evaluation.pictures import Item, drawn_of, items_of, picture
+from evaluation.report import figures, files, page, tables
+from evaluation.report.breakdown import breakdown_of
+from evaluation.report.content import content_of, shown_rows
+from evaluation.report.examples import examples_of
+from evaluation.report.robustness import flat_config, robustness_of
+from evaluation.rows import Row, measure_rows
+from evaluation.settings import EvaluationSettings
+from factory.errors import FactoryError
+from factory.shards.files import check_writable
+from factory.shards.reader import open_shard
+
+
+def build(settings: EvaluationSettings) -> dict[str, Any]:
+    """Make the report in `settings.folder` and print its leaderboard; returns its content.
+
+    Raises FactoryError for anything that is not readable, and before the work when the folder
+    cannot be written to.
+    """
+    out = settings.folder
+    baselines = baselines_of(settings.baselines)
+    networks = networks_of(settings)
+    items = items_of(Path(settings.dataset.dir), settings.split, settings.limit)
+    check_writable(out, "out")
+    journal = Journal(out)
+    with Team(settings.workers) as team, contextlib.closing(journal):
+        for line in _tuned(settings, baselines, team):
+            print(line)
+        tuned = tuning.load_tuned(settings.tuned_file)
+        methods = [*methods_of(baselines, tuned), *networks]
+        rows = measure_rows(settings, items, methods, journal, team)
+        content = _content(settings, items, rows, tuned)
+        labels = shown_rows(content["rows"], settings.page.methods)
+        drawn = drawn_of(items)
+        files.write_results(out / files.RESULTS_NAME, rows, items, drawn)
+        content["breakdown"] = breakdown_of(rows, items, drawn, labels, settings)
+        content["robustness"] = robustness_of(settings, methods, labels, journal, team)
+        content["config"] = flat_config(Path(settings.dataset.dir))
+        files.write_content(out, content)
+        shown = [row.method for row in rows if row.method.label in labels and row.method != NOISY]
+        shown.sort(key=lambda method: labels.index(method.label))
+        examples = examples_of(settings, items, rows[0], shown, team)
+        page.write(out / page.PAGE_NAME, content, examples)
+        pictures = figures.write(settings, content, examples, shown, team)
+    print(f"\n{tables.leaderboard(content['rows'])}\n\n{files.verdict(content)}")
+    for line in content["ordering"]:
+        print(line)
+    print(f"report: {out / page.PAGE_NAME} (and {', '.join(pictures)})")
+    return content
+
+
+def _tuned(settings: EvaluationSettings, baselines: Sequence[Any], team: Team) -> list[str]:
+    if not (settings.tuning.auto and baselines):
+        return []
+    try:
+        return tuning.tune(settings, baselines, team)
+    except FactoryError as error:
+        # Without pairs to tune on there are still the rows by default.
+        return [f"not tuned: {error}"]
+
+
+def _content(
+    settings: EvaluationSettings, items: Sequence[Item], rows: Sequence[Row], tuned: dict[str, Any]
+) -> dict[str, Any]:
+    first = items[0]
+    shape = picture(first.place).clean.shape
+    config_hash = ""
+    if first.place[1] >= 0:
+        with open_shard(Path(first.place[0])) as file:
+            value = file.attrs.get("config_hash", "")
+            config_hash = value.decode() if isinstance(value, bytes) else str(value)
+    facts = files.facts_of(settings, items, rows[0], shape, config_hash)
+    costs = costs_of([row.method for row in rows if row.method.weights])
+    return content_of(rows, items, settings, facts, tuned, costs)

@@ -1,0 +1,173 @@
+"""What the report says, as plain data: the one source of every file that shows it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from evaluation.names import METRIC_NAMES
+from evaluation.pictures import Item
+from evaluation.report import paper
+from evaluation.rows import Row
+from evaluation.settings import EvaluationSettings
+from evaluation.statistics import Estimate, Paired, estimate, holm, paired
+
+SCHEMA = "simnfnd-report/1"
+_COMPARED = ("psnr", "ssim", "gmsd", "psnr_fan", "ssim_fan", "gmsd_fan", "shadow_iou")
+
+
+def content_of(
+    rows: Sequence[Row],
+    items: Sequence[Item],
+    settings: EvaluationSettings,
+    facts: Mapping[str, Any],
+    tuned: Mapping[str, Any],
+    costs: Mapping[str, Mapping[str, float]],
+) -> dict[str, Any]:
+    """The rows with their intervals and tests, best PSNR first, and the paper's tables.
+
+    tuned: baseline -> entry of the tuned file.  costs: label -> gmac and parameters of networks.
+    """
+    groups = [item.group for item in items]
+    noisy = rows[0]
+    found = [_row(row, noisy, groups, settings, costs) for row in rows]
+    _adjust(found, "against_noisy")
+    best, chosen_on = best_classical(found, tuned)
+    if best is not None:
+        against = next(row for row in rows if row.method.label == best)
+        for line, row in zip(found, rows, strict=True):
+            if line["kind"] == "network" and row.lost is None:
+                line["against_best"] = _compared(row, against, groups, settings)
+        _adjust(found, "against_best")
+    found.sort(key=lambda line: math.inf if line["lost"] else -line["metrics"]["psnr"]["mean"])
+    second = paper.table_2(found)
+    return {
+        "schema": SCHEMA,
+        "facts": dict(facts),
+        "rows": found,
+        "best_classical": {"row": best, "chosen_on": chosen_on},
+        "table_2": second,
+        "table_3": paper.table_3(found),
+        "ordering": paper.ordering(second),
+    }
+
+
+def best_classical(
+    rows: Sequence[Mapping[str, Any]], tuned: Mapping[str, Any]
+) -> tuple[str | None, str]:
+    """(label of the best baseline, what it was chosen on).
+
+    On validation pairs where baselines are tuned, so that the choice has not seen the test pairs.
+    """
+    labels = {row["label"] for row in rows if row["kind"] == "baseline" and row["lost"] is None}
+    on_validation = {
+        f"{name} {form}": float(entry[key]["psnr_levels"])
+        for name, entry in tuned.items()
+        for form, key in (("+ levels", "default"), ("tuned + levels", "tuned_levels"))
+    }
+    known = {label: value for label, value in on_validation.items() if label in labels}
+    if known:
+        return max(known, key=lambda label: known[label]), "validation pairs"
+    measured = {
+        row["label"]: float(row["metrics"]["psnr"]["mean"])
+        for row in rows
+        if row["label"] in labels
+    }
+    return max(measured, key=lambda label: measured[label], default=None), "these very pairs"
+
+
+def shown_rows(rows: Sequence[Mapping[str, Any]], most: int) -> list[str]:
+    """Labels for pictures and curves: noisy, then of each method its best form, best first."""
+    best: dict[str, str] = {}
+    for row in rows:  # which come best PSNR first
+        if row["lost"] is None and row["kind"] != "noisy" and row["name"] != "identity":
+            best.setdefault(row["name"], row["label"])
+    return ["noisy", *list(best.values())[:most]]
+
+
+def plain(value: float) -> float | None:
+    """JSON has no NaN and no infinity."""
+    return float(value) if math.isfinite(value) else None
+
+
+def as_dict(item: Estimate) -> dict[str, Any]:
+    """An estimate for JSON."""
+    return {
+        "mean": plain(item.mean),
+        "low": plain(item.low),
+        "high": plain(item.high),
+        "median": plain(item.median),
+        "count": item.count,
+    }
+
+
+def _row(
+    row: Row,
+    noisy: Row,
+    groups: Sequence[str],
+    settings: EvaluationSettings,
+    costs: Mapping[str, Mapping[str, float]],
+) -> dict[str, Any]:
+    method = row.method
+    kind = "noisy" if method.is_noisy else "network" if method.weights else "baseline"
+    cost = costs.get(method.label, {})
+    metrics = {
+        name: as_dict(estimate(values, groups, resamples=settings.bootstrap, seed=settings.seed))
+        for name, values in row.values.items()
+    }
+    return {
+        "label": method.label,
+        "name": method.name,
+        "form": method.form,
+        "kind": kind,
+        "parameters": dict(method.parameters),
+        "levels": None
+        if method.levels is None
+        else {"gain": method.levels.gain, "offset": method.levels.offset},
+        "ablation": method.ablation,
+        "milliseconds": plain(row.milliseconds),
+        "gmac": cost.get("gmac"),
+        "weights": cost.get("parameters"),
+        "lost": row.lost,
+        "metrics": metrics,
+        "against_noisy": {}
+        if row.lost or kind == "noisy"
+        else _compared(row, noisy, groups, settings),
+        "against_best": {},
+    }
+
+
+def _compared(
+    row: Row, other: Row, groups: Sequence[str], settings: EvaluationSettings
+) -> dict[str, Any]:
+    return {
+        name: paired_dict(
+            paired(
+                row.values[name],
+                other.values[name],
+                groups,
+                better=METRIC_NAMES[name].better,
+                resamples=settings.bootstrap,
+                seed=settings.seed,
+            )
+        )
+        for name in _COMPARED
+        if name in row.values and name in other.values
+    }
+
+
+def paired_dict(result: Paired) -> dict[str, Any]:
+    """A paired comparison for JSON."""
+    return {**as_dict(result.difference), "p": plain(result.p), "wins": plain(result.wins)}
+
+
+def _adjust(rows: Sequence[dict[str, Any]], key: str) -> None:
+    """Add Holm's p over the rows, metric by metric."""
+    for name in _COMPARED:
+        family = [row[key][name] for row in rows if name in row[key]]
+        values = [np.nan if one["p"] is None else one["p"] for one in family]
+        for one, adjusted in zip(family, holm(values), strict=True):
+            one["p_holm"] = plain(adjusted)

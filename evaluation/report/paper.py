@@ -1,0 +1,115 @@
+"""Tables 2 and 3 of the paper (Yang, Zhang and Yao 2024, Remote Sensing 16(15), 2815) and ours."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+TABLE_METRICS = ("psnr", "ssim", "gmsd")
+_BETTER = {"psnr": 1, "ssim": 1, "gmsd": -1}
+_ROUNDING = {"psnr": 0.005, "ssim": 0.005, "gmsd": 0.005}
+
+OURS = "simnfnd_newloss"
+
+TABLE_2 = {
+    "identity": ("Origin", (17.64, 0.68, 0.22)),
+    "median": ("Median", (17.76, 0.69, 0.19)),
+    "gaussian": ("Gaussian", (17.76, 0.69, 0.20)),
+    "bilateral": ("Bilateral", (17.90, 0.69, 0.19)),
+    "nlm": ("NLM", (17.73, 0.69, 0.21)),
+    "bm3d": ("BM3D", (16.65, 0.69, 0.19)),
+    OURS: ("Ours", (20.77, 0.79, 0.18)),
+}
+"""Row -> its name there and PSNR, SSIM, GMSD; full frame, 1000 simulated pairs."""
+
+TABLE_3 = {
+    "olddata_l1": ("OldData + L1loss", (17.897056920, 0.744666177, 0.194743096)),
+    "simnfnd_l1": ("SimNFND + L1loss", (20.16920049, 0.7889269, 0.188262191)),
+    OURS: ("SimNFND + Newloss", (20.775460450, 0.795312975, 0.180447812)),
+}
+"""The ablation, row as the keys of `ablation` in the configuration."""
+
+Content = Mapping[str, Any]
+
+
+def table_2(rows: Sequence[Content]) -> list[dict[str, Any]]:
+    """The rows of Table 2: the baselines as their library has them, and the ablation's network.
+
+    Without that network the best of the given networks stands in its row.
+    """
+    ours = _ablation(rows, OURS) or _best_network(rows)
+    found = []
+    for name, (title, paper) in TABLE_2.items():
+        row = ours if name == OURS else _baseline(rows, name)
+        found.append(_line(title, paper, row))
+    return found
+
+
+def table_3(rows: Sequence[Content]) -> list[dict[str, Any]]:
+    """The rows of Table 3."""
+    return [_line(title, paper, _ablation(rows, name)) for name, (title, paper) in TABLE_3.items()]
+
+
+def ordering(table: Sequence[Content]) -> list[str]:
+    """Where our order of the rows is not the paper's, one line each; the first line counts them.
+
+    Rows that the paper gives equal figures (to its two digits) have no order.
+    """
+    lines, compared = [], 0
+    for metric in TABLE_METRICS:
+        known = [row for row in table if row["ours"] is not None]
+        for one, other in itertools.combinations(known, 2):
+            there = _BETTER[metric] * (one["paper"][metric] - other["paper"][metric])
+            if abs(there) < 2 * _ROUNDING[metric] - 1e-9:
+                continue
+            compared += 1
+            here = _BETTER[metric] * (one["ours"][metric] - other["ours"][metric])
+            if there * here < 0:
+                better, worse = (one, other) if there > 0 else (other, one)
+                digits = 2 if metric == "psnr" else 3
+                lines.append(
+                    f"{metric.upper()}: the paper has {better['title']} before {worse['title']} "
+                    f"({better['paper'][metric]:.2f}, {worse['paper'][metric]:.2f}), here it is "
+                    f"the other way ({better['ours'][metric]:.{digits}f}, "
+                    f"{worse['ours'][metric]:.{digits}f})"
+                )
+    if not compared:
+        return ["Table 2: too few rows to compare their order with the paper's."]
+    head = (
+        f"Table 2: of {compared} ordered pairs of rows in three metrics, "
+        f"{compared - len(lines)} are in the paper's order."
+    )
+    return [head, *lines]
+
+
+def _line(title: str, paper: tuple[float, float, float], row: Content | None) -> dict[str, Any]:
+    ours = None
+    if row is not None and row["lost"] is None:
+        ours = {metric: row["metrics"][metric]["mean"] for metric in TABLE_METRICS}
+    return {
+        "title": title,
+        "paper": dict(zip(TABLE_METRICS, paper, strict=True)),
+        "ours": ours,
+        "row": None if row is None else row["label"],
+    }
+
+
+def _baseline(rows: Sequence[Content], name: str) -> Content | None:
+    return next(
+        (
+            row
+            for row in rows
+            if row["name"] == name and not row["form"] and row["kind"] != "network"
+        ),
+        None,
+    )
+
+
+def _ablation(rows: Sequence[Content], name: str) -> Content | None:
+    return next((row for row in rows if row["ablation"] == name), None)
+
+
+def _best_network(rows: Sequence[Content]) -> Content | None:
+    networks = [row for row in rows if row["kind"] == "network" and row["lost"] is None]
+    return max(networks, key=lambda row: float(row["metrics"]["psnr"]["mean"]), default=None)

@@ -1,0 +1,145 @@
+"""What a worker of the report does: methods on a few pictures, measured."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluation.baselines import REGISTRY
+from evaluation.baselines.base import Gray
+from evaluation.checks import MetricError
+from evaluation.journal import Figures
+from evaluation.measure import score_pair
+from evaluation.methods import Method
+from evaluation.networks import geometry_of, network
+from evaluation.pictures import Item, Picture, Place, input_of, picture
+from evaluation.reference import Reference
+from evaluation.texture import texture_of, zones_of
+from evaluation.tuning import reason
+from factory.errors import FactoryError
+
+if TYPE_CHECKING:
+    from models.geometry import Geometry
+
+
+@dataclass(frozen=True)
+class Task:
+    """Some methods on some pictures; the unit that travels to a worker."""
+
+    methods: tuple[Method, ...]
+    items: tuple[Item, ...]
+    shadow_threshold: float
+    texture: bool
+    device: str
+    tries: int = 0
+
+
+Found = list[tuple[str | None, list[Figures]]]
+"""One entry a method: why it failed, or the figures of each picture."""
+
+
+def measure_task(task: Task) -> Found:
+    """Run the methods and measure what they give.  FactoryError for a damaged picture."""
+    found: Found = []
+    outputs: dict[str, tuple[str | None, list[Gray], list[float]]] = {}
+    for method in task.methods:
+        if method.output not in outputs:
+            outputs[method.output] = filtered(method, task.items, task.device)
+        error, images, times = outputs[method.output]
+        if error is not None:
+            found.append((error, []))
+            continue
+        figures = []
+        for item, image, milliseconds in zip(task.items, images, times, strict=True):
+            corrected = image if method.levels is None else method.levels(image)
+            measured = _figures(corrected, item, task)
+            figures.append({**measured, "milliseconds": milliseconds})
+        found.append((None, figures))
+    return found
+
+
+def filtered(
+    method: Method, items: tuple[Item, ...], device: str
+) -> tuple[str | None, list[Gray], list[float]]:
+    """(why it failed or None, the method's pictures without levels, milliseconds of each)."""
+    baseline = REGISTRY[method.name] if method.weights is None else None
+    looks = baseline is not None and baseline.looks
+    if looks and any(len(item.looks) < 2 for item in items):
+        return "needs several noise variants a frame", [], []
+    images, times = [], []
+    clock = time.process_time  # what other processes take does not count
+    if method.weights is not None:
+        try:
+            # Loaded before the clock runs.  A processor that waits for a GPU seems idle.
+            if network(method.weights, device).on_gpu:
+                clock = time.perf_counter
+        except FactoryError as error:
+            return reason(error), [], []
+    for item in items:
+        image = input_of(item, looks)
+        start = clock()
+        try:
+            images.append(denoised(method, image, device, item.place))
+        except Exception as error:  # a method that crashes loses its row, not the report
+            return reason(error), [], []
+        times.append(1000 * (clock() - start))
+    return None, images, times
+
+
+def denoised(
+    method: Method,
+    image: Gray,
+    device: str,
+    place: Place | None,
+    geometry: Geometry | None = None,
+) -> Gray:
+    """The method's picture without levels, (H, W) in 0..1; raises whatever the method raises.
+
+    place: where the image is, None for one that is in no dataset.  geometry: where range and
+    bearing are, for those that can use it; by default what the dataset says.
+    """
+    if method.weights is None:
+        baseline = REGISTRY[method.name]
+        if baseline.uses_geometry and place is not None:
+            geometry = geometry or geometry_of(place)
+        return baseline(image, method.parameters, geometry)
+    result = network(method.weights, device)(image, place, geometry)
+    if result.shape != image.shape or not np.isfinite(result).all():
+        raise ValueError(f"gave {result.shape} or NaN for a picture of {image.shape}")
+    return np.clip(result, 0, 1).astype(np.float32)
+
+
+@lru_cache(maxsize=8)
+def _shared(item: Item) -> tuple[Picture, Reference, npt.NDArray[np.int64]]:
+    """What all methods share on a pair."""
+    pair = picture(item.place)
+    return pair, Reference(pair.clean.astype(np.float64), 1.0), zones_of(pair)
+
+
+def _figures(image: Gray, item: Item, task: Task) -> Figures:
+    pair, reference, zones = _shared(item)
+    try:
+        quality = score_pair(
+            image,
+            pair.clean,
+            pair.shadow,
+            data_range=1.0,
+            shadow_threshold=task.shadow_threshold,
+            sector=pair.sector,
+            reference=reference,
+        )
+        more = asdict(texture_of(image, pair, reference, zones)) if task.texture else {}
+    except MetricError as error:
+        raise FactoryError(f"{item.shard}: sample {item.place[1]}: {error}") from error
+    figures: Figures = {**asdict(quality), **more}
+    if not pair.has_shadow:
+        figures.update(
+            dict.fromkeys(("shadow_iou", "shadow_residual", "false_light_rate"), math.nan)
+        )
+    return figures

@@ -1,0 +1,43 @@
+"""Channels that are not alike: every beam has a gain of its own, and some are dead.
+
+They are the device's, so all frames of a recording have the same ones.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from factory.distribution import AnyNumber, NonNegative, number
+from factory.field.signal import Floats, Ping
+from factory.settings import STRICT
+
+
+@dataclass(frozen=True, config=STRICT)
+class BeamGainSettings:
+    """Keys of `noise.beam_gain`.
+
+    sigma_db: standard deviation of the gains, dB.
+    dead: number of dead beams (rounded).  dead_db: their gain, dB.
+    """
+
+    enabled: bool = True
+    sigma_db: NonNegative = number(0.5)
+    dead: NonNegative = number(0)
+    dead_db: AnyNumber = number(-40)
+
+
+def beam_gain(
+    field: Floats,
+    ping: Ping,
+    rng: np.random.Generator,
+    *,
+    sigma_db: float,
+    dead: float,
+    dead_db: float,
+) -> Floats:
+    """The field under the gains of its beams."""
+    beams = ping.sonar.beams
+    gain_db = sigma_db * rng.standard_normal(beams)
+    gain_db[rng.permutation(beams)[: round(dead)]] = dead_db
+    return np.asarray(field * (10 ** (gain_db / 20)).astype(np.float32))

@@ -1,0 +1,40 @@
+"""Crosstalk: channels that are read out side by side leak into each other."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from factory.distribution import AnyNumber, Positive, number
+from factory.field.signal import Floats, Ping
+from factory.settings import STRICT
+
+
+@dataclass(frozen=True, config=STRICT)
+class CrosstalkSettings:
+    """Keys of `noise.crosstalk`.
+
+    level_db: of the leak below the channel it comes from, dB (negative).
+    spacing_beams: distance between channels that leak (rounded); devices that make their beams in
+        several pings leak among those of one ping.
+    """
+
+    enabled: bool = True
+    level_db: AnyNumber = number(-35)
+    spacing_beams: Positive = number(1)
+
+
+def crosstalk(
+    field: Floats,
+    ping: Ping,
+    rng: np.random.Generator,
+    *,
+    level_db: float,
+    spacing_beams: float,
+) -> Floats:
+    """The field with what leaks from `spacing_beams` to the left and to the right."""
+    step, leak = max(round(spacing_beams), 1), np.float32(10 ** (level_db / 20))
+    mixed = field.copy()
+    mixed[..., step:] += leak * field[..., :-step]
+    mixed[..., :-step] += leak * field[..., step:]
+    return mixed

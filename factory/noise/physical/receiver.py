@@ -1,0 +1,42 @@
+"""Receiver noise: the sea's thermal noise (Mellen 1952) and what the electronics add.
+
+Complex Gaussian, so Rayleigh in amplitude, and equally strong at all ranges; time-varying gain,
+which comes after, makes it grow with range.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from factory.distribution import AnyNumber, number
+from factory.field.signal import Floats, Ping, beamform, white_noise
+from factory.settings import STRICT
+
+
+@dataclass(frozen=True, config=STRICT)
+class ReceiverSettings:
+    """Keys of `noise.receiver`.
+
+    level_db: above the thermal noise of the sea in the device's band and beam, dB.
+    grain: sample (each bin and beam for itself: a lens, an element a beam) or beam (through the
+        beamformer and the pulse compression, with the grain of speckle).
+    """
+
+    enabled: bool = True
+    level_db: AnyNumber = number(10)
+    grain: Literal["sample", "beam"] = "sample"
+
+
+def receiver(
+    field: Floats, ping: Ping, rng: np.random.Generator, *, level_db: float, grain: str
+) -> Floats:
+    """The field with the receiver's noise."""
+    noise = white_noise(rng, field.shape[0], ping.shape)
+    if grain == "beam":
+        noise = beamform(noise, ping)
+    noise *= np.float32(np.sqrt(ping.thermal_noise * 10 ** (level_db / 10)))
+    noise += field
+    return noise

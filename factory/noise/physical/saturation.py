@@ -1,0 +1,33 @@
+"""Saturation: the receiver's converter has a largest number, before any gain in software."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from factory.distribution import AnyNumber, number
+from factory.field.signal import Floats, Ping
+from factory.settings import STRICT
+
+
+@dataclass(frozen=True, config=STRICT)
+class SaturationSettings:
+    """Keys of `noise.saturation`.
+
+    level_db: largest amplitude against the strongest expected echo of the frame, before
+        time-varying gain, dB.
+    """
+
+    enabled: bool = True
+    level_db: AnyNumber = number(3)
+
+
+def saturation(field: Floats, ping: Ping, rng: np.random.Generator, *, level_db: float) -> Floats:
+    """The field, no amplitude above the limit."""
+    limit = ping.strongest * 10 ** (level_db / 10) * ping.gain[:, None]
+    intensity = (field**2).sum(axis=1, keepdims=True)
+    over = intensity > limit
+    if not over.any():
+        return field
+    factor = np.sqrt(np.divide(limit, intensity, out=np.ones_like(intensity), where=over))
+    return np.asarray(field * factor, np.float32)

@@ -1,0 +1,36 @@
+"""Sidelobe arcs: a strong return leaks into every beam of its range row.
+
+Beam patterns of `sonar.array` have the sidelobes of a perfect array; those of a real one do not
+fall below -20 to -35 dB of the strongest return, whatever the bearing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from factory.distribution import AnyNumber, number
+from factory.field.signal import Floats, Ping
+from factory.settings import STRICT
+
+
+@dataclass(frozen=True, config=STRICT)
+class SidelobeArcsSettings:
+    """Keys of `noise.sidelobe_arcs`.
+
+    level_db: of the leak below the strongest return of the row, dB (negative).
+    """
+
+    enabled: bool = True
+    level_db: AnyNumber = number(-30)
+
+
+def sidelobe_arcs(
+    field: Floats, ping: Ping, rng: np.random.Generator, *, level_db: float
+) -> Floats:
+    """The field with each row's leak, of one random phase a row."""
+    strongest = np.sqrt((field**2).sum(axis=1).max(axis=-1))  # (looks, rows)
+    leak = strongest * np.float32(10 ** (level_db / 20))
+    phase = 2 * np.pi * rng.random(leak.shape, dtype=np.float32)
+    arcs = np.stack([leak * np.cos(phase), leak * np.sin(phase)], axis=1)
+    return np.asarray(field + arcs[..., None], np.float32)

@@ -1,0 +1,50 @@
+"""Coherent speckle: the echoes of a rough surface add up with random phases.
+
+Every scatterer gets a complex circular Gaussian coefficient that depends on its cell of the world
+and on nothing of the frame.  The device's point-spread then filters the complex field, which gives
+speckle its grain: fully developed, amplitude Rayleigh, intensity exponential (Goodman, Speckle
+Phenomena in Optics, ch. 3).  The same scene from the same pose has the same speckle; a sonar that
+moves sees other cells in each bin, and the speckle changes with it.  A recording without poses has
+a field of its own in every frame.
+
+The average of L looks is gamma-distributed, L being its shape.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from factory.distribution import Positive, number
+from factory.field.signal import Ping, Signal, gaussian_table
+from factory.settings import STRICT
+
+
+@dataclass(frozen=True, config=STRICT)
+class SpeckleSettings:
+    """Keys of `noise.speckle`.
+
+    looks: independent fields whose intensities are averaged (rounded); 1 is Rayleigh speckle.
+    scatterer_m: edge of a world cell, metres; well below the resolution.  Smaller than the camera's
+        pixels it loses its hold on the scene when the camera moves.
+    """
+
+    enabled: bool = True
+    looks: Positive = number(1)
+    scatterer_m: Positive = number(0.01)
+
+
+def speckle(
+    signal: Signal, ping: Ping, rng: np.random.Generator, *, looks: float, scatterer_m: float
+) -> Signal:
+    """The scatterers' complex field instead of the mean power of the echoes."""
+    from factory.field import kernels
+
+    scene = ping.scatterers
+    cells, amplitudes = scene.world_cells(scatterer_m)
+    field = np.zeros((max(round(looks), 1), 2, *ping.shape), np.float32)
+    for look in field:
+        key = int(rng.integers(2**32))
+        kernels.scatter(scene.bins, cells, amplitudes, key, gaussian_table(), look.reshape(2, -1))
+    field *= np.sqrt(scene.loss)[:, None]
+    return Signal(np.zeros_like(signal.power), field)

@@ -1,0 +1,52 @@
+"""Spokes: single bearings that are too loud at all ranges, from other sonars and propellers."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from factory.distribution import AnyNumber, NonNegative, number
+from factory.field.signal import Floats, Ping
+from factory.settings import STRICT
+
+# Beyond so many widths a spoke is not there.
+_REACH = 4
+
+
+@dataclass(frozen=True, config=STRICT)
+class SpokesSettings:
+    """Keys of `noise.spokes`.
+
+    count: number of spokes (rounded).
+    level_db: of a spoke's noise against full scale, dB (negative).
+    width_beams: its width, one standard deviation, beams.
+    """
+
+    enabled: bool = True
+    count: NonNegative = number(1)
+    level_db: AnyNumber = number(-25)
+    width_beams: NonNegative = number(0.7)
+
+
+def spokes(
+    field: Floats,
+    ping: Ping,
+    rng: np.random.Generator,
+    *,
+    count: float,
+    level_db: float,
+    width_beams: float,
+) -> Floats:
+    """The field with noise added around random bearings."""
+    loud = field.copy()
+    rows, beams = ping.shape
+    width = max(width_beams, 0.1)
+    for _ in range(round(count)):
+        centre = rng.random() * beams
+        first = max(int(centre - _REACH * width), 0)
+        last = min(int(centre + _REACH * width) + 1, beams)
+        away = (np.arange(first, last) + 0.5 - centre) / width
+        amplitude = np.sqrt(ping.full_scale / 2) * 10 ** (level_db / 20) * np.exp(-(away**2) / 4)
+        noise = rng.standard_normal((*field.shape[:2], rows, last - first), dtype=np.float32)
+        loud[..., first:last] += noise * amplitude.astype(np.float32)
+    return loud

@@ -1,0 +1,33 @@
+"""A time-varying gain that does not fit the water: pictures too bright near by or far away."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from factory.distribution import AnyNumber, number
+from factory.field.signal import Floats, Ping
+from factory.settings import STRICT
+
+
+@dataclass(frozen=True, config=STRICT)
+class TvgErrorSettings:
+    """Keys of `noise.tvg_error`; the gain is right in the middle of the range window.
+
+    db_per_decade: too much (or, negative, too little) gain for each tenfold range, dB.
+    db_per_m: the same for each metre, dB/m.
+    """
+
+    enabled: bool = True
+    db_per_decade: AnyNumber = number(0)
+    db_per_m: AnyNumber = number(0)
+
+
+def tvg_error(
+    field: Floats, ping: Ping, rng: np.random.Generator, *, db_per_decade: float, db_per_m: float
+) -> Floats:
+    """The field under the wrong gain."""
+    range_m = np.maximum(ping.range_m.astype(np.float64), ping.bin_m)
+    middle_m = (ping.window.range_min_m + ping.window.range_max_m) / 2
+    error_db = db_per_decade * np.log10(range_m / middle_m) + db_per_m * (range_m - middle_m)
+    return np.asarray(field * (10 ** (error_db / 20)).astype(np.float32)[:, None])

@@ -1,0 +1,37 @@
+"""Volume reverberation: the water's own scatterers, a haze behind and before everything.
+
+A bin at range r has the volume r^2 theta phi dr; its echo is s_v V / r^4 without absorption
+(Urick 1983, ch. 8).  The scatterers drift, so every frame has a haze of its own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from factory.distribution import AnyNumber, number
+from factory.field.signal import Ping, Signal, white_noise
+from factory.settings import STRICT
+
+
+@dataclass(frozen=True, config=STRICT)
+class VolumeSettings:
+    """Keys of `noise.volume`.
+
+    strength_db: volume scattering strength, dB re 1/m; clear water -70, a harbour -45.
+    """
+
+    enabled: bool = True
+    strength_db: AnyNumber = number(-60)
+
+
+def volume(signal: Signal, ping: Ping, rng: np.random.Generator, *, strength_db: float) -> Signal:
+    """Haze added to the field, with the grain that the device gives to every echo."""
+    sonar = ping.sonar
+    across_rad = np.deg2rad(sonar.hfov_deg) / sonar.beams
+    upright_rad = np.deg2rad(sonar.vfov_deg)
+    range_m = np.maximum(ping.range_m, ping.bin_m)
+    level = 10 ** (strength_db / 10) * across_rad * upright_rad * ping.bin_m / range_m**2
+    amplitude = np.sqrt(level * ping.scatterers.loss).astype(np.float32)
+    haze = white_noise(rng, signal.looks, ping.shape) * amplitude[:, None]
+    return Signal(signal.power, signal.field + haze)

@@ -1,0 +1,88 @@
+"""From the pixels of a rendered frame to the echoes that a sonar's window holds.
+
+A pixel's point is P = z K^-1 (u, v, 1)^T (Yang et al. 2024, Eq. 2), seen from the sonar's mount.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from factory.echoes import Echoes
+from factory.frame import Frame
+from factory.render.base import Rendered
+from factory.sonar import polar
+from factory.sonar.settings import SonarSettings
+from factory.sonar.window import Window
+
+Pixels = npt.NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class Extent:
+    """Where the surface is that lies in the sonar's sector, beam and range limits.
+
+    lit_m: (N,) float32 distances of its lit pixels, as the sonar's projection measures them.
+    azimuth_min_rad, azimuth_max_rad: of its pixels, lit or not.
+    """
+
+    lit_m: npt.NDArray[np.float32]
+    azimuth_min_rad: float
+    azimuth_max_rad: float
+
+
+def extent(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Extent:
+    """What the window of a picture is fitted to."""
+    from factory.sonar import echo_loops  # loads numba
+
+    lit_m = np.empty(frame.depth_m.size + 1, np.float32)
+    sector = (
+        np.float32(np.deg2rad(sonar.hfov_deg) / 2),
+        np.float32(np.deg2rad(sonar.vfov_deg) / 2),
+        sonar.projection == "top_view",
+        np.float32(sonar.range.min_m),
+        np.float32(sonar.range.max_m),
+    )
+    lit, left_rad, right_rad = echo_loops.survey(
+        *(*_pixels(frame, rendered, sonar), *sector, lit_m)
+    )
+    return Extent(lit_m[: int(lit)], left_rad, right_rad)
+
+
+def insonified(
+    frame: Frame, rendered: Rendered, window: Window, sonar: SonarSettings
+) -> tuple[Echoes, Pixels, npt.NDArray[np.bool_]]:
+    """The lit surface inside the window, with time-varying gain.
+
+    Returns its echoes, strength = radiance * range ** (tvg_db_per_decade / 10), in the order of the
+    pixels; the (N,) int32 flat camera pixel of each; and the (range_bins, beams) bool bins that
+    hold one.
+    """
+    from factory.sonar import echo_loops  # loads numba
+
+    pixels = frame.depth_m.size + 1
+    made = [np.empty(pixels, np.float32) for _ in range(4)]
+    pixel = np.empty(pixels, np.int32)
+    hit = np.zeros(sonar.range_bins * sonar.beams + 1, np.bool_)
+    half_vfov_rad, gain_power = np.deg2rad(sonar.vfov_deg) / 2, sonar.tvg_db_per_decade / 10
+    placed = (np.float32(half_vfov_rad), *polar.grid(window, sonar), gain_power)
+    count = echo_loops.insonified(*(*_pixels(frame, rendered, sonar), *placed, *made, pixel, hit))
+    echoes = Echoes(*(values[:count] for values in made))
+    return echoes, pixel[:count], hit[:-1].reshape(sonar.range_bins, sonar.beams)
+
+
+def _pixels(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> tuple[Any, ...]:
+    height, width = frame.depth_m.shape
+    camera, mount = frame.intrinsics, sonar.mount
+    return (
+        np.ascontiguousarray(frame.depth_m, dtype=np.float32),
+        np.ascontiguousarray(rendered.radiance, dtype=np.float32),
+        np.ascontiguousarray(rendered.surface),
+        ((np.arange(width) - camera.cx) / camera.fx).astype(np.float32),
+        ((np.arange(height) - camera.cy) / camera.fy).astype(np.float32),
+        np.ascontiguousarray(mount.rotation_sonar_from_camera(), dtype=np.float32),
+        mount.position_camera_m().astype(np.float32),
+    )

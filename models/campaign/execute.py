@@ -1,0 +1,194 @@
+"""Running the steps of a campaign: what is done stays done, what fails does not stop the rest."""
+
+from __future__ import annotations
+
+import fnmatch
+import json
+import os
+import resource
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from factory.errors import FactoryError
+from factory.scheduler.lock import Lock
+from factory.shards.files import check_writable, sha256_of, write_atomically
+from models.campaign.plan import Folders, Step, data_steps, report_steps, training_steps
+from models.campaign.settings import CampaignSettings
+
+Run = Callable[[str, Sequence[str], int], int]
+"""(program, words, threads) -> exit code."""
+_WEIGHTS = "weights.safetensors"
+_CLEAR_CPU_S, _CLEAR = 4.0, 0.3
+_SOME_FAILED = 1
+"""Exit code of a program that did its work, but for some frames or files."""
+
+
+def run_program(program: str, words: Sequence[str], threads: int) -> int:
+    """`python -m program words` in a process of its own; the exit code."""
+    environment = {**os.environ, "OMP_NUM_THREADS": str(threads)}
+    return subprocess.run([sys.executable, "-m", program, *words], env=environment).returncode
+
+
+class Campaign:
+    """One campaign in its folder.  run: how a program is run."""
+
+    def __init__(self, settings: CampaignSettings, run: Run = run_program) -> None:
+        self.settings, self.program = settings, run
+        self.folders = Folders(Path(settings.out))
+        self.failed: list[str] = []
+
+    def __call__(self) -> int:
+        """Do what is left of it; 1 when a step failed, and the others were done.
+
+        Raises FactoryError when another campaign is at work in the folder.
+        """
+        check_writable(self.folders.out, "out")
+        with ExitStack() as stack:
+            try:
+                stack.enter_context(Lock(self.folders.out))
+            except FactoryError as error:
+                raise FactoryError(
+                    f"out={self.folders.out}: another campaign is at work there; wait for it, or "
+                    "give another out="
+                ) from error
+            return self._do()
+
+    def _do(self) -> int:
+        self._do_all([*data_steps(self.settings), *training_steps(self.settings)])
+        trained = self.trained()
+        if trained:
+            self._do_all(list(report_steps(self.settings, trained)))
+        if self.failed:
+            print(f"campaign: failed: {', '.join(self.failed)}; run again to try them again")
+        print(f"campaign: {self.folders.out}")
+        return 1 if self.failed else 0
+
+    def show(self) -> None:
+        """Print what is planned, and what is done."""
+        steps = [*data_steps(self.settings), *training_steps(self.settings)]
+        steps += report_steps(self.settings, self.trained())
+        for step in steps:
+            state = "done" if self._record(step.name).get("code") == 0 else "to do"
+            print(f"{state:5}  {step.name}: python -m {step.program} {shlex.join(step.words)}")
+
+    def trained(self) -> list[str]:
+        """Folders of the trainings that are finished, in the order of the plan."""
+        names = [(row.name, seed) for row in self.settings.rows for seed in row.seeds]
+        return [
+            str(self.folders.model(row, seed))
+            for row, seed in names
+            if self._record(f"train-{row}-s{seed}").get("code") == 0
+            and (self.folders.model(row, seed) / _WEIGHTS).is_file()
+        ]
+
+    def _do_all(self, steps: Sequence[Step]) -> None:
+        patterns = self.settings.only
+        for number, step in enumerate(steps, start=1):
+            if patterns and not any(fnmatch.fnmatch(step.name, one) for one in patterns):
+                continue
+            try:
+                words = (*step.words, *self._length(step))
+            except FactoryError as error:
+                print(f"campaign: {step.name}: {error}", file=sys.stderr)
+                self.failed.append(step.name)
+                continue
+            told = {"words": list(words), "inputs": self._inputs(step)}
+            record = self._record(step.name)
+            if record.get("code") == 0 and {name: record.get(name) for name in told} == told:
+                continue
+            print(f"campaign: {number}/{len(steps)} {step.name}", flush=True)
+            code, cpu_s, wall_s = self._timed(step.program, words)
+            if step.program == "factory" and code == _SOME_FAILED:
+                # Frames that cannot be used are listed by the factory; the dataset is there.
+                code = 0
+            self._keep(step.name, {**told, "code": code, "cpu_s": cpu_s, "wall_s": wall_s})
+            if code > 128 or code < 0:
+                raise KeyboardInterrupt
+            if code:
+                self.failed.append(step.name)
+
+    def _length(self, step: Step) -> tuple[str, ...]:
+        """How long a training is: as many steps as its budget pays for, in equal intervals."""
+        if step.row is None:
+            return ()
+        every = int(step.row.cpu_s / self._pace(step) / self.settings.checks)
+        if every < 1:
+            raise FactoryError(
+                f"rows: {step.row.name}: {step.row.cpu_s:g} CPU seconds do not pay for "
+                f"{self.settings.checks} steps; give it more"
+            )
+        return f"train.steps={every * self.settings.checks}", f"train.check_every={every}"
+
+    def _pace(self, step: Step) -> float:
+        """CPU seconds of one step: measured once a row, then kept, so that resuming is exact."""
+        assert step.row is not None
+        name = f"pace-{step.row.name}"
+        known = self._record(name)
+        if "cpu_s_per_step" in known:
+            return float(known["cpu_s_per_step"])
+        base = self._short(step, 1)
+        count = self.settings.pace_steps
+        # Coming and going costs more than a few steps do, and varies: only a clear rise tells.
+        while (rise := self._short(step, 1 + count) - base) < max(_CLEAR_CPU_S, _CLEAR * base):
+            count *= 2
+        pace = rise / (5 * count)
+        self._keep(name, {"cpu_s_per_step": pace, "words": list(step.words)})
+        return pace
+
+    def _short(self, step: Step, every: int) -> float:
+        """CPU seconds of a training of five intervals of so many steps."""
+        assert step.row is not None
+        words = (
+            *step.words,
+            *(f"out='{self.folders.out / 'pace' / step.row.name}'", "resume=false"),
+            *("data.validation_limit=1", "tensorboard=false", "pictures=0"),
+            *(f"train.steps={5 * every}", f"train.check_every={every}"),
+        )
+        code, cpu_s, _ = self._timed(step.program, words)
+        if code > 128 or code < 0:
+            raise KeyboardInterrupt
+        if code:
+            raise FactoryError(f"rows: {step.row.name} cannot be trained, see above")
+        return cpu_s
+
+    def _timed(self, program: str, words: Sequence[str]) -> tuple[int, float, float]:
+        """(exit code, CPU seconds of the program and its workers, seconds)."""
+        before, start = _children_cpu_s(), time.monotonic()
+        code = self.program(program, words, self.settings.threads)
+        return code, round(_children_cpu_s() - before, 2), round(time.monotonic() - start, 1)
+
+    def _inputs(self, step: Step) -> dict[str, str]:
+        """What a step depends on beside its words: reports on weights, the table on reports."""
+        if not step.name.startswith(("report-", "table")):
+            return {}
+        files = [Path(folder) / _WEIGHTS for folder in self.trained()]
+        if step.name == "table":
+            files += sorted(self.folders.out.glob("reports/*/results.parquet"))
+        return {str(file.relative_to(self.folders.out)): sha256_of(file)[:16] for file in files}
+
+    def _record(self, name: str) -> dict[str, Any]:
+        try:
+            content: dict[str, Any] = json.loads(self._path(name).read_text(encoding="utf-8"))
+            return content
+        except (OSError, ValueError):
+            return {}
+
+    def _keep(self, name: str, content: Mapping[str, Any]) -> None:
+        path = self._path(name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, (json.dumps(content, indent=1) + "\n").encode(), key="out")
+
+    def _path(self, name: str) -> Path:
+        return self.folders.out / "steps" / f"{name}.json"
+
+
+def _children_cpu_s() -> float:
+    """CPU seconds of all processes started so far that have ended, with theirs."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime

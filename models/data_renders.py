@@ -1,0 +1,188 @@
+"""`data=renders`: fresh noise on clean renders, at every visit.
+
+The renders are those of a dataset, in the cache or in a pack; pairs are made of them by the same
+code as the dataset's own, so a network never sees the same noise twice.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from factory import noise
+from factory.config import FactoryConfig, from_mapping
+from factory.distribution import Distribution
+from factory.errors import FactoryError, FrameError
+from factory.frame import FrameRef
+from factory.generate import choose_frames, split_frames
+from factory.pairs import PairMaker
+from factory.scenes import open_reader
+from factory.seeds import stream
+from factory.shards.folder import CONFIG_NAME
+from factory.shards.pair_dataset import in_unit_range
+from models.data import PairTable, Sample, SampleRef, weakened
+from models.geometry import of_record
+from models.settings import RendersData
+
+_AMOUNTS = ("alpha", "density", "strength")
+"""Parameters that are 0 where an effect is absent: these a weaker noise scales."""
+
+
+class RenderSource:
+    """Pairs made on the fly; a `models.data.Source`."""
+
+    def __init__(
+        self,
+        config: FactoryConfig,
+        frames: tuple[FrameRef, ...],
+        *,
+        weaker: float,
+        fewer: float,
+        seed: int,
+    ) -> None:
+        """config: how pairs are made.  frames: whose renders are at hand.  See `RendersData`."""
+        self.config, self.frames = replace(config, seed=seed), frames
+        self.weaker, self.fewer, self.seed = weaker, fewer, seed
+        self._maker: PairMaker | None = None
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_maker": None}
+
+    def sample(self, index: int, visit: int | None) -> Sample:
+        """See `Source`."""
+        if self._maker is None:
+            self._maker = PairMaker(self.config)
+        ref = self.frames[index]
+        number = 0 if visit is None else visit
+        maker = copy.copy(self._maker)
+        if visit is not None:
+            maker.config = replace(self.config, noise=self.noise_of(index, visit))
+        try:
+            pair = maker.pairs(ref, (number,))[0]
+        except FrameError as error:
+            raise FactoryError(f"data=renders: {error}; leave the frame out") from error
+        return Sample(
+            in_unit_range(pair.noisy),
+            in_unit_range(pair.clean),
+            pair.shadow.astype(np.float32),
+            of_record(self.config.sonar, pair.record),
+        )
+
+    def noise_of(self, index: int, visit: int) -> noise.NoiseSettings:
+        """The noise of a visit: as configured, or with less of all effects, or some effects off.
+
+        An effect that has no amount to make less of is left out in as many visits instead.
+        """
+        chosen = self.config.noise
+        factor = weakened(self.weaker, self.seed, index, visit)
+        rng = stream(self.seed, "fewer", index, visit)
+        fewer = rng.random() < self.fewer
+        blocks = {}
+        for item in fields(chosen):
+            block, coins = getattr(chosen, item.name), rng.random(2)
+            if block is None:
+                continue
+            weaker = scaled(block, factor) if factor < 1 else block
+            off = (fewer and coins[0] < 0.5) or factor == 0
+            off |= factor < 1 and weaker == block and coins[1] >= factor
+            blocks[item.name] = replace(weaker, enabled=block.enabled and not off)
+        return replace(chosen, **blocks)
+
+
+def scaled(block: Any, factor: float) -> Any:
+    """An effect's settings with `alpha`, `density` and `strength` times `factor`."""
+    changes = {}
+    for item in fields(block):
+        value = getattr(block, item.name)
+        if item.name in _AMOUNTS and isinstance(value, Distribution):
+            values = tuple(number * factor for number in value.values)
+            changes[item.name] = replace(value, values=values)
+    return replace(block, **changes)
+
+
+def open_renders(
+    data: RendersData, table: PairTable, validation: tuple[SampleRef, ...], dataset: str, seed: int
+) -> tuple[RenderSource, dict[str, Any], str]:
+    """The source of the renders that train, what they are for the recipe, and a line to show.
+
+    table: the dataset's train split.  validation: its pairs that are held out.
+    Raises FactoryError when the dataset was made by another version or its renders are not there.
+    """
+    config = _config(data, dataset)
+    found = open_reader(config.scenes).discover().frames
+    if data.pack is None:
+        found = choose_frames(found, config)
+    training = split_frames(found, config)["train"]
+    held = {sample.scene for sample in validation}
+    if {sample.scene for sample in table.samples} == held:
+        # One scene alone: its frames are held out one by one.
+        names = {(sample.scene, sample.frame) for sample in validation}
+        training = tuple(
+            ref for ref in training if (f"{ref.location}/{ref.scene}", ref.frame) not in names
+        )
+    else:
+        training = tuple(ref for ref in training if f"{ref.location}/{ref.scene}" not in held)
+    maker = PairMaker(config)
+    ready = tuple(ref for ref in training if maker.ready(ref))
+    if not ready:
+        raise FactoryError(
+            f"data=renders: none of the {len(training)} training frames of {dataset} has its "
+            f"render in {config.cache.folder}; make the dataset again with this version (its "
+            "command keeps the renders), or give data.cache=FOLDER or data.pack=FILE"
+        )
+    missing = len(training) - len(ready)
+    said = f"renders: {len(ready)} frames" + (f", {missing} not rendered" if missing else "")
+    names_ = "\n".join(ref.name for ref in ready)
+    facts = {
+        "renders.frames": len(ready),
+        "renders.names": hashlib.blake2b(names_.encode(), digest_size=8).hexdigest(),
+    }
+    source = RenderSource(config, ready, weaker=data.weaker, fewer=data.fewer, seed=seed)
+    return source, facts, said
+
+
+def _config(data: RendersData, dataset: str) -> FactoryConfig:
+    """The dataset's own configuration with what `data` changes."""
+    path = Path(dataset) / CONFIG_NAME
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise FactoryError(
+            f"{path}: cannot be read; data=renders needs the whole folder that `python -m factory` "
+            "wrote"
+        ) from error
+    for word in data.factory:
+        key, equals, text = word.partition("=")
+        if not equals:
+            raise FactoryError(f"data.factory: {word!r} is no KEY=VALUE")
+        _put(values, key.lstrip("+"), yaml.safe_load(text))
+    if data.pack is not None:
+        values["scenes"] = {"kind": "pack", "root": data.pack}
+    if data.cache is not None:
+        values["cache"] = {**values.get("cache", {}), "dir": data.cache}
+    try:
+        return from_mapping(values)
+    except FactoryError as error:
+        raise FactoryError(
+            f"dataset={dataset}: data=renders needs a dataset of this version of the factory, and "
+            f"keys that it has: {error}"
+        ) from error
+
+
+def _put(values: dict[str, Any], key: str, value: Any) -> None:
+    *path, last = key.split(".")
+    for step in path:
+        inner = values.setdefault(step, {})
+        if not isinstance(inner, dict):
+            raise FactoryError(f"data.factory: {key}: {step} is a value and no group")
+        values = inner
+    values[last] = value

@@ -1,0 +1,146 @@
+"""What all denoising networks share: any image size, one or three channels, and what they use."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+
+class Network(nn.Module):
+    """Base of the networks in `models.NETWORKS`; the docstring of `models` is the contract.
+
+    A network sets `channels` (1 or 3, what it was built for) and `stride` (sizes must divide by
+    it) and implements `restore`, or `restore_with_mask` if it has a mask.
+    """
+
+    extras: ClassVar[tuple[str, ...]] = ()
+    has_mask: ClassVar[bool] = False
+    adversarial: ClassVar[bool] = False
+
+    def __init__(self, channels: int, stride: int) -> None:
+        super().__init__()
+        self.channels, self.stride = channels, stride
+
+    def restore(self, noisy: Tensor, **extras: Tensor) -> Tensor:
+        """(N, channels, H, W) -> the same; H and W divide by `stride`; extras as given."""
+        return self.restore_with_mask(noisy, **extras)[0]
+
+    def restore_with_mask(self, noisy: Tensor, **extras: Tensor) -> tuple[Tensor, Tensor]:
+        """Like `restore`, with the logits (N, 1, H, W) of shadow."""
+        raise NotImplementedError
+
+    def forward(self, noisy: Tensor, **extras: Tensor | None) -> Tensor:
+        """(N, C, H, W) float in 0..1 -> the same shape, C 1 or 3.
+
+        Raises ValueError for another shape and TypeError for an extra that it does not use.
+        """
+        image, known = self._prepared(noisy, extras)
+        return self._restored(self.restore(image, **known), noisy)
+
+    def with_mask(self, noisy: Tensor, **extras: Tensor | None) -> tuple[Tensor, Tensor]:
+        """The image of `forward` and (N, 1, H, W) logits, positive where it sees shadow.
+
+        Raises ValueError and TypeError as `forward` does, and TypeError without a mask head.
+        """
+        if not self.has_mask:
+            raise TypeError(f"{type(self).__name__} has no shadow mask")
+        image, known = self._prepared(noisy, extras)
+        restored, logits = self.restore_with_mask(image, **known)
+        height, width = noisy.shape[-2:]
+        logits = logits[..., :height, :width].reshape(len(noisy), -1, height, width)
+        return self._restored(restored, noisy), logits.mean(dim=1, keepdim=True)
+
+    def _prepared(
+        self, noisy: Tensor, extras: dict[str, Tensor | None]
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        if noisy.ndim != 4 or noisy.shape[1] not in (1, 3) or 0 in noisy.shape:
+            raise ValueError(f"images have shape {tuple(noisy.shape)}; expected (N, 1 or 3, H, W)")
+        unknown = sorted(set(extras) - set(self.extras))
+        if unknown:
+            raise TypeError(f"{type(self).__name__} does not use {', '.join(unknown)}")
+        known = {name: value for name, value in extras.items() if value is not None}
+        channels = noisy.shape[1]
+        if channels > self.channels:
+            # Each channel is an image of its own.
+            noisy = noisy.reshape(-1, 1, *noisy.shape[-2:])
+            known = {name: x.repeat_interleave(channels, dim=0) for name, x in known.items()}
+        elif channels < self.channels:
+            noisy = noisy.expand(-1, self.channels, -1, -1)
+        maps = {name: padded(x, self.stride) if x.ndim == 4 else x for name, x in known.items()}
+        return padded(noisy, self.stride), maps
+
+    def _restored(self, image: Tensor, noisy: Tensor) -> Tensor:
+        height, width = noisy.shape[-2:]
+        image = image[..., :height, :width]
+        if image.shape[1] > noisy.shape[1]:
+            return image.mean(dim=1, keepdim=True)
+        return image.reshape(noisy.shape)
+
+
+def padded(x: Tensor, stride: int) -> Tensor:
+    """(N, C, H, W) lengthened at right and bottom until H and W divide by `stride`.
+
+    The last column and the last row go on.
+    """
+    height, width = x.shape[-2:]
+    pad = (0, -width % stride, 0, -height % stride)
+    return functional.pad(x, pad, mode="replicate") if any(pad) else x
+
+
+def down_and_up(
+    x: Tensor,
+    encoders: Iterable[nn.Module],
+    downs: Iterable[nn.Module],
+    middle: nn.Module,
+    ups: Iterable[nn.Module],
+    decoders: Iterable[nn.Module],
+) -> Tensor:
+    """(N, C, H, W) through all levels to the coarsest and back, (N, C, H, W), with added skips."""
+    skips = []
+    for blocks, down in zip(encoders, downs, strict=True):
+        x = blocks(x)
+        skips.append(x)
+        x = down(x)
+    x = middle(x)
+    for up, blocks in zip(ups, decoders, strict=True):
+        x = blocks(up(x) + skips.pop())
+    return x
+
+
+class LayerNorm(nn.Module):
+    """Normalises the channels of every pixel, (N, C, H, W) (Ba et al. 2016)."""
+
+    def __init__(self, channels: int, bias: bool = True) -> None:
+        super().__init__()
+        self.norm = nn.LayerNorm(channels, eps=1e-6, bias=bias)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Same shape."""
+        # In channels-last memory both permutations are free.
+        normed: Tensor = self.norm(x.permute(0, 2, 3, 1))
+        return normed.permute(0, 3, 1, 2)
+
+
+class Pointwise(nn.Conv2d):
+    """A 1x1 convolution, computed as a matrix product.
+
+    torch takes a path several times slower for some 1x1 convolutions on a CPU.
+    """
+
+    def __init__(self, channels: int, out: int, bias: bool = True) -> None:
+        super().__init__(channels, out, 1, bias=bias)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, channels, H, W) -> (N, out, H, W), in channels-last memory."""
+        product = functional.linear(x.permute(0, 2, 3, 1), self.weight.flatten(1), self.bias)
+        return product.permute(0, 3, 1, 2)
+
+
+def halves(x: Tensor) -> tuple[Tensor, Tensor]:
+    """The first and the second half of the channels, (N, 2C, H, W) -> 2 x (N, C, H, W)."""
+    first, second = torch.chunk(x, 2, dim=1)
+    return first, second

@@ -1,0 +1,150 @@
+"""`python -m models export-weights`: trained weights in 16 bits, with a model card."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from factory import __version__
+from factory.errors import FactoryError
+from factory.shards.files import check_writable, write_atomically
+
+LIMIT_MB = 8.0
+"""What ships must be small enough to live in the repository."""
+
+_CARD = """# {name}
+
+A denoiser for forward-looking sonar pictures, made by `python -m models` of SimNFND {version}.
+`python -m models denoise IN... --out DIR --weights {name}` uses it.
+
+| | |
+|---|---|
+| network | {network} |
+| parameters | {parameters:,} |
+| GMAC for a 256x256 picture | {gmac} |
+| file | {size_mb:.2f} MB, 16-bit safetensors |
+| seed | {seed} |
+| steps kept | {step} |
+
+## Trained on
+
+{recipe}
+
+## Figures
+
+{figures}
+
+## Limits
+
+{limits}
+"""
+
+_LIMITS = (
+    "Trained on simulated noise: a picture whose noise, geometry or grey scale differs from what "
+    "is described above may come out worse than it went in.  It learned what a sonar picture of "
+    "the training scenes looks like, so small targets unlike anything there can be smoothed away; "
+    "do not measure on denoised pictures what you could measure on the originals."
+)
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        """One line, like every other mistake of the user."""
+        raise FactoryError(f"export-weights: {message}")
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Write the 16-bit weights and, beside them, a model card of their name."""
+    parser = _Parser(prog="python -m models export-weights", description=__doc__)
+    parser.add_argument("weights", help="weights.safetensors of a training")
+    parser.add_argument("--out", required=True, help="file to write, NAME.safetensors")
+    parser.add_argument("--figures", help="Markdown file with measured figures for the card")
+    parser.add_argument("--limits", help="Markdown file that replaces the card's words on limits")
+    chosen = parser.parse_args(list(arguments))
+    out = Path(chosen.out).expanduser()
+    if out.suffix != ".safetensors":
+        raise FactoryError(f"--out {out}: must end in .safetensors")
+    figures, limits = (_text(path) for path in (chosen.figures, chosen.limits))
+    size_mb = export(chosen.weights, out, figures, limits)
+    print(f"weights: {out}, {size_mb:.2f} MB; card: {out.with_suffix('.md')}")
+    return 0
+
+
+def export(weights: str | Path, out: Path, figures: str = "", limits: str = "") -> float:
+    """Write `out` and its card; returns the megabytes of the weights.
+
+    figures, limits: Markdown for the card; empty: the validation of the training, and general
+    words.  Raises FactoryError when the weights cannot be read, hold what 16 bits cannot, or are
+    too large to ship.
+    """
+    import torch  # seconds; mistakes on the command line are told at once
+
+    from models.cost import count_macs
+    from models.weights import load_weights, save_weights
+
+    trained = load_weights(weights)
+    for name, tensor in trained.network.state_dict().items():
+        if tensor.is_floating_point() and not torch.isfinite(tensor.half()).all():
+            raise FactoryError(f"weights={weights}: {name} does not fit into 16 bits")
+    count = sum(parameter.numel() for parameter in trained.network.parameters())
+    size_mb = 2 * count / 1e6
+    if size_mb > LIMIT_MB:
+        raise FactoryError(
+            f"weights={weights}: {size_mb:.1f} MB in 16 bits are more than the {LIMIT_MB:g} MB "
+            "that may ship; train a smaller network"
+        )
+    check_writable(out.parent, "--out")
+    save_weights(out, trained.network, trained.model, trained.training, half=True)
+    facts = dict(trained.training)
+    validation = facts.pop("validation", {})
+    card = _CARD.format(
+        name=out.stem,
+        version=__version__,
+        network=", ".join(f"{key} {value}" for key, value in trained.model.items()),
+        parameters=count,
+        gmac=f"{count_macs(trained.network, 256) / 1e9:.2f}",
+        size_mb=out.stat().st_size / 1e6,
+        seed=facts.get("seed", "unknown"),
+        step=validation.get("step", "unknown"),
+        recipe=_table(
+            {
+                key: value
+                for key, value in facts.items()
+                if key != "seed" and not key.startswith("model.")
+            }
+        ),
+        figures=figures or _validation(validation),
+        limits=limits or _LIMITS,
+    )
+    write_atomically(out.with_suffix(".md"), card.encode(), key="--out")
+    return out.stat().st_size / 1e6
+
+
+def _validation(row: Mapping[str, Any]) -> str:
+    if "psnr" not in row:
+        return "Validation figures are not known."
+    return (
+        "On the validation images of its training (never trained on): PSNR "
+        f"{row['psnr_noisy']:.2f} -> {row['psnr']:.2f} dB, SSIM {row['ssim_noisy']:.3f} -> "
+        f"{row['ssim']:.3f}."
+    )
+
+
+def _table(values: Mapping[str, Any]) -> str:
+    lines = ["| key | value |", "|---|---|"]
+    for key, value in values.items():
+        shown = value if isinstance(value, str) else json.dumps(value)
+        lines.append(f"| `{key}` | {shown} |")
+    return "\n".join(lines)
+
+
+def _text(path: str | None) -> str:
+    if path is None:
+        return ""
+    try:
+        return Path(path).expanduser().read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise FactoryError(f"{path}: cannot be read as text") from error

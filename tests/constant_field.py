@@ -1,0 +1,53 @@
+"""A scene whose mean echo is the same everywhere: what statistics of speckle are measured on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from factory.commands.physics_statistics import FAR_M, NEAR_M, constant_field
+from factory.config import FactoryConfig, from_mapping
+from factory.field.pairs import FieldScene, field_scene
+from factory.frame import Frame
+from factory.render.base import Rendered
+
+__all__ = ["FAR_M", "NEAR_M", "config", "constant_field", "heard", "slope"]
+
+
+def config(**keys: Any) -> FactoryConfig:
+    """The physical profile without effects unless named: polar, 128 beams, a fixed window."""
+    sonar = {
+        "hfov_deg": 24, "vfov_deg": 20, "beams": 128, "range_bins": 192,
+        "range": {"auto": False, "min_m": NEAR_M, "max_m": FAR_M},
+        "image": {"layout": "polar"},
+        "transfer": {"kind": "log"},
+    }  # fmt: skip
+    sonar |= keys.pop("sonar", {})
+    acoustics = {"formation": "field", **keys.pop("acoustics", {})}
+    off = ("range_spreading", "multipath", "azimuth", "range_arc", "background")
+    noise = {name: {"enabled": False} for name in off} | keys.pop("noise", {})
+    return from_mapping(
+        {
+            "scenes": {"kind": "seabed"},
+            "sonar": sonar,
+            "acoustics": acoustics,
+            "noise": noise,
+            **keys,
+        }
+    )
+
+
+def heard(settings: FactoryConfig, **frame: Any) -> FieldScene:
+    """The constant field as the device of `settings` hears it."""
+    made, rendered = constant_field(**frame)
+    return field_scene(made, rendered, settings)
+
+
+def slope(pose_m: tuple[float, float, float], name: str = "0") -> tuple[Frame, Rendered]:
+    """A plane that is the same all along x; the camera at `pose_m`."""
+    frame, rendered = constant_field(name)
+    pose = np.eye(4)
+    pose[:3, 3] = pose_m
+    return replace(frame, world_from_camera=pose), rendered
