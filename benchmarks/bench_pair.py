@@ -64,6 +64,9 @@ def _table(title: str, root: str, options: Options) -> Table:
     spent["ours warm, render in the cache"] = in_own_process(
         warm, words, ours, options.amount(PER_SHARD, 2)
     )
+    spent["ours warm, physical profile"] = in_own_process(
+        warm, [*words, "experiment=physical"], ours, options.amount(PER_SHARD, 2)
+    )
     spent["ours, a further variant"] = in_own_process(
         further, words, ours, options.amount(PER_SHARD, 2)
     )
