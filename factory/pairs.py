@@ -25,7 +25,7 @@ from factory.memory import keep_freed_memory
 from factory.record import columns, image_axes, record
 from factory.sample import Axis, Column, Pair
 from factory.sonar import polar, surface, transfer
-from factory.sonar.fan import fan_table, lay_out_nearest
+from factory.sonar.fan import lay_out, lay_out_nearest
 from factory.sonar.settings import SonarSettings
 from factory.sonar.window import Window
 from factory.sonar.window_fit import fit_window
@@ -130,7 +130,7 @@ def make_pair(scene: Scene, variant: int, config: FactoryConfig) -> Pair:
 
     def picture(level: npt.NDArray[np.float32]) -> npt.NDArray[np.generic]:
         grey = transfer.grey(level, full_scale, sonar.transfer)
-        return transfer.quantise(_lay_out(grey, window, sonar), config.dataset.dtype)
+        return transfer.quantise(lay_out(grey, window, sonar), config.dataset.dtype)
 
     def noisy(effects: dict[str, Echoes]) -> npt.NDArray[np.generic]:
         cloud = noise.parts(movable, effects, full_scale)
@@ -158,12 +158,3 @@ def _image_level(
     level = polar.spread_points(polar.accumulate(scene, window, sonar, *added), sonar)
     level[:, ~polar.seen_beams(window, sonar)] = 0
     return level
-
-
-def _lay_out(
-    grey: npt.NDArray[np.float32], window: Window, sonar: SonarSettings
-) -> npt.NDArray[np.float32]:
-    """The polar picture in the layout that was asked for."""
-    if sonar.image.layout == "polar":
-        return grey
-    return fan_table(sonar, window.near_fraction).bilinear(grey)

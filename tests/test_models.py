@@ -415,9 +415,8 @@ def test_training_stops_when_nothing_gets_better() -> None:
     assert not is_stopped([*rows, {"psnr": 22.1}], Training, 2)
 
 
-def test_early_stopping_is_a_finished_training(
-    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def validate_ever_worse(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Every validation is 1 dB below the one before; the list has an entry for each."""
     calls: list[int] = []
 
     def worse_and_worse(image: torch.Tensor, clean: torch.Tensor) -> torch.Tensor:
@@ -425,6 +424,13 @@ def test_early_stopping_is_a_finished_training(
         return torch.full((len(image),), 50.0 - len(calls))
 
     monkeypatch.setattr("models.training.psnr_db", worse_and_worse)
+    return calls
+
+
+def test_early_stopping_is_a_finished_training(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = validate_ever_worse(monkeypatch)
     short = ("train.steps=12", "train.check_every=2", "train.patience=2")
     assert train_small(dataset, tmp_path, *short)["step"] == 2
     assert len((tmp_path / "metrics.csv").read_text(encoding="utf-8").splitlines()) == 4
@@ -566,13 +572,7 @@ def test_bad_command_lines_are_one_line(tmp_path: Path) -> None:
 def test_the_best_weights_are_kept_not_the_last(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    calls: list[int] = []
-
-    def worse_and_worse(image: torch.Tensor, clean: torch.Tensor) -> torch.Tensor:
-        calls.append(1)
-        return torch.full((len(image),), 50.0 - len(calls))
-
-    monkeypatch.setattr("models.training.psnr_db", worse_and_worse)
+    validate_ever_worse(monkeypatch)
     best = train_small(dataset, tmp_path, "train.steps=6", "train.check_every=2")
     assert best["step"] == 2
     loaded = load_weights(tmp_path / "weights.safetensors")

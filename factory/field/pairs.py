@@ -25,7 +25,7 @@ from factory.noise import physical as effects_of
 from factory.record import record
 from factory.sample import Pair
 from factory.sonar import polar, transfer
-from factory.sonar.fan import fan_table, lay_out_nearest
+from factory.sonar.fan import lay_out, lay_out_nearest
 from factory.sonar.surface import extent, insonified
 from factory.sonar.window import Window
 from factory.sonar.window_fit import fit_window
@@ -127,9 +127,7 @@ def make_field_pair(made: FieldScene, variant: int, config: FactoryConfig) -> Pa
     points = noise.layers(made.echoes, made.echoes, window, drawn_points, config.seed, *names)
 
     def picture(grey: Floats) -> npt.NDArray[np.generic]:
-        if sonar.image.layout == "fan":
-            grey = fan_table(sonar, window.near_fraction).bilinear(grey)
-        return transfer.quantise(grey, config.dataset.dtype)
+        return transfer.quantise(lay_out(grey, window, sonar), config.dataset.dtype)
 
     def noisy(chosen: Collection[str]) -> npt.NDArray[np.generic]:
         rngs = {name: effects_of.stream(name, config.seed, ref, variant, posed) for name in drawn}

@@ -107,6 +107,15 @@ def _fractional_beam(
     return np.interp(azimuth_rad, sonar.beam_centres_rad(), np.arange(sonar.beams))
 
 
+def lay_out(
+    grey: npt.NDArray[np.float32], window: Window, sonar: SonarSettings
+) -> npt.NDArray[np.float32]:
+    """A polar picture in the layout that was asked for; 0 outside the sector of a fan."""
+    if sonar.image.layout == "polar":
+        return grey
+    return fan_table(sonar, window.near_fraction).bilinear(grey)
+
+
 def lay_out_nearest(
     picture: npt.NDArray[AnyNumber], window: Window, sonar: SonarSettings
 ) -> npt.NDArray[AnyNumber]:
