@@ -17,8 +17,10 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 # Every module that declares some.
 LOOPS = (
+    "factory.field.cell_loops",
     "factory.field.kernels",
     "factory.field.placing",
+    "factory.field.world_loops",
     "factory.render.albedo",
     "factory.render.joints",
     "factory.render.planes",

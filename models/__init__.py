@@ -8,15 +8,16 @@ training, denoising and the losses may rely on:
   C is 1 or 3 for any network: three channels are denoised alike, one by one, where the network
   was not built for three (`channels` of its settings).
 - `extras`, a class attribute, names what else it can use; each is a keyword of `forward`, and of
-  `with_mask`, that may be left out (None: not known): `range_fraction` (N, 1, H, W), slant range
+  `with_heads`, that may be left out (None: not known): `range_fraction` (N, 1, H, W), slant range
   of a pixel over range_max; `azimuth_rad` (N, 1, H, W), positive to the right; `sector`
   (N, 1, H, W), 1 inside the insonified sector and 0 outside; `noise_level` (N,), root mean square
   of noisy - clean.  Batches hold them under the same names.
-- A network with `has_mask = True` can tell shadows, too: `with_mask(x, ...)` returns (image,
-  shadow_logits), logits (N, 1, H, W), where `forward` returns the image alone.
+- A network with `has_heads = True` can tell more: `with_heads(x, ...)` returns (image,
+  shadow_logits, leave_logits) where `forward` returns the image alone: logits (N, 1, H, W) of
+  shadow, and (N,) of the picture being better left as it came.
 - A loss is `loss(prediction, clean, batch)`; the batch holds `noisy`, `clean`, `shadow`
-  (N, 1, H, W) float, 1 in shadow, where it is known, `shadow_logits` from a network with a mask,
-  and `progress`, a scalar, the share of the training that is done.
+  (N, 1, H, W) float, 1 in shadow, where it is known, `shadow_logits` and `leave_logits` from a
+  network with heads, and `progress`, a scalar, the share of the training that is done.
 - A network with `adversarial = True` is trained by `models.adversarial` against a discriminator,
   any other by `models.training`; denoising with either is the same.
 """

@@ -1,7 +1,7 @@
 """What training makes small: functions of (prediction, clean, batch), images (N, C, H, W) in 0..1.
 
 A loss is one settings class whose `image` compares the images, and one line in `LOSSES`.  To any
-the mean squared difference can be added, and all teach the mask head of a network that has one.
+the squared difference and PSNR can be added, and all teach the heads of a network that has some.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ NotNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
 Shadow = Literal["literal", "ste", "sigmoid", "bce", "dice", "zone"]
 Known = Mapping[str, Tensor]
-"""What else a batch holds; of it `shadow`, `shadow_logits` and `progress` (see `models`) count."""
+"""What else a batch holds (see `models`); of it `noisy`, `shadow`, `shadow_logits`, `leave_logits`
+and `progress` count."""
+_FLOOR = 1e-4
+"""Mean squared difference below which less counts little: 40 dB."""
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -30,26 +33,42 @@ class Loss:
     """Base of the losses.
 
     square: weight of the mean squared difference, which is added; it is what PSNR measures.
+    decibels: weight of 10 log10 of the mean squared difference of every image, the mean of which
+    is added (after the PSNR loss of Chen et al., ECCV 2022, with a floor at 40 dB); images that are
+    nearly clean count as much as noisy ones.
     mask: weight of the binary cross entropy between the true shadow and the logits of the mask
     head; without effect on a network that has none, and where the true shadow is not known.
+    leave: weight of the binary cross entropy that teaches a network with heads whether what it
+    makes of an image is worse than the image was.
     """
 
     square: NotNegative = 0.0
+    decibels: NotNegative = 0.0
     mask: NotNegative = 0.05
+    leave: NotNegative = 0.02
 
     def image(self, prediction: Tensor, clean: Tensor, batch: Known) -> Tensor:
         """Scalar tensor: how far the images are apart."""
         raise NotImplementedError
 
     def __call__(self, prediction: Tensor, clean: Tensor, batch: Known | None = None) -> Tensor:
-        """Scalar tensor, differentiable in `prediction` and in the batch's `shadow_logits`."""
+        """Scalar tensor, differentiable in `prediction` and in the logits of the batch."""
         batch = {} if batch is None else batch
         loss = self.image(prediction, clean, batch)
         if self.square:
             loss = loss + self.square * (prediction - clean).square().mean()
+        if self.decibels:
+            each = (prediction - clean).square().mean(dim=(1, 2, 3))
+            loss = loss + self.decibels * 10 * torch.log10(each + _FLOOR).mean()
         if self.mask and "shadow_logits" in batch and "shadow" in batch:
             logits, shadow = batch["shadow_logits"], batch["shadow"]
             loss = loss + self.mask * functional.binary_cross_entropy_with_logits(logits, shadow)
+        if self.leave and "leave_logits" in batch and "noisy" in batch:
+            after = (prediction.detach() - clean).square().mean(dim=(1, 2, 3))
+            before = (batch["noisy"] - clean).square().mean(dim=(1, 2, 3))
+            worse = (after >= before).to(prediction.dtype)
+            logits = batch["leave_logits"]
+            loss = loss + self.leave * functional.binary_cross_entropy_with_logits(logits, worse)
         return loss
 
 

@@ -3,22 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 
+class Seen(NamedTuple):
+    """What a network with heads says of N pictures.
+
+    image: (N, C, H, W).  shadow_logits: (N, 1, H, W), positive where it sees shadow.
+    leave_logits: (N,), positive where it takes `image` for worse than what it was given.
+    """
+
+    image: Tensor
+    shadow_logits: Tensor
+    leave_logits: Tensor
+
+
 class Network(nn.Module):
     """Base of the networks in `models.NETWORKS`; the docstring of `models` is the contract.
 
     A network sets `channels` (1 or 3, what it was built for) and `stride` (sizes must divide by
-    it) and implements `restore`, or `restore_with_mask` if it has a mask.
+    it) and implements `restore`, or `restore_and_tell` if it has heads.
     """
 
     extras: ClassVar[tuple[str, ...]] = ()
-    has_mask: ClassVar[bool] = False
+    has_heads: ClassVar[bool] = False
     adversarial: ClassVar[bool] = False
 
     def __init__(self, channels: int, stride: int) -> None:
@@ -27,10 +39,10 @@ class Network(nn.Module):
 
     def restore(self, noisy: Tensor, **extras: Tensor) -> Tensor:
         """(N, channels, H, W) -> the same; H and W divide by `stride`; extras as given."""
-        return self.restore_with_mask(noisy, **extras)[0]
+        return self.restore_and_tell(noisy, **extras).image
 
-    def restore_with_mask(self, noisy: Tensor, **extras: Tensor) -> tuple[Tensor, Tensor]:
-        """Like `restore`, with the logits (N, 1, H, W) of shadow."""
+    def restore_and_tell(self, noisy: Tensor, **extras: Tensor) -> Seen:
+        """Like `restore`, with what the heads say."""
         raise NotImplementedError
 
     def forward(self, noisy: Tensor, **extras: Tensor | None) -> Tensor:
@@ -41,18 +53,22 @@ class Network(nn.Module):
         image, known = self._prepared(noisy, extras)
         return self._restored(self.restore(image, **known), noisy)
 
-    def with_mask(self, noisy: Tensor, **extras: Tensor | None) -> tuple[Tensor, Tensor]:
-        """The image of `forward` and (N, 1, H, W) logits, positive where it sees shadow.
+    def with_heads(self, noisy: Tensor, **extras: Tensor | None) -> Seen:
+        """The image of `forward`, and what the heads say of it.
 
-        Raises ValueError and TypeError as `forward` does, and TypeError without a mask head.
+        Raises ValueError and TypeError as `forward` does, and TypeError without heads.
         """
-        if not self.has_mask:
-            raise TypeError(f"{type(self).__name__} has no shadow mask")
+        if not self.has_heads:
+            raise TypeError(f"{type(self).__name__} has no heads for shadow and for harm")
         image, known = self._prepared(noisy, extras)
-        restored, logits = self.restore_with_mask(image, **known)
+        seen = self.restore_and_tell(image, **known)
         height, width = noisy.shape[-2:]
-        logits = logits[..., :height, :width].reshape(len(noisy), -1, height, width)
-        return self._restored(restored, noisy), logits.mean(dim=1, keepdim=True)
+        logits = seen.shadow_logits[..., :height, :width].reshape(len(noisy), -1, height, width)
+        return Seen(
+            self._restored(seen.image, noisy),
+            logits.mean(dim=1, keepdim=True),
+            seen.leave_logits.reshape(len(noisy), -1).mean(dim=1),
+        )
 
     def _prepared(
         self, noisy: Tensor, extras: dict[str, Tensor | None]

@@ -135,6 +135,7 @@ class TrainSettings:
     clip: Annotated[float, Field(gt=0)]
     ema: Annotated[float, Field(ge=0, lt=1)]
     precision: Literal["32-true", "bf16-mixed", "16-mixed"]
+    parts: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
 
     def __post_init__(self) -> None:
         if self.steps % self.check_every:
@@ -152,6 +153,7 @@ class ModelsSettings:
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
     out: str | None
     resume: bool
+    start: str | None
     seed: Annotated[int, Field(ge=0)]
     device: Literal["auto", "cpu", "gpu"]
     devices: Count

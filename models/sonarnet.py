@@ -5,6 +5,8 @@
   noisy picture itself is never resampled, so no detail is lost.
 - It is told range, bearing and the insonified sector of every cell.
 - A second head says where shadow is (no echo at all); the picture is multiplied by one minus that.
+- A third says how likely the whole is worse than what came in, as it is where hardly anything is
+  wrong with the picture; then the picture is left as it came.  In training nothing is left.
 - Plain 3x3 convolutions from half resolution down: they are what a CPU does fastest.
 
 Without geometry it works on the picture as it is; in training it is not told now and then.
@@ -12,6 +14,8 @@ Without geometry it works on the picture as it is; in training it is not told no
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal
 
 import torch
@@ -21,12 +25,14 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from factory.settings import STRICT
-from models.network import Network, down_and_up, padded
+from models.network import Network, Seen, down_and_up, padded
 from models.polar import polar_grid
 from models.unet import residual_blocks
 
 # Logit of shadow before anything is learned, and outside the sector.
 _FIRST, _OUTSIDE = -2.0, -10.0
+# Logit of harm before anything is learned.
+_SURE = -4.0
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -37,6 +43,11 @@ class SonarNetSettings:
     blocks: residual blocks at each of these; but for the coarsest, again on the way up.
     polar: whether fan pictures of known geometry are worked on in polar form.
     mask: whether the second head gates the picture with the shadow that it sees.
+    leave: a picture is given back as it came when the third head holds harm for this likely; 1:
+    never.  Full noise and next to none lie far apart on it, and the limit may be changed in trained
+    weights (`python -m models export-weights --set leave=...`).
+    mirror: whether it looks at the mirrored picture as well and takes the mean of both answers, for
+    twice the work; not in training, so trained weights may change it.
     forget: part of the training steps in which the network is not told the geometry.
     channels: of the images; 1, so that colours are denoised one by one.
     """
@@ -46,7 +57,9 @@ class SonarNetSettings:
     blocks: tuple[Annotated[int, Field(ge=0, le=64)], ...]
     polar: bool
     mask: bool
+    leave: Annotated[float, Field(gt=0, le=1)]
     forget: Annotated[float, Field(ge=0, le=1)]
+    mirror: bool = False
     channels: Literal[1] = 1
 
     def __post_init__(self) -> None:
@@ -61,7 +74,7 @@ class SonarNet(Network):
     """Predicts what to add to the noisy picture, and where it shows shadow."""
 
     extras: ClassVar[tuple[str, ...]] = ("range_fraction", "azimuth_rad", "sector")
-    has_mask: ClassVar[bool] = True
+    has_heads: ClassVar[bool] = True
 
     def __init__(self, settings: SonarNetSettings) -> None:
         # Padding is left to the polar grid's own size.
@@ -83,46 +96,85 @@ class SonarNet(Network):
         assert self.outro.bias is not None
         nn.init.constant_(self.outro.bias[:4], 0.0)
         nn.init.constant_(self.outro.bias[4:], _FIRST)
+        self.details = nn.Conv2d(widths[0], widths[0], 3, stride=2, padding=1)
+        self.verdict = nn.Linear(2 * widths[0], 1)
+        # Before it has learned when to, it leaves nothing alone.
+        nn.init.zeros_(self.verdict.weight)
+        nn.init.constant_(self.verdict.bias, _SURE)
 
-    def restore_with_mask(self, noisy: Tensor, **extras: Tensor) -> tuple[Tensor, Tensor]:
-        """Picture (N, 1, H, W) and logits (N, 1, H, W) of shadow, for any H and W.
+    def restore_and_tell(self, noisy: Tensor, **extras: Tensor) -> Seen:
+        """Picture (N, 1, H, W), logits (N, 1, H, W) of shadow, (N,) of harm, for any H and W.
 
         Geometry counts only where `range_fraction` and `azimuth_rad` are both there; without
         `sector` everything is insonified.
         """
+        seen = self._looked(noisy, extras)
+        if self.training:
+            return seen
+        if self.settings.mirror:
+            turned = {name: plane.flip(-1) for name, plane in extras.items()}
+            if "azimuth_rad" in turned:
+                turned["azimuth_rad"] = -turned["azimuth_rad"]
+            image, shadow, leave = self._looked(noisy.flip(-1), turned)
+            seen = Seen(
+                (seen.image + image.flip(-1)) / 2,
+                (seen.shadow_logits + shadow.flip(-1)) / 2,
+                (seen.leave_logits + leave) / 2,
+            )
+        if self.settings.leave == 1:
+            return seen
+        limit = math.log(self.settings.leave / (1 - self.settings.leave))
+        left = (seen.leave_logits > limit)[:, None, None, None]
+        return seen._replace(image=torch.where(left, noisy, seen.image))
+
+    def _looked(self, noisy: Tensor, extras: Mapping[str, Tensor]) -> Seen:
+        """What it makes of the picture, worse or not."""
         told = "range_fraction" in extras and "azimuth_rad" in extras
         if self.training and told and self.settings.forget:
             told = bool(torch.rand(()) >= self.settings.forget)
         if not told:
-            change, logits = self._core(noisy, *_unknown(noisy))
-            return self._gated(noisy + change, logits), logits
+            change, logits, leave = self._core(noisy, *_unknown(noisy))
+            return Seen(self._gated(noisy + change, logits), logits, leave)
         range_fraction, azimuth_rad = extras["range_fraction"], extras["azimuth_rad"]
         sector = extras.get("sector", torch.ones_like(noisy))
         grid = polar_grid(range_fraction, azimuth_rad, sector) if self.settings.polar else None
         if grid is None:
-            change, logits = self._core(noisy, *_known(range_fraction, azimuth_rad, sector))
+            maps = _known(range_fraction, azimuth_rad, sector)
+            change, logits, leave = self._core(noisy, *maps)
         else:
             seen = grid.polar(torch.cat([noisy, sector], dim=1))
             maps = _known(grid.range_fraction, grid.azimuth_rad, seen[:, 1:])
-            cells = self._core(seen[:, :1], *maps)
+            *cells, leave = self._core(seen[:, :1], *maps)
             change, logits = grid.fan(torch.cat(cells, dim=1)).chunk(2, dim=1)
         # Outside the sector there is nothing to denoise and no shadow.
         inside = sector > 0
         change = change.masked_fill(~inside, 0.0)
         image = self._gated(noisy + change, logits)
-        return torch.where(inside, image, noisy), logits.masked_fill(~inside, _OUTSIDE)
+        image = torch.where(inside, image, noisy)
+        return Seen(image, logits.masked_fill(~inside, _OUTSIDE), leave)
 
     def _gated(self, image: Tensor, logits: Tensor) -> Tensor:
         return image * torch.sigmoid(-logits) if self.settings.mask else image
 
-    def _core(self, *planes: Tensor) -> tuple[Tensor, Tensor]:
-        """What to add, and logits of shadow, on the grid of the planes, (N, 1, H, W) each."""
+    def _core(self, *planes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """What to add, and logits of shadow, on the grid of the planes, (N, 1, H, W) each.
+
+        The third are the logits of harm, (N,).
+        """
         height, width = planes[0].shape[-2:]
         x = torch.cat([padded(plane, self.core_stride) for plane in planes], dim=1)
         x = self.intro(functional.pixel_unshuffle(x, 2))
         x = down_and_up(x, self.encoders, self.downs, self.middle, self.ups, self.decoders)
         heads = functional.pixel_shuffle(self.outro(x), 2)[..., :height, :width]
-        return heads[:, :1], heads[:, 1:]
+        # What counts is the insonified sector; its complement is the last of the planes.
+        sector = functional.avg_pool2d(
+            padded(1 - planes[-1].clamp_min(0), max(4, self.core_stride)), 4
+        )
+        area = sector.sum(dim=(2, 3)).clamp_min(1)
+        details = functional.relu(self.details(x)) * sector
+        # Wrong anywhere is wrong: the mean alone would lose a single ghost or spoke.
+        told = torch.cat([details.sum(dim=(2, 3)) / area, details.amax(dim=(2, 3))], dim=1)
+        return heads[:, :1], heads[:, 1:], self.verdict(told)[:, 0]
 
 
 def _known(range_fraction: Tensor, azimuth_rad: Tensor, sector: Tensor) -> tuple[Tensor, ...]:

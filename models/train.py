@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,14 @@ from lightning.pytorch import Trainer
 from torch.utils.data import DataLoader
 
 from factory.errors import FactoryError
-from factory.shards.files import check_writable, write_atomically
+from factory.shards.files import check_writable, sha256_of, write_atomically
 from models import build_network
 from models.data import Batch
 from models.data_crops import Crops, Visits, Whole, join, whole
 from models.data_sources import Data, open_data
 from models.losses import build_loss
 from models.network import Network
+from models.pretrained import find_weights
 from models.samples import write_samples
 from models.settings import ModelsSettings, RendersData, SelfSupervisedData
 from models.training import Row, Training
@@ -95,8 +96,12 @@ def output_folder(settings: ModelsSettings) -> Path:
 
 
 def _module(settings: ModelsSettings) -> Training:
-    """The network with fresh weights and the way to train it."""
+    """The network as training begins, and the way to train it."""
     network: Network = build_network(settings.model)
+    if settings.start is not None:
+        _begin_from(network, settings)
+    if settings.train.parts is not None:
+        _freeze_but(network, settings.train.parts)
     loss = build_loss(settings.loss)
     if isinstance(settings.data, SelfSupervisedData):
         if network.adversarial:
@@ -110,6 +115,33 @@ def _module(settings: ModelsSettings) -> Training:
 
         return Adversarial(network, loss, settings.train, settings.seed)
     return Training(network, loss, settings.train, settings.seed)
+
+
+def _begin_from(network: Network, settings: ModelsSettings) -> None:
+    assert settings.start is not None
+    trained = load_weights(find_weights(settings.start))
+    if trained.model["kind"] == settings.model["kind"]:
+        try:
+            network.load_state_dict(trained.network.state_dict())
+            return
+        except RuntimeError:
+            pass  # other sizes; torch's message lists hundreds of tensors
+    raise FactoryError(
+        f"start={settings.start}: holds {dict(trained.model)}, and model says "
+        f"{dict(settings.model)}; give both the same sizes"
+    )
+
+
+def _freeze_but(network: Network, parts: Sequence[str]) -> None:
+    known = [name for name, _ in network.named_modules() if name]
+    for part in parts:
+        if part not in known:
+            raise FactoryError(
+                f"train.parts: the network has no {part!r}; its parts are "
+                f"{', '.join(name for name in known if '.' not in name)}"
+            )
+    for name, weights in network.named_parameters():
+        weights.requires_grad_(any(name.startswith(f"{part}.") for part in parts))
 
 
 def _fit(
@@ -236,6 +268,8 @@ def _recipe(settings: ModelsSettings, data: Data) -> dict[str, Any]:
     flat = {
         f"{group}.{key}": value for group, keys in groups.items() for key, value in keys.items()
     }
+    if settings.start is not None:
+        flat["start"] = sha256_of(find_weights(settings.start))[:16]
     return {**flat, "seed": settings.seed, **data.facts}
 
 

@@ -68,9 +68,10 @@ class Training(LightningModule):
         """What is made small.  index: of the step in its interval."""
         extras = known_extras(self.network, batch)
         batch = {**batch, "progress": torch.tensor((self.step + index) / self.settings.steps)}
-        if self.network.has_mask:
-            prediction, logits = self.network.with_mask(batch["noisy"], **extras)
-            batch["shadow_logits"] = logits
+        if self.network.has_heads:
+            seen = self.network.with_heads(batch["noisy"], **extras)
+            prediction = seen.image
+            batch |= {"shadow_logits": seen.shadow_logits, "leave_logits": seen.leave_logits}
         else:
             prediction = self.network(batch["noisy"], **extras)
         return self.loss(prediction, batch["clean"], batch)
@@ -117,7 +118,7 @@ class Training(LightningModule):
         """AdamW with a linear warm-up and a cosine fall to zero, counted in steps."""
         chosen = self.settings
         optimizer = torch.optim.AdamW(
-            self.network.parameters(),
+            [weights for weights in self.network.parameters() if weights.requires_grad],
             lr=chosen.learning_rate,
             betas=(0.9, 0.99),
             weight_decay=chosen.weight_decay,

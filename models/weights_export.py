@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+import yaml
+
 from factory import __version__
 from factory.errors import FactoryError
 from factory.shards.files import check_writable, write_atomically
@@ -61,6 +63,13 @@ def main(arguments: Sequence[str]) -> int:
     parser = _Parser(prog="python -m models export-weights", description=__doc__)
     parser.add_argument("weights", help="weights.safetensors of a training")
     parser.add_argument("--out", required=True, help="file to write, NAME.safetensors")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="a setting of the network that may change after training, for example leave=0.2",
+    )
     parser.add_argument("--figures", help="Markdown file with measured figures for the card")
     parser.add_argument("--limits", help="Markdown file that replaces the card's words on limits")
     chosen = parser.parse_args(list(arguments))
@@ -68,20 +77,27 @@ def main(arguments: Sequence[str]) -> int:
     if out.suffix != ".safetensors":
         raise FactoryError(f"--out {out}: must end in .safetensors")
     figures, limits = (_text(path) for path in (chosen.figures, chosen.limits))
-    size_mb = export(chosen.weights, out, figures, limits)
+    size_mb = export(chosen.weights, out, figures, limits, changes=_changes(chosen.set))
     print(f"weights: {out}, {size_mb:.2f} MB; card: {out.with_suffix('.md')}")
     return 0
 
 
-def export(weights: str | Path, out: Path, figures: str = "", limits: str = "") -> float:
+def export(
+    weights: str | Path,
+    out: Path,
+    figures: str = "",
+    limits: str = "",
+    changes: Mapping[str, Any] | None = None,
+) -> float:
     """Write `out` and its card; returns the megabytes of the weights.
 
     figures, limits: Markdown for the card; empty: the validation of the training, and general
-    words.  Raises FactoryError when the weights cannot be read, hold what 16 bits cannot, or are
-    too large to ship.
+    words.  changes: of the network's settings.  Raises FactoryError when the weights cannot be
+    read, hold what 16 bits cannot, are too large to ship, or do not fit the changed network.
     """
     import torch  # seconds; mistakes on the command line are told at once
 
+    from models import build_network
     from models.cost import count_macs
     from models.weights import load_weights, save_weights
 
@@ -96,14 +112,22 @@ def export(weights: str | Path, out: Path, figures: str = "", limits: str = "") 
             f"weights={weights}: {size_mb:.1f} MB in 16 bits are more than the {LIMIT_MB:g} MB "
             "that may ship; train a smaller network"
         )
+    model = {**trained.model, **(changes or {})}
+    try:
+        build_network(model).load_state_dict(trained.network.state_dict())
+    except RuntimeError as error:
+        raise FactoryError(
+            f"--set {', '.join(changes or {})}: the weights do not fit such a network; set only "
+            "what does not change its sizes"
+        ) from error
     check_writable(out.parent, "--out")
-    save_weights(out, trained.network, trained.model, trained.training, half=True)
+    save_weights(out, trained.network, model, trained.training, half=True)
     facts = dict(trained.training)
     validation = facts.pop("validation", {})
     card = _CARD.format(
         name=out.stem,
         version=__version__,
-        network=", ".join(f"{key} {value}" for key, value in trained.model.items()),
+        network=", ".join(f"{key} {value}" for key, value in model.items()),
         parameters=count,
         gmac=f"{count_macs(trained.network, 256) / 1e9:.2f}",
         size_mb=out.stat().st_size / 1e6,
@@ -121,6 +145,16 @@ def export(weights: str | Path, out: Path, figures: str = "", limits: str = "") 
     )
     write_atomically(out.with_suffix(".md"), card.encode(), key="--out")
     return out.stat().st_size / 1e6
+
+
+def _changes(words: Sequence[str]) -> dict[str, Any]:
+    changes = {}
+    for word in words:
+        key, equals, text = word.partition("=")
+        if not equals:
+            raise FactoryError(f"--set {word}: is no KEY=VALUE")
+        changes[key] = yaml.safe_load(text)
+    return changes
 
 
 def _validation(row: Mapping[str, Any]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import torch
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
@@ -21,48 +19,10 @@ from factory.scheduler.lock import Lock
 from factory.settings import build
 from models import build_network
 from models.campaign.execute import Campaign
-from models.campaign.settings import CampaignSettings
 from models.weights import save_weights
+from tests.campaign_programs import ROWS, TINY, Programs, settings
 
-TINY = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 0, "decoder": [1]}
-ROWS = (
-    "rows=[{name: a, cpu_s: 20.5, words: ['model=nafnet'], seeds: [0, 1]},"
-    "{name: b, cpu_s: 10.5, words: []}]"
-)
-
-
-def settings(out: Path, *words: str) -> CampaignSettings:
-    with initialize_config_module("conf", version_base="1.3"):
-        values: Any = OmegaConf.to_container(compose("campaign", [f"out='{out}'", *words]))
-    result: CampaignSettings = build(CampaignSettings, values)
-    return result
-
-
-class Programs:
-    """Instead of the three programs: notes what is asked, and leaves behind what they would."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, *, fails: str = "") -> None:
-        self.asked: list[tuple[str, tuple[str, ...]]] = []
-        self.fails, self.cpu_s = fails, 0.0
-        monkeypatch.setattr("models.campaign.execute._children_cpu_s", lambda: self.cpu_s)
-
-    def __call__(self, program: str, words: Sequence[str], threads: int) -> int:
-        self.asked.append((program, tuple(words)))
-        given = dict(word.split("=", 1) for word in words if "=" in word)
-        # 10 ms a step; coming and going takes longer, and not always the same time.
-        coming = (3.0, 2.2, 3.1)[len(self.asked) % 3] if program == "models" else 3.0
-        self.cpu_s += coming + 0.01 * int(given.get("train.steps", 0))
-        if self.fails and any(self.fails in word for word in words):
-            return 2
-        if program == "models":
-            out = Path(given["out"].strip("'"))
-            out.mkdir(parents=True, exist_ok=True)
-            torch.manual_seed(int(given["seed"]))
-            save_weights(out / "weights.safetensors", build_network(TINY), TINY, {})
-        return 0
-
-    def steps(self, program: str) -> list[str]:
-        return [word for p, words in self.asked for word in words if p == program]
+LENGTH = ("train.steps=", "train.check_every=")
 
 
 def test_every_row_of_the_configuration_is_one_that_models_accepts(tmp_path: Path) -> None:
@@ -77,21 +37,24 @@ def test_every_row_of_the_configuration_is_one_that_models_accepts(tmp_path: Pat
             )
         built: ModelsSettings = build(ModelsSettings, values)
         build_network(built.model)
-    assert {"simnfnd_l1", "simnfnd_newloss", "olddata_l1"} == {row.name for row in chosen.rows[:3]}
-    first = chosen.data.train
-    assert first.locations * 0.9 >= 60
-    assert first.locations * first.frames * 0.9 * 0.999 >= 3800
+    assert {"simnfnd_l1", "simnfnd_newloss", "olddata_l1"} <= {row.name for row in chosen.rows}
+    held = next(word for word in chosen.words if word.startswith("data.validation="))
+    renders = 0
+    for places in (chosen.data.train, chosen.data.sparse):
+        assert places is not None
+        training = places.locations - round(float(held.partition("=")[2]) * places.locations)
+        assert training >= 60
+        renders += training * places.frames
+    assert renders * 0.995 >= 4000
 
 
-def test_a_budget_becomes_steps_and_stays_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    programs = Programs(monkeypatch)
-    assert Campaign(settings(tmp_path, ROWS, "checks=10"), programs)() == 0
+def test_a_budget_becomes_steps_and_stays_so(tmp_path: Path) -> None:
+    programs = Programs()
+    assert Campaign(settings(tmp_path, ROWS, "checks=10", "jobs=1"), programs)() == 0
     trained = [words for program, words in programs.asked if program == "models"]
     whole = [words for words in trained if not any("pace" in word for word in words)]
     lengths = [
-        {w.split("=")[0]: int(w.split("=")[1]) for w in words if w.startswith("train.")}
+        {w.split("=")[0]: int(w.split("=")[1]) for w in words if w.startswith(LENGTH)}
         for words in whole
     ]
     assert len(whole) == 3
@@ -102,31 +65,31 @@ def test_a_budget_becomes_steps_and_stays_so(
     assert 850 <= lengths[2]["train.steps"] <= 1150
     # Another day the machine is slower: what was measured counts.
     (tmp_path / "steps" / "train-a-s1.json").unlink()
-    again = Programs(monkeypatch)
-    Campaign(settings(tmp_path, ROWS, "checks=10"), again)()
+    again = Programs()
+    Campaign(settings(tmp_path, ROWS, "checks=10", "jobs=1"), again)()
     (words,) = [words for program, words in again.asked if program == "models"]
-    assert [word for word in words if word.startswith("train.")] == [
-        word for word in whole[1] if word.startswith("train.")
+    assert [word for word in words if word.startswith(LENGTH)] == [
+        word for word in whole[1] if word.startswith(LENGTH)
     ]
 
 
 def test_a_second_run_does_only_what_is_left(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    programs = Programs(monkeypatch, fails="seed=1")
+    programs = Programs(fails="seed=1")
     assert Campaign(settings(tmp_path, ROWS), programs)() == 1
     assert "failed: train-a-s1" in capsys.readouterr().out
     reports = [words for program, words in programs.asked if words[0].startswith("dataset.dir")]
     assert any("models/a-s0" in word and "b-s0" in word for word in reports[-1])
     assert not any("a-s1" in word for word in reports[-1])
-    rest = Programs(monkeypatch)
+    rest = Programs()
     assert Campaign(settings(tmp_path, ROWS), rest)() == 0
     assert [program for program, _ in rest.asked] == ["models", *["evaluation"] * 7]
     assert any("a-s1" in word for word in rest.asked[1][1]), "new weights, new reports"
-    nothing = Programs(monkeypatch)
+    nothing = Programs()
     assert Campaign(settings(tmp_path, ROWS), nothing)() == 0
     assert nothing.asked == []
-    only = Programs(monkeypatch)
+    only = Programs()
     longer = ("data.test.locations=17", "only=['data-*']")
     assert Campaign(settings(tmp_path, ROWS, *longer), only)() == 0
     assert len(only.asked) == 1
@@ -135,17 +98,44 @@ def test_a_second_run_does_only_what_is_left(
     assert any(line.startswith("done   train-a-s1: python -m models ") for line in shown)
 
 
-def test_one_campaign_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    programs = Programs(monkeypatch)
+def test_a_row_goes_on_from_the_weights_of_another(tmp_path: Path) -> None:
+    rows = (
+        "rows=[{name: later, steps: 100, checks: 5, start: first, seeds: [0, 1, 7], words: []},"
+        "{name: first, cpu_s: 20.5, places: sparse, seeds: [0, 1], words: []}]"
+    )
+    programs = Programs()
+    assert Campaign(settings(tmp_path, rows, "checks=10", "data.pack=small"), programs)() == 0
+    trained = [words for program, words in programs.asked if program == "models"]
+    later = [words for words in trained if any("models/later" in word for word in words)]
+    # Its start is there before it begins, although it stands first in the list.
+    assert trained[-3:] == later
+    begun = [next(word for word in words if word.startswith("start=")) for words in later]
+    weights = "start='{}/models/first-s{}/weights.safetensors'"
+    assert sorted(begun) == sorted(weights.format(tmp_path, seed) for seed in (0, 1, 0))
+    assert all({"train.steps=100", "train.check_every=20"} <= set(words) for words in later)
+    assert any(word.endswith("train.pack'") for word in later[0])
+    first = next(words for words in trained if any("models/first" in word for word in words))
+    assert any(word.endswith("sparse.pack'") for word in first)
+    with pytest.raises(FactoryError, match="start must name a row that comes to an end"):
+        settings(tmp_path, "rows=[{name: a, steps: 1, start: b, words: []}]")
+    with pytest.raises(FactoryError, match="a: give it cpu_s or steps"):
+        settings(tmp_path, "rows=[{name: a, words: []}]")
+    sparse = "rows=[{name: a, steps: 1, places: sparse, words: []}]"
+    with pytest.raises(FactoryError, match=r"a needs data\.sparse"):
+        settings(tmp_path, sparse, "data.sparse=null")
+
+
+def test_one_campaign_a_folder(tmp_path: Path) -> None:
+    programs = Programs()
     with Lock(tmp_path), pytest.raises(FactoryError, match="another campaign is at work"):
         Campaign(settings(tmp_path, ROWS), programs)()
     assert programs.asked == []
 
 
 def test_a_row_that_cannot_be_trained_does_not_stop_the_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    programs = Programs(monkeypatch, fails="model=nafnet")
+    programs = Programs(fails="model=nafnet")
     assert Campaign(settings(tmp_path, ROWS), programs)() == 1
     said = capsys.readouterr()
     assert "a cannot be trained" in said.err

@@ -143,6 +143,37 @@ def test_the_mask_head_learns_the_true_shadow(kind: dict[str, Any]) -> None:
     assert unknown.item() == pytest.approx(without.item())
 
 
+@pytest.mark.parametrize("kind", [{"kind": "l1"}, NEW])
+def test_the_third_head_learns_which_images_became_worse(kind: dict[str, Any]) -> None:
+    clean = torch.full((3, 1, 1, 2), 0.5)
+    # Better than it was, worse than it was, and nothing wrong in the first place.
+    noisy = clean + torch.tensor([0.2, 0.1, 0.0])[:, None, None, None]
+    prediction = clean + torch.tensor([0.1, 0.2, 0.0])[:, None, None, None]
+    logits = torch.zeros(3, requires_grad=True)
+    known = {"noisy": noisy, "leave_logits": logits}
+    without = build_loss({**kind, "leave": 0})(prediction, clean, known)
+    loss = build_loss({**kind, "leave": 0.3})(prediction, clean, known)
+    assert (loss - without).item() == pytest.approx(0.3 * np.log(2), rel=1e-5)
+    loss.backward()
+    assert logits.grad is not None
+    assert logits.grad.tolist() == pytest.approx([0.05, -0.05, -0.05])
+
+
+def test_decibels_count_every_image_alike() -> None:
+    clean = torch.zeros(2, 1, 4, 4)
+    prediction = torch.stack([torch.full((1, 4, 4), 0.1), torch.full((1, 4, 4), 0.01)])
+    prediction.requires_grad_()
+    kind = {"kind": "l1", "mask": 0, "leave": 0}
+    plain = build_loss(kind)(prediction, clean)
+    loss = build_loss({**kind, "decibels": 0.5})(prediction, clean)
+    # 10 log10 of 0.0101 and of 0.0002: the floor of 40 dB is added.
+    assert (loss - plain).item() == pytest.approx(0.5 * (-19.9568 - 36.9897) / 2, rel=1e-4)
+    (slope,) = torch.autograd.grad(loss - plain, prediction)
+    # An error ten times smaller pulls harder: 0.01 / 0.0002 against 0.1 / 0.0101.
+    ratio = slope[1].mean() / slope[0].mean()
+    assert ratio.item() == pytest.approx(50 / 9.901, rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("config", "words"),
     [

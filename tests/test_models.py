@@ -24,6 +24,7 @@ from torch.utils.data import DataLoader
 from evaluation import metrics
 from factory.errors import FactoryError
 from factory.settings import build
+from factory.shards.files import sha256_of
 from models import build_network, quality
 from models.data import PairSource, SampleRef, Shards, hold_out, read_table, spread
 from models.data_crops import Crops, Visit, Visits, interval_sizes, join
@@ -32,7 +33,7 @@ from models.settings import DATA, ModelsSettings
 from models.train import train
 from models.training import Training, rate_factor
 from models.training_checks import is_stopped, read_checkpoint
-from models.weights import load_weights, save_weights
+from models.weights import WEIGHTS_NAME, load_weights, save_weights
 from tests.small_dataset import fan_images, write_dataset
 
 ROOT = Path(__file__).parents[1]
@@ -404,6 +405,27 @@ def test_finished_training_is_not_done_again(
 def test_other_settings_do_not_continue_a_training(trained: Path, dataset: Path) -> None:
     with pytest.raises(FactoryError, match=r"loss.kind l1 -> charbonnier.*resume=false"):
         train_small(dataset, trained, "loss=charbonnier")
+
+
+def test_training_begins_from_given_weights(trained: Path, dataset: Path, tmp_path: Path) -> None:
+    weights = trained / WEIGHTS_NAME
+    still = ("train.learning_rate=1e-12", "train.ema=0")
+    train_small(dataset, tmp_path / "on", f"start='{weights}'", *still)
+    before = load_weights(weights).network.state_dict()
+    after = load_weights(tmp_path / "on" / WEIGHTS_NAME)
+    for name, values in after.network.state_dict().items():
+        torch.testing.assert_close(values, before[name], rtol=0, atol=1e-6)
+    assert after.training["start"] == sha256_of(weights)[:16]
+    moved = tmp_path / "moved"
+    train_small(dataset, moved, f"start='{weights}'", "train.parts=[outro]", "train.ema=0")
+    for name, values in load_weights(moved / WEIGHTS_NAME).network.state_dict().items():
+        assert torch.equal(values, before[name]) != name.startswith("outro."), name
+    with pytest.raises(FactoryError, match=r"train\.parts: the network has no 'tail'; .*outro"):
+        train_small(dataset, tmp_path / "odd", "train.parts=[tail]")
+    with pytest.raises(FactoryError, match=r"start=.*give both the same sizes"):
+        train_small(dataset, tmp_path / "wider", f"start='{weights}'", "model.width=12")
+    with pytest.raises(FactoryError, match=r"weights=nowhere: no such file"):
+        train_small(dataset, tmp_path / "none", "start=nowhere")
 
 
 def test_training_stops_when_nothing_gets_better() -> None:

@@ -21,6 +21,7 @@ from models.cost import count_macs, example, measure
 from models.network import Network
 from models.polar import polar_grid
 from models.restormer import ChannelAttention
+from models.sonarnet import SonarNet
 from models.weights import load_weights, save_weights
 
 ROOT = Path(__file__).parents[1]
@@ -37,7 +38,7 @@ TINY: dict[str, dict[str, Any]] = {
     },
     "sonarnet": {
         **{"widths": [8, 12], "blocks": [1, 1]},
-        **{"polar": True, "mask": True, "forget": 0.1},
+        **{"polar": True, "mask": True, "leave": 1.0, "forget": 0.1},
     },
     "unet": {"widths": [4, 8], "blocks": 1},
 }
@@ -264,8 +265,8 @@ def told(network: Network, size: int) -> tuple[Tensor, dict[str, Tensor]]:
 def test_only_what_a_network_uses_is_taken() -> None:
     with pytest.raises(TypeError, match="UNet does not use sector"):
         tiny("unet")(torch.zeros(1, 1, 8, 8), sector=torch.ones(1, 1, 8, 8))
-    with pytest.raises(TypeError, match="UNet has no shadow mask"):
-        tiny("unet").with_mask(torch.zeros(1, 1, 8, 8))
+    with pytest.raises(TypeError, match="UNet has no heads"):
+        tiny("unet").with_heads(torch.zeros(1, 1, 8, 8))
     network = stirred(tiny("sonarnet"))
     image, extras = told(network, 32)
     nothing = {name: None for name in extras}
@@ -277,15 +278,57 @@ def test_the_mask_gates_the_picture_inside_the_sector() -> None:
     network = stirred(tiny("sonarnet"))
     image, extras = told(network, 32)
     image = image + 0.1
-    restored, logits = network.with_mask(image, **extras)
+    restored, logits, _ = network.with_heads(image, **extras)
     assert torch.equal(restored, network(image, **extras))
     outside = extras["sector"] == 0
     assert outside.any()
     assert torch.equal(restored[outside], image[outside])
     assert (logits[outside] < 0).all()
-    open_gate = stirred(tiny("sonarnet", mask=False)).with_mask(image, **extras)[0]
+    open_gate = stirred(tiny("sonarnet", mask=False)).with_heads(image, **extras)[0]
     gated = open_gate * torch.sigmoid(-logits)
     torch.testing.assert_close(restored[~outside], gated[~outside])
+
+
+def verdict_of(network: Network, logit: float) -> None:
+    """Let the third head say this of every picture."""
+    assert isinstance(network, SonarNet)
+    network.verdict.weight.zero_()
+    network.verdict.bias.fill_(logit)
+
+
+def test_what_would_be_worse_is_left_as_it_came() -> None:
+    network = stirred(tiny("sonarnet", mask=False, forget=0.0, leave=0.1))
+    image, extras = told(network, 32)
+    for known in ({}, extras):
+        changed = network.train()(image, **known)
+        # Log odds of 0.1 are -2.2.
+        for verdict, expected in ((-2.1, image), (-2.3, changed)):
+            with torch.no_grad():
+                verdict_of(network, verdict)
+            assert torch.equal(network.eval()(image, **known), expected)
+            # What is learned from is never left, or there would be nothing to learn.
+            assert torch.equal(network.train()(image, **known), changed)
+    assert not torch.equal(changed, image)
+    free = stirred(tiny("sonarnet", mask=False))
+    with torch.no_grad():
+        verdict_of(free, 50.0)
+    assert not torch.equal(free(image), image)
+
+
+def test_a_network_that_looks_twice_does_not_care_for_left_and_right() -> None:
+    network = stirred(tiny("sonarnet", mirror=True))
+    once = stirred(tiny("sonarnet"))
+    image, extras = told(network, 32)
+    turned = {name: plane.flip(-1) for name, plane in extras.items()}
+    turned["azimuth_rad"] = -turned["azimuth_rad"]
+    for known, mirrored in (({}, {}), (extras, turned)):
+        both, logits, leave = network.with_heads(image, **known)
+        first, second = once.with_heads(image, **known), once.with_heads(image.flip(-1), **mirrored)
+        torch.testing.assert_close(both, (first.image + second.image.flip(-1)) / 2)
+        torch.testing.assert_close(leave, (first.leave_logits + second.leave_logits) / 2)
+        again = network.with_heads(image.flip(-1), **mirrored)
+        torch.testing.assert_close(again.image.flip(-1), both)
+        torch.testing.assert_close(again.shadow_logits.flip(-1), logits)
 
 
 def test_geometry_is_forgotten_in_training_alone() -> None:
@@ -300,8 +343,9 @@ def test_colours_share_one_mask_and_one_geometry() -> None:
     network = stirred(tiny("sonarnet"))
     image, extras = told(network, 32)
     colours = image.expand(-1, 3, -1, -1)
-    restored, logits = network.with_mask(colours, **extras)
-    alone, mask = network.with_mask(image, **extras)
+    restored, logits, leave = network.with_heads(colours, **extras)
+    alone, mask, verdict = network.with_heads(image, **extras)
+    torch.testing.assert_close(leave, verdict)
     torch.testing.assert_close(restored, alone.expand(-1, 3, -1, -1))
     torch.testing.assert_close(logits, mask)
 
@@ -394,6 +438,7 @@ def test_a_window_without_sector_is_as_good_as_any() -> None:
     network = stirred(tiny("sonarnet"))
     image, extras = told(network, 32)
     nothing = {**extras, "sector": torch.zeros_like(image)}
-    restored, logits = network.with_mask(image, **nothing)
+    restored, logits, leave = network.with_heads(image, **nothing)
+    assert torch.isfinite(leave).all()
     assert torch.equal(restored, image)
     assert torch.isfinite(logits).all()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from factory.config import digest, identity
 from factory.errors import FactoryError
 from factory.field.pairs import backscatter, field_scene, make_field_pair
 from factory.field.scatterers import scatterers
-from factory.field.signal import beamform_power
+from factory.field.signal import beamform, beamform_power
 from factory.pairs import observe
 from factory.render.base import Rendered
 from factory.settings import build
@@ -163,6 +164,28 @@ def test_the_blur_of_the_device_keeps_energy_and_is_the_matrix_product() -> None
     kernel = made.kernel**2
     along = np.apply_along_axis(np.convolve, 0, power.astype(np.float64), kernel, "same")
     np.testing.assert_allclose(blurred, along @ made.mixing**2, rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "beams", [None, 129, (-20.0, -11.0, -3.0, 5.0, 9.0, 20.0)], ids=["even", "odd", "lopsided"]
+)
+def test_beams_in_halves_are_the_matrix_product(beams):
+    """To 2e-7 of the row's strongest number, and intensities never below zero."""
+    sonar: dict[str, Any] = {"beams": beams} if isinstance(beams, int) else {}
+    if isinstance(beams, tuple):
+        sonar = {"beams": len(beams), "beam_azimuths_deg": beams, "hfov_deg": 45}
+    made = heard(config(sonar=sonar)).ping
+    rng = np.random.default_rng(2)
+    field = rng.standard_normal((1, 2, *made.shape)).astype(np.float32)
+    power = np.zeros(made.shape, np.float32)
+    power[:, -1] = 1  # on one side alone
+    mixing = made.mixing.astype(np.float64)
+    along = np.apply_along_axis(np.convolve, 2, field.astype(np.float64), made.kernel, "same")
+    np.testing.assert_allclose(beamform(field, made), along @ mixing, atol=5e-6)
+    along = np.apply_along_axis(np.convolve, 0, power.astype(np.float64), made.kernel**2, "same")
+    blurred = beamform_power(power, made)
+    assert blurred.min() >= 0
+    np.testing.assert_allclose(blurred, along @ mixing**2, atol=2e-7)
 
 
 def _powers(depths_m: np.ndarray, plate_m: float, frequency_khz: float) -> np.ndarray:

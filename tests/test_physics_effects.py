@@ -11,7 +11,7 @@ import pytest
 from factory.commands.compose import compose_config
 from factory.config import FactoryConfig
 from factory.field.pairs import FieldScene, field_scene, make_field_pair, received
-from factory.field.signal import Ping, Signal
+from factory.field.signal import Ping, Signal, vertical_table
 from factory.noise import NoiseSettings, physical
 from factory.noise.physical import FIELD_EFFECTS
 from factory.noise.physical.beam_gain import beam_gain
@@ -130,7 +130,8 @@ def test_multipath_comes_when_the_geometry_says(way):
     found = np.flatnonzero(made.power[:, beam] > 0)
     assert np.abs(found - expected).max() <= 1
     assert np.flatnonzero(made.power.sum(axis=0) > 0).tolist() == [beam]
-    pattern = np.sqrt(of.vertical_pattern(np.array([2.0 / by_plane])))[0]
+    table = vertical_table(of.sonar)
+    pattern = np.sqrt(table[np.rint((2.0 / by_plane + 1) * (len(table) // 2)).astype(int)])
     absorbed = 10 ** (-of.absorption_db_per_m * (by_plane - r) / 10)
     once = 10**-0.6 * (r / by_plane) ** 2 * pattern * absorbed
     assert made.power[found[1], beam] == pytest.approx(4 * once, rel=0.1)

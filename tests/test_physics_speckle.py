@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import special, stats
 
-from factory.field import kernels
+from factory.field import world_loops
 from factory.field.pairs import FieldScene, field_scene, make_field_pair, received
+from factory.field.scatterers import shared
 from factory.field.signal import beamform_power, gaussian_table, white_noise
 from factory.noise import physical
 from factory.noise.physical.texture import gamma_of_normal
@@ -65,7 +66,8 @@ def test_texture_makes_it_k_distributed(shape, golden_si, golden_enl):
     size = 4_000_000
     rng = np.random.default_rng(3)
     normal = np.empty(size, np.float32)
-    kernels.lattice(1000 * rng.random((size, 3)), 7, gaussian_table(), normal)
+    points = rng.random((size, 3), dtype=np.float32)
+    world_loops.lattice(points, 1000 * np.eye(3, 4), 7, gaussian_table(), normal)
     field = white_noise(rng, 1, (1, size))[0, :, 0]
     intensity = (field.astype(np.float64) ** 2).sum(axis=0) * gamma_of_normal(normal, shape)
     assert intensity.mean() == pytest.approx(1, rel=0.01)
@@ -73,6 +75,25 @@ def test_texture_makes_it_k_distributed(shape, golden_si, golden_enl):
     assert scintillation == pytest.approx(golden_si, rel=0.02)
     root = np.sqrt(intensity)
     assert (root.mean() / root.std()) ** 2 == pytest.approx(golden_enl, rel=0.02)
+
+
+@pytest.mark.parametrize("shape", [0.5, 4, 20])
+def test_the_table_of_gamma_values_is_fine_enough(shape):
+    """Against scipy's quantiles, as far out as one in a million lies."""
+    normal = np.linspace(-4.75, 4.75, 20_001, dtype=np.float32)
+    exact = special.gammaincinv(shape, special.ndtr(normal.astype(np.float64))) / shape
+    np.testing.assert_allclose(gamma_of_normal(normal, shape), exact, rtol=5e-4, atol=1e-5)
+
+
+def test_points_of_a_cell_share_its_power() -> None:
+    """Counted with numpy; cells come back, and some names fall on the same slot of the table."""
+    rng = np.random.default_rng(1)
+    cells = rng.integers(0, 40, 3000).astype(np.uint32).repeat(rng.integers(1, 5, 3000))
+    cells[::3] *= np.uint32(1 << 20)
+    powers = rng.random(len(cells), dtype=np.float32)
+    _, cell, counts = np.unique(cells, return_inverse=True, return_counts=True)
+    expected = np.sqrt(powers / counts[cell].astype(np.float32))
+    np.testing.assert_array_equal(shared(cells, powers), expected)
 
 
 def test_texture_in_a_picture() -> None:

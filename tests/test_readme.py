@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -49,7 +50,10 @@ TABLE: dict[str, How] = {
         ("data.patch=64", "data.batch=2", "train.check_every=2"),
         instead=(("train.steps=200", "train.steps=4"),),
     ),
-    "python -m models denoise outputs/demo --out outputs/denoised "
+    "python -m models denoise outputs/demo --out outputs/denoised": Run(),
+    "python -m models denoise mdd/Images --geometry mdd/fan_geometry.csv --out outputs/mdd "
+    "--compare": Run(needs="{sandbox}/mdd"),
+    "python -m models denoise outputs/demo --out outputs/denoised-own "
     "--weights outputs/models/nafnet/weights.safetensors": Run(),
     "python -m evaluation dataset=outputs/demo": Run(),
     "python -m evaluation tune dataset=outputs/demo": Run(("tuning.pairs=2", "baselines=[median]")),
@@ -58,6 +62,7 @@ TABLE: dict[str, How] = {
     ),
     "python -m evaluation compare outputs/evaluation/demo-test outputs/evaluation/demo-test "
     "--row-b noisy": Run(),
+    "python -m evaluation real mdd models=[simnfnd]": Run(("workers=1",), needs="{sandbox}/mdd"),
     "python -m factory validate outputs/demo --deep": Run(),
 }
 
@@ -84,7 +89,16 @@ def test_steps_run_elsewhere_really_are() -> None:
 
 @pytest.fixture(scope="module")
 def sandbox(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("readme")
+    folder = tmp_path_factory.mktemp("readme")
+    mdd = readme_steps.SHARED / "data" / "mdd"
+    if mdd.is_dir():
+        # Two of its pictures.
+        for name in ("Images", "Masks"):
+            (folder / "mdd" / name).mkdir(parents=True)
+            for file in sorted((mdd / name).iterdir())[:2]:
+                shutil.copy(file, folder / "mdd" / name)
+        shutil.copy(mdd / "fan_geometry.csv", folder / "mdd")
+    return folder
 
 
 @pytest.mark.slow

@@ -16,7 +16,6 @@ from factory.compiled import compiled
 Floats = npt.NDArray[np.float32]
 
 _A, _B = np.uint32(0x85EBCA6B), np.uint32(0xC2B2AE35)
-_X, _Y, _Z = np.int64(73856093), np.int64(19349663), np.int64(83492791)
 _13, _16 = np.uint32(13), np.uint32(16)
 
 
@@ -28,13 +27,6 @@ def mixed(word: Any) -> Any:
     word = np.uint32(word ^ (word >> _13))
     word = np.uint32(word * _B)
     return np.uint32(word ^ (word >> _16))
-
-
-@compiled()
-def cube(first: Any, second: Any, third: Any) -> Any:
-    """32 bits that stand for a cube of a lattice, given by three integers of any sign."""
-    word = first * _X + second * _Y + third * _Z
-    return mixed(np.uint32(word & 0xFFFFFFFF))
 
 
 @compiled("void(int32[::1], uint32[::1], float32[::1], uint32, float32[:, ::1], float32[:, ::1])")
@@ -69,95 +61,128 @@ def along_range(planes: Floats, kernel: Floats, out: Floats) -> None:
                     out[row, column] += weight * planes[source, column]
 
 
-@compiled("void(float32[:, ::1], float32[:, ::1], float32[:, ::1])")
-def across_beams(planes: Floats, mixing: Floats, out: Floats) -> None:
-    """(n, beams) times (beams, beams), four rows at a time; the order of the sums is fixed."""
-    rows, beams = planes.shape
-    whole = rows - rows % 4
-    for row in range(0, whole, 4):
-        for beam in range(beams):
-            out[row, beam] = 0
-            out[row + 1, beam] = 0
-            out[row + 2, beam] = 0
-            out[row + 3, beam] = 0
-        for source in range(beams):
-            a, b = planes[row, source], planes[row + 1, source]
-            c, d = planes[row + 2, source], planes[row + 3, source]
-            if a == 0 and b == 0 and c == 0 and d == 0:
-                continue
-            for beam in range(beams):
-                weight = mixing[source, beam]
-                out[row, beam] += a * weight
-                out[row + 1, beam] += b * weight
-                out[row + 2, beam] += c * weight
-                out[row + 3, beam] += d * weight
-    for row in range(whole, rows):
-        for beam in range(beams):
-            out[row, beam] = 0
-        for source in range(beams):
-            a = planes[row, source]
-            for beam in range(beams):
-                out[row, beam] += a * mixing[source, beam]
+@compiled()
+def _products(four: Floats, matrix: Floats, out: Floats) -> None:
+    """(4, m) times (m, n), m a multiple of 4; the order of the sums is fixed.
 
-
-@compiled("void(uint32, float32[:, ::1], float32[:, ::1])")
-def white(key: int, table: Floats, planes: Floats) -> None:
-    """Fill (2, n) with complex circular noise of power 1, a function of the key and the place."""
-    for i in range(planes.shape[1]):
-        drawn = mixed(np.uint32(mixed(np.uint32(i)) ^ key)) >> _16
-        planes[0, i] = table[drawn, 0]
-        planes[1, i] = table[drawn, 1]
-
-
-@compiled("void(float64[:, ::1], uint32, float32[:, ::1], float32[::1])")
-def lattice(points: npt.NDArray[np.float64], key: int, table: Floats, normal: Floats) -> None:
-    """A standard normal field at (N, 3) points, smooth over distances of 1.
-
-    Random values at the corners of unit cubes, weighted by smooth steps and brought back to unit
-    variance.  table: (65536, 2) normal values of variance 1/2.
+    Four rows by four sources at a time: each number that is loaded or stored serves four products.
     """
-    for i in range(points.shape[0]):
-        x, y, z = np.floor(points[i, 0]), np.floor(points[i, 1]), np.floor(points[i, 2])
-        u, v, w = points[i, 0] - x, points[i, 1] - y, points[i, 2] - z
-        u, v, w = u * u * (3 - 2 * u), v * v * (3 - 2 * v), w * w * (3 - 2 * w)
-        at_x, at_y, at_z = np.int64(x), np.int64(y), np.int64(z)
-        total, squares = 0.0, 0.0
-        for corner in range(8):
-            p, q, r = corner & 1, (corner >> 1) & 1, corner >> 2
-            weight = (u if p else 1 - u) * (v if q else 1 - v) * (w if r else 1 - w)
-            name = mixed(np.uint32(cube(at_x + p, at_y + q, at_z + r) ^ key))
-            total += weight * table[name >> _16, 0]
-            squares += weight * weight
-        normal[i] = np.float32(total * np.sqrt(2 / squares))
+    a, b, c, d = four[0], four[1], four[2], four[3]
+    first, second, third, fourth = out[0], out[1], out[2], out[3]
+    for at in range(matrix.shape[1]):
+        first[at] = second[at] = third[at] = fourth[at] = 0
+    for i in range(0, matrix.shape[0], 4):
+        m0, m1, m2, m3 = matrix[i], matrix[i + 1], matrix[i + 2], matrix[i + 3]
+        a0, a1, a2, a3 = a[i], a[i + 1], a[i + 2], a[i + 3]
+        b0, b1, b2, b3 = b[i], b[i + 1], b[i + 2], b[i + 3]
+        c0, c1, c2, c3 = c[i], c[i + 1], c[i + 2], c[i + 3]
+        d0, d1, d2, d3 = d[i], d[i + 1], d[i + 2], d[i + 3]
+        silent = a0 == 0 and a1 == 0 and a2 == 0 and a3 == 0
+        silent = silent and b0 == 0 and b1 == 0 and b2 == 0 and b3 == 0
+        silent = silent and c0 == 0 and c1 == 0 and c2 == 0 and c3 == 0
+        if silent and d0 == 0 and d1 == 0 and d2 == 0 and d3 == 0:
+            continue
+        for at in range(matrix.shape[1]):
+            w0, w1, w2, w3 = m0[at], m1[at], m2[at], m3[at]
+            first[at] += a0 * w0 + a1 * w1 + a2 * w2 + a3 * w3
+            second[at] += b0 * w0 + b1 * w1 + b2 * w2 + b3 * w3
+            third[at] += c0 * w0 + c1 * w1 + c2 * w2 + c3 * w3
+            fourth[at] += d0 * w0 + d1 * w1 + d2 * w2 + d3 * w3
 
 
 @compiled(
-    "void(Array(int64, 1, 'C', readonly=True), float32[::1], float32[::1], int64,"
+    "void(float32[:, ::1], Array(float32, 2, 'C', readonly=True),"
     " Array(float32, 2, 'C', readonly=True), float32[:, ::1])"
 )
-def mirror(
-    sources: npt.NDArray[np.intp],
-    longer_bins: Floats,
-    once: Floats,
-    beams: int,
-    planes: Floats,
-    out: Floats,
-) -> None:
-    """Add to each bin what comes to it by way of a plane; see `noise.physical.image_source`.
+def across_beams(planes: Floats, even: Floats, odd: Floats, out: Floats) -> None:
+    """(n, beams) times the mixing of the beams, as `factory.field.signal.halves` splits it."""
+    rows, beams = planes.shape
+    pairs = beams // 2 if odd.shape[0] else 0
+    sums = np.zeros((4, even.shape[0]), np.float32)
+    differences = np.zeros((4, odd.shape[0]), np.float32)
+    alike = np.empty((4, even.shape[1]), np.float32)
+    unlike = np.zeros((4, even.shape[1]), np.float32)
+    for row in range(0, rows, 4):
+        many = min(4, rows - row)
+        for line in range(many):
+            given = planes[row + line]
+            for beam in range(pairs):
+                sums[line, beam] = given[beam] + given[beams - 1 - beam]
+                differences[line, beam] = given[beam] - given[beams - 1 - beam]
+            for beam in range(pairs, beams - pairs):
+                sums[line, beam] = given[beam]
+        _products(sums, even, alike)
+        if pairs:
+            _products(differences, odd, unlike)
+        for line in range(many):
+            made = out[row + line]
+            for beam in range(pairs):
+                made[beam] = alike[line, beam] + unlike[line, beam]
+                made[beams - 1 - beam] = alike[line, beam] - unlike[line, beam]
+            for beam in range(pairs, beams - pairs):
+                made[beam] = alike[line, beam]
 
-    sources: (M,) flat bins.  longer_bins: how many bins farther the mirrored way there is; half of
-    that by way of the plane once.  once: (M,) intensity of one reflection.
-    planes: (1 + fields, bins), intensity first, then amplitudes; out: the same, added to.
+
+@compiled("void(uint32, float32[:, ::1], float32[::1], float32[:, :, ::1])")
+def add_white(key: int, table: Floats, amplitude: Floats, planes: Floats) -> None:
+    """Add complex circular noise of these amplitudes a row, a function of the key and the place.
+
+    planes: (2, rows, beams).
     """
-    bins = planes.shape[1]
-    for i in range(sources.shape[0]):
-        source = sources[i]
-        for touches in range(1, 3):
-            target = source + beams * int(np.rint(longer_bins[i] * touches / 2))
-            if target >= bins:
-                continue
-            gain = 4 * once[i] if touches == 1 else once[i] * once[i]
-            out[0, target] += gain * planes[0, source]
-            amplitude = np.sqrt(gain)
-            for plane in range(1, planes.shape[0]):
-                out[plane, target] += amplitude * planes[plane, source]
+    rows, beams = planes.shape[1:]
+    drawn = np.empty(beams, np.uint32)
+    for row in range(rows):
+        first = np.uint32(row * beams)
+        for beam in range(beams):
+            place = np.uint32(first + np.uint32(beam))
+            drawn[beam] = mixed(np.uint32(mixed(place) ^ key)) >> _16
+        real, imaginary, level = planes[0, row], planes[1, row], amplitude[row]
+        for beam in range(beams):
+            real[beam] += level * table[drawn[beam], 0]
+            imaginary[beam] += level * table[drawn[beam], 1]
+
+
+@compiled("void(float32[:, :, :, ::1], float32[:, ::1])")
+def loudest(field: Floats, intensity: Floats) -> None:
+    """Largest intensity of each look and range; field: (looks, 2, rows, beams)."""
+    looks, _, rows, beams = field.shape
+    squares = np.empty(beams, np.float32)
+    for look in range(looks):
+        for row in range(rows):
+            real, imaginary = field[look, 0, row], field[look, 1, row]
+            for beam in range(beams):
+                squares[beam] = real[beam] * real[beam] + imaginary[beam] * imaginary[beam]
+            intensity[look, row] = squares.max()
+
+
+@compiled("void(float32[:, :, :, ::1], int64, float32, float32[:, :, :, ::1])")
+def beside(field: Floats, step: int, leak: float, out: Floats) -> None:
+    """The field and what leaks of it into beams `step` to the left and to the right."""
+    looks, parts, rows, beams = field.shape
+    for look in range(looks):
+        for part in range(parts):
+            for row in range(rows):
+                given, made = field[look, part, row], out[look, part, row]
+                made[:] = given
+                # Slices from 0 on: the compiler then knows that no index is negative.
+                right, from_right = made[step:], given[step:]
+                for beam in range(beams - step):
+                    right[beam] += leak * given[beam]
+                for beam in range(beams - step):
+                    made[beam] += leak * from_right[beam]
+
+
+@compiled("void(float32[:, :, :, ::1], float32[:, ::1])")
+def amplitude(field: Floats, level: Floats) -> None:
+    """Root of the intensity, averaged over the looks."""
+    looks, _, rows, beams = field.shape
+    level[:] = 0
+    for look in range(looks):
+        for row in range(rows):
+            real, imaginary, made = field[look, 0, row], field[look, 1, row], level[row]
+            for beam in range(beams):
+                made[beam] += real[beam] * real[beam] + imaginary[beam] * imaginary[beam]
+    for row in range(rows):
+        made = level[row]
+        for beam in range(beams):
+            made[beam] = np.sqrt(made[beam] / np.float32(looks))

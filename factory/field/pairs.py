@@ -162,6 +162,8 @@ def make_field_pair(made: FieldScene, variant: int, config: FactoryConfig) -> Pa
 
 def received(ping: Ping, drawn: dict[str, Drawn], rngs: dict[str, np.random.Generator]) -> Floats:
     """(range_bins, beams) float32 amplitude after time-varying gain, with the drawn effects."""
+    from factory.field import kernels  # loads numba
+
     known = effects_of.FIELD_EFFECTS
     staged = {
         stage: [name for name in known if name in drawn and known[name].stage == stage]
@@ -179,7 +181,9 @@ def received(ping: Ping, drawn: dict[str, Drawn], rngs: dict[str, np.random.Gene
     field *= np.sqrt(ping.gain)[:, None]
     for name in staged["picture"]:
         field = known[name].apply(field, ping, rngs[name], **drawn[name])
-    return np.asarray(np.sqrt((field**2).sum(axis=1).mean(axis=0)), np.float32)
+    level = np.empty(ping.shape, np.float32)
+    kernels.amplitude(field, level)
+    return level
 
 
 def _with_points(level: Floats, added: list[Echoes], ping: Ping) -> Floats:

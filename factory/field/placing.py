@@ -6,7 +6,6 @@ import numpy as np
 import numpy.typing as npt
 
 from factory.compiled import compiled
-from factory.field.kernels import cube
 
 Floats = npt.NDArray[np.float32]
 
@@ -77,6 +76,53 @@ def strengths(
         value[column] = radiance[column] * square * np.sqrt(square)
 
 
+@compiled()
+def far_ends(
+    before_m: Floats,
+    here_m: Floats,
+    below_m: Floats,
+    after_m: Floats,
+    start: Floats,
+    start_below: Floats,
+    end: Floats,
+) -> None:
+    """Where the pixels of a row end: where those below begin, if both are one surface.
+
+    before_m ... after_m: depths of four rows, this one the second.  start, end: range bins.
+    """
+    for column in range(here_m.shape[0]):
+        z, z_below = here_m[column], below_m[column]
+        nearer_m, step_m = min(z, z_below), z_below - z
+        size_m = abs(step_m)
+        # The ground far away is a run of large steps; an outline is a single one.
+        first_m, next_m = z - before_m[column], after_m[column] - z_below
+        run_m = max(first_m, next_m) if step_m > 0 else -min(first_m, next_m)
+        sloping = (size_m < _LARGE_STEP * nearer_m) & (size_m < _SLOPE_CHANGE * run_m)
+        joined = (size_m < _SMALL_STEP * nearer_m) | sloping
+        end[column] = start_below[column] if joined else start[column]
+
+
+@compiled()
+def heard(
+    value: Floats,
+    tangent: Floats,
+    start: Floats,
+    end: Floats,
+    low: float,
+    high: float,
+    rows: int,
+    columns: npt.NDArray[np.uint32],
+) -> int:
+    """The lit pixels of a row inside the sector and the range window; returns how many."""
+    count = 0
+    for column in range(value.shape[0]):
+        near, far = min(start[column], end[column]), max(start[column], end[column])
+        inside = (value[column] > 0) & (low <= tangent[column]) & (tangent[column] < high)
+        columns[count] = column
+        count += int(inside & (far >= 0) & (near < rows))
+    return count
+
+
 @compiled(
     "int64(Array(float32, 2, 'C', readonly=True), Array(float32, 2, 'C', readonly=True),"
     " Array(uint8, 2, 'C', readonly=True), Array(float32, 2, 'C', readonly=True), float32[::1],"
@@ -137,6 +183,7 @@ def place(
     # A row at a time: first what a processor does for many pixels at once, then the rest.
     tangent_of, bin_row_of = np.empty((2, width), np.float32), np.empty((2, width), np.float32)
     sine_of, value_of = np.empty((2, width), np.float32), np.empty((2, width), np.float32)
+    end_of, columns = np.empty(width, np.float32), np.empty(width, np.uint32)
     ground_up = rotation[2] if ground_range else np.zeros(3, np.float32)
     count = 0
     for row in range(height + 1):
@@ -153,63 +200,63 @@ def place(
         if row == 0:
             continue
         above = row - 1
-        for column in range(width):
-            value, tangent = value_of[before, column], tangent_of[before, column]
-            if not (value > 0 and low <= tangent < high):
-                continue
-            start = bin_row_of[before, column]
-            end = start
-            if row < height:
-                z, z_below = depth_m[above, column], depth_m[row, column]
-                small, step_m = _SMALL_STEP * min(z, z_below), z_below - z
-                one_surface = abs(step_m) < small
-                if not one_surface and abs(step_m) < _LARGE_STEP * min(z, z_below):
-                    # The ground far away is a run of large steps; an outline is a single one.
-                    before_m = z - depth_m[max(above - 1, 0), column]
-                    after_m = depth_m[min(row + 1, height - 1), column] - z_below
-                    run_m = max(before_m, after_m) if step_m > 0 else -min(before_m, after_m)
-                    one_surface = abs(step_m) < _SLOPE_CHANGE * run_m
-                if one_surface:
-                    end = bin_row_of[now, column]
+        tangents_, starts = tangent_of[before], bin_row_of[before]
+        sines, values = sine_of[before], value_of[before]
+        if row < height:
+            far_ends(
+                depth_m[max(above - 1, 0)], depth_m[above], depth_m[row],
+                depth_m[min(row + 1, height - 1)], starts, bin_row_of[now], end_of,
+            )  # fmt: skip
+        else:
+            end_of[:] = starts
+        kept = heard(values, tangents_, starts, end_of, low, high, rows, columns)
+        for at in range(kept):
+            column = columns[at]
+            value, tangent = values[column], tangents_[column]
+            start, end = starts[column], end_of[column]
             near, far = min(start, end), max(start, end)
-            if not (far >= 0 and near < rows):
-                continue
-            guess = int((tangent - low) * beam_scale)
-            beam = first_beam[min(guess, first_beam.shape[0] - 1)]
-            while tangent >= tangents[beam + 1]:
+            guess = min(int((tangent - low) * beam_scale), first_beam.shape[0] - 1)
+            beam = first_beam[np.uint32(guess)]
+            while tangent >= tangents[np.uint32(beam + 1)]:
                 beam += 1
-            sine = (sine_of[before, column] + np.float32(1)) * half_steps
-            central = abs(sine_of[before, column]) <= widest_sine
-            step = min(int(sine), steps - 1)
+            sine = (sines[column] + one) * half_steps
+            central = abs(sines[column]) <= widest_sine
+            step = np.uint32(min(int(sine), steps - 1))
             part = sine - np.float32(step)
-            value *= pattern[step] + part * (pattern[step + 1] - pattern[step])
+            lower, upper = pattern[step], pattern[np.uint32(step + np.uint32(1))]
+            value *= lower + part * (upper - lower)
             value *= reflectivity[labels[above, column] if labels.shape[0] else 0]
             if factor.shape[0]:
                 value *= factor[above, column]
             pixel = above * width + column
+            where = np.float32(np.uint32(np.uint32(pixel) * _GOLDEN) >> _8) * np.float32(2.0**-24)
             span = far - near
             if span <= 1 and near >= 0 and far < rows:
                 # Most pixels: one bin, or parts of two (the same one twice costs less than asking).
                 first, last = int(near), int(far)
-                kept = (
-                    min((np.float32(last) - near) / max(span, tiny), one) if last > first else one
-                )
-                power[last * beams + beam] += value * (one - kept)
-                power[first * beams + beam] += value * kept
-                owner[first * beams + beam] = pixel
-                in_beam[first * beams + beam] |= central
+                share_ = min((np.float32(last) - near) / max(span, tiny), one)
+                share_ = share_ if last > first else one
+                nearest = np.uint32(first * beams + beam)
+                power[np.uint32(last * beams + beam)] += value * (one - share_)
+                power[nearest] += value * share_
+                owner[nearest] = pixel
+                in_beam[nearest] |= central
+                slot = np.uintp(count)
+                bin_of[slot] = int(start + where * (end - start)) * beams + beam
+                power_of[slot] = value
+                pixel_of[slot] = pixel
+                part_of[slot] = where if end != start else np.float32(0)
+                count += 1
+                continue
+            share_ = value / max(span, tiny)
+            for bin_row in range(int(max(near, np.float32(0))), min(int(far), rows - 1) + 1):
+                inside = min(far, np.float32(bin_row + 1)) - max(near, np.float32(bin_row))
+                power[bin_row * beams + beam] += share_ * inside
+                owner[bin_row * beams + beam] = pixel
+                in_beam[bin_row * beams + beam] |= central
+            many = max(min(int(np.ceil(span)), _MOST_PARTS), 1)
+            if count + many + (height - above) * width > bin_of.shape[0]:
                 many = 1
-            else:
-                share_ = value / max(span, tiny)
-                for bin_row in range(int(max(near, np.float32(0))), min(int(far), rows - 1) + 1):
-                    inside = min(far, np.float32(bin_row + 1)) - max(near, np.float32(bin_row))
-                    power[bin_row * beams + beam] += share_ * inside
-                    owner[bin_row * beams + beam] = pixel
-                    in_beam[bin_row * beams + beam] |= central
-                many = max(min(int(np.ceil(span)), _MOST_PARTS), 1)
-                if count + many + (height - above) * width > bin_of.shape[0]:
-                    many = 1
-            where = np.float32(np.uint32(np.uint32(pixel) * _GOLDEN) >> _8) * np.float32(2.0**-24)
             for number in range(many):
                 part = (np.float32(number) + where) / np.float32(many)
                 bin_row = int(np.floor(start + part * (end - start)))
@@ -220,65 +267,3 @@ def place(
                     part_of[count] = part if end != start else np.float32(0)
                     count += 1
     return count
-
-
-@compiled(
-    "void(int32[::1], float32[::1], Array(float32, 2, 'C', readonly=True), float32[::1],"
-    " float32[::1], float64[:, ::1], float64, uint32[::1])"
-)
-def cells(
-    pixels: npt.NDArray[np.int32],
-    parts: Floats,
-    depth_m: Floats,
-    across: Floats,
-    down: Floats,
-    world_from_camera: npt.NDArray[np.float64],
-    cell_m: float,
-    cell_of: npt.NDArray[np.uint32],
-) -> None:
-    """Number (hash) of the world cell, a cube of edge `cell_m`, in which each scatterer lies.
-
-    pixels, parts: as `place` gives them.
-    """
-    width = depth_m.shape[1]
-    m = world_from_camera / cell_m
-    for i in range(pixels.shape[0]):
-        row = pixels[i] // width
-        column = pixels[i] - row * width
-        z = np.float64(depth_m[row, column])
-        y = down[row] * z
-        if parts[i] > 0:
-            below = np.float64(depth_m[row + 1, column])
-            y += parts[i] * (down[row + 1] * below - y)
-            z += parts[i] * (below - z)
-        x = across[column] * z
-        first = np.floor(m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3])
-        second = np.floor(m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3])
-        third = np.floor(m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3])
-        cell_of[i] = cube(np.int64(first), np.int64(second), np.int64(third))
-
-
-@compiled("void(uint32[::1], float32[::1], uint32[::1], int32[::1], float32[::1])")
-def share(
-    cell_of: npt.NDArray[np.uint32],
-    power_of: Floats,
-    names: npt.NDArray[np.uint32],
-    counts: npt.NDArray[np.int32],
-    amplitude_of: Floats,
-) -> None:
-    """Amplitude of each point, sqrt(power / points of its cell): they add up coherently.
-
-    names, counts: zeros, a power of two of them, at least twice as many as there are points.
-    """
-    mask = np.uint32(names.shape[0] - 1)
-    slot_of = np.empty(cell_of.shape[0], np.int32)
-    for i in range(cell_of.shape[0]):
-        name = max(cell_of[i], np.uint32(1))  # 0 is a free slot
-        slot = name & mask
-        while names[slot] != name and names[slot] != 0:
-            slot = np.uint32(slot + np.uint32(1)) & mask
-        names[slot] = name
-        counts[slot] += np.int32(1)
-        slot_of[i] = slot
-    for i in range(cell_of.shape[0]):
-        amplitude_of[i] = np.sqrt(power_of[i] / np.float32(counts[slot_of[i]]))

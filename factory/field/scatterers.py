@@ -69,47 +69,53 @@ class Scatterers:
         power is the sum of theirs.
         """
         if edge_m not in self._cells:
-            from factory.field import placing
+            from factory.field import cell_loops
 
             across, down = _directions(self.frame)
+            pose = np.ascontiguousarray(self.world_from_camera[:3])
             cells = np.empty(len(self.pixels), np.uint32)
-            placing.cells(
-                self.pixels,
-                self.parts,
-                self.frame.depth_m,
-                across,
-                down,
-                self.world_from_camera[:3].copy(),
-                edge_m,
-                cells,
+            cell_loops.cells(
+                self.pixels, self.parts, self.frame.depth_m, across, down, pose, edge_m, cells
             )
-            amplitudes = np.empty(len(cells), np.float32)
-            slots = 1 << int(2 * len(cells)).bit_length()
-            names, counts = np.zeros(slots, np.uint32), np.zeros(slots, np.int32)
-            placing.share(cells, self.powers, names, counts, amplitudes)
             self._cells.clear()
-            self._cells[edge_m] = cells, amplitudes
+            self._cells[edge_m] = cells, shared(cells, self.powers)
         return self._cells[edge_m]
 
-    @cached_property
-    def filled(self) -> npt.NDArray[np.intp]:
+    @property
+    def filled(self) -> npt.NDArray[np.int32]:
         """(M,) flat polar bins in which a surface lies."""
-        return np.flatnonzero(self.owner.ravel() >= 0)
+        return self._surface[0]
 
-    @cached_property
+    @property
     def filled_camera_m(self) -> Floats:
         """(M, 3) float32: a point of the surface in each of them, camera axes, metres."""
-        across, down = _directions(self.frame)
-        pixels = self.owner.ravel()[self.filled]
-        row, column = np.divmod(pixels, np.int32(self.frame.depth_m.shape[1]))
-        z = self.frame.depth_m.ravel()[pixels]
-        return np.stack([across[column] * z, down[row] * z, z], axis=1)
+        return self._surface[1]
 
     @cached_property
-    def filled_world_m(self) -> npt.NDArray[np.float64]:
-        """(M, 3) float64: the same points in the world; in camera axes without a pose."""
-        pose = self.world_from_camera
-        return np.asarray(self.filled_camera_m @ pose[:3, :3].T + pose[:3, 3])
+    def _surface(self) -> tuple[npt.NDArray[np.int32], Floats]:
+        from factory.field import world_loops
+
+        size = self.owner.size
+        bins, points_m = np.empty(size, np.int32), np.empty((size, 3), np.float32)
+        seen = _directions(self.frame)
+        count = world_loops.surface_points(
+            self.owner.reshape(-1), self.frame.depth_m, *seen, bins, points_m
+        )
+        return bins[:count], points_m[:count]
+
+
+def shared(cells: npt.NDArray[np.uint32], powers: Floats) -> Floats:
+    """(N,) float32 amplitudes, sqrt(power / points of the cell): they add up in phase."""
+    from factory.field import cell_loops
+
+    size = len(cells)
+    names, (ends, run_of) = np.empty(size, np.uint32), np.empty((2, size), np.int32)
+    count = cell_loops.runs(cells, names, ends, run_of)
+    many, amplitudes = np.empty(count, np.int32), np.empty(size, np.float32)
+    table = np.zeros((1 << (3 * count // 2).bit_length(), 2), np.uint32)
+    cell_loops.count(names[:count], ends[:count], table, many)
+    cell_loops.share(run_of, many, powers, amplitudes)
+    return amplitudes
 
 
 def scatterers(

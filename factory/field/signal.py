@@ -87,11 +87,6 @@ class Ping:
         """See `factory.sonar.array.range_kernel`."""
         return array.range_kernel(self.bin_m, self.sonar.array, self.water.sound_speed_m_s())
 
-    def vertical_pattern(self, sine: npt.NDArray[np.floating]) -> Floats:
-        """Two-way vertical intensity pattern at sines of the elevation, to the nearest step."""
-        step = np.rint((sine + 1) * (_PATTERN_STEPS / 2)).astype(np.intp)
-        return np.asarray(vertical_table(self.sonar)[np.clip(step, 0, _PATTERN_STEPS)])
-
     @property
     def thermal_noise(self) -> float:
         """Intensity of the sea's thermal noise in one beam, over the source level (Mellen)."""
@@ -123,18 +118,43 @@ def mixing(sonar: SonarSettings) -> Floats:
     return array.beam_mixing(sonar.beam_centres_rad(), sonar.array)
 
 
+@lru_cache(maxsize=16)
+def halves(sonar: SonarSettings, power: bool) -> tuple[Floats, Floats]:
+    """The mixing of amplitudes or, squared, of intensities as the compiled loop wants it.
+
+    A device whose left is the mirror of its right mixes the sums of mirrored beams with one matrix
+    and their differences with another, each of half the size: together half the work.  Returns both
+    (rows filled up with zeros to a multiple of 4).  Other devices: the whole matrix, and (0, 0).
+
+    A beam so gets the rounding errors of its mirror image: 2e-7 of the row's strongest number.
+    """
+    matrix = mixing(sonar).astype(np.float64) ** (2 if power else 1)
+    turned = matrix[::-1, ::-1]
+    if np.abs(matrix - turned).max() > 1e-6 * matrix.max():
+        return _filled_up(matrix), np.empty((0, 0), np.float32)
+    middle = (len(matrix) + 1) // 2  # of an odd number that beam is its own mirror
+    matrix = (matrix + turned) / 2
+    upper, lower = matrix[:middle, :middle], matrix[::-1][:middle, :middle]
+    return _filled_up((upper + lower) / 2), _filled_up((upper - lower) / 2)
+
+
+def _filled_up(matrix: npt.NDArray[np.float64]) -> Floats:
+    return np.pad(matrix, ((0, -len(matrix) % 4), (0, 0))).astype(np.float32)
+
+
 def beamform(field: Floats, ping: Ping) -> Floats:
     """The complex field after pulse compression and beamforming; same shape."""
-    return _blurred(field, ping.kernel, ping.mixing)
+    return _blurred(field, ping.kernel, *halves(ping.sonar, power=False))
 
 
 def beamform_power(power: Floats, ping: Ping) -> Floats:
     """(range_bins, beams) expected intensity after both: what `beamform` does to speckle's mean."""
-    blurred = _blurred(power[None, None], ping.kernel**2, ping.mixing**2)
-    return np.asarray(blurred[0, 0])
+    blurred = _blurred(power[None, None], ping.kernel**2, *halves(ping.sonar, power=True))[0, 0]
+    # Differences of mirrored beams round to below zero where there is next to nothing.
+    return np.asarray(np.maximum(blurred, 0, out=blurred))
 
 
-def _blurred(planes: Floats, kernel: Floats, mixing: Floats) -> Floats:
+def _blurred(planes: Floats, kernel: Floats, even: Floats, odd: Floats) -> Floats:
     from factory.field import kernels  # loads numba
 
     rows, beams = planes.shape[-2:]
@@ -146,19 +166,23 @@ def _blurred(planes: Floats, kernel: Floats, mixing: Floats) -> Floats:
         if len(kernel) > 1:
             kernels.along_range(plane, kernel, between)
             source = between
-        kernels.across_beams(source, mixing, made)
+        kernels.across_beams(source, even, odd, made)
     return out.reshape(planes.shape)
 
 
 def white_noise(rng: np.random.Generator, looks: int, shape: tuple[int, int]) -> Floats:
     """(looks, 2, *shape) float32: complex circular Gaussian noise of intensity 1."""
+    noise = np.zeros((looks, 2, *shape), np.float32)
+    add_white_noise(noise, rng, np.ones(shape[0], np.float32))
+    return noise
+
+
+def add_white_noise(field: Floats, rng: np.random.Generator, amplitude: Floats) -> None:
+    """Add such noise, times (range_bins,) float32 amplitudes, to a field in place."""
     from factory.field import kernels
 
-    noise = np.empty((looks, 2, *shape), np.float32)
-    for look in noise:
-        key = int(rng.integers(2**32))
-        kernels.white(key, gaussian_table(), look.reshape(2, -1))
-    return noise
+    for look in field:
+        kernels.add_white(int(rng.integers(2**32)), gaussian_table(), amplitude, look)
 
 
 @lru_cache(maxsize=1)

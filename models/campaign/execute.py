@@ -4,52 +4,54 @@ from __future__ import annotations
 
 import fnmatch
 import json
-import os
-import resource
 import shlex
-import subprocess
+import signal
 import sys
+import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from factory.errors import FactoryError
 from factory.scheduler.lock import Lock
+from factory.scheduler.signals import Interrupted, stop_signals
 from factory.shards.files import check_writable, sha256_of, write_atomically
 from models.campaign.plan import Folders, Step, data_steps, report_steps, training_steps
-from models.campaign.settings import CampaignSettings
+from models.campaign.processes import Processes, Programs
+from models.campaign.settings import CampaignSettings, RowSettings
 
-Run = Callable[[str, Sequence[str], int], int]
-"""(program, words, threads) -> exit code."""
 _WEIGHTS = "weights.safetensors"
 _CLEAR_CPU_S, _CLEAR = 4.0, 0.3
 _SOME_FAILED = 1
 """Exit code of a program that did its work, but for some frames or files."""
 
 
-def run_program(program: str, words: Sequence[str], threads: int) -> int:
-    """`python -m program words` in a process of its own; the exit code."""
-    environment = {**os.environ, "OMP_NUM_THREADS": str(threads)}
-    return subprocess.run([sys.executable, "-m", program, *words], env=environment).returncode
-
-
 class Campaign:
-    """One campaign in its folder.  run: how a program is run."""
+    """One campaign in its folder.  run: how programs are run; as processes unless given.
 
-    def __init__(self, settings: CampaignSettings, run: Run = run_program) -> None:
-        self.settings, self.program = settings, run
+    failed: names of the steps that failed, in the order of the plan.
+    """
+
+    def __init__(self, settings: CampaignSettings, run: Programs | None = None) -> None:
+        self.settings, self.program = settings, run or Processes()
         self.folders = Folders(Path(settings.out))
         self.failed: list[str] = []
+        self._ending = threading.Event()
+        self._measuring = {row.name: threading.Lock() for row in settings.rows}
 
     def __call__(self) -> int:
         """Do what is left of it; 1 when a step failed, and the others were done.
 
-        Raises FactoryError when another campaign is at work in the folder.
+        Raises FactoryError when another campaign is at work in the folder, and KeyboardInterrupt
+        when it or one of its programs was interrupted; then none of them runs any more.
         """
         check_writable(self.folders.out, "out")
         with ExitStack() as stack:
+            stack.enter_context(stop_signals())
             try:
                 stack.enter_context(Lock(self.folders.out))
             except FactoryError as error:
@@ -89,41 +91,90 @@ class Campaign:
 
     def _do_all(self, steps: Sequence[Step]) -> None:
         patterns = self.settings.only
-        for number, step in enumerate(steps, start=1):
-            if patterns and not any(fnmatch.fnmatch(step.name, one) for one in patterns):
-                continue
+        chosen = [
+            (f"{number}/{len(steps)}", step)
+            for number, step in enumerate(steps, start=1)
+            if not patterns or any(fnmatch.fnmatch(step.name, one) for one in patterns)
+        ]
+        # What begins from weights of another training waits for all trainings before it.
+        for depth, group in groupby(chosen, key=lambda one: self._together(one[1])):
+            self._do_group(list(group), 1 if depth is None else self.settings.jobs)
+
+    def _together(self, step: Step) -> int | None:
+        """Trainings in a row for which this is the same need nothing of each other."""
+        return None if step.row is None else self.settings.depth(step.row)
+
+    def _do_group(self, group: Sequence[tuple[str, Step]], jobs: int) -> None:
+        """Steps that need nothing of each other, or one job after another, begun in order."""
+        with ThreadPoolExecutor(jobs) as pool:
             try:
-                words = (*step.words, *self._length(step))
-            except FactoryError as error:
-                print(f"campaign: {step.name}: {error}", file=sys.stderr)
-                self.failed.append(step.name)
-                continue
-            told = {"words": list(words), "inputs": self._inputs(step)}
-            record = self._record(step.name)
-            if record.get("code") == 0 and {name: record.get(name) for name in told} == told:
-                continue
-            print(f"campaign: {number}/{len(steps)} {step.name}", flush=True)
-            code, cpu_s, wall_s = self._timed(step.program, words)
-            if step.program == "factory" and code == _SOME_FAILED:
-                # Frames that cannot be used are listed by the factory; the dataset is there.
-                code = 0
-            self._keep(step.name, {**told, "code": code, "cpu_s": cpu_s, "wall_s": wall_s})
-            if code > 128 or code < 0:
-                raise KeyboardInterrupt
-            if code:
-                self.failed.append(step.name)
+                begun = [pool.submit(self._begin, number, step) for number, step in group]
+                for one in as_completed(begun):
+                    one.result()
+            except BaseException as error:
+                self._ending.set()
+                pool.shutdown(wait=False, cancel_futures=True)
+                # A terminal sends Ctrl-C to the programs, too.
+                ctrl_c = isinstance(error, Interrupted) and error.exit_code == 128 + signal.SIGINT
+                self.program.stop(told=ctrl_c)
+                raise
+        self.failed += [
+            step.name for (_, step), one in zip(group, begun, strict=True) if not one.result()
+        ]
+
+    def _begin(self, number: str, step: Step) -> bool:
+        """`_do_step`, which when it raises ends the campaign; nothing is begun from then on."""
+        if self._ending.is_set():
+            return False
+        try:
+            return self._do_step(number, step)
+        except BaseException:
+            # Here, for this thread would take the next step before the main one hears of it.
+            self._ending.set()
+            raise
+
+    def _do_step(self, number: str, step: Step) -> bool:
+        """Do a step unless it is done; False when it failed.  number: of the step and of all."""
+        try:
+            words = (*step.words, *self._length(step))
+        except FactoryError as error:
+            _say(f"{step.name}: {error}", error=True)
+            return False
+        told = {"words": list(words), "inputs": self._inputs(step)}
+        record = self._record(step.name)
+        if record.get("code") == 0 and {name: record.get(name) for name in told} == told:
+            return True
+        _say(f"{number} {step.name}")
+        code, cpu_s, wall_s = self._timed(step.program, words)
+        if step.program == "factory" and code == _SOME_FAILED:
+            # Frames that cannot be used are listed by the factory; the dataset is there.
+            code = 0
+        self._keep(step.name, {**told, "code": code, "cpu_s": cpu_s, "wall_s": wall_s})
+        if code > 128 or code < 0:
+            raise KeyboardInterrupt
+        return code == 0
 
     def _length(self, step: Step) -> tuple[str, ...]:
         """How long a training is: as many steps as its budget pays for, in equal intervals."""
         if step.row is None:
             return ()
-        every = int(step.row.cpu_s / self._pace(step) / self.settings.checks)
+        if step.row.steps is not None:
+            return self._steps(step.row, step.row.steps)
+        assert step.row.cpu_s is not None
+        # Another seed of the row waits for what the first one measures.
+        with self._measuring[step.row.name]:
+            pace = self._pace(step)
+        return self._steps(step.row, int(step.row.cpu_s / pace))
+
+    def _steps(self, row: RowSettings, steps: int) -> tuple[str, ...]:
+        checks = row.checks or self.settings.checks
+        every = steps // checks
         if every < 1:
             raise FactoryError(
-                f"rows: {step.row.name}: {step.row.cpu_s:g} CPU seconds do not pay for "
-                f"{self.settings.checks} steps; give it more"
+                f"rows: {row.name}: its length is {steps} steps, and {checks} "
+                "validations need one each; give it more"
             )
-        return f"train.steps={every * self.settings.checks}", f"train.check_every={every}"
+        return f"train.steps={every * checks}", f"train.check_every={every}"
 
     def _pace(self, step: Step) -> float:
         """CPU seconds of one step: measured once a row, then kept, so that resuming is exact."""
@@ -159,9 +210,11 @@ class Campaign:
 
     def _timed(self, program: str, words: Sequence[str]) -> tuple[int, float, float]:
         """(exit code, CPU seconds of the program and its workers, seconds)."""
-        before, start = _children_cpu_s(), time.monotonic()
-        code = self.program(program, words, self.settings.threads)
-        return code, round(_children_cpu_s() - before, 2), round(time.monotonic() - start, 1)
+        if self._ending.is_set():
+            raise KeyboardInterrupt
+        start = time.monotonic()
+        code, cpu_s = self.program(program, words, self.settings.threads)
+        return code, round(cpu_s, 2), round(time.monotonic() - start, 1)
 
     def _inputs(self, step: Step) -> dict[str, str]:
         """What a step depends on beside its words: reports on weights, the table on reports."""
@@ -188,7 +241,6 @@ class Campaign:
         return self.folders.out / "steps" / f"{name}.json"
 
 
-def _children_cpu_s() -> float:
-    """CPU seconds of all processes started so far that have ended, with theirs."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+def _say(text: str, *, error: bool = False) -> None:
+    """A line in one piece, whatever other threads print."""
+    print(f"campaign: {text}\n", end="", file=sys.stderr if error else sys.stdout, flush=True)

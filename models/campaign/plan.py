@@ -45,10 +45,9 @@ class Folders:
         """The report on a test set."""
         return self.out / "reports" / name
 
-    @property
-    def pack(self) -> Path:
-        """The renders that train, in one file."""
-        return self.out / "train.pack"
+    def pack(self, name: str) -> Path:
+        """The renders of a dataset in one file."""
+        return self.out / f"{name}.pack"
 
     @property
     def tuned(self) -> Path:
@@ -77,16 +76,21 @@ def data_steps(settings: CampaignSettings) -> Iterator[Step]:
             f"scenes.first_location={chosen.first}",
             f"scenes.locations={chosen.locations}",
             f"scenes.frames_per_location={chosen.frames}",
+            f"scenes.width={chosen.width}",
+            f"scenes.height={chosen.height}",
         )
 
     train = ("split.test=[]", "split.test_fraction=0", "dataset.max_train=null")
     test = (_ALL_TEST, "dataset.max_test=null")
-    first = dataset("train", *places(data.train), *train)
-    yield first
-    if data.pack is not None:
-        small = ("--small",) if data.pack == "small" else ()
-        words = ("cache", "pack", *first.words, "--out", str(folders.pack), *small)
-        yield Step("pack", "factory", words)
+    for name, chosen in (("train", data.train), ("sparse", data.sparse)):
+        if chosen is None:
+            continue
+        step = dataset(name, *places(chosen), *train)
+        yield step
+        if data.pack is not None:
+            small = ("--small",) if data.pack == "small" else ()
+            words = ("cache", "pack", *step.words, "--out", str(folders.pack(name)), *small)
+            yield Step(f"pack-{name}", "factory", words)
     yield dataset("procedural", *places(data.test), *test)
     if data.flsea:
         real = (f"scenes.root='{data.flsea}'", f"frames.variants={data.variants}")
@@ -101,9 +105,14 @@ def data_steps(settings: CampaignSettings) -> Iterator[Step]:
 
 
 def training_steps(settings: CampaignSettings) -> Iterator[Step]:
-    """The trainings, in the order of the list.  OldData is left out where there is no MDD."""
+    """The trainings, in the order of the list.  OldData is left out where there is no MDD.
+
+    What begins from the weights of another row comes after all that do not.
+    """
     folders, data = Folders(Path(settings.out)), settings.data
-    for row in settings.rows:
+    seeds = {row.name: row.seeds for row in reversed(settings.rows)}
+    # Those that begin from the weights of another come when all of these are there.
+    for row in sorted(settings.rows, key=settings.depth):
         if row.data == "olddata" and data.mdd is None:
             continue
         for seed in row.seeds:
@@ -117,8 +126,12 @@ def training_steps(settings: CampaignSettings) -> Iterator[Step]:
             else:
                 renders = f"data.cache='{folders.out / 'cache'}'"
                 if data.pack is not None:
-                    renders = f"data.pack='{folders.pack}'"
-                source = ("data=renders", f"dataset.dir='{folders.data('train')}'", renders)
+                    renders = f"data.pack='{folders.pack(row.places)}'"
+                source = ("data=renders", f"dataset.dir='{folders.data(row.places)}'", renders)
+            if row.start is not None:
+                begun = seed if seed in seeds[row.start] else seeds[row.start][0]
+                weights = folders.model(row.start, begun) / "weights.safetensors"
+                source = (*source, f"start='{weights}'")
             out = f"out='{folders.model(row.name, seed)}'"
             words = (*source, *settings.words, *row.words, f"seed={seed}", out)
             yield Step(f"train-{row.name}-s{seed}", "models", words, row)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -14,11 +15,13 @@ Count = Annotated[int, Field(ge=1)]
 
 @dataclass(frozen=True, config=STRICT)
 class Places:
-    """Procedural scenes.  first: number of the first location."""
+    """Procedural scenes.  first: number of the first location.  width, height: pixels a frame."""
 
     first: Annotated[int, Field(ge=0)]
     locations: Count
     frames: Count
+    width: Annotated[int, Field(ge=64, le=4096)] = 968
+    height: Annotated[int, Field(ge=48, le=4096)] = 608
 
     @property
     def numbers(self) -> range:
@@ -32,6 +35,7 @@ class DataSettings:
 
     words: tuple[str, ...]
     train: Places
+    sparse: Places | None
     test: Places
     checks: Places
     variants: Count
@@ -40,20 +44,34 @@ class DataSettings:
     mdd: str | None
 
     def __post_init__(self) -> None:
+        learned = set(self.train.numbers) | set(self.sparse.numbers if self.sparse else ())
         for name in ("test", "checks"):
-            if set(self.train.numbers) & set(getattr(self, name).numbers):
+            if learned & set(getattr(self, name).numbers):
                 raise ValueError(f"train and {name} share locations; give them other numbers")
 
 
 @dataclass(frozen=True, config=STRICT)
 class RowSettings:
-    """One entry of `rows`.  words: of `python -m models`.  cpu_s: budget of each training."""
+    """One entry of `rows`.
+
+    words: of `python -m models`.  cpu_s: budget of each training, or steps: its length.
+    checks: validations, if not as many as the others have.
+    places: whose renders it learns from.  start: the row whose weights it begins from.
+    """
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_]*$")]
     words: tuple[str, ...]
-    cpu_s: Annotated[float, Field(gt=0)]
-    seeds: tuple[Annotated[int, Field(ge=0)], ...] = (0,)
-    data: str = "simnfnd"
+    cpu_s: Annotated[float, Field(gt=0)] | None = None
+    steps: Count | None = None
+    checks: Count | None = None
+    seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)] = (0,)
+    data: Literal["simnfnd", "olddata"] = "simnfnd"
+    places: Literal["train", "sparse"] = "train"
+    start: str | None = None
+
+    def __post_init__(self) -> None:
+        if (self.cpu_s is None) == (self.steps is None):
+            raise ValueError(f"{self.name}: give it cpu_s or steps, one of them")
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -65,6 +83,7 @@ class CampaignSettings:
     show: bool
     debug: bool
     threads: Count
+    jobs: Count
     checks: Count
     pace_steps: Count
     data: DataSettings
@@ -74,15 +93,27 @@ class CampaignSettings:
     rows: tuple[RowSettings, ...]
 
     def __post_init__(self) -> None:
-        known: dict[str, tuple[tuple[str, ...], float, str]] = {}
+        known: dict[str, RowSettings] = {}
         seen = set()
         for row in self.rows:
-            told = (row.words, row.cpu_s, row.data)
+            told = replace(row, seeds=(0,))
             if known.setdefault(row.name, told) != told:
                 raise ValueError(f"rows: {row.name} is there twice with other words or budget")
+            if row.places == "sparse" and self.data.sparse is None:
+                raise ValueError(f"rows: {row.name} needs data.sparse")
             for seed in row.seeds:
                 if (row.name, seed) in seen:
                     raise ValueError(f"rows: {row.name} has seed {seed} twice")
                 seen.add((row.name, seed))
-            if row.data not in ("simnfnd", "olddata"):
-                raise ValueError(f"rows: {row.name}: data must be simnfnd or olddata")
+        for row in self.rows:
+            self.depth(row)
+
+    def depth(self, row: RowSettings) -> int:
+        """How many trainings come before those of a row."""
+        depth, known = 0, {one.name: one for one in self.rows}
+        while row.start is not None:
+            depth += 1
+            if row.start not in known or depth > len(known):
+                raise ValueError(f"rows: {row.name}: start must name a row that comes to an end")
+            row = known[row.start]
+        return depth

@@ -13,10 +13,8 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from factory.distribution import AnyNumber, NonNegative, number
-from factory.field.signal import Floats, Ping, Signal
+from factory.field.signal import Ping, Signal, vertical_table
 from factory.settings import STRICT
-
-_FAINTEST = 1e-4
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -71,42 +69,27 @@ def _with_images(
     signal: Signal, ping: Ping, height_m: float, loss_db: float, tilt_deg: float
 ) -> Signal:
     """Echoes by way of a level plane `height_m` above the sonar (negative: below)."""
-    from factory.field import kernels  # loads numba
+    from factory.field import world_loops  # loads numba
 
-    scene = ping.scatterers
-    points_m = ping.sonar.mount.to_sonar(scene.filled_camera_m).astype(np.float32)
-    r, r_image, sine, sine_image = _ways(points_m, height_m, np.deg2rad(tilt_deg))
-
-    one_way = np.sqrt(ping.vertical_pattern(sine))
-    towards = np.sqrt(ping.vertical_pattern(sine_image)) / np.maximum(one_way, _FAINTEST)
-    longer_m = r_image - r
-    absorbed = np.exp(-np.log(10) / 10 * ping.absorption_db_per_m * longer_m)
-    once = towards * (r / r_image) ** 2 * absorbed * 10 ** (-loss_db / 10)
-
-    planes = np.concatenate([signal.power[None], signal.field.reshape(-1, *ping.shape)])
-    made = planes.reshape(len(planes), -1).copy()
-    kernels.mirror(
+    scene, mount, tilt_rad = ping.scatterers, ping.sonar.mount, np.deg2rad(tilt_deg)
+    power, field = signal.power.copy(), signal.field.copy()
+    planes = (-1, signal.power.size)
+    world_loops.mirror(
         scene.filled,
-        (longer_m / ping.bin_m).astype(np.float32),
-        once.astype(np.float32),
+        scene.filled_camera_m,
+        np.ascontiguousarray(mount.rotation_sonar_from_camera(), np.float32),
+        mount.position_camera_m().astype(np.float32),
+        height_m,
+        np.cos(tilt_rad),
+        np.sin(tilt_rad),
+        vertical_table(ping.sonar),
+        10 ** (-loss_db / 10),
+        np.log(10) / 10 * ping.absorption_db_per_m,
+        1 / ping.bin_m,
         ping.sonar.beams,
-        planes.reshape(len(planes), -1),
-        made,
+        signal.power.reshape(-1),
+        signal.field.reshape(planes),
+        power.reshape(-1),
+        field.reshape(planes),
     )
-    made = made.reshape(planes.shape)
-    return Signal(made[0], made[1:].reshape(signal.field.shape))
-
-
-def _ways(
-    points_m: Floats, height_m: float, tilt_rad: float
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Way to each point, way by the plane, and the sines of the elevations of their departures."""
-    x, y, z = points_m.T
-    ahead = x * np.cos(tilt_rad) + z * np.sin(tilt_rad)
-    up = z * np.cos(tilt_rad) - x * np.sin(tilt_rad)
-    up_image = 2 * height_m - up
-    flat2 = ahead**2 + y**2
-    r, r_image = np.sqrt(flat2 + up**2), np.sqrt(flat2 + up_image**2)
-    # The direction of departure in the sonar's own axes.
-    sine_image = (up_image * np.cos(tilt_rad) + ahead * np.sin(tilt_rad)) / r_image
-    return r, np.maximum(r_image, r), z / r, sine_image
+    return Signal(power, field)

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from factory.distribution import AnyNumber, number
-from factory.field.signal import Floats, Ping, beamform, white_noise
+from factory.field.signal import Floats, Ping, add_white_noise, beamform, white_noise
 from factory.settings import STRICT
 
 
@@ -34,9 +34,12 @@ def receiver(
     field: Floats, ping: Ping, rng: np.random.Generator, *, level_db: float, grain: str
 ) -> Floats:
     """The field with the receiver's noise."""
-    noise = white_noise(rng, field.shape[0], ping.shape)
+    amplitude = np.float32(np.sqrt(ping.thermal_noise * 10 ** (level_db / 10)))
     if grain == "beam":
-        noise = beamform(noise, ping)
-    noise *= np.float32(np.sqrt(ping.thermal_noise * 10 ** (level_db / 10)))
-    noise += field
-    return noise
+        noise = beamform(white_noise(rng, field.shape[0], ping.shape), ping)
+        noise *= amplitude
+        noise += field
+        return noise
+    noisy = field.copy()
+    add_white_noise(noisy, rng, np.full(ping.shape[0], amplitude))
+    return noisy

@@ -24,10 +24,15 @@ class SaturationSettings:
 
 def saturation(field: Floats, ping: Ping, rng: np.random.Generator, *, level_db: float) -> Floats:
     """The field, no amplitude above the limit."""
-    limit = ping.strongest * 10 ** (level_db / 10) * ping.gain[:, None]
+    from factory.field import kernels  # loads numba
+
+    limit = (ping.strongest * 10 ** (level_db / 10) * ping.gain).astype(np.float32)
+    strongest = np.empty((field.shape[0], field.shape[2]), np.float32)
+    kernels.loudest(field, strongest)
+    if not (strongest > limit).any():
+        return field
+    limit = limit[:, None]
     intensity = (field**2).sum(axis=1, keepdims=True)
     over = intensity > limit
-    if not over.any():
-        return field
     factor = np.sqrt(np.divide(limit, intensity, out=np.ones_like(intensity), where=over))
     return np.asarray(field * factor, np.float32)

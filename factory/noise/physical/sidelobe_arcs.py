@@ -29,8 +29,11 @@ def sidelobe_arcs(
     field: Floats, ping: Ping, rng: np.random.Generator, *, level_db: float
 ) -> Floats:
     """The field with each row's leak, of one random phase a row."""
-    strongest = np.sqrt((field**2).sum(axis=1).max(axis=-1))  # (looks, rows)
-    leak = strongest * np.float32(10 ** (level_db / 20))
+    from factory.field import kernels  # loads numba
+
+    strongest = np.empty((field.shape[0], field.shape[2]), np.float32)
+    kernels.loudest(field, strongest)
+    leak = np.sqrt(strongest) * np.float32(10 ** (level_db / 20))
     phase = 2 * np.pi * rng.random(leak.shape, dtype=np.float32)
     arcs = np.stack([leak * np.cos(phase), leak * np.sin(phase)], axis=1)
     return np.asarray(field + arcs[..., None], np.float32)

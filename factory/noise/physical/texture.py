@@ -17,7 +17,7 @@ from factory.distribution import Positive, number
 from factory.field.signal import Floats, Ping, gaussian_table
 from factory.settings import STRICT
 
-_STEPS, _REACH = 32_768, 5.5
+_STEPS, _REACH = 1024, 5.5
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -37,21 +37,26 @@ def texture(
     field: Floats, ping: Ping, rng: np.random.Generator, *, shape: float, patch_m: float
 ) -> Floats:
     """The field, every bin that a surface fills weakened or strengthened by sqrt(tau)."""
-    from factory.field import kernels
+    from factory.field import world_loops
 
     scene = ping.scatterers
     normal = np.empty(len(scene.filled), np.float32)
     key = int(rng.integers(2**32))
-    kernels.lattice(scene.filled_world_m / patch_m, key, gaussian_table(), normal)
-    factor = np.ones(field.shape[-2] * field.shape[-1], np.float32)
-    factor[scene.filled] = np.sqrt(gamma_of_normal(normal, shape))
-    return field * factor.reshape(ping.shape)
+    lattice_from_camera = np.ascontiguousarray(scene.world_from_camera[:3] / patch_m)
+    world_loops.lattice(scene.filled_camera_m, lattice_from_camera, key, gaussian_table(), normal)
+    varied = field.copy()
+    planes = varied.reshape(-1, varied.shape[-2] * varied.shape[-1])
+    world_loops.strengthen(scene.filled, gamma_of_normal(normal, shape), planes)
+    return varied
 
 
 def gamma_of_normal(normal: Floats, shape: float) -> Floats:
     """Gamma(nu, 1 / nu) values at the quantiles of standard normal ones; mean 1."""
-    step = (np.clip(normal, -_REACH, _REACH) + _REACH) * ((_STEPS - 1) / (2 * _REACH))
-    return np.asarray(_quantiles(shape)[np.rint(step).astype(np.intp)])
+    from factory.field import world_loops
+
+    gamma = np.empty(len(normal), np.float32)
+    world_loops.interpolated(normal, _quantiles(shape), _REACH, gamma)
+    return gamma
 
 
 @lru_cache(maxsize=64)

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from factory.distribution import AnyNumber, number
-from factory.field.signal import Ping, Signal, white_noise
+from factory.field.signal import Ping, Signal, add_white_noise
 from factory.settings import STRICT
 
 
@@ -33,5 +33,6 @@ def volume(signal: Signal, ping: Ping, rng: np.random.Generator, *, strength_db:
     range_m = np.maximum(ping.range_m, ping.bin_m)
     level = 10 ** (strength_db / 10) * across_rad * upright_rad * ping.bin_m / range_m**2
     amplitude = np.sqrt(level * ping.scatterers.loss).astype(np.float32)
-    haze = white_noise(rng, signal.looks, ping.shape) * amplitude[:, None]
-    return Signal(signal.power, signal.field + haze)
+    field = signal.field.copy()
+    add_white_noise(field, rng, amplitude)
+    return Signal(signal.power, field)
