@@ -21,6 +21,7 @@ from evaluation.report.files import read_results
 from evaluation.statistics import Estimate, estimate
 from factory.errors import FactoryError
 from factory.shards.files import write_atomically
+from models import WEIGHTS_NAME
 
 QUALITY = ("psnr", "ssim", "gmsd", "shadow_iou")
 COUNTING = ("procedural", "real")
@@ -120,7 +121,7 @@ def costs_of(folder: Path, sets: Mapping[str, Scores]) -> dict[str, dict[str, fl
 
     found = {}
     for row, labels in _all_rows(sets).items():
-        path = folder / "models" / labels[0] / "weights.safetensors"
+        path = folder / "models" / labels[0] / WEIGHTS_NAME
         if path.is_file():
             found[row] = asdict(measure(load_weights(path).network))
     return found

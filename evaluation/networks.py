@@ -16,11 +16,10 @@ from evaluation.settings import EvaluationSettings
 from factory.errors import FactoryError
 from factory.settings import build
 from factory.shards.reader import open_shard
+from models import WEIGHTS_NAME
 
 if TYPE_CHECKING:
     from models.geometry import Geometry
-
-WEIGHTS_NAME = "weights.safetensors"
 
 
 def networks_of(settings: EvaluationSettings) -> list[Method]:

@@ -34,6 +34,9 @@ from factory.settings import build
 if TYPE_CHECKING:
     from models.network import Network
 
+WEIGHTS_NAME = "weights.safetensors"
+"""What a training leaves its weights in; here, where naming it does not load torch."""
+
 NETWORKS = {
     "dae": ("models.dae", "DAESettings", "DAE"),
     "nafnet": ("models.nafnet", "NAFNetSettings", "NAFNet"),

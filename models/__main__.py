@@ -13,6 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 from factory.cli import accept_dataset_folder, guard, run_app
 from factory.errors import FactoryError
 from factory.settings import build
+from models import WEIGHTS_NAME
 
 
 def run(config: DictConfig) -> None:
@@ -29,7 +30,6 @@ def run(config: DictConfig) -> None:
     settings: ModelsSettings = build(ModelsSettings, values)
     # torch and Lightning take seconds to import: only when there is something to train.
     from models.train import is_main_process, output_folder, train
-    from models.weights import WEIGHTS_NAME
 
     best = train(settings, values)
     if not is_main_process():

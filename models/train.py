@@ -17,7 +17,7 @@ from torch.utils.data import DataLoader
 
 from factory.errors import FactoryError
 from factory.shards.files import check_writable, sha256_of, write_atomically
-from models import build_network
+from models import WEIGHTS_NAME, build_network
 from models.data import Batch
 from models.data_crops import Crops, Visits, Whole, join, whole
 from models.data_sources import Data, open_data
@@ -35,7 +35,7 @@ from models.training_checks import (
     read_checkpoint,
 )
 from models.training_self import SelfSupervised
-from models.weights import WEIGHTS_NAME, load_weights
+from models.weights import load_weights
 
 _SHOWN = 4
 

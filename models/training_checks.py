@@ -19,10 +19,11 @@ from tqdm import tqdm
 
 from factory.errors import FactoryError
 from factory.shards.files import write_atomically
+from models import WEIGHTS_NAME
 from models.data import Batch
 from models.samples import contact_sheet, write_grey
 from models.training import Row, Training
-from models.weights import WEIGHTS_NAME, save_weights
+from models.weights import save_weights
 
 CHECKPOINT_NAME = "checkpoint.ckpt"
 METRICS_NAME = "metrics.csv"

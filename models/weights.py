@@ -18,7 +18,6 @@ from factory.shards.files import write_atomically
 from models import build_network
 from models.network import Network
 
-WEIGHTS_NAME = "weights.safetensors"
 FORMAT = "simnfnd-denoiser/1"
 # One header entry, because safetensors does not keep the order of several.
 _KEY = "simnfnd"

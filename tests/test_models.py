@@ -25,7 +25,7 @@ from evaluation import metrics
 from factory.errors import FactoryError
 from factory.settings import build
 from factory.shards.files import sha256_of
-from models import build_network, quality
+from models import WEIGHTS_NAME, build_network, quality
 from models.data import PairSource, SampleRef, Shards, hold_out, read_table, spread
 from models.data_crops import Crops, Visit, Visits, interval_sizes, join
 from models.losses import build_loss
@@ -33,7 +33,7 @@ from models.settings import DATA, ModelsSettings
 from models.train import train
 from models.training import Training, rate_factor
 from models.training_checks import is_stopped, read_checkpoint
-from models.weights import WEIGHTS_NAME, load_weights, save_weights
+from models.weights import load_weights, save_weights
 from tests.small_dataset import fan_images, write_dataset
 
 ROOT = Path(__file__).parents[1]

@@ -20,11 +20,11 @@ from factory.errors import FactoryError
 from factory.scheduler.lock import Lock
 from factory.scheduler.signals import Interrupted, stop_signals
 from factory.shards.files import check_writable, sha256_of, write_atomically
+from models import WEIGHTS_NAME
 from models.campaign.plan import Folders, Step, data_steps, report_steps, training_steps
 from models.campaign.processes import Processes, Programs
 from models.campaign.settings import CampaignSettings, RowSettings
 
-_WEIGHTS = "weights.safetensors"
 _CLEAR_CPU_S, _CLEAR = 4.0, 0.3
 _SOME_FAILED = 1
 """Exit code of a program that did its work, but for some frames or files."""
@@ -86,7 +86,7 @@ class Campaign:
             str(self.folders.model(row, seed))
             for row, seed in names
             if self._record(f"train-{row}-s{seed}").get("code") == 0
-            and (self.folders.model(row, seed) / _WEIGHTS).is_file()
+            and (self.folders.model(row, seed) / WEIGHTS_NAME).is_file()
         ]
 
     def _do_all(self, steps: Sequence[Step]) -> None:
@@ -220,7 +220,7 @@ class Campaign:
         """What a step depends on beside its words: reports on weights, the table on reports."""
         if not step.name.startswith(("report-", "table")):
             return {}
-        files = [Path(folder) / _WEIGHTS for folder in self.trained()]
+        files = [Path(folder) / WEIGHTS_NAME for folder in self.trained()]
         if step.name == "table":
             files += sorted(self.folders.out.glob("reports/*/results.parquet"))
         return {str(file.relative_to(self.folders.out)): sha256_of(file)[:16] for file in files}

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from models import WEIGHTS_NAME
 from models.campaign.settings import CampaignSettings, Places, RowSettings
 
 EFFECTS = ("range_spreading", "multipath", "azimuth", "background")
@@ -107,11 +108,10 @@ def data_steps(settings: CampaignSettings) -> Iterator[Step]:
 def training_steps(settings: CampaignSettings) -> Iterator[Step]:
     """The trainings, in the order of the list.  OldData is left out where there is no MDD.
 
-    What begins from the weights of another row comes after all that do not.
+    A row that begins from the weights of another comes after all that need fewer before them.
     """
     folders, data = Folders(Path(settings.out)), settings.data
     seeds = {row.name: row.seeds for row in reversed(settings.rows)}
-    # Those that begin from the weights of another come when all of these are there.
     for row in sorted(settings.rows, key=settings.depth):
         if row.data == "olddata" and data.mdd is None:
             continue
@@ -130,8 +130,7 @@ def training_steps(settings: CampaignSettings) -> Iterator[Step]:
                 source = ("data=renders", f"dataset.dir='{folders.data(row.places)}'", renders)
             if row.start is not None:
                 begun = seed if seed in seeds[row.start] else seeds[row.start][0]
-                weights = folders.model(row.start, begun) / "weights.safetensors"
-                source = (*source, f"start='{weights}'")
+                source = (*source, f"start='{folders.model(row.start, begun) / WEIGHTS_NAME}'")
             out = f"out='{folders.model(row.name, seed)}'"
             words = (*source, *settings.words, *row.words, f"seed={seed}", out)
             yield Step(f"train-{row.name}-s{seed}", "models", words, row)
