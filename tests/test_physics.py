@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from factory.commands.compose import compose_config
 from factory.config import digest, identity
 from factory.errors import FactoryError
+from factory.field import beams as matrices
 from factory.field.pairs import backscatter, field_scene, make_field_pair
 from factory.field.scatterers import scatterers
 from factory.field.signal import beamform, beamform_power
@@ -186,6 +187,36 @@ def test_beams_in_halves_are_the_matrix_product(beams):
     blurred = beamform_power(power, made)
     assert blurred.min() >= 0
     np.testing.assert_allclose(blurred, along @ mixing**2, atol=2e-7)
+
+
+@pytest.mark.parametrize("words", [["sonar.beams=512"], ["sonar=oculus_m1200d_hf"]])
+def test_beams_by_way_of_modes_are_the_matrix_product(words):
+    """As many beams as resolve nothing more; to 2e-5 of the row's strongest number."""
+    settings_ = compose_config(["experiment=physical", *words])
+    frame, rendered = constant_field(size=(60, 80))
+    made = field_scene(frame, rendered, settings_).ping
+    factors = matrices.modes(settings_.sonar)
+    assert factors is not None
+    assert sum(one.shape[0] * one.shape[1] for one in factors) < 0.9 * (made.shape[1] // 2) ** 2 * 2
+    field = np.random.default_rng(3).standard_normal((1, 2, *made.shape)).astype(np.float32)
+    along = np.apply_along_axis(np.convolve, 2, field.astype(np.float64), made.kernel, "same")
+    expected = along @ made.mixing.astype(np.float64)
+    error = np.abs(beamform(field, made) - expected) / np.abs(expected).max(axis=-1, keepdims=True)
+    assert error.max() < 2e-5
+
+
+def test_factors_are_those_of_the_matrix() -> None:
+    rng = np.random.default_rng(4)
+    matrix = rng.standard_normal((30, 6)) @ rng.standard_normal((6, 40))
+    found = matrices.factors(matrix, 6)
+    assert found is not None
+    assert found[0].shape == (30, 6)
+    assert matrices.factors(matrix, 5) is None
+    np.testing.assert_allclose(found[0] @ found[1], matrix, atol=1e-5 * np.abs(matrix).max())
+
+
+def test_beams_that_resolve_each_other_have_no_modes() -> None:
+    assert matrices.modes(compose_config(["experiment=physical", "sonar=didson_hf"]).sonar) is None
 
 
 def _powers(depths_m: np.ndarray, plate_m: float, frequency_khz: float) -> np.ndarray:

@@ -138,6 +138,18 @@ def test_multipath_comes_when_the_geometry_says(way):
     assert made.power[found[2], beam] == pytest.approx(once**2, rel=0.1)
 
 
+def test_effects_leave_the_frame_as_it_is() -> None:
+    """They change the field that they are given, but what the frame's pairs share stays."""
+    settings = config(noise={name: {} for name in EVERY if name != "speckle"})
+    made = heard(settings)
+    before = made.ping.scatterers.power.copy(), made.clean.copy()
+    first = make_field_pair(made, 0, settings)
+    again = make_field_pair(made, 0, settings)
+    np.testing.assert_array_equal(first.noisy, again.noisy)
+    np.testing.assert_array_equal(made.ping.scatterers.power, before[0])
+    np.testing.assert_array_equal(made.clean, before[1])
+
+
 def test_speckled_echoes_are_mirrored_with_the_same_strength() -> None:
     of = ping(sonar={"vfov_deg": 60}, water={"depth_m": 1})
     power = np.full(of.shape, 1, np.float32)
@@ -240,7 +252,7 @@ def test_saturation_limits_and_leaves_the_rest() -> None:
     limit = of.strongest * 10**0.3 * of.gain[:, None]
     field = silence(of)
     field[0, 0] = np.sqrt(np.linspace(0.1, 10, of.shape[1]) * limit)
-    clipped = saturation(field, of, rng(), level_db=3)
+    clipped = saturation(field.copy(), of, rng(), level_db=3)
     assert (intensity(clipped) <= limit * 1.0001).all()
     under = intensity(field) < limit * 0.999
     np.testing.assert_array_equal(clipped[0, 0][under], field[0, 0][under])

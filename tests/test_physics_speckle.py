@@ -12,7 +12,7 @@ from scipy import special, stats
 
 from factory.field import world_loops
 from factory.field.pairs import FieldScene, field_scene, make_field_pair, received
-from factory.field.scatterers import shared
+from factory.field.scatterers import Scatterers, shares
 from factory.field.signal import beamform_power, gaussian_table, white_noise
 from factory.noise import physical
 from factory.noise.physical.texture import gamma_of_normal
@@ -66,7 +66,7 @@ def test_texture_makes_it_k_distributed(shape, golden_si, golden_enl):
     size = 4_000_000
     rng = np.random.default_rng(3)
     normal = np.empty(size, np.float32)
-    points = rng.random((size, 3), dtype=np.float32)
+    points = rng.random((3, size), dtype=np.float32)
     world_loops.lattice(points, 1000 * np.eye(3, 4), 7, gaussian_table(), normal)
     field = white_noise(rng, 1, (1, size))[0, :, 0]
     intensity = (field.astype(np.float64) ** 2).sum(axis=0) * gamma_of_normal(normal, shape)
@@ -88,12 +88,42 @@ def test_the_table_of_gamma_values_is_fine_enough(shape):
 def test_points_of_a_cell_share_its_power() -> None:
     """Counted with numpy; cells come back, and some names fall on the same slot of the table."""
     rng = np.random.default_rng(1)
-    cells = rng.integers(0, 40, 3000).astype(np.uint32).repeat(rng.integers(1, 5, 3000))
-    cells[::3] *= np.uint32(1 << 20)
-    powers = rng.random(len(cells), dtype=np.float32)
-    _, cell, counts = np.unique(cells, return_inverse=True, return_counts=True)
-    expected = np.sqrt(powers / counts[cell].astype(np.float32))
-    np.testing.assert_array_equal(shared(cells, powers), expected)
+    names = rng.integers(0, 400, 3000).astype(np.uint32) * np.uint32(2654435761)
+    points = rng.integers(1, 5, 3000)
+    found = shares(names, names & np.uint32(0xFFFF0011), np.cumsum(points).astype(np.int32))
+    _, cell = np.unique(names, return_inverse=True)
+    expected = 1 / np.sqrt(np.bincount(cell, points)[cell])
+    np.testing.assert_allclose(found, expected, rtol=2e-7)
+
+
+@pytest.mark.parametrize("away_m", [0.0, 4_321_987.6])
+def test_scatterers_of_a_run_lie_in_one_cell_of_the_world(away_m):
+    """Cells from the scatterers' places in double precision; also far from the world's origin."""
+    settings, edge_m = config(), 0.01
+    frame, rendered = slope((away_m, -away_m, 0.3))
+    made: Scatterers = field_scene(frame, rendered, settings).ping.scatterers
+    assert frame.world_from_camera is not None
+    (height, width), camera = frame.depth_m.shape, frame.intrinsics
+    row, column = np.divmod(made.pixels, width)
+    depth_m = frame.depth_m.astype(np.float64)
+    y_of = ((np.arange(height) - camera.cy) / camera.fy)[:, None] * depth_m
+    below = np.minimum(row + 1, height - 1)
+    z, y = (one[row, column] + made.parts * (one[below, column] - one[row, column])
+            for one in (depth_m, y_of))  # fmt: skip
+    x = (column - camera.cx) / camera.fx * z
+    world = np.stack([x, y, z, np.ones_like(z)], axis=1) @ frame.world_from_camera[:3].T
+    place = world / edge_m
+    # What lies on the border of two cells may be rounded into either.
+    clear = (np.abs(place - np.rint(place)) > 2e-3).all(axis=1)
+    assert clear.mean() > 0.9
+    _, cell = np.unique(np.floor(place[clear]), axis=0, return_inverse=True)
+    cells = made.world_cells(edge_m)
+    _, name = np.unique(cells.names[cells.runs[clear]], return_inverse=True)
+    assert len(np.unique(cell)) == len(np.unique(name)) == len(np.unique(cell + 1j * name)) > 1000
+    counted = cells.shares[cells.runs].astype(np.float64) ** -2
+    assert np.rint(counted).min() >= 1
+    # Each cell's points have shares that sum to 1 in intensity.
+    assert (1 / counted).sum() == pytest.approx(len(np.unique(cells.names)), rel=1e-5)
 
 
 def test_texture_in_a_picture() -> None:

@@ -60,6 +60,8 @@ def field_scene(frame: Frame, rendered: Rendered, config: FactoryConfig) -> Fiel
 
     Raises FrameError when the sonar's sector holds no insonified surface.
     """
+    from factory.field import kernels  # loads numba
+
     sonar, water, acoustics = config.sonar, config.water, config.acoustics
     try:
         window = fit_window(extent(frame, rendered, sonar), sonar)
@@ -77,11 +79,10 @@ def field_scene(frame: Frame, rendered: Rendered, config: FactoryConfig) -> Fiel
     ping = Ping(heard, window, sonar, water, gain, 1.0, 1.0)
     expected = beamform_power(heard.power, ping)
     seen = polar.seen_beams(window, sonar)
-    amplitude = np.sqrt(expected * gain[:, None])
-    echoing = np.where((heard.power > 0) & seen, amplitude, np.float32(0))
+    amplitude, echoing = np.empty_like(expected), np.empty_like(expected)
+    strongest = kernels.expectation(expected, gain, heard.power, seen, amplitude, echoing)
     full_scale = transfer.full_scale(echoing, sonar.transfer)
-    strongest = float((expected * seen).max())
-    ping = replace(ping, full_scale=full_scale**2, strongest=strongest)
+    ping = replace(ping, full_scale=full_scale**2, strongest=float(strongest))
 
     if acoustics.target == "mean_field":
         level, scale = amplitude, full_scale
@@ -91,13 +92,13 @@ def field_scene(frame: Frame, rendered: Rendered, config: FactoryConfig) -> Fiel
     else:
         level = np.sqrt(backscatter(frame, rendered, window, config))
         scale = transfer.full_scale(level, sonar.transfer)
-    clean = np.where(seen, transfer.grey(level, scale, sonar.transfer), np.float32(0))
+    clean = _where_seen(transfer.grey(level, scale, sonar.transfer), seen)
     shadow = ~polar.covered(heard.in_beam) & seen
     return FieldScene(
         frame.ref,
         window,
         ping,
-        np.asarray(clean, np.float32),
+        clean,
         lay_out_nearest(shadow, window, sonar),
         {name: lay_out_nearest(picture, window, sonar) for name, picture in layers.items()},
         echoes,
@@ -115,6 +116,10 @@ def _points(
         return Echoes(none, none, none, none), {}
     echoes, pixel, _ = insonified(frame, rendered, window, config.sonar)
     return echoes, truth.pictures(config.dataset.layers, frame, echoes, pixel, window, config.sonar)
+
+
+def _where_seen(grey: Floats, seen: npt.NDArray[np.bool_]) -> Floats:
+    return grey if seen.all() else np.where(seen, grey, np.float32(0))
 
 
 def make_field_pair(made: FieldScene, variant: int, config: FactoryConfig) -> Pair:
@@ -136,7 +141,7 @@ def make_field_pair(made: FieldScene, variant: int, config: FactoryConfig) -> Pa
         added = [echoes for name, echoes in points.items() if name in chosen]
         level = _with_points(level, added, ping)
         grey = transfer.grey(level, float(np.sqrt(ping.full_scale)), sonar.transfer)
-        return picture(np.where(polar.seen_beams(window, sonar), grey, np.float32(0)))
+        return picture(_where_seen(grey, polar.seen_beams(window, sonar)))
 
     layers = dict(made.layers)
     if "effects" in config.dataset.layers:

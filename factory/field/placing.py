@@ -111,16 +111,19 @@ def heard(
     low: float,
     high: float,
     rows: int,
+    lit: npt.NDArray[np.uint8],
     columns: npt.NDArray[np.uint32],
 ) -> int:
     """The lit pixels of a row inside the sector and the range window; returns how many."""
-    count = 0
+    zero, beyond, count = np.float32(0), np.float32(rows), np.uint32(0)
     for column in range(value.shape[0]):
         near, far = min(start[column], end[column]), max(start[column], end[column])
-        inside = (value[column] > 0) & (low <= tangent[column]) & (tangent[column] < high)
+        inside = (value[column] > zero) & (low <= tangent[column]) & (tangent[column] < high)
+        lit[column] = np.uint8(inside & (far >= zero) & (near < beyond))
+    for column in range(value.shape[0]):
         columns[count] = column
-        count += int(inside & (far >= 0) & (near < rows))
-    return count
+        count += np.uint32(lit[column])
+    return int(count)
 
 
 @compiled(
@@ -129,7 +132,7 @@ def heard(
     " float32[::1], float32[::1], float32[:, ::1], float32[::1], boolean, float32, float32,"
     " float32[::1], int32[::1], float32, float32[::1], float32[::1], boolean[::1], float32,"
     " int32[::1],"
-    " int32[::1], float32[::1], int32[::1], float32[::1])"
+    " int32[::1], float32[::1], int32[::1], float32[::1], int32[::1])"
 )
 def place(
     depth_m: Floats,
@@ -156,6 +159,7 @@ def place(
     power_of: Floats,
     pixel_of: npt.NDArray[np.int32],
     part_of: Floats,
+    row_end: npt.NDArray[np.int32],
 ) -> int:
     """Each lit pixel as scatterers of polar bins; returns how many there are.
 
@@ -163,7 +167,8 @@ def place(
     surface.  `power` gets its echo in exact parts.  A scatterer lies anywhere in between, one for
     each range bin that it covers: at grazing incidence there are fewer pixels than bins.
 
-    depth_m, radiance: (H, W).  labels: (H, W), or (0, 0) when all are 0; reflectivity: of each.
+    depth_m, radiance: (H, W).  labels: (H, W), or (0, 0) when all are 0; reflectivity: of each,
+    the last of those beyond, too.
     factor: (H, W) multiplies the radiance, or (0, 0).
     across, down: (u - cx) / fx, (v - cy) / fy.  rotation, position_m: sonar axes from camera axes.
     tangents: (beams + 1,) tangents of the beams' edges; first_beam, beam_scale: a table that says
@@ -172,7 +177,7 @@ def place(
     power, owner: (bins,) out, summed power and last pixel of a bin (-1: none).  in_beam: (bins,)
     out, whether a pixel within sin(elevation) of +-widest_sine fills it.
     bin_of, power_of, pixel_of, part_of: (at least pixels,) out; part: how far towards the pixel
-    below, 0 to 1.
+    below, 0 to 1.  row_end: (H,) out, how many scatterers there are up to the end of each row.
     """
     height, width = depth_m.shape
     beams = tangents.shape[0] - 1
@@ -184,6 +189,7 @@ def place(
     tangent_of, bin_row_of = np.empty((2, width), np.float32), np.empty((2, width), np.float32)
     sine_of, value_of = np.empty((2, width), np.float32), np.empty((2, width), np.float32)
     end_of, columns = np.empty(width, np.float32), np.empty(width, np.uint32)
+    lit, last_label = np.empty(width, np.uint8), np.uint32(reflectivity.shape[0] - 1)
     ground_up = rotation[2] if ground_range else np.zeros(3, np.float32)
     count = 0
     for row in range(height + 1):
@@ -209,7 +215,7 @@ def place(
             )  # fmt: skip
         else:
             end_of[:] = starts
-        kept = heard(values, tangents_, starts, end_of, low, high, rows, columns)
+        kept = heard(values, tangents_, starts, end_of, low, high, rows, lit, columns)
         for at in range(kept):
             column = columns[at]
             value, tangent = values[column], tangents_[column]
@@ -225,7 +231,8 @@ def place(
             part = sine - np.float32(step)
             lower, upper = pattern[step], pattern[np.uint32(step + np.uint32(1))]
             value *= lower + part * (upper - lower)
-            value *= reflectivity[labels[above, column] if labels.shape[0] else 0]
+            label = np.uint32(labels[above, column] if labels.shape[0] else 0)
+            value *= reflectivity[min(label, last_label)]
             if factor.shape[0]:
                 value *= factor[above, column]
             pixel = above * width + column
@@ -240,7 +247,8 @@ def place(
                 power[np.uint32(last * beams + beam)] += value * (one - share_)
                 power[nearest] += value * share_
                 owner[nearest] = pixel
-                in_beam[nearest] |= central
+                if central:
+                    in_beam[nearest] = True
                 slot = np.uintp(count)
                 bin_of[slot] = int(start + where * (end - start)) * beams + beam
                 power_of[slot] = value
@@ -266,4 +274,5 @@ def place(
                     pixel_of[count] = pixel
                     part_of[count] = part if end != start else np.float32(0)
                     count += 1
+        row_end[above] = count
     return count

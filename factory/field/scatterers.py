@@ -21,7 +21,6 @@ import numpy.typing as npt
 from factory.errors import FrameError
 from factory.field.settings import AcousticsSettings
 from factory.frame import Frame
-from factory.labels import CLASSES
 from factory.render.base import Rendered
 from factory.sonar.acoustics import WaterSettings
 from factory.sonar.settings import SonarSettings
@@ -35,12 +34,29 @@ _GRAZING_COSINE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
+class Cells:
+    """N scatterers in cells of the world; those that follow each other in one cell are a run.
+
+    The scatterers of a cell share its coefficient; their amplitudes are such that a cell's power is
+    the sum of theirs.
+
+    runs: (N,) int32, the run of each scatterer.  names: (runs,) uint32, the cell (hash) of each.
+    shares: (runs,) float32, 1 / sqrt(scatterers of the cell): a factor on their amplitudes.
+    """
+
+    runs: npt.NDArray[np.int32]
+    names: npt.NDArray[np.uint32]
+    shares: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class Scatterers:
     """N scatterers of one frame.
 
     bins: (N,) int32 flat polar bin.  powers: (N,) float32 intensity over the source level, without
     absorption.  pixels: (N,) int32 flat camera pixel; parts: (N,) float32, how far towards the one
-    below it lies, 0 to 1.
+    below it lies, 0 to 1.  row_ends: (H,) int32, how many there are up to the end of each camera
+    row.
     power: (range_bins, beams) float32, their sum a bin, with absorption: the sonar equation.
     owner: (range_bins, beams) int32, a pixel that lies in the bin, -1 where none does.
     in_beam: (range_bins, beams) bool, whether one within vfov_deg does.
@@ -53,6 +69,7 @@ class Scatterers:
     powers: Floats
     pixels: npt.NDArray[np.int32]
     parts: Floats
+    row_ends: npt.NDArray[np.int32]
     power: Floats
     owner: npt.NDArray[np.int32]
     in_beam: npt.NDArray[np.bool_]
@@ -60,25 +77,26 @@ class Scatterers:
     frame: Frame
     world_from_camera: npt.NDArray[np.float64]
     posed: bool
-    _cells: dict[float, tuple[npt.NDArray[np.uint32], Floats]] = field(default_factory=dict)
+    _cells: dict[float, Cells] = field(default_factory=dict)
 
-    def world_cells(self, edge_m: float) -> tuple[npt.NDArray[np.uint32], Floats]:
-        """World cell (hash) and amplitude of each scatterer, for cells of this edge.
-
-        The scatterers of a cell share its coefficient; their amplitudes are such that a cell's
-        power is the sum of theirs.
-        """
+    def world_cells(self, edge_m: float) -> Cells:
+        """The world cells of this edge in which the scatterers lie."""
         if edge_m not in self._cells:
             from factory.field import cell_loops
 
             across, down = _directions(self.frame)
             pose = np.ascontiguousarray(self.world_from_camera[:3])
-            cells = np.empty(len(self.pixels), np.uint32)
-            cell_loops.cells(
-                self.pixels, self.parts, self.frame.depth_m, across, down, pose, edge_m, cells
-            )
+            size = len(self.pixels)
+            run_of, ends = np.empty(size, np.int32), np.empty(size, np.int32)
+            names, places = np.empty(size, np.uint32), np.empty(size, np.uint32)
+            count = cell_loops.runs(
+                self.pixels, self.parts, self.row_ends, self.frame.depth_m, across, down, pose,
+                edge_m, run_of, names, places, ends,
+            )  # fmt: skip
             self._cells.clear()
-            self._cells[edge_m] = cells, shared(cells, self.powers)
+            self._cells[edge_m] = Cells(
+                run_of, names[:count], shares(names[:count], places[:count], ends[:count])
+            )
         return self._cells[edge_m]
 
     @property
@@ -88,7 +106,7 @@ class Scatterers:
 
     @property
     def filled_camera_m(self) -> Floats:
-        """(M, 3) float32: a point of the surface in each of them, camera axes, metres."""
+        """(3, M) float32: a point of the surface in each of them, camera axes, metres."""
         return self._surface[1]
 
     @cached_property
@@ -96,26 +114,24 @@ class Scatterers:
         from factory.field import world_loops
 
         size = self.owner.size
-        bins, points_m = np.empty(size, np.int32), np.empty((size, 3), np.float32)
+        bins, points_m = np.empty(size, np.int32), np.empty((3, size), np.float32)
         seen = _directions(self.frame)
         count = world_loops.surface_points(
             self.owner.reshape(-1), self.frame.depth_m, *seen, bins, points_m
         )
-        return bins[:count], points_m[:count]
+        return bins[:count], np.ascontiguousarray(points_m[:, :count])
 
 
-def shared(cells: npt.NDArray[np.uint32], powers: Floats) -> Floats:
-    """(N,) float32 amplitudes, sqrt(power / points of the cell): they add up in phase."""
+def shares(
+    names: npt.NDArray[np.uint32], places: npt.NDArray[np.uint32], ends: npt.NDArray[np.int32]
+) -> Floats:
+    """(runs,) float32: see `Cells.shares`; the arguments are what `cell_loops.runs` gives."""
     from factory.field import cell_loops
 
-    size = len(cells)
-    names, (ends, run_of) = np.empty(size, np.uint32), np.empty((2, size), np.int32)
-    count = cell_loops.runs(cells, names, ends, run_of)
-    many, amplitudes = np.empty(count, np.int32), np.empty(size, np.float32)
-    table = np.zeros((1 << (3 * count // 2).bit_length(), 2), np.uint32)
-    cell_loops.count(names[:count], ends[:count], table, many)
-    cell_loops.share(run_of, many, powers, amplitudes)
-    return amplitudes
+    made = np.empty(len(names), np.float32)
+    table = np.zeros((1 << len(names).bit_length(), 2), np.uint32)
+    cell_loops.count(names, places, ends, table, made)
+    return made
 
 
 def scatterers(
@@ -144,6 +160,7 @@ def scatterers(
     most = 2 * frame.depth_m.size
     bins, of = np.empty(most, np.int32), np.empty(most, np.int32)
     powers, parts = np.empty(most, np.float32), np.empty(most, np.float32)
+    row_ends = np.empty(len(down), np.int32)
     mount = sonar.mount
     count = placing.place(
         frame.depth_m,
@@ -170,6 +187,7 @@ def scatterers(
         powers,
         of,
         parts,
+        row_ends,
     )
     if not count:
         raise FrameError(f"{frame.ref.name}: no echo inside the sonar's sector; check sonar.mount")
@@ -182,6 +200,7 @@ def scatterers(
         powers[:count],
         of[:count],
         parts[:count],
+        row_ends,
         power.reshape(sonar.range_bins, sonar.beams) * loss[:, None],
         owner.reshape(sonar.range_bins, sonar.beams),
         in_beam.reshape(sonar.range_bins, sonar.beams),
@@ -204,7 +223,7 @@ def _directions(frame: Frame) -> tuple[Floats, Floats]:
 def _labels(frame: Frame) -> npt.NDArray[np.uint8]:
     if frame.segmentation is None:
         return np.empty((0, 0), np.uint8)
-    return np.minimum(frame.segmentation, np.uint8(len(CLASSES) - 1))
+    return frame.segmentation
 
 
 def _reflectivity(frame: Frame, acoustics: AcousticsSettings) -> Floats:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from factory.field import beams
 from factory.sonar import array
 from factory.sonar.acoustics import WaterSettings, thermal_noise_db
 from factory.sonar.settings import SonarSettings
@@ -80,7 +81,7 @@ class Ping:
     @cached_property
     def mixing(self) -> Floats:
         """See `factory.sonar.array.beam_mixing`."""
-        return mixing(self.sonar)
+        return beams.mixing(self.sonar)
 
     @cached_property
     def kernel(self) -> Floats:
@@ -112,44 +113,30 @@ def vertical_table(sonar: SonarSettings) -> Floats:
     return array.vertical_pattern(sine, sonar.vfov_deg, sonar.array).astype(np.float32)
 
 
-@lru_cache(maxsize=8)
-def mixing(sonar: SonarSettings) -> Floats:
-    """The device's beam mixing; see `factory.sonar.array.beam_mixing`."""
-    return array.beam_mixing(sonar.beam_centres_rad(), sonar.array)
-
-
-@lru_cache(maxsize=16)
-def halves(sonar: SonarSettings, power: bool) -> tuple[Floats, Floats]:
-    """The mixing of amplitudes or, squared, of intensities as the compiled loop wants it.
-
-    A device whose left is the mirror of its right mixes the sums of mirrored beams with one matrix
-    and their differences with another, each of half the size: together half the work.  Returns both
-    (rows filled up with zeros to a multiple of 4).  Other devices: the whole matrix, and (0, 0).
-
-    A beam so gets the rounding errors of its mirror image: 2e-7 of the row's strongest number.
-    """
-    matrix = mixing(sonar).astype(np.float64) ** (2 if power else 1)
-    turned = matrix[::-1, ::-1]
-    if np.abs(matrix - turned).max() > 1e-6 * matrix.max():
-        return _filled_up(matrix), np.empty((0, 0), np.float32)
-    middle = (len(matrix) + 1) // 2  # of an odd number that beam is its own mirror
-    matrix = (matrix + turned) / 2
-    upper, lower = matrix[:middle, :middle], matrix[::-1][:middle, :middle]
-    return _filled_up((upper + lower) / 2), _filled_up((upper - lower) / 2)
-
-
-def _filled_up(matrix: npt.NDArray[np.float64]) -> Floats:
-    return np.pad(matrix, ((0, -len(matrix) % 4), (0, 0))).astype(np.float32)
-
-
 def beamform(field: Floats, ping: Ping) -> Floats:
     """The complex field after pulse compression and beamforming; same shape."""
-    return _blurred(field, ping.kernel, *halves(ping.sonar, power=False))
+    from factory.field import kernels  # loads numba
+
+    factors = beams.modes(ping.sonar)
+    if factors is None:
+        return _blurred(field, ping.kernel, *beams.halves(ping.sonar, power=False))
+    even, odd, even_out, odd_out = factors
+    flat = np.ascontiguousarray(field).reshape(-1, *ping.shape)
+    out = np.empty_like(flat)
+    found = np.empty((ping.shape[0], even.shape[1] + odd.shape[1]), np.float32)
+    spread = np.empty_like(found)
+    for plane, made in zip(flat, out, strict=True):
+        # There are fewer modes than beams, so the pulse goes between.
+        kernels.into_modes(plane, even, odd, found)
+        kernels.along_range(found, ping.kernel, spread)
+        kernels.out_of_modes(spread, even_out, odd_out, made)
+    return out.reshape(field.shape)
 
 
 def beamform_power(power: Floats, ping: Ping) -> Floats:
     """(range_bins, beams) expected intensity after both: what `beamform` does to speckle's mean."""
-    blurred = _blurred(power[None, None], ping.kernel**2, *halves(ping.sonar, power=True))[0, 0]
+    halves = beams.halves(ping.sonar, power=True)
+    blurred = _blurred(power[None, None], ping.kernel**2, *halves)[0, 0]
     # Differences of mirrored beams round to below zero where there is next to nothing.
     return np.asarray(np.maximum(blurred, 0, out=blurred))
 
@@ -157,10 +144,8 @@ def beamform_power(power: Floats, ping: Ping) -> Floats:
 def _blurred(planes: Floats, kernel: Floats, even: Floats, odd: Floats) -> Floats:
     from factory.field import kernels  # loads numba
 
-    rows, beams = planes.shape[-2:]
-    flat = np.ascontiguousarray(planes).reshape(-1, rows, beams)
-    out = np.empty_like(flat)
-    between = np.empty((rows, beams), np.float32)
+    flat = np.ascontiguousarray(planes).reshape(-1, *planes.shape[-2:])
+    out, between = np.empty_like(flat), np.empty(flat.shape[1:], np.float32)
     for plane, made in zip(flat, out, strict=True):
         source = plane
         if len(kernel) > 1:

@@ -14,10 +14,11 @@ from factory.field.kernels import mixed
 Floats = npt.NDArray[np.float32]
 
 _1, _16 = np.uint32(1), np.uint32(16)
-_ONE, _TWO, _THREE = np.float32(1), np.float32(2), np.float32(3)
+_ONE, _TWO, _THREE, _FOUR = np.float32(1), np.float32(2), np.float32(3), np.float32(4)
 _BLOCK = 1024
 # Weakest amplitude of the straight way that a mirrored one is compared with.
 _FAINTEST = np.float32(1e-4)
+_NEAREST_M = np.float32(1e-3)  # keeps directions finite
 
 
 @compiled(
@@ -34,22 +35,22 @@ def surface_points(
 ) -> Any:
     """Bins that a pixel owns, and that pixel's point in camera axes; returns how many.
 
-    owner, bins: (bins,).  points_m: (bins, 3).
+    owner, bins: (bins,).  points_m: (3, bins).
     """
-    width = np.int32(depth_m.shape[1])
+    width, flat_m = np.int32(depth_m.shape[1]), depth_m.ravel()
     per_row = 1 / np.float64(width)
+    xs, ys, zs = points_m[0], points_m[1], points_m[2]
     count = np.uint32(0)
     for i in range(owner.shape[0]):
         bins[count] = i
         count += np.uint32(owner[i] >= 0)
-    for i in range(count):
+    for i in range(np.int64(count)):
         pixel = owner[np.uint32(bins[i])]
-        row = np.uint32((np.float64(pixel) + 0.5) * per_row)  # exact, and no division
-        column = np.uint32(pixel - np.int32(row) * width)
-        z = depth_m[row, column]
-        points_m[i, 0] = across[column] * z
-        points_m[i, 1] = down[row] * z
-        points_m[i, 2] = z
+        row = np.int32((np.float64(pixel) + 0.5) * per_row)  # exact, and no division
+        z = flat_m[np.uint32(pixel)]
+        xs[i] = across[np.uint32(pixel - row * width)] * z
+        ys[i] = down[np.uint32(row)] * z
+        zs[i] = z
     return count
 
 
@@ -67,7 +68,7 @@ def lattice(
     table: Floats,
     normal: Floats,
 ) -> None:
-    """A standard normal field at (N, 3) points, smooth over distances of 1 after (3, 4).
+    """A standard normal field at (3, N) points, smooth over distances of 1 after (3, 4).
 
     Random values at the corners of unit cubes, weighted by smooth steps and brought back to unit
     variance.  table: (65536, 2) normal values of variance 1/2.
@@ -76,21 +77,26 @@ def lattice(
     m00, m01, m02, m03 = m[0]
     m10, m11, m12, m13 = m[1]
     m20, m21, m22, m23 = m[2]
-    parts = np.empty((3, _BLOCK), np.float32)
-    us, vs, ws = parts
+    us, vs = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+    ws = np.empty(_BLOCK, np.float32)
     corners = np.empty(_BLOCK, np.uint32)
     places = np.empty((8, _BLOCK), np.uint32)
     # A block at a time: first what a processor does for many at once, then what must be looked up.
-    for begin in range(0, points_m.shape[0], _BLOCK):
-        size = min(_BLOCK, points_m.shape[0] - begin)
+    for begin in range(0, points_m.shape[1], _BLOCK):
+        size = min(_BLOCK, points_m.shape[1] - begin)
+        first, second, third = (
+            points_m[0, begin : begin + size],
+            points_m[1, begin : begin + size],
+            points_m[2, begin : begin + size],
+        )
         for i in range(size):
-            a, b, c = points_m[begin + i, 0], points_m[begin + i, 1], points_m[begin + i, 2]
+            a, b, c = first[i], second[i], third[i]
             p = m00 * a + m01 * b + m02 * c + m03
             q = m10 * a + m11 * b + m12 * c + m13
             r = m20 * a + m21 * b + m22 * c + m23
             x, y, z = np.floor(p), np.floor(q), np.floor(r)
             us[i], vs[i], ws[i] = np.float32(p - x), np.float32(q - y), np.float32(r - z)
-            corners[i] = lattice_sum(x, y, z)
+            corners[i] = lattice_sum(np.int32(x), np.int32(y), np.int32(z))
         for corner in range(8):
             away = np.uint32(
                 np.uint32(corner & 1) * STEPS_X
@@ -134,26 +140,10 @@ def strengthen(bins: npt.NDArray[np.int32], intensity: Floats, planes: Floats) -
             made[np.uint32(bins[i])] *= np.sqrt(intensity[i])
 
 
-@compiled()
-def _reflect(
-    source: Any,
-    target: Any,
-    gain: Any,
-    power: Floats,
-    planes: Floats,
-    power_out: Floats,
-    planes_out: Floats,
-) -> None:
-    power_out[target] += gain * power[source]
-    amplitude = np.sqrt(gain)
-    for plane in range(planes.shape[0]):
-        planes_out[plane, target] += amplitude * planes[plane, source]
-
-
 @compiled(
     "void(int32[::1], float32[:, ::1], float32[:, ::1], float32[::1], float32, float32, float32,"
-    " Array(float32, 1, 'C', readonly=True), float32, float32, float32, int64, float32[::1],"
-    " float32[:, ::1], float32[::1], float32[:, ::1])"
+    " Array(float32, 1, 'C', readonly=True), float32, float32, float32, int64, int64,"
+    " float32[::1], float32[:, ::1], float32[::1], float32[:, ::1])"
 )
 def mirror(
     sources: npt.NDArray[np.int32],
@@ -168,6 +158,7 @@ def mirror(
     nepers_per_m: float,
     bins_per_m: float,
     beams: int,
+    bins: int,
     power: Floats,
     planes: Floats,
     power_out: Floats,
@@ -175,47 +166,71 @@ def mirror(
 ) -> None:
     """Add to each bin what comes to it by way of a plane; see `noise.physical.image_source`.
 
-    sources: (M,) flat bins; points_m: (M, 3) where they are, camera axes.  rotation, position_m:
+    sources: (M,) flat bins; points_m: (3, M) where they are, camera axes.  rotation, position_m:
     sonar axes from camera axes.  height_m: of the plane above the sonar; cosine, sine: of the
     sonar's tilt.  pattern: vertical intensity pattern at equal steps of sin(elevation) from -1 to
     1.  loss: intensity that one reflection leaves; nepers_per_m: absorption of intensity, one way.
-    power: (bins,) intensities; planes: (fields, bins) amplitudes; ..._out: the same, added to.
+    power: (bins,) intensities; planes: (fields, bins) amplitudes; ..._out: the same, added to, but
+    power_out (0,) where all intensities are 0.
     """
-    bins = power.shape[0]
     a0, a1, a2 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     b0, b1, b2 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     c0, c1, c2 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
     px, py, pz = position_m[0], position_m[1], position_m[2]
     steps = np.float32((pattern.shape[0] - 1) / 2)
-    r_of, longer_of, later_of, sine_of, image_of = np.empty((5, _BLOCK), np.float32)
+    r_of, longer_of = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+    later_of, sine_of = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+    image_of, once_of = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
+    # What absorption leaves of the longer way, in steps of a range bin, linear in between.
+    left = np.empty(2 * (bins // beams) + 2, np.float32)
+    for step in range(left.shape[0]):
+        left[step] = loss * np.exp(-nepers_per_m * np.float32(step) / bins_per_m)
+    most = np.float32(left.shape[0] - 2)
     # A block at a time: first what a processor does for many at once, then what comes in time.
     for begin in range(0, sources.shape[0], _BLOCK):
         size = min(_BLOCK, sources.shape[0] - begin)
+        first, second, third = (
+            points_m[0, begin : begin + size],
+            points_m[1, begin : begin + size],
+            points_m[2, begin : begin + size],
+        )
         for i in range(size):
-            at = begin + i
-            u, v, w = points_m[at, 0] - px, points_m[at, 1] - py, points_m[at, 2] - pz
+            u, v, w = first[i] - px, second[i] - py, third[i] - pz
             x = a0 * u + a1 * v + a2 * w
             y = b0 * u + b1 * v + b2 * w
             z = c0 * u + c1 * v + c2 * w
             ahead, up = x * cosine + z * sine, z * cosine - x * sine
             up_image = _TWO * height_m - up
             flat2 = ahead * ahead + y * y
-            r, r_image = np.sqrt(flat2 + up * up), np.sqrt(flat2 + up_image * up_image)
+            r = max(np.sqrt(flat2 + up * up), _NEAREST_M)
+            r_image = max(np.sqrt(flat2 + up_image * up_image), _NEAREST_M)
             r_of[i], longer_of[i], sine_of[i] = r, max(r_image - r, np.float32(0)), z / r
             # The direction of departure in the sonar's own axes.
             image_of[i] = (up_image * cosine + ahead * sine) / r_image
             later_of[i] = np.rint(longer_of[i] * bins_per_m / _TWO)
         for i in range(size):
-            source = sources[begin + i]
-            target = source + beams * int(later_of[i])
+            towards = pattern[np.uint32(np.int32(np.rint((image_of[i] + _ONE) * steps)))]
+            straight = np.sqrt(pattern[np.uint32(np.int32(np.rint((sine_of[i] + _ONE) * steps)))])
+            spread = r_of[i] / (r_of[i] + longer_of[i])
+            away = min(longer_of[i] * bins_per_m, most)
+            whole = np.int32(away)
+            lower, upper = left[np.uint32(whole)], left[np.uint32(whole + 1)]
+            once = np.sqrt(towards) / max(straight, _FAINTEST) * spread * spread
+            once_of[i] = once * (lower + (away - np.float32(whole)) * (upper - lower))
+        for i in range(size):
+            source = np.int64(sources[begin + i])
+            target = source + beams * np.int64(later_of[i])
             if target >= bins:
                 continue
-            towards = pattern[int(np.rint((image_of[i] + _ONE) * steps))]
-            straight = np.sqrt(pattern[int(np.rint((sine_of[i] + _ONE) * steps))])
-            spread = r_of[i] / (r_of[i] + longer_of[i])
-            once = np.sqrt(towards) / max(straight, _FAINTEST) * spread * spread
-            once *= loss * np.exp(-nepers_per_m * longer_of[i])
-            _reflect(source, target, 4 * once, power, planes, power_out, planes_out)
-            twice = source + beams * int(np.rint(longer_of[i] * bins_per_m))
+            once = once_of[i]
+            amplitude = _TWO * np.sqrt(once)
+            for plane in range(planes.shape[0]):
+                planes_out[plane, np.uintp(target)] += amplitude * planes[plane, np.uintp(source)]
+            if power_out.shape[0]:
+                power_out[target] += _FOUR * once * power[source]
+            twice = source + beams * np.int64(np.rint(longer_of[i] * bins_per_m))
             if twice < bins:
-                _reflect(source, twice, once * once, power, planes, power_out, planes_out)
+                for plane in range(planes.shape[0]):
+                    planes_out[plane, np.uintp(twice)] += once * planes[plane, np.uintp(source)]
+                if power_out.shape[0]:
+                    power_out[twice] += once * once * power[source]

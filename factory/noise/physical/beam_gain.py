@@ -40,4 +40,5 @@ def beam_gain(
     beams = ping.sonar.beams
     gain_db = sigma_db * rng.standard_normal(beams)
     gain_db[rng.permutation(beams)[: round(dead)]] = dead_db
-    return np.asarray(field * (10 ** (gain_db / 20)).astype(np.float32))
+    field *= (10 ** (gain_db / 20)).astype(np.float32)
+    return field

@@ -72,8 +72,10 @@ def _with_images(
     from factory.field import world_loops  # loads numba
 
     scene, mount, tilt_rad = ping.scatterers, ping.sonar.mount, np.deg2rad(tilt_deg)
-    power, field = signal.power.copy(), signal.field.copy()
-    planes = (-1, signal.power.size)
+    bins = signal.power.size
+    field, planes = signal.field.copy(), (-1, bins)
+    # With speckle there is none; what is there is the frame's, and no effect may change it.
+    power = signal.power.copy() if signal.power.any() else np.empty(0, np.float32)
     world_loops.mirror(
         scene.filled,
         scene.filled_camera_m,
@@ -87,9 +89,10 @@ def _with_images(
         np.log(10) / 10 * ping.absorption_db_per_m,
         1 / ping.bin_m,
         ping.sonar.beams,
+        bins,
         signal.power.reshape(-1),
         signal.field.reshape(planes),
         power.reshape(-1),
         field.reshape(planes),
     )
-    return Signal(power, field)
+    return Signal(power if power.size else signal.power, field)

@@ -60,9 +60,8 @@ def ring_down(
         return field
     amplitude = np.sqrt(ping.full_scale / 2) * 10 ** (relative_db[:rows] / 20)
     noise = rng.standard_normal((*field.shape[:2], rows, ping.sonar.beams), dtype=np.float32)
-    ringing = field.copy()
-    ringing[:, :, :rows] += noise * amplitude.astype(np.float32)[:, None]
-    return ringing
+    field[:, :, :rows] += noise * amplitude.astype(np.float32)[:, None]
+    return field
 
 
 def comb_lines(
@@ -82,12 +81,11 @@ def comb_lines(
     rows = np.floor((numbers * spacing_m - ping.window.range_min_m) / ping.bin_m).astype(int)
     uneven = rng.standard_normal((len(numbers), beams))
     phase = 2 * np.pi * rng.random(len(numbers))
-    combed = field.copy()
     for number_, row in zip(numbers, rows, strict=True):
         if not 0 <= row < ping.shape[0]:
             continue
         line_db = level_db - decay_db * (number_ - 1) + uneven_db * uneven[number_ - 1]
         line = (np.sqrt(ping.full_scale) * 10 ** (line_db / 20)).astype(np.float32)
-        combed[:, 0, row] += line * np.float32(np.cos(phase[number_ - 1]))
-        combed[:, 1, row] += line * np.float32(np.sin(phase[number_ - 1]))
-    return combed
+        field[:, 0, row] += line * np.float32(np.cos(phase[number_ - 1]))
+        field[:, 1, row] += line * np.float32(np.sin(phase[number_ - 1]))
+    return field

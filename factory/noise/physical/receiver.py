@@ -40,6 +40,5 @@ def receiver(
         noise *= amplitude
         noise += field
         return noise
-    noisy = field.copy()
-    add_white_noise(noisy, rng, np.full(ping.shape[0], amplitude))
-    return noisy
+    add_white_noise(field, rng, np.full(ping.shape[0], amplitude))
+    return field

@@ -27,12 +27,5 @@ def saturation(field: Floats, ping: Ping, rng: np.random.Generator, *, level_db:
     from factory.field import kernels  # loads numba
 
     limit = (ping.strongest * 10 ** (level_db / 10) * ping.gain).astype(np.float32)
-    strongest = np.empty((field.shape[0], field.shape[2]), np.float32)
-    kernels.loudest(field, strongest)
-    if not (strongest > limit).any():
-        return field
-    limit = limit[:, None]
-    intensity = (field**2).sum(axis=1, keepdims=True)
-    over = intensity > limit
-    factor = np.sqrt(np.divide(limit, intensity, out=np.ones_like(intensity), where=over))
-    return np.asarray(field * factor, np.float32)
+    kernels.saturate(field, limit)
+    return field

@@ -36,4 +36,5 @@ def sidelobe_arcs(
     leak = np.sqrt(strongest) * np.float32(10 ** (level_db / 20))
     phase = 2 * np.pi * rng.random(leak.shape, dtype=np.float32)
     arcs = np.stack([leak * np.cos(phase), leak * np.sin(phase)], axis=1)
-    return np.asarray(field + arcs[..., None], np.float32)
+    field += arcs[..., None]
+    return field

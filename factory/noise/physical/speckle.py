@@ -38,13 +38,16 @@ def speckle(
     signal: Signal, ping: Ping, rng: np.random.Generator, *, looks: float, scatterer_m: float
 ) -> Signal:
     """The scatterers' complex field instead of the mean power of the echoes."""
-    from factory.field import kernels
+    from factory.field import cell_loops
 
-    scene = ping.scatterers
-    cells, amplitudes = scene.world_cells(scatterer_m)
-    field = np.zeros((max(round(looks), 1), 2, *ping.shape), np.float32)
+    scene, amplitude = ping.scatterers, np.sqrt(ping.scatterers.loss)
+    cells = scene.world_cells(scatterer_m)
+    drawn = np.empty((len(cells.names), 2), np.float32)
+    field = np.empty((max(round(looks), 1), 2, *ping.shape), np.float32)
     for look in field:
         key = int(rng.integers(2**32))
-        kernels.scatter(scene.bins, cells, amplitudes, key, gaussian_table(), look.reshape(2, -1))
-    field *= np.sqrt(scene.loss)[:, None]
+        cell_loops.coefficients(cells.names, cells.shares, key, gaussian_table(), drawn)
+        bins = np.zeros((signal.power.size, 2), np.float32)
+        cell_loops.scatter(scene.bins, cells.runs, scene.powers, drawn, bins)
+        cell_loops.into_planes(bins, amplitude, look)
     return Signal(np.zeros_like(signal.power), field)

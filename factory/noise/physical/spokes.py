@@ -38,7 +38,6 @@ def spokes(
     width_beams: float,
 ) -> Floats:
     """The field with noise added around random bearings."""
-    loud = field.copy()
     rows, beams = ping.shape
     width = max(width_beams, 0.1)
     for _ in range(round(count)):
@@ -48,5 +47,5 @@ def spokes(
         away = (np.arange(first, last) + 0.5 - centre) / width
         amplitude = np.sqrt(ping.full_scale / 2) * 10 ** (level_db / 20) * np.exp(-(away**2) / 4)
         noise = rng.standard_normal((*field.shape[:2], rows, last - first), dtype=np.float32)
-        loud[..., first:last] += noise * amplitude.astype(np.float32)
-    return loud
+        field[..., first:last] += noise * amplitude.astype(np.float32)
+    return field

@@ -44,10 +44,9 @@ def texture(
     key = int(rng.integers(2**32))
     lattice_from_camera = np.ascontiguousarray(scene.world_from_camera[:3] / patch_m)
     world_loops.lattice(scene.filled_camera_m, lattice_from_camera, key, gaussian_table(), normal)
-    varied = field.copy()
-    planes = varied.reshape(-1, varied.shape[-2] * varied.shape[-1])
+    planes = field.reshape(-1, field.shape[-2] * field.shape[-1])
     world_loops.strengthen(scene.filled, gamma_of_normal(normal, shape), planes)
-    return varied
+    return field
 
 
 def gamma_of_normal(normal: Floats, shape: float) -> Floats:

@@ -30,4 +30,5 @@ def tvg_error(
     range_m = np.maximum(ping.range_m.astype(np.float64), ping.bin_m)
     middle_m = (ping.window.range_min_m + ping.window.range_max_m) / 2
     error_db = db_per_decade * np.log10(range_m / middle_m) + db_per_m * (range_m - middle_m)
-    return np.asarray(field * (10 ** (error_db / 20)).astype(np.float32)[:, None])
+    field *= (10 ** (error_db / 20)).astype(np.float32)[:, None]
+    return field

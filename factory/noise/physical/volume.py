@@ -33,6 +33,5 @@ def volume(signal: Signal, ping: Ping, rng: np.random.Generator, *, strength_db:
     range_m = np.maximum(ping.range_m, ping.bin_m)
     level = 10 ** (strength_db / 10) * across_rad * upright_rad * ping.bin_m / range_m**2
     amplitude = np.sqrt(level * ping.scatterers.loss).astype(np.float32)
-    field = signal.field.copy()
-    add_white_noise(field, rng, amplitude)
-    return Signal(signal.power, field)
+    add_white_noise(signal.field, rng, amplitude)
+    return signal
