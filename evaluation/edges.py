@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 from evaluation.checks import Image, Mask, checked_mask, checked_pair
 
+Values = npt.NDArray[np.float64]
+
 
 def edge_preservation(
     reference: Image, image: Image, *, data_range: float, mask: Mask | None = None
@@ -21,17 +23,28 @@ def edge_preservation(
     and not brightness.  NaN when either image has no edge at all.
     """
     a, b = checked_pair(reference, image, data_range, smallest=3)
-    inner = np.zeros(a.shape, dtype=bool)
-    inner[1:-1, 1:-1] = True
-    if mask is not None:
-        inner = checked_mask(checked_mask(mask, a) & inner, a)
-    high_a, high_b = (_centred(cv2.Laplacian(gray, cv2.CV_64F)[inner]) for gray in (a, b))
-    norm = math.sqrt(float(high_a @ high_a) * float(high_b @ high_b))
-    # A flat picture leaves rounding errors of the Laplacian, which are no edges.
-    if norm < 1e-16 * data_range**2 * high_a.size:
-        return math.nan
-    return float(high_a @ high_b) / norm
+    return Edges(a, data_range, mask).kept(b)
 
 
-def _centred(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    return np.asarray(values - values.mean())
+class Edges:
+    """The edges of a reference (H, W) float64 inside a mask, for several images beside it."""
+
+    def __init__(self, reference: Values, data_range: float, mask: Mask | None = None) -> None:
+        inner = np.zeros(reference.shape, dtype=bool)
+        inner[1:-1, 1:-1] = True
+        if mask is not None:
+            inner = checked_mask(checked_mask(mask, reference) & inner, reference)
+        self._inner = np.flatnonzero(inner)
+        self._own = self._high_pass(reference)
+        # A flat picture leaves rounding errors of the Laplacian, which are no edges.
+        self._least = 1e-16 * data_range**2 * self._inner.size
+
+    def kept(self, image: Values) -> float:
+        """`edge_preservation` of an image that was checked already."""
+        other = self._high_pass(image)
+        norm = math.sqrt(float(self._own @ self._own) * float(other @ other))
+        return math.nan if norm < self._least else float(self._own @ other) / norm
+
+    def _high_pass(self, image: Values) -> Values:
+        values = cv2.Laplacian(image, cv2.CV_64F).ravel()[self._inner]
+        return np.asarray(values - values.mean())

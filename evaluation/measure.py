@@ -8,7 +8,7 @@ import numpy as np
 
 from evaluation import metrics
 from evaluation.checks import checked_pair
-from evaluation.reference import Reference
+from evaluation.reference import Compared, Reference
 
 
 @dataclass(frozen=True)
@@ -45,23 +45,24 @@ def score_pair(
     data_range: float,
     shadow_threshold: float,
     sector: metrics.Mask | None = None,
-    reference: Reference | None = None,
+    compared: Compared | None = None,
 ) -> Quality:
     """The quality of one noisy image; raises MetricError when there is nothing to compare.
 
     noisy, clean: (H, W) of one dtype.  shadow: (H, W) bool.  shadow_threshold: fraction of range.
     sector: where the sonar measures; needed for a denoised image, which may bleed out of it.
-    reference: of `clean`, when several images are compared with it.
+    compared: `noisy` beside `clean`, checked by the caller, where more is measured of the two.
     """
     if sector is None:
         sector = sector_of(noisy, clean, shadow)
     if not sector.any():
         raise metrics.MetricError("clean, noisy and shadow are empty; nothing to measure")
-    a, b = checked_pair(clean, noisy, data_range, smallest=metrics.SSIM_SMALLEST)
-    reference = reference or Reference(a, data_range)
-    squared = np.square(a - b)
-    similarity = reference.ssim_map(b)
-    gradients = reference.gms_map(b, pooled=True)
+    if compared is None:
+        a, b = checked_pair(clean, noisy, data_range, smallest=metrics.SSIM_SMALLEST)
+        compared = Compared(Reference(a, data_range), b)
+    squared = np.square(compared.reference.image - compared.image)
+    similarity = compared.ssim_map
+    gradients = compared.reference.gms_map(compared.image, pooled=True)
     threshold = shadow_threshold * data_range
     return Quality(
         psnr=metrics.decibels(float(squared.mean()), data_range),

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
-
 from evaluation.checks import Image, checked_pair
-from evaluation.reference import RADIUS_PX, Reference, halved
+from evaluation.reference import RADIUS_PX, Compared, Reference
 
 WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
 """Exponents of the five scales, the finest first (Wang et al. 2003, section 3.2)."""
@@ -24,16 +21,16 @@ def ms_ssim(reference: Image, image: Image, *, data_range: float) -> float:
     mean counts as 0, because it has no real power.  MetricError below SMALLEST pixels a side.
     """
     a, b = checked_pair(reference, image, data_range, smallest=SMALLEST)
-    return ms_ssim_of(Reference(a, data_range), b)
+    return ms_ssim_of(Compared(Reference(a, data_range), b))
 
 
-def ms_ssim_of(reference: Reference, image: npt.NDArray[np.float64]) -> float:
-    """The same for an image (H, W) float64 that was checked already."""
+def ms_ssim_of(compared: Compared) -> float:
+    """The same for an image that was checked already."""
     product = 1.0
     for scale, weight in enumerate(WEIGHTS):
         if scale:
-            reference, image = reference.halved, halved(image)
-        luminance, structure = reference.terms(image)
+            compared = compared.halved
+        luminance, structure = compared.terms
         last = scale == len(WEIGHTS) - 1
         terms = luminance * structure if last else structure
         mean = float(terms[RADIUS_PX:-RADIUS_PX, RADIUS_PX:-RADIUS_PX].mean())

@@ -51,15 +51,18 @@ class Reference:
 
     def ssim_map(self, image: Values) -> Values:
         """(H, W) local structural similarity."""
-        luminance, structure = self.terms(image)
-        luminance *= structure
-        return luminance
+        return Compared(self, image).ssim_map
 
     def gms_map(self, image: Values, *, pooled: bool) -> Values:
         """(H, W) or (ceil(H/2), ceil(W/2)) gradient magnitude similarity (Xue et al. 2014)."""
         other = self._gradients(image, pooled)
-        own = self._pooled_gradients if pooled else self._plain_gradients
-        return np.asarray((2 * own * other + GMSD_C) / (own**2 + other**2 + GMSD_C))
+        twice, squared = self._pooled_gradients if pooled else self._plain_gradients
+        below = other * other
+        below += squared
+        other *= twice
+        other += GMSD_C
+        other /= below
+        return other
 
     @cached_property
     def halved(self) -> Reference:
@@ -79,16 +82,40 @@ class Reference:
         return np.asarray(window(self.image * self.image) - self._mean_squared)
 
     @cached_property
-    def _pooled_gradients(self) -> Values:
-        return self._gradients(self.image, True)
+    def _pooled_gradients(self) -> tuple[Values, Values]:
+        return _twice_and_squared(self._gradients(self.image, True))
 
     @cached_property
-    def _plain_gradients(self) -> Values:
-        return self._gradients(self.image, False)
+    def _plain_gradients(self) -> tuple[Values, Values]:
+        return _twice_and_squared(self._gradients(self.image, False))
 
     def _gradients(self, image: Values, pooled: bool) -> Values:
         gray = image * (255.0 / self.data_range)
         return prewitt_magnitude(mean_of_blocks(gray) if pooled else gray)
+
+
+class Compared:
+    """An image (H, W) float64 beside its reference, and what several metrics need of the two."""
+
+    def __init__(self, reference: Reference, image: Values) -> None:
+        self.reference = reference
+        self.image = image
+
+    @cached_property
+    def terms(self) -> tuple[Values, Values]:
+        """`Reference.terms` of the image."""
+        return self.reference.terms(self.image)
+
+    @property
+    def ssim_map(self) -> Values:
+        """(H, W) local structural similarity."""
+        luminance, structure = self.terms
+        return np.asarray(luminance * structure)
+
+    @property
+    def halved(self) -> Compared:
+        """The next scale of MS-SSIM."""
+        return Compared(self.reference.halved, halved(self.image))
 
 
 def window(values: Values) -> Values:
@@ -119,6 +146,11 @@ def prewitt_magnitude(gray: Values) -> Values:
         for along, down in ((_STEP, _THIRD), (_THIRD, _STEP))
     ]
     return np.asarray(cv2.magnitude(parts[0], parts[1]), dtype=np.float64)
+
+
+def _twice_and_squared(gradients: Values) -> tuple[Values, Values]:
+    """What GMSD takes of the reference: 2 g, and g^2 + c."""
+    return 2 * gradients, gradients * gradients + GMSD_C
 
 
 def _quarter(even: Values) -> Values:

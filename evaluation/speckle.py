@@ -48,11 +48,7 @@ def homogeneous_zones(
 
 def zone_enl(image: Image, zones: npt.NDArray[np.int64], *, side: int = 16) -> Values:
     """(N,) equivalent number of looks of each zone, mean^2 / variance; inf where all is equal."""
-    gray = np.asarray(image, dtype=np.float64)
-    result = np.empty(len(zones))
-    for number, (top, left) in enumerate(zones):
-        result[number] = _looks(gray[top : top + side, left : left + side])
-    return result
+    return _looks(_blocks(np.asarray(image), zones, side).astype(np.float64))
 
 
 def enl(image: Image, zones: npt.NDArray[np.int64], *, side: int = 16) -> float:
@@ -86,17 +82,25 @@ def ratio_image(noisy: Image, denoised: Image, *, data_range: float) -> Values:
     NaN where the denoised image is below 1 % of full scale.
     """
     above, below = checked_pair(noisy, denoised, data_range, smallest=1)
-    lit = below >= _DARK * data_range
-    result = np.full(below.shape, np.nan)
-    result[lit] = above[lit] / below[lit]
+    return ratio_of(above, below, data_range)
+
+
+def ratio_of(noisy: Values, denoised: Values, data_range: float) -> Values:
+    """`ratio_image` of images (H, W) float64 that were checked already."""
+    result = np.full(denoised.shape, np.nan)
+    np.divide(noisy, denoised, out=result, where=denoised >= _DARK * data_range)
     return result
 
 
 def ratio_mean(noisy: Image, denoised: Image, *, data_range: float) -> float:
     """Mean of the ratio image, 1 = the mean is preserved; NaN when the denoised image is black."""
-    ratio = ratio_image(noisy, denoised, data_range=data_range)
-    known = np.isfinite(ratio)
-    return float(ratio[known].mean()) if known.any() else math.nan
+    return mean_ratio(ratio_image(noisy, denoised, data_range=data_range))
+
+
+def mean_ratio(ratio: Values) -> float:
+    """The mean of what is known of a ratio image, NaN where that is nothing."""
+    values = ratio[np.isfinite(ratio)]
+    return float(values.mean()) if values.size else math.nan
 
 
 def structure(ratio: Values) -> float:
@@ -108,20 +112,22 @@ def structure(ratio: Values) -> float:
     levels, equally frequent ones, because a few bright ratios would squeeze all others into one
     level; only neighbours that both exist (no NaN).  NaN with fewer than two neighbours.
     """
-    known = np.isfinite(ratio)
-    values = ratio[known]
+    flat = ratio.ravel()
+    known = np.flatnonzero(np.isfinite(flat))
+    values = flat[known]
     if values.size < 2:
         return math.nan
     # Equal frequencies: the level is the rank, ties (a noiseless region) share the lowest one.
     # The level rises where a share of k/16 of all pixels is below, so 15 of the sorted values do.
     last = -(-np.arange(1, _LEVELS) * values.size // _LEVELS) - 1
     edges = np.partition(values, np.unique(last))[last]
-    levels = np.zeros(ratio.shape, dtype=np.int64)
-    levels[known] = np.searchsorted(edges, values, side="left")
-    before = _homogeneity(levels, known)
+    ranks = np.searchsorted(edges, values, side="left")
+    levels = np.full(flat.shape, _LEVELS)
+    levels[known] = ranks
+    before = _homogeneity(levels.reshape(ratio.shape))
     if math.isnan(before):
         return math.nan
-    return 100 * abs(before - _shuffled_homogeneity(levels[known])) / before
+    return 100 * abs(before - _shuffled_homogeneity(ranks)) / before
 
 
 def m_index(
@@ -142,36 +148,58 @@ def m_index(
     do something, beside PSNR.  NaN without zones.
     """
     ratio = ratio_image(noisy, denoised, data_range=data_range)
-    before = zone_enl(noisy, zones, side=side)
-    residuals = []
-    for number, (top, left) in enumerate(zones):
-        block = ratio[top : top + side, left : left + side]
-        block = block[np.isfinite(block)]
-        if not block.size or not math.isfinite(before[number]) or before[number] == 0:
-            continue
-        # Without variance ENL is infinite; such a zone counts as wholly unlike.
-        unlike = min(abs(before[number] - _looks(block)) / before[number], 1.0)
-        residuals.append(0.5 * (unlike + abs(1 - float(block.mean()))))
-    if not residuals:
+    return m_index_of(ratio, zone_enl(noisy, zones, side=side), zones, side=side)
+
+
+def m_index_of(
+    ratio: Values, before: Values, zones: npt.NDArray[np.int64], *, side: int = 16
+) -> float:
+    """`m_index` of a ratio image (H, W); before: (N,) ENL of the noisy image's zones."""
+    blocks = _blocks(ratio, zones, side)
+    usable = np.isfinite(blocks).any(axis=1) & np.isfinite(before) & (before != 0)
+    if not usable.any():
         return math.nan
-    return float(np.mean(residuals)) + structure(ratio)
+    blocks, before = blocks[usable], before[usable]
+    # Without variance ENL is infinite; such a zone counts as wholly unlike.
+    unlike = np.minimum(np.abs(before - _looks(blocks)) / before, 1.0)
+    residuals = 0.5 * (unlike + np.abs(1 - np.nanmean(blocks, axis=1)))
+    return float(residuals.mean()) + structure(ratio)
 
 
-def _looks(values: Values) -> float:
-    """Mean^2 / variance; inf for a constant, whose variance is rounding alone."""
-    squared, variance = float(values.mean()) ** 2, float(values.var())
-    return squared / variance if variance > 1e-20 * squared else math.inf
+def _blocks(
+    image: npt.NDArray[np.floating], zones: npt.NDArray[np.int64], side: int
+) -> npt.NDArray[np.floating]:
+    """(N, side * side) pixels of the zones."""
+    offsets = np.arange(side)
+    rows = zones[:, :1] + offsets
+    columns = zones[:, 1:] + offsets
+    blocks = image[rows[:, :, None], columns[:, None, :]]
+    return np.asarray(blocks.reshape(len(zones), side * side))
 
 
-def _homogeneity(levels: npt.NDArray[np.int64], known: Mask) -> float:
-    """Homogeneity of the co-occurrence of right and lower neighbours, NaN without any pair."""
-    together = np.zeros(_LEVELS * _LEVELS)
+def _looks(blocks: Values) -> Values:
+    """(N,) mean^2 / variance of each row; inf for a constant, whose variance is rounding alone.
+
+    NaN pixels are left out; each row has one that is none.
+    """
+    squared, variance = np.nanmean(blocks, axis=1) ** 2, np.nanvar(blocks, axis=1)
+    some = variance > 1e-20 * squared
+    return np.where(some, squared / np.where(some, variance, 1.0), math.inf)
+
+
+def _homogeneity(levels: npt.NDArray[np.int64]) -> float:
+    """Homogeneity of the co-occurrence of right and lower neighbours, NaN without any pair.
+
+    levels: (H, W), _LEVELS where unknown.
+    """
+    side = _LEVELS + 1  # one more for the unknown: counting them is cheaper than taking them out
+    together = np.zeros(side * side)
     for first, second in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        both = known[first] & known[second]
-        pairs = (levels[first] * _LEVELS + levels[second])[both]
-        together += np.bincount(pairs, minlength=together.size)
+        pairs = levels[first] * side + levels[second]
+        together += np.bincount(pairs.ravel(), minlength=together.size)
+    together = together.reshape(side, side)[:_LEVELS, :_LEVELS]
     count = float(together.sum())
-    return float(together @ _CLOSENESS.ravel()) / count if count else math.nan
+    return float((together * _CLOSENESS).sum()) / count if count else math.nan
 
 
 def _shuffled_homogeneity(levels: npt.NDArray[np.int64]) -> float:

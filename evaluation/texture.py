@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.baselines.base import Gray
 from evaluation.checks import MetricError
-from evaluation.edges import edge_preservation
+from evaluation.edges import Edges
 from evaluation.metrics import deviation
 from evaluation.multiscale import SMALLEST, ms_ssim_of
 from evaluation.pictures import Picture
-from evaluation.reference import Reference
-from evaluation.speckle import contrast_to_noise, enl, homogeneous_zones, m_index, ratio_mean
+from evaluation.reference import Compared, Reference
+from evaluation.speckle import (
+    contrast_to_noise,
+    enl,
+    homogeneous_zones,
+    m_index_of,
+    mean_ratio,
+    ratio_of,
+    zone_enl,
+)
 
 
 @dataclass(frozen=True)
@@ -37,35 +45,44 @@ class Texture:
 TEXTURE = tuple(item.name for item in fields(Texture))
 
 
-def zones_of(pair: Picture) -> npt.NDArray[np.int64]:
-    """The even zones of a pair's clean picture; none where it is smaller than one."""
-    try:
-        return homogeneous_zones(pair.clean, data_range=1.0, sector=pair.sector)
-    except MetricError:
-        return np.empty((0, 2), dtype=np.int64)
+class Scene:
+    """A pair, checked, and what the metrics of all methods on it share."""
 
+    def __init__(self, pair: Picture) -> None:
+        self.pair = pair
+        self.reference = Reference(pair.clean.astype(np.float64), 1.0)
+        self._noisy = pair.noisy.astype(np.float64)
 
-def texture_of(
-    denoised: Gray,
-    pair: Picture,
-    reference: Reference | None = None,
-    zones: npt.NDArray[np.int64] | None = None,
-) -> Texture:
-    """All of them; denoised: (H, W) float32 in 0..1.
+    @cached_property
+    def zones(self) -> npt.NDArray[np.int64]:
+        """The even zones of the clean picture; none where it is smaller than one."""
+        try:
+            return homogeneous_zones(self.pair.clean, data_range=1.0, sector=self.pair.sector)
+        except MetricError:
+            return np.empty((0, 2), dtype=np.int64)
 
-    reference: of pair.clean, and zones: `zones_of(pair)`, if at hand.
-    """
-    clean, noisy, sector = pair.clean, pair.noisy, pair.sector
-    zones = zones_of(pair) if zones is None else zones
-    big = min(clean.shape) >= SMALLEST
-    reference = reference or Reference(clean.astype(np.float64), 1.0)
-    image = denoised.astype(np.float64)
-    return Texture(
-        gmsd_unpooled=deviation(reference.gms_map(image, pooled=False)),
-        ms_ssim=ms_ssim_of(reference, image) if big else math.nan,
-        edge_preservation=edge_preservation(clean, denoised, data_range=1.0, mask=sector),
-        enl=enl(denoised, zones),
-        cnr=contrast_to_noise(denoised, sector & ~pair.shadow & (clean > 0), pair.shadow),
-        ratio_mean=ratio_mean(noisy, denoised, data_range=1.0),
-        m_index=m_index(noisy, denoised, zones, data_range=1.0),
-    )
+    def texture(self, compared: Compared) -> Texture:
+        """All of them, of an image beside `reference`; MetricError where it cannot be measured."""
+        image = compared.image
+        ratio = ratio_of(self._noisy, image, 1.0)
+        return Texture(
+            gmsd_unpooled=deviation(self.reference.gms_map(image, pooled=False)),
+            ms_ssim=ms_ssim_of(compared) if min(image.shape) >= SMALLEST else math.nan,
+            edge_preservation=self._edges.kept(image),
+            enl=enl(image, self.zones),
+            cnr=contrast_to_noise(image, self._lit, self.pair.shadow),
+            ratio_mean=mean_ratio(ratio),
+            m_index=m_index_of(ratio, self._noisy_looks, self.zones),
+        )
+
+    @cached_property
+    def _edges(self) -> Edges:
+        return Edges(self.reference.image, 1.0, self.pair.sector)
+
+    @cached_property
+    def _lit(self) -> npt.NDArray[np.bool_]:
+        return self.pair.sector & ~self.pair.shadow & (self.pair.clean > 0)
+
+    @cached_property
+    def _noisy_looks(self) -> npt.NDArray[np.float64]:
+        return zone_enl(self._noisy, self.zones)

@@ -9,18 +9,18 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from evaluation.baselines import REGISTRY
 from evaluation.baselines.base import Gray
-from evaluation.checks import MetricError
+from evaluation.checks import MetricError, checked_pair
 from evaluation.journal import Figures
 from evaluation.measure import score_pair
 from evaluation.methods import Method
+from evaluation.metrics import SSIM_SMALLEST
 from evaluation.networks import geometry_of, network
-from evaluation.pictures import Item, Picture, Place, input_of, picture
-from evaluation.reference import Reference
-from evaluation.texture import texture_of, zones_of
+from evaluation.pictures import Item, Place, input_of, picture
+from evaluation.reference import Compared
+from evaluation.texture import Scene
 from evaluation.tuning import reason
 from factory.errors import FactoryError
 
@@ -116,15 +116,17 @@ def denoised(
 
 
 @lru_cache(maxsize=8)
-def _shared(item: Item) -> tuple[Picture, Reference, npt.NDArray[np.int64]]:
+def _scene(item: Item) -> Scene:
     """What all methods share on a pair."""
-    pair = picture(item.place)
-    return pair, Reference(pair.clean.astype(np.float64), 1.0), zones_of(pair)
+    return Scene(picture(item.place))
 
 
 def _figures(image: Gray, item: Item, task: Task) -> Figures:
-    pair, reference, zones = _shared(item)
+    scene = _scene(item)
+    pair = scene.pair
     try:
+        _, checked = checked_pair(pair.clean, image, 1.0, smallest=SSIM_SMALLEST)
+        compared = Compared(scene.reference, checked)
         quality = score_pair(
             image,
             pair.clean,
@@ -132,9 +134,9 @@ def _figures(image: Gray, item: Item, task: Task) -> Figures:
             data_range=1.0,
             shadow_threshold=task.shadow_threshold,
             sector=pair.sector,
-            reference=reference,
+            compared=compared,
         )
-        more = asdict(texture_of(image, pair, reference, zones)) if task.texture else {}
+        more = asdict(scene.texture(compared)) if task.texture else {}
     except MetricError as error:
         raise FactoryError(f"{item.shard}: sample {item.place[1]}: {error}") from error
     figures: Figures = {**asdict(quality), **more}

@@ -13,10 +13,10 @@ training, denoising and the losses may rely on:
   (N, 1, H, W), 1 inside the insonified sector and 0 outside; `noise_level` (N,), root mean square
   of noisy - clean.  Batches hold them under the same names.
 - A network with `has_heads = True` can tell more: `with_heads(x, ...)` returns (image,
-  shadow_logits, leave_logits) where `forward` returns the image alone: logits (N, 1, H, W) of
-  shadow, and (N,) of the picture being better left as it came.
+  shadow_logits, gain_db) where `forward` returns the image alone: logits (N, 1, H, W) of shadow,
+  and (N,) the gain of PSNR that it expects.
 - A loss is `loss(prediction, clean, batch)`; the batch holds `noisy`, `clean`, `shadow`
-  (N, 1, H, W) float, 1 in shadow, where it is known, `shadow_logits` and `leave_logits` from a
+  (N, 1, H, W) float, 1 in shadow, where it is known, `shadow_logits` and `gain_db` from a
   network with heads, and `progress`, a scalar, the share of the training that is done.
 - A network with `adversarial = True` is trained by `models.adversarial` against a discriminator,
   any other by `models.training`; denoising with either is the same.

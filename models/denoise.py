@@ -41,6 +41,11 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--weights", help="weights.safetensors of a training, or the name of weights that ship"
     )
+    parser.add_argument(
+        "--always",
+        action="store_true",
+        help="denoise also pictures that the network would give back as they came",
+    )
     parser.add_argument("--compare", action="store_true", help="also write pictures side by side")
     parser.add_argument(
         "--geometry",
@@ -60,7 +65,13 @@ def main(arguments: Sequence[str]) -> int:
     items = find_items([Path(name).expanduser() for name in chosen.inputs], out)
     fans = read_fans(chosen.geometry) if chosen.geometry not in (None, "polar") else {}
     check_writable(out, "--out")
-    denoise = load_denoiser(chosen.weights, chosen.device, tile=chosen.tile, overlap=chosen.overlap)
+    denoise = load_denoiser(
+        chosen.weights,
+        chosen.device,
+        tile=chosen.tile,
+        overlap=chosen.overlap,
+        always=chosen.always,
+    )
     failures = []
     with tqdm(total=sum(map(_pictures, items)), unit="image", desc="denoising") as bar:
         for item in items:
@@ -88,6 +99,11 @@ def main(arguments: Sequence[str]) -> int:
         raise FactoryError(failures[0] + more)
     for line in failures:
         print(f"skipped: {line}", file=sys.stderr)
+    if denoise.left:
+        print(
+            f"given back as they came: {denoise.left} of {denoise.seen} picture(s), because the "
+            "network expected too little of denoising them; --always denoises them, too"
+        )
     print(f"denoised: {len(items) - len(failures)} file(s) in {out}")
     return 1 if failures else 0
 
@@ -96,10 +112,16 @@ class Denoiser:
     """Trained weights as a function of a picture.
 
     digest: SHA-256 of the weights file.  tile, overlap: see `models.tile`.
+    seen, left: how many pictures it was given, and how many of them it gave back as they came.
     """
 
-    def __init__(self, weights: Path, device: str, tile: int, overlap: int) -> None:
-        """Raises FactoryError for a file that holds no weights, and for a GPU that is not there."""
+    def __init__(
+        self, weights: Path, device: str, tile: int, overlap: int, always: bool = False
+    ) -> None:
+        """always: denoise also what the network would give back as it came.
+
+        Raises FactoryError for a file that holds no weights, and for a GPU that is not there.
+        """
         import torch  # seconds; `--help` and typing errors need not wait for it
 
         from models.weights import load_weights
@@ -107,6 +129,9 @@ class Denoiser:
         self.trained = load_weights(weights)
         self.digest = hashlib.sha256(weights.read_bytes()).hexdigest()
         self.tile, self.overlap = tile, overlap
+        self.seen = self.left = 0
+        if always:
+            self.trained.network.leave_none()
         has_gpu = torch.cuda.is_available()
         if device == "gpu" and not has_gpu:
             raise FactoryError("--device gpu: no usable GPU here; use --device cpu")
@@ -128,7 +153,10 @@ class Denoiser:
         if geometry is not None and extras:
             found = geometry.maps(0, 0, *gray.shape)
             maps = {name: found[name] for name in extras if name in found}
-        return tiled(self._one, gray, maps, self.tile, self.overlap)
+        denoised = tiled(self._one, gray, maps, self.tile, self.overlap)
+        self.seen += 1
+        self.left += np.array_equal(denoised, gray)
+        return denoised
 
     def _one(self, gray: Gray, maps: Mapping[str, Gray]) -> Gray:
         import torch
@@ -149,15 +177,17 @@ def load_denoiser(
     *,
     tile: int = TILE,
     overlap: int = OVERLAP,
+    always: bool = False,
 ) -> Denoiser:
     """A function that denoises one gray image.
 
     weights: a file that training wrote, the name of weights that ship, or None for the default of
-    these.  Raises FactoryError when there are none, and as `Denoiser` does.
+    these.  always: see `Denoiser`.
+    Raises FactoryError when there are none, and as `Denoiser` does.
     """
     from models.pretrained import find_weights
 
-    return Denoiser(find_weights(weights), device, tile, overlap)
+    return Denoiser(find_weights(weights), device, tile, overlap, always)
 
 
 def _pictures(item: Item) -> int:

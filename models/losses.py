@@ -22,10 +22,13 @@ NotNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
 Shadow = Literal["literal", "ste", "sigmoid", "bce", "dice", "zone"]
 Known = Mapping[str, Tensor]
-"""What else a batch holds (see `models`); of it `noisy`, `shadow`, `shadow_logits`, `leave_logits`
+"""What else a batch holds (see `models`); of it `noisy`, `shadow`, `shadow_logits`, `gain_db`
 and `progress` count."""
 _FLOOR = 1e-4
 """Mean squared difference below which less counts little: 40 dB."""
+_EQUAL = 1e-10
+"""Mean squared difference of what counts as equal: 100 dB."""
+_GAINS_DB = -4.0, 10.0
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -38,14 +41,14 @@ class Loss:
     nearly clean count as much as noisy ones.
     mask: weight of the binary cross entropy between the true shadow and the logits of the mask
     head; without effect on a network that has none, and where the true shadow is not known.
-    leave: weight of the binary cross entropy that teaches a network with heads whether what it
-    makes of an image is worse than the image was.
+    gain: weight of the smooth L1 difference that teaches a network with heads how many dB it
+    brings, counted from -4 to 10: what is worse or better than that is so beyond doubt.
     """
 
     square: NotNegative = 0.0
     decibels: NotNegative = 0.0
     mask: NotNegative = 0.05
-    leave: NotNegative = 0.02
+    gain: NotNegative = 0.02
 
     def image(self, prediction: Tensor, clean: Tensor, batch: Known) -> Tensor:
         """Scalar tensor: how far the images are apart."""
@@ -63,12 +66,13 @@ class Loss:
         if self.mask and "shadow_logits" in batch and "shadow" in batch:
             logits, shadow = batch["shadow_logits"], batch["shadow"]
             loss = loss + self.mask * functional.binary_cross_entropy_with_logits(logits, shadow)
-        if self.leave and "leave_logits" in batch and "noisy" in batch:
+        if self.gain and "gain_db" in batch and "noisy" in batch:
             after = (prediction.detach() - clean).square().mean(dim=(1, 2, 3))
             before = (batch["noisy"] - clean).square().mean(dim=(1, 2, 3))
-            worse = (after >= before).to(prediction.dtype)
-            logits = batch["leave_logits"]
-            loss = loss + self.leave * functional.binary_cross_entropy_with_logits(logits, worse)
+            gain_db = 10 * torch.log10((before + _EQUAL) / (after + _EQUAL))
+            expected = batch["gain_db"]
+            told = functional.smooth_l1_loss(expected, gain_db.clamp(*_GAINS_DB).to(expected.dtype))
+            loss = loss + self.gain * told
         return loss
 
 

@@ -14,12 +14,12 @@ class Seen(NamedTuple):
     """What a network with heads says of N pictures.
 
     image: (N, C, H, W).  shadow_logits: (N, 1, H, W), positive where it sees shadow.
-    leave_logits: (N,), positive where it takes `image` for worse than what it was given.
+    gain_db: (N,), by how much it expects the PSNR of `image` to be above that of what it was given.
     """
 
     image: Tensor
     shadow_logits: Tensor
-    leave_logits: Tensor
+    gain_db: Tensor
 
 
 class Network(nn.Module):
@@ -59,7 +59,7 @@ class Network(nn.Module):
         Raises ValueError and TypeError as `forward` does, and TypeError without heads.
         """
         if not self.has_heads:
-            raise TypeError(f"{type(self).__name__} has no heads for shadow and for harm")
+            raise TypeError(f"{type(self).__name__} has no heads for shadow and for gain")
         image, known = self._prepared(noisy, extras)
         seen = self.restore_and_tell(image, **known)
         height, width = noisy.shape[-2:]
@@ -67,8 +67,11 @@ class Network(nn.Module):
         return Seen(
             self._restored(seen.image, noisy),
             logits.mean(dim=1, keepdim=True),
-            seen.leave_logits.reshape(len(noisy), -1).mean(dim=1),
+            seen.gain_db.reshape(len(noisy), -1).mean(dim=1),
         )
+
+    def leave_none(self) -> None:
+        """Denoise every picture from now on, also those that are better left as they came."""
 
     def _prepared(
         self, noisy: Tensor, extras: dict[str, Tensor | None]

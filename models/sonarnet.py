@@ -5,8 +5,9 @@
   noisy picture itself is never resampled, so no detail is lost.
 - It is told range, bearing and the insonified sector of every cell.
 - A second head says where shadow is (no echo at all); the picture is multiplied by one minus that.
-- A third says how likely the whole is worse than what came in, as it is where hardly anything is
-  wrong with the picture; then the picture is left as it came.  In training nothing is left.
+- A third (`models.verdict`) says how much better the picture became; where hardly anything is wrong
+  with a picture that is little or less than nothing, and then it is left as it came.  In training
+  nothing is.
 - Plain 3x3 convolutions from half resolution down: they are what a CPU does fastest.
 
 Without geometry it works on the picture as it is; in training it is not told now and then.
@@ -14,8 +15,8 @@ Without geometry it works on the picture as it is; in training it is not told no
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
 import torch
@@ -28,11 +29,10 @@ from factory.settings import STRICT
 from models.network import Network, Seen, down_and_up, padded
 from models.polar import polar_grid
 from models.unet import residual_blocks
+from models.verdict import Verdict
 
 # Logit of shadow before anything is learned, and outside the sector.
 _FIRST, _OUTSIDE = -2.0, -10.0
-# Logit of harm before anything is learned.
-_SURE = -4.0
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -43,9 +43,9 @@ class SonarNetSettings:
     blocks: residual blocks at each of these; but for the coarsest, again on the way up.
     polar: whether fan pictures of known geometry are worked on in polar form.
     mask: whether the second head gates the picture with the shadow that it sees.
-    leave: a picture is given back as it came when the third head holds harm for this likely; 1:
-    never.  Full noise and next to none lie far apart on it, and the limit may be changed in trained
-    weights (`python -m models export-weights --set leave=...`).
+    least_gain_db: a picture is given back as it came unless the third head expects this gain of
+    PSNR; null: never.  May be changed in trained weights (`python -m models export-weights --set
+    least_gain_db=...`).
     mirror: whether it looks at the mirrored picture as well and takes the mean of both answers, for
     twice the work; not in training, so trained weights may change it.
     forget: part of the training steps in which the network is not told the geometry.
@@ -57,7 +57,7 @@ class SonarNetSettings:
     blocks: tuple[Annotated[int, Field(ge=0, le=64)], ...]
     polar: bool
     mask: bool
-    leave: Annotated[float, Field(gt=0, le=1)]
+    least_gain_db: float | None
     forget: Annotated[float, Field(ge=0, le=1)]
     mirror: bool = False
     channels: Literal[1] = 1
@@ -96,14 +96,10 @@ class SonarNet(Network):
         assert self.outro.bias is not None
         nn.init.constant_(self.outro.bias[:4], 0.0)
         nn.init.constant_(self.outro.bias[4:], _FIRST)
-        self.details = nn.Conv2d(widths[0], widths[0], 3, stride=2, padding=1)
-        self.verdict = nn.Linear(2 * widths[0], 1)
-        # Before it has learned when to, it leaves nothing alone.
-        nn.init.zeros_(self.verdict.weight)
-        nn.init.constant_(self.verdict.bias, _SURE)
+        self.verdict = Verdict(widths[0])
 
     def restore_and_tell(self, noisy: Tensor, **extras: Tensor) -> Seen:
-        """Picture (N, 1, H, W), logits (N, 1, H, W) of shadow, (N,) of harm, for any H and W.
+        """Picture (N, 1, H, W), logits (N, 1, H, W) of shadow, (N,) gain in dB, for any H and W.
 
         Geometry counts only where `range_fraction` and `azimuth_rad` are both there; without
         `sector` everything is insonified.
@@ -115,17 +111,21 @@ class SonarNet(Network):
             turned = {name: plane.flip(-1) for name, plane in extras.items()}
             if "azimuth_rad" in turned:
                 turned["azimuth_rad"] = -turned["azimuth_rad"]
-            image, shadow, leave = self._looked(noisy.flip(-1), turned)
+            image, shadow, gain_db = self._looked(noisy.flip(-1), turned)
             seen = Seen(
                 (seen.image + image.flip(-1)) / 2,
                 (seen.shadow_logits + shadow.flip(-1)) / 2,
-                (seen.leave_logits + leave) / 2,
+                (seen.gain_db + gain_db) / 2,
             )
-        if self.settings.leave == 1:
+        least_db = self.settings.least_gain_db
+        if least_db is None:
             return seen
-        limit = math.log(self.settings.leave / (1 - self.settings.leave))
-        left = (seen.leave_logits > limit)[:, None, None, None]
+        left = (seen.gain_db < least_db)[:, None, None, None]
         return seen._replace(image=torch.where(left, noisy, seen.image))
+
+    def leave_none(self) -> None:
+        """See `Network`: no gain is too little."""
+        self.settings = replace(self.settings, least_gain_db=None)
 
     def _looked(self, noisy: Tensor, extras: Mapping[str, Tensor]) -> Seen:
         """What it makes of the picture, worse or not."""
@@ -133,25 +133,25 @@ class SonarNet(Network):
         if self.training and told and self.settings.forget:
             told = bool(torch.rand(()) >= self.settings.forget)
         if not told:
-            change, logits, leave = self._core(noisy, *_unknown(noisy))
-            return Seen(self._gated(noisy + change, logits), logits, leave)
+            change, logits, gain_db = self._core(noisy, *_unknown(noisy))
+            return Seen(self._gated(noisy + change, logits), logits, gain_db)
         range_fraction, azimuth_rad = extras["range_fraction"], extras["azimuth_rad"]
         sector = extras.get("sector", torch.ones_like(noisy))
         grid = polar_grid(range_fraction, azimuth_rad, sector) if self.settings.polar else None
         if grid is None:
             maps = _known(range_fraction, azimuth_rad, sector)
-            change, logits, leave = self._core(noisy, *maps)
+            change, logits, gain_db = self._core(noisy, *maps)
         else:
             seen = grid.polar(torch.cat([noisy, sector], dim=1))
             maps = _known(grid.range_fraction, grid.azimuth_rad, seen[:, 1:])
-            *cells, leave = self._core(seen[:, :1], *maps)
+            *cells, gain_db = self._core(seen[:, :1], *maps)
             change, logits = grid.fan(torch.cat(cells, dim=1)).chunk(2, dim=1)
         # Outside the sector there is nothing to denoise and no shadow.
         inside = sector > 0
         change = change.masked_fill(~inside, 0.0)
         image = self._gated(noisy + change, logits)
         image = torch.where(inside, image, noisy)
-        return Seen(image, logits.masked_fill(~inside, _OUTSIDE), leave)
+        return Seen(image, logits.masked_fill(~inside, _OUTSIDE), gain_db)
 
     def _gated(self, image: Tensor, logits: Tensor) -> Tensor:
         return image * torch.sigmoid(-logits) if self.settings.mask else image
@@ -166,15 +166,11 @@ class SonarNet(Network):
         x = self.intro(functional.pixel_unshuffle(x, 2))
         x = down_and_up(x, self.encoders, self.downs, self.middle, self.ups, self.decoders)
         heads = functional.pixel_shuffle(self.outro(x), 2)[..., :height, :width]
-        # What counts is the insonified sector; its complement is the last of the planes.
-        sector = functional.avg_pool2d(
-            padded(1 - planes[-1].clamp_min(0), max(4, self.core_stride)), 4
-        )
-        area = sector.sum(dim=(2, 3)).clamp_min(1)
-        details = functional.relu(self.details(x)) * sector
-        # Wrong anywhere is wrong: the mean alone would lose a single ghost or spoke.
-        told = torch.cat([details.sum(dim=(2, 3)) / area, details.amax(dim=(2, 3))], dim=1)
-        return heads[:, :1], heads[:, 1:], self.verdict(told)[:, 0]
+        noisy, change, logits = planes[0], heads[:, :1], heads[:, 1:]
+        # Of the planes the last is the sector's complement, or -1 where nobody knows it.
+        sector = 1 - planes[-1].clamp_min(0)
+        made = self._gated(noisy + change, logits)
+        return change, logits, self.verdict(x, noisy, made - noisy, sector)
 
 
 def _known(range_fraction: Tensor, azimuth_rad: Tensor, sector: Tensor) -> tuple[Tensor, ...]:

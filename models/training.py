@@ -71,7 +71,7 @@ class Training(LightningModule):
         if self.network.has_heads:
             seen = self.network.with_heads(batch["noisy"], **extras)
             prediction = seen.image
-            batch |= {"shadow_logits": seen.shadow_logits, "leave_logits": seen.leave_logits}
+            batch |= {"shadow_logits": seen.shadow_logits, "gain_db": seen.gain_db}
         else:
             prediction = self.network(batch["noisy"], **extras)
         return self.loss(prediction, batch["clean"], batch)

@@ -119,6 +119,16 @@ def test_bm3d_blocks_are_the_dct() -> None:
     np.testing.assert_allclose(_all_blocks(image)[5, 9].reshape(8, 8), expected, atol=1e-5)
 
 
+@pytest.mark.parametrize("shape", [(40, 33), (7, 64)])
+def test_median_of_stored_pictures_is_that_of_any_other(shape: tuple[int, int]) -> None:
+    stored = np.random.default_rng(3).integers(0, 256, shape).astype(np.float32) / np.float32(255)
+    finer = np.nextafter(stored, np.float32(0.5))
+    for size in (2, 3, 5, 9):
+        for image in (stored, finer):
+            expected = ndimage.median_filter(image, size=size, mode="nearest")
+            np.testing.assert_array_equal(run("median", image, size=size), expected)
+
+
 def test_median_and_opening_are_the_definition() -> None:
     image = noisy_scene("speckle", 20)
     around = np.pad(image, 2, mode="edge")

@@ -19,6 +19,7 @@ from factory.scheduler.lock import Lock
 from factory.settings import build
 from models import build_network
 from models.campaign.execute import Campaign
+from models.campaign.plan import training_steps
 from models.weights import save_weights
 from tests.campaign_programs import ROWS, TINY, Programs, settings
 
@@ -123,6 +124,8 @@ def test_a_row_goes_on_from_the_weights_of_another(tmp_path: Path) -> None:
     sparse = "rows=[{name: a, steps: 1, places: sparse, words: []}]"
     with pytest.raises(FactoryError, match=r"a needs data\.sparse"):
         settings(tmp_path, sparse, "data.sparse=null")
+    wide = settings(tmp_path, sparse.replace("sparse", "wide"))
+    assert any("data/wide" in word for word in next(training_steps(wide)).words)
 
 
 def test_one_campaign_a_folder(tmp_path: Path) -> None:
@@ -144,8 +147,10 @@ def test_a_row_that_cannot_be_trained_does_not_stop_the_others(
 
 
 def test_odd_campaigns_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(FactoryError, match="train and test share locations"):
+    with pytest.raises(FactoryError, match="test shares locations with what is learned"):
         settings(tmp_path, "data.test.first=1010")
+    with pytest.raises(FactoryError, match="checks shares locations with what is learned"):
+        settings(tmp_path, "data.checks.first=2000")
     with pytest.raises(FactoryError, match="a is there twice with other words"):
         settings(tmp_path, "rows=[{name: a, cpu_s: 1, words: []}, {name: a, cpu_s: 2, words: []}]")
     with pytest.raises(FactoryError, match="a has seed 0 twice"):

@@ -113,6 +113,31 @@ def test_images_keep_name_size_and_dtype(
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
 
 
+def test_pictures_given_back_as_they_came_are_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Untrained, it expects 3 dB.
+    config = {
+        **{"kind": "sonarnet", "widths": [4, 4], "blocks": [0, 0], "polar": False},
+        **{"mask": True, "least_gain_db": 3.5, "forget": 0.0},
+    }
+    torch.manual_seed(0)
+    weights = tmp_path / "weights.safetensors"
+    save_weights(weights, build_network(config), config, {})
+    (tmp_path / "in").mkdir()
+    noisy = (fan_images(40, np.random.default_rng(0))[0] * 255).astype(np.uint8)
+    for name in ("a", "b"):
+        assert cv2.imwrite(str(tmp_path / "in" / f"{name}.png"), noisy)
+    arguments = [str(tmp_path / "in"), "--out", str(tmp_path / "out"), "--weights", str(weights)]
+    assert main(arguments) == 0
+    assert "given back as they came: 2 of 2 picture(s)" in capsys.readouterr().out
+    result = tmp_path / "out" / "a.png"
+    assert np.array_equal(cv2.imread(str(result), cv2.IMREAD_UNCHANGED), noisy)
+    assert main([*arguments, "--always"]) == 0
+    assert "given back" not in capsys.readouterr().out
+    assert not np.array_equal(cv2.imread(str(result), cv2.IMREAD_UNCHANGED), noisy)
+
+
 def test_shards_become_denoised_shards(weights: Path, tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data", train=4, test=2, size=32)
     write_manifest(dataset, "train/shard-00000.h5", "test/shard-00000.h5")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,11 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy import ndimage
 
 from evaluation.edges import edge_preservation
-from evaluation.metrics import MetricError
+from evaluation.measure import sector_of
+from evaluation.metrics import MetricError, gmsd
 from evaluation.multiscale import SMALLEST, ms_ssim
+from evaluation.pictures import Picture
+from evaluation.reference import Compared
 from evaluation.speckle import (
     contrast_to_noise,
     enl,
@@ -26,6 +30,7 @@ from evaluation.speckle import (
     structure,
     zone_enl,
 )
+from evaluation.texture import Scene
 from tests.test_metrics import waves
 
 Array = npt.NDArray[Any]
@@ -251,3 +256,28 @@ def test_m_index_ranks_filters() -> None:
     assert ideal < wrong
     assert m_index(noisy, noisy, zones, data_range=1) == pytest.approx(0.5)
     assert math.isnan(m_index(noisy, level, zones[:0], data_range=1))
+
+
+def test_what_methods_share_on_a_pair_changes_no_figure() -> None:
+    rng = np.random.default_rng(5)
+    clean = np.asarray(waves(192, 200)[0] / 255, dtype=np.float32)
+    noisy = np.clip(speckled(clean, 9), 0, 1).astype(np.float32)
+    shadow = np.zeros(clean.shape, bool)
+    shadow[60:90, 40:120] = True
+    clean[shadow], noisy[:, :20], clean[:, :20] = 0, 0, 0
+    sector = sector_of(noisy, clean, shadow)
+    scene = Scene(Picture(noisy, clean, shadow, sector))
+    zones = homogeneous_zones(clean, data_range=1, sector=sector)
+    assert len(zones) > 1
+    for image in (noisy, ndimage.gaussian_filter(noisy, 2), rng.random(clean.shape, np.float32)):
+        found = scene.texture(Compared(scene.reference, image.astype(np.float64)))
+        alone = {
+            "gmsd_unpooled": gmsd(clean, image, data_range=1, pooled=False),
+            "ms_ssim": ms_ssim(clean, image, data_range=1),
+            "edge_preservation": edge_preservation(clean, image, data_range=1, mask=sector),
+            "enl": enl(image, zones),
+            "cnr": contrast_to_noise(image, sector & ~shadow & (clean > 0), shadow),
+            "ratio_mean": ratio_mean(noisy, image, data_range=1),
+            "m_index": m_index(noisy, image, zones, data_range=1),
+        }
+        assert asdict(found) == pytest.approx(alone, abs=1e-9)

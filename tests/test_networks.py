@@ -38,7 +38,7 @@ TINY: dict[str, dict[str, Any]] = {
     },
     "sonarnet": {
         **{"widths": [8, 12], "blocks": [1, 1]},
-        **{"polar": True, "mask": True, "leave": 1.0, "forget": 0.1},
+        **{"polar": True, "mask": True, "least_gain_db": None, "forget": 0.1},
     },
     "unet": {"widths": [4, 8], "blocks": 1},
 }
@@ -289,29 +289,28 @@ def test_the_mask_gates_the_picture_inside_the_sector() -> None:
     torch.testing.assert_close(restored[~outside], gated[~outside])
 
 
-def verdict_of(network: Network, logit: float) -> None:
+def expects(network: Network, gain_db: float) -> None:
     """Let the third head say this of every picture."""
     assert isinstance(network, SonarNet)
-    network.verdict.weight.zero_()
-    network.verdict.bias.fill_(logit)
+    network.verdict.gain.weight.zero_()
+    network.verdict.gain.bias.fill_(gain_db)
 
 
-def test_what_would_be_worse_is_left_as_it_came() -> None:
-    network = stirred(tiny("sonarnet", mask=False, forget=0.0, leave=0.1))
+def test_what_gains_too_little_is_left_as_it_came() -> None:
+    network = stirred(tiny("sonarnet", mask=False, forget=0.0, least_gain_db=1.5))
     image, extras = told(network, 32)
     for known in ({}, extras):
         changed = network.train()(image, **known)
-        # Log odds of 0.1 are -2.2.
-        for verdict, expected in ((-2.1, image), (-2.3, changed)):
+        for gain_db, expected in ((1.4, image), (1.6, changed)):
             with torch.no_grad():
-                verdict_of(network, verdict)
+                expects(network, gain_db)
             assert torch.equal(network.eval()(image, **known), expected)
             # What is learned from is never left, or there would be nothing to learn.
             assert torch.equal(network.train()(image, **known), changed)
     assert not torch.equal(changed, image)
     free = stirred(tiny("sonarnet", mask=False))
     with torch.no_grad():
-        verdict_of(free, 50.0)
+        expects(free, -50.0)
     assert not torch.equal(free(image), image)
 
 
@@ -322,10 +321,10 @@ def test_a_network_that_looks_twice_does_not_care_for_left_and_right() -> None:
     turned = {name: plane.flip(-1) for name, plane in extras.items()}
     turned["azimuth_rad"] = -turned["azimuth_rad"]
     for known, mirrored in (({}, {}), (extras, turned)):
-        both, logits, leave = network.with_heads(image, **known)
+        both, logits, gain_db = network.with_heads(image, **known)
         first, second = once.with_heads(image, **known), once.with_heads(image.flip(-1), **mirrored)
         torch.testing.assert_close(both, (first.image + second.image.flip(-1)) / 2)
-        torch.testing.assert_close(leave, (first.leave_logits + second.leave_logits) / 2)
+        torch.testing.assert_close(gain_db, (first.gain_db + second.gain_db) / 2)
         again = network.with_heads(image.flip(-1), **mirrored)
         torch.testing.assert_close(again.image.flip(-1), both)
         torch.testing.assert_close(again.shadow_logits.flip(-1), logits)
@@ -343,9 +342,9 @@ def test_colours_share_one_mask_and_one_geometry() -> None:
     network = stirred(tiny("sonarnet"))
     image, extras = told(network, 32)
     colours = image.expand(-1, 3, -1, -1)
-    restored, logits, leave = network.with_heads(colours, **extras)
-    alone, mask, verdict = network.with_heads(image, **extras)
-    torch.testing.assert_close(leave, verdict)
+    restored, logits, gain_db = network.with_heads(colours, **extras)
+    alone, mask, of_one = network.with_heads(image, **extras)
+    torch.testing.assert_close(gain_db, of_one)
     torch.testing.assert_close(restored, alone.expand(-1, 3, -1, -1))
     torch.testing.assert_close(logits, mask)
 

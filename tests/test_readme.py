@@ -52,7 +52,7 @@ TABLE: dict[str, How] = {
     ),
     "python -m models denoise outputs/demo --out outputs/denoised": Run(),
     "python -m models denoise mdd/Images --geometry mdd/fan_geometry.csv --out outputs/mdd "
-    "--compare": Run(needs="{sandbox}/mdd"),
+    "--compare --always": Run(needs="{sandbox}/mdd"),
     "python -m models denoise outputs/demo --out outputs/denoised-own "
     "--weights outputs/models/nafnet/weights.safetensors": Run(),
     "python -m evaluation dataset=outputs/demo": Run(),

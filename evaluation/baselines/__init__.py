@@ -26,6 +26,7 @@ from evaluation.baselines.wavelet import wavelet
 from factory.errors import FactoryError
 
 _SIZES = (3, 5, 7, 9, 13)
+_WIDE = (*_SIZES, 19, 27)
 _CVS = (0.1, 0.2, 0.35, 0.52, 0.8, 1.2, 2.0)
 
 REGISTRY: dict[str, Baseline] = {
@@ -110,14 +111,14 @@ REGISTRY: dict[str, Baseline] = {
             "lee",
             lee,
             {"size": 7, "noise_cv": 0.52},
-            {"size": _SIZES, "noise_cv": _CVS},
+            {"size": _WIDE, "noise_cv": _CVS},
             "Lee 1980",
         ),
         Baseline(
             "kuan",
             kuan,
             {"size": 7, "noise_cv": 0.52},
-            {"size": _SIZES, "noise_cv": _CVS},
+            {"size": _WIDE, "noise_cv": _CVS},
             "Kuan et al. 1985",
         ),
         Baseline(
@@ -138,14 +139,17 @@ REGISTRY: dict[str, Baseline] = {
             "richardson_lucy",
             richardson_lucy_range,
             {"sigma_px": 1.5, "iterations": 10},
-            {"sigma_px": (0.2, 0.6, 1.0, 2.0, 4.0, 6.0, 9.0), "iterations": (1, 3, 10, 30)},
+            {
+                "sigma_px": (0.2, 0.6, 1.0, 2.0, 4.0, 6.0, 9.0, 13.0, 20.0),
+                "iterations": (1, 3, 10, 30),
+            },
             "Richardson 1972, Lucy 1974; along range",
         ),
         Baseline(
             "lpmsde",
             lpmsde,
             {"strength": 1.0, "levels": 3},
-            {"strength": (0.25, 1.0, 4.0, 16.0, 64.0, 256.0), "levels": (1, 2, 3, 4, 5)},
+            {"strength": (0.25, 1.0, 4.0, 16.0, 64.0, 256.0, 1000.0), "levels": (1, 2, 3, 4, 5)},
             "IEEE Access 2023, 3335372, after the abstract",
         ),
         Baseline(

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 from scipy import ndimage
 
 from evaluation.baselines.base import Gray
+
+_WHITE = np.float32(255)
 
 
 def identity(image: Gray) -> Gray:
@@ -15,7 +18,13 @@ def identity(image: Gray) -> Gray:
 
 
 def median(image: Gray, size: int) -> Gray:
-    """Median of size x size pixels."""
+    """Median of size x size pixels.
+
+    A picture of 256 levels goes through OpenCV, which gives the same in a fraction of the time.
+    """
+    whole = _levels(image)
+    if size % 2 and np.array_equal(whole / _WHITE, image):
+        return np.asarray(cv2.medianBlur(whole, size) / _WHITE)
     return np.asarray(ndimage.median_filter(image, size=size, mode="nearest"))
 
 
@@ -40,9 +49,8 @@ def nlm(image: Gray, strength: float) -> Gray:
 
     OpenCV's takes 8 bits, so the picture is rounded to 255 levels first.
     """
-    whole = np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
-    result = cv2.fastNlMeansDenoising(whole, None, strength * 255, 7, 21)
-    return np.asarray(result, dtype=np.float32) / 255
+    result = cv2.fastNlMeansDenoising(_levels(image), None, strength * 255, 7, 21)
+    return np.asarray(result / _WHITE)
 
 
 def total_variation(image: Gray, weight: float) -> Gray:
@@ -51,3 +59,8 @@ def total_variation(image: Gray, weight: float) -> Gray:
 
     result = denoise_tv_chambolle(image, weight=weight)  # type: ignore[no-untyped-call]
     return np.asarray(result, dtype=np.float32)
+
+
+def _levels(image: Gray) -> npt.NDArray[np.uint8]:
+    """The nearest of 256 levels."""
+    return np.asarray(np.rint(np.clip(image, 0, 1) * 255), dtype=np.uint8)

@@ -15,7 +15,7 @@ from evaluation.report.examples import Example, real_examples
 from evaluation.settings import EvaluationSettings
 from factory.shards.files import write_atomically
 
-_ROWS = 14
+_ROWS = 40
 
 
 def write(

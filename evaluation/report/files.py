@@ -101,6 +101,7 @@ def markdown(content: Mapping[str, Any]) -> str:
     ]
     if any(line["ours"] for line in content["table_3"]):
         parts += ["## The paper's Table 3", tables.beside_paper(content["table_3"])]
+        parts.append("\n".join(f"- {line}" for line in content["ordering_3"]))
     if content["breakdown"]:
         parts.append("## Mean PSNR in dB by place, noise and resampling (number of pairs)")
         parts += [tables.breakdown(entry) for entry in content["breakdown"]]
@@ -115,7 +116,9 @@ def verdict(content: Mapping[str, Any]) -> str:
     best = content["best_classical"]
     if best["row"] is None:
         return "No baseline was measured."
-    lines = [f"The best classical row is `{best['row']}`, chosen on {best['chosen_on']}."]
+    lines = [
+        f"The best classical row of one look is `{best['row']}`, chosen on {best['chosen_on']}."
+    ]
     for row in content["rows"]:
         margin = row["against_best"].get("psnr")
         if margin is not None:

@@ -8,7 +8,6 @@ from typing import Any
 
 TABLE_METRICS = ("psnr", "ssim", "gmsd")
 _BETTER = {"psnr": 1, "ssim": 1, "gmsd": -1}
-_ROUNDING = {"psnr": 0.005, "ssim": 0.005, "gmsd": 0.005}
 
 OURS = "simnfnd_newloss"
 
@@ -51,35 +50,44 @@ def table_3(rows: Sequence[Content]) -> list[dict[str, Any]]:
     return [_line(title, paper, _ablation(rows, name)) for name, (title, paper) in TABLE_3.items()]
 
 
-def ordering(table: Sequence[Content]) -> list[str]:
+def ordering(table: Sequence[Content], name: str = "Table 2", digits: int = 2) -> list[str]:
     """Where our order of the rows is not the paper's, one line each; the first line counts them.
 
-    Rows that the paper gives equal figures (to its two digits) have no order.
+    digits: decimals of the paper's figures that count.  Rows that are equal in them there have no
+    order, and rows that are as near to each other here are said to be equal.
     """
-    lines, compared = [], 0
+    lines, compared, equal = [], 0, 0
+    step = 10**-digits - 1e-9
     for metric in TABLE_METRICS:
         known = [row for row in table if row["ours"] is not None]
         for one, other in itertools.combinations(known, 2):
             there = _BETTER[metric] * (one["paper"][metric] - other["paper"][metric])
-            if abs(there) < 2 * _ROUNDING[metric] - 1e-9:
+            if abs(there) < step:
                 continue
             compared += 1
             here = _BETTER[metric] * (one["ours"][metric] - other["ours"][metric])
-            if there * here < 0:
+            if abs(here) < step:
+                equal += 1
+            elif there * here < 0:
                 better, worse = (one, other) if there > 0 else (other, one)
-                digits = 2 if metric == "psnr" else 3
+                places = 2 if metric == "psnr" else 3
                 lines.append(
                     f"{metric.upper()}: the paper has {better['title']} before {worse['title']} "
-                    f"({better['paper'][metric]:.2f}, {worse['paper'][metric]:.2f}), here it is "
-                    f"the other way ({better['ours'][metric]:.{digits}f}, "
-                    f"{worse['ours'][metric]:.{digits}f})"
+                    f"({better['paper'][metric]:.{digits}f}, {worse['paper'][metric]:.{digits}f}), "
+                    f"here it is the other way ({better['ours'][metric]:.{places}f}, "
+                    f"{worse['ours'][metric]:.{places}f})"
                 )
     if not compared:
-        return ["Table 2: too few rows to compare their order with the paper's."]
+        return [f"{name}: too few rows to compare their order with the paper's."]
     head = (
-        f"Table 2: of {compared} ordered pairs of rows in three metrics, "
-        f"{compared - len(lines)} are in the paper's order."
+        f"{name}: of {compared} ordered pairs of rows in three metrics, "
+        f"{compared - equal - len(lines)} are in the paper's order"
     )
+    if equal:
+        head += f", {equal} are equal here (within {10**-digits:g})"
+    if lines:
+        head += f", {len(lines)} are the other way"
+    head += "."
     return [head, *lines]
 
 

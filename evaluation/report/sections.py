@@ -59,11 +59,17 @@ def cost(content: Content) -> str:
 def paper(content: Content) -> str:
     """Tables 2 and 3, and where the order differs."""
     parts = ["<h3>Table 2</h3>", _beside(content["table_2"])]
-    parts.append("<ul>" + "".join(f"<li>{escape(x)}</li>" for x in content["ordering"]) + "</ul>")
+    parts.append(_list(content["ordering"]))
     parts += ["<h3>Table 3</h3>", _beside(content["table_3"])]
-    if not any(line["ours"] for line in content["table_3"]):
+    if any(line["ours"] for line in content["table_3"]):
+        parts.append(_list(content["ordering_3"]))
+    else:
         parts.append(paragraph("No weights were given for Table 3 (ablation.* in the settings)."))
     return "".join(parts)
+
+
+def _list(lines: Sequence[str]) -> str:
+    return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"
 
 
 def _beside(printed: Sequence[Content]) -> str:

@@ -83,7 +83,7 @@ def data_steps(settings: CampaignSettings) -> Iterator[Step]:
 
     train = ("split.test=[]", "split.test_fraction=0", "dataset.max_train=null")
     test = (_ALL_TEST, "dataset.max_test=null")
-    for name, chosen in (("train", data.train), ("sparse", data.sparse)):
+    for name, chosen in (("train", data.train), ("sparse", data.sparse), ("wide", data.wide)):
         if chosen is None:
             continue
         step = dataset(name, *places(chosen), *train)

@@ -36,6 +36,7 @@ class DataSettings:
     words: tuple[str, ...]
     train: Places
     sparse: Places | None
+    wide: Places | None
     test: Places
     checks: Places
     variants: Count
@@ -44,10 +45,13 @@ class DataSettings:
     mdd: str | None
 
     def __post_init__(self) -> None:
-        learned = set(self.train.numbers) | set(self.sparse.numbers if self.sparse else ())
+        chosen = [places for places in (self.train, self.sparse, self.wide) if places]
+        learned = {number for places in chosen for number in places.numbers}
         for name in ("test", "checks"):
             if learned & set(getattr(self, name).numbers):
-                raise ValueError(f"train and {name} share locations; give them other numbers")
+                raise ValueError(
+                    f"{name} shares locations with what is learned from; give it other numbers"
+                )
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -66,7 +70,7 @@ class RowSettings:
     checks: Count | None = None
     seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)] = (0,)
     data: Literal["simnfnd", "olddata"] = "simnfnd"
-    places: Literal["train", "sparse"] = "train"
+    places: Literal["train", "sparse", "wide"] = "train"
     start: str | None = None
 
     def __post_init__(self) -> None:
@@ -99,8 +103,8 @@ class CampaignSettings:
             told = replace(row, seeds=(0,))
             if known.setdefault(row.name, told) != told:
                 raise ValueError(f"rows: {row.name} is there twice with other words or budget")
-            if row.places == "sparse" and self.data.sparse is None:
-                raise ValueError(f"rows: {row.name} needs data.sparse")
+            if row.places != "train" and getattr(self.data, row.places) is None:
+                raise ValueError(f"rows: {row.name} needs data.{row.places}")
             for seed in row.seeds:
                 if (row.name, seed) in seen:
                     raise ValueError(f"rows: {row.name} has seed {seed} twice")
