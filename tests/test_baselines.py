@@ -309,7 +309,7 @@ def test_edges_of_the_grid() -> None:
     lee = REGISTRY["lee"]
     assert lee.edges({"size": 7, "noise_cv": 0.2}) == []
     assert lee.edges({"size": 3, "noise_cv": 0.2}) == [], "there is no smaller window"
-    assert lee.edges({"size": 13, "noise_cv": 0.1}) == ["size", "noise_cv"]
+    assert lee.edges({"size": 27, "noise_cv": 0.1}) == ["size", "noise_cv"]
     assert REGISTRY["identity"].edges({}) == []
 
 
