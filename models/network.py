@@ -70,6 +70,11 @@ class Network(nn.Module):
             seen.gain_db.reshape(len(noisy), -1).mean(dim=1),
         )
 
+    @property
+    def leaves(self) -> bool:
+        """Whether it gives back as they came pictures on which it expects to gain too little."""
+        return False
+
     def leave_none(self) -> None:
         """Denoise every picture from now on, also those that are better left as they came."""
 

@@ -123,6 +123,11 @@ class SonarNet(Network):
         left = (seen.gain_db < least_db)[:, None, None, None]
         return seen._replace(image=torch.where(left, noisy, seen.image))
 
+    @property
+    def leaves(self) -> bool:
+        """See `Network`."""
+        return self.settings.least_gain_db is not None
+
     def leave_none(self) -> None:
         """See `Network`: no gain is too little."""
         self.settings = replace(self.settings, least_gain_db=None)

@@ -138,6 +138,15 @@ def test_pictures_given_back_as_they_came_are_counted(
     assert not np.array_equal(cv2.imread(str(result), cv2.IMREAD_UNCHANGED), noisy)
 
 
+def test_nobody_is_told_of_pictures_that_a_network_cannot_give_back(
+    weights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    denoise = load_denoiser(weights)
+    monkeypatch.setattr(denoise, "_one", lambda gray, maps: gray)
+    denoise(np.zeros((8, 8), np.float32))
+    assert (denoise.seen, denoise.left) == (1, 0)
+
+
 def test_shards_become_denoised_shards(weights: Path, tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data", train=4, test=2, size=32)
     write_manifest(dataset, "train/shard-00000.h5", "test/shard-00000.h5")

@@ -57,8 +57,7 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
         page.write(out / page.PAGE_NAME, content, examples)
         pictures = figures.write(settings, content, examples, shown, team)
     print(f"\n{tables.leaderboard(content['rows'])}\n\n{files.verdict(content)}")
-    third = content["ordering_3"] if any(line["ours"] for line in content["table_3"]) else []
-    for line in [*content["ordering"], *third]:
+    for line in [*content["ordering"], *content["ordering_3"]]:
         print(line)
     print(f"report: {out / page.PAGE_NAME} (and {', '.join(pictures)})")
     return content

@@ -45,6 +45,9 @@ def content_of(
         _adjust(found, "against_best")
     found.sort(key=lambda line: math.inf if line["lost"] else -line["metrics"]["psnr"]["mean"])
     second, third = paper.table_2(found), paper.table_3(found)
+    # Weights of Table 3 are seldom given; without any there is nothing to say of it.
+    given = any(line["ours"] for line in third)
+    ordering_3 = paper.ordering(third, "Table 3", digits=3) if given else []
     return {
         "schema": SCHEMA,
         "facts": dict(facts),
@@ -53,7 +56,7 @@ def content_of(
         "table_2": second,
         "table_3": third,
         "ordering": paper.ordering(second),
-        "ordering_3": paper.ordering(third, "Table 3", digits=3),
+        "ordering_3": ordering_3,
     }
 
 

@@ -99,7 +99,7 @@ def markdown(content: Mapping[str, Any]) -> str:
         tables.beside_paper(content["table_2"]),
         "\n".join(f"- {line}" for line in content["ordering"]),
     ]
-    if any(line["ours"] for line in content["table_3"]):
+    if content["ordering_3"]:
         parts += ["## The paper's Table 3", tables.beside_paper(content["table_3"])]
         parts.append("\n".join(f"- {line}" for line in content["ordering_3"]))
     if content["breakdown"]:
