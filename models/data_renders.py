@@ -26,6 +26,7 @@ from factory.scenes import open_reader
 from factory.seeds import stream
 from factory.shards.folder import CONFIG_NAME
 from factory.shards.pair_dataset import in_unit_range
+from factory.sonar.settings import SonarSettings
 from models.data import PairTable, Sample, SampleRef, weakened
 from models.geometry import of_record
 from models.settings import RendersData
@@ -45,27 +46,35 @@ class RenderSource:
         weaker: float,
         fewer: float,
         seed: int,
+        scales: tuple[float, ...] = (1.0,),
     ) -> None:
-        """config: how pairs are made.  frames: whose renders are at hand.  See `RendersData`."""
+        """config: how pairs are made.  frames: whose renders are at hand.  See `RendersData`.
+
+        Raises FactoryError as `resized` does.
+        """
         self.config, self.frames = replace(config, seed=seed), frames
-        self.weaker, self.fewer, self.seed = weaker, fewer, seed
-        self._maker: PairMaker | None = None
+        self.weaker, self.fewer, self.seed, self.scales = weaker, fewer, seed, scales
+        for scale in scales:
+            resized(config.sonar, scale)
+        self._makers: dict[float, PairMaker] = {}
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_maker": None}
+        return {**self.__dict__, "_makers": {}}
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
-        if self._maker is None:
-            self._maker = PairMaker(self.config)
+        scale = 1.0 if visit is None else self.scale_of(index, visit)
+        if scale not in self._makers:
+            sonar = resized(self.config.sonar, scale)
+            self._makers[scale] = PairMaker(replace(self.config, sonar=sonar))
         ref = self.frames[index]
         number = 0 if visit is None else visit
-        maker = copy.copy(self._maker)
+        maker = copy.copy(self._makers[scale])
         if visit is not None:
-            maker.config = replace(self.config, noise=self.noise_of(index, visit))
+            maker.config = replace(maker.config, noise=self.noise_of(index, visit))
         try:
             pair = maker.pairs(ref, (number,))[0]
         except FrameError as error:
@@ -74,8 +83,14 @@ class RenderSource:
             in_unit_range(pair.noisy),
             in_unit_range(pair.clean),
             pair.shadow.astype(np.float32),
-            of_record(self.config.sonar, pair.record),
+            of_record(maker.config.sonar, pair.record),
         )
+
+    def scale_of(self, index: int, visit: int) -> float:
+        """Size of the picture of a visit, as a multiple of the dataset's: any of `scales`."""
+        if len(self.scales) == 1:
+            return self.scales[0]
+        return self.scales[stream(self.seed, "scale", index, visit).integers(len(self.scales))]
 
     def noise_of(self, index: int, visit: int) -> noise.NoiseSettings:
         """The noise of a visit: as configured, or with less of all effects, or some effects off.
@@ -107,6 +122,32 @@ def scaled(block: Any, factor: float) -> Any:
             values = tuple(number * factor for number in value.values)
             changes[item.name] = replace(value, values=values)
     return replace(block, **changes)
+
+
+def resized(sonar: SonarSettings, scale: float) -> SonarSettings:
+    """The same device with `scale` times as many beams, range bins and pixels.
+
+    Its point spread stays as many bins and beams wide, so it resolves more.
+    Raises FactoryError when that is too many, and where there is a table of beams, which says
+    nothing of beams between.
+    """
+    if scale == 1:
+        return sonar
+    if sonar.beam_azimuths_deg is not None:
+        raise FactoryError(
+            f"data.scales: {scale:g}: {sonar.name} has a table of beams; only 1 is possible"
+        )
+    image = sonar.image
+    sizes = [sonar.beams, sonar.range_bins, image.width_px, image.height_px]
+    beams, range_bins, width_px, height_px = (round(scale * size) for size in sizes)
+    try:
+        image = replace(image, width_px=width_px, height_px=height_px)
+        return replace(sonar, beams=beams, range_bins=range_bins, image=image)
+    except ValueError as error:
+        raise FactoryError(
+            f"data.scales: {scale:g} makes {beams} beams, {range_bins} range bins and "
+            f"{width_px}x{height_px} pixels; 2 to 8192 of each are possible"
+        ) from error
 
 
 def open_renders(
@@ -146,7 +187,14 @@ def open_renders(
         "renders.frames": len(ready),
         "renders.names": hashlib.blake2b(names_.encode(), digest_size=8).hexdigest(),
     }
-    source = RenderSource(config, ready, weaker=data.weaker, fewer=data.fewer, seed=seed)
+    source = RenderSource(
+        config,
+        ready,
+        weaker=data.weaker,
+        fewer=data.fewer,
+        seed=seed,
+        scales=data.scales,
+    )
     return source, facts, said
 
 

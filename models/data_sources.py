@@ -97,7 +97,9 @@ def _of_dataset(data: PairsData | RendersData, settings: ModelsSettings) -> Data
             f"dataset: data={data.kind} needs the folder that `python -m factory` made, dataset=DIR"
         )
     table = read_table(folder, "train")
-    _check_sizes(data, min(table.height, table.width), folder, f"{table.height}x{table.width}")
+    least = min(data.scales) if isinstance(data, RendersData) else 1.0
+    height, width = (round(least * side) for side in (table.height, table.width))
+    _check_sizes(data, min(height, width), folder, f"{height}x{width}")
     learning, held = hold_out(table.samples, data.validation, settings.seed)
     shown = spread(held, data.validation_limit)
     facts: dict[str, Any] = {

@@ -6,7 +6,7 @@ import argparse
 import functools
 import hashlib
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -20,7 +20,7 @@ from factory.shards.reader import open_shard
 from models.denoise_files import Gray, denoise_file, denoise_image, denoise_shard, denoise_video
 from models.denoise_inputs import Item, find_items
 from models.geometry import Geometry, polar_picture, read_fans
-from models.tile import tiled
+from models.tile import Maps, tiled
 
 __all__ = ["Denoiser", "Item", "denoise_image", "find_items", "load_denoiser", "main"]
 
@@ -130,13 +130,16 @@ class Denoiser:
         self.digest = hashlib.sha256(weights.read_bytes()).hexdigest()
         self.tile, self.overlap = tile, overlap
         self.seen = self.left = 0
-        if always:
-            self.trained.network.leave_none()
+        network = self.trained.network
+        self._least_gain_db = None if always else network.least_gain_db
+        # The verdict is on a whole picture, here: tiles that were left alone among others that were
+        # not would show.
+        network.leave_none()
         has_gpu = torch.cuda.is_available()
         if device == "gpu" and not has_gpu:
             raise FactoryError("--device gpu: no usable GPU here; use --device cpu")
         if has_gpu and device != "cpu":
-            self.trained.network.to("cuda")
+            network.to("cuda")
 
     def __call__(
         self, gray: Gray, geometry: Geometry | None = None, *, layout: str | None = None
@@ -153,23 +156,35 @@ class Denoiser:
         if geometry is not None and extras:
             found = geometry.maps(0, 0, *gray.shape)
             maps = {name: found[name] for name in extras if name in found}
-        denoised = tiled(self._one, gray, maps, self.tile, self.overlap)
+        gains_db: list[float] = []
+        areas: list[int] = []
+
+        def work(part: Gray, maps: Maps) -> Gray:
+            denoised, gain_db = self._one(part, maps)
+            if gain_db is not None:
+                gains_db.append(gain_db)
+                areas.append(part.size)
+            return denoised
+
+        denoised = tiled(work, gray, maps, self.tile, self.overlap)
         self.seen += 1
-        # A black picture comes back black from any network.
-        self.left += self.trained.network.leaves and np.array_equal(denoised, gray)
+        least_db = self._least_gain_db
+        if least_db is not None and np.average(gains_db, weights=areas) < least_db:
+            self.left += 1
+            return gray.copy()
         return denoised
 
-    def _one(self, gray: Gray, maps: Mapping[str, Gray]) -> Gray:
+    def _one(self, gray: Gray, maps: Maps) -> tuple[Gray, float | None]:
         import torch
 
-        from models.samples import denoise_batch
+        from models.samples import denoise_and_tell
 
         images = {"noisy": gray, **maps}
         batch = {
             name: torch.from_numpy(np.ascontiguousarray(image))[None, None]
             for name, image in images.items()
         }
-        return denoise_batch(self.trained.network, batch)
+        return denoise_and_tell(self.trained.network, batch)
 
 
 def load_denoiser(

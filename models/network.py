@@ -71,9 +71,9 @@ class Network(nn.Module):
         )
 
     @property
-    def leaves(self) -> bool:
-        """Whether it gives back as they came pictures on which it expects to gain too little."""
-        return False
+    def least_gain_db(self) -> float | None:
+        """A picture on which it expects to gain less comes back as it was; None: none does."""
+        return None
 
     def leave_none(self) -> None:
         """Denoise every picture from now on, also those that are better left as they came."""

@@ -14,6 +14,7 @@ from torch import nn
 from factory.errors import FactoryError
 from factory.shards.files import write_atomically
 from models.data import Batch
+from models.network import Network
 from models.quality import psnr_db
 
 _GAP = 4
@@ -21,11 +22,24 @@ _GAP = 4
 
 def denoise_batch(network: nn.Module, batch: Batch) -> npt.NDArray[np.float32]:
     """(H, W) float32 in 0..1: the image of a batch of one, denoised and clipped."""
+    return denoise_and_tell(network, batch)[0]
+
+
+def denoise_and_tell(
+    network: nn.Module, batch: Batch
+) -> tuple[npt.NDArray[np.float32], float | None]:
+    """As `denoise_batch`, and the gain of PSNR in dB that the network expects, if it has a head."""
     device = next(network.parameters()).device
     known = {n: batch[n].to(device) for n in getattr(network, "extras", ()) if n in batch}
+    noisy, gain_db = batch["noisy"].to(device), None
     with torch.inference_mode():
-        result = network(batch["noisy"].to(device), **known).float().clamp(0, 1)
-    return np.asarray(result[0, 0].cpu().numpy(), dtype=np.float32)
+        if isinstance(network, Network) and network.has_heads:
+            seen = network.with_heads(noisy, **known)
+            result, gain_db = seen.image, float(seen.gain_db[0])
+        else:
+            result = network(noisy, **known)
+        result = result.float().clamp(0, 1)
+    return np.asarray(result[0, 0].cpu().numpy(), dtype=np.float32), gain_db
 
 
 def contact_sheet(network: nn.Module, batches: Sequence[Batch]) -> npt.NDArray[np.uint8]:

@@ -15,6 +15,7 @@ Count = Annotated[int, Field(ge=1)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Patch = Annotated[int, Field(ge=8)]
+Scale = Annotated[float, Field(gt=0, le=16)]
 
 union_tags("literal['auto']", "constrained-int")
 
@@ -77,6 +78,7 @@ class RendersData(DataSettings):
     cache: str | None
     factory: tuple[str, ...]
     fewer: Share
+    scales: Annotated[tuple[Scale, ...], Field(min_length=1)] = (1.0,)
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)

@@ -117,16 +117,15 @@ class SonarNet(Network):
                 (seen.shadow_logits + shadow.flip(-1)) / 2,
                 (seen.gain_db + gain_db) / 2,
             )
-        least_db = self.settings.least_gain_db
-        if least_db is None:
+        if self.least_gain_db is None:
             return seen
-        left = (seen.gain_db < least_db)[:, None, None, None]
+        left = (seen.gain_db < self.least_gain_db)[:, None, None, None]
         return seen._replace(image=torch.where(left, noisy, seen.image))
 
     @property
-    def leaves(self) -> bool:
+    def least_gain_db(self) -> float | None:
         """See `Network`."""
-        return self.settings.least_gain_db is not None
+        return self.settings.least_gain_db
 
     def leave_none(self) -> None:
         """See `Network`: no gain is too little."""
@@ -164,7 +163,7 @@ class SonarNet(Network):
     def _core(self, *planes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """What to add, and logits of shadow, on the grid of the planes, (N, 1, H, W) each.
 
-        The third are the logits of harm, (N,).
+        The third is the gain to expect, (N,) dB.
         """
         height, width = planes[0].shape[-2:]
         x = torch.cat([padded(plane, self.core_stride) for plane in planes], dim=1)

@@ -42,6 +42,18 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def untrained_sonarnet(folder: Path) -> Path:
+    """Weights that expect to gain 3 dB on every picture, with a limit of 3.5 dB."""
+    config = {
+        **{"kind": "sonarnet", "widths": [4, 4], "blocks": [0, 0], "polar": False},
+        **{"mask": True, "least_gain_db": 3.5, "forget": 0.0},
+    }
+    torch.manual_seed(0)
+    path = folder / "weights.safetensors"
+    save_weights(path, build_network(config), config, {})
+    return path
+
+
 def through_network(weights: Path, image: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     network = load_weights(weights).network
     with torch.inference_mode():
@@ -116,14 +128,7 @@ def test_images_keep_name_size_and_dtype(
 def test_pictures_given_back_as_they_came_are_counted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # Untrained, it expects 3 dB.
-    config = {
-        **{"kind": "sonarnet", "widths": [4, 4], "blocks": [0, 0], "polar": False},
-        **{"mask": True, "least_gain_db": 3.5, "forget": 0.0},
-    }
-    torch.manual_seed(0)
-    weights = tmp_path / "weights.safetensors"
-    save_weights(weights, build_network(config), config, {})
+    weights = untrained_sonarnet(tmp_path)
     (tmp_path / "in").mkdir()
     noisy = (fan_images(40, np.random.default_rng(0))[0] * 255).astype(np.uint8)
     for name in ("a", "b"):
@@ -142,9 +147,26 @@ def test_nobody_is_told_of_pictures_that_a_network_cannot_give_back(
     weights: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     denoise = load_denoiser(weights)
-    monkeypatch.setattr(denoise, "_one", lambda gray, maps: gray)
+    monkeypatch.setattr(denoise, "_one", lambda gray, maps: (gray, None))
     denoise(np.zeros((8, 8), np.float32))
     assert (denoise.seen, denoise.left) == (1, 0)
+
+
+@pytest.mark.parametrize(("right_db", "left"), [(6.5, 0), (5.0, 1)])
+def test_a_large_picture_is_denoised_as_a_whole_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, right_db: float, left: int
+) -> None:
+    """One tile of two is left alone by itself; with limit 3.5 dB the mean of both counts."""
+    weights = untrained_sonarnet(tmp_path)
+    denoise = load_denoiser(weights, "cpu", tile=32, overlap=0)
+    gray = np.full((32, 64), 0.5, np.float32)
+    gray[:, 32:] = 0.75
+    monkeypatch.setattr(
+        denoise, "_one", lambda part, maps: (part / 2, right_db if part[0, 0] > 0.6 else 1.0)
+    )
+    result = denoise(gray)
+    assert np.array_equal(result, gray if left else gray / 2)
+    assert (denoise.seen, denoise.left) == (1, left)
 
 
 def test_shards_become_denoised_shards(weights: Path, tmp_path: Path) -> None:

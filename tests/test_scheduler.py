@@ -485,6 +485,26 @@ def test_a_killed_parent_takes_its_workers_along_and_the_run_goes_on(
     assert shard_bytes(directory) == undisturbed
 
 
+def test_what_a_run_killed_after_its_last_shard_left_goes_away(
+    tmp_path: Path, undisturbed: dict[str, bytes]
+) -> None:
+    directory = tmp_path / "dataset"
+    make(directory, workers=1)
+    half_written = (
+        "import pathlib, sys; from factory.shards import files; "
+        "files._temporary_for(pathlib.Path(sys.argv[1])).write_bytes(b'half')"
+    )
+    target = directory / "train" / "shard-00000.h5"
+    subprocess.run([sys.executable, "-c", half_written, str(target)], cwd=ROOT, check=True)
+    (directory / ".work").mkdir()
+    (directory / ".work" / "train-shard-00000.h5.1.journal").write_bytes(b"half")
+    assert len(litter(directory)) >= 2
+    report = make(directory, workers=1)
+    assert report.kept == 4
+    assert litter(directory) == []
+    assert shard_bytes(directory) == undisturbed
+
+
 def test_killing_workers_at_random_moments_changes_nothing(
     tmp_path: Path, undisturbed: dict[str, bytes]
 ) -> None:

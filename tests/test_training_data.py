@@ -30,7 +30,7 @@ from models.data import PairSource, hold_out, read_table
 from models.data_crops import Crops, Visit, Whole
 from models.data_images import list_images, read_grey
 from models.data_olddata import OldDataSource, with_noise
-from models.data_renders import RenderSource, open_renders
+from models.data_renders import RenderSource, open_renders, resized
 from models.data_sources import open_data
 from models.geometry import of_sonar, polar_picture, read_fans
 from models.settings import DATA, ModelsSettings, RendersData
@@ -181,6 +181,45 @@ def test_training_on_renders_broken_off_ends_with_the_same_bytes(
         (tmp_path / name / "weights.safetensors").read_bytes() for name in ("whole", "broken")
     )
     assert one == other
+
+
+def test_scales_train_on_pictures_of_several_sizes(rendered: tuple[Path, Path]) -> None:
+    source, _ = renders(rendered, scales=(1.0, 2.0), weaker=0.0, fewer=0.0)
+    once, _ = renders(rendered, weaker=0.0, fewer=0.0)
+    height, width = source.config.sonar.shape()
+    drawn = {visit: source.scale_of(0, visit) for visit in range(40)}
+    assert 8 < sum(scale == 2 for scale in drawn.values()) < 32
+    for scale in (1.0, 2.0):
+        visit = next(number for number, one in drawn.items() if one == scale)
+        sample = source.sample(0, visit)
+        assert sample.noisy.shape == (scale * height, scale * width)
+        assert sample.geometry is not None
+        sonar = resized(source.config.sonar, scale)
+        expected = PairMaker(replace(source.config, sonar=sonar)).pairs(source.frames[0], (visit,))
+        np.testing.assert_array_equal(sample.noisy, in_unit_range(expected[0].noisy))
+        sector = sample.geometry.maps(0, 0, *sample.noisy.shape)["sector"]
+        assert (sector[sample.noisy > 0] > 0).mean() > 0.97
+        if scale == 1:
+            np.testing.assert_array_equal(sample.noisy, once.sample(0, visit).noisy)
+    crops = Crops(source, crops=2, flip=True, seed=1, extras=("range_fraction",))
+    sizes = {crops[Visit(visit, 0, visit, 24)]["noisy"].shape for visit in range(4)}
+    assert sizes == {(2, 1, 24, 24)}
+    assert source.sample(0, None).noisy.shape == (height, width), "validation is as the dataset is"
+
+
+def test_scales_that_cannot_be(rendered: tuple[Path, Path]) -> None:
+    table = SonarSettings(beams=3, beam_azimuths_deg=(-20.0, 1.0, 20.0))
+    with pytest.raises(FactoryError, match=r"data\.scales: 2: camera_matched has a table of beams"):
+        resized(table, 2)
+    assert resized(table, 1) is table
+    with pytest.raises(FactoryError, match=r"data\.scales: 16 makes 16384 beams"):
+        resized(SonarSettings(beams=1024), 16)
+    words = (f"dataset.dir='{rendered[0]}'", f"data.pack='{rendered[1]}'", *SMALL)
+    settings, _ = composed("data=renders", *words, "data.scales=[1, 0.2]")
+    with pytest.raises(FactoryError, match=r"the images of .* \(8x10\); choose at most 8"):
+        open_data(settings)
+    with pytest.raises(FactoryError, match=r"data\.scales"):
+        composed("data=renders", *words, "data.scales=[]")
 
 
 def test_renders_that_are_not_there(rendered: tuple[Path, Path], tmp_path: Path) -> None:

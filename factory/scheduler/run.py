@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 from tqdm import tqdm
 
@@ -65,6 +66,13 @@ class _Pace:
         ended = time.monotonic()
         wait_s = max(_SAVING_EVERY_S, (ended - self._begun) / _SAVING_SHARE)
         self._next = ended + wait_s
+
+
+def _tidy(loop: Loop, directory: Path) -> None:
+    """Away with journals, and with what dead writers left half written."""
+    loop.clear_work()
+    for split in SPLITS:
+        remove_stale_temporaries(directory / split)
 
 
 def run(
@@ -128,8 +136,9 @@ def run(
     save()
     state = "broken"
     try:
+        # Also when nothing is left to do: a run may have been killed after its last shard.
+        _tidy(loop, directory)
         if todo:
-            loop.clear_work()
             loop.add(todo)
             largest = max(len(task.items) for task in todo)
             per_worker = max(1, settings.recycle_frames // largest)
@@ -146,9 +155,7 @@ def run(
             else:
                 give_back(backend, settings, crew, tasks_per_worker)
             finally:
-                loop.clear_work()
-                for split in SPLITS:
-                    remove_stale_temporaries(directory / split)
+                _tidy(loop, directory)
         save()
         state = "finished"
     except BaseException as error:
