@@ -117,6 +117,14 @@ def test_a_row_goes_on_from_the_weights_of_another(tmp_path: Path) -> None:
     assert any(word.endswith("train.pack'") for word in later[0])
     first = next(words for words in trained if any("models/first" in word for word in words))
     assert any(word.endswith("sparse.pack'") for word in first)
+    again = Programs()
+    (tmp_path / "models" / "first-s1" / "weights.safetensors").write_bytes(b"other weights")
+    only = "only=['train-*']"
+    assert Campaign(settings(tmp_path, rows, "data.pack=small", only), again)() == 0
+    (words,) = [words for _, words in again.asked]
+    assert {"seed=1", "resume=false"} <= set(words), "what went on from them, and afresh"
+    assert Campaign(settings(tmp_path, rows, "data.pack=small", only), again)() == 0
+    assert len(again.asked) == 1
     with pytest.raises(FactoryError, match="start must name a row that comes to an end"):
         settings(tmp_path, "rows=[{name: a, steps: 1, start: b, words: []}]")
     with pytest.raises(FactoryError, match="a: give it cpu_s or steps"):

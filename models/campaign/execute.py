@@ -145,7 +145,9 @@ class Campaign:
         if record.get("code") == 0 and {name: record.get(name) for name in told} == told:
             return True
         _say(f"{number} {step.name}")
-        code, cpu_s, wall_s = self._timed(step.program, words)
+        # A training that was finished, but of other words or from other weights, is done anew.
+        anew = ("resume=false",) if step.row is not None and record.get("code") == 0 else ()
+        code, cpu_s, wall_s = self._timed(step.program, (*words, *anew))
         if step.program == "factory" and code == _SOME_FAILED:
             # Frames that cannot be used are listed by the factory; the dataset is there.
             code = 0
@@ -217,10 +219,15 @@ class Campaign:
         return code, round(cpu_s, 2), round(time.monotonic() - start, 1)
 
     def _inputs(self, step: Step) -> dict[str, str]:
-        """What a step depends on beside its words: reports on weights, the table on reports."""
-        if not step.name.startswith(("report-", "table")):
-            return {}
-        files = [Path(folder) / WEIGHTS_NAME for folder in self.trained()]
+        """What a step depends on beside its words.
+
+        Trainings on the weights from which they go on, reports on weights, the table on reports.
+        """
+        files: list[Path] = []
+        if step.start is not None and step.start.is_file():
+            files = [step.start]
+        elif step.name.startswith(("report-", "table")):
+            files = [Path(folder) / WEIGHTS_NAME for folder in self.trained()]
         if step.name == "table":
             files += sorted(self.folders.out.glob("reports/*/results.parquet"))
         return {str(file.relative_to(self.folders.out)): sha256_of(file)[:16] for file in files}

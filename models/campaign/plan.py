@@ -20,12 +20,14 @@ class Step:
 
     name: unique, and the name of its record.  program: `factory`, `models` or `evaluation`.
     row: of a training, whose number of steps comes from its budget; else None.
+    start: weights from which a training goes on.
     """
 
     name: str
     program: str
     words: tuple[str, ...]
     row: RowSettings | None = None
+    start: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -128,12 +130,14 @@ def training_steps(settings: CampaignSettings) -> Iterator[Step]:
                 if data.pack is not None:
                     renders = f"data.pack='{folders.pack(row.places)}'"
                 source = ("data=renders", f"dataset.dir='{folders.data(row.places)}'", renders)
+            start = None
             if row.start is not None:
                 begun = seed if seed in seeds[row.start] else seeds[row.start][0]
-                source = (*source, f"start='{folders.model(row.start, begun) / WEIGHTS_NAME}'")
+                start = folders.model(row.start, begun) / WEIGHTS_NAME
+                source = (*source, f"start='{start}'")
             out = f"out='{folders.model(row.name, seed)}'"
             words = (*source, *settings.words, *row.words, f"seed={seed}", out)
-            yield Step(f"train-{row.name}-s{seed}", "models", words, row)
+            yield Step(f"train-{row.name}-s{seed}", "models", words, row, start)
 
 
 def report_steps(settings: CampaignSettings, trained: list[str]) -> Iterator[Step]:
