@@ -46,7 +46,7 @@ class RenderSource:
         weaker: float,
         fewer: float,
         seed: int,
-        scales: tuple[float, ...] = (1.0,),
+        scales: tuple[float, ...],
     ) -> None:
         """config: how pairs are made.  frames: whose renders are at hand.  See `RendersData`.
 
@@ -54,8 +54,7 @@ class RenderSource:
         """
         self.config, self.frames = replace(config, seed=seed), frames
         self.weaker, self.fewer, self.seed, self.scales = weaker, fewer, seed, scales
-        for scale in scales:
-            resized(config.sonar, scale)
+        self._sonars = {scale: resized(config.sonar, scale) for scale in (1.0, *scales)}
         self._makers: dict[float, PairMaker] = {}
 
     def __len__(self) -> int:
@@ -68,8 +67,7 @@ class RenderSource:
         """See `Source`."""
         scale = 1.0 if visit is None else self.scale_of(index, visit)
         if scale not in self._makers:
-            sonar = resized(self.config.sonar, scale)
-            self._makers[scale] = PairMaker(replace(self.config, sonar=sonar))
+            self._makers[scale] = PairMaker(replace(self.config, sonar=self._sonars[scale]))
         ref = self.frames[index]
         number = 0 if visit is None else visit
         maker = copy.copy(self._makers[scale])
@@ -83,13 +81,11 @@ class RenderSource:
             in_unit_range(pair.noisy),
             in_unit_range(pair.clean),
             pair.shadow.astype(np.float32),
-            of_record(maker.config.sonar, pair.record),
+            of_record(self._sonars[scale], pair.record),
         )
 
     def scale_of(self, index: int, visit: int) -> float:
         """Size of the picture of a visit, as a multiple of the dataset's: any of `scales`."""
-        if len(self.scales) == 1:
-            return self.scales[0]
         return self.scales[stream(self.seed, "scale", index, visit).integers(len(self.scales))]
 
     def noise_of(self, index: int, visit: int) -> noise.NoiseSettings:

@@ -78,7 +78,7 @@ class RendersData(DataSettings):
     cache: str | None
     factory: tuple[str, ...]
     fewer: Share
-    scales: Annotated[tuple[Scale, ...], Field(min_length=1)] = (1.0,)
+    scales: Annotated[tuple[Scale, ...], Field(min_length=1)]
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
