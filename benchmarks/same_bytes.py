@@ -1,0 +1,173 @@
+"""Do two versions of the project make the same bytes?  One file of hashes, made and compared.
+
+    python -m benchmarks.same_bytes --write FILE       in a checkout of the one version
+    python -m benchmarks.same_bytes --against FILE     in a checkout of the other: exit 1 if they differ
+
+It makes a demo (Cycles), pictures of several devices and layouts with all optional layers, the
+physical profile, the ARIS fit, a sweep, short trainings, denoised pictures and a report, and notes
+the SHA-256 of every picture, mask, table and attribute of every shard, of weights and of figures.
+What is written beside them for people to read (cards, messages) is not compared.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import h5py
+import numpy as np
+from pyarrow import parquet
+
+SMALL = ("scenes.locations=2", "scenes.frames_per_location=1", "scenes.width=320",
+         "scenes.height=200", "scheduler=serial")  # fmt: skip
+LAYERS = "dataset.layers=[range,elevation,effects]"
+
+DATASETS: dict[str, tuple[str, ...]] = {
+    "demo": ("experiment=demo",),
+    "points_polar": ("render=analytic", *SMALL, "sonar=oculus_m750d_hf", LAYERS,
+                     "sonar.image.layout=polar", "sonar.transfer.kind=power", "frames.variants=2"),
+    "points_mounted": ("render=embree", *SMALL, "sonar.mount.translation_m=[0,0,0.5]",
+                       "noise.range_arc.count=2", "dataset.dtype=float32"),
+    "physical": ("experiment=physical", "render=analytic", *SMALL, LAYERS, "frames.variants=2"),
+    "physical_geometry": ("experiment=physical", "render=analytic", *SMALL,
+                          "acoustics.target=geometry", "sonar=oculus_m1200d_hf"),
+    "physical_radiometric": ("experiment=physical", "render=analytic", *SMALL,
+                             "acoustics.target=radiometric", "noise.background.enabled=true"),
+    "aris_mdd": ("experiment=aris_mdd", "render=analytic", *SMALL, "scenes.kinds=null"),
+}  # fmt: skip
+
+
+def main() -> int:
+    """See the module."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    choice = parser.add_mutually_exclusive_group(required=True)
+    choice.add_argument("--write", type=Path, metavar="FILE")
+    choice.add_argument("--against", type=Path, metavar="FILE")
+    parser.add_argument("--only", nargs="*", help="names of datasets; leaves out what needs others")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="same-bytes-") as folder:
+        hashes = everything(Path(folder), given.only)
+    if given.write:
+        given.write.write_text(json.dumps(hashes, indent=1, sort_keys=True) + "\n")
+        print(f"{len(hashes)} hashes: {given.write}")
+        return 0
+    expected = json.loads(given.against.read_text())
+    if given.only:
+        expected = {key: value for key, value in expected.items() if key in hashes}
+    different = sorted(
+        key for key in {*expected, *hashes} if expected.get(key) != hashes.get(key)
+    )
+    for key in different:
+        print(f"differs: {key}: {expected.get(key)} became {hashes.get(key)}")
+    print(f"{len(hashes)} hashes, {len(different)} differ")
+    return 1 if different else 0
+
+
+def everything(folder: Path, only: list[str] | None) -> dict[str, str]:
+    """Name -> hash of all that is compared."""
+    hashes: dict[str, str] = {}
+    for name, words in DATASETS.items():
+        if only is not None and name not in only:
+            continue
+        made = folder / name
+        run("factory", *words, f"dataset.dir={made}", f"cache.dir={folder / 'cache'}")
+        run("factory", "validate", str(made), "--deep")
+        hashes |= {f"{name}/{key}": value for key, value in dataset_hashes(made).items()}
+    if only is not None:
+        return hashes
+    sweep = folder / "sweep"
+    run("factory", "-m", "render=analytic", *SMALL, f"cache.dir={folder / 'cache'}",
+        "noise.background.density=0.1,0.5", "resample.rate=0.1,0.3", f"hydra.sweep.dir={sweep}",
+        f"dataset.dir={sweep}/${{hydra.job.num}}")  # fmt: skip
+    for point in sorted(path for path in sweep.iterdir() if (path / "manifest.json").exists()):
+        hashes |= {f"sweep/{point.name}/{key}": v for key, v in dataset_hashes(point).items()}
+    short = ("train.steps=4", "train.check_every=2", "train.warmup=1", "data.patch=64",
+             "data.batch=2", "data.workers=0", "device=cpu", "tensorboard=false")  # fmt: skip
+    demo = folder / "demo"
+    for name, words in {
+        "train_pairs": (f"dataset={demo}", "model=nafnet"),
+        "train_sonarnet": (f"dataset={folder / 'points_polar'}", "model=sonarnet"),
+        "train_renders": (f"dataset={demo}", "data=renders", "model=unet"),
+    }.items():
+        out = folder / name
+        run("models", *words, *short, f"out={out}")
+        hashes[name] = weights_hash(out / "weights.safetensors")
+    denoised = folder / "denoised"
+    run("models", "denoise", str(demo), "--out", str(denoised), "--always")
+    for path in sorted(denoised.rglob("*.h5")):
+        for key, value in shard_hashes(path).items():
+            hashes[f"denoised/{path.relative_to(denoised)}/{key}"] = value
+    report = folder / "report"
+    run("evaluation", f"dataset={demo}", "baselines=[fast]", f"out={report}", "limit=4",
+        "bootstrap=50", f"models=[{folder / 'train_pairs'}]")  # fmt: skip
+    hashes["report"] = figures_hash(report / "results.parquet")
+    return hashes
+
+
+def run(*words: str) -> None:
+    """Run one of the programs of the checkout; its output is shown when it fails."""
+    print("python -m", *words, flush=True)
+    done = subprocess.run(
+        [sys.executable, "-m", *words],
+        capture_output=True, text=True, check=False, env={**os.environ, "PYTHONWARNINGS": "ignore"},
+    )  # fmt: skip
+    if done.returncode:
+        raise SystemExit(f"{done.stdout[-2000:]}\n{done.stderr[-2000:]}")
+
+
+def dataset_hashes(folder: Path) -> dict[str, str]:
+    """Shard -> hash of each part of it."""
+    return {
+        f"{path.relative_to(folder)}/{key}": value
+        for path in sorted(folder.glob("*/shard-*.h5"))
+        for key, value in shard_hashes(path).items()
+    } | {
+        f"{path.relative_to(folder)}": hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.glob("*/shard-*.h5"))
+    }
+
+
+def shard_hashes(path: Path) -> dict[str, str]:
+    """Part of a shard -> hash: its datasets and attributes one by one, so a change has a name."""
+    found: dict[str, str] = {}
+    with h5py.File(path) as file:
+
+        def note(name: str, item: h5py.Dataset | h5py.Group) -> None:
+            for key, value in sorted(item.attrs.items()):
+                if isinstance(value, str | bytes | np.generic):
+                    found[f"{name}@{key}"] = hashlib.sha256(repr(value).encode()).hexdigest()
+            if isinstance(item, h5py.Dataset):
+                found[name] = hashlib.sha256(np.ascontiguousarray(item[()]).tobytes()).hexdigest()
+
+        note("", file)
+        file.visititems(note)
+    return found
+
+
+def weights_hash(path: Path) -> str:
+    """Hash of the tensors alone: the words beside them may be written otherwise."""
+    data = path.read_bytes()
+    start = 8 + int.from_bytes(data[:8], "little")
+    return hashlib.sha256(data[start:]).hexdigest()
+
+
+def figures_hash(path: Path) -> str:
+    """Hash of a report's figures of every pair and method, without its times."""
+    table = parquet.read_table(path)
+    digest = hashlib.sha256()
+    for name in sorted(table.column_names):
+        if "ms" in name.split("_") or "time" in name or name == "shard":
+            continue
+        values = table[name].to_numpy(zero_copy_only=False)
+        digest.update(name.encode() + b"\0" + "\n".join(map(repr, values.tolist())).encode())
+    return digest.hexdigest()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
