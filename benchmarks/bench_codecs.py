@@ -9,10 +9,10 @@ from pathlib import Path
 from benchmarks.bench_readers import picture_config, procedural_pairs
 from benchmarks.report import Cell, Options, Section, Table
 from benchmarks.shared import PROVENANCE, clock
-from factory.record import columns, image_axes
-from factory.shards import PairDataset
-from factory.shards.settings import DatasetSettings
-from factory.shards.writer import write_shard
+from simnfnd.factory.dataset import PairDataset
+from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.formation.record import columns, image_axes
 
 REPEATS = 5
 CODECS = {

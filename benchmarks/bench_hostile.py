@@ -1,8 +1,8 @@
 """Damaged and malicious datasets: what reader and validator make of 1200 of them.
 
-Every one is a copy of a sound dataset with one mutation (tests/hostile.py).  An answer is pictures
-or one line; a crash, a hang, an exception of any other kind or a read outside of the folder is not,
-and fails the benchmark.
+Every one is a copy of a sound dataset with one mutation (tests/factory/dataset/hostile.py).
+An answer is pictures or one line; a crash, a hang, an exception of any other kind or a read outside
+of the folder is not, and fails the benchmark.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from collections import Counter
 from pathlib import Path
 
 from benchmarks.report import Options, Section, Table
-from factory.shards.guarded import Guard
-from tests.hostile import check, copy, mutate, whole
+from simnfnd.factory.dataset.check.isolated import Guard
+from tests.factory.dataset.hostile import check, copy, mutate, whole
 
 MUTATIONS = 1200
 

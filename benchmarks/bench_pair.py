@@ -23,9 +23,9 @@ from benchmarks.shared import (
     quiet,
     write_pair,
 )
-from factory.commands.compose import compose_config
-from factory.config import FactoryConfig
-from factory.scenes import open_reader
+from simnfnd.factory.compose import compose_config
+from simnfnd.factory.config import FactoryConfig
+from simnfnd.factory.scenes import open_reader
 
 PICTURES = (
     *("sonar.beams=512", "sonar.range_bins=512"),
@@ -97,9 +97,9 @@ def literal(words: list[str], repeats: int) -> Spent:
 
 def cold(words: list[str], repeats: int) -> Spent:
     """Render, pair, shard of one."""
-    from factory import pairs
-    from factory.pairs import PairMaker
-    from factory.render import open_renderer
+    from simnfnd.factory import pairs
+    from simnfnd.factory.pairs import PairMaker
+    from simnfnd.factory.render import open_renderer
 
     config = compose_config(words)
     frame, renderer, maker = _frame(config), open_renderer(config.render), PairMaker(config)
@@ -116,8 +116,8 @@ def cold(words: list[str], repeats: int) -> Spent:
 
 def warm(words: list[str], repeats: int, count: int) -> Spent:
     """From the cached render: read and decode it, observe, make the pair, write it in a shard."""
-    from factory.pairs import PairMaker
-    from factory.shards.writer import write_shard
+    from simnfnd.factory.dataset.write.writer import write_shard
+    from simnfnd.factory.pairs import PairMaker
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -137,7 +137,7 @@ def warm(words: list[str], repeats: int, count: int) -> Spent:
 
 def prepare(words: list[str]) -> None:
     """Leave the frame's render in the cache, as a worker that renders does."""
-    from factory.views import ViewMaker
+    from simnfnd.factory.render.views import ViewMaker
 
     config = compose_config(words)
     ViewMaker(config).prepare(open_reader(config.scenes).discover().frames[0])
@@ -145,10 +145,10 @@ def prepare(words: list[str]) -> None:
 
 def further(words: list[str], repeats: int, count: int) -> Spent:
     """Other noise on a frame whose echoes are at hand, written in a shard."""
-    from factory import pairs
-    from factory.pairs import PairMaker
-    from factory.render import open_renderer
-    from factory.shards.writer import write_shard
+    from simnfnd.factory import pairs
+    from simnfnd.factory.dataset.write.writer import write_shard
+    from simnfnd.factory.pairs import PairMaker
+    from simnfnd.factory.render import open_renderer
 
     config = compose_config([*words, "render=analytic"])
     frame, maker = _frame(config), PairMaker(config)

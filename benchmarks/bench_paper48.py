@@ -19,7 +19,13 @@ def measure(options: Options) -> Section:
     workers = options.amount(48, 3)
     with tempfile.TemporaryDirectory() as folder:
         command = [
-            *(sys.executable, "-m", "factory", "scheduler=paper48", "scheduler.shard_size=1"),
+            *(
+                sys.executable,
+                "-m",
+                "simnfnd.factory",
+                "scheduler=paper48",
+                "scheduler.shard_size=1",
+            ),
             *(f"scenes.locations={options.amount(6)}", "dataset.preview_pairs=0"),
             f"scenes.frames_per_location={options.amount(8)}",
             *(f"dataset.dir={folder}/dataset", f"cache.dir={folder}/cache"),

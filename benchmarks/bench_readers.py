@@ -19,15 +19,15 @@ import numpy as np
 
 from benchmarks.report import Cell, Options, Section, Table
 from benchmarks.shared import PROVENANCE
-from factory.config import FactoryConfig, from_mapping
-from factory.pairs import make_pair, observe
-from factory.record import columns, image_axes
-from factory.sample import Pair
-from factory.shards import PairDataset
-from factory.shards.index import write_index
-from factory.shards.manifest import Manifest, save_manifest
-from factory.shards.settings import DatasetSettings
-from factory.shards.writer import write_shard
+from simnfnd.factory.config import FactoryConfig, from_mapping
+from simnfnd.factory.dataset import PairDataset
+from simnfnd.factory.dataset.format.manifest import Manifest, save_manifest
+from simnfnd.factory.dataset.format.sample import Pair
+from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.write.index import write_index
+from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.formation.record import columns, image_axes
+from simnfnd.factory.pairs import make_pair, observe
 
 SHARDS, PER_SHARD, ROUNDS = 4, 60, 7
 Compression = Literal["gzip", "zstd", "none"]
@@ -71,8 +71,8 @@ def picture_config() -> FactoryConfig:
 
 def procedural_pairs(config: FactoryConfig) -> Iterator[Pair]:
     """Thirty pairs: five variants of each of six frames."""
-    from factory.render import open_renderer
-    from factory.scenes import open_reader
+    from simnfnd.factory.render import open_renderer
+    from simnfnd.factory.scenes import open_reader
 
     reader, renderer = open_reader(config.scenes), open_renderer(config.render)
     for ref in reader.discover().frames[::6][:6]:
@@ -156,7 +156,7 @@ def _loader(root: Path, workers: int, epochs: int) -> float:
     """Pairs a second of whole epochs after the first, in which the workers start."""
     from torch.utils.data import DataLoader
 
-    from models.data import Pairs
+    from simnfnd.models.data.pairs import Pairs
 
     loader = DataLoader(
         Pairs(root), 8, shuffle=True, num_workers=workers, persistent_workers=True, drop_last=True

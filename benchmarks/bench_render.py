@@ -14,11 +14,11 @@ import numpy as np
 
 from benchmarks.report import Cell, Options, Section, Table
 from benchmarks.shared import in_own_process, quiet
-from factory.errors import FactoryError
-from factory.frame import Frame
-from factory.render import RenderSettings, open_renderer
-from factory.scenes.seabed import SeabedReader, SeabedSettings
-from factory.sonar.mount import Mount
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.frame import Frame
+from simnfnd.factory.render import RenderSettings, open_renderer
+from simnfnd.factory.scenes.seabed import SeabedReader, SeabedSettings
+from simnfnd.factory.sonar.mount import Mount
 
 REPEATS = 5
 SETTINGS = (

@@ -21,13 +21,19 @@ import psutil
 from benchmarks.memory import workers_of
 from benchmarks.report import Cell, Options, Section, Table
 from benchmarks.shared import in_own_process, peak_memory_mb
-from factory.frame import FrameRef
-from factory.scheduler.plan import plan_shards
-from factory.shards.files import sha256_of
-from factory.shards.index import write_index
-from factory.shards.manifest import Additions, Manifest, ShardInfo, load_manifest, save_manifest
-from factory.shards.schema import Provenance
-from factory.shards.settings import DatasetSettings
+from simnfnd.factory.dataset.format.manifest import (
+    Additions,
+    Manifest,
+    ShardInfo,
+    load_manifest,
+    save_manifest,
+)
+from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.write.index import write_index
+from simnfnd.factory.files import sha256_of
+from simnfnd.factory.frame import FrameRef
+from simnfnd.factory.jobs.plan import plan_shards
 
 PAIRS = (100, 1_000, 10_000)
 SHARDS = (1_000, 10_000, 100_000)
@@ -122,7 +128,13 @@ def _warm_pairs(amounts: list[int]) -> Table:
 def _run(folder: Path, variants: int) -> tuple[float, float, float, float, int]:
     """CPU s, wall s, peak MB of all and of the parent, files made, of one command."""
     command = [
-        *(sys.executable, "-m", "factory", "render=analytic", f"cache.dir={folder / 'cache'}"),
+        *(
+            sys.executable,
+            "-m",
+            "simnfnd.factory",
+            "render=analytic",
+            f"cache.dir={folder / 'cache'}",
+        ),
         *("scenes.locations=2", f"scenes.frames_per_location={FRAMES // 2}"),
         *("scenes.width=240", "scenes.height=160", "sonar.beams=128", "sonar.range_bins=128"),
         *("sonar.image.width_px=128", "sonar.image.height_px=128", "dataset.preview_pairs=0"),
@@ -152,7 +164,7 @@ def _run(folder: Path, variants: int) -> tuple[float, float, float, float, int]:
 
 def manifest_row(shards: int) -> tuple[Cell, ...]:
     """Manifest and resume of a dataset of that many shards."""
-    from factory.scheduler.resume import take_up
+    from simnfnd.factory.jobs.resume import take_up
 
     tasks = plan_shards({"train": [FrameRef("reef", "a", f"{n:07d}") for n in range(shards)]}, 1, 1)
     with tempfile.TemporaryDirectory() as name:
@@ -186,8 +198,8 @@ def manifest_row(shards: int) -> tuple[Cell, ...]:
 
 def index_row(shards: int) -> tuple[Cell, ...]:
     """index.h5 over that many shards, all the same tiny one."""
-    from factory.shards import PairDataset
-    from factory.shards.writer import write_shard
+    from simnfnd.factory.dataset import PairDataset
+    from simnfnd.factory.dataset.write.writer import write_shard
     from tests.fake_source import FakeConfig, FakeSource, refs
 
     source = FakeSource(FakeConfig())
@@ -234,11 +246,11 @@ def _task_row(shards: int) -> tuple[Cell, ...]:
 
 def run_shards(shards: int, backend: str) -> tuple[float, float]:
     """Wall seconds of the run loop over so many shards, and CPU seconds of its own process."""
-    from factory.scheduler.lock import Lock
-    from factory.scheduler.run import run
-    from factory.scheduler.settings import SchedulerSettings
-    from factory.scheduler.worker import Recipe
-    from factory.shards.folder import open_folder
+    from simnfnd.factory.dataset.write.folder import open_folder
+    from simnfnd.factory.jobs.lock import Lock
+    from simnfnd.factory.jobs.run import run
+    from simnfnd.factory.jobs.settings import SchedulerSettings
+    from simnfnd.factory.jobs.worker import Recipe
     from tests.fake_source import FakeConfig, FakeSource, refs, rerun
 
     tasks = plan_shards({"train": refs(shards)}, 1, 1)

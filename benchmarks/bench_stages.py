@@ -18,16 +18,17 @@ import numpy as np
 
 from benchmarks.report import Options, Section, Table
 from benchmarks.shared import cpu_seconds, frame_words, write_pair
-from factory import noise, pairs, resample, seeds
-from factory.cloud import back_project
-from factory.commands.compose import compose_config
-from factory.record import columns as sample_columns
-from factory.record import image_axes
-from factory.render import open_renderer
-from factory.render.view import decode, encode, view_of
-from factory.scenes import open_reader
-from factory.sonar import polar, transfer
-from factory.sonar.fan import fan_table
+from simnfnd.factory import noise, pairs, seeds
+from simnfnd.factory.compose import compose_config
+from simnfnd.factory.formation import resample
+from simnfnd.factory.formation.record import columns as sample_columns
+from simnfnd.factory.formation.record import image_axes
+from simnfnd.factory.render import open_renderer
+from simnfnd.factory.render.cloud import back_project
+from simnfnd.factory.render.view import decode, encode, view_of
+from simnfnd.factory.scenes import open_reader
+from simnfnd.factory.sonar import polar, transfer
+from simnfnd.factory.sonar.fan import fan_table
 
 REPEATS = 9
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from factory.frame import Frame
+from simnfnd.factory.frame import Frame
 
 SAMPLES = 16
 PICTURE_PX = 512

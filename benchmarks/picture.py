@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.report import Section, Table, shown
-from factory.palette import BLUE
+from simnfnd.factory.dataset.describe.palette import BLUE
 
 _ROW_INCHES, _LINES_INCHES, _WIDE = 0.32, 2.6, 9.0
 

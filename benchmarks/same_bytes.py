@@ -1,7 +1,7 @@
 """Do two versions of the project make the same bytes?  One file of hashes, made and compared.
 
     python -m benchmarks.same_bytes --write FILE       in a checkout of the one version
-    python -m benchmarks.same_bytes --against FILE     in a checkout of the other: exit 1 if they differ
+    python -m benchmarks.same_bytes --against FILE     in one of the other: exit 1 if they differ
 
 It makes a demo (Cycles), pictures of several devices and layouts with all optional layers, the
 physical profile, the ARIS fit, a sweep, short trainings, denoised pictures and a report, and notes
@@ -15,6 +15,7 @@ import argparse
 import hashlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -60,9 +61,7 @@ def main() -> int:
     expected = json.loads(given.against.read_text())
     if given.only:
         expected = {key: value for key, value in expected.items() if key in hashes}
-    different = sorted(
-        key for key in {*expected, *hashes} if expected.get(key) != hashes.get(key)
-    )
+    different = sorted(key for key in {*expected, *hashes} if expected.get(key) != hashes.get(key))
     for key in different:
         print(f"differs: {key}: {expected.get(key)} became {hashes.get(key)}")
     print(f"{len(hashes)} hashes, {len(different)} differ")
@@ -81,18 +80,20 @@ def everything(folder: Path, only: list[str] | None) -> dict[str, str]:
         hashes |= {f"{name}/{key}": value for key, value in dataset_hashes(made).items()}
     if only is not None:
         return hashes
-    sweep = folder / "sweep"
+    # The points of a sweep name their own folders, by the hash of their configuration.
     run("factory", "-m", "render=analytic", *SMALL, f"cache.dir={folder / 'cache'}",
-        "noise.background.density=0.1,0.5", "resample.rate=0.1,0.3", f"hydra.sweep.dir={sweep}",
-        f"dataset.dir={sweep}/${{hydra.job.num}}")  # fmt: skip
-    for point in sorted(path for path in sweep.iterdir() if (path / "manifest.json").exists()):
+        "noise.background.density=0.1,0.5", "resample.rate=0.1,0.3", "dataset.name=same-bytes",
+        f"hydra.sweep.dir={folder / 'sweep'}")  # fmt: skip
+    for point in sorted(Path("outputs").glob("same-bytes-*")):
         hashes |= {f"sweep/{point.name}/{key}": v for key, v in dataset_hashes(point).items()}
+        shutil.rmtree(point)
     short = ("train.steps=4", "train.check_every=2", "train.warmup=1", "data.patch=64",
-             "data.batch=2", "data.workers=0", "device=cpu", "tensorboard=false")  # fmt: skip
+             "data.batch=2", "data.crops=1", "data.workers=0", "device=cpu",
+             "tensorboard=false")  # fmt: skip
     demo = folder / "demo"
     for name, words in {
         "train_pairs": (f"dataset={demo}", "model=nafnet"),
-        "train_sonarnet": (f"dataset={folder / 'points_polar'}", "model=sonarnet"),
+        "train_sonarnet": (f"dataset={demo}", "model=sonarnet"),
         "train_renders": (f"dataset={demo}", "data=renders", "model=unet"),
     }.items():
         out = folder / name
@@ -105,7 +106,7 @@ def everything(folder: Path, only: list[str] | None) -> dict[str, str]:
             hashes[f"denoised/{path.relative_to(denoised)}/{key}"] = value
     report = folder / "report"
     run("evaluation", f"dataset={demo}", "baselines=[fast]", f"out={report}", "limit=4",
-        "bootstrap=50", f"models=[{folder / 'train_pairs'}]")  # fmt: skip
+        "bootstrap=100", f"models=[{folder / 'train_pairs'}]")  # fmt: skip
     hashes["report"] = figures_hash(report / "results.parquet")
     return hashes
 

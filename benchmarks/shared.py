@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from factory.sample import Pair
-from factory.shards.schema import Provenance
-from factory.shards.settings import DatasetSettings
+from simnfnd.factory.dataset.format.sample import Pair
+from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.format.settings import DatasetSettings
 
 T = TypeVar("T")
 
@@ -95,8 +95,8 @@ def run_command(command: Sequence[str], cwd: Path | None = None) -> Command:
 
 
 def run_factory(words: Sequence[str]) -> Command:
-    """Run `python -m factory WORDS`."""
-    return run_command([sys.executable, "-m", "factory", *words])
+    """Run `simnfnd make WORDS`."""
+    return run_command([sys.executable, "-m", "simnfnd.factory", *words])
 
 
 def frame_words(root: str) -> list[str]:
@@ -108,7 +108,7 @@ def frame_words(root: str) -> list[str]:
 
 def write_pair(pair: Pair, axes: Any, columns: Any, folder: Path, **how: Any) -> None:
     """A shard of one pair, as the factory writes it."""
-    from factory.shards.writer import write_shard
+    from simnfnd.factory.dataset.write.writer import write_shard
 
     write_shard(folder, "train/pair.h5", [pair], axes, columns, PROVENANCE, DatasetSettings(**how))
 

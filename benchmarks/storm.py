@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.memory import workers_of
-from factory.scheduler.generate import generate_dataset
-from factory.scheduler.plan import plan_shards
-from factory.scheduler.settings import SchedulerSettings
-from factory.shards.failures import load_failures
-from factory.shards.settings import DatasetSettings
+from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.write.failures import load_failures
+from simnfnd.factory.jobs.generate import generate_dataset
+from simnfnd.factory.jobs.plan import plan_shards
+from simnfnd.factory.jobs.settings import SchedulerSettings
 from tests.fake_source import FakeConfig, FakePreparer, GentleSource, refs, rerun
 
 FRAMES_PER_SHARD = 3

@@ -1,4 +1,4 @@
-"""How a verb of `python -m evaluation` becomes a Hydra application."""
+"""How a verb of `simnfnd evaluate` becomes a Hydra application."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from factory.cli import accept_dataset_folder, run_app
+from simnfnd.factory.cli import accept_dataset_folder, run_app
 
 
 def hydra_verb(task: Callable[[DictConfig], Any], config_name: str, words: Sequence[str]) -> int:

@@ -1,4 +1,4 @@
-"""`python -m evaluation compare A B`: is one run really better than another?
+"""`simnfnd evaluate compare A B`: is one run really better than another?
 
 A and B are folders of reports on the same pairs, or twice the same folder.  The rows are paired
 picture by picture: mean difference with its interval, Wilcoxon test, wins, and a verdict in words.
@@ -15,12 +15,12 @@ from typing import Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.names import METRIC_NAMES, written, written_p
-from evaluation.report.files import read_results
-from evaluation.report.tables import percent
-from evaluation.statistics import Paired, holm, paired
-from factory.errors import FactoryError
-from factory.shards.files import check_writable, write_atomically
+from simnfnd.evaluation.metrics.statistics import Paired, holm, paired
+from simnfnd.evaluation.report.files import read_results
+from simnfnd.evaluation.report.names import METRIC_NAMES, written, written_p
+from simnfnd.evaluation.report.tables import percent
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import check_writable, write_atomically
 
 _ALPHA = 0.05
 
@@ -28,13 +28,13 @@ _ALPHA = 0.05
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """One line, like every other mistake of the user."""
-        raise FactoryError(f"compare: {message} (see `python -m evaluation compare --help`)")
+        raise FactoryError(f"compare: {message} (see `simnfnd evaluate compare --help`)")
 
 
 def main(words: Sequence[str]) -> int:
     """Print the comparison; with --out also write it as Markdown and JSON."""
     parser = _Parser(
-        prog="python -m evaluation compare",
+        prog="simnfnd evaluate compare",
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

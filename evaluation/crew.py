@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Self, TypeVar
 
-from factory.scheduler.local import LocalBackend
-from factory.scheduler.settings import Crew, usable_cores
+from simnfnd.factory.jobs.settings import Crew, usable_cores
+from simnfnd.factory.workers.local import LocalBackend
 
 T = TypeVar("T")
 R = TypeVar("R")

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from factory.errors import FactoryError
-from factory.shards.files import sha256_of
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import sha256_of
 
 ROW = -1
 """Stands in a `Place` for: an image file, no shard."""

@@ -9,15 +9,16 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from factory.shards.files import explain_os_errors
+from simnfnd.factory.files import explain_os_errors
 
 Figures = dict[str, float]
 JOURNAL_NAME = "measured.jsonl"
 
 _LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "scikit-image")
 _METRICS = (
-    "checks", "edges", "levels", "measure", "metrics", "multiscale", "pictures", "reference",
-    "speckle", "texture", "work",
+    "metrics/checks", "metrics/edges", "metrics/levels", "metrics/measure", "metrics/fidelity",
+    "metrics/multiscale", "metrics/reference", "metrics/speckle", "metrics/texture", "pictures",
+    "work",
 )  # fmt: skip
 
 

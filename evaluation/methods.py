@@ -11,11 +11,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from evaluation.baselines import REGISTRY, chosen
-from evaluation.baselines import base as base_module
-from evaluation.baselines.base import Baseline, Parameters
-from evaluation.levels import Levels
-from factory.shards.files import sha256_of
+from simnfnd.evaluation.baselines import REGISTRY, chosen
+from simnfnd.evaluation.baselines import base as base_module
+from simnfnd.evaluation.baselines.base import Baseline, Parameters
+from simnfnd.evaluation.metrics.levels import Levels
+from simnfnd.factory.files import sha256_of
 
 FAST = ("median", "gaussian", "bilateral", "nlm", "grey_opening")
 GROUPS = {"fast": FAST, "paper": (*FAST, "bm3d")}

@@ -8,18 +8,18 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from evaluation import image_pairs
-from evaluation.baselines.base import Gray
-from evaluation.methods import Method
-from evaluation.pictures import Place
-from evaluation.settings import EvaluationSettings
-from factory.errors import FactoryError
-from factory.settings import build
-from factory.shards.reader import open_shard
-from models import WEIGHTS_NAME
+from simnfnd.evaluation import image_pairs
+from simnfnd.evaluation.baselines.base import Gray
+from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.pictures import Place
+from simnfnd.evaluation.settings import EvaluationSettings
+from simnfnd.factory.dataset.read.reader import open_shard
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.settings import build
+from simnfnd.models import WEIGHTS_NAME
 
 if TYPE_CHECKING:
-    from models.geometry import Geometry
+    from simnfnd.models.data.geometry import Geometry
 
 
 def networks_of(settings: EvaluationSettings) -> list[Method]:
@@ -56,7 +56,7 @@ class Network:
 
     def __init__(self, weights: str, device: str) -> None:
         """Raises FactoryError for a file that holds no weights of a network."""
-        from models.denoise import load_denoiser
+        from simnfnd.models.denoise.command import load_denoiser
 
         self._denoise = load_denoiser(weights, device)
 
@@ -89,8 +89,8 @@ def costs_of(networks: Sequence[Method]) -> dict[str, dict[str, float]]:
     """Label -> gmac (for 256x256 pixels) and parameters of each network, as docs/models.md."""
     if not networks:
         return {}
-    from models.cost import count_macs
-    from models.weights import load_weights
+    from simnfnd.models.cost import count_macs
+    from simnfnd.models.weights import load_weights
 
     found = {}
     for method in networks:
@@ -106,8 +106,8 @@ def costs_of(networks: Sequence[Method]) -> dict[str, dict[str, float]]:
 @lru_cache(maxsize=64)
 def geometry_of(place: Place) -> Geometry | None:
     """Where range and bearing are in a picture of a dataset; None where nothing says so."""
-    from factory.sonar.settings import SonarSettings
-    from models.geometry import of_record
+    from simnfnd.factory.sonar.settings import SonarSettings
+    from simnfnd.models.data.geometry import of_record
 
     path, row = place
     if row == image_pairs.ROW:
@@ -133,7 +133,7 @@ def _weights(path: Path, key: str) -> Path:
             f"{key}: {path} holds {len(inside)} weights files and no {WEIGHTS_NAME}; name a file"
         )
     if not path.is_file():
-        from models.pretrained import find_weights
+        from simnfnd.models.pretrained import find_weights
 
         try:
             path = find_weights(str(path))

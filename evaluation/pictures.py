@@ -12,13 +12,14 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from evaluation import image_pairs, metrics
-from evaluation.baselines.base import Gray
-from evaluation.measure import sector_of
-from factory.errors import FactoryError
-from factory.shards.files import sha256_of
-from factory.shards.manifest import load_manifest
-from factory.shards.reader import Split, open_shard, shard_paths, value_range
+from simnfnd.evaluation import image_pairs
+from simnfnd.evaluation.baselines.base import Gray
+from simnfnd.evaluation.metrics import fidelity as metrics
+from simnfnd.evaluation.metrics.measure import sector_of
+from simnfnd.factory.dataset.format.manifest import load_manifest
+from simnfnd.factory.dataset.read.reader import Split, open_shard, shard_paths, value_range
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import sha256_of
 
 Place = tuple[str, int]
 """Shard file and row, or a noisy image file and image_pairs.ROW."""

@@ -12,14 +12,14 @@ import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
-from evaluation import metrics
-from evaluation.baselines import REGISTRY
-from evaluation.crew import Died, Team
-from evaluation.journal import Figures, Journal, program_digest
-from evaluation.methods import NOISY, Method
-from evaluation.pictures import Item, picture
-from evaluation.settings import EvaluationSettings
-from evaluation.work import Task, measure_task
+from simnfnd.evaluation.baselines import REGISTRY
+from simnfnd.evaluation.crew import Died, Team
+from simnfnd.evaluation.journal import Figures, Journal, program_digest
+from simnfnd.evaluation.methods import NOISY, Method
+from simnfnd.evaluation.metrics import fidelity as metrics
+from simnfnd.evaluation.pictures import Item, picture
+from simnfnd.evaluation.settings import EvaluationSettings
+from simnfnd.evaluation.work import Task, measure_task
 
 Values = npt.NDArray[np.float64]
 

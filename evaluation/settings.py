@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from factory.settings import STRICT, union_tags
+from simnfnd.factory.settings import STRICT, union_tags
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -17,7 +17,7 @@ union_tags("literal['auto']", "constrained-int")
 
 @dataclass(frozen=True, config=STRICT)
 class DatasetFolder:
-    """The dataset to read: the folder that `python -m factory` wrote."""
+    """The dataset to read: the folder that `simnfnd make` wrote."""
 
     dir: str
 

@@ -1,4 +1,4 @@
-"""`python -m evaluation tune`: the best parameters of every baseline on validation pairs.
+"""`simnfnd evaluate tune`: the best parameters of every baseline on validation pairs.
 
 Validation pairs are the scenes of the train split that training, too, holds out; the test split is
 never looked at.  The result is a file that the report reads.
@@ -18,16 +18,16 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from evaluation.baselines import REGISTRY
-from evaluation.baselines.base import Baseline, Gray, Parameters
-from evaluation.crew import Died, Team
-from evaluation.levels import Levels, fit_levels
-from evaluation.metrics import finite_psnr, psnr
-from evaluation.networks import geometry_of
-from evaluation.pictures import Item, input_of, items_of, picture
-from evaluation.settings import EvaluationSettings
-from factory.errors import FactoryError
-from factory.shards.files import explain_os_errors, write_atomically
+from simnfnd.evaluation.baselines import REGISTRY
+from simnfnd.evaluation.baselines.base import Baseline, Gray, Parameters
+from simnfnd.evaluation.crew import Died, Team
+from simnfnd.evaluation.metrics.fidelity import finite_psnr, psnr
+from simnfnd.evaluation.metrics.levels import Levels, fit_levels
+from simnfnd.evaluation.networks import geometry_of
+from simnfnd.evaluation.pictures import Item, input_of, items_of, picture
+from simnfnd.evaluation.settings import EvaluationSettings
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import explain_os_errors, write_atomically
 
 SCHEMA = "simnfnd-tuned/1"
 
@@ -91,10 +91,10 @@ def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], team: Team
 
 
 def validation_items(settings: EvaluationSettings) -> list[Item]:
-    """The pairs to tune on: those that `python -m models` validates on, with the same seed."""
+    """The pairs to tune on: those that `simnfnd train` validates on, with the same seed."""
     try:
         # torch takes seconds to import; the split must be the very one of training.
-        from models.data import hold_out, read_table, spread
+        from simnfnd.models.data.pairs import hold_out, read_table, spread
     except ImportError as error:
         raise FactoryError(
             'tune shares the validation split of models: pip install "simnfnd[models]"'

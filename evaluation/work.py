@@ -10,22 +10,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from evaluation.baselines import REGISTRY
-from evaluation.baselines.base import Gray
-from evaluation.checks import MetricError, checked_pair
-from evaluation.journal import Figures
-from evaluation.measure import score_pair
-from evaluation.methods import Method
-from evaluation.metrics import SSIM_SMALLEST
-from evaluation.networks import geometry_of, network
-from evaluation.pictures import Item, Place, input_of, picture
-from evaluation.reference import Compared
-from evaluation.texture import Scene
-from evaluation.tuning import reason
-from factory.errors import FactoryError
+from simnfnd.evaluation.baselines import REGISTRY
+from simnfnd.evaluation.baselines.base import Gray
+from simnfnd.evaluation.journal import Figures
+from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.metrics.checks import MetricError, checked_pair
+from simnfnd.evaluation.metrics.fidelity import SSIM_SMALLEST
+from simnfnd.evaluation.metrics.measure import score_pair
+from simnfnd.evaluation.metrics.reference import Compared
+from simnfnd.evaluation.metrics.texture import Scene
+from simnfnd.evaluation.networks import geometry_of, network
+from simnfnd.evaluation.pictures import Item, Place, input_of, picture
+from simnfnd.evaluation.tuning import reason
+from simnfnd.factory.errors import FactoryError
 
 if TYPE_CHECKING:
-    from models.geometry import Geometry
+    from simnfnd.models.data.geometry import Geometry
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import sys
 
 from torch.utils.data import DataLoader
 
-from factory.shards import PairDataset
+from simnfnd.factory.dataset import PairDataset
 
 
 def main() -> None:

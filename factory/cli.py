@@ -10,7 +10,7 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from factory.errors import FactoryError
+from simnfnd.factory.errors import FactoryError
 
 EXIT_BAD_INPUT = 2
 
@@ -39,7 +39,9 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
         return code
 
     def start() -> None:
-        hydra.main(version_base="1.3", config_path="pkg://conf", config_name=config_name)(guarded)()
+        hydra.main(version_base="1.3", config_path="pkg://simnfnd.conf", config_name=config_name)(
+            guarded
+        )()
 
     def everything() -> int:
         try:

@@ -17,17 +17,17 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 # Every module that declares some.
 LOOPS = (
-    "factory.field.cell_loops",
-    "factory.field.kernels",
-    "factory.field.placing",
-    "factory.field.world_loops",
-    "factory.render.albedo",
-    "factory.render.joints",
-    "factory.render.planes",
-    "factory.render.shading",
-    "factory.sonar.echo_loops",
-    "factory.sonar.number_loops",
-    "factory.sonar.picture_loops",
+    "simnfnd.factory.formation.field.cell_loops",
+    "simnfnd.factory.formation.field.kernels",
+    "simnfnd.factory.formation.field.placing",
+    "simnfnd.factory.formation.field.world_loops",
+    "simnfnd.factory.render.albedo",
+    "simnfnd.factory.render.joints",
+    "simnfnd.factory.render.planes",
+    "simnfnd.factory.render.shading",
+    "simnfnd.factory.sonar.echo_loops",
+    "simnfnd.factory.sonar.number_loops",
+    "simnfnd.factory.sonar.picture_loops",
 )
 
 

@@ -11,18 +11,18 @@ from typing import Annotated, Any, Self
 from pydantic import Field, TypeAdapter, model_validator
 from pydantic.dataclasses import dataclass
 
-from factory.field.settings import AcousticsSettings
-from factory.noise import EFFECTS, NoiseSettings
-from factory.noise.physical import blocks
-from factory.render.base import RenderSettings
-from factory.render.cache import CacheSettings
-from factory.resample import ResampleSettings
-from factory.scenes import Scenes
-from factory.scheduler.settings import SchedulerSettings, ShardSlice
-from factory.settings import STRICT, build
-from factory.shards.settings import DatasetSettings
-from factory.sonar.acoustics import WaterSettings
-from factory.sonar.settings import SonarSettings
+from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.formation.field.settings import AcousticsSettings
+from simnfnd.factory.formation.resample import ResampleSettings
+from simnfnd.factory.jobs.settings import SchedulerSettings, ShardSlice
+from simnfnd.factory.noise import EFFECTS, NoiseSettings
+from simnfnd.factory.noise.physical import blocks
+from simnfnd.factory.render.base import RenderSettings
+from simnfnd.factory.render.cache import CacheSettings
+from simnfnd.factory.scenes import Scenes
+from simnfnd.factory.settings import STRICT, build
+from simnfnd.factory.sonar.acoustics import WaterSettings
+from simnfnd.factory.sonar.settings import SonarSettings
 
 # Recordings whose frames can carry labels: a pack has those that went into it.
 _LABELLED = ("seabed", "pack")
@@ -57,7 +57,7 @@ class SplitSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class FactoryConfig:
-    """Everything `python -m factory` can be told."""
+    """Everything `simnfnd make` can be told."""
 
     scenes: Scenes
     seed: Annotated[int, Field(ge=0)] = 0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from factory.errors import FrameError
+from simnfnd.factory.errors import FrameError
 
 
 @dataclass(frozen=True)

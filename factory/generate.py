@@ -1,4 +1,4 @@
-"""`python -m factory`: from a configuration to a finished dataset."""
+"""`simnfnd make`: from a configuration to a finished dataset."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from factory.config import FactoryConfig, digest, from_mapping, identity, plain
-from factory.errors import FactoryError
-from factory.frame import FrameRef
-from factory.pairs import PairMaker
-from factory.render.cache import Limit
-from factory.shards.quality import seen_sector_deg
-from factory.views import ViewMaker, check_views, with_cache
+from simnfnd.factory.config import FactoryConfig, digest, from_mapping, identity, plain
+from simnfnd.factory.dataset.describe.quality import seen_sector_deg
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.frame import FrameRef
+from simnfnd.factory.pairs import PairMaker
+from simnfnd.factory.render.cache import Limit
+from simnfnd.factory.render.views import ViewMaker, check_views, with_cache
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from factory.scheduler.run import RunReport
+    from simnfnd.factory.jobs.run import RunReport
 
 
 def generate(composed: DictConfig) -> int:
@@ -29,7 +29,7 @@ def generate(composed: DictConfig) -> int:
     0: every frame became pairs.  1: some frames failed (listed in failed.jsonl), the rest is there.
     Raises FactoryError when nothing can be made.
     """
-    from factory.sweep import note_result
+    from simnfnd.factory.sweep import note_result
 
     config = from_mapping(composed_values(composed))
     report, directory = run(config, arguments=sys.argv[1:])
@@ -42,11 +42,11 @@ def generate(composed: DictConfig) -> int:
 
 def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     """Discover, plan and make one dataset.  `arguments` are the words that would make it again."""
-    from factory.compiled import compile_all
-    from factory.scenes import open_reader
-    from factory.scheduler.extend import plan_extension
-    from factory.scheduler.generate import generate_dataset, work_name
-    from factory.scheduler.plan import plan_shards
+    from simnfnd.factory.compiled import compile_all
+    from simnfnd.factory.jobs.extend import plan_extension
+    from simnfnd.factory.jobs.generate import generate_dataset, work_name
+    from simnfnd.factory.jobs.plan import plan_shards
+    from simnfnd.factory.scenes import open_reader
 
     check_views(config)
     compile_all()
@@ -190,4 +190,4 @@ def _rerun_command(ref: FrameRef, arguments: list[str], directory: Path) -> str:
         and word not in ("-m", "--multirun")
     ]
     again = [*words, f"frames.only=[{ref.name}]", f"dataset.dir={directory}-retry"]
-    return " ".join(["python -m factory", *map(shlex.quote, again)])
+    return " ".join(["simnfnd make", *map(shlex.quote, again)])

@@ -16,24 +16,26 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from factory import noise, resample, seeds, truth
-from factory.echoes import Echoes, join
-from factory.errors import FrameError
-from factory.field.pairs import field_scene, make_field_pair
-from factory.frame import Frame, FrameRef
-from factory.memory import keep_freed_memory
-from factory.record import columns, image_axes, record
-from factory.sample import Axis, Column, Pair
-from factory.sonar import polar, surface, transfer
-from factory.sonar.fan import lay_out, lay_out_nearest
-from factory.sonar.settings import SonarSettings
-from factory.sonar.window import Window
-from factory.sonar.window_fit import fit_window
-from factory.views import open_views
+from simnfnd.factory import noise, seeds
+from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
+from simnfnd.factory.errors import FrameError
+from simnfnd.factory.formation import layers as truth
+from simnfnd.factory.formation import resample
+from simnfnd.factory.formation.field.pairs import field_scene, make_field_pair
+from simnfnd.factory.formation.record import columns, image_axes, record
+from simnfnd.factory.frame import Frame, FrameRef
+from simnfnd.factory.render.views import open_views
+from simnfnd.factory.sonar import polar, surface, transfer
+from simnfnd.factory.sonar.echoes import Echoes, join
+from simnfnd.factory.sonar.fan import lay_out, lay_out_nearest
+from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.factory.sonar.window import Window
+from simnfnd.factory.sonar.window_fit import fit_window
+from simnfnd.factory.workers.memory import keep_freed_memory
 
 if TYPE_CHECKING:
-    from factory.config import FactoryConfig
-    from factory.render.base import Rendered
+    from simnfnd.factory.config import FactoryConfig
+    from simnfnd.factory.render.base import Rendered
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +55,7 @@ class Scene:
 
 
 class PairMaker:
-    """Makes pairs of renders; a `factory.sample.PairSource`.  Needs no renderer."""
+    """Makes pairs of renders; a `sample.PairSource`.  Needs no renderer."""
 
     def __init__(self, config: FactoryConfig) -> None:
         keep_freed_memory()

@@ -12,8 +12,8 @@ from hydra.experimental.callback import Callback
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from factory.config import FactoryConfig
-    from factory.scheduler.run import RunReport
+    from simnfnd.factory.config import FactoryConfig
+    from simnfnd.factory.jobs.run import RunReport
 
 _RESULT = "result.json"
 
@@ -26,7 +26,7 @@ def note_result(directory: Path, config: FactoryConfig, report: RunReport, exit_
     from hydra.core.hydra_config import HydraConfig
     from hydra.types import RunMode
 
-    from factory.shards.quality import mean_psnr_db
+    from simnfnd.factory.dataset.describe.quality import mean_psnr_db
 
     if not HydraConfig.initialized() or HydraConfig.get().mode != RunMode.MULTIRUN:
         return
@@ -51,13 +51,13 @@ class SweepTable(Callback):
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Points that this process makes one after another need not start workers each."""
-        from factory.scheduler.kept import keep_workers
+        from simnfnd.factory.workers.kept import keep_workers
 
         keep_workers()
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Stop the workers; collect the rows that the points left under the sweep's folder."""
-        from factory.scheduler.kept import release_workers
+        from simnfnd.factory.workers.kept import release_workers
 
         release_workers()
         folder = Path(config.hydra.sweep.dir)

@@ -18,8 +18,8 @@ training, denoising and the losses may rely on:
 - A loss is `loss(prediction, clean, batch)`; the batch holds `noisy`, `clean`, `shadow`
   (N, 1, H, W) float, 1 in shadow, where it is known, `shadow_logits` and `gain_db` from a
   network with heads, and `progress`, a scalar, the share of the training that is done.
-- A network with `adversarial = True` is trained by `models.adversarial` against a discriminator,
-  any other by `models.training`; denoising with either is the same.
+- A network with `adversarial = True` is trained by `training.adversarial` against a discriminator,
+  any other by `simnfnd.models.training.module`; denoising with either is the same.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from factory.errors import FactoryError
-from factory.settings import build
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.settings import build
 
 if TYPE_CHECKING:
-    from models.network import Network
+    from simnfnd.models.networks.network import Network
 
 WEIGHTS_NAME = "weights.safetensors"
 """What a training leaves its weights in; here, where naming it does not load torch."""
 
 NETWORKS = {
-    "dae": ("models.dae", "DAESettings", "DAE"),
-    "nafnet": ("models.nafnet", "NAFNetSettings", "NAFNet"),
-    "restormer": ("models.restormer", "RestormerSettings", "Restormer"),
-    "sid_tgan": ("models.sid_tgan", "SIDTGANSettings", "SIDTGAN"),
-    "sonarnet": ("models.sonarnet", "SonarNetSettings", "SonarNet"),
-    "unet": ("models.unet", "UNetSettings", "UNet"),
+    "dae": ("simnfnd.models.networks.dae", "DAESettings", "DAE"),
+    "nafnet": ("simnfnd.models.networks.nafnet", "NAFNetSettings", "NAFNet"),
+    "restormer": ("simnfnd.models.networks.restormer", "RestormerSettings", "Restormer"),
+    "sid_tgan": ("simnfnd.models.networks.sid_tgan", "SIDTGANSettings", "SIDTGAN"),
+    "sonarnet": ("simnfnd.models.networks.sonarnet", "SonarNetSettings", "SonarNet"),
+    "unet": ("simnfnd.models.networks.unet", "UNetSettings", "UNet"),
 }
 """kind -> module, settings class, network class; torch is imported only when one is built."""
 

@@ -1,6 +1,6 @@
 """What a network costs: parameters, multiply-accumulates and time of one core.
 
-`python -m models.cost` measures every network of conf/model.
+`python -m simnfnd.models.cost` measures every network of conf/model.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import yaml
 from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
-from factory.errors import FactoryError
-from models import NETWORKS, build_network
-from models.network import Network
+from simnfnd.factory.errors import FactoryError
+from simnfnd.models import NETWORKS, build_network
+from simnfnd.models.networks.network import Network
 
 _REPEATS = 3
 
@@ -117,7 +117,7 @@ def _attention_flops(
 
 
 def _configs() -> Mapping[str, Mapping[str, Any]]:
-    folder = files("conf") / "model"
+    folder = files("simnfnd.conf") / "model"
     texts = {kind: folder / f"{kind}.yaml" for kind in sorted(NETWORKS)}
     return {kind: yaml.safe_load(text.read_text("utf-8")) for kind, text in texts.items()}
 

@@ -15,8 +15,8 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor
 from torch.nn import functional
 
-from factory.errors import FactoryError
-from factory.settings import STRICT, build
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.settings import STRICT, build
 
 NotNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]

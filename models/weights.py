@@ -13,10 +13,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import nn
 
-from factory.errors import FactoryError
-from factory.shards.files import write_atomically
-from models import build_network
-from models.network import Network
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import write_atomically
+from simnfnd.models import build_network
+from simnfnd.models.networks.network import Network
 
 FORMAT = "simnfnd-denoiser/1"
 # One header entry, because safetensors does not keep the order of several.
@@ -68,7 +68,7 @@ def load_weights(path: str | Path) -> Trained:
     another program, or does not fit the network that it describes.
     """
     if not Path(path).is_file():
-        raise FactoryError(f"weights={path}: no such file; train one with `python -m models`")
+        raise FactoryError(f"weights={path}: no such file; train one with `simnfnd train`")
     try:
         with safe_open(path, framework="pt") as file:
             header = json.loads((file.metadata() or {}).get(_KEY, "{}"))

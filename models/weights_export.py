@@ -1,4 +1,4 @@
-"""`python -m models export-weights`: trained weights in 16 bits, with a model card."""
+"""`simnfnd export-weights`: trained weights in 16 bits, with a model card."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from typing import Any, NoReturn
 
 import yaml
 
-from factory import __version__
-from factory.errors import FactoryError
-from factory.shards.files import check_writable, write_atomically
+from simnfnd.factory import __version__
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import check_writable, write_atomically
 
 LIMIT_MB = 8.0
 """What ships must be small enough to live in the repository."""
 
 _CARD = """# {name}
 
-A denoiser for forward-looking sonar pictures, made by `python -m models` of SimNFND {version}.
-`python -m models denoise IN... --out DIR --weights {name}` uses it.
+A denoiser for forward-looking sonar pictures, made by `simnfnd train` of SimNFND {version}.
+`simnfnd denoise IN... --out DIR --weights {name}` uses it.
 
 | | |
 |---|---|
@@ -60,7 +60,7 @@ class _Parser(argparse.ArgumentParser):
 
 def main(arguments: Sequence[str]) -> int:
     """Write the 16-bit weights and, beside them, a model card of their name."""
-    parser = _Parser(prog="python -m models export-weights", description=__doc__)
+    parser = _Parser(prog="simnfnd export-weights", description=__doc__)
     parser.add_argument("weights", help="weights.safetensors of a training")
     parser.add_argument("--out", required=True, help="file to write, NAME.safetensors")
     parser.add_argument(
@@ -97,9 +97,9 @@ def export(
     """
     import torch  # seconds; mistakes on the command line are told at once
 
-    from models import build_network
-    from models.cost import count_macs
-    from models.weights import load_weights, save_weights
+    from simnfnd.models import build_network
+    from simnfnd.models.cost import count_macs
+    from simnfnd.models.weights import load_weights, save_weights
 
     trained = load_weights(weights)
     for name, tensor in trained.network.state_dict().items():

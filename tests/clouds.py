@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from factory.echoes import Echoes, in_plane
-from factory.sonar.window import Window
+from simnfnd.factory.sonar.echoes import Echoes, in_plane
+from simnfnd.factory.sonar.window import Window
 
 HALF_RAD = float(np.deg2rad(22.5))
 

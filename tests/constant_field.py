@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from factory.commands.physics_statistics import FAR_M, NEAR_M, constant_field
-from factory.config import FactoryConfig, from_mapping
-from factory.field.pairs import FieldScene, field_scene
-from factory.frame import Frame
-from factory.render.base import Rendered
+from simnfnd.factory.config import FactoryConfig, from_mapping
+from simnfnd.factory.formation.field.pairs import FieldScene, field_scene
+from simnfnd.factory.frame import Frame
+from simnfnd.factory.gallery.statistics import FAR_M, NEAR_M, constant_field
+from simnfnd.factory.render.base import Rendered
 
 __all__ = ["FAR_M", "NEAR_M", "config", "constant_field", "heard", "slope"]
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from factory.errors import FactoryError, FrameError, NotRendered
-from factory.frame import FrameRef
-from factory.sample import Axis, Column, Pair, Prepared
-from factory.seeds import stream
+from simnfnd.factory.dataset.format.sample import Axis, Column, Pair, Prepared
+from simnfnd.factory.errors import FactoryError, FrameError, NotRendered
+from simnfnd.factory.frame import FrameRef
+from simnfnd.factory.seeds import stream
 
 
 @dataclass(frozen=True)
@@ -45,11 +45,11 @@ def refs(count: int, scene: str = "alpha", location: str = "reef") -> list[Frame
 
 def rerun(ref: FrameRef) -> str:
     """A command line for failed.jsonl."""
-    return f"python -m factory frames.only=[{ref.name}]"
+    return f"simnfnd make frames.only=[{ref.name}]"
 
 
 class FakeSource:
-    """`factory.sample.PairSource` that draws a seeded fan with a bright arc and its shadow."""
+    """`sample.PairSource` that draws a seeded fan with a bright arc and its shadow."""
 
     def __init__(self, config: FakeConfig) -> None:
         self.config = config
@@ -112,7 +112,7 @@ def prepared_file(config: FakeConfig, ref: FrameRef) -> Path:
 
 
 class FakePreparer:
-    """`factory.sample.Preparer`: the frames misbehave here, so that the source need not."""
+    """`sample.Preparer`: the frames misbehave here, so that the source need not."""
 
     def __init__(self, config: FakeConfig) -> None:
         self.config = config

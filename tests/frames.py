@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from factory.frame import Frame, FrameRef, Intrinsics
-from factory.render.base import Rendered
+from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
+from simnfnd.factory.render.base import Rendered
 
 HEIGHT_M, PITCH_RAD, POST_M = 1.5, np.deg2rad(20), 3.0
 

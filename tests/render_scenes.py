@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from factory.frame import Frame, FrameRef, Intrinsics
+from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
+from tests.project_files import ROOT
 
-FLSEA = Path(__file__).resolve().parents[1] / "../shared/data/flsea-vi"
+FLSEA = ROOT / "../shared/data/flsea-vi"
 
 
 def frame_of(

@@ -5,12 +5,12 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from factory.scheduler.generate import generate_dataset
-from factory.scheduler.plan import plan_shards
-from factory.scheduler.run import RunReport
-from factory.scheduler.settings import SchedulerSettings
-from factory.scheduler.signals import Interrupted
-from factory.shards.settings import DatasetSettings
+from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.jobs.generate import generate_dataset
+from simnfnd.factory.jobs.plan import plan_shards
+from simnfnd.factory.jobs.run import RunReport
+from simnfnd.factory.jobs.settings import SchedulerSettings
+from simnfnd.factory.workers.signals import Interrupted
 from tests.fake_source import FakeConfig, FakeSource, refs, rerun
 
 IDENTITY = {"seed": 0, "noise": {"background": {"density": {"uniform": [0.1, 0.5]}}}}

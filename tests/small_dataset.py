@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from factory.sample import Axis, Column, Pair
-from factory.shards.manifest import Manifest, save_manifest
-from factory.shards.schema import Provenance
-from factory.shards.settings import DatasetSettings
-from factory.shards.writer import write_shard
+from simnfnd.factory.dataset.format.manifest import Manifest, save_manifest
+from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
+from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.write.writer import write_shard
 
 COLUMNS = (
     Column("location", "S16"),
@@ -89,8 +89,8 @@ def add_shard(root: Path, relative: str, pairs: Iterable[Pair], *, dtype: str = 
 
 def write_manifest(root: Path, *relative: str) -> None:
     """A manifest that lists only these shards."""
-    from factory.shards.files import sha256_of
-    from factory.shards.manifest import ShardInfo
+    from simnfnd.factory.dataset.format.manifest import ShardInfo
+    from simnfnd.factory.files import sha256_of
 
     manifest = Manifest("0123abcd", "tests")
     for path in relative:

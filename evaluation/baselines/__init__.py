@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from evaluation.baselines.base import Baseline
-from evaluation.baselines.bm3d import bm3d
-from evaluation.baselines.convolutional import convolutional
-from evaluation.baselines.deblur import richardson_lucy_range
-from evaluation.baselines.dtcwt_map import dtcwt_map
-from evaluation.baselines.plain import (
+from simnfnd.evaluation.baselines.base import Baseline
+from simnfnd.evaluation.baselines.bm3d import bm3d
+from simnfnd.evaluation.baselines.convolutional import convolutional
+from simnfnd.evaluation.baselines.deblur import richardson_lucy_range
+from simnfnd.evaluation.baselines.dtcwt_map import dtcwt_map
+from simnfnd.evaluation.baselines.plain import (
     bilateral,
     gaussian,
     grey_opening,
@@ -18,12 +18,12 @@ from evaluation.baselines.plain import (
     nlm,
     total_variation,
 )
-from evaluation.baselines.pyramid import lpmsde, lpmsde_contrast
-from evaluation.baselines.recursive import recursive_least_squares
-from evaluation.baselines.speckle import frost, kuan, lee, srad
-from evaluation.baselines.structural import structural
-from evaluation.baselines.wavelet import wavelet
-from factory.errors import FactoryError
+from simnfnd.evaluation.baselines.pyramid import lpmsde, lpmsde_contrast
+from simnfnd.evaluation.baselines.recursive import recursive_least_squares
+from simnfnd.evaluation.baselines.speckle import frost, kuan, lee, srad
+from simnfnd.evaluation.baselines.structural import structural
+from simnfnd.evaluation.baselines.wavelet import wavelet
+from simnfnd.factory.errors import FactoryError
 
 _SIZES = (3, 5, 7, 9, 13)
 _WIDE = (*_SIZES, 19, 27)

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from factory.errors import FactoryError
+from simnfnd.factory.errors import FactoryError
 
 if TYPE_CHECKING:
-    from models.geometry import Geometry
+    from simnfnd.models.data.geometry import Geometry
 
 Gray = npt.NDArray[np.float32]
 """(H, W) in 0..1, 0 = no echo; for methods of several looks (T, H, W)."""

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.baselines.base import Gray
+from simnfnd.evaluation.baselines.base import Gray
 
 Floats = npt.NDArray[np.float32]
 

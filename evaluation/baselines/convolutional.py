@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
-from evaluation.baselines.base import Gray
+from simnfnd.evaluation.baselines.base import Gray
 
 Floats = npt.NDArray[np.float32]
 Spectra = npt.NDArray[np.complex64]

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from evaluation.baselines.base import Gray
+from simnfnd.evaluation.baselines.base import Gray
 
 if TYPE_CHECKING:
-    from models.geometry import Geometry
+    from simnfnd.models.data.geometry import Geometry
 
 Maps = tuple[Gray, Gray]
 """Columns and rows to look up, as OpenCV's remap takes them."""

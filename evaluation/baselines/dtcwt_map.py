@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from evaluation.baselines.base import Gray
-from evaluation.baselines.dualtree import Coefficients, Complex, forward, inverse
+from simnfnd.evaluation.baselines.base import Gray
+from simnfnd.evaluation.baselines.dualtree import Coefficients, Complex, forward, inverse
 
 Floats = npt.NDArray[np.float32]
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from evaluation.baselines.base import Gray
+from simnfnd.evaluation.baselines.base import Gray
 
 Floats = npt.NDArray[np.float64]
 

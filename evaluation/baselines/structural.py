@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from evaluation.baselines.base import Gray
-from evaluation.baselines.bm3d import _alike, _all_blocks, _dct
+from simnfnd.evaluation.baselines.base import Gray
+from simnfnd.evaluation.baselines.bm3d import _alike, _all_blocks, _dct
 
 Floats = npt.NDArray[np.float32]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.baselines.base import Gray
+from simnfnd.evaluation.baselines.base import Gray
 
 Floats = npt.NDArray[np.float32]
 

@@ -1,4 +1,4 @@
-"""`python -m evaluation real IN`: what methods make of real pictures, without a truth."""
+"""`simnfnd evaluate real IN`: what methods make of real pictures, without a truth."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING, Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
-from evaluation.app import hydra_verb
-from evaluation.realism.command import named
-from factory.errors import FactoryError
-from factory.settings import build
+from simnfnd.evaluation.app import hydra_verb
+from simnfnd.evaluation.realism.command import named
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.settings import build
 
 if TYPE_CHECKING:
-    from evaluation.real.downstream import Segmented
-    from evaluation.real.measure import RealRow
-    from evaluation.real.pictures import File
-    from evaluation.real.settings import RealSettings
+    from simnfnd.evaluation.real.downstream import Segmented
+    from simnfnd.evaluation.real.measure import RealRow
+    from simnfnd.evaluation.real.pictures import File
+    from simnfnd.evaluation.real.settings import RealSettings
 
 
 def real(words: Sequence[str]) -> int:
-    """`python -m evaluation real IN [KEY=VALUE ...]`."""
+    """`simnfnd evaluate real IN [KEY=VALUE ...]`."""
     return hydra_verb(run, "real", named(words, "real"))
 
 
@@ -30,14 +30,14 @@ def run(config: DictConfig) -> None:
     settings = settings_of(config)
     import numpy as np
 
-    from evaluation.crew import Team
-    from evaluation.methods import baselines_of, methods_of
-    from evaluation.networks import networks_at
-    from evaluation.real import report
-    from evaluation.real.measure import check_masks, measure
-    from evaluation.real.pictures import open_folder
-    from evaluation.tuning import load_tuned
-    from factory.shards.files import check_writable
+    from simnfnd.evaluation.crew import Team
+    from simnfnd.evaluation.methods import baselines_of, methods_of
+    from simnfnd.evaluation.networks import networks_at
+    from simnfnd.evaluation.real import report
+    from simnfnd.evaluation.real.measure import check_masks, measure
+    from simnfnd.evaluation.real.pictures import open_folder
+    from simnfnd.evaluation.tuning import load_tuned
+    from simnfnd.factory.files import check_writable
 
     if settings.tuned is not None and not Path(settings.tuned).is_file():
         raise FactoryError(f"tuned={settings.tuned}: no such file; `evaluation tune` writes one")
@@ -79,7 +79,7 @@ def _downstream(
     """Label -> what its network makes of the test pictures, after each row that was trained."""
     from tqdm import tqdm
 
-    from evaluation.real.downstream import segmented
+    from simnfnd.evaluation.real.downstream import segmented
 
     labels = [file.classes() for file in files]
     alive = [row for row in rows if row.lost is None]
@@ -99,10 +99,10 @@ def _downstream(
 
 def settings_of(config: DictConfig) -> RealSettings:
     """The checked settings.  FactoryError names the key that is wrong."""
-    from evaluation.real.settings import RealSettings
+    from simnfnd.evaluation.real.settings import RealSettings
 
     values = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     if not values["real"]:
-        raise FactoryError("real: give a folder of pictures: python -m evaluation real IN")
+        raise FactoryError("real: give a folder of pictures: simnfnd evaluate real IN")
     settings: RealSettings = build(RealSettings, values)
     return settings

@@ -17,10 +17,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from evaluation.baselines.base import Gray
-from factory.errors import FactoryError
-from factory.seeds import stream
-from models.unet import residual_blocks
+from simnfnd.evaluation.baselines.base import Gray
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.seeds import stream
+from simnfnd.models.networks.unet import residual_blocks
 
 Labels = npt.NDArray[np.int64]
 

@@ -9,16 +9,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from tqdm import tqdm
 
-from evaluation.baselines import REGISTRY
-from evaluation.baselines.base import Gray
-from evaluation.crew import Died, Team
-from evaluation.edges import edge_preservation
-from evaluation.methods import Method
-from evaluation.real.pictures import SIDE, File, Scene, pixel_geometry, scene
-from evaluation.speckle import contrast_to_noise, enl, m_index, ratio_mean
-from evaluation.tuning import reason
-from evaluation.work import denoised
-from factory.errors import FactoryError
+from simnfnd.evaluation.baselines import REGISTRY
+from simnfnd.evaluation.baselines.base import Gray
+from simnfnd.evaluation.crew import Died, Team
+from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.metrics.edges import edge_preservation
+from simnfnd.evaluation.metrics.speckle import contrast_to_noise, enl, m_index, ratio_mean
+from simnfnd.evaluation.real.pictures import SIDE, File, Scene, pixel_geometry, scene
+from simnfnd.evaluation.tuning import reason
+from simnfnd.evaluation.work import denoised
+from simnfnd.factory.errors import FactoryError
 
 Figures = dict[str, float]
 

@@ -11,14 +11,14 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.baselines.base import Gray
-from evaluation.image_pairs import images_in, read_gray
-from evaluation.realism.geometry import Geometry, sector_mask
-from evaluation.realism.pictures import Source
-from evaluation.realism.real import GEOMETRY_FILE, open_real
-from evaluation.speckle import homogeneous_zones
-from factory.errors import FactoryError
-from models.geometry import Geometry as PixelGeometry
+from simnfnd.evaluation.baselines.base import Gray
+from simnfnd.evaluation.image_pairs import images_in, read_gray
+from simnfnd.evaluation.metrics.speckle import homogeneous_zones
+from simnfnd.evaluation.realism.geometry import Geometry, sector_mask
+from simnfnd.evaluation.realism.pictures import Source
+from simnfnd.evaluation.realism.real import GEOMETRY_FILE, open_real
+from simnfnd.factory.errors import FactoryError
+from simnfnd.models.data.geometry import Geometry as PixelGeometry
 
 Mask = npt.NDArray[np.bool_]
 

@@ -10,13 +10,13 @@ from importlib.resources import files as resources
 from pathlib import Path
 from typing import Any
 
-from evaluation.names import Metric, written
-from evaluation.real.downstream import Segmented
-from evaluation.real.measure import RealRow, mean_of
-from evaluation.report.examples import as_data_uri
-from evaluation.report.markup import cell, paragraph, table
-from evaluation.tuning import shown
-from factory.shards.files import write_atomically
+from simnfnd.evaluation.real.downstream import Segmented
+from simnfnd.evaluation.real.measure import RealRow, mean_of
+from simnfnd.evaluation.report.examples import as_data_uri
+from simnfnd.evaluation.report.markup import cell, paragraph, table
+from simnfnd.evaluation.report.names import Metric, written
+from simnfnd.evaluation.tuning import shown
+from simnfnd.factory.files import write_atomically
 
 COLUMNS = {
     "enl": Metric("ENL", 2, 0),
@@ -127,7 +127,7 @@ def _page(
             values = ((line["means"][name], COLUMNS[name].digits) for name in names)
             cells = "".join(cell(value, written(value, digits)) for value, digits in values)
         body.append(f"<tr>{title}{cells}</tr>")
-    css = resources("evaluation.report").joinpath("page.css").read_text(encoding="utf-8")
+    css = resources("simnfnd.evaluation.report").joinpath("page.css").read_text(encoding="utf-8")
     title = escape(f"Real sonar: {facts['name']}")
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'

@@ -1,4 +1,4 @@
-"""Keys of `python -m evaluation real`; the comments in conf/real.yaml explain them."""
+"""Keys of `simnfnd evaluate real`; the comments in conf/real.yaml explain them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from evaluation.settings import Count
-from factory.settings import STRICT
+from simnfnd.evaluation.settings import Count
+from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -1,4 +1,4 @@
-"""`python -m evaluation realism REAL SIM [SIM ...]`: how near is simulated to real?"""
+"""`simnfnd evaluate realism REAL SIM [SIM ...]`: how near is simulated to real?"""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
-from evaluation.app import hydra_verb
-from factory.errors import FactoryError
-from factory.settings import build
+from simnfnd.evaluation.app import hydra_verb
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.settings import build
 
 if TYPE_CHECKING:
-    from evaluation.realism.pictures import Collection
-    from evaluation.realism.settings import RealismSettings
+    from simnfnd.evaluation.realism.pictures import Collection
+    from simnfnd.evaluation.realism.settings import RealismSettings
 
 
 def realism(words: Sequence[str]) -> int:
-    """`python -m evaluation realism REAL SIM [SIM ...] [KEY=VALUE ...]`."""
+    """`simnfnd evaluate realism REAL SIM [SIM ...] [KEY=VALUE ...]`."""
     return hydra_verb(run, "realism", named(words, "real", "sim"))
 
 
@@ -47,10 +47,10 @@ def _quoted(word: str) -> str:
 
 def run(config: DictConfig) -> None:
     """Measure, compare, print the table and write the report."""
-    from evaluation.realism import report
-    from evaluation.realism.compare import compare
-    from evaluation.realism.measure import measure
-    from evaluation.realism.real import open_real
+    from simnfnd.evaluation.realism import report
+    from simnfnd.evaluation.realism.compare import compare
+    from simnfnd.evaluation.realism.measure import measure
+    from simnfnd.evaluation.realism.real import open_real
 
     settings = settings_of(config)
     real = open_real(settings.real).at_most(settings.limit)
@@ -74,8 +74,8 @@ def run(config: DictConfig) -> None:
 
 def _simulations(settings: RealismSettings) -> dict[str, Collection]:
     """Name -> pictures; two folders of one name get a number."""
-    from evaluation.realism.real import open_real
-    from evaluation.realism.simulated import open_dataset
+    from simnfnd.evaluation.realism.real import open_real
+    from simnfnd.evaluation.realism.simulated import open_dataset
 
     found: dict[str, Collection] = {}
     for folder in settings.sim:
@@ -93,10 +93,10 @@ def _simulations(settings: RealismSettings) -> dict[str, Collection]:
 
 def settings_of(config: DictConfig) -> RealismSettings:
     """The checked settings.  FactoryError names the key that is wrong."""
-    from evaluation.realism.settings import RealismSettings
+    from simnfnd.evaluation.realism.settings import RealismSettings
 
     values = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
-    usage = "give both folders: python -m evaluation realism REAL SIM"
+    usage = "give both folders: simnfnd evaluate realism REAL SIM"
     if not values["real"] or not values["sim"]:
         raise FactoryError(f"{'sim' if values['real'] else 'real'}: {usage}")
     if isinstance(values["sim"], str):

@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
-from evaluation.realism.distances import STATISTICS, Rows, Statistic, prepare
-from evaluation.realism.measure import Measured
-from factory.errors import FactoryError
-from factory.seeds import stream
+from simnfnd.evaluation.realism.distances import STATISTICS, Rows, Statistic, prepare
+from simnfnd.evaluation.realism.measure import Measured
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.seeds import stream
 
 _BLOCKS = 12
 SMALLEST = 8

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from factory.settings import STRICT
+from simnfnd.factory.settings import STRICT
 
 Gray = npt.NDArray[np.float32]
 

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
-from evaluation.realism import artefacts, features, texture, windows
-from evaluation.realism.geometry import Gray, Grid
-from evaluation.realism.pictures import Collection
+from simnfnd.evaluation.realism import artefacts, features, texture, windows
+from simnfnd.evaluation.realism.geometry import Gray, Grid
+from simnfnd.evaluation.realism.pictures import Collection
 
 Values = npt.NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from evaluation.realism.geometry import Geometry, Gray, Grid, to_polar
+from simnfnd.evaluation.realism.geometry import Geometry, Gray, Grid, to_polar
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.realism.compare import Comparison
-from evaluation.realism.geometry import Gray
-from evaluation.realism.measure import Measured
+from simnfnd.evaluation.realism.compare import Comparison
+from simnfnd.evaluation.realism.geometry import Gray
+from simnfnd.evaluation.realism.measure import Measured
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,9 +17,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.realism.geometry import Geometry, Gray, sector_mask
-from evaluation.realism.pictures import Collection, Source, label_of
-from factory.errors import FactoryError
+from simnfnd.evaluation.realism.geometry import Geometry, Gray, sector_mask
+from simnfnd.evaluation.realism.pictures import Collection, Source, label_of
+from simnfnd.factory.errors import FactoryError
 
 GEOMETRY_FILE = "geometry.csv"
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}

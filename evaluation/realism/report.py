@@ -10,12 +10,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from evaluation.realism.compare import Comparison, Interval, overall
-from evaluation.realism.measure import Measured
-from evaluation.realism.pictures import Collection
-from evaluation.realism.plots import draw_all
-from evaluation.realism.settings import RealismSettings
-from factory.errors import FactoryError
+from simnfnd.evaluation.realism.compare import Comparison, Interval, overall
+from simnfnd.evaluation.realism.measure import Measured
+from simnfnd.evaluation.realism.pictures import Collection
+from simnfnd.evaluation.realism.plots import draw_all
+from simnfnd.evaluation.realism.settings import RealismSettings
+from simnfnd.factory.errors import FactoryError
 
 
 def table(comparisons: Sequence[Comparison]) -> str:

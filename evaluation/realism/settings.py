@@ -1,4 +1,4 @@
-"""Keys of `python -m evaluation realism`."""
+"""Keys of `simnfnd evaluate realism`."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from evaluation.realism.geometry import Grid
-from factory.settings import STRICT
+from simnfnd.evaluation.realism.geometry import Grid
+from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)

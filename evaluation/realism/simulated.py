@@ -9,10 +9,10 @@ import h5py
 import numpy as np
 import yaml
 
-from evaluation.realism.geometry import Geometry, Gray
-from evaluation.realism.pictures import Collection, Source, label_of
-from factory.errors import FactoryError
-from factory.shards.reader import Split, open_shard, shard_paths, value_range
+from simnfnd.evaluation.realism.geometry import Geometry, Gray
+from simnfnd.evaluation.realism.pictures import Collection, Source, label_of
+from simnfnd.factory.dataset.read.reader import Split, open_shard, shard_paths, value_range
+from simnfnd.factory.errors import FactoryError
 
 # Less of the sector than this says too little along the bearing.
 _SEEN = 0.25
@@ -55,7 +55,7 @@ def picture_geometry(
     window_m: tuple[float, float],
     seen_deg: tuple[float, float],
 ) -> Geometry:
-    """Where range and bearing are in a picture of the factory (`factory.sonar.fan`).
+    """Where range and bearing are in a picture of the factory (`simnfnd.factory.sonar.fan`).
 
     shape: rows and columns.  window_m: first and last range.  seen_deg: the bearings with data.
     """

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from evaluation.pictures import Item
-from evaluation.report.content import as_dict
-from evaluation.rows import Row
-from evaluation.settings import EvaluationSettings
-from evaluation.statistics import estimate
+from simnfnd.evaluation.metrics.statistics import estimate
+from simnfnd.evaluation.pictures import Item
+from simnfnd.evaluation.report.content import as_dict
+from simnfnd.evaluation.rows import Row
+from simnfnd.evaluation.settings import EvaluationSettings
 
 _MOST_PLACES = 12
 _PAIRS_A_BIN = 8

@@ -7,22 +7,22 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from evaluation import tuning
-from evaluation.crew import Team
-from evaluation.journal import Journal
-from evaluation.methods import NOISY, baselines_of, methods_of
-from evaluation.networks import costs_of, networks_of
-from evaluation.pictures import Item, drawn_of, items_of, picture
-from evaluation.report import figures, files, page, tables
-from evaluation.report.breakdown import breakdown_of
-from evaluation.report.content import content_of, shown_rows
-from evaluation.report.examples import examples_of
-from evaluation.report.robustness import flat_config, robustness_of
-from evaluation.rows import Row, measure_rows
-from evaluation.settings import EvaluationSettings
-from factory.errors import FactoryError
-from factory.shards.files import check_writable
-from factory.shards.reader import open_shard
+from simnfnd.evaluation import tuning
+from simnfnd.evaluation.crew import Team
+from simnfnd.evaluation.journal import Journal
+from simnfnd.evaluation.methods import NOISY, baselines_of, methods_of
+from simnfnd.evaluation.networks import costs_of, networks_of
+from simnfnd.evaluation.pictures import Item, drawn_of, items_of, picture
+from simnfnd.evaluation.report import figures, files, page, tables
+from simnfnd.evaluation.report.breakdown import breakdown_of
+from simnfnd.evaluation.report.content import content_of, shown_rows
+from simnfnd.evaluation.report.examples import examples_of
+from simnfnd.evaluation.report.robustness import flat_config, robustness_of
+from simnfnd.evaluation.rows import Row, measure_rows
+from simnfnd.evaluation.settings import EvaluationSettings
+from simnfnd.factory.dataset.read.reader import open_shard
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import check_writable
 
 
 def build(settings: EvaluationSettings) -> dict[str, Any]:

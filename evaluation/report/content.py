@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.baselines import REGISTRY
-from evaluation.names import METRIC_NAMES
-from evaluation.pictures import Item
-from evaluation.report import paper
-from evaluation.rows import Row
-from evaluation.settings import EvaluationSettings
-from evaluation.statistics import Estimate, Paired, estimate, holm, paired
+from simnfnd.evaluation.baselines import REGISTRY
+from simnfnd.evaluation.metrics.statistics import Estimate, Paired, estimate, holm, paired
+from simnfnd.evaluation.pictures import Item
+from simnfnd.evaluation.report import paper
+from simnfnd.evaluation.report.names import METRIC_NAMES
+from simnfnd.evaluation.rows import Row
+from simnfnd.evaluation.settings import EvaluationSettings
 
 SCHEMA = "simnfnd-report/1"
 _COMPARED = ("psnr", "ssim", "gmsd", "psnr_fan", "ssim_fan", "gmsd_fan", "shadow_iou")

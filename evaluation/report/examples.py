@@ -11,17 +11,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from evaluation.baselines import REGISTRY
-from evaluation.baselines.base import Gray
-from evaluation.crew import Died, Team
-from evaluation.image_pairs import images_in, read_gray
-from evaluation.methods import Method
-from evaluation.metrics import finite_psnr, psnr
-from evaluation.pictures import Item, input_of, picture
-from evaluation.rows import Row
-from evaluation.settings import EvaluationSettings
-from evaluation.work import denoised
-from factory.errors import FactoryError
+from simnfnd.evaluation.baselines import REGISTRY
+from simnfnd.evaluation.baselines.base import Gray
+from simnfnd.evaluation.crew import Died, Team
+from simnfnd.evaluation.image_pairs import images_in, read_gray
+from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.metrics.fidelity import finite_psnr, psnr
+from simnfnd.evaluation.pictures import Item, input_of, picture
+from simnfnd.evaluation.rows import Row
+from simnfnd.evaluation.settings import EvaluationSettings
+from simnfnd.evaluation.work import denoised
+from simnfnd.factory.errors import FactoryError
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from evaluation.crew import Team
-from evaluation.methods import Method
-from evaluation.names import METRIC_NAMES, written
-from evaluation.report.content import shown_rows
-from evaluation.report.examples import Example, real_examples
-from evaluation.settings import EvaluationSettings
-from factory.shards.files import write_atomically
+from simnfnd.evaluation.crew import Team
+from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.report.content import shown_rows
+from simnfnd.evaluation.report.examples import Example, real_examples
+from simnfnd.evaluation.report.names import METRIC_NAMES, written
+from simnfnd.evaluation.settings import EvaluationSettings
+from simnfnd.factory.files import write_atomically
 
 _ROWS = 40
 

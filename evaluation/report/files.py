@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from evaluation import metrics
-from evaluation.names import written_p
-from evaluation.pictures import Item
-from evaluation.report import tables
-from evaluation.rows import Row
-from factory.errors import FactoryError
-from factory.shards.files import write_atomically
+from simnfnd.evaluation.metrics import fidelity as metrics
+from simnfnd.evaluation.pictures import Item
+from simnfnd.evaluation.report import tables
+from simnfnd.evaluation.report.names import written_p
+from simnfnd.evaluation.rows import Row
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import write_atomically
 
 RESULTS_NAME = "results.parquet"
 REPORT_NAME = "report.json"
@@ -53,7 +53,7 @@ def read_results(folder: Path) -> dict[str, Any]:
     path = folder / RESULTS_NAME
     if not path.is_file():
         raise FactoryError(f"{folder}: no report here (no {RESULTS_NAME}); make one with "
-                           "`python -m evaluation dataset=DIR`")  # fmt: skip
+                           "`simnfnd evaluate dataset=DIR`")  # fmt: skip
     arrow, parquet = _arrow()
     try:
         table = parquet.read_table(path)

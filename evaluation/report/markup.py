@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
-from evaluation.names import METRIC_NAMES
+from simnfnd.evaluation.report.names import METRIC_NAMES
 
 
 def table(head: str, lines: Sequence[str], kind: str = "board") -> str:

@@ -9,12 +9,12 @@ from importlib.resources import files as resources
 from pathlib import Path
 from typing import Any
 
-from evaluation.names import METRIC_NAMES, written, written_p
-from evaluation.report import files, sections, tables
-from evaluation.report.examples import Example, as_data_uri
-from evaluation.report.markup import cell, first, head, paragraph
-from evaluation.tuning import shown
-from factory.shards.files import write_atomically
+from simnfnd.evaluation.report import files, sections, tables
+from simnfnd.evaluation.report.examples import Example, as_data_uri
+from simnfnd.evaluation.report.markup import cell, first, head, paragraph
+from simnfnd.evaluation.report.names import METRIC_NAMES, written, written_p
+from simnfnd.evaluation.tuning import shown
+from simnfnd.factory.files import write_atomically
 
 PAGE_NAME = "report.html"
 
@@ -166,4 +166,4 @@ def _data(examples: Sequence[Example]) -> str:
 
 
 def _resource(name: str) -> str:
-    return resources("evaluation.report").joinpath(name).read_text(encoding="utf-8")
+    return resources("simnfnd.evaluation.report").joinpath(name).read_text(encoding="utf-8")

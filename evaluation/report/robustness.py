@@ -7,15 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from evaluation.crew import Team
-from evaluation.journal import Journal
-from evaluation.methods import Method
-from evaluation.pictures import items_of
-from evaluation.report.content import as_dict, paired_dict
-from evaluation.rows import Row, measure_rows
-from evaluation.settings import DatasetFolder, EvaluationSettings
-from evaluation.statistics import estimate, paired
-from factory.shards.manifest import load_manifest
+from simnfnd.evaluation.crew import Team
+from simnfnd.evaluation.journal import Journal
+from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.metrics.statistics import estimate, paired
+from simnfnd.evaluation.pictures import items_of
+from simnfnd.evaluation.report.content import as_dict, paired_dict
+from simnfnd.evaluation.rows import Row, measure_rows
+from simnfnd.evaluation.settings import DatasetFolder, EvaluationSettings
+from simnfnd.factory.dataset.format.manifest import load_manifest
 
 Content = dict[str, Any]
 

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from evaluation.names import METRIC_NAMES, written
-from evaluation.report.charts import Point, Series, chart
-from evaluation.report.content import shown_rows
-from evaluation.report.markup import cell, first, head, paragraph, table
-from evaluation.report.robustness import curve_of
+from simnfnd.evaluation.report.charts import Point, Series, chart
+from simnfnd.evaluation.report.content import shown_rows
+from simnfnd.evaluation.report.markup import cell, first, head, paragraph, table
+from simnfnd.evaluation.report.names import METRIC_NAMES, written
+from simnfnd.evaluation.report.robustness import curve_of
 
 Content = Mapping[str, Any]
 

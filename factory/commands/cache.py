@@ -1,4 +1,4 @@
-"""`python -m factory cache stats|verify|pack|clear`: the renders that are kept on disk."""
+"""`simnfnd cache stats|verify|pack|clear`: the renders that are kept on disk."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import argparse
 import time
 from pathlib import Path
 
-from factory.commands.compose import compose_config
-from factory.errors import FactoryError
-from factory.render.cache import Cache
+from simnfnd.factory.compose import compose_config
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.render.cache import Cache
 
 _EPILOG = (
-    "KEY=VALUE words are those of `python -m factory`; cache.dir is the one that matters to stats, "
+    "KEY=VALUE words are those of `simnfnd make`; cache.dir is the one that matters to stats, "
     "verify and clear, and for pack all that choose the frames and their render."
 )
 
 
 def main(words: list[str]) -> int:
     """Do what `words` ask for; returns the exit code (1: verify found damage)."""
-    parser = argparse.ArgumentParser(prog="python -m factory cache", epilog=_EPILOG)
+    parser = argparse.ArgumentParser(prog="simnfnd cache", epilog=_EPILOG)
     parser.add_argument("action", choices=("stats", "verify", "pack", "clear"))
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE")
     parser.add_argument("--out", type=Path, help="pack: file to write, for example views.pack")
@@ -58,11 +58,11 @@ def _verify(cache: Cache) -> int:
 
 
 def _pack(overrides: list[str], out: Path | None, small: bool) -> int:
-    from factory.generate import choose_frames
-    from factory.render.pack import write_pack
-    from factory.render.view import FINE, SMALL
-    from factory.scenes import open_reader
-    from factory.views import CachedViews
+    from simnfnd.factory.generate import choose_frames
+    from simnfnd.factory.render.pack import write_pack
+    from simnfnd.factory.render.view import FINE, SMALL
+    from simnfnd.factory.render.views import CachedViews
+    from simnfnd.factory.scenes import open_reader
 
     if out is None:
         raise FactoryError("cache pack: which file? give --out FILE")
@@ -76,7 +76,7 @@ def _pack(overrides: list[str], out: Path | None, small: bool) -> int:
     if not there:
         raise FactoryError(
             f"cache pack: none of the {len(refs)} frames is rendered in {config.cache.folder}; "
-            f"run `python -m factory {' '.join(overrides)}` first"
+            f"run `simnfnd make {' '.join(overrides)}` first"
         )
     precision = SMALL if small else FINE
     size = write_pack(out, there, views.view, config.sonar.mount, config.render.kind, precision)

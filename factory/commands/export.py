@@ -1,17 +1,17 @@
-"""`python -m factory export DIR --to FORMAT --out DIR`: a dataset for other ecosystems."""
+"""`simnfnd export DIR --to FORMAT --out DIR`: a dataset for other ecosystems."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from factory.export import FORMATS, export
-from factory.shards.schema import SPLITS
+from simnfnd.factory.dataset.format.schema import SPLITS
+from simnfnd.factory.export import FORMATS, export
 
 
 def main(words: list[str]) -> None:
     """Write the export that `words` ask for."""
-    parser = argparse.ArgumentParser(prog="python -m factory export", description=__doc__)
+    parser = argparse.ArgumentParser(prog="simnfnd export", description=__doc__)
     parser.add_argument("dir", type=Path, help="folder of a dataset")
     parser.add_argument("--to", required=True, choices=FORMATS, help="format")
     parser.add_argument("--out", required=True, type=Path, help="new or empty folder to fill")

@@ -1,4 +1,4 @@
-"""`python -m factory failed DIR`: the frames that gave no sample, why, and another try."""
+"""`simnfnd failed DIR`: the frames that gave no sample, why, and another try."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-from factory.errors import FactoryError
-from factory.shards.failures import load_failures
-from factory.shards.manifest import load_manifest
+from simnfnd.factory.dataset.format.manifest import load_manifest
+from simnfnd.factory.dataset.write.failures import load_failures
+from simnfnd.factory.errors import FactoryError
 
 
 def main(words: list[str]) -> int:
     """List the failures, or try them again; returns 0 when there are none (any more), else 1."""
-    parser = argparse.ArgumentParser(prog="python -m factory failed", description=__doc__)
+    parser = argparse.ArgumentParser(prog="simnfnd failed", description=__doc__)
     parser.add_argument("dir", type=Path, help="folder of a dataset")
     parser.add_argument(
         "--rerun", action="store_true", help="try each frame by itself, in a folder DIR-retry"
@@ -41,7 +41,7 @@ def main(words: list[str]) -> int:
 def _works(item: dict[str, str]) -> bool:
     """Run the command of one failure, in this environment."""
     words = shlex.split(item["command"])
-    command = [sys.executable, *words[1:], "dataset.on_existing=overwrite"]
+    command = [sys.executable, "-m", *words, "dataset.on_existing=overwrite"]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     worked = done.returncode == 0
     last = (done.stderr.strip().splitlines() or [""])[-1]

@@ -1,7 +1,7 @@
-"""`python -m factory gallery`: the paper's Figures 3 to 8 and 12, from procedural seabed scenes.
+"""`simnfnd gallery`: the paper's Figures 3 to 8 and 12, from procedural seabed scenes.
 
 Any words KEY=VALUE go to the configuration, so that the same figures can be made of other scenes or
-another sonar: `python -m factory gallery scenes=flsea scenes.root=DIR`.
+another sonar: `simnfnd gallery scenes=flsea scenes.root=DIR`.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from factory import noise
-from factory.commands import gallery_figures as figures
-from factory.commands.gallery_figures import Figure, Panel
-from factory.config import FactoryConfig, from_mapping
-from factory.distribution import Distribution, number
-from factory.errors import FactoryError
-from factory.frame import Frame, FrameRef
-from factory.noise import NoiseSettings
-from factory.pairs import Scene, make_pair, observe
-from factory.render.base import Rendered
-from factory.shards.quality import psnr_db
+from simnfnd.factory import noise
+from simnfnd.factory.config import FactoryConfig, from_mapping
+from simnfnd.factory.dataset.describe.quality import psnr_db
+from simnfnd.factory.distribution import Distribution, number
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.frame import Frame, FrameRef
+from simnfnd.factory.gallery import figures
+from simnfnd.factory.gallery.figures import Figure, Panel
+from simnfnd.factory.noise import NoiseSettings
+from simnfnd.factory.pairs import Scene, make_pair, observe
+from simnfnd.factory.render.base import Rendered
 
 # The paper's view from above, drawn larger than data sets need.
 _PICTURE = (
@@ -56,7 +56,7 @@ class View:
 
 def main(words: list[str]) -> None:
     """Draw the figures that `words` ask for."""
-    parser = argparse.ArgumentParser(prog="python -m factory gallery", description=__doc__)
+    parser = argparse.ArgumentParser(prog="simnfnd gallery", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("outputs/gallery"), help="folder to fill")
     parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="as for making a dataset")
     given = parser.parse_args(words)
@@ -83,17 +83,17 @@ def compose(settings: Iterable[str]) -> FactoryConfig:
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 
-    from factory.distribution import as_override
+    from simnfnd.factory.distribution import as_override
 
     words = [as_override(word) for word in settings]
     base = _PICTURE if any(word.startswith("scenes=") for word in words) else _SCENES + _PICTURE
     try:
-        with initialize_config_module("conf", version_base="1.3"):
+        with initialize_config_module("simnfnd.conf", version_base="1.3"):
             composed = hydra_compose("factory", overrides=[*base, *words])
         values = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
     except (HydraException, OmegaConfBaseException) as error:
         reason = " ".join(str(error).split())
-        raise FactoryError(f"gallery: {reason} (see `python -m factory --cfg job`)") from error
+        raise FactoryError(f"gallery: {reason} (see `simnfnd make --cfg job`)") from error
     assert isinstance(values, dict)
     return from_mapping({str(key): item for key, item in values.items() if key != "experiment"})
 
@@ -126,9 +126,9 @@ def _end(distribution: Distribution, quantile: float) -> float:
 
 
 def _views(config: FactoryConfig) -> Iterator[View]:
-    from factory.generate import choose_frames
-    from factory.render import open_renderer
-    from factory.scenes import open_reader
+    from simnfnd.factory.generate import choose_frames
+    from simnfnd.factory.render import open_renderer
+    from simnfnd.factory.scenes import open_reader
 
     reader = open_reader(config.scenes)
     found = choose_frames(reader.discover().frames, config)

@@ -1,4 +1,4 @@
-"""`python -m factory inspect DIR|FILE`: what is in a dataset, its index or one of its shards."""
+"""`simnfnd inspect DIR|FILE`: what is in a dataset, its index or one of its shards."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from factory.commands.inspection import Inspection, inspect
-from factory.export.notes import dataset_settings
+from simnfnd.factory.dataset.describe.inspection import Inspection, inspect
+from simnfnd.factory.export.notes import dataset_settings
 
 _BAR = 40
 _BINS = 10
@@ -18,7 +18,7 @@ _BINS = 10
 
 def main(words: list[str]) -> None:
     """Print (and draw) what `words` ask for."""
-    parser = argparse.ArgumentParser(prog="python -m factory inspect", description=__doc__)
+    parser = argparse.ArgumentParser(prog="simnfnd inspect", description=__doc__)
     parser.add_argument("path", type=Path, help="folder of a dataset, index.h5 or a shard")
     parser.add_argument("--pairs", type=int, default=200, help="most pairs to measure (200)")
     parser.add_argument("--png", type=Path, help="draw the histograms into this file, too")
@@ -26,7 +26,7 @@ def main(words: list[str]) -> None:
     found = inspect(given.path, given.pairs)
     print("\n".join(report(found, str(given.path))))
     if given.png is not None:
-        from factory.commands.inspect_figure import draw
+        from simnfnd.factory.dataset.describe.inspect_figure import draw
 
         print(f"\nfigure: {draw(found, given.png)}")
 

@@ -1,4 +1,4 @@
-"""`python -m factory merge A B ... --out DIR`: several datasets of one kind into one.
+"""`simnfnd merge A B ... --out DIR`: several datasets of one kind into one.
 
 The shards are copied as they are, so their checksums stay what they were.
 """
@@ -14,15 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from factory.errors import FactoryError
-from factory.export.notes import dataset_settings
-from factory.export.source import Source, open_source
-from factory.shards.card import write_card
-from factory.shards.croissant import write_croissant
-from factory.shards.files import refuse_files, whole_folder
-from factory.shards.folder import open_folder
-from factory.shards.index import write_index
-from factory.shards.manifest import (
+from simnfnd.factory.dataset.describe.card import write_card
+from simnfnd.factory.dataset.describe.croissant import write_croissant
+from simnfnd.factory.dataset.describe.preview import preview
+from simnfnd.factory.dataset.format.manifest import (
     MANIFEST_NAME,
     PARTS,
     Manifest,
@@ -30,10 +25,15 @@ from factory.shards.manifest import (
     load_manifest,
     save_manifest,
 )
-from factory.shards.preview import preview
-from factory.shards.reader import open_shard
-from factory.shards.schema import SPLITS, Provenance
-from factory.shards.settings import DatasetSettings
+from simnfnd.factory.dataset.format.schema import SPLITS, Provenance
+from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.read.reader import open_shard
+from simnfnd.factory.dataset.write.folder import open_folder
+from simnfnd.factory.dataset.write.index import write_index
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.export.notes import dataset_settings
+from simnfnd.factory.export.source import Source, open_source
+from simnfnd.factory.files import refuse_files, whole_folder
 
 # What may differ: which frames there are, how their noise is seeded, and how they are stored.
 _FREE = ("seed", "scenes", "frames", "frames_found", "split", "scheduler", *PARTS)
@@ -43,7 +43,7 @@ _SHOWN_DIFFERENCES = 4
 
 def main(words: list[str]) -> None:
     """Merge what `words` name."""
-    parser = argparse.ArgumentParser(prog="python -m factory merge", description=__doc__)
+    parser = argparse.ArgumentParser(prog="simnfnd merge", description=__doc__)
     parser.add_argument("dirs", nargs="+", type=Path, metavar="DIR", help="folders of datasets")
     parser.add_argument("--out", required=True, type=Path, help="new or empty folder to fill")
     parser.add_argument("--name", help="of the merged dataset (default: merged)")
@@ -177,7 +177,7 @@ def _common_licence(directories: Sequence[Path]) -> str | None:
 
 def _provenance(manifests: Mapping[Path, Manifest]) -> Provenance:
     """What all have in common, and under `merged` what each was made with."""
-    from factory.config import digest  # needs the settings of every room, but only here
+    from simnfnd.factory.config import digest  # needs the settings of every room, but only here
 
     configs = [manifest.config for manifest in manifests.values()]
     common = {

@@ -1,4 +1,4 @@
-"""`python -m factory physics`: the physical profile in pictures and figures.
+"""`simnfnd physics`: the physical profile in pictures and figures.
 
 Writes one procedural scene through every device (presets.png) and each effect alone
 (physical-effects.png), and prints the statistics of an echo that is the same everywhere beside
@@ -16,20 +16,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from factory.commands import gallery_figures as figures
-from factory.commands.compose import compose_config
-from factory.commands.gallery_figures import Figure, Panel
-from factory.commands.physics_statistics import table
-from factory.distribution import as_override
-from factory.errors import FactoryError
-from factory.field.pairs import field_scene, make_field_pair
-from factory.noise import physical
+from simnfnd.factory.compose import compose_config
+from simnfnd.factory.distribution import as_override
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.formation.field.pairs import field_scene, make_field_pair
+from simnfnd.factory.gallery import figures
+from simnfnd.factory.gallery.figures import Figure, Panel
+from simnfnd.factory.gallery.statistics import table
+from simnfnd.factory.noise import physical
 
 if TYPE_CHECKING:
-    from factory.config import FactoryConfig
-    from factory.frame import Frame
-    from factory.render.base import Rendered
-    from factory.sample import Pair
+    from simnfnd.factory.config import FactoryConfig
+    from simnfnd.factory.dataset.format.sample import Pair
+    from simnfnd.factory.frame import Frame
+    from simnfnd.factory.render.base import Rendered
 
 Picture = npt.NDArray[np.generic]
 
@@ -57,7 +57,7 @@ _STRONG = (
 
 def main(words: list[str]) -> None:
     """Draw and print what `words` ask for."""
-    parser = argparse.ArgumentParser(prog="python -m factory physics", description=__doc__)
+    parser = argparse.ArgumentParser(prog="simnfnd physics", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("outputs/physics"), help="folder to fill")
     parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="as for making a dataset")
     given = parser.parse_args(words)
@@ -68,7 +68,7 @@ def main(words: list[str]) -> None:
 
 def devices() -> list[str]:
     """The names of the sonar presets."""
-    folder = resources.files("conf") / "sonar"
+    folder = resources.files("simnfnd.conf") / "sonar"
     return sorted(
         one.name.removesuffix(".yaml") for one in folder.iterdir() if one.name.endswith(".yaml")
     )
@@ -91,9 +91,9 @@ def pictures(out: Path, settings: Iterable[str] = ()) -> list[Path]:
 
 
 def _first_frame(config: FactoryConfig) -> tuple[Frame, Rendered]:
-    from factory.generate import choose_frames
-    from factory.render import open_renderer
-    from factory.scenes import open_reader
+    from simnfnd.factory.generate import choose_frames
+    from simnfnd.factory.render import open_renderer
+    from simnfnd.factory.scenes import open_reader
 
     reader = open_reader(config.scenes)
     frame = reader.load(choose_frames(reader.discover().frames, config)[0])

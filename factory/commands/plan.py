@@ -1,4 +1,4 @@
-"""`python -m factory plan [-m] ...`: what a command would make, and what it would cost.
+"""`simnfnd plan [-m] ...`: what a command would make, and what it would cost.
 
 Three frames are really made, in memory and in a folder of the system's temporary files that goes
 again; nothing of the dataset, the cache or the sweep is written.
@@ -14,14 +14,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from factory.commands.compose import compose_points
-from factory.errors import FactoryError, FrameError
-from factory.frame import FrameRef
-from factory.scheduler.plan import ShardTask, plan_shards
-from factory.scheduler.settings import available_memory_bytes
+from simnfnd.factory.compose import compose_points
+from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.frame import FrameRef
+from simnfnd.factory.jobs.plan import ShardTask, plan_shards
+from simnfnd.factory.jobs.settings import available_memory_bytes
 
 if TYPE_CHECKING:
-    from factory.config import FactoryConfig
+    from simnfnd.factory.config import FactoryConfig
 
 _PROBED = 3
 
@@ -72,9 +72,9 @@ def main(words: list[str]) -> int:
 
 
 def _planned(config: FactoryConfig) -> tuple[tuple[FrameRef, ...], tuple[ShardTask, ...]]:
-    from factory.generate import choose_frames, split_frames
-    from factory.scenes import open_reader
-    from factory.views import check_views
+    from simnfnd.factory.generate import choose_frames, split_frames
+    from simnfnd.factory.render.views import check_views
+    from simnfnd.factory.scenes import open_reader
 
     check_views(config, touch=False)
     frames = choose_frames(open_reader(config.scenes).discover().frames, config)
@@ -92,13 +92,13 @@ def _added(
     how: tuple[int, int, Mapping[str, int | None]],
 ) -> tuple[tuple[ShardTask, ...]] | None:
     """The shards that a dataset which is there lacks; None when there is none."""
-    from factory import __version__
-    from factory.config import digest, identity
-    from factory.generate import frames_digest
-    from factory.scheduler.earlier import read_earlier
-    from factory.scheduler.extend import plan_extension, refuse_other_settings
-    from factory.shards.manifest import load_manifest
-    from factory.shards.schema import Provenance
+    from simnfnd.factory import __version__
+    from simnfnd.factory.config import digest, identity
+    from simnfnd.factory.dataset.format.manifest import load_manifest
+    from simnfnd.factory.dataset.format.schema import Provenance
+    from simnfnd.factory.generate import frames_digest
+    from simnfnd.factory.jobs.earlier import read_earlier
+    from simnfnd.factory.jobs.extend import plan_extension, refuse_other_settings
 
     values = {**identity(config), "frames_found": frames_digest(frames)}
     directory = config.dataset.directory(digest(values))
@@ -119,11 +119,11 @@ def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
     The first render of a process, which has Blender to load, is not counted.
     Raises FactoryError when none of the three can be made.
     """
-    from factory.pairs import PairMaker
-    from factory.render.view import encode
-    from factory.shards.schema import Provenance
-    from factory.shards.writer import write_shard
-    from factory.views import ViewMaker, with_cache
+    from simnfnd.factory.dataset.format.schema import Provenance
+    from simnfnd.factory.dataset.write.writer import write_shard
+    from simnfnd.factory.pairs import PairMaker
+    from simnfnd.factory.render.view import encode
+    from simnfnd.factory.render.views import ViewMaker, with_cache
 
     chosen = [frames[k * len(frames) // _PROBED] for k in range(min(_PROBED, len(frames)))]
     with tempfile.TemporaryDirectory() as folder:
@@ -165,7 +165,7 @@ def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
 
 def _kept(config: FactoryConfig, frames: Sequence[FrameRef]) -> int:
     """Frames whose render is at hand."""
-    from factory.views import open_views
+    from simnfnd.factory.render.views import open_views
 
     if not config.cache.enabled and config.scenes.kind != "pack":
         return 0
@@ -191,7 +191,7 @@ def _fits(config: FactoryConfig, disk: float, render: int, noise: int) -> bool:
 
 
 def _cores() -> int:
-    from factory.scheduler.settings import usable_cores
+    from simnfnd.factory.jobs.settings import usable_cores
 
     return usable_cores()
 

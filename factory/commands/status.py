@@ -1,4 +1,4 @@
-"""`python -m factory status DIR`: how far a dataset is, whether anybody works on it."""
+"""`simnfnd status DIR`: how far a dataset is, whether anybody works on it."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from factory.errors import FactoryError
-from factory.scheduler.lock import owner_of
-from factory.shards.failures import load_failures
-from factory.shards.folder import STATUS_NAME, slice_manifests
-from factory.shards.manifest import damage, load_manifest
-from factory.shards.schema import SPLITS
+from simnfnd.factory.dataset.format.manifest import damage, load_manifest
+from simnfnd.factory.dataset.format.schema import SPLITS
+from simnfnd.factory.dataset.write.failures import load_failures
+from simnfnd.factory.dataset.write.folder import STATUS_NAME, slice_manifests
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.jobs.lock import owner_of
 
 
 def main(words: list[str]) -> int:
     """Print the state of a dataset; returns 0, or 1 when a shard is damaged."""
-    parser = argparse.ArgumentParser(prog="python -m factory status", description=__doc__)
+    parser = argparse.ArgumentParser(prog="simnfnd status", description=__doc__)
     parser.add_argument("dir", type=Path, help="folder of a dataset")
     parser.add_argument("--verify", action="store_true", help="read every shard, too")
     given = parser.parse_args(words)
@@ -43,7 +43,7 @@ def main(words: list[str]) -> int:
     kinds = Counter(item["kind"] for item in load_failures(directory))
     if kinds:
         told = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
-        print(f"  failed: {told} (see `python -m factory failed {directory}`)")
+        print(f"  failed: {told} (see `simnfnd failed {directory}`)")
     if not given.verify:
         return 0
     problems = {shard.path: damage(directory, shard) for shard in shards}

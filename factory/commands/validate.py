@@ -1,16 +1,16 @@
-"""`python -m factory validate DIR`: is a dataset whole, consistent and without leaks."""
+"""`simnfnd validate DIR`: is a dataset whole, consistent and without leaks."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from factory.shards.validate import validate
+from simnfnd.factory.dataset.check.validate import validate
 
 
 def main(words: list[str]) -> int:
     """Print what is wrong with the dataset; 0 when nothing is, else 1."""
-    parser = argparse.ArgumentParser(prog="python -m factory validate", description=__doc__)
+    parser = argparse.ArgumentParser(prog="simnfnd validate", description=__doc__)
     parser.add_argument("dir", type=Path, help="folder of a dataset")
     parser.add_argument("--deep", action="store_true", help="read every picture, too")
     given = parser.parse_args(words)

@@ -5,19 +5,19 @@ from __future__ import annotations
 from importlib import import_module
 from pathlib import Path
 
-from factory.errors import FactoryError
-from factory.export.source import Source, open_source
-from factory.shards.files import refuse_files, whole_folder
-from factory.shards.reader import Split
+from simnfnd.factory.dataset.read.reader import Split
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.export.source import Source, open_source
+from simnfnd.factory.files import refuse_files, whole_folder
 
 # --to -> module with `write(source, folder) -> str`, which fills an empty folder and returns one
 # line that says what it wrote.
 FORMATS = {
-    "webdataset": "factory.export.webdataset",
-    "huggingface": "factory.export.huggingface",
-    "png": "factory.export.png",
-    "mdd": "factory.export.mdd",
-    "sonar_message": "factory.export.sonar_message",
+    "webdataset": "simnfnd.factory.export.webdataset",
+    "huggingface": "simnfnd.factory.export.huggingface",
+    "png": "simnfnd.factory.export.png",
+    "mdd": "simnfnd.factory.export.mdd",
+    "sonar_message": "simnfnd.factory.export.sonar_message",
 }
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import yaml
 
-from factory.errors import FactoryError
-from factory.export.source import Source
-from factory.shards.folder import CONFIG_NAME
+from simnfnd.factory.dataset.write.folder import CONFIG_NAME
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.export.source import Source
 
 
 def write_notes(source: Source, folder: Path, reading: str) -> None:

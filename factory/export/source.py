@@ -13,10 +13,10 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from factory.errors import FactoryError
-from factory.sample import Column
-from factory.shards.reader import Split, open_shard, shard_paths
-from factory.shards.structure import image_axes, optional_names
+from simnfnd.factory.dataset.format.sample import Column
+from simnfnd.factory.dataset.format.structure import image_axes, optional_names
+from simnfnd.factory.dataset.read.reader import Split, open_shard, shard_paths
+from simnfnd.factory.errors import FactoryError
 
 CORE = ("noisy", "clean", "shadow")
 Value = float | int | str

@@ -16,28 +16,31 @@ from typing import Any
 from pydantic import SerializerFunctionWrapHandler, model_serializer
 from pydantic.dataclasses import dataclass
 
-from factory import seeds
-from factory.distribution import Distribution
-from factory.echoes import Echoes, join
-from factory.noise.azimuth import AzimuthSettings, azimuth
-from factory.noise.background import BackgroundSettings, background
-from factory.noise.multipath import MultipathSettings, multipath
-from factory.noise.physical.beam_gain import BeamGainSettings
-from factory.noise.physical.crosstalk import CrosstalkSettings
-from factory.noise.physical.image_source import BottomMultipathSettings, SurfaceMultipathSettings
-from factory.noise.physical.near_range import CombLinesSettings, RingDownSettings
-from factory.noise.physical.receiver import ReceiverSettings
-from factory.noise.physical.saturation import SaturationSettings
-from factory.noise.physical.sidelobe_arcs import SidelobeArcsSettings
-from factory.noise.physical.speckle import SpeckleSettings
-from factory.noise.physical.spokes import SpokesSettings
-from factory.noise.physical.texture import TextureSettings
-from factory.noise.physical.tvg_error import TvgErrorSettings
-from factory.noise.physical.volume import VolumeSettings
-from factory.noise.range_arc import RangeArcSettings, range_arc
-from factory.noise.range_spreading import RangeSpreadingSettings, range_spreading
-from factory.settings import STRICT
-from factory.sonar.window import Window
+from simnfnd.factory import seeds
+from simnfnd.factory.distribution import Distribution
+from simnfnd.factory.noise.azimuth import AzimuthSettings, azimuth
+from simnfnd.factory.noise.background import BackgroundSettings, background
+from simnfnd.factory.noise.multipath import MultipathSettings, multipath
+from simnfnd.factory.noise.physical.beam_gain import BeamGainSettings
+from simnfnd.factory.noise.physical.crosstalk import CrosstalkSettings
+from simnfnd.factory.noise.physical.image_source import (
+    BottomMultipathSettings,
+    SurfaceMultipathSettings,
+)
+from simnfnd.factory.noise.physical.near_range import CombLinesSettings, RingDownSettings
+from simnfnd.factory.noise.physical.receiver import ReceiverSettings
+from simnfnd.factory.noise.physical.saturation import SaturationSettings
+from simnfnd.factory.noise.physical.sidelobe_arcs import SidelobeArcsSettings
+from simnfnd.factory.noise.physical.speckle import SpeckleSettings
+from simnfnd.factory.noise.physical.spokes import SpokesSettings
+from simnfnd.factory.noise.physical.texture import TextureSettings
+from simnfnd.factory.noise.physical.tvg_error import TvgErrorSettings
+from simnfnd.factory.noise.physical.volume import VolumeSettings
+from simnfnd.factory.noise.range_arc import RangeArcSettings, range_arc
+from simnfnd.factory.noise.range_spreading import RangeSpreadingSettings, range_spreading
+from simnfnd.factory.settings import STRICT
+from simnfnd.factory.sonar.echoes import Echoes, join
+from simnfnd.factory.sonar.window import Window
 
 Drawn = dict[str, float | str]
 
@@ -47,7 +50,7 @@ class NoiseSettings:
     """Keys of the `noise` group, one block an effect, in the order in which they are applied.
 
     The first five are the paper's and add or move points.  The others act on the polar field of
-    acoustics.formation=field (`factory.noise.physical`); a configuration that does not name one
+    acoustics.formation=field (`noise.physical`); a configuration that does not name one
     does not have it.
     """
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from factory.distribution import NonNegative, number
-from factory.echoes import Echoes, in_plane
-from factory.settings import STRICT
-from factory.sonar.window import Window
+from simnfnd.factory.distribution import NonNegative, number
+from simnfnd.factory.settings import STRICT
+from simnfnd.factory.sonar.echoes import Echoes, in_plane
+from simnfnd.factory.sonar.window import Window
 
 
 @dataclass(frozen=True, config=STRICT)

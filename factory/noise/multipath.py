@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
-from factory.distribution import Fraction, NonNegative, number
-from factory.echoes import Echoes, in_plane
-from factory.settings import STRICT
-from factory.sonar import polar
-from factory.sonar.window import Window
+from simnfnd.factory.distribution import Fraction, NonNegative, number
+from simnfnd.factory.settings import STRICT
+from simnfnd.factory.sonar import polar
+from simnfnd.factory.sonar.echoes import Echoes, in_plane
+from simnfnd.factory.sonar.window import Window
 
 # Cells of the density map, along range and bearing: about the size of the ghosts.
 _CELLS = (64, 48)

@@ -2,10 +2,11 @@
 
 Paper section 3.3.2: n_i = alpha * d_i, N ~ N(0, n_i), and each coordinate gets |N| added.  Printed
 so, in camera axes, the formula also turns every point to the right and downwards and brings those
-that lie to the left nearer, although the text says later and farther (tests/test_noise.py states
-by how much).  `mode: paper` is that formula to the letter; `mode: radial` is what the text means:
-the range grows by |N| and the direction stays.  `mode: exponential` delays by e ~ Exp(alpha * d)
-and weakens the echo by exp(-e / (alpha * d)) (Potokar et al. 2022, HoloOcean).
+that lie to the left nearer, although the text says later and farther;
+tests/factory/noise/test_noise.py states by how much.  `mode: paper` is that formula to the letter;
+`mode: radial` is what the text means: the range grows by |N| and the direction stays.
+`mode: exponential` delays by e ~ Exp(alpha * d) and weakens the echo by exp(-e / (alpha * d))
+(Potokar et al. 2022, HoloOcean).
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
-from factory.distribution import NonNegative, number
-from factory.echoes import Echoes, from_xyz
-from factory.settings import STRICT
-from factory.sonar.window import Window
+from simnfnd.factory.distribution import NonNegative, number
+from simnfnd.factory.settings import STRICT
+from simnfnd.factory.sonar.echoes import Echoes, from_xyz
+from simnfnd.factory.sonar.window import Window
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -59,7 +60,7 @@ def range_spreading(
 
 def _half_normal(rng: np.random.Generator, count: int) -> npt.NDArray[np.float32]:
     """(count,) float32 draws of |N(0, 1)|, by the inverse of its distribution."""
-    from factory.sonar import number_loops  # loads numba
+    from simnfnd.factory.sonar import number_loops  # loads numba
 
     size = np.empty(count, np.float32)
     number_loops.half_normal(rng.random(count, dtype=np.float32), size)

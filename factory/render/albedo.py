@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from factory.compiled import compiled
-from factory.render.joints import READ
+from simnfnd.factory.compiled import compiled
+from simnfnd.factory.render.joints import READ
 
 MEAN_ALBEDO = 0.5
 

@@ -6,10 +6,10 @@ mount it lights what the sonar cannot see (`casts_shadows` is False, for callers
 
 from __future__ import annotations
 
-from factory.frame import Frame
-from factory.render.base import Rendered, RenderSettings
-from factory.render.surface import pixels_of
-from factory.sonar.mount import Mount
+from simnfnd.factory.frame import Frame
+from simnfnd.factory.render.base import Rendered, RenderSettings
+from simnfnd.factory.render.surface import pixels_of
+from simnfnd.factory.sonar.mount import Mount
 
 
 class AnalyticRenderer:
@@ -21,6 +21,6 @@ class AnalyticRenderer:
         self._settings = settings
 
     def render(self, frame: Frame, mount: Mount) -> Rendered:
-        """Render one frame; see `factory.render.base.Renderer`."""
+        """Render one frame; see `simnfnd.factory.render.base.Renderer`."""
         pixels = pixels_of(frame, self._settings)
         return Rendered(pixels.radiance(mount.position_camera_m()), pixels.mask)

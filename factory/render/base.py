@@ -10,9 +10,9 @@ import numpy.typing as npt
 from pydantic import BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
-from factory.frame import Frame
-from factory.settings import STRICT
-from factory.sonar.mount import Mount
+from simnfnd.factory.frame import Frame
+from simnfnd.factory.settings import STRICT
+from simnfnd.factory.sonar.mount import Mount
 
 
 def _stride(value: Any) -> Any:

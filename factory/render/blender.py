@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from factory.frame import Intrinsics
-from factory.render.base import RenderSettings
-from factory.render.libraries import missing
+from simnfnd.factory.frame import Intrinsics
+from simnfnd.factory.render.base import RenderSettings
+from simnfnd.factory.render.libraries import missing
 
 _SENSOR_WIDTH_MM = 36.0
 
@@ -72,7 +72,7 @@ def _one_core() -> Iterator[None]:
 class Stage:
     """A scene with a camera at the origin, looking along +z with y down, and the sonar's light.
 
-    World axes are therefore the camera axes of `factory.frame`.
+    World axes are therefore the camera axes of `simnfnd.factory.frame`.
     """
 
     bpy: Any

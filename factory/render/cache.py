@@ -16,14 +16,14 @@ from typing import Annotated
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from factory.render.view import View, decode, encode
-from factory.settings import STRICT
-from factory.shards.files import (
+from simnfnd.factory.files import (
     check_writable,
     explain_os_errors,
     remove_stale_temporaries,
     write_atomically,
 )
+from simnfnd.factory.render.view import View, decode, encode
+from simnfnd.factory.settings import STRICT
 
 _SUFFIX = ".view"
 # Room made at once, so that a full cache does not have to be gone through for every entry.

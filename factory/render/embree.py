@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from factory.frame import Frame
-from factory.render.base import Rendered, RenderSettings
-from factory.render.libraries import missing
-from factory.render.mesh import SHADOW_BIAS, surface_mesh
-from factory.render.surface import Surface, pixels_of
-from factory.sonar.mount import Mount
+from simnfnd.factory.frame import Frame
+from simnfnd.factory.render.base import Rendered, RenderSettings
+from simnfnd.factory.render.libraries import missing
+from simnfnd.factory.render.mesh import SHADOW_BIAS, surface_mesh
+from simnfnd.factory.render.surface import Surface, pixels_of
+from simnfnd.factory.sonar.mount import Mount
 
 
 class EmbreeRenderer:
@@ -26,7 +26,7 @@ class EmbreeRenderer:
         self._open3d = _import_open3d()
 
     def render(self, frame: Frame, mount: Mount) -> Rendered:
-        """Render one frame; see `factory.render.base.Renderer`."""
+        """Render one frame; see `simnfnd.factory.render.base.Renderer`."""
         pixels = pixels_of(frame, self._settings, self._settings.stride_at(mount))
         sonar_m = mount.position_camera_m()
         radiance = pixels.radiance(sonar_m)

@@ -1,6 +1,6 @@
 """Which pixels are one surface, in compiled loops.
 
-`factory.cloud.joined` and `surface_mask` are the same in numpy, and what the tests hold these to.
+`cloud.joined` and `surface_mask` are the same in numpy, and what the tests hold these to.
 Importing this module loads numba.
 """
 
@@ -9,15 +9,15 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from factory.cloud import LARGE_STEP, SLOPE_CHANGE
-from factory.compiled import compiled
+from simnfnd.factory.compiled import compiled
+from simnfnd.factory.render.cloud import LARGE_STEP, SLOPE_CHANGE
 
 Floats = npt.NDArray[np.float32]
 Doubles = npt.NDArray[np.float64]
 Bits = npt.NDArray[np.uint8]
 READ = "Array(float32, 2, 'C', readonly=True)"
 
-# What a pixel is joined to, as `factory.cloud.joined` says.  RISING is of the pixel on its right
+# What a pixel is joined to, as `cloud.joined` says.  RISING is of the pixel on its right
 # and the one below it.
 RIGHT, DOWN, FALLING, RISING = 1, 2, 4, 8
 _ZERO = np.float32(0)
@@ -84,7 +84,7 @@ def joints(depth_m: Floats, edge_ratio: float) -> Bits:
 
 @compiled("boolean[:, ::1](uint8[:, ::1])")
 def surface_mask(bits: Bits) -> npt.NDArray[np.bool_]:
-    """(H, W) bool: `factory.cloud.surface_mask` of the depths that gave these joints."""
+    """(H, W) bool: `cloud.surface_mask` of the depths that gave these joints."""
     height, width = bits.shape
     mask = np.zeros((height, width), np.bool_)
     for row in range(height - 1):

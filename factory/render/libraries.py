@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from factory.errors import FactoryError
+from simnfnd.factory.errors import FactoryError
 
 MODULE = {"cycles": "bpy", "embree": "open3d"}
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from factory.cloud import Quads, cut_quads, joined_pixels
-from factory.frame import Intrinsics
+from simnfnd.factory.frame import Intrinsics
+from simnfnd.factory.render.cloud import Quads, cut_quads, joined_pixels
 
 # A tangent plane seen edge-on runs away: the rim keeps this part of the edge ratio to its pixel.
 _RIM_REACH = 0.25
@@ -48,7 +48,7 @@ def surface_mesh(
 ) -> SurfaceMesh:
     """Mesh of a frame: `surface_triangles` of the pixel grid and the rim around them.
 
-    points_m, normals: (H, W, 3) from `factory.cloud`.  Frames without surface give empty arrays.
+    points_m, normals: (H, W, 3) from `render.cloud`.  Frames without surface give empty arrays.
     """
     depth_m = points_m[..., 2]
     quads = cut_quads(depth_m, edge_ratio)

@@ -1,7 +1,7 @@
 """A pack: renders of many frames in one file, to make pairs of where there is no Blender.
 
 A zip archive: `pack.json` says what is in it, and each frame is a member in the format of
-`factory.render.view`, with the checksum that zip has for it.
+`simnfnd.factory.render.view`, with the checksum that zip has for it.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from factory import __version__
-from factory.errors import FactoryError, NotRendered
-from factory.frame import FrameRef
-from factory.render.view import FINE, Precision, View, decode, encode
-from factory.shards.files import explain_os_errors
-from factory.sonar.mount import Mount
+from simnfnd.factory import __version__
+from simnfnd.factory.errors import FactoryError, NotRendered
+from simnfnd.factory.files import explain_os_errors
+from simnfnd.factory.frame import FrameRef
+from simnfnd.factory.render.view import FINE, Precision, View, decode, encode
+from simnfnd.factory.sonar.mount import Mount
 
 _SCHEMA = "simnfnd-pack 2"
 _CONTENTS = "pack.json"
@@ -104,12 +104,12 @@ def read_contents(path: Path) -> Contents:
     except (zipfile.BadZipFile, ValueError, KeyError, TypeError) as error:
         raise FactoryError(
             f"scenes.root={path}: no pack, or damaged ({error}); "
-            "make one with `python -m factory cache pack --out FILE ...`"
+            "make one with `simnfnd cache pack --out FILE ...`"
         ) from error
 
 
 class PackViews:
-    """Renders in a pack; a `factory.views.Views`."""
+    """Renders in a pack; a `simnfnd.factory.render.views.Views`."""
 
     def __init__(self, root: str, mount: Mount) -> None:
         """Raises FactoryError when the pack was made for another mount of the sonar."""
@@ -122,11 +122,11 @@ class PackViews:
             )
 
     def holds(self, ref: FrameRef) -> bool:
-        """See `factory.views.Views`."""
+        """See `simnfnd.factory.render.views.Views`."""
         return ref in self._contents.members
 
     def view(self, ref: FrameRef) -> View:
-        """See `factory.views.Views`."""
+        """See `simnfnd.factory.render.views.Views`."""
         if ref not in self._contents.members:
             raise NotRendered(ref.name)
         try:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from factory.compiled import compiled
+from simnfnd.factory.compiled import compiled
 
 Codes = npt.NDArray[np.uint16]
 

@@ -1,6 +1,6 @@
 """Normals and light of all pixels, in compiled loops.
 
-`factory.cloud.normals` and `factory.render.surface.shade` are the same in numpy, and what the tests
+`cloud.normals` and `surface.shade` are the same in numpy, and what the tests
 hold these to.  Importing this module loads numba.
 """
 
@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from factory.compiled import compiled
-from factory.render.joints import DOWN, READ, RIGHT, Bits, Doubles, Floats
+from simnfnd.factory.compiled import compiled
+from simnfnd.factory.render.joints import DOWN, READ, RIGHT, Bits, Doubles, Floats
 
 _ZERO = np.float32(0)
 
@@ -19,7 +19,7 @@ _ZERO = np.float32(0)
 def _normal(
     depth_m: Floats, bits: Bits, row: int, column: int, across: Doubles, down: Doubles
 ) -> tuple[np.float32, np.float32, np.float32]:
-    """Unit normal of one pixel, (0, 0, 0) where it has none; see `factory.cloud.normals`."""
+    """Unit normal of one pixel, (0, 0, 0) where it has none; see `cloud.normals`."""
     z = depth_m[row, column]
     x, y = np.float32(across[column] * z), np.float32(down[row] * z)
     ax = ay = az = dx = dy = dz = _ZERO
@@ -117,7 +117,7 @@ def shade(
     sonar_y_m: np.float32,
     sonar_z_m: np.float32,
 ) -> Floats:
-    """(H, W) float32 radiance of all pixels; see `factory.render.surface.shade`."""
+    """(H, W) float32 radiance of all pixels; see `simnfnd.factory.render.surface.shade`."""
     height, width = depth_m.shape
     radiance = np.empty((height, width), np.float32)
     x, y = np.empty(width, np.float32), np.empty(width, np.float32)

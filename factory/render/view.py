@@ -25,9 +25,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from factory.frame import Frame, FrameRef, Intrinsics
-from factory.render.base import Rendered
-from factory.sonar.mount import Mount
+from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
+from simnfnd.factory.render.base import Rendered
+from simnfnd.factory.sonar.mount import Mount
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -65,8 +65,8 @@ class View:
     """What the camera and an ideal sonar at `mount` know of each pixel.
 
     depth_m: (H, W) float32, 0 where there is no surface.
-    radiance: (H, W) float32, see `factory.render.base.Rendered`; 0 in the sonar's shadow.
-    segmentation, instance: labels of the pixels, see `factory.frame.Frame`; None without labels.
+    radiance: (H, W) float32, see `simnfnd.factory.render.base.Rendered`; 0 in the sonar's shadow.
+    segmentation, instance: labels of the pixels, see `frame.Frame`; None without labels.
     world_from_camera: (4, 4) float64 pose of the camera; None where the recording has none.
     """
 
@@ -114,7 +114,7 @@ def view_of(frame: Frame, rendered: Rendered, mount: Mount) -> View:
 
 def encode(view: View, precision: Precision = FINE) -> bytes:
     """The view as bytes; `decode(encode(view))` is the view itself when it was rounded alike."""
-    from factory.render.planes import pack  # loads numba
+    from simnfnd.factory.render.planes import pack  # loads numba
 
     lit = view.radiance > 0
     radiance = _block_mean(view.radiance, lit, precision.block)
@@ -201,7 +201,7 @@ def _values(
     parts: list[bytes], shape: tuple[int, int], precision: Precision
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Depth and radiance of each pixel, (H, W) float32."""
-    from factory.render.planes import unpack  # loads numba
+    from simnfnd.factory.render.planes import unpack  # loads numba
 
     block = precision.block
     depth_m = unpack(parts[0], shape, _table(_NEAREST_M, precision.depth_step))

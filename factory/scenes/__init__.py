@@ -7,14 +7,14 @@ from typing import Annotated
 
 from pydantic import Field
 
-from factory.scenes.base import Discovery, Reader, SceneSettings
-from factory.scenes.csv_list import CsvListSettings
-from factory.scenes.flsea import FlseaSettings
-from factory.scenes.pack import PackSettings
-from factory.scenes.redwood import RedwoodSettings
-from factory.scenes.seabed import SeabedSettings
-from factory.scenes.tum import TumSettings
-from factory.settings import union_tags
+from simnfnd.factory.scenes.base import Discovery, Reader, SceneSettings
+from simnfnd.factory.scenes.csv_list import CsvListSettings
+from simnfnd.factory.scenes.flsea import FlseaSettings
+from simnfnd.factory.scenes.pack import PackSettings
+from simnfnd.factory.scenes.redwood import RedwoodSettings
+from simnfnd.factory.scenes.seabed import SeabedSettings
+from simnfnd.factory.scenes.tum import TumSettings
+from simnfnd.factory.settings import union_tags
 
 __all__ = ["Discovery", "Reader", "SceneSettings", "Scenes", "open_reader"]
 
@@ -26,12 +26,12 @@ Scenes = Annotated[
 # kind -> (module, reader class).  Modules are imported when a reader is opened, so that reading a
 # configuration loads no image or ray-casting library.
 _READERS = {
-    "flsea": ("factory.scenes.flsea", "FlseaReader"),
-    "tum": ("factory.scenes.tum", "TumReader"),
-    "redwood": ("factory.scenes.redwood", "RedwoodReader"),
-    "csv_list": ("factory.scenes.csv_list", "CsvListReader"),
-    "pack": ("factory.scenes.pack", "PackReader"),
-    "seabed": ("factory.scenes.seabed", "SeabedReader"),
+    "flsea": ("simnfnd.factory.scenes.flsea", "FlseaReader"),
+    "tum": ("simnfnd.factory.scenes.tum", "TumReader"),
+    "redwood": ("simnfnd.factory.scenes.redwood", "RedwoodReader"),
+    "csv_list": ("simnfnd.factory.scenes.csv_list", "CsvListReader"),
+    "pack": ("simnfnd.factory.scenes.pack", "PackReader"),
+    "seabed": ("simnfnd.factory.scenes.seabed", "SeabedReader"),
 }
 union_tags(*_READERS)
 

@@ -8,8 +8,8 @@ from typing import Literal, Protocol
 
 from pydantic.dataclasses import dataclass
 
-from factory.frame import Frame, FrameRef
-from factory.settings import STRICT
+from simnfnd.factory.frame import Frame, FrameRef
+from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -45,4 +45,4 @@ class Reader(Protocol):
         """List the frames.  Raises FactoryError when the root is missing or holds no frame."""
 
     def load(self, ref: FrameRef) -> Frame:
-        """Read one frame, checked (`factory.frame.checked`).  Raises FrameError when it is bad."""
+        """Read one frame, checked (`frame.checked`).  Raises FrameError when it is bad."""

@@ -20,15 +20,15 @@ import numpy.typing as npt
 from pydantic import AfterValidator, Field
 from pydantic.dataclasses import dataclass
 
-from factory.errors import FactoryError
-from factory.frame import Frame, FrameRef, Intrinsics
-from factory.scenes.base import Discovery, SceneSettings
-from factory.scenes.calibration import Pinhole
-from factory.scenes.images import read_depth, read_rgb
-from factory.scenes.poses import numbered_lines
-from factory.scenes.rgbd import finished_frame
-from factory.scenes.roots import Root
-from factory.settings import STRICT
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
+from simnfnd.factory.scenes.base import Discovery, SceneSettings
+from simnfnd.factory.scenes.calibration import Pinhole
+from simnfnd.factory.scenes.images import read_depth, read_rgb
+from simnfnd.factory.scenes.poses import numbered_lines
+from simnfnd.factory.scenes.rgbd import finished_frame
+from simnfnd.factory.scenes.roots import Root
+from simnfnd.factory.settings import STRICT
 
 _EXPECTED = "a CSV file of rgb,depth lines"
 
@@ -69,7 +69,7 @@ class CsvListReader:
         self.settings = settings
 
     def discover(self) -> Discovery:
-        """See `factory.scenes.base.Reader`."""
+        """See `simnfnd.factory.scenes.base.Reader`."""
         path = Path(self.settings.root).expanduser()
         if not path.is_file():
             fault = "is a folder" if path.is_dir() else "no such file"
@@ -92,7 +92,7 @@ class CsvListReader:
         return Discovery(tuple(frames), {"listed twice": twice} if twice else {})
 
     def load(self, ref: FrameRef) -> Frame:
-        """See `factory.scenes.base.Reader`."""
+        """See `simnfnd.factory.scenes.base.Reader`."""
         image, depth = map(Path, ref.paths)
         rgb = read_rgb(image)
         depth_m = self._measured(read_depth(depth, self.settings.depth_scale))

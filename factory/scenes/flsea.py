@@ -18,14 +18,14 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 from pydantic.dataclasses import dataclass
 
-from factory.errors import FactoryError
-from factory.frame import Frame, FrameRef, Intrinsics
-from factory.scenes.base import Discovery, SceneSettings
-from factory.scenes.calibration import read_kalibr, scaled
-from factory.scenes.images import read_depth, read_rgb
-from factory.scenes.rgbd import finished_frame
-from factory.scenes.roots import Root, root_folder, visible_files
-from factory.settings import STRICT
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
+from simnfnd.factory.scenes.base import Discovery, SceneSettings
+from simnfnd.factory.scenes.calibration import read_kalibr, scaled
+from simnfnd.factory.scenes.images import read_depth, read_rgb
+from simnfnd.factory.scenes.rgbd import finished_frame
+from simnfnd.factory.scenes.roots import Root, root_folder, visible_files
+from simnfnd.factory.settings import STRICT
 
 # Scene -> location, all twelve.
 SCENES = {
@@ -100,7 +100,7 @@ class FlseaReader:
         self.settings = settings
 
     def discover(self) -> Discovery:
-        """See `factory.scenes.base.Reader`."""
+        """See `simnfnd.factory.scenes.base.Reader`."""
         root = root_folder(self.settings.root, _EXPECTED)
         wanted = self.settings.scenes or tuple(SCENES)
         folders = {
@@ -134,7 +134,7 @@ class FlseaReader:
         return Discovery(tuple(frames), dict(sorted(skipped.items())), tuple(notes))
 
     def load(self, ref: FrameRef) -> Frame:
-        """See `factory.scenes.base.Reader`."""
+        """See `simnfnd.factory.scenes.base.Reader`."""
         image, depth, *calibration = map(Path, ref.paths)
         rgb = read_rgb(image)
         depth_m = read_depth(depth, units_per_m=1000.0)

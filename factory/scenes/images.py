@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from factory.errors import FrameError
+from simnfnd.factory.errors import FrameError
 
 # Pillow modes whose conversion to RGB loses nothing but transparency.
 _COLOUR_MODES = frozenset({"RGB", "RGBA", "RGBX", "L", "LA", "P", "PA", "YCbCr"})

@@ -7,16 +7,16 @@ from typing import Literal
 
 from pydantic.dataclasses import dataclass
 
-from factory.errors import FactoryError, FrameError
-from factory.frame import Frame, FrameRef
-from factory.scenes.base import Discovery, SceneSettings
-from factory.scenes.roots import Root
-from factory.settings import STRICT
+from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.frame import Frame, FrameRef
+from simnfnd.factory.scenes.base import Discovery, SceneSettings
+from simnfnd.factory.scenes.roots import Root
+from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
 class PackSettings(SceneSettings):
-    """Keys of `scenes=pack`.  root: a file that `python -m factory cache pack` has written."""
+    """Keys of `scenes=pack`.  root: a file that `simnfnd cache pack` has written."""
 
     kind: Literal["pack"] = "pack"
     root: Root
@@ -30,8 +30,8 @@ class PackReader:
         self.settings = settings
 
     def discover(self) -> Discovery:
-        """See `factory.scenes.base.Reader`."""
-        from factory.render.pack import read_contents
+        """See `simnfnd.factory.scenes.base.Reader`."""
+        from simnfnd.factory.render.pack import read_contents
 
         contents = read_contents(Path(self.settings.root).expanduser())
         if not contents.members:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from factory.errors import FactoryError
+from simnfnd.factory.errors import FactoryError
 
 Pose = npt.NDArray[np.float64]
 

@@ -17,15 +17,15 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from factory.errors import FactoryError
-from factory.frame import Frame, FrameRef, Intrinsics
-from factory.scenes.base import Discovery, SceneSettings
-from factory.scenes.calibration import Pinhole
-from factory.scenes.images import read_depth, read_rgb
-from factory.scenes.poses import redwood_poses
-from factory.scenes.rgbd import finished_frame
-from factory.scenes.roots import Root, folder_name, recordings, root_folder, visible_files
-from factory.settings import STRICT
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
+from simnfnd.factory.scenes.base import Discovery, SceneSettings
+from simnfnd.factory.scenes.calibration import Pinhole
+from simnfnd.factory.scenes.images import read_depth, read_rgb
+from simnfnd.factory.scenes.poses import redwood_poses
+from simnfnd.factory.scenes.rgbd import finished_frame
+from simnfnd.factory.scenes.roots import Root, folder_name, recordings, root_folder, visible_files
+from simnfnd.factory.settings import STRICT
 
 _COLOUR_FOLDERS = ("color", "rgb", "image")
 _COLOUR_SUFFIXES = (".jpg", ".jpeg", ".png")
@@ -55,7 +55,7 @@ class RedwoodReader:
         self.settings = settings
 
     def discover(self) -> Discovery:
-        """See `factory.scenes.base.Reader`."""
+        """See `simnfnd.factory.scenes.base.Reader`."""
         root = root_folder(self.settings.root, _EXPECTED)
         frames: list[FrameRef] = []
         skipped: Counter[str] = Counter()
@@ -75,7 +75,7 @@ class RedwoodReader:
         return Discovery(tuple(frames), dict(sorted(skipped.items())), tuple(notes))
 
     def load(self, ref: FrameRef) -> Frame:
-        """See `factory.scenes.base.Reader`."""
+        """See `simnfnd.factory.scenes.base.Reader`."""
         image, depth, *trajectory = map(Path, ref.paths)
         pose = redwood_poses(trajectory[0]).get(_number(ref.frame)) if trajectory else None
         return finished_frame(

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from factory.errors import FrameError
-from factory.frame import Frame, FrameRef, Intrinsics, checked
-from factory.scenes.base import SceneSettings
-from factory.scenes.calibration import undistorted, z_from_range
+from simnfnd.factory.errors import FrameError
+from simnfnd.factory.frame import Frame, FrameRef, Intrinsics, checked
+from simnfnd.factory.scenes.base import SceneSettings
+from simnfnd.factory.scenes.calibration import undistorted, z_from_range
 
 
 def finished_frame(

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator
 
-from factory.errors import FactoryError
+from simnfnd.factory.errors import FactoryError
 
 
 def _given(root: str) -> str:

@@ -19,15 +19,15 @@ import numpy as np
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from factory.errors import FactoryError
-from factory.frame import Frame, FrameRef, Intrinsics
-from factory.scenes.base import Discovery, SceneSettings
-from factory.scenes.calibration import Pinhole, scaled
-from factory.scenes.images import read_depth, read_rgb
-from factory.scenes.poses import numbered_lines, pose_at
-from factory.scenes.rgbd import finished_frame
-from factory.scenes.roots import Root, folder_name, recordings, root_folder
-from factory.settings import STRICT
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
+from simnfnd.factory.scenes.base import Discovery, SceneSettings
+from simnfnd.factory.scenes.calibration import Pinhole, scaled
+from simnfnd.factory.scenes.images import read_depth, read_rgb
+from simnfnd.factory.scenes.poses import numbered_lines, pose_at
+from simnfnd.factory.scenes.rgbd import finished_frame
+from simnfnd.factory.scenes.roots import Root, folder_name, recordings, root_folder
+from simnfnd.factory.settings import STRICT
 
 # Colour cameras of the three Kinects as the set publishes them.
 FREIBURG = {
@@ -65,7 +65,7 @@ class TumReader:
         self.settings = settings
 
     def discover(self) -> Discovery:
-        """See `factory.scenes.base.Reader`."""
+        """See `simnfnd.factory.scenes.base.Reader`."""
         root = root_folder(self.settings.root, _EXPECTED)
         frames: list[FrameRef] = []
         skipped: Counter[str] = Counter()
@@ -93,7 +93,7 @@ class TumReader:
         return Discovery(tuple(frames), counts, tuple(notes))
 
     def load(self, ref: FrameRef) -> Frame:
-        """See `factory.scenes.base.Reader`."""
+        """See `simnfnd.factory.scenes.base.Reader`."""
         image, depth, *trajectory = map(Path, ref.paths)
         rgb = read_rgb(image)
         depth_m = read_depth(depth, self.settings.depth_scale)

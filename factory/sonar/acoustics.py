@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from factory.settings import STRICT
+from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -1,4 +1,4 @@
-"""Compiled loops from camera pixels to echoes, and over echoes; see `factory.compiled`.
+"""Compiled loops from camera pixels to echoes, and over echoes; see `simnfnd.factory.compiled`.
 
 The wrappers around them say what they compute, and the tests hold each against numpy.
 """
@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from factory.compiled import compiled
-from factory.sonar.number_loops import FLOATS, atan2, cos
+from simnfnd.factory.compiled import compiled
+from simnfnd.factory.sonar.number_loops import FLOATS, atan2, cos
 
 _F = np.float32
 _ZERO = _F(0)

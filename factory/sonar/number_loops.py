@@ -1,4 +1,4 @@
-"""Compiled loops over numbers, and functions for other loops; see `factory.compiled`.
+"""Compiled loops over numbers, and functions for other loops; see `simnfnd.factory.compiled`.
 
 Polynomials, because a loop must run several numbers at a time: atan of Abramowitz and Stegun (1964)
 4.4.49, within 2e-8 before rounding; cos by its series up to the twelfth power, within 1e-8.
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from factory.compiled import compiled
+from simnfnd.factory.compiled import compiled
 
 _F = np.float32
 _ONE, _ZERO, _TINY = _F(1), _F(0), _F(1e-30)

@@ -1,4 +1,4 @@
-"""Compiled loops that form pictures of echoes; see `factory.compiled`.
+"""Compiled loops that form pictures of echoes; see `simnfnd.factory.compiled`.
 
 The wrappers around them say what they compute, and the tests hold each against numpy or scipy.
 """
@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from factory.compiled import compiled
-from factory.sonar.echo_loops import PICTURE, cell, nearest_beam
-from factory.sonar.number_loops import FLOATS
+from simnfnd.factory.compiled import compiled
+from simnfnd.factory.sonar.echo_loops import PICTURE, cell, nearest_beam
+from simnfnd.factory.sonar.number_loops import FLOATS
 
 _F = np.float32
 

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from factory.echoes import Echoes
-from factory.frame import Frame
-from factory.render.base import Rendered
-from factory.sonar import polar
-from factory.sonar.settings import SonarSettings
-from factory.sonar.window import Window
+from simnfnd.factory.frame import Frame
+from simnfnd.factory.render.base import Rendered
+from simnfnd.factory.sonar import polar
+from simnfnd.factory.sonar.echoes import Echoes
+from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.factory.sonar.window import Window
 
 Pixels = npt.NDArray[np.int32]
 
@@ -36,7 +36,7 @@ class Extent:
 
 def extent(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Extent:
     """What the window of a picture is fitted to."""
-    from factory.sonar import echo_loops  # loads numba
+    from simnfnd.factory.sonar import echo_loops  # loads numba
 
     lit_m = np.empty(frame.depth_m.size + 1, np.float32)
     sector = (
@@ -61,7 +61,7 @@ def insonified(
     pixels; the (N,) int32 flat camera pixel of each; and the (range_bins, beams) bool bins that
     hold one.
     """
-    from factory.sonar import echo_loops  # loads numba
+    from simnfnd.factory.sonar import echo_loops  # loads numba
 
     pixels = frame.depth_m.size + 1
     made = [np.empty(pixels, np.float32) for _ in range(4)]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from factory.sonar.quantile import quantiles
-from factory.sonar.settings import TransferSettings
+from simnfnd.factory.sonar.quantile import quantiles
+from simnfnd.factory.sonar.settings import TransferSettings
 
 
 def full_scale(clean: npt.NDArray[np.floating], transfer: TransferSettings) -> float:

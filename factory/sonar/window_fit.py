@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from factory.errors import FrameError
-from factory.sonar.quantile import quantiles
-from factory.sonar.settings import SonarSettings
-from factory.sonar.surface import Extent
-from factory.sonar.window import Window
+from simnfnd.factory.errors import FrameError
+from simnfnd.factory.sonar.quantile import quantiles
+from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.factory.sonar.surface import Extent
+from simnfnd.factory.sonar.window import Window
 
 # Ends of the automatic window: a few stray points must not decide what everybody sees.
 _QUANTILES = (0.005, 0.99)

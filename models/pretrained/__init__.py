@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from factory.errors import FactoryError
+from simnfnd.factory.errors import FactoryError
 
 DEFAULT = "simnfnd"
-"""Name of the weights that `python -m models denoise` takes when none are given."""
+"""Name of the weights that `simnfnd denoise` takes when none are given."""
 
 
 def shipped(folder: Path | None = None) -> dict[str, Path]:
@@ -29,11 +29,11 @@ def find_weights(given: str | Path | None) -> Path:
     if given is None:
         raise FactoryError(
             "--weights: this version ships no trained weights; give the weights.safetensors that "
-            "`python -m models dataset=DIR` wrote"
+            "`simnfnd train dataset=DIR` wrote"
         )
     names = f"; weights that ship: {', '.join(known)}" if known else ""
     raise FactoryError(
-        f"weights={given}: no such file; train one with `python -m models dataset=DIR`{names}"
+        f"weights={given}: no such file; train one with `simnfnd train dataset=DIR`{names}"
     )
 
 

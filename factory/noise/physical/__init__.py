@@ -16,35 +16,35 @@ from dataclasses import dataclass as plain_dataclass
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, Literal
 
-from factory import seeds
-from factory.distribution import Distribution
-from factory.noise.physical.beam_gain import BeamGainSettings, beam_gain
-from factory.noise.physical.crosstalk import CrosstalkSettings, crosstalk
-from factory.noise.physical.image_source import (
+from simnfnd.factory import seeds
+from simnfnd.factory.distribution import Distribution
+from simnfnd.factory.noise.physical.beam_gain import BeamGainSettings, beam_gain
+from simnfnd.factory.noise.physical.crosstalk import CrosstalkSettings, crosstalk
+from simnfnd.factory.noise.physical.image_source import (
     BottomMultipathSettings,
     SurfaceMultipathSettings,
     bottom_multipath,
     surface_multipath,
 )
-from factory.noise.physical.near_range import (
+from simnfnd.factory.noise.physical.near_range import (
     CombLinesSettings,
     RingDownSettings,
     comb_lines,
     ring_down,
 )
-from factory.noise.physical.receiver import ReceiverSettings, receiver
-from factory.noise.physical.saturation import SaturationSettings, saturation
-from factory.noise.physical.sidelobe_arcs import SidelobeArcsSettings, sidelobe_arcs
-from factory.noise.physical.speckle import SpeckleSettings, speckle
-from factory.noise.physical.spokes import SpokesSettings, spokes
-from factory.noise.physical.texture import TextureSettings, texture
-from factory.noise.physical.tvg_error import TvgErrorSettings, tvg_error
-from factory.noise.physical.volume import VolumeSettings, volume
+from simnfnd.factory.noise.physical.receiver import ReceiverSettings, receiver
+from simnfnd.factory.noise.physical.saturation import SaturationSettings, saturation
+from simnfnd.factory.noise.physical.sidelobe_arcs import SidelobeArcsSettings, sidelobe_arcs
+from simnfnd.factory.noise.physical.speckle import SpeckleSettings, speckle
+from simnfnd.factory.noise.physical.spokes import SpokesSettings, spokes
+from simnfnd.factory.noise.physical.texture import TextureSettings, texture
+from simnfnd.factory.noise.physical.tvg_error import TvgErrorSettings, tvg_error
+from simnfnd.factory.noise.physical.volume import VolumeSettings, volume
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from factory.frame import FrameRef
+    from simnfnd.factory.frame import FrameRef
 
 Drawn = dict[str, float | str]
 Stage = Literal["echo", "beam", "picture"]

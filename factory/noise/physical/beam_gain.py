@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from factory.distribution import AnyNumber, NonNegative, number
-from factory.field.signal import Floats, Ping
-from factory.settings import STRICT
+from simnfnd.factory.distribution import AnyNumber, NonNegative, number
+from simnfnd.factory.formation.field.signal import Floats, Ping
+from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from factory.distribution import AnyNumber, Positive, number
-from factory.field.signal import Floats, Ping
-from factory.settings import STRICT
+from simnfnd.factory.distribution import AnyNumber, Positive, number
+from simnfnd.factory.formation.field.signal import Floats, Ping
+from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -33,7 +33,7 @@ def crosstalk(
     spacing_beams: float,
 ) -> Floats:
     """The field with what leaks from `spacing_beams` to the left and to the right."""
-    from factory.field import kernels  # loads numba
+    from simnfnd.factory.formation.field import kernels  # loads numba
 
     kernels.beside(field, max(round(spacing_beams), 1), 10 ** (level_db / 20))
     return field

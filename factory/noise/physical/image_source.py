@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from factory.distribution import AnyNumber, NonNegative, number
-from factory.field.signal import Ping, Signal, vertical_table
-from factory.settings import STRICT
+from simnfnd.factory.distribution import AnyNumber, NonNegative, number
+from simnfnd.factory.formation.field.signal import Ping, Signal, vertical_table
+from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -69,7 +69,7 @@ def _with_images(
     signal: Signal, ping: Ping, height_m: float, loss_db: float, tilt_deg: float
 ) -> Signal:
     """Echoes by way of a level plane `height_m` above the sonar (negative: below)."""
-    from factory.field import world_loops  # loads numba
+    from simnfnd.factory.formation.field import world_loops  # loads numba
 
     scene, mount, tilt_rad = ping.scatterers, ping.sonar.mount, np.deg2rad(tilt_deg)
     bins = signal.power.size

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from factory.distribution import AnyNumber, NonNegative, Positive, number
-from factory.field.signal import Floats, Ping
-from factory.settings import STRICT
+from simnfnd.factory.distribution import AnyNumber, NonNegative, Positive, number
+from simnfnd.factory.formation.field.signal import Floats, Ping
+from simnfnd.factory.settings import STRICT
 
 # Weaker than this against full scale it is not computed, dB.
 _FAINTEST_DB = -90

@@ -11,9 +11,15 @@ from typing import Literal
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from factory.distribution import AnyNumber, number
-from factory.field.signal import Floats, Ping, add_white_noise, beamform, white_noise
-from factory.settings import STRICT
+from simnfnd.factory.distribution import AnyNumber, number
+from simnfnd.factory.formation.field.signal import (
+    Floats,
+    Ping,
+    add_white_noise,
+    beamform,
+    white_noise,
+)
+from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)

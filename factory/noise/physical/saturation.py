@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from factory.distribution import AnyNumber, number
-from factory.field.signal import Floats, Ping
-from factory.settings import STRICT
+from simnfnd.factory.distribution import AnyNumber, number
+from simnfnd.factory.formation.field.signal import Floats, Ping
+from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -24,7 +24,7 @@ class SaturationSettings:
 
 def saturation(field: Floats, ping: Ping, rng: np.random.Generator, *, level_db: float) -> Floats:
     """The field, no amplitude above the limit."""
-    from factory.field import kernels  # loads numba
+    from simnfnd.factory.formation.field import kernels  # loads numba
 
     limit = (ping.strongest * 10 ** (level_db / 10) * ping.gain).astype(np.float32)
     kernels.saturate(field, limit)

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from factory.distribution import AnyNumber, number
-from factory.field.signal import Floats, Ping
-from factory.settings import STRICT
+from simnfnd.factory.distribution import AnyNumber, number
+from simnfnd.factory.formation.field.signal import Floats, Ping
+from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -29,7 +29,7 @@ def sidelobe_arcs(
     field: Floats, ping: Ping, rng: np.random.Generator, *, level_db: float
 ) -> Floats:
     """The field with each row's leak, of one random phase a row."""
-    from factory.field import kernels  # loads numba
+    from simnfnd.factory.formation.field import kernels  # loads numba
 
     strongest = np.empty((field.shape[0], field.shape[2]), np.float32)
     kernels.loudest(field, strongest)

@@ -15,9 +15,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from factory.distribution import Positive, number
-from factory.field.signal import Ping, Signal, gaussian_table
-from factory.settings import STRICT
+from simnfnd.factory.distribution import Positive, number
+from simnfnd.factory.formation.field.signal import Ping, Signal, gaussian_table
+from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -38,7 +38,7 @@ def speckle(
     signal: Signal, ping: Ping, rng: np.random.Generator, *, looks: float, scatterer_m: float
 ) -> Signal:
     """The scatterers' complex field instead of the mean power of the echoes."""
-    from factory.field import cell_loops
+    from simnfnd.factory.formation.field import cell_loops
 
     scene, amplitude = ping.scatterers, np.sqrt(ping.scatterers.loss)
     cells = scene.world_cells(scatterer_m)

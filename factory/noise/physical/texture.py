@@ -13,9 +13,9 @@ from functools import lru_cache
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from factory.distribution import Positive, number
-from factory.field.signal import Floats, Ping, gaussian_table
-from factory.settings import STRICT
+from simnfnd.factory.distribution import Positive, number
+from simnfnd.factory.formation.field.signal import Floats, Ping, gaussian_table
+from simnfnd.factory.settings import STRICT
 
 _STEPS, _REACH = 1024, 5.5
 
@@ -37,7 +37,7 @@ def texture(
     field: Floats, ping: Ping, rng: np.random.Generator, *, shape: float, patch_m: float
 ) -> Floats:
     """The field, every bin that a surface fills weakened or strengthened by sqrt(tau)."""
-    from factory.field import world_loops
+    from simnfnd.factory.formation.field import world_loops
 
     scene = ping.scatterers
     normal = np.empty(len(scene.filled), np.float32)
@@ -51,7 +51,7 @@ def texture(
 
 def gamma_of_normal(normal: Floats, shape: float) -> Floats:
     """Gamma(nu, 1 / nu) values at the quantiles of standard normal ones; mean 1."""
-    from factory.field import world_loops
+    from simnfnd.factory.formation.field import world_loops
 
     gamma = np.empty(len(normal), np.float32)
     world_loops.interpolated(normal, _quantiles(shape), _REACH, gamma)

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from factory.distribution import AnyNumber, number
-from factory.field.signal import Ping, Signal, add_white_noise
-from factory.settings import STRICT
+from simnfnd.factory.distribution import AnyNumber, number
+from simnfnd.factory.formation.field.signal import Ping, Signal, add_white_noise
+from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factory.scenes.seabed.casting import Hits
-from factory.scenes.seabed.fields import Floats, dot, smoothstep, tiles, unwrap
-from factory.scenes.seabed.meshes import Colour
-from factory.scenes.seabed.terrain import Terrain
+from simnfnd.factory.scenes.seabed.casting import Hits
+from simnfnd.factory.scenes.seabed.fields import Floats, dot, smoothstep, tiles, unwrap
+from simnfnd.factory.scenes.seabed.meshes import Colour
+from simnfnd.factory.scenes.seabed.terrain import Terrain
 
 
 @dataclass(frozen=True)

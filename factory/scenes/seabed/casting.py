@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from factory.errors import FactoryError
-from factory.frame import Intrinsics
-from factory.scenes.seabed.fields import Arrays, Floats
-from factory.scenes.seabed.meshes import Indices, Mesh, vertex_normals
-from factory.scenes.seabed.terrain import GroundMesh
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.frame import Intrinsics
+from simnfnd.factory.scenes.seabed.fields import Arrays, Floats
+from simnfnd.factory.scenes.seabed.meshes import Indices, Mesh, vertex_normals
+from simnfnd.factory.scenes.seabed.terrain import GroundMesh
 
 if TYPE_CHECKING:
     from open3d.t.geometry import RaycastingScene

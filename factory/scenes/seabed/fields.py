@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from factory.seeds import stream
+from simnfnd.factory.seeds import stream
 
 Floats = npt.NDArray[np.float32]
 Arrays = npt.NDArray[np.floating[Any]]  # any precision

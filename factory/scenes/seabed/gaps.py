@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from factory.scenes.seabed.fields import Floats, lookup, tiles
+from simnfnd.factory.scenes.seabed.fields import Floats, lookup, tiles
 
 MOST_LOST = 0.42  # share of the pixels
 

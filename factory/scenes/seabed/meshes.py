@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from factory.scenes.seabed.fields import Arrays, Floats, waves
+from simnfnd.factory.scenes.seabed.fields import Arrays, Floats, waves
 
 Indices = npt.NDArray[np.int32]
 Colour = tuple[float, float, float]

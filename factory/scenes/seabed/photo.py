@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from factory.scenes.seabed.casting import Hits, blocked, rays_from
-from factory.scenes.seabed.fields import TILE, WORLD_SEED, Floats, dot, lookup, tiles
-from factory.scenes.seabed.water import Water, seen_through
-from factory.seeds import stream
+from simnfnd.factory.scenes.seabed.casting import Hits, blocked, rays_from
+from simnfnd.factory.scenes.seabed.fields import TILE, WORLD_SEED, Floats, dot, lookup, tiles
+from simnfnd.factory.scenes.seabed.water import Water, seen_through
+from simnfnd.factory.seeds import stream
 
 if TYPE_CHECKING:
     from open3d.t.geometry import RaycastingScene

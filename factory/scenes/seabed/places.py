@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from factory.scenes.seabed.fields import waves
-from factory.scenes.seabed.names import PlaceName
-from factory.scenes.seabed.terrain import Banks, Ripples, Terrain
+from simnfnd.factory.scenes.seabed.fields import waves
+from simnfnd.factory.scenes.seabed.names import PlaceName
+from simnfnd.factory.scenes.seabed.terrain import Banks, Ripples, Terrain
 
 Range = tuple[float, float]
 

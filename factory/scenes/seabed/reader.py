@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from factory.errors import FrameError
-from factory.frame import Frame, FrameRef, checked
-from factory.scenes.base import Discovery, SceneSettings
-from factory.scenes.seabed.names import PLACE_NAMES, KindName, PlaceName
-from factory.settings import STRICT
+from simnfnd.factory.errors import FrameError
+from simnfnd.factory.frame import Frame, FrameRef, checked
+from simnfnd.factory.scenes.base import Discovery, SceneSettings
+from simnfnd.factory.scenes.seabed.names import PLACE_NAMES, KindName, PlaceName
+from simnfnd.factory.settings import STRICT
 
 if TYPE_CHECKING:
-    from factory.scenes.seabed.world import World
+    from simnfnd.factory.scenes.seabed.world import World
 
 _LAST = 10_000  # names have four digits and sort as numbers do
 _HELD = 2  # a location takes a second to build and tens of megabytes
@@ -76,7 +76,7 @@ class SeabedReader:
                 f"{ref.name}: not a procedural frame; names are like seabed/seabed-0007/0003"
             )
         # Reading a configuration imports this module, but needs nothing that makes pictures.
-        from factory.scenes.seabed.world import take
+        from simnfnd.factory.scenes.seabed.world import take
 
         world = self._world(int(scene[1]))
         settings = self._settings
@@ -84,7 +84,7 @@ class SeabedReader:
         return checked(frame, bad_depth=settings.bad_depth)
 
     def _world(self, location: int) -> World:
-        from factory.scenes.seabed.world import build_world
+        from simnfnd.factory.scenes.seabed.world import build_world
 
         if location not in self._worlds:
             places = self._settings.places or PLACE_NAMES

@@ -8,15 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from factory.labels import CLASSES
-from factory.scenes.seabed import nature, works
-from factory.scenes.seabed.fields import WORLD_SEED
-from factory.scenes.seabed.kinds import KINDS
-from factory.scenes.seabed.meshes import Mesh, rotation
-from factory.scenes.seabed.path import Loop
-from factory.scenes.seabed.places import Place, draw
-from factory.scenes.seabed.terrain import Terrain
-from factory.seeds import stream
+from simnfnd.factory.scenes.labels import CLASSES
+from simnfnd.factory.scenes.seabed import nature, works
+from simnfnd.factory.scenes.seabed.fields import WORLD_SEED
+from simnfnd.factory.scenes.seabed.kinds import KINDS
+from simnfnd.factory.scenes.seabed.meshes import Mesh, rotation
+from simnfnd.factory.scenes.seabed.path import Loop
+from simnfnd.factory.scenes.seabed.places import Place, draw
+from simnfnd.factory.scenes.seabed.terrain import Terrain
+from simnfnd.factory.seeds import stream
 
 Points = npt.NDArray[np.float64]
 

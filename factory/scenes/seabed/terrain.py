@@ -12,8 +12,16 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from factory.scenes.seabed.fields import Arrays, Floats, Waves, lookup, smoothstep, tiles, wrapped
-from factory.scenes.seabed.meshes import Indices, grid_triangles
+from simnfnd.factory.scenes.seabed.fields import (
+    Arrays,
+    Floats,
+    Waves,
+    lookup,
+    smoothstep,
+    tiles,
+    wrapped,
+)
+from simnfnd.factory.scenes.seabed.meshes import Indices, grid_triangles
 
 FAR_M = 36.0  # the ground ends here; water hides it long before
 

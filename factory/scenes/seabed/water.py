@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factory.scenes.seabed.fields import Floats
-from factory.scenes.seabed.places import draw
+from simnfnd.factory.scenes.seabed.fields import Floats
+from simnfnd.factory.scenes.seabed.places import draw
 
 Triple = tuple[float, float, float]
 

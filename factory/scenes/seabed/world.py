@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from factory.frame import Frame, FrameRef, Intrinsics
-from factory.scenes.seabed.appearance import Finishes, Palette, appearance, draw_palette
-from factory.scenes.seabed.casting import (
+from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
+from simnfnd.factory.scenes.seabed.appearance import Finishes, Palette, appearance, draw_palette
+from simnfnd.factory.scenes.seabed.casting import (
     Objects,
     Pose,
     cast,
@@ -22,18 +22,18 @@ from factory.scenes.seabed.casting import (
     rays_from,
     view,
 )
-from factory.scenes.seabed.fields import WORLD_SEED, Floats
-from factory.scenes.seabed.gaps import MOST_LOST, measured
-from factory.scenes.seabed.kinds import KINDS
-from factory.scenes.seabed.meshes import grid_triangles, join, mesh
-from factory.scenes.seabed.names import PlaceName
-from factory.scenes.seabed.path import Path, draw_loop, draw_path
-from factory.scenes.seabed.photo import photograph
-from factory.scenes.seabed.places import PLACES, draw_terrain
-from factory.scenes.seabed.site import Item, Site, furnish
-from factory.scenes.seabed.terrain import FAR_M, Terrain, view_mesh
-from factory.scenes.seabed.water import Water, draw_water
-from factory.seeds import stream
+from simnfnd.factory.scenes.seabed.fields import WORLD_SEED, Floats
+from simnfnd.factory.scenes.seabed.gaps import MOST_LOST, measured
+from simnfnd.factory.scenes.seabed.kinds import KINDS
+from simnfnd.factory.scenes.seabed.meshes import grid_triangles, join, mesh
+from simnfnd.factory.scenes.seabed.names import PlaceName
+from simnfnd.factory.scenes.seabed.path import Path, draw_loop, draw_path
+from simnfnd.factory.scenes.seabed.photo import photograph
+from simnfnd.factory.scenes.seabed.places import PLACES, draw_terrain
+from simnfnd.factory.scenes.seabed.site import Item, Site, furnish
+from simnfnd.factory.scenes.seabed.terrain import FAR_M, Terrain, view_mesh
+from simnfnd.factory.scenes.seabed.water import Water, draw_water
+from simnfnd.factory.seeds import stream
 
 if TYPE_CHECKING:
     from open3d.t.geometry import RaycastingScene

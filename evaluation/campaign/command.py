@@ -1,0 +1,39 @@
+"""`simnfnd campaign`: the whole training campaign; run it again to go on.
+
+`simnfnd campaign table FOLDER` shows what it found.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Any, cast
+
+from omegaconf import DictConfig, OmegaConf
+
+from simnfnd.factory.cli import run_app
+from simnfnd.factory.settings import build
+
+
+def main(words: Sequence[str]) -> int:
+    """Run the campaign, or make its table; returns the exit code."""
+    if words[:1] == ["table"]:
+        from simnfnd.evaluation.campaign.table import campaign
+
+        return campaign(words[1:])
+    sys.argv[1:] = words
+    return run_app(run, "campaign")
+
+
+def run(config: DictConfig) -> int:
+    """Do, or show, what the configuration says."""
+    from simnfnd.evaluation.campaign.execute import Campaign
+    from simnfnd.evaluation.campaign.settings import CampaignSettings
+
+    container = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+    settings: CampaignSettings = build(CampaignSettings, cast(dict[str, Any], container))
+    campaign = Campaign(settings)
+    if settings.show:
+        campaign.show()
+        return 0
+    return campaign()

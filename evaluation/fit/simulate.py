@@ -1,0 +1,128 @@
+"""One trial of a fit: pictures of the frames at hand with other noise, measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from simnfnd.evaluation.realism.geometry import Grid, to_polar
+from simnfnd.evaluation.realism.measure import Measured, joined, measure_picture
+from simnfnd.evaluation.realism.simulated import picture_geometry
+from simnfnd.factory.compose import compose_config
+from simnfnd.factory.config import FactoryConfig, from_mapping, plain
+from simnfnd.factory.dataset.format.sample import Pair
+from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.frame import FrameRef
+from simnfnd.factory.pairs import PairMaker
+from simnfnd.factory.render.view import View
+
+
+class Simulation:
+    """Makes and measures the pictures of a recipe, with any values of its other keys."""
+
+    def __init__(self, recipe: tuple[str, ...], frames: int, grid: Grid) -> None:
+        """Raises FactoryError when the recipe is wrong or no frame of it is rendered."""
+        from simnfnd.factory.generate import choose_frames
+        from simnfnd.factory.scenes import open_reader
+
+        self.config = compose_config(recipe)
+        self.grid = grid
+        self._plain = plain(self.config)
+        views = PairMaker(self.config).views
+        found = choose_frames(open_reader(self.config.scenes).discover().frames, self.config)
+        there = [ref for ref in found if views.holds(ref)]
+        if len(there) < min(8, len(found)):
+            raise FactoryError(
+                f"recipe: only {len(there)} of its {len(found)} frames are rendered in "
+                f"{self.config.cache.folder}; run `simnfnd make {' '.join(recipe)}` first"
+            )
+        count = min(frames, len(there))
+        spread = [there[number * len(there) // count] for number in range(count)]
+        self._kept = _Kept({ref: views.view(ref) for ref in spread})
+        maker = self._maker(self.config)
+        self.refs = [ref for ref in spread if _usable(maker, ref)]
+        if not self.refs:
+            raise FactoryError("recipe: the sonar hears nothing in any of its frames; see sonar.*")
+
+    def configured(self, values: Mapping[str, Any]) -> FactoryConfig:
+        """The recipe's configuration with some keys set.  Raises FactoryError for a bad key."""
+        tree = _copied(self._plain)
+        for key, value in values.items():
+            _set(tree, key, value)
+        return from_mapping(tree)
+
+    def current(self, key: str) -> Any:
+        """What the recipe says of a key.  Raises FactoryError when there is no such key."""
+        node: Any = self._plain
+        for part in key.split("."):
+            if not isinstance(node, dict) or part not in node:
+                raise FactoryError(f"parameters.{key}: the factory has no such key")
+            node = node[part]
+        return node
+
+    def measured(self, values: Mapping[str, Any]) -> Measured:
+        """The numbers of the pictures that these values make."""
+        config = self.configured(values)
+        maker = self._maker(config)
+        pairs = (maker.pairs(ref, (0,))[0] for ref in self.refs)
+        return joined([self._measure(pair, config) for pair in pairs])
+
+    def _maker(self, config: FactoryConfig) -> PairMaker:
+        maker = PairMaker(config)
+        maker.views = self._kept
+        return maker
+
+    def _measure(self, pair: Pair, config: FactoryConfig) -> Measured:
+        row, sonar = pair.record, config.sonar
+        near_m, far_m, left, right = (
+            float(row[name])
+            for name in ("range_min_m", "range_max_m", "azimuth_min_deg", "azimuth_max_deg")
+        )
+        picture = pair.noisy
+        full = 255.0 if picture.dtype == np.uint8 else 1.0
+        shape = (picture.shape[0], picture.shape[1])
+        geometry = picture_geometry(
+            sonar.image.layout, shape, sonar.hfov_deg, (near_m, far_m), (left, right)
+        )
+        grey = np.asarray(picture, np.float32) / np.float32(full)
+        return measure_picture(to_polar(grey, geometry, self.grid), geometry.span_m)
+
+
+def _usable(maker: PairMaker, ref: FrameRef) -> bool:
+    """Whether the frame makes a picture: the factory leaves out those that do not."""
+    try:
+        maker.pairs(ref, (0,))
+    except FrameError:
+        return False
+    return True
+
+
+class _Kept:
+    """Renders in memory; a `simnfnd.factory.render.views.Views`."""
+
+    def __init__(self, views: dict[FrameRef, View]) -> None:
+        self._views = views
+
+    def holds(self, ref: FrameRef) -> bool:
+        return ref in self._views
+
+    def view(self, ref: FrameRef) -> View:
+        return self._views[ref]
+
+
+def _copied(tree: dict[str, Any]) -> dict[str, Any]:
+    return {k: _copied(v) if isinstance(v, dict) else v for k, v in tree.items()}
+
+
+def _set(tree: dict[str, Any], key: str, value: Any) -> None:
+    *parents, last = key.split(".")
+    node = tree
+    for part in parents:
+        if not isinstance(node.get(part), dict):
+            raise FactoryError(f"parameters.{key}: the factory has no such key")
+        node = node[part]
+    if last not in node:
+        raise FactoryError(f"parameters.{key}: the factory has no such key")
+    node[last] = value

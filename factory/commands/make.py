@@ -1,0 +1,23 @@
+"""`simnfnd make [GROUP=NAME ...] [KEY=VALUE ...]`: a dataset; `-m` one for every combination."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+
+def main(words: Sequence[str]) -> int:
+    """Make what the configuration says; returns the exit code, 1 when some frames failed."""
+    # Libraries read these when they are first imported; a pool of workers must not multiply them.
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+
+    from simnfnd.factory.cli import run_app
+    from simnfnd.factory.distribution import as_override
+    from simnfnd.factory.generate import generate
+
+    # Hydra's parser refuses a flag between overrides; people write it where they like.
+    flags = [word for word in words if word in ("-m", "--multirun")]
+    sys.argv[1:] = flags + [as_override(word) for word in words if word not in flags]
+    return run_app(generate, "factory")

@@ -1,0 +1,78 @@
+"""The configuration that command-line words mean, without running anything."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from simnfnd.factory.errors import FactoryError
+
+if TYPE_CHECKING:
+    from simnfnd.factory.config import FactoryConfig
+
+
+def compose_config(words: Sequence[str]) -> FactoryConfig:
+    """The configuration of `simnfnd make WORDS`.  Raises FactoryError for a bad word."""
+    ((_, config),) = compose_points([word for word in words if word not in ("-m", "--multirun")])
+    return config
+
+
+def compose_points(words: Sequence[str]) -> list[tuple[tuple[str, ...], FactoryConfig]]:
+    """The points of a sweep (one without `-m`): what distinguishes each, and its configuration."""
+    # Hydra brings antlr and plugins; those who only look at a folder must not pay for it.
+    from hydra import compose, initialize_config_module
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.core.plugins import Plugins
+    from hydra.errors import HydraException
+    from omegaconf import OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+
+    from simnfnd.factory.cli import config_line
+    from simnfnd.factory.config import from_mapping
+    from simnfnd.factory.distribution import as_override
+    from simnfnd.factory.generate import composed_values
+
+    sweep = any(word in ("-m", "--multirun") for word in words)
+    overrides = [as_override(word) for word in words if not word.startswith("-")]
+    try:
+        with initialize_config_module("simnfnd.conf", version_base="1.3"):
+            axes: list[list[str]] = [[word] for word in overrides]
+            if sweep:
+                Plugins.instance()
+                root = compose("factory", overrides=_plain(overrides), return_hydra_config=True)
+                params = OmegaConf.to_container(root.hydra.sweeper.params or {}) or {}
+                assert isinstance(params, dict)
+                given = {word.split("=")[0] for word in overrides}
+                words_ = [f"{key!s}={value}" for key, value in params.items() if key not in given]
+                parsed = OverridesParser.create().parse_overrides([*words_, *overrides])
+                axes = [
+                    [f"{one.get_key_element()}={value}" for value in one.sweep_string_iterator()]
+                    if one.is_sweep_override()
+                    else [one.input_line or ""]
+                    for one in parsed
+                ]
+            points = []
+            for number in range(_product(axes)):
+                chosen, rest = [], number
+                for axis in reversed(axes):
+                    chosen.append(axis[rest % len(axis)])
+                    rest //= len(axis)
+                chosen.reverse()
+                config = from_mapping(composed_values(compose("factory", overrides=chosen)))
+                told = tuple(word for word, axis in zip(chosen, axes, strict=True) if len(axis) > 1)
+                points.append((told, config))
+            return points
+    except (HydraException, OmegaConfBaseException) as error:
+        raise FactoryError(config_line(error)) from error
+
+
+def _plain(overrides: list[str]) -> list[str]:
+    """Those that choose groups: enough to know what an experiment sweeps over."""
+    return [word for word in overrides if word.startswith("experiment=")]
+
+
+def _product(axes: list[list[str]]) -> int:
+    count = 1
+    for axis in axes:
+        count *= len(axis)
+    return count

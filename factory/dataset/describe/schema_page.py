@@ -1,0 +1,209 @@
+"""docs/dataset.md, written from the schema.
+
+`python -m simnfnd.factory.dataset.describe.schema_page > docs/dataset.md` makes it anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from simnfnd.factory.dataset.format.schema import (
+    OPTIONAL_LAYERS,
+    ROOT_ATTRIBUTES,
+    SCHEMA,
+    VALUE_RANGES,
+    Layer,
+    layers,
+    stores_grey,
+)
+from simnfnd.factory.formation.record import columns
+from simnfnd.factory.noise import NoiseSettings
+from simnfnd.factory.scenes.labels import CLASSES
+
+_HEAD = f"""\
+# The dataset format `{SCHEMA}`
+
+*Written from `factory/dataset/format/schema.py` by
+`python -m simnfnd.factory.dataset.describe.schema_page`; change it there.*
+
+```text
+<dataset>/
+  manifest.json          which shards belong to it, samples, bytes and SHA-256 of each
+  index.h5               all shards as one file, by virtual datasets with relative paths
+  train/shard-00000.h5   the samples
+  test/shard-00000.h5
+  config.yaml            every setting of the run
+  failed.jsonl           frames that gave no sample, why, and the command that tries them again
+  README.md, preview.png
+  extended.json          of a dataset that was extended: the samples of the shards it began with
+```
+
+While a run goes on, manifest.jsonl beside manifest.json has the shards that were finished since
+manifest.json was written last; the project's own readers take it in, and it is gone at the end.
+
+A scene is in train or in test, never in both. The folder can be moved. Every file is HDF5 that
+any library since 1.10 reads; the pictures are compressed as `dataset.compression` says (`gzip` and
+`none` need nothing, `lzf` needs h5py, `zstd` needs the hdf5plugin package) and carry a Fletcher-32
+checksum (all but `none`), so that a damaged one is an error and not a wrong picture.
+"""
+
+_INDEX = """\
+## index.h5
+
+`/train/...` and `/test/...` hold the layers and `/meta` of all shards, one after another in the
+order of their names; `/axes` and the root attributes are those of the shards. HDF5 fills a shard
+that is missing with zeros and says nothing: look into manifest.json first, as
+`examples/read_with_h5py.py` does.
+"""
+
+_READING = """\
+## Reading
+
+With h5py alone:
+
+```python
+import h5py
+
+with h5py.File("outputs/demo/index.h5") as index:
+    noisy, clean = index["train/noisy"][0], index["train/clean"][0]
+```
+
+With the reader, which looks at manifest and files first, works in the worker processes of a torch
+DataLoader and gives floats on request:
+
+```python
+from simnfnd import PairDataset
+
+with PairDataset("outputs/demo", "train", scaled=True) as pairs:
+    sample = pairs[0]  # {"noisy": (H, W) float32 in 0..1, "clean": ...}
+    batch = pairs[0:3]  # the same with (3, H, W)
+    print(len(pairs), pairs.shape, pairs.value_range, pairs.axes[0].units, pairs.meta()[0]["scene"])
+```
+
+`pairs.Pairs` is the same as a torch `Dataset` of tensors. `examples/` holds scripts that
+train and that load with several processes.
+
+MATLAB reads the shards (gzip or none) with its own functions, dimensions reversed:
+
+```text
+noisy = h5read('outputs/demo/train/shard-00000.h5', '/noisy', [1 1 1], [Inf Inf 1])';
+clean = h5read('outputs/demo/train/shard-00000.h5', '/clean', [1 1 1], [Inf Inf 1])';
+meta  = h5read('outputs/demo/train/shard-00000.h5', '/meta');
+imshowpair(noisy, clean, 'montage'); disp(meta.scene(:, 1)')
+```
+
+Julia with HDF5.jl, dimensions reversed likewise:
+
+```text
+using HDF5
+h5open("outputs/demo/train/shard-00000.h5") do shard
+    noisy = permutedims(shard["noisy"][:, :, 1])
+    clean = permutedims(shard["clean"][:, :, 1])
+    println(size(noisy), " ", read_attribute(shard, "schema"))
+end
+```
+
+## More of it
+
+```text
+simnfnd make ... dataset.dir=DIR frames.variants=2 dataset.on_existing=extend
+```
+
+adds to the dataset in DIR what the new configuration has more: frames, scenes, variants, higher
+`dataset.max_train` and `max_test`, a download that has grown. The shards that are there stay as
+they are, to the byte; the new ones come after them and state the new configuration's hash, which
+each shard's entry of manifest.json tells (`config_hash`), while `extends` in its `config` tells of
+the earlier ones. Every sample is the one that a new dataset of the same configuration would have;
+only which shard it lies in differs, and, where a limit bites, which frames were taken.
+
+Any other key that differs is refused by name, and so are fewer variants, a lower limit, a frame
+that would be left out, and a scene that would change from train to test (with `split.test_fraction`
+new scenes may do that: name those that test with `split.test`). An extension that was interrupted
+goes on with the same command, or without `on_existing`. Frames that failed before are tried again.
+`simnfnd plan ... dataset.on_existing=extend` tells what would be added. Other noise or
+another sonar is another dataset: give it a folder of its own; a sweep names one for each point.
+
+## Is it whole
+
+```text
+simnfnd validate DIR          # manifest, SHA-256, schema, counts, leaks, double samples
+simnfnd validate DIR --deep   # and every picture: NaN, ranges, checksums, equal pictures
+```
+
+prints what is wrong and ends with 0, or with 1 when anything is. Files are opened in a process of
+their own there, and by `PairDataset` before their first use, because a file that was damaged (or
+made to do harm) can make the HDF5 library crash or never come back. Links, virtual datasets and
+external data that lead out of a shard are refused. `PairDataset(..., trusted=True)` leaves the look
+at the files out.
+"""
+
+
+def markdown() -> str:
+    """The whole text of docs/dataset.md."""
+    always, optional = layers("uint8"), OPTIONAL_LAYERS
+    effect = layers("uint8", ["layers/background"])[-1]
+    kinds = ", ".join(
+        f"{name} ({low:g} no echo, {high:g} full scale)"
+        for name, (low, high) in VALUE_RANGES.items()
+    )
+    parts = [
+        _HEAD,
+        "## Pictures\n",
+        "(samples, rows, columns), one chunk a picture. Grey values are of one type in a dataset, "
+        f"as `dataset.dtype` says: {kinds}.\n",
+        _table(("layer", "type", "units", "what it is"), [_row(layer) for layer in always]),
+        "On request (`dataset.layers=[effects,range,elevation,valid_azimuth,segmentation]`; "
+        "segmentation, which brings instance, for procedural scenes alone):\n",
+        _table(
+            ("layer", "type", "units", "what it is"),
+            [
+                (
+                    "`/layers/<effect>`",
+                    *_row(effect)[1:3],
+                    "noisy image with that effect as its only noise, for each effect that is on",
+                ),
+                *(_row(layer) for layer in optional),
+            ],
+        ),
+        "Classes of `/segmentation` (0 to 11 are those of the Marine Debris Dataset): "
+        + ", ".join(f"{number} {name}" for number, name in enumerate(CLASSES))
+        + ".\n",
+        "Dimensions carry scales (`/axes/...`, with `units` and `description`): range and azimuth "
+        "of polar pictures, ahead and right of fan pictures; in metres where the range window is "
+        "fixed, otherwise relative, and `range_min_m`, `range_max_m`, `metres_per_pixel` of "
+        "`/meta` turn them into metres.\n",
+        "## `/meta`\n",
+        "One row a sample. A parameter of an effect that is off is NaN or empty. With "
+        "`acoustics=field` there is a column `noise.<effect>.<parameter>` more for each "
+        "parameter of the effects in [physics.md](physics.md), and `full_scale` is an intensity "
+        "over the source level.\n",
+        _table(
+            ("column", "type", "units", "what it is"),
+            [
+                (f"`{column.name}`", f"`{column.dtype}`", column.units, column.description)
+                for column in columns(NoiseSettings())
+            ],
+        ),
+        "## Root attributes\n",
+        _table(
+            ("attribute", "what it is"),
+            [(f"`{name}`", text) for name, text in ROOT_ATTRIBUTES.items()],
+        ),
+        _INDEX,
+        _READING,
+    ]
+    return "\n".join(parts)
+
+
+def _row(layer: Layer) -> tuple[str, str, str, str]:
+    kind = "grey" if stores_grey(layer) else f"`{layer.dtype}`"
+    return f"`/{layer.name}`", kind, layer.units, layer.description
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+if __name__ == "__main__":
+    print(markdown(), end="")

@@ -1,0 +1,80 @@
+"""A finished (noisy, clean) pair and the words that describe it: what shards carry."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from simnfnd.factory.frame import FrameRef
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """One image axis: the coordinate of every row or column centre, for example range in metres."""
+
+    name: str
+    units: str
+    values: npt.NDArray[np.float64]
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of the per-sample table: `dtype` is a numpy type string such as f4, i8 or S64."""
+
+    name: str
+    dtype: str
+    units: str = ""
+    description: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """One sample.
+
+    noisy, clean: (H, W) uint8, or float32 in [0, 1].
+    shadow: (H, W) bool, True inside the sonar's sector where no echo arrives in the ideal image.
+    record: column name -> value, everything needed to make this very sample again.
+    layers: name -> (H, W) optional picture, as `format.schema` describes them.
+    """
+
+    noisy: npt.NDArray[np.generic]
+    clean: npt.NDArray[np.generic]
+    shadow: npt.NDArray[np.bool_]
+    record: Mapping[str, float | int | str] = field(default_factory=dict)
+    layers: Mapping[str, npt.NDArray[np.generic]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What became of one frame.  hit: it was ready already.  bytes: added to the cache."""
+
+    hit: bool
+    bytes: int
+
+
+class PairSource(Protocol):
+    """Makes the pairs of a frame; each worker process builds its own from the configuration."""
+
+    def axes(self) -> tuple[Axis, Axis]:
+        """The row and column axes of the images."""
+
+    def columns(self) -> tuple[Column, ...]:
+        """The columns that every pair's record has, in order."""
+
+    def pairs(self, ref: FrameRef, variants: tuple[int, ...]) -> list[Pair]:
+        """All asked variants of one frame.  Raises FrameError when the frame is bad."""
+
+    def ready(self, ref: FrameRef) -> bool:
+        """Whether `pairs` has all that it needs; else a `Preparer` has to see the frame first."""
+
+
+class Preparer(Protocol):
+    """Does what is slow and the same for all noise; its workers are few and heavy."""
+
+    def prepare(self, ref: FrameRef) -> Prepared:
+        """Make a frame ready for `PairSource.pairs`.  Raises FrameError when it is bad."""

@@ -1,0 +1,262 @@
+"""The dataset format as data: names, shapes, dtypes, units and attributes of `simnfnd/1`.
+
+The writer follows this file, and so do reader, validator and docs/dataset.md.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
+from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.scenes.labels import CLASSES
+
+SCHEMA = "simnfnd/1"
+SPLITS = ("train", "test")
+SAMPLE_DIMENSION = "sample"
+
+# Readable by every HDF5 since 1.10 (2016), and the same bytes whatever newer library writes.
+LIBRARY_VERSIONS = ("v108", "v110")
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One image stack of a shard: (samples, rows, columns), chunked one image at a time.
+
+    classes: what the values 0, 1, 2, ... mean, for labels.
+    """
+
+    name: str
+    dtype: str
+    description: str
+    units: str = "1"
+    classes: tuple[str, ...] = ()
+
+
+# Written where `dataset.layers` asks for them.
+OPTIONAL_LAYERS = (
+    Layer("range", "float32", "slant range of the strongest echo; NaN where there is none", "m"),
+    Layer(
+        "elevation", "float32", "elevation of the strongest echo; NaN where there is none", "rad"
+    ),
+    Layer("valid_azimuth", "bool", "inside the sector, at a bearing that the camera saw"),
+    Layer("segmentation", "uint8", "class of the object of the strongest echo", classes=CLASSES),
+    Layer("instance", "uint16", "number within its scene of that object, 0 = none"),
+)
+EFFECT_FOLDER = "layers/"
+_EFFECT = re.compile(rf"{EFFECT_FOLDER}[a-z][a-z0-9_]{{0,39}}")
+
+
+def layers(dtype: str, optional: Iterable[str] = ()) -> tuple[Layer, ...]:
+    """The image stacks of a shard whose images are stored as `dtype` (uint8 or float32).
+
+    optional: names of further layers.  Raises FactoryError for one that the format does not know.
+    """
+    known = {layer.name: layer for layer in OPTIONAL_LAYERS}
+    further = []
+    for name in optional:
+        if _EFFECT.fullmatch(name):
+            effect = name.removeprefix(EFFECT_FOLDER)
+            known[name] = Layer(name, dtype, f"noisy image with {effect} as its only noise")
+        if name not in known:
+            raise FactoryError(f"/{name}: no layer of {SCHEMA}")
+        further.append(known[name])
+    return (
+        Layer("noisy", dtype, "sonar image with noise; input of a denoiser"),
+        Layer("clean", dtype, "ideal sonar image of the same points; target of a denoiser"),
+        Layer("shadow", "bool", "inside the sector, where no echo arrives in the ideal image"),
+        *further,
+    )
+
+
+# Every shard says whose sample a row is; a source adds its own columns to these.
+REQUIRED_COLUMNS = ("location", "scene", "frame", "variant")
+
+VALUE_RANGES: dict[str, tuple[float, float]] = {"uint8": (0, 255), "float32": (0.0, 1.0)}
+
+ROOT_ATTRIBUTES = {
+    "schema": "name and version of this format",
+    "generator": "program and version that wrote the file",
+    "config": "JSON of every setting that decides the content",
+    "config_hash": "SHA-256 of those settings",
+    "split": "train or test",
+    "value_range": "values of /noisy and /clean that stand for no echo and full scale",
+    "value_meaning": "what a value of /noisy and /clean is",
+}
+
+VALUE_MEANING = "echo strength after the transfer curve in `config`, the same for noisy and clean"
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a dataset comes from, told in every shard.
+
+    config: plain values only (what JSON can hold), without anything that leaves the bytes alone,
+        such as the number of workers or the name of the folder.
+    """
+
+    config: Mapping[str, Any] = field(hash=False)
+    config_hash: str
+    generator: str
+
+
+def plain_values(value: Any) -> Any:
+    """`value` as JSON and YAML give it back: mappings are dicts with text keys, sequences lists."""
+    if isinstance(value, Mapping):
+        return {str(key): plain_values(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_values(item) for item in value]
+    return value
+
+
+def config_text(config: Mapping[str, Any]) -> str:
+    """Settings as the JSON of the root attribute `config`."""
+    return json.dumps(plain_values(config), sort_keys=True, separators=(",", ":"))
+
+
+def root_attributes(provenance: Provenance, split: str, dtype: str) -> dict[str, Any]:
+    """Root attribute name -> value, in the order of ROOT_ATTRIBUTES."""
+    values = {
+        "schema": SCHEMA,
+        "generator": provenance.generator,
+        "config": config_text(provenance.config),
+        "config_hash": provenance.config_hash,
+        "split": split,
+        "value_range": np.asarray(VALUE_RANGES[dtype], dtype=dtype),
+        "value_meaning": VALUE_MEANING,
+    }
+    return {name: values[name] for name in ROOT_ATTRIBUTES}
+
+
+def table_dtype(columns: Sequence[Column]) -> np.dtype[np.void]:
+    """The compound dtype of /meta.  `S<n>` columns hold UTF-8 text of at most n bytes.
+
+    Raises FactoryError when a required column is absent, doubled or of an unusable dtype.
+    """
+    names = [column.name for column in columns]
+    absent = [name for name in REQUIRED_COLUMNS if name not in names]
+    if absent or len(set(names)) != len(names):
+        raise FactoryError(
+            f"/meta: columns {', '.join(names)} must differ and hold {', '.join(REQUIRED_COLUMNS)}"
+        )
+    fields = []
+    for column in columns:
+        dtype = np.dtype(column.dtype)
+        if dtype.kind not in "iufS" or dtype.itemsize == 0:
+            raise FactoryError(
+                f"/meta: column {column.name} is {column.dtype}; integers, floats and S<n> go"
+            )
+        text = dtype.kind == "S"
+        fields.append((column.name, h5py.string_dtype("utf-8", dtype.itemsize) if text else dtype))
+    return np.dtype(fields)
+
+
+def table_row(columns: Sequence[Column], record: Mapping[str, Any], name: str) -> tuple[Any, ...]:
+    """One row of /meta.  `name` opens the message of the FrameError that any loss raises."""
+    odd = sorted(set(record) ^ {column.name for column in columns})
+    if odd:
+        raise FrameError(f"{name}: record and columns disagree about {', '.join(odd)}")
+    return tuple(_cell(column, record[column.name], name) for column in columns)
+
+
+def _cell(column: Column, value: Any, name: str) -> Any:
+    dtype = np.dtype(column.dtype)
+    if dtype == np.float64 and isinstance(value, float):
+        return value  # as most are, and nothing is lost
+    where = f"{name}: column {column.name}"
+    if dtype.kind == "S":
+        if not isinstance(value, str):
+            raise FrameError(f"{where} holds text, got {value!r}")
+        try:
+            encoded = value.encode()
+        except UnicodeEncodeError as error:
+            raise FrameError(f"{where}: {value!r} is no text; rename it") from error
+        if len(encoded) > dtype.itemsize:
+            raise FrameError(
+                f"{where} holds {dtype.itemsize} bytes, but {value!r} has {len(encoded)}; "
+                "use a shorter name"
+            )
+        if "\0" in value:
+            raise FrameError(f"{where}: {value!r} contains a NUL byte")
+        return encoded
+    if not isinstance(value, int | float | np.integer | np.floating):
+        raise FrameError(f"{where} holds a number, got {value!r}")
+    if dtype.kind == "f":
+        with np.errstate(over="ignore"):
+            stored = dtype.type(value)
+        if math.isfinite(value) and not math.isfinite(stored):
+            raise FrameError(f"{where} is {dtype}, too narrow for {value!r}")
+        return stored
+    limits = np.iinfo(dtype)
+    if not math.isfinite(value) or value != int(value) or not limits.min <= value <= limits.max:
+        raise FrameError(f"{where} is {dtype}, which cannot hold {value!r}")
+    return int(value)
+
+
+def check_pair(
+    pair: Pair, axes: tuple[Axis, Axis], columns: Sequence[Column], name: str
+) -> tuple[Any, ...]:
+    """The pair's row of /meta.
+
+    Raises FrameError when a pair does not fit the axes or columns, or holds what none may hold;
+    `name` (of the frame) opens the message.
+    """
+    row = table_row(columns, pair.record, name)
+    shape = tuple(len(axis.values) for axis in axes)
+    for layer in layers(str(pair.noisy.dtype), pair.layers):
+        image = image_of(pair, layer.name)
+        if image.shape != shape:
+            raise FrameError(f"{name}: {layer.name} is {image.shape}, its axes say {shape}")
+        if not stores_grey(layer):
+            if image.dtype != layer.dtype:
+                raise FrameError(f"{name}: {layer.name} is {image.dtype}, expected {layer.dtype}")
+        elif image.dtype == np.float32:
+            # Also false for NaN, which compares as neither.
+            if not (image.min() >= 0 and image.max() <= 1):
+                raise FrameError(f"{name}: {layer.name} has values outside 0..1, or NaN")
+        elif image.dtype != np.uint8:
+            raise FrameError(f"{name}: {layer.name} is {image.dtype}, expected uint8 or float32")
+    return row
+
+
+def layer_attributes(layer: Layer) -> dict[str, Any]:
+    """Attribute name -> value of a layer's image stack."""
+    attributes: dict[str, Any] = {"description": layer.description}
+    if stores_grey(layer):
+        attributes["value_range"] = np.asarray(VALUE_RANGES[layer.dtype], dtype=layer.dtype)
+    attributes["units"] = layer.units
+    if layer.classes:
+        attributes["classes"] = list(layer.classes)
+    return attributes
+
+
+def stores_grey(layer: Layer) -> bool:
+    """Whether a layer holds grey values, stored as uint8 or float32 as the user chose."""
+    return layer.name in ("noisy", "clean") or layer.name.startswith(EFFECT_FOLDER)
+
+
+def image_of(pair: Pair, layer: str) -> npt.NDArray[np.generic]:
+    """The (H, W) picture of a pair that goes to a layer."""
+    if layer in ("noisy", "clean", "shadow"):
+        return np.asarray(getattr(pair, layer))
+    return pair.layers[layer]
+
+
+def stored_image(image: npt.NDArray[np.generic], dtype: str) -> npt.NDArray[np.generic]:
+    """(H, W) uint8 or float32 in [0, 1] -> the stored dtype; full scale stays full scale."""
+    if image.dtype == np.dtype(dtype):
+        return image
+    if dtype == "uint8":
+        full_scale: npt.NDArray[np.float32] = image.astype(np.float32) * np.float32(255)
+        return np.rint(full_scale).astype(np.uint8)
+    scaled: npt.NDArray[np.float32] = image.astype(np.float32) / np.float32(255)
+    return scaled

@@ -1,0 +1,77 @@
+"""The `dataset` group: where a dataset goes and how its numbers are stored."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from simnfnd.factory.settings import STRICT
+
+LayerName = Literal["effects", "range", "elevation", "valid_azimuth", "segmentation"]
+
+_LEVELS = {"gzip": (0, 9), "zstd": (1, 22)}
+
+
+@dataclass(frozen=True, config=STRICT)
+class DatasetSettings:
+    """Keys of the `dataset` group.
+
+    dir: the dataset's folder; None is `outputs/<name>-<first 8 digits of the config hash>`.
+    name: what the dataset is called.
+    dtype: of /noisy and /clean: uint8 (0..255) or float32 (0..1).
+    compression: gzip and none are readable everywhere; lzf by every h5py; zstd reads three times
+        faster than gzip and needs the hdf5plugin package to write and to read.  none is the
+        fastest and has no checksum in its chunks: only `validate` finds a flipped bit.
+    compression_level: of gzip (0..9) or zstd (1..22); the others have none.
+    on_existing: what to do with a dataset that is in the folder: resume goes on with it when it is
+        the very same, overwrite makes it anew.
+    layers: more pictures for each sample: `effects` (the noisy picture with one noise effect alone,
+        for each), and what lies behind a pixel: range, elevation, valid_azimuth, segmentation (of
+        procedural scenes; brings instance).
+    max_train, max_test: upper limits on samples; None takes what there is.
+    preview_pairs: pairs on the contact sheet preview.png; 0 draws none.
+    licence: of the dataset, as the user decides; stated in the dataset card.
+    """
+
+    dir: str | None = None
+    on_existing: Literal["resume", "extend", "overwrite"] = "resume"
+    name: str = "dataset"
+    dtype: Literal["uint8", "float32"] = "uint8"
+    compression: Literal["gzip", "lzf", "zstd", "none"] = "gzip"
+    compression_level: int = 1
+    layers: tuple[LayerName, ...] = ()
+    max_train: Annotated[int, Field(ge=0)] | None = None
+    max_test: Annotated[int, Field(ge=0)] | None = None
+    preview_pairs: Annotated[int, Field(ge=0, le=64)] = 8
+    licence: str | None = None
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", self.name):
+            raise ValueError(
+                f"name {self.name!r} must be letters, digits, dot, dash and underscore"
+            )
+        if len(set(self.layers)) != len(self.layers):
+            raise ValueError(f"layers {list(self.layers)} names one twice")
+        level = self.compression_level
+        low, high = _LEVELS.get(self.compression, (level, level))
+        if not low <= level <= high:
+            raise ValueError(
+                f"compression_level {level} must be {low} to {high} for {self.compression}"
+            )
+        if self.dir is not None and not self.dir.strip():
+            raise ValueError("dir must name a folder, or be null")
+        if self.on_existing == "extend" and self.dir is None:
+            raise ValueError("on_existing=extend needs dir, the folder of the dataset to extend")
+
+    def directory(self, config_hash: str) -> Path:
+        """The folder that this dataset goes to."""
+        return Path(self.dir or Path("outputs") / f"{self.name}-{config_hash[:8]}").expanduser()
+
+    @property
+    def limits(self) -> dict[str, int | None]:
+        """Split -> upper limit on its samples."""
+        return {"train": self.max_train, "test": self.max_test}

@@ -1,0 +1,119 @@
+"""Open shard files, kept for the next read: safe under threads, fork, spawn and pickling."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from simnfnd.factory.dataset.read.reader import open_shard
+from simnfnd.factory.errors import FactoryError
+
+# A process may have 1024 files open as a rule, and a loader may read several datasets.
+_MOST_FILES = 64
+
+Image = npt.NDArray[Any]
+
+
+class OpenShards:
+    """Reads images; opens each shard when it is first needed, and the least recent one is closed.
+
+    accept: looks at a shard just opened and raises FactoryError when it is not to be read.
+    """
+
+    def __init__(self, accept: Callable[[Path, h5py.File], None] | None = None) -> None:
+        self._accept = accept
+        self._forget()
+
+    def read(self, path: Path, layers: tuple[str, ...], rows: int | slice) -> list[Image]:
+        """The layers of one sample (H, W), or of a range of samples (N, H, W), as stored.
+
+        Raises FactoryError when the shard cannot be opened or a chunk is damaged.
+        """
+        if self._process != os.getpid():
+            # After a fork: HDF5's state and a lock that another thread holds stay behind.
+            self._forget()
+        with self._lock:
+            stacks = self._open.pop(path, None)
+            if stacks is None:
+                stacks = self._opened(path)
+            self._open[path] = stacks
+            try:
+                return [stacks[name][rows] for name in layers]
+            except KeyError as error:
+                raise _no_layer(path, stacks, layers) from error
+            except (OSError, RuntimeError, ValueError) as error:
+                raise FactoryError(
+                    f"{path}: sample {_told(rows)} is damaged ({_short(error)}); "
+                    "delete the file and run the command that made the dataset again"
+                ) from error
+
+    def close(self) -> None:
+        """Close every file; the next read opens what it needs."""
+        if self._process == os.getpid():
+            with self._lock:
+                while self._open:
+                    self._close_oldest()
+        else:
+            self._forget()
+
+    def _opened(self, path: Path) -> dict[str, h5py.Dataset]:
+        while len(self._open) >= _MOST_FILES:
+            self._close_oldest()
+        file = open_shard(path)
+        try:
+            if self._accept:
+                self._accept(path, file)
+        except BaseException:
+            file.close()
+            raise
+        return _Stacks(file)
+
+    def _close_oldest(self) -> None:
+        stacks = self._open.pop(next(iter(self._open)))
+        stacks.file.close()
+
+    def _forget(self) -> None:
+        self._open: dict[Path, Any] = {}
+        self._lock = threading.Lock()
+        self._process = os.getpid()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"_accept": self._accept}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._forget()
+
+
+class _Stacks(dict[str, h5py.Dataset]):
+    """The datasets of one file by name; looking one up in HDF5 costs as much as a small read."""
+
+    def __init__(self, file: h5py.File) -> None:
+        super().__init__()
+        self.file = file
+
+    def __missing__(self, name: str) -> h5py.Dataset:
+        self[name] = self.file[name]
+        return self[name]
+
+
+def _no_layer(path: Path, stacks: Any, layers: tuple[str, ...]) -> FactoryError:
+    absent = next(name for name in layers if name not in stacks.file)
+    return FactoryError(
+        f"{path}: has no layer {absent}; make the dataset with it in dataset.layers"
+    )
+
+
+def _told(rows: int | slice) -> str:
+    return str(rows) if isinstance(rows, int | np.integer) else f"{rows.start} to {rows.stop - 1}"
+
+
+def _short(error: Exception) -> str:
+    return " ".join(str(error).split())[:120]

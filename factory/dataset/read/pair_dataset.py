@@ -1,0 +1,265 @@
+"""The reader: a finished dataset as a sequence of samples."""
+
+from __future__ import annotations
+
+import operator
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from pathlib import Path
+from typing import Any, SupportsIndex
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from simnfnd.factory.dataset.check.facts import check_readable
+from simnfnd.factory.dataset.check.isolated import Guard
+from simnfnd.factory.dataset.format.manifest import ShardInfo, load_manifest
+from simnfnd.factory.dataset.format.sample import Axis
+from simnfnd.factory.dataset.format.schema import EFFECT_FOLDER, VALUE_RANGES, layers
+from simnfnd.factory.dataset.format.structure import image_axes
+from simnfnd.factory.dataset.read.open_shards import Image, OpenShards
+from simnfnd.factory.dataset.read.reader import Split, listed_shards, reading
+from simnfnd.factory.dataset.write.index import INDEX_NAME
+from simnfnd.factory.errors import FactoryError
+
+Sample = dict[str, Image]
+
+
+@dataclass(frozen=True)
+class _Expected:
+    """Refuses a shard that is not the one the manifest told of when the dataset was opened."""
+
+    root: Path
+    shards: dict[Path, ShardInfo]
+
+    def __call__(self, path: Path, file: h5py.File) -> None:
+        info = self.shards.get(path)
+        found = (len(file["noisy"]), path.stat().st_size)
+        if info and found != (info.samples, info.bytes):
+            raise FactoryError(
+                f"{path}: {found[0]} samples in {found[1]} bytes, the manifest said "
+                f"{info.samples} in {info.bytes}; open the dataset again if it was being extended, "
+                "otherwise generate the shard again"
+            )
+
+
+class PairDataset:
+    """Random access to the samples of one split, without a copy of the dataset in memory.
+
+    `pairs[i]` is a dict of the asked layers, each (H, W); `pairs[a:b]` and `pairs[[i, j, ...]]`
+    have (N, H, W).  Values are as stored: `value_range` is (0, 255) for uint8 and (0.0, 1.0) for
+    float32 datasets; with `scaled=True` noisy and clean (and `layers/...`) are float32 in 0..1.
+    The arrays are new ones at every read.
+
+    Nothing is open until the first read, and then in each process by itself, so the object can go
+    through fork, spawn and pickling and into a torch DataLoader as it is.  `close()`, or leaving a
+    `with` block, closes what this process has open.
+
+    folder: of the dataset, or the index.h5 in it.  layers: as `format.schema` names them.
+    manifest.json decides which shards count; while a run adds some, the ones of the moment of
+    opening stay.
+
+    trusted: False has another process look at every shard first (a third of a second, and some
+    milliseconds a shard), because a damaged file can make HDF5 crash or hang.
+
+    Raises FactoryError: no dataset, an empty split, another schema, a shard that is absent, damaged
+    or compressed by what is not installed, pictures of several sizes.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        split: Split = "train",
+        *,
+        layers: Sequence[str] = ("noisy", "clean"),
+        scaled: bool = False,
+        trusted: bool = False,
+    ) -> None:
+        self.folder = _folder(Path(folder))
+        self.split, self.layers, self.scaled = split, tuple(layers), scaled
+        _check_names(self.layers)
+        manifest = load_manifest(self.folder)
+        self.paths = listed_shards(self.folder, split, manifest)
+        listed = manifest.shards if manifest else {}
+        self._config_hash = manifest.config_hash if manifest else ""
+        infos = {self.folder / name: info for name, info in listed.items()}
+        if not trusted:
+            _look_at(self.paths)
+        self._counts = [infos[p].samples if p in infos else _count(p) for p in self.paths]
+        self._ends = list(accumulate(self._counts))
+        self._shards = OpenShards(_Expected(self.folder, infos))
+        self._form: tuple[tuple[int, int], str, str] | None = None
+
+    def __len__(self) -> int:
+        """Number of samples."""
+        return self._ends[-1]
+
+    def __getitem__(
+        self, item: SupportsIndex | slice | Sequence[int] | npt.NDArray[np.integer]
+    ) -> Sample:
+        """One sample, or several stacked.  Raises IndexError beyond the end."""
+        if isinstance(item, slice):
+            return self._several(range(len(self))[item])
+        if isinstance(item, Sequence | np.ndarray):
+            return self._several([self._index(number) for number in item])
+        path, row = self.place(item)
+        images = self._shards.read(path, self.layers, row)
+        return {
+            name: self._scaled(name, image) for name, image in zip(self.layers, images, strict=True)
+        }
+
+    def __iter__(self) -> Iterator[Sample]:
+        """All samples in order."""
+        return (self[index] for index in range(len(self)))
+
+    def place(self, index: SupportsIndex) -> tuple[Path, int]:
+        """The shard that holds a sample, and its row there."""
+        number = self._index(index)
+        shard = bisect_right(self._ends, number)
+        return self.paths[shard], number - self._ends[shard] + self._counts[shard]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) of the images, those of the first shard."""
+        return self._read_form()[0]
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of noisy and clean as they are given out."""
+        return np.dtype(np.float32 if self.scaled else self._read_form()[1])
+
+    @property
+    def value_range(self) -> tuple[float, float]:
+        """Values of noisy and clean, as given out, that stand for no echo and for full scale."""
+        return VALUE_RANGES[str(self.dtype)]
+
+    @property
+    def config_hash(self) -> str:
+        """Of the settings that the dataset was made with, the last ones if it was extended."""
+        return self._config_hash or self._read_form()[2]
+
+    @property
+    def axes(self) -> tuple[Axis, Axis]:
+        """Row and column axes of the images."""
+        with reading(self.paths[0]) as file:
+            return image_axes(file["noisy"])
+
+    def meta(self) -> npt.NDArray[np.void]:
+        """The sample table, one row a sample in the order of the samples; text is bytes (UTF-8).
+
+        Reads the tables of all shards, never their images.
+        """
+        tables, shapes = [], set()
+        for path in self.paths:
+            with reading(path) as file:
+                tables.append(file["meta"][()])
+                shapes.add(file["noisy"].shape[1:])
+        if len(shapes) > 1:
+            raise FactoryError(f"{self.folder}: images of several sizes ({sorted(shapes)})")
+        if len({table.dtype for table in tables}) > 1:
+            raise FactoryError(f"{self.folder}: shards with different columns in /meta")
+        return np.concatenate(tables)
+
+    def close(self) -> None:
+        """Close the files that this process has open; reading again opens them again."""
+        self._shards.close()
+
+    def __enter__(self) -> PairDataset:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"PairDataset({str(self.folder)!r}, {self.split!r}, {len(self)} samples)"
+
+    def _index(self, item: Any) -> int:
+        if isinstance(item, bool | np.bool_):
+            raise TypeError("a sample has a number, not a truth value")
+        index = operator.index(item)
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"sample {index} of {len(self)}")
+        return index % len(self)
+
+    def _several(self, numbers: Sequence[int]) -> Sample:
+        """Consecutive rows of a shard are read together."""
+        parts: list[list[Image]] = []
+        for path, rows in self._runs(numbers):
+            parts.append(self._shards.read(path, self.layers, rows))
+        if not parts:
+            path, row = self.place(0)
+            images = [image[None][:0] for image in self._shards.read(path, self.layers, row)]
+        elif len({image.shape[1:] for part in parts for image in part}) > 1:
+            raise FactoryError(f"{self.folder}: images of several sizes; read them one by one")
+        else:
+            images = [np.concatenate(stack) for stack in zip(*parts, strict=True)]
+        return {
+            name: self._scaled(name, stack) for name, stack in zip(self.layers, images, strict=True)
+        }
+
+    def _runs(self, numbers: Sequence[int]) -> Iterator[tuple[Path, slice]]:
+        run: tuple[Path, int, int] | None = None
+        for number in numbers:
+            path, row = self.place(number)
+            if run and run[0] == path and run[2] == row:
+                run = (path, run[1], row + 1)
+                continue
+            if run:
+                yield run[0], slice(run[1], run[2])
+            run = (path, row, row + 1)
+        if run:
+            yield run[0], slice(run[1], run[2])
+
+    def _scaled(self, name: str, image: Image) -> Image:
+        grey = name in ("noisy", "clean") or name.startswith(EFFECT_FOLDER)
+        return in_unit_range(image) if self.scaled and grey else image
+
+    def _read_form(self) -> tuple[tuple[int, int], str, str]:
+        if self._form is None:
+            with reading(self.paths[0]) as file:
+                noisy = file["noisy"]
+                shape = (noisy.shape[1], noisy.shape[2])
+                self._form = shape, str(noisy.dtype), str(file.attrs["config_hash"])
+        return self._form
+
+
+# To look at a shard takes milliseconds; a disk that sleeps takes seconds to wake.
+_LIMIT_S = 30.0
+
+
+def in_unit_range(grey: Image) -> npt.NDArray[np.float32]:
+    """Stored grey values (uint8 in 0..255 or float32 in 0..1) as float32 in 0..1."""
+    if grey.dtype == np.uint8:
+        return grey.astype(np.float32) * np.float32(1 / 255)
+    return grey.astype(np.float32, copy=False)
+
+
+def _folder(given: Path) -> Path:
+    return given.parent if given.name == INDEX_NAME else given
+
+
+def _check_names(names: tuple[str, ...]) -> None:
+    """Raise FactoryError for a layer that the format does not know."""
+    always = {layer.name for layer in layers("uint8")}
+    layers("uint8", [name for name in names if name not in always])
+    if not names or len(set(names)) != len(names):
+        raise FactoryError(f"layers={list(names)}: name at least one, and none twice")
+
+
+def _look_at(paths: Sequence[Path]) -> None:
+    with Guard() as guard:
+        for path in paths:
+            try:
+                guard.call(check_readable, path, limit_s=_LIMIT_S)
+            except FactoryError as error:
+                # Of the process itself, it does not know the file.
+                text = str(error).removeprefix(f"{path}: ")
+                raise FactoryError(f"{path}: {text}") from error
+
+
+def _count(path: Path) -> int:
+    with reading(path) as file:
+        return len(file["noisy"])

@@ -1,0 +1,114 @@
+"""Finding and opening the shards of a finished dataset."""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Literal
+
+import h5py
+import numpy as np
+
+from simnfnd.factory.dataset.format.manifest import Manifest, load_manifest
+from simnfnd.factory.dataset.format.schema import SPLITS
+from simnfnd.factory.dataset.format.structure import check_shard, inside
+from simnfnd.factory.errors import FactoryError
+
+Split = Literal["train", "test", "all"]
+
+
+def shard_paths(dataset: str | Path, split: Split) -> tuple[Path, ...]:
+    """The shard files of one split, in the order of their names.
+
+    `manifest.json` says which shards belong to the dataset; without one, every `*.h5` in the
+    folders train/ and test/ does.  Raises FactoryError when the folder is no dataset, a listed
+    shard is absent or outside the folder, or the split is empty.
+    """
+    root = Path(dataset)
+    return listed_shards(root, split, load_manifest(root))
+
+
+def listed_shards(root: Path, split: Split, manifest: Manifest | None) -> tuple[Path, ...]:
+    """The same for a manifest that was read already, or was found absent (None)."""
+    if not root.is_dir():
+        raise FactoryError(f"dataset={root}: no such folder; give one that `simnfnd make` made")
+    found = {name: _of_split(root, name, manifest) for name in SPLITS}
+    if not any(found.values()):
+        raise FactoryError(f"dataset={root}: no shards in train/ or test/; is it a dataset folder?")
+    wanted = SPLITS if split == "all" else (split,)
+    paths = tuple(path for name in wanted for path in found[name])
+    if not paths:
+        other = next(name for name in SPLITS if found[name])
+        raise FactoryError(
+            f"dataset={root}: the {split} split is empty; it has {len(found[other])} shard(s) in "
+            f"{other} (split={other})"
+        )
+    for path in paths:
+        if not path.exists():
+            raise FactoryError(
+                f"{path}: listed in the manifest but absent; run the command that made the "
+                "dataset again"
+            )
+        if not inside(root, path):
+            raise FactoryError(f"{path}: leads out of the dataset's folder; not read")
+    return paths
+
+
+def open_shard(path: Path) -> h5py.File:
+    """Open one shard for reading, after a look at whether it is one of ours (`structure`).
+
+    Raises FactoryError when the file is absent, damaged or of another schema.
+    """
+    try:
+        # A pipe would wait for a writer for ever.
+        regular = stat.S_ISREG(path.stat().st_mode)
+        if not regular:
+            raise FactoryError(f"{path}: no regular file; not read")
+        # A chunk is a picture and read whole: HDF5's cache would only copy it once more (a fifth
+        # of the time of an uncompressed one) and hold megabytes for every open dataset.
+        file = h5py.File(path, "r", rdcc_nbytes=0)
+    except FileNotFoundError as error:
+        raise FactoryError(
+            f"{path}: listed in the manifest but absent; generate it again"
+        ) from error
+    except OSError as error:
+        raise FactoryError(f"{path}: not a readable HDF5 file; generate it again") from error
+    try:
+        with _explained(path):
+            check_shard(file)
+    except FactoryError:
+        file.close()
+        raise
+    return file
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[h5py.File]:
+    """An open shard for the length of a `with`; damage found inside is a FactoryError, too."""
+    with open_shard(path) as file, _explained(path):
+        yield file
+
+
+@contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except FactoryError as error:
+        raise FactoryError(f"{path}: {error}") from error
+    except (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
+        # HDF5 reports damage of its own tables as almost any exception.
+        reason = " ".join(str(error).split())[:120]
+        raise FactoryError(f"{path}: damaged ({reason}); generate it again") from error
+
+
+def value_range(file: h5py.File) -> float:
+    """The value of full scale: 255 for uint8 shards, 1 for float32 ones."""
+    return 255.0 if file["noisy"].dtype == np.uint8 else 1.0
+
+
+def _of_split(root: Path, split: str, manifest: Manifest | None) -> list[Path]:
+    if manifest is None:
+        return sorted((root / split).glob("*.h5"))
+    return [root / path for path, s in sorted(manifest.shards.items()) if s.split == split]

@@ -1,0 +1,82 @@
+"""failed.jsonl: every frame that is not in the dataset, why, and how to try it again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from simnfnd.factory.dataset.format.manifest import part_name
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import write_atomically
+from simnfnd.factory.frame import FrameRef
+
+FAILURES_NAME = "failed.jsonl"
+_KEYS = ("frame", "shard", "kind", "reason", "command")
+
+FailureKind = Literal["frame", "error", "crash", "timeout"]
+
+
+@dataclass(frozen=True)
+class Failure:
+    """One frame (all its planned variants) that gave no sample.
+
+    kind: frame (its data is bad), error (a defect of the program), crash (its worker process
+        died) or timeout.
+    shard: the shard that it was planned for.
+    """
+
+    ref: FrameRef
+    kind: FailureKind
+    reason: str
+    shard: str
+
+
+def save_failures(
+    directory: Path,
+    failures: Iterable[Failure],
+    rerun_command: Callable[[FrameRef], str],
+    part: str = "",
+) -> None:
+    """Write failed.jsonl, one JSON object a line in the order of shards and frames.
+
+    part: slice of the dataset that the failures are of; it has a file of its own.
+
+    `rerun_command(ref)` is the command line that tries that one frame again.
+    """
+    lines = [
+        json.dumps(
+            {
+                "frame": failure.ref.name,
+                "shard": failure.shard,
+                "kind": failure.kind,
+                "reason": failure.reason,
+                "command": rerun_command(failure.ref),
+            }
+        )
+        for failure in sorted(failures, key=lambda item: (item.shard, item.ref.name))
+    ]
+    path = directory / part_name(FAILURES_NAME, part)
+    write_atomically(path, "".join(f"{line}\n" for line in lines).encode())
+
+
+def load_failures(directory: Path) -> list[dict[str, str]]:
+    """The lines of failed.jsonl (and of those of slices): frame, shard, kind, reason, command.
+
+    Raises FactoryError when one is damaged.
+    """
+    items: list[dict[str, str]] = []
+    for path in sorted(
+        {*directory.glob(FAILURES_NAME), *directory.glob(part_name(FAILURES_NAME, "*-of-*"))}
+    ):
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+            try:
+                item = json.loads(line)
+                items.append({key: str(item[key]) for key in _KEYS})
+            except (ValueError, KeyError, TypeError) as error:
+                raise FactoryError(
+                    f"{path}:{number}: damaged; run the dataset's command again, it is written anew"
+                ) from error
+    return items

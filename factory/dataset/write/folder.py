@@ -1,0 +1,239 @@
+"""The dataset's folder before a run: is it ours, is it the same dataset, can it be written."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from simnfnd.factory.dataset.format.manifest import (
+    ADDED_NAME,
+    MANIFEST_NAME,
+    PARTS,
+    Manifest,
+    load_manifest,
+    part_name,
+    save_manifest,
+)
+from simnfnd.factory.dataset.format.schema import SCHEMA, SPLITS, Provenance, plain_values
+from simnfnd.factory.dataset.write.failures import FAILURES_NAME
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import (
+    check_writable,
+    explain_os_errors,
+    is_temporary,
+    remove_stale_temporaries,
+    write_atomically,
+)
+
+CONFIG_NAME = "config.yaml"
+CARD_NAME = "README.md"
+PREVIEW_NAME = "preview.png"
+# Journals of the workers; empty and gone after a run that ended by itself.
+WORK_NAME = ".work"
+# What happened to shards that had trouble.
+LOGS_NAME = "logs"
+STATUS_NAME = "status.json"
+# Of an extended dataset: the samples of the shards that were there before.
+EXTENDED_NAME = "extended.json"
+
+# The manifest last: while it is there the folder is known as ours.
+_OURS = (
+    CARD_NAME, PREVIEW_NAME, STATUS_NAME, FAILURES_NAME, "index.h5", "croissant.json",
+    EXTENDED_NAME, CONFIG_NAME, ADDED_NAME, MANIFEST_NAME,
+)  # fmt: skip
+
+# Keys that choose frames and how they are cut into shards: no picture of a frame depends on them,
+# so they may change where something is added.
+CHOOSING = re.compile(
+    r"frames\..+|frames_found|split\..+|dataset\.max_(train|test)|scheduler\.shard_size"
+    r"|scenes\.(locations|first_location|frames_per_location|scenes)"
+)
+
+_SHOWN_DIFFERENCES = 6
+_HASH = re.compile(r"config hash (\w+)")
+
+
+def open_folder(
+    directory: Path,
+    config: Mapping[str, Any],
+    provenance: Provenance,
+    part: str = "",
+    *,
+    emptied: bool = False,
+) -> Manifest:
+    """Make `directory` ready for a run of `provenance` and return what it already holds.
+
+    part: of a run that makes a slice of the dataset; it keeps a manifest of its own.  A run of the
+        whole takes up what slices have made.
+    emptied: a dataset was just removed from the folder, which may hold other files, too.
+
+    A new folder gets an empty manifest.json and `config` as config.yaml; one of the same dataset
+    is taken up again.  Temp files of dead writers are removed.
+
+    Raises FactoryError when the folder holds another dataset (naming the keys that differ), holds
+    something that is no dataset, or cannot be written.
+    """
+    if directory.exists() and not directory.is_dir():
+        raise FactoryError(f"dataset.dir: {directory} is a file; give a folder with dataset.dir=")
+    ours = (directory / CONFIG_NAME).exists() or (directory / MANIFEST_NAME).exists()
+    if not ours and not emptied:
+        _refuse_foreign(directory)
+    check_writable(directory, "dataset.dir")
+    for folder in (directory, *(directory / split for split in SPLITS)):
+        remove_stale_temporaries(folder)
+    manifest = _same_dataset(directory, provenance, part) if ours else None
+    if manifest is None:
+        values = plain_values(provenance.config)
+        manifest = Manifest(provenance.config_hash, provenance.generator, values)
+    if not part:
+        manifest = with_slices(directory, manifest)
+    save_manifest(directory, manifest, part)
+    write_atomically(directory / CONFIG_NAME, _config_text(config, provenance).encode())
+    return manifest
+
+
+def with_slices(directory: Path, manifest: Manifest) -> Manifest:
+    """`manifest` and what slices of the same dataset have made."""
+    shards = dict(manifest.shards)
+    for other in slice_manifests(directory):
+        if other.config_hash == manifest.config_hash:
+            shards = {**other.shards, **shards}
+    return replace(manifest, shards=shards)
+
+
+def _passes(name: str) -> bool:
+    """Whether a file comes and goes with runs."""
+    return is_temporary(name) or name.startswith((".lock", ".claim-", WORK_NAME))
+
+
+def _refuse_foreign(directory: Path) -> None:
+    if not directory.is_dir():
+        return
+    foreign = sorted(entry.name for entry in directory.iterdir() if not _passes(entry.name))
+    if foreign:
+        shown = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
+        raise FactoryError(
+            f"dataset.dir: {directory} holds other files ({shown}) and no dataset; "
+            "give an empty or new folder with dataset.dir="
+        )
+
+
+def slice_manifests(directory: Path) -> Iterator[Manifest]:
+    """The manifests that slices of a run have left."""
+    for path in sorted(directory.glob(part_name(MANIFEST_NAME, "*-of-*"))):
+        manifest = load_manifest(directory, path.name.split(".")[1])
+        if manifest is not None:
+            yield manifest
+
+
+def forget_slices(directory: Path) -> None:
+    """Remove the manifests and failures of slices, once the whole holds them."""
+    for name in (MANIFEST_NAME, ADDED_NAME, FAILURES_NAME):
+        for path in directory.glob(part_name(name, "*-of-*")):
+            path.unlink(missing_ok=True)
+
+
+def empty_folder(directory: Path) -> bool:
+    """Remove the dataset in `directory`, and nothing that is not of a dataset.
+
+    Returns whether there was one.
+    """
+    if not any((directory / name).exists() for name in (CONFIG_NAME, MANIFEST_NAME)):
+        return False
+    with explain_os_errors(directory):
+        for split in SPLITS:
+            for path in (directory / split).glob("shard-*.h5"):
+                path.unlink(missing_ok=True)
+        forget_slices(directory)
+        for name in _OURS:
+            (directory / name).unlink(missing_ok=True)
+        shutil.rmtree(directory / LOGS_NAME, ignore_errors=True)
+        for split in SPLITS:
+            if (directory / split).is_dir() and not any((directory / split).iterdir()):
+                (directory / split).rmdir()
+    return True
+
+
+def _same_dataset(directory: Path, provenance: Provenance, part: str) -> Manifest | None:
+    """The folder's manifest when it is of this very dataset, None when it has none any more."""
+    manifest = load_manifest(directory, part)
+    config_hash = manifest.config_hash if manifest else _hash_in_config(directory)
+    if config_hash != provenance.config_hash:
+        raise FactoryError(_difference(directory, manifest, provenance))
+    if manifest and manifest.generator != provenance.generator:
+        raise FactoryError(
+            f"dataset.dir: {directory} was made by {manifest.generator}, this is "
+            f"{provenance.generator}; give another folder with dataset.dir="
+        )
+    return manifest
+
+
+def _difference(directory: Path, manifest: Manifest | None, provenance: Provenance) -> str:
+    """One line that names the keys in which the folder's dataset differs from the asked one."""
+    changes = differences(manifest.config if manifest else {}, provenance.config)
+    told = told_differences(changes) if manifest and changes else "its config hash differs"
+    adds = manifest and changes and all(CHOOSING.fullmatch(key) for key in changes)
+    extend = ", or dataset.on_existing=extend to add what it lacks" if adds else ""
+    return (
+        f"dataset.dir: {directory} holds a dataset of another configuration ({told}); "
+        f"give another folder with dataset.dir=, or the old settings to go on with it{extend}"
+    )
+
+
+def differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
+    """Dotted key -> (value there, value here), of every key in which two configurations differ.
+
+    What one of them tells of earlier datasets is left out.
+    """
+    one, two = (
+        dict(
+            _leaves({key: value for key, value in plain_values(config).items() if key not in PARTS})
+        )
+        for config in (there, here)
+    )
+    return {
+        key: (_shown(one, key), _shown(two, key))
+        for key in sorted(one.keys() | two.keys())
+        if key not in one or key not in two or one[key] != two[key]
+    }
+
+
+def told_differences(changes: Mapping[str, tuple[str, str]]) -> str:
+    """The first of them in a line."""
+    parts = [f"{key} {old} -> {new}" for key, (old, new) in changes.items()]
+    more = len(parts) - _SHOWN_DIFFERENCES
+    return "; ".join(parts[:_SHOWN_DIFFERENCES] + ([f"and {more} more"] if more > 0 else []))
+
+
+def _shown(values: Mapping[str, Any], key: str) -> str:
+    return repr(values[key]) if key in values else "(absent)"
+
+
+def _leaves(value: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    if isinstance(value, Mapping) and value:
+        for key, item in value.items():
+            yield from _leaves(item, f"{prefix}.{key}" if prefix else str(key))
+    else:
+        yield prefix, value
+
+
+def _hash_in_config(directory: Path) -> str | None:
+    try:
+        with (directory / CONFIG_NAME).open(encoding="utf-8") as file:
+            match = _HASH.search(file.readline())
+    except (OSError, UnicodeDecodeError):
+        return None
+    return match[1] if match else None
+
+
+def _config_text(config: Mapping[str, Any], provenance: Provenance) -> str:
+    body = yaml.safe_dump(
+        plain_values(config), sort_keys=False, allow_unicode=True, default_flow_style=False
+    )
+    return f"# {SCHEMA}, {provenance.generator}, config hash {provenance.config_hash}\n{body}"

@@ -1,0 +1,176 @@
+"""Writes one shard: pairs in, an HDF5 file out whose bytes depend on the pairs alone."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from simnfnd.factory.dataset.format.chunks import write_gzip_chunk
+from simnfnd.factory.dataset.format.manifest import ShardInfo
+from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
+from simnfnd.factory.dataset.format.schema import (
+    LIBRARY_VERSIONS,
+    SAMPLE_DIMENSION,
+    Layer,
+    Provenance,
+    check_pair,
+    image_of,
+    layer_attributes,
+    layers,
+    root_attributes,
+    stored_image,
+    stores_grey,
+    table_dtype,
+)
+from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.files import explain_os_errors, write_atomically
+
+_IMAGE_BLOCK_BYTES = 1 << 20
+
+
+def write_shard(
+    root: Path,
+    relative: str,
+    pairs: Iterable[Pair],
+    axes: tuple[Axis, Axis],
+    columns: tuple[Column, ...],
+    provenance: Provenance,
+    settings: DatasetSettings,
+) -> ShardInfo | None:
+    """Write `pairs` to `root/relative` (for example train/shard-00000.h5), whole or not at all.
+
+    `pairs` may be a generator: each pair is compressed as it comes and then forgotten.  Without
+    any pair no file is written and None is returned.
+
+    Raises FrameError for a pair that does not fit the axes or columns, FactoryError when the disk
+    is full, the folder is not writable or the compression is not installed.
+    """
+    split = relative.split("/")[0]
+    compression = compression_filter(settings)
+    rows: list[tuple[Any, ...]] = []
+    dtype = table_dtype(columns)
+    # The file is made in memory: it goes to disk in one write, its SHA-256 costs no second read,
+    # and HDF5, which cannot close a file on a full disk, never touches the disk.
+    with h5py.File(
+        "shard.h5",
+        "w",
+        driver="core",
+        backing_store=False,
+        block_size=_IMAGE_BLOCK_BYTES,
+        libver=LIBRARY_VERSIONS,
+    ) as file:
+        stacks: dict[Layer, h5py.Dataset] = {}
+        for pair in pairs:
+            name = f"{relative} sample {len(rows)}"
+            row = check_pair(pair, axes, columns, name)
+            wanted = layers(settings.dtype, pair.layers)
+            if not rows:
+                stacks = _create_stacks(file, axes, wanted, compression)
+            elif tuple(stacks) != wanted:
+                raise FrameError(f"{name}: has other layers than the samples before it")
+            rows.append(row)
+            for layer, stack in stacks.items():
+                stack.resize(len(rows), axis=0)
+                image = image_of(pair, layer.name)
+                if stores_grey(layer):
+                    image = stored_image(image, layer.dtype)
+                if settings.compression == "gzip":
+                    write_gzip_chunk(stack, len(rows) - 1, image, settings.compression_level)
+                else:
+                    stack[-1] = image
+        if not rows:
+            return None
+        _write_table(file, np.array(rows, dtype=dtype), columns)
+        for key, value in root_attributes(provenance, split, settings.dtype).items():
+            file.attrs[key] = value
+        file.flush()
+        content = file.id.get_file_image()
+    path = root / relative
+    with explain_os_errors(path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, content)
+    return ShardInfo(
+        path=relative,
+        split=split,
+        samples=len(rows),
+        bytes=len(content),
+        sha256=hashlib.sha256(content).hexdigest(),
+    )
+
+
+def compression_filter(settings: DatasetSettings) -> Mapping[str, Any]:
+    """h5py's dataset keywords for the chosen compression.
+
+    Everything but `none` has a checksum in every chunk; to compute it would take most of the time
+    of reading a plain one, whose shard the manifest's sha256 still vouches for.
+    Raises FactoryError when zstd is asked for and hdf5plugin is not installed.
+    """
+    if settings.compression == "none":
+        return {}
+    if settings.compression == "zstd":
+        try:
+            import hdf5plugin  # 186 MB of filters: an extra, so imported only when asked for
+        except ImportError as error:
+            raise FactoryError(
+                "dataset.compression=zstd needs the hdf5plugin package: "
+                "pip install 'simnfnd[zstd]', or choose gzip, lzf or none"
+            ) from error
+        return {"fletcher32": True, **hdf5plugin.Zstd(clevel=settings.compression_level)}
+    if settings.compression == "gzip":
+        level = settings.compression_level
+        return {"fletcher32": True, "compression": "gzip", "compression_opts": level}
+    return {"fletcher32": True, "compression": "lzf"}
+
+
+def _create_stacks(
+    file: h5py.File,
+    axes: tuple[Axis, Axis],
+    wanted: tuple[Layer, ...],
+    compression: Mapping[str, Any],
+) -> dict[Layer, h5py.Dataset]:
+    """Empty, growing image stacks with their axes attached."""
+    scales = [write_axis(file, axis) for axis in axes]
+    shape = tuple(len(axis.values) for axis in axes)
+    stacks = {}
+    for layer in wanted:
+        stack = file.create_dataset(
+            layer.name,
+            shape=(0, *shape),
+            maxshape=(None, *shape),
+            dtype=layer.dtype,
+            chunks=(1, *shape),
+            track_times=False,
+            **compression,
+        )
+        for key, value in layer_attributes(layer).items():
+            stack.attrs[key] = value
+        stack.dims[0].label = SAMPLE_DIMENSION
+        for dimension, (axis, scale) in enumerate(zip(axes, scales, strict=True), start=1):
+            stack.dims[dimension].label = axis.name
+            stack.dims[dimension].attach_scale(scale)
+        stacks[layer] = stack
+    return stacks
+
+
+def write_axis(file: h5py.File, axis: Axis) -> h5py.Dataset:
+    """Write an axis as a dimension scale, ready to be attached, and return it."""
+    values = np.asarray(axis.values, dtype=np.float64)
+    scale = file.create_dataset(f"axes/{axis.name}", data=values, track_times=False)
+    scale.make_scale(axis.name)
+    scale.attrs["units"] = axis.units
+    scale.attrs["description"] = axis.description
+    return scale
+
+
+def _write_table(file: h5py.File, rows: np.ndarray[Any, Any], columns: tuple[Column, ...]) -> None:
+    """/meta, one row a sample; units and meaning of every column are attributes beside it."""
+    table = file.create_dataset("meta", data=rows, track_times=False)
+    for column in columns:
+        table.attrs[f"{column.name}.units"] = column.units
+        table.attrs[f"{column.name}.description"] = column.description

@@ -1,0 +1,166 @@
+"""Files that are wholly there or not at all: temp file, fsync, rename, fsync of the folder."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import re
+import shutil
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import psutil
+
+from simnfnd.factory.errors import FactoryError
+
+_TEMPORARY = re.compile(r"\.(?P<name>.+)\.(?P<host>[^.]+)-(?P<pid>\d+)\.tmp$")
+_FOREIGN_HOST_STALE_S = 86_400.0
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+
+
+def write_atomically(
+    path: Path, content: bytes, *, durable: bool = True, key: str = "dataset.dir"
+) -> None:
+    """Write `content` to `path` so that a reader, a crash or a power cut never sees half a file.
+
+    durable: wait until the disk has it; without, a power cut may leave half a file after all, which
+        is for files that tell damage themselves.  key: named in the error.
+    Raises FactoryError with one line when the folder cannot be written or the disk is full.
+    """
+    temporary = _temporary_for(path)
+    with explain_os_errors(path, key):
+        try:
+            with open(temporary, "wb") as file:
+                file.write(content)
+                file.flush()
+                if durable:
+                    os.fsync(file.fileno())
+            os.replace(temporary, path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        if durable:
+            sync_folder(path.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make renames inside `folder` survive a power cut (where folders can be opened at all)."""
+    if os.name == "nt":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def remove_stale_temporaries(folder: Path) -> int:
+    """Delete temp files of writers that are dead; returns how many.  Leaves live writers alone."""
+    removed = 0
+    for path in sorted(folder.glob(".*.tmp")) if folder.is_dir() else []:
+        match = _TEMPORARY.match(path.name)
+        if match and _is_stale(path, match["host"], int(match["pid"])):
+            path.unlink(missing_ok=True)
+            removed += 1
+    return removed
+
+
+def is_temporary(name: str) -> bool:
+    """Whether a file name is that of one of our temp files."""
+    return _TEMPORARY.match(name) is not None
+
+
+def check_writable(folder: Path, key: str) -> None:
+    """Create `folder` and write a byte into it, so that a run fails before its work, not after.
+
+    `key` is the config key that the user would change; it opens the message of the FactoryError.
+    """
+    with explain_os_errors(folder, key):
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = _temporary_for(folder / "probe")
+        try:
+            probe.write_bytes(b"\0")
+        finally:
+            probe.unlink(missing_ok=True)
+
+
+def sha256_of(path: Path) -> str:
+    """Hex digest of a file's content, read in pieces."""
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        while piece := file.read(1 << 20):
+            digest.update(piece)
+    return digest.hexdigest()
+
+
+@contextmanager
+def explain_os_errors(path: Path, key: str = "dataset.dir") -> Iterator[None]:
+    """Turn an OSError about `path` into a FactoryError of one line that says what to do."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        if error.errno in _FULL:
+            raise FactoryError(
+                f"{path}: no room to write ({reason}); free some space and run the same command "
+                "again, finished shards are kept"
+            ) from error
+        raise FactoryError(
+            f"{key}: cannot write {path} ({reason}); give a writable folder with {key}="
+        ) from error
+
+
+def _temporary_for(path: Path) -> Path:
+    return path.parent / f".{path.name}.{_host()}-{os.getpid()}.tmp"
+
+
+def _host() -> str:
+    return re.sub(r"[^A-Za-z0-9_]", "_", socket.gethostname()) or "host"
+
+
+def _is_stale(path: Path, host: str, pid: int) -> bool:
+    try:
+        written = path.stat().st_mtime
+    except FileNotFoundError:
+        return False
+    if host != _host():
+        # Shared storage: another machine's process cannot be looked up, only waited for.
+        return time.time() - written > _FOREIGN_HOST_STALE_S
+    try:
+        process = psutil.Process(pid)
+        # A process that started after the file was written merely got the same number; a zombie is
+        # dead, only nobody has asked after it yet.
+        late = process.create_time() > written + 1.0
+        return late or process.status() == psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return True
+    except psutil.AccessDenied:
+        return False
+
+
+def refuse_files(folder: Path) -> None:
+    """Raise FactoryError when `folder` is there and not empty."""
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise FactoryError(f"--out {folder}: holds files already; give a new or empty folder")
+
+
+@contextmanager
+def whole_folder(folder: Path) -> Iterator[Path]:
+    """An empty folder to fill, which becomes `folder` (absent or empty until then) at the end.
+
+    When filling fails, nothing is left behind.  Raises FactoryError when it cannot be written.
+    """
+    partial = folder.absolute().parent / f".{folder.absolute().name}.partial-{os.getpid()}"
+    with explain_os_errors(folder, "--out"):
+        check_writable(partial, "--out")
+        try:
+            yield partial
+            if folder.exists():
+                folder.rmdir()
+            os.replace(partial, folder)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)

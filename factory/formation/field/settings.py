@@ -1,0 +1,55 @@
+"""Keys of the `acoustics` group: how echoes become a picture."""
+
+from __future__ import annotations
+
+from dataclasses import field
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from simnfnd.factory.scenes.labels import CLASSES
+from simnfnd.factory.settings import STRICT
+
+Decibel = Annotated[float, Field(ge=-80, le=20)]
+
+
+def _default_reflectivity() -> dict[str, float]:
+    return {"Background": -25.0}
+
+
+@dataclass(frozen=True, config=STRICT)
+class AcousticsSettings:
+    """Keys of the `acoustics` group.
+
+    formation: points (the paper's, every echo a point) or field (sonar equation and complex field;
+        the keys below, `water` and `sonar.array` count for it alone).
+    target: what the clean picture is: mean_field (expected picture without noise, point-spread
+        kept), geometry (the paper's T) or radiometric (backscatter per area, no losses, no blur).
+    lambert_exponent: backscatter falls as cos(incidence) to this power, in intensity; 2 is Lambert.
+    reflectivity_db: backscatter coefficient of each object class at normal incidence, dB, for an
+        albedo of 1; classes that are not named, and frames without labels, are Background.
+    tvg_log: time-varying gain k log10 r + 2 a r, this is k, dB per tenfold range.
+    tvg_absorption: whether the gain knows 2 a r.
+    """
+
+    formation: Literal["points", "field"] = "points"
+    target: Literal["mean_field", "geometry", "radiometric"] = "mean_field"
+    lambert_exponent: Annotated[float, Field(ge=0, le=8)] = 2.0
+    reflectivity_db: dict[str, Decibel] = field(default_factory=_default_reflectivity)
+    tvg_log: Annotated[float, Field(ge=0, le=80)] = 30.0
+    tvg_absorption: bool = True
+
+    @model_validator(mode="after")
+    def _known_classes(self) -> Self:
+        for name in self.reflectivity_db:
+            if name not in CLASSES:
+                raise ValueError(
+                    f"reflectivity_db: no class is called {name}; there are {', '.join(CLASSES)}"
+                )
+        return self
+
+    def reflectivity(self) -> tuple[float, ...]:
+        """Backscatter coefficient of every class, in the order of `labels.CLASSES`."""
+        ground = self.reflectivity_db.get("Background", -25.0)
+        return tuple(10 ** (self.reflectivity_db.get(name, ground) / 10) for name in CLASSES)

@@ -1,0 +1,134 @@
+"""The words of a sample: one table row that says how it was made, and the axes of the pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sized
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from simnfnd.factory import seeds
+from simnfnd.factory.dataset.format.sample import Axis, Column
+from simnfnd.factory.frame import FrameRef
+from simnfnd.factory.noise import Drawn, NoiseSettings, parameter_names
+from simnfnd.factory.noise.physical import parameters as field_parameters
+from simnfnd.factory.sonar.echoes import Echoes
+from simnfnd.factory.sonar.fan import pixel_size
+from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.factory.sonar.window import Window
+
+if TYPE_CHECKING:
+    from simnfnd.factory.config import FactoryConfig
+
+_NAME = "S96"
+_UNITS = {"sigma_deg": "deg"}
+
+_WHAT = (
+    Column("location", _NAME, "", "area of the recording"),
+    Column("scene", _NAME, "", "recording; train and test are split by it"),
+    Column("frame", _NAME, "", "frame within the scene"),
+    Column("variant", "i4", "1", "number of the noise draw of this frame"),
+    Column("seed_key", "S32", "", "blake2b spawn key of the sample's random streams, hexadecimal"),
+)
+_WINDOW = (
+    Column("range_min_m", "f8", "m", "range at the near edge of the picture"),
+    Column("range_max_m", "f8", "m", "range at the far edge of the picture"),
+    Column("azimuth_min_deg", "f8", "deg", "left edge of the sector that the camera saw"),
+    Column("azimuth_max_deg", "f8", "deg", "right edge of the sector that the camera saw"),
+    Column("metres_per_pixel", "f8", "m", "edge of a fan pixel, or length of a range bin"),
+)
+_CLOUD = (
+    Column("resample.rate", "f8", "1", "fraction of the scene points kept"),
+    Column("points.scene", "i8", "1", "scene points in the pictures"),
+    Column("full_scale", "f8", "1", "echo level shown as grey value 1"),
+)
+
+
+def columns(noise: NoiseSettings) -> tuple[Column, ...]:
+    """Columns of the sample table: a parameter that was not drawn (effect off) is NaN or empty."""
+    parameters = tuple(
+        Column(f"noise.{effect}.{name}", "S16" if kind is str else "f8", _UNITS.get(name, "1"))
+        for effect, name, kind in parameter_names(noise)
+    )
+    effects = dict.fromkeys(effect for effect, _, _ in parameter_names(noise))
+    counts = tuple(
+        Column(f"points.{effect}", "i8", "1", f"points that {effect} added or moved")
+        for effect in effects
+    )
+    of_field = tuple(
+        Column(f"noise.{effect}.{name}", "S16" if kind is str else "f8", unit)
+        for effect, name, kind, unit in field_parameters(noise)
+    )
+    return _WHAT + _WINDOW + _CLOUD + counts + parameters + of_field
+
+
+def record(
+    ref: FrameRef,
+    variant: int,
+    config: FactoryConfig,
+    window: Window,
+    rate: float,
+    drawn: dict[str, Drawn],
+    kept: Sized,
+    layers: dict[str, Echoes],
+    full_scale: float,
+) -> dict[str, float | int | str]:
+    """The row of one sample."""
+    key = seeds.spawn_key(ref.location, ref.scene, ref.frame, variant)
+    row: dict[str, float | int | str] = {
+        "location": ref.location,
+        "scene": ref.scene,
+        "frame": ref.frame,
+        "variant": variant,
+        "seed_key": "".join(f"{word:08x}" for word in key),
+        "range_min_m": window.range_min_m,
+        "range_max_m": window.range_max_m,
+        "azimuth_min_deg": float(np.rad2deg(window.azimuth_min_rad)),
+        "azimuth_max_deg": float(np.rad2deg(window.azimuth_max_rad)),
+        "metres_per_pixel": metres_per_pixel(window, config.sonar),
+        "resample.rate": rate,
+        "points.scene": len(kept),
+        "full_scale": full_scale,
+    }
+    for effect, name, kind in parameter_names(config.noise):
+        missing: float | str = "" if kind is str else float("nan")
+        row[f"noise.{effect}.{name}"] = drawn.get(effect, {}).get(name, missing)
+        row[f"points.{effect}"] = len(layers[effect]) if effect in layers else 0
+    for effect, name, kind, _ in field_parameters(config.noise):
+        missing = "" if kind is str else float("nan")
+        row[f"noise.{effect}.{name}"] = drawn.get(effect, {}).get(name, missing)
+    return row
+
+
+def metres_per_pixel(window: Window, sonar: SonarSettings) -> float:
+    """Edge of a fan pixel, or length of a range bin of a polar picture, metres."""
+    if sonar.image.layout == "polar":
+        return window.range_span_m / sonar.range_bins
+    return window.range_max_m * pixel_size(sonar, window.near_fraction)
+
+
+def image_axes(sonar: SonarSettings) -> tuple[Axis, Axis]:
+    """Row and column axes.
+
+    With a fixed range window they are metres (and degrees of azimuth for polar pictures).  With an
+    automatic one every sample has its own scale, so the axes count from 0 to 1 or in pixels and
+    `range_min_m`, `range_max_m`, `metres_per_pixel` of the sample table turn them into metres.
+    """
+    rows, columns_ = (np.arange(size) + 0.5 for size in sonar.shape())
+    near, far = sonar.range.min_m, sonar.range.max_m
+    if sonar.image.layout == "polar":
+        azimuth = Axis(
+            "azimuth", "deg", np.rad2deg(sonar.beam_centres_rad()), "0 is straight ahead"
+        )
+        if sonar.range.auto:
+            fraction = rows / sonar.range_bins
+            return Axis("range", "1", fraction, "0 at range_min_m, 1 at range_max_m"), azimuth
+        return Axis("range", "m", near + rows / sonar.range_bins * (far - near)), azimuth
+    right = columns_ - sonar.image.width_px / 2
+    if sonar.range.auto:
+        return (
+            Axis("ahead", "px", rows, "distance below range_max_m straight ahead"),
+            Axis("right", "px", right, "distance to the right of the sonar's axis"),
+        )
+    pixel_m = far * pixel_size(sonar, near / far)
+    return Axis("ahead", "m", far - rows * pixel_m), Axis("right", "m", right * pixel_m)

@@ -1,0 +1,127 @@
+"""Where the clean renders come from: made by one kind of worker, read by another.
+
+`ViewMaker` loads and renders frames and needs Blender or Open3D; `open_views` gives what it made to
+those that add noise, which need neither.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from simnfnd.factory.dataset.format.sample import Prepared
+from simnfnd.factory.errors import FrameError, NotRendered
+from simnfnd.factory.frame import FrameRef
+from simnfnd.factory.render.cache import Cache
+from simnfnd.factory.render.key import FrameKeys
+from simnfnd.factory.render.view import View, view_of
+
+if TYPE_CHECKING:
+    from simnfnd.factory.config import FactoryConfig
+    from simnfnd.factory.render.base import Renderer
+
+
+class Views(Protocol):
+    """Gives the renders of frames."""
+
+    def holds(self, ref: FrameRef) -> bool:
+        """Whether the frame's render is there."""
+
+    def view(self, ref: FrameRef) -> View:
+        """The frame's render.  Raises NotRendered when it is not there (any more)."""
+
+
+def open_views(config: FactoryConfig) -> Views:
+    """The renders that the configuration means: of the cache, or of a pack."""
+    if config.scenes.kind == "pack":
+        from simnfnd.factory.render.pack import PackViews
+
+        return PackViews(config.scenes.root, config.sonar.mount)
+    return CachedViews(config)
+
+
+class CachedViews:
+    """Renders in the cache; a `Views`."""
+
+    def __init__(self, config: FactoryConfig) -> None:
+        self.cache = Cache(config.cache.folder)
+        self.keys = FrameKeys(config.scenes, config.render, config.sonar.mount)
+
+    def holds(self, ref: FrameRef) -> bool:
+        """See `Views`."""
+        try:
+            return self.cache.holds(self.keys.of(ref))
+        except OSError:
+            return False
+
+    def view(self, ref: FrameRef) -> View:
+        """See `Views`."""
+        try:
+            view = self.cache.get(self.keys.of(ref))
+        except OSError:
+            view = None
+        if view is None:
+            raise NotRendered(ref.name)
+        return view
+
+
+class ViewMaker:
+    """Renders frames into the cache; a `simnfnd.factory.dataset.format.sample.Preparer`."""
+
+    def __init__(self, config: FactoryConfig) -> None:
+        from simnfnd.factory.scenes import open_reader
+
+        self.config = config
+        self.reader = open_reader(config.scenes)
+        self.views = CachedViews(config)
+        self._renderer: Renderer | None = None
+
+    def prepare(self, ref: FrameRef) -> Prepared:
+        """Render one frame, unless that was done.  Raises FrameError when the frame is bad."""
+        try:
+            key = self.views.keys.of(ref)
+        except OSError as error:
+            self.reader.load(ref)  # knows best what to say about its files
+            raise FrameError(f"{ref.name}: {error.filename}: {error.strerror}") from error
+        if self.views.cache.holds(key):
+            # Whether it is whole shows when it is read, once: by the worker that needs it.
+            return Prepared(hit=True, bytes=0)
+        return Prepared(hit=False, bytes=self.views.cache.put(key, self.render(ref)))
+
+    def render(self, ref: FrameRef) -> View:
+        """Load and render one frame."""
+        if self._renderer is None:
+            # Not before it is needed: with all renders at hand nobody has to load Blender.
+            from simnfnd.factory.render import open_renderer
+
+            self._renderer = open_renderer(self.config.render)
+        frame = self.reader.load(ref)
+        mount = self.config.sonar.mount
+        return view_of(frame, self._renderer.render(frame, mount), mount)
+
+
+def check_views(config: FactoryConfig, *, touch: bool = True) -> None:
+    """Raise FactoryError when renders can be neither made nor kept; loads nothing heavy.
+
+    touch: try to write into the cache.
+    """
+    from simnfnd.factory.render import check_renderer
+
+    if config.scenes.kind == "pack":
+        return
+    check_renderer(config.render)
+    if config.cache.enabled and touch:
+        Cache(config.cache.folder).check()
+
+
+def with_cache(config: FactoryConfig, work: Path) -> FactoryConfig:
+    """The configuration with a cache that workers in any folder find.
+
+    With cache.enabled=false it is in `work`, which lasts as long as the run.
+    """
+    folder = config.cache.folder
+    if not config.cache.enabled:
+        folder = Path(os.path.abspath(work / "renders"))
+    return replace(config, cache=replace(config.cache, dir=str(folder)))

@@ -1,0 +1,209 @@
+"""Worker processes on this machine: spawned, single-threaded, replaceable, gone when we go."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import resource_tracker
+from multiprocessing.context import SpawnContext, SpawnProcess
+from typing import Any, TypeVar
+
+from pebble import ProcessExpired, ProcessPool
+
+from simnfnd.factory.jobs.settings import Crew, Kind
+
+T = TypeVar("T")
+
+THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+    "OPENCV_FOR_THREADS_NUM",
+)
+_STOP_S = 10.0
+
+
+class _RememberingContext(SpawnContext):
+    """Spawn, and remember what was started, so that stopping need not ask it politely."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.started: list[SpawnProcess] = []
+
+    def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override]
+        self.started = [process for process in self.started if process.exitcode is None]
+        process = SpawnProcess(*args, **kwargs)
+        self.started.append(process)
+        return process
+
+
+class _Slot:
+    """One worker process and, one after another, those that replace it.
+
+    A pebble pool of one: pebble's workers share pipes and locks, so that one which is killed at
+    the wrong moment, or while it has no task, breaks the pool for all.  Alone, it breaks its own.
+    """
+
+    def __init__(self, kind: Kind, tasks_per_worker: int) -> None:
+        self.kind = kind
+        self.context = _RememberingContext()
+        self.future: Future[Any] | None = None
+        self._tasks_per_worker = tasks_per_worker
+        self._pool: Any = None
+
+    @property
+    def free(self) -> bool:
+        return self.future is None or self.future.done()
+
+    def submit(self, function: Callable[..., T], argument: Any, timeout_s: float) -> Future[T]:
+        self.start()
+        future: Future[T] = self._pool.schedule(function, args=[argument], timeout=timeout_s)
+        self.future = future
+        return future
+
+    def start(self) -> None:
+        if self._pool is None or not self._pool.active:
+            self.stop()
+            self.join()
+            self._pool = self._new_pool()
+
+    def stop(self) -> None:
+        if self._pool is not None:
+            self._pool.stop()
+
+    def join(self) -> None:
+        if self._pool is not None:
+            self._pool.join()
+
+    def _new_pool(self) -> Any:
+        pool = ProcessPool(
+            max_workers=1,
+            max_tasks=self._tasks_per_worker,
+            initializer=_start_worker,
+            context=self.context,
+        )
+        with _interrupts_held():
+            # Asking starts the pool's threads and worker, which inherit that Ctrl-C is held: it
+            # goes to the whole process group, and only the parent may answer it.
+            assert pool.active
+        return pool
+
+
+class LocalBackend:
+    """Worker processes on this machine; a `simnfnd.factory.workers.backend.Backend`.
+
+    Start method spawn, because a process that has rendered does not survive a fork.  Whatever
+    kills a worker costs the task it had in hand, and nothing else.
+    """
+
+    def __init__(
+        self, crew: Crew, tasks_per_worker: Mapping[Kind, int], threads: int, start_all: bool
+    ) -> None:
+        # Read when a library is loaded, so set before a worker exists; recycled ones read it too.
+        self._saved = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+        os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
+        self._slots = [_Slot(kind, tasks_per_worker[kind]) for kind in crew.kinds()]
+        if start_all:
+            for slot in self._slots:
+                slot.start()
+
+    def free(self, kind: Kind) -> bool:
+        """Whether a worker waits for a task of this kind."""
+        return any(slot.free and kind in ("noise", slot.kind) for slot in self._slots)
+
+    def submit(
+        self, function: Callable[..., T], argument: Any, timeout_s: float, kind: Kind
+    ) -> Future[T]:
+        """Run `function(argument)` in a free worker; it is killed when it takes longer."""
+        fit = (slot for slot in self._slots if slot.free and kind in ("noise", slot.kind))
+        slot = min(fit, key=lambda slot: slot.kind != kind)
+        # To the end of the line, so that all get their share of the work.
+        self._slots.remove(slot)
+        self._slots.append(slot)
+        return slot.submit(function, argument, timeout_s)
+
+    def poll(self) -> None:
+        """Nothing: pebble watches the time limits."""
+
+    def why_died(self, error: BaseException) -> str | None:
+        """What killed the worker, if that is what `error` of a future means; else None."""
+        if isinstance(error, ProcessExpired):
+            return _exit_text(error.exitcode)
+        return "its worker process died" if isinstance(error, BrokenProcessPool) else None
+
+    def stop(self) -> None:
+        """Kill the workers now.  Shards are written whole or not at all, so nothing is lost."""
+        for slot in self._slots:
+            slot.stop()
+        joiner = threading.Thread(target=self._join, daemon=True)
+        joiner.start()
+        deadline = time.monotonic() + _STOP_S
+        # A pool may be starting a worker at this very moment, so look until all is quiet.  The
+        # threads of pools are daemons and hold nothing of ours, should they not notice in time.
+        while (self._kill_workers() or joiner.is_alive()) and time.monotonic() < deadline:
+            joiner.join(0.02)
+        for name, value in self._saved.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+    def _join(self) -> None:
+        for slot in self._slots:
+            slot.join()
+
+    def _kill_workers(self) -> bool:
+        """Kill what runs; returns whether anything did."""
+        started = [process for slot in self._slots for process in slot.context.started]
+        running = [process for process in started if process.is_alive()]
+        for process in running:
+            process.kill()
+        return bool(running)
+
+
+def _start_worker() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
+
+
+def _exit_with_parent() -> None:
+    """A killed parent cannot stop its workers, so they look after themselves."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    # Its start would lift the hold, so it has to run before.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _exit_text(exitcode: int) -> str:
+    if exitcode >= 0:
+        return f"its worker process ended with exit code {exitcode}"
+    try:
+        name = signal.Signals(-exitcode).name
+    except ValueError:
+        name = f"signal {-exitcode}"
+    hint = ", perhaps for want of memory" if name == "SIGKILL" else ""
+    return f"native crash, its worker process was killed by {name}{hint}"

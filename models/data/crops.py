@@ -1,0 +1,177 @@
+"""What a step learns from: which images, in what order, and which crops of them.
+
+Every crop is a pure function of the seed and of the number of its visit in the whole training, so
+it does not matter which process makes it, or whether training was interrupted before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import distributed
+from torch.utils.data import Dataset, Sampler
+
+from simnfnd.factory.seeds import stream
+from simnfnd.models.data.geometry import Maps, mirrored
+from simnfnd.models.data.pairs import Batch, Sample, Source
+from simnfnd.models.training.settings import DataSettings
+
+
+class Visit(NamedTuple):
+    """One image to be cropped.
+
+    number: of the visit in the whole training.  image: its index.  round: how often the image was
+    visited before.  patch: side of the crops, pixels.
+    """
+
+    number: int
+    image: int
+    round: int
+    patch: int
+
+
+class Crops(Dataset[Batch]):
+    """Training crops; item `Visit` is a batch of `crops` of them, all of one image.
+
+    extras: names of maps to add, as `models` describes them.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        *,
+        crops: int = 1,
+        flip: bool,
+        seed: int,
+        extras: Sequence[str] = (),
+    ) -> None:
+        self.source, self.crops, self.flip, self.seed = source, crops, flip, seed
+        self.extras = tuple(extras)
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def __getitem__(self, visit: Visit) -> Batch:
+        sample = self.source.sample(visit.image, visit.round)
+        rng = stream(self.seed, "crop", visit.number)
+        height, width = sample.noisy.shape
+        parts = []
+        for _ in range(self.crops):
+            top = int(rng.integers(height - visit.patch + 1))
+            left = int(rng.integers(width - visit.patch + 1))
+            flip = self.flip and rng.random() < 0.5
+            parts.append(_crop(sample, top, left, visit.patch, flip, self.extras))
+        return join(parts)
+
+
+class Whole(Dataset[Batch]):
+    """Whole images as batches of one, for validation, some of them."""
+
+    def __init__(self, source: Source, extras: Sequence[str] = ()) -> None:
+        self.source = source
+        # The level of the noise is nothing that a user could tell.
+        self.extras = tuple(name for name in extras if name != "noise_level")
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def __getitem__(self, index: int) -> Batch:
+        return whole(self.source.sample(index, None), self.extras)
+
+
+def whole(sample: Sample, extras: Sequence[str] = ()) -> Batch:
+    """A sample as a batch of one."""
+    images = _images(sample)
+    if sample.geometry is not None and extras:
+        maps = sample.geometry.maps(0, 0, *sample.noisy.shape)
+        images |= {name: maps[name] for name in extras if name in maps}
+    return {
+        name: torch.from_numpy(np.ascontiguousarray(x))[None, None] for name, x in images.items()
+    }
+
+
+def _crop(
+    sample: Sample, top: int, left: int, patch: int, flip: bool, extras: Sequence[str]
+) -> Batch:
+    window = np.s_[top : top + patch, left : left + patch]
+    step = -1 if flip else 1
+    images = {name: image[window][:, ::step] for name, image in _images(sample).items()}
+    if sample.geometry is not None and extras:
+        maps: Maps = sample.geometry.maps(top, left, patch, patch)
+        maps = mirrored(maps) if flip else maps
+        images |= {name: maps[name] for name in extras if name in maps}
+    batch = {name: torch.from_numpy(x.copy())[None, None] for name, x in images.items()}
+    if "noise_level" in extras and "clean" in batch:
+        difference = batch["noisy"] - batch["clean"]
+        batch["noise_level"] = difference.square().mean().sqrt()[None]
+    return batch
+
+
+def _images(sample: Sample) -> Maps:
+    images = {"noisy": sample.noisy, "clean": sample.clean, "shadow": sample.shadow}
+    return {name: image for name, image in images.items() if image is not None}
+
+
+def join(batches: Sequence[Batch]) -> Batch:
+    """One batch of several, in order."""
+    return {name: torch.cat([batch[name] for batch in batches]) for name in batches[0]}
+
+
+class Visits(Sampler[list[Visit]]):
+    """The visits of each step of one check interval; a batch sampler.
+
+    All images are visited once, in random order, before any is visited again.  `data.stages` holds
+    for whole intervals.  With several devices each takes its part of every step.
+    """
+
+    def __init__(self, images: int, data: DataSettings, intervals: int, steps: int, seed: int):
+        """images: how many there are.  steps: of one interval."""
+        self.images, self.steps, self.crops, self.seed = images, steps, data.crops, seed
+        self.sizes = interval_sizes(data, intervals)
+        # Lightning tells the sampler of a batch sampler which interval it is.
+        self.sampler = self
+        self._interval = 0
+
+    def set_epoch(self, epoch: int) -> None:
+        """Lightning calls this with the number of the interval, also after resuming."""
+        self._interval = epoch
+
+    def __len__(self) -> int:
+        return self.steps
+
+    def __iter__(self) -> Iterator[list[Visit]]:
+        before = sum(batch for _, batch in self.sizes[: self._interval])
+        patch, batch = self.sizes[self._interval]
+        number = before * self.steps // self.crops
+        rank, ranks = _place()
+        round_, order = -1, np.empty(0, dtype=np.int64)
+        for _ in range(self.steps):
+            visits = []
+            for _ in range(batch // self.crops):
+                if number // self.images != round_:
+                    round_ = number // self.images
+                    order = stream(self.seed, "order", round_).permutation(self.images)
+                image = int(order[number % self.images])
+                visits.append(Visit(number, image, round_, patch))
+                number += 1
+            yield visits[rank::ranks]
+
+
+def interval_sizes(data: DataSettings, intervals: int) -> list[tuple[int, int]]:
+    """(patch, batch) of every check interval."""
+    sizes: list[tuple[int, int]] = []
+    done = 0.0
+    for stage in data.stages:
+        done += stage.share
+        sizes += [(stage.patch, stage.batch)] * (round(done * intervals) - len(sizes))
+    return sizes + [(data.patch, data.batch)] * (intervals - len(sizes))
+
+
+def _place() -> tuple[int, int]:
+    """(number of this process, how many there are) of a training on several devices."""
+    if distributed.is_available() and distributed.is_initialized():
+        return distributed.get_rank(), distributed.get_world_size()
+    return 0, 1

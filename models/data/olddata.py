@@ -1,0 +1,126 @@
+"""`data=olddata`: real images taken as clean, artificial noise on top (Table 3, OldData).
+
+What the paper compares with: a real image keeps its own noise in the "clean" picture, so a network
+learns to leave noise of that kind alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy import ndimage
+
+from simnfnd.factory import noise
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.sonar.echoes import Echoes, in_plane
+from simnfnd.factory.sonar.window import Window
+from simnfnd.models.data.geometry import Geometry, polar_picture, read_fans
+from simnfnd.models.data.images import read_grey
+from simnfnd.models.data.pairs import Image, Sample, SampleRef, weakened
+
+_FAR_M = 10.0
+"""Range of the far edge: the noise knows fractions of the range alone, so any would do."""
+_SPREAD_PX = 0.7
+_DARK = 0.02
+"""A pixel at or below this grey value is shadow, as the paper's threshold on T has it."""
+
+
+class OldDataSource:
+    """Real images with the factory's noise on them; a `simnfnd.models.data.pairs.Source`."""
+
+    def __init__(
+        self,
+        samples: tuple[SampleRef, ...],
+        geometry: str,
+        settings: noise.NoiseSettings,
+        *,
+        looks: int,
+        weaker: float,
+        seed: int,
+    ) -> None:
+        """geometry: `polar`, or a CSV table (`simnfnd.models.data.geometry.read_fans`).
+
+        Raises FactoryError when an image is not in the table.
+        """
+        self.samples, self.settings, self.looks = samples, settings, looks
+        self.weaker, self.seed = weaker, seed
+        self.fans: Mapping[str, Geometry] = {} if geometry == "polar" else read_fans(geometry)
+        unknown = [s.frame for s in samples if self.fans and s.frame not in self.fans]
+        if unknown:
+            raise FactoryError(
+                f"data.geometry={geometry}: says nothing about {unknown[0]} and "
+                f"{len(unknown) - 1} more images; add them, or give another data.folder"
+            )
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    def sample(self, index: int, visit: int | None) -> Sample:
+        """See `Source`."""
+        ref = self.samples[index]
+        clean = read_grey(ref.path)
+        geometry = self.fans[ref.frame] if self.fans else polar_picture(*clean.shape)
+        sector = geometry.maps(0, 0, *clean.shape)["sector"]
+        clean = clean * sector
+        number = "validation" if visit is None else visit
+        drawn = noise.draw(self.settings, self.seed, ref.scene, ref.frame, number)
+        noisy = with_noise(
+            clean, geometry, drawn, self.looks, self.seed, ref.scene, ref.frame, number
+        )
+        if visit is not None:
+            strength = np.float32(weakened(self.weaker, self.seed, index, visit))
+            noisy = clean + strength * (noisy - clean)
+        shadow = (sector > 0) & (clean <= _DARK)
+        return Sample(noisy, clean, shadow.astype(np.float32), geometry)
+
+
+def with_noise(
+    clean: Image,
+    geometry: Geometry,
+    drawn: dict[str, noise.Drawn],
+    looks: int,
+    seed: int,
+    *names: str | int,
+) -> Image:
+    """A picture (H, W) in 0..1 with the drawn effects on it, clipped to 0..1.
+
+    Every pixel that is not black is `looks` echoes, which range spreading moves along their bearing
+    before they are gathered again; the other effects add echoes, blurred by 0.7 pixels.
+    """
+    maps = geometry.maps(0, 0, *clean.shape)
+    lit = (clean > 0) & (maps["sector"] > 0)
+    if not lit.any():
+        return clean
+    azimuth = np.repeat(maps["azimuth_rad"][lit], looks)
+    range_m = np.repeat(maps["range_fraction"][lit] * np.float32(_FAR_M), looks)
+    scene = in_plane(range_m, azimuth, np.repeat(clean[lit] / np.float32(looks), looks))
+    window = Window(
+        "slant_range",
+        geometry.near_fraction * _FAR_M,
+        _FAR_M,
+        geometry.azimuth_min_rad,
+        geometry.azimuth_max_rad,
+    )
+    made = noise.layers(scene, scene, window, drawn, seed, *names)
+    moved = {name: echoes for name, echoes in made.items() if noise.EFFECTS[name].moves}
+    picture = _gathered(noise.combine(scene, moved, 1.0), geometry, clean.shape)
+    added = [echoes for name, echoes in made.items() if name not in moved]
+    for echoes in added:
+        points = _gathered(echoes, geometry, clean.shape)
+        picture += ndimage.gaussian_filter(points, _SPREAD_PX, mode="constant", truncate=3.0)
+    return np.clip(picture * maps["sector"], 0, 1).astype(np.float32)
+
+
+def _gathered(echoes: Echoes, geometry: Geometry, shape: tuple[int, ...]) -> Image:
+    """Sum of the echoes' strengths in each pixel; those outside the picture are lost."""
+    height, width = shape
+    fraction = echoes.range_m / np.float32(_FAR_M)
+    row, column = (
+        np.rint(place).astype(np.intp) for place in geometry.pixels(fraction, echoes.azimuth_rad)
+    )
+    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    inside &= (fraction >= geometry.near_fraction - 1e-6) & (fraction <= 1 + 1e-6)
+    index = row[inside] * width + column[inside]
+    level = np.bincount(index, weights=echoes.strength[inside], minlength=height * width)
+    return np.asarray(level.reshape(height, width), dtype=np.float32)

@@ -1,0 +1,235 @@
+"""The factory's shards as training data: which pairs there are, and how they are read."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch.utils.data import Dataset
+
+from simnfnd.factory.dataset import PairDataset
+from simnfnd.factory.dataset.read.open_shards import OpenShards
+from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
+from simnfnd.factory.dataset.read.reader import Split, open_shard
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.seeds import stream
+from simnfnd.factory.settings import build
+from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.models.data.geometry import Geometry, of_sonar
+
+Image = npt.NDArray[np.float32]
+
+Batch = dict[str, torch.Tensor]
+"""`noisy`, `clean` and `shadow`, (N, 1, H, W) float32 in 0..1 (clean and shadow where they are
+known), and the extras that `models` describes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One training image.
+
+    noisy, clean: (H, W) float32 in 0..1; clean None where nobody knows it.
+    shadow: (H, W) float32, 1 in shadow, or None.  geometry: where range and bearing are, or None.
+    """
+
+    noisy: Image
+    clean: Image | None = None
+    shadow: Image | None = None
+    geometry: Geometry | None = None
+
+
+class Source(Protocol):
+    """Training images by their index, in any process."""
+
+    def __len__(self) -> int:
+        """How many images there are."""
+
+    def sample(self, index: int, visit: int | None) -> Sample:
+        """Image `index` as it is at its visit number `visit`; None: for validation.
+
+        Its noise may differ from visit to visit, and depends on nothing else.
+        Raises FactoryError when it cannot be read.
+        """
+
+
+@dataclass(frozen=True)
+class SampleRef:
+    """One pair of a dataset: where it is and which scene and frame it shows.
+
+    window: (range_min / range_max, first and last seen azimuth in radians), where it is known.
+    """
+
+    path: Path
+    row: int
+    scene: str
+    frame: str
+    window: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class PairTable:
+    """All pairs of a split, the size of their images, and the dataset's configuration and hash."""
+
+    samples: tuple[SampleRef, ...]
+    height: int
+    width: int
+    config_hash: str
+    config: dict[str, Any]
+
+    @property
+    def sonar(self) -> SonarSettings | None:
+        """The device of the pictures; None for a dataset of another program."""
+        try:
+            sonar: SonarSettings = build(SonarSettings, self.config["sonar"])
+            return sonar
+        except (KeyError, TypeError, FactoryError):
+            return None
+
+
+def read_table(dataset: str | Path, split: Split) -> PairTable:
+    """List the pairs of a split.  FactoryError: no dataset, another schema, mixed image sizes."""
+    with PairDataset(dataset, split) as pairs:
+        if not len(pairs):
+            raise FactoryError(
+                f"dataset={dataset}: the {split} split holds no samples; generate some"
+            )
+        places = (pairs.place(index) for index in range(len(pairs)))
+        samples = tuple(
+            SampleRef(
+                path,
+                row,
+                f"{_text(meta['location'])}/{_text(meta['scene'])}",
+                _text(meta["frame"]),
+                _window(meta),
+            )
+            for (path, row), meta in zip(places, pairs.meta(), strict=True)
+        )
+        with open_shard(pairs.paths[0]) as shard:
+            config = json.loads(shard.attrs["config"])
+        return PairTable(samples, *pairs.shape, pairs.config_hash, config)
+
+
+def _window(meta: np.void) -> tuple[float, float, float] | None:
+    names = ("range_min_m", "range_max_m", "azimuth_min_deg", "azimuth_max_deg")
+    if not set(names) <= set(meta.dtype.names or ()):
+        return None
+    near, far, low, high = (float(meta[name]) for name in names)
+    return near / far, math.radians(low), math.radians(high)
+
+
+def _text(value: bytes) -> str:
+    return value.decode(errors="replace")
+
+
+def hold_out(
+    samples: tuple[SampleRef, ...], fraction: float, seed: int
+) -> tuple[tuple[SampleRef, ...], tuple[SampleRef, ...]]:
+    """Split into (training, validation) by scene, or by frame when there is one scene only.
+
+    At least one scene or frame goes to each side; all variants of a frame stay together.
+    """
+    names = sorted({sample.scene for sample in samples})
+    by_scene = len(names) > 1
+    if not by_scene:
+        names = sorted({sample.frame for sample in samples})
+    if len(names) < 2:
+        raise FactoryError("dataset: its train split has one frame; validation needs another one")
+    count = min(max(1, round(fraction * len(names))), len(names) - 1)
+    order = stream(seed, "validation").permutation(len(names))
+    held = {names[index] for index in order[:count]}
+
+    def is_held(sample: SampleRef) -> bool:
+        return (sample.scene if by_scene else sample.frame) in held
+
+    return (
+        tuple(sample for sample in samples if not is_held(sample)),
+        tuple(sample for sample in samples if is_held(sample)),
+    )
+
+
+def spread(samples: tuple[SampleRef, ...], limit: int | None) -> tuple[SampleRef, ...]:
+    """At most `limit` of the samples, evenly spaced."""
+    if limit is None or len(samples) <= limit:
+        return samples
+    return tuple(samples[index * len(samples) // limit] for index in range(limit))
+
+
+class Shards:
+    """Reads pairs, in any process."""
+
+    def __init__(self) -> None:
+        self._open = OpenShards()
+
+    def pair(self, sample: SampleRef) -> tuple[Image, Image]:
+        """(noisy, clean), each (H, W) float32 in 0..1."""
+        noisy, clean = self._open.read(sample.path, ("noisy", "clean"), sample.row)
+        return in_unit_range(noisy), in_unit_range(clean)
+
+    def layers(self, sample: SampleRef) -> tuple[Image, Image, Image]:
+        """(noisy, clean, shadow), each (H, W) float32 in 0..1."""
+        names = ("noisy", "clean", "shadow")
+        noisy, clean, shadow = self._open.read(sample.path, names, sample.row)
+        return in_unit_range(noisy), in_unit_range(clean), shadow.astype(np.float32)
+
+
+class PairSource:
+    """`data=pairs`: the pairs of a dataset; a `Source`.
+
+    weaker: part of the visits in which the noise is blended towards the clean picture, by a factor
+    that is even in 0..1 and 0 in one case of eight.
+    """
+
+    def __init__(
+        self,
+        samples: Sequence[SampleRef],
+        sonar: SonarSettings | None,
+        *,
+        weaker: float = 0.0,
+        seed: int = 0,
+    ) -> None:
+        self.samples, self.sonar, self.weaker, self.seed = tuple(samples), sonar, weaker, seed
+        self._shards = Shards()
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    def sample(self, index: int, visit: int | None) -> Sample:
+        """See `Source`."""
+        ref = self.samples[index]
+        noisy, clean, shadow = self._shards.layers(ref)
+        if visit is not None:
+            strength = weakened(self.weaker, self.seed, index, visit)
+            if strength < 1:
+                noisy = clean + np.float32(strength) * (noisy - clean)
+        geometry = None
+        if self.sonar is not None and ref.window is not None:
+            geometry = of_sonar(self.sonar, *ref.window)
+        return Sample(noisy, clean, shadow, geometry)
+
+
+def weakened(share: float, seed: int, *names: int | str) -> float:
+    """The factor on the noise at a visit: 1, or in `share` of the visits less, down to 0 itself."""
+    rng = stream(seed, "weaker", *names)
+    if rng.random() >= share:
+        return 1.0
+    return 0.0 if rng.random() < 1 / 8 else float(rng.random())
+
+
+class Pairs(Dataset[Batch]):
+    """A split of a dataset for a torch DataLoader: whole images, in order."""
+
+    def __init__(self, dataset: str | Path, split: Split = "train") -> None:
+        self.pairs = PairDataset(dataset, split, scaled=True)
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    def __getitem__(self, index: int) -> Batch:
+        return {name: torch.from_numpy(image)[None] for name, image in self.pairs[index].items()}

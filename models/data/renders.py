@@ -1,0 +1,231 @@
+"""`data=renders`: fresh noise on clean renders, at every visit.
+
+The renders are those of a dataset, in the cache or in a pack; pairs are made of them by the same
+code as the dataset's own, so a network never sees the same noise twice.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from simnfnd.factory import noise
+from simnfnd.factory.config import FactoryConfig, from_mapping
+from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
+from simnfnd.factory.dataset.write.folder import CONFIG_NAME
+from simnfnd.factory.distribution import Distribution
+from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.frame import FrameRef
+from simnfnd.factory.generate import choose_frames, split_frames
+from simnfnd.factory.pairs import PairMaker
+from simnfnd.factory.scenes import open_reader
+from simnfnd.factory.seeds import stream
+from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.models.data.geometry import of_record
+from simnfnd.models.data.pairs import PairTable, Sample, SampleRef, weakened
+from simnfnd.models.training.settings import RendersData
+
+_AMOUNTS = ("alpha", "density", "strength")
+"""Parameters that are 0 where an effect is absent: these a weaker noise scales."""
+
+
+class RenderSource:
+    """Pairs made on the fly; a `simnfnd.models.data.pairs.Source`."""
+
+    def __init__(
+        self,
+        config: FactoryConfig,
+        frames: tuple[FrameRef, ...],
+        *,
+        weaker: float,
+        fewer: float,
+        seed: int,
+        scales: tuple[float, ...],
+    ) -> None:
+        """config: how pairs are made.  frames: whose renders are at hand.  See `RendersData`.
+
+        Raises FactoryError as `resized` does.
+        """
+        self.config, self.frames = replace(config, seed=seed), frames
+        self.weaker, self.fewer, self.seed, self.scales = weaker, fewer, seed, scales
+        self._sonars = {scale: resized(config.sonar, scale) for scale in (1.0, *scales)}
+        self._makers: dict[float, PairMaker] = {}
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_makers": {}}
+
+    def sample(self, index: int, visit: int | None) -> Sample:
+        """See `Source`."""
+        scale = 1.0 if visit is None else self.scale_of(index, visit)
+        if scale not in self._makers:
+            self._makers[scale] = PairMaker(replace(self.config, sonar=self._sonars[scale]))
+        ref = self.frames[index]
+        number = 0 if visit is None else visit
+        maker = copy.copy(self._makers[scale])
+        if visit is not None:
+            maker.config = replace(maker.config, noise=self.noise_of(index, visit))
+        try:
+            pair = maker.pairs(ref, (number,))[0]
+        except FrameError as error:
+            raise FactoryError(f"data=renders: {error}; leave the frame out") from error
+        return Sample(
+            in_unit_range(pair.noisy),
+            in_unit_range(pair.clean),
+            pair.shadow.astype(np.float32),
+            of_record(self._sonars[scale], pair.record),
+        )
+
+    def scale_of(self, index: int, visit: int) -> float:
+        """Size of the picture of a visit, as a multiple of the dataset's: any of `scales`."""
+        return self.scales[stream(self.seed, "scale", index, visit).integers(len(self.scales))]
+
+    def noise_of(self, index: int, visit: int) -> noise.NoiseSettings:
+        """The noise of a visit: as configured, or with less of all effects, or some effects off.
+
+        An effect that has no amount to make less of is left out in as many visits instead.
+        """
+        chosen = self.config.noise
+        factor = weakened(self.weaker, self.seed, index, visit)
+        rng = stream(self.seed, "fewer", index, visit)
+        fewer = rng.random() < self.fewer
+        blocks = {}
+        for item in fields(chosen):
+            block, coins = getattr(chosen, item.name), rng.random(2)
+            if block is None:
+                continue
+            weaker = scaled(block, factor) if factor < 1 else block
+            off = (fewer and coins[0] < 0.5) or factor == 0
+            off |= factor < 1 and weaker == block and coins[1] >= factor
+            blocks[item.name] = replace(weaker, enabled=block.enabled and not off)
+        return replace(chosen, **blocks)
+
+
+def scaled(block: Any, factor: float) -> Any:
+    """An effect's settings with `alpha`, `density` and `strength` times `factor`."""
+    changes = {}
+    for item in fields(block):
+        value = getattr(block, item.name)
+        if item.name in _AMOUNTS and isinstance(value, Distribution):
+            values = tuple(number * factor for number in value.values)
+            changes[item.name] = replace(value, values=values)
+    return replace(block, **changes)
+
+
+def resized(sonar: SonarSettings, scale: float) -> SonarSettings:
+    """The same device with `scale` times as many beams, range bins and pixels.
+
+    Its point spread stays as many bins and beams wide, so it resolves more.
+    Raises FactoryError when that is too many, and where there is a table of beams, which says
+    nothing of beams between.
+    """
+    if scale == 1:
+        return sonar
+    if sonar.beam_azimuths_deg is not None:
+        raise FactoryError(
+            f"data.scales: {scale:g}: {sonar.name} has a table of beams; only 1 is possible"
+        )
+    image = sonar.image
+    sizes = [sonar.beams, sonar.range_bins, image.width_px, image.height_px]
+    beams, range_bins, width_px, height_px = (round(scale * size) for size in sizes)
+    try:
+        image = replace(image, width_px=width_px, height_px=height_px)
+        return replace(sonar, beams=beams, range_bins=range_bins, image=image)
+    except ValueError as error:
+        raise FactoryError(
+            f"data.scales: {scale:g} makes {beams} beams, {range_bins} range bins and "
+            f"{width_px}x{height_px} pixels; 2 to 8192 of each are possible"
+        ) from error
+
+
+def open_renders(
+    data: RendersData, table: PairTable, validation: tuple[SampleRef, ...], dataset: str, seed: int
+) -> tuple[RenderSource, dict[str, Any], str]:
+    """The source of the renders that train, what they are for the recipe, and a line to show.
+
+    table: the dataset's train split.  validation: its pairs that are held out.
+    Raises FactoryError when the dataset was made by another version or its renders are not there.
+    """
+    config = _config(data, dataset)
+    found = open_reader(config.scenes).discover().frames
+    if data.pack is None:
+        found = choose_frames(found, config)
+    training = split_frames(found, config)["train"]
+    held = {sample.scene for sample in validation}
+    if {sample.scene for sample in table.samples} == held:
+        # One scene alone: its frames are held out one by one.
+        names = {(sample.scene, sample.frame) for sample in validation}
+        training = tuple(
+            ref for ref in training if (f"{ref.location}/{ref.scene}", ref.frame) not in names
+        )
+    else:
+        training = tuple(ref for ref in training if f"{ref.location}/{ref.scene}" not in held)
+    maker = PairMaker(config)
+    ready = tuple(ref for ref in training if maker.ready(ref))
+    if not ready:
+        raise FactoryError(
+            f"data=renders: none of the {len(training)} training frames of {dataset} has its "
+            f"render in {config.cache.folder}; make the dataset again with this version (its "
+            "command keeps the renders), or give data.cache=FOLDER or data.pack=FILE"
+        )
+    missing = len(training) - len(ready)
+    said = f"renders: {len(ready)} frames" + (f", {missing} not rendered" if missing else "")
+    names_ = "\n".join(ref.name for ref in ready)
+    facts = {
+        "renders.frames": len(ready),
+        "renders.names": hashlib.blake2b(names_.encode(), digest_size=8).hexdigest(),
+    }
+    source = RenderSource(
+        config,
+        ready,
+        weaker=data.weaker,
+        fewer=data.fewer,
+        seed=seed,
+        scales=data.scales,
+    )
+    return source, facts, said
+
+
+def _config(data: RendersData, dataset: str) -> FactoryConfig:
+    """The dataset's own configuration with what `data` changes."""
+    path = Path(dataset) / CONFIG_NAME
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise FactoryError(
+            f"{path}: cannot be read; data=renders needs the whole folder that `simnfnd make` wrote"
+        ) from error
+    for word in data.factory:
+        key, equals, text = word.partition("=")
+        if not equals:
+            raise FactoryError(f"data.factory: {word!r} is no KEY=VALUE")
+        _put(values, key.lstrip("+"), yaml.safe_load(text))
+    if data.pack is not None:
+        values["scenes"] = {"kind": "pack", "root": data.pack}
+    if data.cache is not None:
+        values["cache"] = {**values.get("cache", {}), "dir": data.cache}
+    try:
+        return from_mapping(values)
+    except FactoryError as error:
+        raise FactoryError(
+            f"dataset={dataset}: data=renders needs a dataset of this version of the factory, and "
+            f"keys that it has: {error}"
+        ) from error
+
+
+def _put(values: dict[str, Any], key: str, value: Any) -> None:
+    *path, last = key.split(".")
+    for step in path:
+        inner = values.setdefault(step, {})
+        if not isinstance(inner, dict):
+            raise FactoryError(f"data.factory: {key}: {step} is a value and no group")
+        values = inner
+    values[last] = value

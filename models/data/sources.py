@@ -1,0 +1,139 @@
+"""From the `data` group to what is learned from and what is validated on."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import sha256_of
+from simnfnd.factory.noise import NoiseSettings
+from simnfnd.models.data.images import NoisySource, list_images, smallest_side
+from simnfnd.models.data.pairs import PairSource, SampleRef, Source, hold_out, read_table, spread
+from simnfnd.models.training.settings import (
+    DataSettings,
+    ModelsSettings,
+    OldData,
+    PairsData,
+    RendersData,
+    SelfSupervisedData,
+)
+
+_SMALLEST = 11
+"""Side of the window of SSIM, pixels."""
+
+
+@dataclass(frozen=True)
+class Data:
+    """learning, validation: images.  labels: what each validation image shows.
+
+    facts: what decides the weights beside the settings.
+    """
+
+    learning: Source
+    validation: Source
+    labels: tuple[str, ...]
+    facts: dict[str, Any]
+
+
+def open_data(settings: ModelsSettings) -> Data:
+    """Find the images that the configuration means, and hold some out.
+
+    Raises FactoryError: nothing there, another schema, images smaller than a patch, one frame only.
+    """
+    data = settings.data
+    if isinstance(data, PairsData | RendersData):
+        return _of_dataset(data, settings)
+    assert isinstance(data, OldData | SelfSupervisedData)
+    found = list_images(data.folder)
+    side, smallest = smallest_side(found)
+    _check_sizes(data, side, str(smallest.path))
+    learning, held = hold_out(found, data.validation, settings.seed)
+    held = spread(held, data.validation_limit)
+    labels = tuple(sample.frame for sample in held)
+    facts: dict[str, Any] = {"images": len(found), "images.content": _digest(found)}
+    if isinstance(data, SelfSupervisedData):
+        return Data(NoisySource(learning), NoisySource(held), labels, facts)
+    from simnfnd.models.data.olddata import OldDataSource
+
+    noise = _noise(data.factory)
+    if data.geometry != "polar":
+        facts["geometry"] = sha256_of(Path(data.geometry).expanduser())[:16]
+    sources = [
+        OldDataSource(
+            samples,
+            data.geometry,
+            noise,
+            looks=data.looks,
+            weaker=data.weaker,
+            seed=settings.seed,
+        )
+        for samples in (learning, held)
+    ]
+    return Data(sources[0], sources[1], labels, facts)
+
+
+def _noise(words: tuple[str, ...]) -> NoiseSettings:
+    """The noise of `simnfnd make` with these words."""
+    from hydra.core.global_hydra import GlobalHydra
+
+    from simnfnd.factory.compose import compose_config
+
+    # Hydra composes one configuration at a time, and that of this training is the one at present.
+    state = GlobalHydra.get_state()
+    GlobalHydra.instance().clear()
+    try:
+        return compose_config(words).noise
+    finally:
+        GlobalHydra.set_state(state)
+
+
+def _of_dataset(data: PairsData | RendersData, settings: ModelsSettings) -> Data:
+    folder = settings.dataset.dir
+    if folder is None:
+        raise FactoryError(
+            f"dataset: data={data.kind} needs the folder that `simnfnd make` made, dataset=DIR"
+        )
+    table = read_table(folder, "train")
+    least = min(data.scales) if isinstance(data, RendersData) else 1.0
+    height, width = (round(least * side) for side in (table.height, table.width))
+    _check_sizes(data, min(height, width), folder, f"{height}x{width}")
+    learning, held = hold_out(table.samples, data.validation, settings.seed)
+    shown = spread(held, data.validation_limit)
+    facts: dict[str, Any] = {
+        "dataset.config_hash": table.config_hash,
+        "dataset.pairs": len(table.samples),
+        "dataset.image": [table.height, table.width],
+    }
+    validation = PairSource(shown, table.sonar)
+    labels = tuple(f"{sample.scene} {sample.frame}" for sample in shown)
+    if isinstance(data, PairsData):
+        source: Source = PairSource(learning, table.sonar, weaker=data.weaker, seed=settings.seed)
+    else:
+        # Only here: it brings the readers and the whole of the factory.
+        from simnfnd.models.data.renders import open_renders
+
+        source, more, said = open_renders(data, table, held, folder, settings.seed)
+        facts |= more
+        print(said)
+    return Data(source, validation, labels, facts)
+
+
+def _digest(samples: tuple[SampleRef, ...]) -> str:
+    """Changes with the names and the content of image files, not with where they lie."""
+    found = [(sample.scene, sample.frame, sha256_of(sample.path)) for sample in samples]
+    return hashlib.blake2b(repr(found).encode(), digest_size=8).hexdigest()
+
+
+def _check_sizes(data: DataSettings, side: int, where: str, shape: str = "") -> None:
+    """Raise FactoryError when an image is smaller than a patch, or than what SSIM needs."""
+    patch = max([data.patch, *(stage.patch for stage in data.stages)])
+    if patch > side:
+        shown = f" ({shape})" if shape else ""
+        raise FactoryError(
+            f"data.patch={patch} is larger than the images of {where}{shown}; choose at most {side}"
+        )
+    if side < _SMALLEST:
+        raise FactoryError(f"{where}: images of {side} pixels are too small to validate on")

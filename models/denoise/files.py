@@ -1,0 +1,208 @@
+"""Denoising of one file: what comes in comes out, denoised, under its own name."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from simnfnd.factory.dataset.read.reader import open_shard, value_range
+from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.files import write_atomically
+from simnfnd.factory.settings import build
+from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.models.data.geometry import Geometry, of_record
+from simnfnd.models.data.images import FULL_SCALE, decode
+from simnfnd.models.denoise.inputs import Item
+
+SCHEMA = "simnfnd-denoised/1"
+
+Gray = npt.NDArray[np.float32]
+Denoise = Callable[[Gray, Geometry | None], Gray]
+"""(H, W) float32 in 0..1, and where range and bearing are, if known -> the same, denoised."""
+Tick = Callable[[], object]
+"""Called after every picture."""
+
+_COMPARED = 4
+
+
+def denoise_image(
+    image: npt.NDArray[Any], denoise: Denoise, geometry: Geometry | None = None
+) -> npt.NDArray[Any]:
+    """Denoise (H, W) or (H, W, C) uint8, uint16 or float32 (0..1); same shape and dtype out.
+
+    Colour channels are denoised one by one (once, when they are equal); an alpha channel stays.
+    Raises ValueError for another dtype or shape, NaN, and floats outside 0..1.
+    """
+    full = FULL_SCALE.get(str(image.dtype))
+    if full is None:
+        raise ValueError(f"pixels are {image.dtype}; expected {', '.join(FULL_SCALE)}")
+    if image.ndim == 3:
+        result = image.copy()
+        colours = 3 if image.shape[2] in (3, 4) else 1
+        for channel in range(colours):
+            plane = np.ascontiguousarray(image[..., channel])
+            same = channel and np.array_equal(plane, image[..., 0])
+            result[..., channel] = (
+                result[..., 0] if same else denoise_image(plane, denoise, geometry)
+            )
+        return result
+    if image.ndim != 2 or 0 in image.shape:
+        raise ValueError(f"image has shape {image.shape}; expected (H, W) or (H, W, C)")
+    if image.dtype == np.float32 and not (image.min() >= 0 and image.max() <= 1):
+        raise ValueError("float pixels must lie in 0..1")
+    denoised = denoise(image.astype(np.float32) / np.float32(full), geometry)
+    if image.dtype == np.float32:
+        return denoised
+    return np.asarray(np.rint(denoised.astype(np.float64) * full).astype(image.dtype))
+
+
+def denoise_file(
+    item: Item, out: Path, denoise: Denoise, geometry: Geometry | None, *, compare: bool, tick: Tick
+) -> None:
+    """Denoise one image file into `out`.  FrameError when it cannot be read."""
+    try:
+        image = decode(item.source)
+        denoised = denoise_image(image, denoise, geometry)
+    except (FactoryError, ValueError) as error:
+        text = str(error)
+        named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
+        raise FrameError(named) from error
+    _write_image(out / item.relative, denoised)
+    if compare:
+        _write_compared(out, item.relative, [(image, denoised)])
+    tick()
+
+
+def denoise_video(
+    item: Item, out: Path, denoise: Denoise, geometry: Geometry | None, *, compare: bool, tick: Tick
+) -> None:
+    """Denoise the frames of a video into PNG files of a folder of its name.
+
+    PNG, because a video codec would add artefacts of its own.  FrameError when it has no frames.
+    """
+    count = 0
+    shown = []
+    for frame in _frames(item.source):
+        grey = (frame == frame[..., :1]).all()
+        frame = np.ascontiguousarray(frame[..., 0]) if grey else frame
+        denoised = denoise_image(frame, denoise, geometry)
+        _write_image(out / item.relative / f"{count:06d}.png", denoised)
+        if count < _COMPARED:
+            shown.append((frame, denoised))
+        count += 1
+        tick()
+    if not count:
+        raise FrameError(f"{item.source}: not a readable video")
+    if compare:
+        _write_compared(out, item.relative, shown)
+
+
+def _frames(path: Path) -> Iterator[npt.NDArray[np.uint8]]:
+    """The frames of a video, (H, W, 3) uint8."""
+    capture = cv2.VideoCapture(str(path))
+    try:
+        while True:
+            there, frame = capture.read()
+            if not there:
+                return
+            yield np.asarray(frame, dtype=np.uint8)
+    finally:
+        capture.release()
+
+
+def denoise_shard(
+    item: Item, out: Path, denoise: Denoise, *, weights_sha256: str, compare: bool, tick: Tick
+) -> None:
+    """Denoise /noisy of a shard into /denoised of a file of its name; /meta and /axes go along.
+
+    Raises FrameError when it is not a shard of this program, or damaged.
+    """
+    try:
+        source = open_shard(item.source)
+    except FactoryError as error:
+        raise FrameError(str(error)) from error
+    # Made in memory and written in one go, like the shards themselves.
+    with (
+        source,
+        h5py.File("denoised.h5", "w", driver="core", backing_store=False) as target,
+    ):
+        noisy, full = source["noisy"], value_range(source)
+        target.attrs["schema"] = SCHEMA
+        target.attrs["config_hash"] = source.attrs["config_hash"]
+        target.attrs["weights_sha256"] = weights_sha256
+        for name in ("meta", "axes"):
+            if name in source:
+                source.copy(name, target)
+        denoised = target.create_dataset(
+            "denoised",
+            shape=noisy.shape,
+            dtype=noisy.dtype,
+            chunks=(1, *noisy.shape[1:]),
+            compression="gzip",
+            compression_opts=1,
+            fletcher32=True,
+            track_times=False,
+        )
+        shown = []
+        geometry = _geometry_of(source)
+        for row in range(len(noisy)):
+            try:
+                image = noisy[row]
+                denoised[row] = denoise_image(image, denoise, geometry(row))
+            except (OSError, ValueError) as error:
+                raise FrameError(f"{item.source}: sample {row} is damaged ({error})") from error
+            if row < _COMPARED:
+                shown.append(tuple(x / full for x in (image, denoised[row], source["clean"][row])))
+            tick()
+        target.flush()
+        content = target.id.get_file_image()
+    path = out / item.relative
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, content)
+    if compare and shown:
+        _write_compared(out, item.relative, shown)
+
+
+def _geometry_of(shard: h5py.File) -> Callable[[int], Geometry | None]:
+    """Row -> where range and bearing are, if the shard says so."""
+    try:
+        config: Mapping[str, Any] = json.loads(shard.attrs["config"])
+        sonar: SonarSettings = build(SonarSettings, config["sonar"])
+        of_record(sonar, shard["meta"][0])
+    except (KeyError, TypeError, ValueError, IndexError, FactoryError):
+        return lambda row: None
+    return lambda row: of_record(sonar, shard["meta"][row])
+
+
+def _write_image(path: Path, image: npt.NDArray[Any]) -> None:
+    # JPEG is lossy at any quality; at 100 the least.
+    options = [cv2.IMWRITE_JPEG_QUALITY, 100] if path.suffix.lower() in (".jpg", ".jpeg") else []
+    done, content = cv2.imencode(path.suffix, image, options)
+    if not done:
+        raise FrameError(f"{path}: {image.dtype} pixels do not fit this file format")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, content.tobytes())
+
+
+def _write_compared(out: Path, relative: Path, rows: Sequence[Sequence[npt.NDArray[Any]]]) -> None:
+    """Noisy, denoised (and clean) side by side, one row a sample."""
+    lines = []
+    for images in rows:
+        panels = [_shown(image) for image in images]
+        gap = np.full((*panels[0].shape[:1], 4, *panels[0].shape[2:]), 128, np.uint8)
+        line = [part for panel in panels for part in (gap, panel)][1:]
+        lines.append(np.concatenate(line, axis=1))
+    sheet = np.concatenate(lines, axis=0)
+    _write_image(out / "compare" / relative.with_suffix(".png"), sheet)
+
+
+def _shown(image: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    full = 1.0 if image.dtype.kind == "f" else FULL_SCALE[str(image.dtype)]
+    return np.asarray(np.rint(np.clip(image / full, 0, 1) * 255), dtype=np.uint8)

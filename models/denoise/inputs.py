@@ -1,0 +1,82 @@
+"""What `simnfnd denoise` is given: images, folders, datasets, shards and videos."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from simnfnd.factory.dataset.format.manifest import MANIFEST_NAME
+from simnfnd.factory.dataset.read.reader import shard_paths
+from simnfnd.factory.errors import FactoryError
+from simnfnd.models.data.images import IMAGE_SUFFIXES
+
+SHARD_SUFFIXES = (".h5", ".hdf5")
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")
+SUFFIXES = (*IMAGE_SUFFIXES, *SHARD_SUFFIXES, *VIDEO_SUFFIXES)
+
+
+@dataclass(frozen=True)
+class Item:
+    """One input file and its name below the output folder."""
+
+    source: Path
+    relative: Path
+
+    @property
+    def kind(self) -> Literal["image", "shard", "video"]:
+        """By the suffix of its name."""
+        suffix = self.source.suffix.lower()
+        if suffix in SHARD_SUFFIXES:
+            return "shard"
+        return "video" if suffix in VIDEO_SUFFIXES else "image"
+
+
+def find_items(inputs: Sequence[Path], out: Path) -> list[Item]:
+    """The files to denoise, in a fixed order.
+
+    A folder stands for all images, shards and videos below it, a dataset's folder for its shards
+    alone.  Raises FactoryError when there is nothing, two results would have one name, or a result
+    would replace its input.
+    """
+    items: dict[Path, Item] = {}
+    for path in inputs:
+        for item in _of_input(path, out):
+            other = items.setdefault(item.relative, item)
+            if other.source.resolve() != item.source.resolve():
+                raise FactoryError(
+                    f"{other.source} and {item.source} would both become {item.relative}; "
+                    "denoise them into different folders"
+                )
+            if (out / item.relative).resolve() == item.source.resolve():
+                raise FactoryError(f"--out {out}: would overwrite the input {item.source}")
+    return list(items.values())
+
+
+def _of_input(path: Path, out: Path) -> Iterator[Item]:
+    if path.is_file():
+        if path.suffix.lower() not in SUFFIXES:
+            raise FactoryError(
+                f"{path}: neither an image nor a shard nor a video ({', '.join(SUFFIXES)})"
+            )
+        yield Item(path, Path(path.name))
+    elif not path.is_dir():
+        raise FactoryError(f"{path}: no such file or folder")
+    elif (path / MANIFEST_NAME).is_file():
+        for shard in shard_paths(path, "all"):
+            yield Item(shard, shard.relative_to(path))
+    else:
+        found = [
+            file
+            for file in sorted(path.rglob("*"))
+            if file.suffix.lower() in SUFFIXES and file.is_file() and not _is_below(file, out)
+        ]
+        if not found:
+            raise FactoryError(f"{path}: holds no image, shard or video ({', '.join(SUFFIXES)})")
+        for file in found:
+            yield Item(file, file.relative_to(path))
+
+
+def _is_below(file: Path, folder: Path) -> bool:
+    return file.resolve().is_relative_to(folder.resolve())

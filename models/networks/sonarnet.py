@@ -1,0 +1,188 @@
+"""SonarNet, a light network of this project, built around what a sonar picture is.
+
+- It works on the polar grid: where the geometry of a fan picture is known, it looks at the picture
+  by range and bearing, and its answer is brought back to the fan's pixels (`networks.polar`).  The
+  noisy picture itself is never resampled, so no detail is lost.
+- It is told range, bearing and the insonified sector of every cell.
+- A second head says where shadow is (no echo at all); the picture is multiplied by one minus that.
+- A third (`networks.verdict`) says how much better the picture became; where hardly anything is
+  wrong with a picture that is little or less than nothing, and then it is left as it came.  In
+  training nothing is.
+- Plain 3x3 convolutions from half resolution down: they are what a CPU does fastest.
+
+Without geometry it works on the picture as it is; in training it is not told now and then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Annotated, ClassVar, Literal
+
+import torch
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+from torch import Tensor, nn
+from torch.nn import functional
+
+from simnfnd.factory.settings import STRICT
+from simnfnd.models.networks.network import Network, Seen, down_and_up, padded
+from simnfnd.models.networks.polar import polar_grid
+from simnfnd.models.networks.unet import residual_blocks
+from simnfnd.models.networks.verdict import Verdict
+
+# Logit of shadow before anything is learned, and outside the sector.
+_FIRST, _OUTSIDE = -2.0, -10.0
+
+
+@dataclass(frozen=True, config=STRICT)
+class SonarNetSettings:
+    """Keys of conf/model/sonarnet.yaml.
+
+    widths: channels at half resolution and at each coarser one.
+    blocks: residual blocks at each of these; but for the coarsest, again on the way up.
+    polar: whether fan pictures of known geometry are worked on in polar form.
+    mask: whether the second head gates the picture with the shadow that it sees.
+    least_gain_db: a picture is given back as it came unless the third head expects this gain of
+    PSNR; null: never.  May be changed in trained weights (`simnfnd export-weights --set
+    least_gain_db=...`).
+    mirror: whether it looks at the mirrored picture as well and takes the mean of both answers, for
+    twice the work; not in training, so trained weights may change it.
+    forget: part of the training steps in which the network is not told the geometry.
+    channels: of the images; 1, so that colours are denoised one by one.
+    """
+
+    kind: Literal["sonarnet"]
+    widths: tuple[Annotated[int, Field(ge=1, le=1024)], ...]
+    blocks: tuple[Annotated[int, Field(ge=0, le=64)], ...]
+    polar: bool
+    mask: bool
+    least_gain_db: float | None
+    forget: Annotated[float, Field(ge=0, le=1)]
+    mirror: bool = False
+    channels: Literal[1] = 1
+
+    def __post_init__(self) -> None:
+        if not self.widths or len(self.widths) != len(self.blocks):
+            raise ValueError(
+                f"widths has {len(self.widths)} resolutions and blocks {len(self.blocks)}; "
+                "give one or more, and as many of each"
+            )
+
+
+class SonarNet(Network):
+    """Predicts what to add to the noisy picture, and where it shows shadow."""
+
+    extras: ClassVar[tuple[str, ...]] = ("range_fraction", "azimuth_rad", "sector")
+    has_heads: ClassVar[bool] = True
+
+    def __init__(self, settings: SonarNetSettings) -> None:
+        # Padding is left to the polar grid's own size.
+        super().__init__(settings.channels, stride=1)
+        self.settings = settings
+        widths, blocks = settings.widths, settings.blocks
+        self.core_stride = 2 ** len(widths)
+        self.intro = nn.Conv2d(4 * (1 + len(self.extras)), widths[0], 3, padding=1)
+        self.encoders, self.downs = nn.ModuleList(), nn.ModuleList()
+        self.ups, self.decoders = nn.ModuleList(), nn.ModuleList()
+        for fine, coarse, count in zip(widths, widths[1:], blocks, strict=False):
+            self.encoders.append(residual_blocks(fine, count))
+            self.downs.append(nn.Conv2d(fine, coarse, 2, stride=2))
+            self.ups.insert(0, nn.ConvTranspose2d(coarse, fine, 2, stride=2))
+            self.decoders.insert(0, residual_blocks(fine, count))
+        self.middle = residual_blocks(widths[-1], blocks[-1])
+        self.outro = nn.Conv2d(widths[0], 4 * 2, 3, padding=1)
+        nn.init.zeros_(self.outro.weight)
+        assert self.outro.bias is not None
+        nn.init.constant_(self.outro.bias[:4], 0.0)
+        nn.init.constant_(self.outro.bias[4:], _FIRST)
+        self.verdict = Verdict(widths[0])
+
+    def restore_and_tell(self, noisy: Tensor, **extras: Tensor) -> Seen:
+        """Picture (N, 1, H, W), logits (N, 1, H, W) of shadow, (N,) gain in dB, for any H and W.
+
+        Geometry counts only where `range_fraction` and `azimuth_rad` are both there; without
+        `sector` everything is insonified.
+        """
+        seen = self._looked(noisy, extras)
+        if self.training:
+            return seen
+        if self.settings.mirror:
+            turned = {name: plane.flip(-1) for name, plane in extras.items()}
+            if "azimuth_rad" in turned:
+                turned["azimuth_rad"] = -turned["azimuth_rad"]
+            image, shadow, gain_db = self._looked(noisy.flip(-1), turned)
+            seen = Seen(
+                (seen.image + image.flip(-1)) / 2,
+                (seen.shadow_logits + shadow.flip(-1)) / 2,
+                (seen.gain_db + gain_db) / 2,
+            )
+        if self.least_gain_db is None:
+            return seen
+        left = (seen.gain_db < self.least_gain_db)[:, None, None, None]
+        return seen._replace(image=torch.where(left, noisy, seen.image))
+
+    @property
+    def least_gain_db(self) -> float | None:
+        """See `Network`."""
+        return self.settings.least_gain_db
+
+    def leave_none(self) -> None:
+        """See `Network`: no gain is too little."""
+        self.settings = replace(self.settings, least_gain_db=None)
+
+    def _looked(self, noisy: Tensor, extras: Mapping[str, Tensor]) -> Seen:
+        """What it makes of the picture, worse or not."""
+        told = "range_fraction" in extras and "azimuth_rad" in extras
+        if self.training and told and self.settings.forget:
+            told = bool(torch.rand(()) >= self.settings.forget)
+        if not told:
+            change, logits, gain_db = self._core(noisy, *_unknown(noisy))
+            return Seen(self._gated(noisy + change, logits), logits, gain_db)
+        range_fraction, azimuth_rad = extras["range_fraction"], extras["azimuth_rad"]
+        sector = extras.get("sector", torch.ones_like(noisy))
+        grid = polar_grid(range_fraction, azimuth_rad, sector) if self.settings.polar else None
+        if grid is None:
+            maps = _known(range_fraction, azimuth_rad, sector)
+            change, logits, gain_db = self._core(noisy, *maps)
+        else:
+            seen = grid.polar(torch.cat([noisy, sector], dim=1))
+            maps = _known(grid.range_fraction, grid.azimuth_rad, seen[:, 1:])
+            *cells, gain_db = self._core(seen[:, :1], *maps)
+            change, logits = grid.fan(torch.cat(cells, dim=1)).chunk(2, dim=1)
+        # Outside the sector there is nothing to denoise and no shadow.
+        inside = sector > 0
+        change = change.masked_fill(~inside, 0.0)
+        image = self._gated(noisy + change, logits)
+        image = torch.where(inside, image, noisy)
+        return Seen(image, logits.masked_fill(~inside, _OUTSIDE), gain_db)
+
+    def _gated(self, image: Tensor, logits: Tensor) -> Tensor:
+        return image * torch.sigmoid(-logits) if self.settings.mask else image
+
+    def _core(self, *planes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """What to add, and logits of shadow, on the grid of the planes, (N, 1, H, W) each.
+
+        The third is the gain to expect, (N,) dB.
+        """
+        height, width = planes[0].shape[-2:]
+        x = torch.cat([padded(plane, self.core_stride) for plane in planes], dim=1)
+        x = self.intro(functional.pixel_unshuffle(x, 2))
+        x = down_and_up(x, self.encoders, self.downs, self.middle, self.ups, self.decoders)
+        heads = functional.pixel_shuffle(self.outro(x), 2)[..., :height, :width]
+        noisy, change, logits = planes[0], heads[:, :1], heads[:, 1:]
+        # Of the planes the last is the sector's complement, or -1 where nobody knows it.
+        sector = 1 - planes[-1].clamp_min(0)
+        made = self._gated(noisy + change, logits)
+        return change, logits, self.verdict(x, noisy, made - noisy, sector)
+
+
+def _known(range_fraction: Tensor, azimuth_rad: Tensor, sector: Tensor) -> tuple[Tensor, ...]:
+    """The maps as the first layer gets them: around zero, so that they do not drown the picture."""
+    return 2 * range_fraction - 1, azimuth_rad, 1 - sector
+
+
+def _unknown(noisy: Tensor) -> tuple[Tensor, ...]:
+    """The same where nobody knows them; no place has the last of these."""
+    nothing = torch.zeros_like(noisy)
+    return nothing, nothing, nothing - 1

@@ -1,0 +1,139 @@
+"""Training against a discriminator.
+
+By turns it learns to tell denoised from clean images, and the network to denoise so that it cannot.
+The terms are those that the abstract of SID-TGAN names (see `simnfnd.models.networks.sid_tgan`).
+"""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+from torch.optim import Optimizer
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.models.data.pairs import Batch
+from simnfnd.models.losses import Loss
+from simnfnd.models.networks.network import Network
+from simnfnd.models.networks.sid_tgan import SIDTGAN, Discriminator
+from simnfnd.models.training.module import Training, rate_factor
+from simnfnd.models.training.settings import TrainSettings
+
+
+class Adversarial(Training):
+    """A generator and its discriminator; what is averaged, measured and saved is the generator.
+
+    Lightning leaves the order of the updates to this module, so it also clips the gradients and
+    moves the learning rates.
+    """
+
+    def __init__(
+        self, network: Network, loss: Loss, settings: TrainSettings, seed: int = 0
+    ) -> None:
+        super().__init__(network, loss, settings, seed)
+        assert isinstance(network, SIDTGAN)
+        self.automatic_optimization = False
+        self.discriminator = Discriminator(network.settings)
+        self.chosen = network.settings
+
+    def on_fit_start(self) -> None:
+        """FactoryError where the two turns of a step could not be kept apart."""
+        if self.trainer.world_size > 1:
+            raise FactoryError("devices: adversarial training runs on one device; use devices=1")
+        if self.settings.precision == "16-mixed":
+            raise FactoryError(
+                "train.precision=16-mixed: adversarial training needs 32-true or bf16-mixed"
+            )
+
+    def configure_optimizers(self) -> Any:
+        """One AdamW each, with the learning rates of `Training`."""
+        chosen = self.settings
+        optimizers, rates = [], []
+        for module in (self.network, self.discriminator):
+            optimizer = torch.optim.AdamW(
+                module.parameters(),
+                lr=chosen.learning_rate,
+                # A short memory, because the opponent moves (Radford et al. 2016).
+                betas=(0.5, 0.99),
+                weight_decay=chosen.weight_decay,
+            )
+            optimizers.append(optimizer)
+            rates.append(
+                torch.optim.lr_scheduler.LambdaLR(
+                    optimizer, lambda step: rate_factor(step, chosen.warmup, chosen.steps)
+                )
+            )
+        return optimizers, rates
+
+    def training_step(self, batch: Batch, index: int) -> Tensor:
+        """One turn of the discriminator, then one of the generator, whose loss is returned.
+
+        Raises FactoryError when a loss is not a number.
+        """
+        generator, critic = cast(list[Any], self.optimizers())
+        noisy, clean = (_planes(batch[name]) for name in ("noisy", "clean"))
+        prediction = self.network(batch["noisy"])
+        denoised = _planes(prediction)
+
+        self.discriminator.requires_grad_(True)
+        true, _, _ = self.discriminator(noisy, clean)
+        false, _, _ = self.discriminator(noisy, denoised.detach())
+        judging = self.checked(hinge(true, false), index)
+        # Its bare optimizer: Lightning counts steps by those of wrapped ones, and one is enough.
+        self._update(critic.optimizer, self.discriminator, judging)
+
+        self.discriminator.requires_grad_(False)
+        content = self.loss(prediction, batch["clean"], batch)
+        judged, local, everywhere = self.discriminator(noisy, denoised)
+        with torch.no_grad():
+            _, true_local, true_everywhere = self.discriminator(noisy, clean)
+        total = self.checked(
+            content
+            + self.chosen.style * style(local, true_local)
+            + self.chosen.similarity * dissimilarity(everywhere, true_everywhere)
+            - self.chosen.adversarial * judged.mean(),
+            index,
+        )
+        self._update(generator, self.network, total)
+        for rate in cast(list[Any], self.lr_schedulers()):
+            rate.step()
+        return total.detach()
+
+    def _update(self, optimizer: Optimizer, module: torch.nn.Module, loss: Tensor) -> None:
+        optimizer.zero_grad()
+        self.manual_backward(loss)
+        torch.nn.utils.clip_grad_norm_(module.parameters(), self.settings.clip)
+        optimizer.step()
+
+
+def hinge(true: Tensor, false: Tensor) -> Tensor:
+    """Scalar: how badly the judgements tell true from false (Lim, Ye 2017); 0 beyond +1 and -1."""
+    return functional.relu(1 - true).mean() + functional.relu(1 + false).mean()
+
+
+def style(features: list[Tensor], wanted: list[Tensor]) -> Tensor:
+    """Scalar: distance of the textures of two images, whatever lies where.
+
+    A texture is how the (N, C, H, W) features of a layer go together over the image, their Gram
+    matrix (Gatys et al. 2016); mean absolute difference, mean over the layers.
+    """
+    parts = [(gram(a) - gram(b)).abs().mean() for a, b in zip(features, wanted, strict=True)]
+    return torch.stack(parts).mean()
+
+
+def gram(features: Tensor) -> Tensor:
+    """(N, C, C): means over the pixels of the products of features (N, C, H, W)."""
+    flat = features.flatten(2)
+    return flat @ flat.transpose(1, 2) / flat.shape[-1]
+
+
+def dissimilarity(features: Tensor, wanted: Tensor) -> Tensor:
+    """Scalar: 1 - cosine of the global features (N, C) of two images, mean over the images."""
+    return 1 - functional.cosine_similarity(features, wanted, dim=1).mean()
+
+
+def _planes(images: Tensor) -> Tensor:
+    """Each channel as an image of its own, (N, C, H, W) -> (N C, 1, H, W)."""
+    return images.reshape(-1, 1, *images.shape[-2:])

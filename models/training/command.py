@@ -1,0 +1,50 @@
+"""`simnfnd train dataset=DIR [KEY=VALUE ...]`: train a denoiser."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Any, cast
+
+from omegaconf import DictConfig, OmegaConf
+
+from simnfnd.factory.cli import accept_dataset_folder, run_app
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.settings import build
+from simnfnd.models import WEIGHTS_NAME
+
+
+def main(words: Sequence[str]) -> int:
+    """Train as the configuration says; returns the exit code."""
+    sys.argv[1:] = words
+    accept_dataset_folder()
+    return run_app(run, "models")
+
+
+def run(config: DictConfig) -> None:
+    """Train as the configuration says."""
+    if config.dataset.dir is None and config.data.get("kind") in ("pairs", "renders"):
+        raise FactoryError(
+            "dataset: give the folder that `simnfnd make` made, dataset=DIR "
+            "(or `simnfnd denoise --help` to use trained weights)"
+        )
+    from simnfnd.models.training.settings import ModelsSettings
+
+    container = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+    values = cast(dict[str, Any], container)
+    settings: ModelsSettings = build(ModelsSettings, values)
+    # torch and Lightning take seconds to import: only when there is something to train.
+    from simnfnd.models.training.train import is_main_process, output_folder, train
+
+    best = train(settings, values)
+    if not is_main_process():
+        return
+    if "psnr" in best:
+        print(
+            f"validation: {best['psnr_noisy']:.2f} -> {best['psnr']:.2f} dB "
+            f"({best['gain_db']:+.2f}), SSIM {best['ssim_noisy']:.3f} -> {best['ssim']:.3f}, "
+            f"step {best['step']}"
+        )
+    else:
+        print(f"validation: loss {best['validation_loss']:.5f}, step {best['step']}")
+    print(f"weights: {output_folder(settings) / WEIGHTS_NAME}")

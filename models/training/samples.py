@@ -1,0 +1,98 @@
+"""Pictures of what a network does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import nn
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import write_atomically
+from simnfnd.models.data.pairs import Batch
+from simnfnd.models.networks.network import Network
+from simnfnd.models.training.quality import psnr_db
+
+_GAP = 4
+
+
+def denoise_batch(network: nn.Module, batch: Batch) -> npt.NDArray[np.float32]:
+    """(H, W) float32 in 0..1: the image of a batch of one, denoised and clipped."""
+    return denoise_and_tell(network, batch)[0]
+
+
+def denoise_and_tell(
+    network: nn.Module, batch: Batch
+) -> tuple[npt.NDArray[np.float32], float | None]:
+    """As `denoise_batch`, and the gain of PSNR in dB that the network expects, if it has a head."""
+    device = next(network.parameters()).device
+    known = {n: batch[n].to(device) for n in getattr(network, "extras", ()) if n in batch}
+    noisy, gain_db = batch["noisy"].to(device), None
+    with torch.inference_mode():
+        if isinstance(network, Network) and network.has_heads:
+            seen = network.with_heads(noisy, **known)
+            result, gain_db = seen.image, float(seen.gain_db[0])
+        else:
+            result = network(noisy, **known)
+        result = result.float().clamp(0, 1)
+    return np.asarray(result[0, 0].cpu().numpy(), dtype=np.float32), gain_db
+
+
+def contact_sheet(network: nn.Module, batches: Sequence[Batch]) -> npt.NDArray[np.uint8]:
+    """(H, W) uint8: noisy | denoised (| clean), one row a batch of one, all of the first's size."""
+    lines = []
+    for batch in batches:
+        known = [batch[name][0, 0].numpy() for name in ("noisy", "clean") if name in batch]
+        images = [known[0], denoise_batch(network, batch), *known[1:]]
+        gap = np.full((len(images[0]), _GAP), 0.5, np.float32)
+        line = np.concatenate([part for image in images for part in (gap, image)][1:], axis=1)
+        lines += [np.full((_GAP, line.shape[1]), 0.5, np.float32), line]
+    width = lines[1].shape[1]
+    sheet = np.concatenate([_fitted(line, width) for line in lines[1:]])
+    return np.asarray(np.rint(np.clip(sheet, 0, 1) * 255), dtype=np.uint8)
+
+
+def _fitted(line: npt.NDArray[np.float32], width: int) -> npt.NDArray[np.float32]:
+    line = line[:, :width]
+    return np.pad(line, ((0, 0), (0, width - line.shape[1])))
+
+
+def write_grey(path: Path, image: npt.NDArray[np.uint8]) -> None:
+    """Write a picture, whole or not at all."""
+    done, content = cv2.imencode(path.suffix, image)
+    if not done:
+        raise FactoryError(f"{path}: cannot be encoded as a picture")
+    write_atomically(path, content.tobytes(), durable=False, key="out")
+
+
+def write_samples(
+    path: Path, network: nn.Module, batches: Sequence[Batch], labels: Sequence[str]
+) -> None:
+    """A sheet of noisy | denoised | clean, one row a batch of one, with the PSNR of each."""
+    from matplotlib.figure import Figure  # slow to import, and needed at the very end only
+
+    figure = Figure(figsize=(9.6, 3.35 * len(batches)), layout="constrained", facecolor="white")
+    axes = figure.subplots(len(batches), 3, squeeze=False)
+    for row, batch, label in zip(axes, batches, labels, strict=True):
+        denoised = denoise_batch(network, batch)
+        noisy = batch["noisy"][0, 0].numpy()
+        panels = {"noisy": noisy, "denoised": denoised}
+        if "clean" in batch:
+            clean = batch["clean"]
+            panels = {f"{name}, {_psnr(x, clean):.2f} dB": x for name, x in panels.items()}
+            panels[f"clean - {label}"] = clean[0, 0].numpy()
+        else:
+            panels[f"what was taken away - {label}"] = np.abs(noisy - denoised)
+        for axis, (title, image) in zip(row, panels.items(), strict=True):
+            axis.imshow(image, cmap="gray", vmin=0, vmax=1)
+            axis.set_title(title, fontsize=9)
+            axis.set_axis_off()
+    figure.savefig(path, dpi=110)
+
+
+def _psnr(image: npt.NDArray[np.float32], clean: torch.Tensor) -> float:
+    return float(psnr_db(torch.from_numpy(image)[None, None], clean))

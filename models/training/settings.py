@@ -1,0 +1,168 @@
+"""The keys of conf/models.yaml, checked; the comments there explain them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+from pydantic.dataclasses import dataclass
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.settings import STRICT, build, union_tags
+
+Count = Annotated[int, Field(ge=1)]
+Fraction = Annotated[float, Field(gt=0, lt=1)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Patch = Annotated[int, Field(ge=8)]
+Scale = Annotated[float, Field(gt=0, le=16)]
+
+union_tags("literal['auto']", "constrained-int")
+
+
+@dataclass(frozen=True, config=STRICT)
+class DatasetFolder:
+    """The dataset to learn from: the folder that `simnfnd make` wrote, where one is needed."""
+
+    dir: str | None
+
+
+@dataclass(frozen=True, config=STRICT)
+class Stage:
+    """One entry of `data.stages`.  share: of all steps; then patch and batch as in `data`."""
+
+    share: Fraction
+    patch: Patch
+    batch: Count
+
+
+@dataclass(frozen=True, config=STRICT, kw_only=True)
+class DataSettings:
+    """Keys of `data` that every kind has: what the network gets to see."""
+
+    kind: str
+    patch: Patch
+    batch: Count
+    crops: Count
+    stages: tuple[Stage, ...]
+    flip: bool
+    weaker: Share
+    validation: Fraction
+    validation_limit: Count | None
+    workers: Literal["auto"] | Annotated[int, Field(ge=0)]
+
+    def __post_init__(self) -> None:
+        for name, batch in [("batch", self.batch), *(("stages", s.batch) for s in self.stages)]:
+            if batch % self.crops:
+                raise ValueError(
+                    f"{name}: {batch} crops a step must be a multiple of crops {self.crops}, "
+                    "the number that each image gives"
+                )
+        if sum(stage.share for stage in self.stages) >= 1:
+            raise ValueError("stages: their shares must leave some steps for patch and batch")
+
+
+@dataclass(frozen=True, config=STRICT, kw_only=True)
+class PairsData(DataSettings):
+    """`data=pairs`: the pairs of a dataset as they are."""
+
+    kind: Literal["pairs"]
+
+
+@dataclass(frozen=True, config=STRICT, kw_only=True)
+class RendersData(DataSettings):
+    """`data=renders`: fresh noise on the renders of a dataset, at every visit."""
+
+    kind: Literal["renders"]
+    pack: str | None
+    cache: str | None
+    factory: tuple[str, ...]
+    fewer: Share
+    scales: Annotated[tuple[Scale, ...], Field(min_length=1)]
+
+
+@dataclass(frozen=True, config=STRICT, kw_only=True)
+class OldData(DataSettings):
+    """`data=olddata`: real images taken as clean, artificial noise on top."""
+
+    kind: Literal["olddata"]
+    folder: str
+    geometry: str
+    factory: tuple[str, ...]
+    looks: Annotated[int, Field(ge=1, le=64)]
+
+
+@dataclass(frozen=True, config=STRICT, kw_only=True)
+class SelfSupervisedData(DataSettings):
+    """`data=self_supervised`: real noisy images alone, without any clean ones."""
+
+    kind: Literal["self_supervised"]
+    folder: str
+    method: Literal["neighbor2neighbor", "blind_spot"]
+    log_gain: Annotated[float, Field(ge=0)]
+    gamma: Annotated[float, Field(ge=0)]
+    radius: Annotated[int, Field(ge=0, le=16)]
+    masked: Fraction
+
+
+DATA: dict[str, type[DataSettings]] = {
+    "pairs": PairsData,
+    "renders": RendersData,
+    "olddata": OldData,
+    "self_supervised": SelfSupervisedData,
+}
+"""kind -> its settings."""
+
+
+def _data(values: Any) -> DataSettings:
+    if isinstance(values, DataSettings):
+        return values
+    kind = values.get("kind")
+    if kind not in DATA:
+        raise FactoryError(f"data.kind: {kind!r} is none of {', '.join(sorted(DATA))}")
+    settings: DataSettings = build(DATA[kind], values, "data")
+    return settings
+
+
+@dataclass(frozen=True, config=STRICT)
+class TrainSettings:
+    """Keys of `train`: how the weights are found."""
+
+    steps: Count
+    check_every: Count
+    patience: Count | None
+    learning_rate: Annotated[float, Field(gt=0)]
+    weight_decay: Annotated[float, Field(ge=0)]
+    warmup: Annotated[int, Field(ge=0)]
+    clip: Annotated[float, Field(gt=0)]
+    ema: Annotated[float, Field(ge=0, lt=1)]
+    precision: Literal["32-true", "bf16-mixed", "16-mixed"]
+    parts: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+
+    def __post_init__(self) -> None:
+        if self.steps % self.check_every:
+            raise ValueError(
+                f"steps {self.steps} must be a multiple of check_every {self.check_every}, "
+                "so that training ends with a validation"
+            )
+
+
+@dataclass(frozen=True, config=STRICT)
+class ModelsSettings:
+    """The whole configuration; `model` and `loss` are checked by what they describe."""
+
+    dataset: DatasetFolder
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+    out: str | None
+    resume: bool
+    start: str | None
+    seed: Annotated[int, Field(ge=0)]
+    device: Literal["auto", "cpu", "gpu"]
+    devices: Count
+    tensorboard: bool
+    pictures: Annotated[int, Field(ge=0, le=16)]
+    debug: bool
+    data: Annotated[DataSettings, BeforeValidator(_data)]
+    train: TrainSettings
+    model: Mapping[str, Any]
+    loss: Mapping[str, Any]

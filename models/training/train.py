@@ -1,0 +1,304 @@
+"""Train a denoiser as the configuration says."""
+
+from __future__ import annotations
+
+import logging
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+from lightning.pytorch import Trainer
+from torch.utils.data import DataLoader
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import check_writable, sha256_of, write_atomically
+from simnfnd.models import WEIGHTS_NAME, build_network
+from simnfnd.models.data.crops import Crops, Visits, Whole, join, whole
+from simnfnd.models.data.pairs import Batch
+from simnfnd.models.data.sources import Data, open_data
+from simnfnd.models.losses import build_loss
+from simnfnd.models.networks.network import Network
+from simnfnd.models.pretrained import find_weights
+from simnfnd.models.training.module import Row, Training
+from simnfnd.models.training.samples import write_samples
+from simnfnd.models.training.self_supervised import SelfSupervised
+from simnfnd.models.training.settings import ModelsSettings, RendersData, SelfSupervisedData
+from simnfnd.models.training.validation import (
+    CHECKPOINT_NAME,
+    Checks,
+    best_row,
+    is_stopped,
+    read_checkpoint,
+)
+from simnfnd.models.weights import load_weights
+
+_SHOWN = 4
+
+
+def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
+    """Train, or continue, or find it done; returns the metrics row of the weights that were kept.
+
+    config: the same settings as plain values, for config.yaml.  Writes weights.safetensors,
+    config.yaml, metrics.csv, samples.png, samples/, tensorboard/ and checkpoint.ckpt into
+    `output_folder(settings)`.
+    Raises FactoryError for unusable data, configuration, folder or a loss that became NaN.
+    """
+    out = output_folder(settings)
+    accelerator = _accelerator(settings)
+    data = open_data(settings)
+    # Everything that decides the weights, and nothing that does not.
+    recipe = _recipe(settings, data)
+    check_writable(out, "out")
+    checkpoint = _checkpoint(out, recipe, settings)
+    torch.manual_seed(settings.seed)
+    module = _module(settings)
+    extras = module.network.extras
+    count = len(data.validation)
+    picked = [i * count // min(_SHOWN, count) for i in range(min(_SHOWN, count))]
+    shown = [whole(data.validation.sample(i, None), extras) for i in picked]
+    checks = Checks(
+        out,
+        settings.model,
+        recipe,
+        shown=shown[: settings.pictures],
+        patience=settings.train.patience,
+        tensorboard=settings.tensorboard,
+    )
+    rows = read_checkpoint(checkpoint)["rows"] if checkpoint else []
+    finished = rows and rows[-1]["step"] == settings.train.steps
+    if finished or is_stopped(rows, module, settings.train.patience):
+        print(f"{out} holds this training already, finished; resume=false trains it afresh")
+        checks.rows = rows
+    else:
+        text = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True)
+        write_atomically(out / "config.yaml", text.encode())
+        _fit(module, checks, checkpoint, settings, accelerator, data)
+    if not is_main_process():
+        return best_row(checks.rows, module)
+    network = load_weights(out / WEIGHTS_NAME).network
+    write_samples(out / "samples.png", network, shown, [data.labels[i] for i in picked])
+    return best_row(checks.rows, module)
+
+
+def is_main_process() -> bool:
+    """Whether this is the process that tells and writes; Lightning starts one more a device."""
+    return os.environ.get("LOCAL_RANK", "0") == "0"
+
+
+def output_folder(settings: ModelsSettings) -> Path:
+    """Where the results of a training go."""
+    return Path(settings.out or Path("outputs", "models", settings.name)).expanduser()
+
+
+def _module(settings: ModelsSettings) -> Training:
+    """The network as training begins, and the way to train it."""
+    network: Network = build_network(settings.model)
+    if settings.start is not None:
+        _begin_from(network, settings)
+    if settings.train.parts is not None:
+        _freeze_but(network, settings.train.parts)
+    loss = build_loss(settings.loss)
+    if isinstance(settings.data, SelfSupervisedData):
+        if network.adversarial:
+            raise FactoryError(
+                f"model.kind={settings.model['kind']}: is trained against clean images; "
+                "data=self_supervised has none"
+            )
+        return SelfSupervised(network, loss, settings.train, settings.seed, settings.data)
+    if network.adversarial:
+        from simnfnd.models.training.adversarial import Adversarial
+
+        return Adversarial(network, loss, settings.train, settings.seed)
+    return Training(network, loss, settings.train, settings.seed)
+
+
+def _begin_from(network: Network, settings: ModelsSettings) -> None:
+    assert settings.start is not None
+    trained = load_weights(find_weights(settings.start))
+    if trained.model["kind"] == settings.model["kind"]:
+        try:
+            network.load_state_dict(trained.network.state_dict())
+            return
+        except RuntimeError:
+            pass  # other sizes; torch's message lists hundreds of tensors
+    raise FactoryError(
+        f"start={settings.start}: holds {dict(trained.model)}, and model says "
+        f"{dict(settings.model)}; give both the same sizes"
+    )
+
+
+def _freeze_but(network: Network, parts: Sequence[str]) -> None:
+    known = [name for name, _ in network.named_modules() if name]
+    for part in parts:
+        if part not in known:
+            raise FactoryError(
+                f"train.parts: the network has no {part!r}; its parts are "
+                f"{', '.join(name for name in known if '.' not in name)}"
+            )
+    for name, weights in network.named_parameters():
+        weights.requires_grad_(any(name.startswith(f"{part}.") for part in parts))
+
+
+def _fit(
+    module: Training,
+    checks: Checks,
+    checkpoint: Path | None,
+    settings: ModelsSettings,
+    accelerator: str,
+    data: Data,
+) -> None:
+    chosen = settings.train
+    with warnings.catch_warnings():
+        # Lightning's advice on loggers, worker counts and checkpoints does not apply here.
+        warnings.filterwarnings("ignore", module=r"lightning\.")
+        logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
+        trainer = Trainer(
+            accelerator=accelerator,
+            devices=settings.devices,
+            strategy="auto" if settings.devices == 1 else "ddp",
+            # Our own sampler shares the visits of a step among the devices.
+            use_distributed_sampler=False,
+            precision=chosen.precision,
+            max_epochs=chosen.steps // chosen.check_every,
+            gradient_clip_val=chosen.clip if module.automatic_optimization else None,
+            callbacks=[checks],
+            default_root_dir=str(checks.out),
+            logger=False,
+            num_sanity_val_steps=0,
+            deterministic="warn",
+            enable_progress_bar=False,
+            enable_model_summary=False,
+        )
+        try:
+            trainer.fit(
+                module,
+                *_loaders(settings, accelerator, data, module.network),
+                ckpt_path=checkpoint,
+                weights_only=True,
+            )
+        except FactoryError as error:
+            raise FactoryError(_innermost(error)) from error
+        except torch.OutOfMemoryError as error:
+            raise FactoryError(
+                "the GPU has too little memory; lower data.batch or data.patch"
+            ) from error
+        except SystemExit as error:
+            # Lightning's answer to Ctrl-C.
+            raise KeyboardInterrupt from error
+
+
+def _loaders(
+    settings: ModelsSettings, accelerator: str, data: Data, network: Network
+) -> tuple[DataLoader[Batch], DataLoader[Batch]]:
+    """What training and validation read from."""
+    kind, chosen = settings.data, settings.train
+    if kind.workers != "auto":
+        workers = kind.workers
+    elif accelerator == "cpu":
+        # A network keeps every core busy, unless pairs have to be made for it.
+        workers = 1 if isinstance(kind, RendersData) and (os.cpu_count() or 1) > 1 else 0
+    else:
+        workers = min(8, max(1, (os.cpu_count() or 2) - 1))
+    # spawn: a fork would copy HDF5's and torch's threads in whatever state they are.
+    shared: dict[str, Any] = {"num_workers": workers, "pin_memory": accelerator != "cpu"}
+    if workers:
+        shared |= {"multiprocessing_context": "spawn", "persistent_workers": True}
+    crops = Crops(
+        data.learning,
+        crops=kind.crops,
+        flip=kind.flip,
+        seed=settings.seed,
+        extras=network.extras,
+    )
+    visits = Visits(
+        len(data.learning),
+        kind,
+        chosen.steps // chosen.check_every,
+        chosen.check_every,
+        settings.seed,
+    )
+    return (
+        DataLoader(crops, batch_sampler=visits, collate_fn=join, **shared),
+        # One at a time: whole images of any size fit, and the figures are means of images.
+        DataLoader(Whole(data.validation, network.extras), None),
+    )
+
+
+def _checkpoint(out: Path, recipe: Mapping[str, Any], settings: ModelsSettings) -> Path | None:
+    """The checkpoint to continue from, or None to start; FactoryError rather than mix trainings."""
+    path = out / CHECKPOINT_NAME
+    if not settings.resume:
+        path.unlink(missing_ok=True)
+        return None
+    if not path.exists():
+        if (out / WEIGHTS_NAME).exists():
+            raise FactoryError(
+                f"out={out}: holds weights but no checkpoint to continue from; choose another "
+                "name=, or replace them with resume=false"
+            )
+        return None
+    stored = read_checkpoint(path)["recipe"]
+    odd = [key for key in {**stored, **recipe} if stored.get(key) != recipe.get(key)]
+    if odd:
+        changes = ", ".join(f"{key} {stored.get(key)} -> {recipe.get(key)}" for key in odd)
+        raise FactoryError(
+            f"out={out}: holds a training with other settings ({changes}); choose another name=, "
+            "or replace it with resume=false"
+        )
+    return path
+
+
+def _recipe(settings: ModelsSettings, data: Data) -> dict[str, Any]:
+    """Key -> value, as JSON would give it back."""
+    chosen = {name: value for name, value in asdict(settings.data).items() if name != "workers"}
+    # Where the images lie decides nothing.
+    for name in ("pack", "cache", "folder", "geometry"):
+        chosen.pop(name, None)
+    groups = {
+        "model": dict(settings.model),
+        "loss": dict(settings.loss),
+        "data": {name: _plain(value) for name, value in chosen.items()},
+        "train": asdict(settings.train),
+    }
+    flat = {
+        f"{group}.{key}": value for group, keys in groups.items() for key, value in keys.items()
+    }
+    if settings.start is not None:
+        flat["start"] = sha256_of(find_weights(settings.start))[:16]
+    return {**flat, "seed": settings.seed, **data.facts}
+
+
+def _plain(value: Any) -> Any:
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def _accelerator(settings: ModelsSettings) -> str:
+    has_gpu = torch.cuda.is_available()
+    if settings.device == "gpu" and not has_gpu:
+        raise FactoryError("device=gpu: no usable GPU here; train with device=cpu")
+    device = ("gpu" if has_gpu else "cpu") if settings.device == "auto" else settings.device
+    if device == "cpu" and settings.train.precision == "16-mixed":
+        raise FactoryError("train.precision=16-mixed needs a GPU; on a CPU use 32-true")
+    if device == "gpu" and settings.devices > torch.cuda.device_count():
+        raise FactoryError(
+            f"devices={settings.devices}: there are {torch.cuda.device_count()} GPUs here"
+        )
+    for batch in (settings.data.batch, *(stage.batch for stage in settings.data.stages)):
+        if batch // settings.data.crops % settings.devices:
+            raise FactoryError(
+                f"devices={settings.devices}: must divide the images of a step, data.batch {batch} "
+                f"over data.crops {settings.data.crops}"
+            )
+    return device
+
+
+def _innermost(error: FactoryError) -> str:
+    """The message itself; a reading process wraps it in the text of its traceback."""
+    last = str(error).strip().splitlines()[-1]
+    name = f"{FactoryError.__module__}.{FactoryError.__qualname__}: "
+    return last.removeprefix(name)

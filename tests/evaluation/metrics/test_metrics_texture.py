@@ -1,0 +1,283 @@
+"""MS-SSIM, edges, speckle: against slow computations of their own and against what must hold."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy import ndimage
+
+from simnfnd.evaluation.metrics.edges import edge_preservation
+from simnfnd.evaluation.metrics.fidelity import MetricError, gmsd
+from simnfnd.evaluation.metrics.measure import sector_of
+from simnfnd.evaluation.metrics.multiscale import SMALLEST, ms_ssim
+from simnfnd.evaluation.metrics.reference import Compared
+from simnfnd.evaluation.metrics.speckle import (
+    contrast_to_noise,
+    enl,
+    homogeneous_zones,
+    m_index,
+    ratio_image,
+    ratio_mean,
+    structure,
+    zone_enl,
+)
+from simnfnd.evaluation.metrics.texture import Scene
+from simnfnd.evaluation.pictures import Picture
+from tests.evaluation.metrics.test_metrics import waves
+
+Array = npt.NDArray[Any]
+
+
+def slow_ms_ssim(a: Array, b: Array, full: float) -> float:
+    """Wang et al. 2003 with every window written out."""
+    y, x = np.mgrid[-5:6, -5:6]
+    window = np.exp(-(x**2 + y**2) / (2 * 1.5**2))
+    window /= window.sum()
+
+    def averages(values: Array) -> Array:
+        windows = sliding_window_view(values, (11, 11))
+        return np.asarray(np.einsum("ijkl,kl->ij", windows, window))
+
+    product = 1.0
+    weights = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333]
+    for scale, weight in enumerate(weights):
+        mu_a, mu_b = averages(a), averages(b)
+        var_a, var_b = averages(a**2) - mu_a**2, averages(b**2) - mu_b**2
+        cov: Array = averages(a * b) - mu_a * mu_b
+        c1, c2 = (0.01 * full) ** 2, (0.03 * full) ** 2
+        term = (2 * cov + c2) / (var_a + var_b + c2)
+        if scale == 4:
+            term = term * (2 * mu_a * mu_b + c1) / (mu_a**2 + mu_b**2 + c1)
+        product *= max(float(term.mean()), 0) ** weight
+        a, b = (
+            (v[:-1:2, :-1:2] + v[1::2, :-1:2] + v[:-1:2, 1::2] + v[1::2, 1::2]) / 4
+            for v in (v[: v.shape[0] // 2 * 2, : v.shape[1] // 2 * 2] for v in (a, b))
+        )
+    return product
+
+
+@pytest.mark.parametrize("size", [(176, 176), (179, 201)])
+def test_ms_ssim_is_the_formula(size: tuple[int, int]) -> None:
+    clean, noisy = waves(*size)
+    expected = slow_ms_ssim(clean.astype(float), noisy.astype(float), 255)
+    assert 0.05 < expected < 0.95
+    assert ms_ssim(clean, noisy, data_range=255) == pytest.approx(expected, abs=1e-9)
+    assert ms_ssim(clean / 255, noisy / 255, data_range=1) == pytest.approx(expected, abs=1e-9)
+
+
+def test_ms_ssim_holds_what_it_must() -> None:
+    clean, noisy = waves(180, 190)
+    assert ms_ssim(clean, clean, data_range=255) == pytest.approx(1)
+    one, other = ms_ssim(clean, noisy, data_range=255), ms_ssim(noisy, clean, data_range=255)
+    assert one == pytest.approx(other)
+    # The negative has a negative structure term, which has no real root.
+    assert ms_ssim(clean, 255 - clean, data_range=255) == 0
+    with pytest.raises(MetricError, match="too small"):
+        ms_ssim(np.zeros((SMALLEST - 1, 300)), np.zeros((SMALLEST - 1, 300)), data_range=1)
+    with pytest.raises(MetricError, match="data_range"):
+        ms_ssim(clean / 255, noisy / 255, data_range=255)
+
+
+@settings(max_examples=5, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_more_noise_is_worse(seed: int) -> None:
+    clean = waves(180, 180)[0] / 255
+    noise = np.random.default_rng(seed).normal(size=clean.shape)
+    noisy = [clean + sigma * noise for sigma in (0.01, 0.03, 0.06, 0.1)]
+    for metric in (ms_ssim, edge_preservation):
+        values = [metric(clean, image, data_range=1) for image in noisy]
+        assert values == sorted(values, reverse=True)
+
+
+def test_edge_preservation_is_the_correlation_of_laplacians() -> None:
+    clean, noisy = (image.astype(float) for image in waves(20, 24))
+
+    def laplacian(image: Array) -> list[float]:
+        return [
+            image[i - 1, j] + image[i + 1, j] + image[i, j - 1] + image[i, j + 1] - 4 * image[i, j]
+            for i in range(1, 19)
+            for j in range(1, 23)
+        ]
+
+    expected = np.corrcoef(laplacian(clean), laplacian(noisy))[0, 1]
+    assert edge_preservation(clean, noisy, data_range=255) == pytest.approx(expected, abs=1e-12)
+    assert edge_preservation(clean, clean, data_range=255) == pytest.approx(1)
+    # Brightness is no edge.
+    assert edge_preservation(clean, 0.3 * clean + 9, data_range=255) == pytest.approx(1)
+    mask = np.zeros(clean.shape, bool)
+    mask[4:12, 4:12] = True
+    far = noisy.copy()
+    far[16:] = 0
+    inside = edge_preservation(clean, noisy, data_range=255, mask=mask)
+    assert edge_preservation(clean, far, data_range=255, mask=mask) == inside
+
+
+def test_blur_costs_edges() -> None:
+    clean = waves(64, 64)[0] / 255
+    values = [
+        edge_preservation(clean, ndimage.gaussian_filter(clean, sigma), data_range=1)
+        for sigma in (0.3, 0.6, 1.0, 2.0)
+    ]
+    assert values == sorted(values, reverse=True)
+    assert math.isnan(edge_preservation(clean, np.full_like(clean, 0.1), data_range=1))
+
+
+def speckled(level: Array, looks: float, seed: int = 0) -> Array:
+    """`level` times gamma speckle of mean 1 and ENL `looks`, scaled to stay within 0..1."""
+    rng = np.random.default_rng(seed)
+    return np.asarray(level * rng.gamma(looks, 1 / looks, level.shape))
+
+
+def test_enl_is_the_number_of_looks() -> None:
+    everywhere = np.ones((256, 256), bool)
+    for looks in (4, 16, 64):
+        image = speckled(np.full((256, 256), 0.2), looks)
+        zones = homogeneous_zones(
+            np.full((256, 256), 0.2), data_range=1, sector=everywhere, share=1.0
+        )
+        assert len(zones) == 256
+        assert enl(image, zones) == pytest.approx(looks, rel=0.05)
+        top, left = zones[7]
+        values = [float(image[top + i, left + j]) for i in range(16) for j in range(16)]
+        mean = sum(values) / 256
+        variance = sum((value - mean) ** 2 for value in values) / 256
+        assert zone_enl(image, zones)[7] == pytest.approx(mean**2 / variance)
+        # Gain does not change it, blur does.
+        assert enl(3 * image, zones) == pytest.approx(enl(image, zones))
+        assert enl(ndimage.uniform_filter(image, 3), zones) > 2 * enl(image, zones)
+    assert enl(np.full((256, 256), 0.2), zones) == math.inf
+    assert math.isnan(enl(image, zones[:0]))
+
+
+def test_zones_are_even_bright_and_inside() -> None:
+    rng = np.random.default_rng(0)
+    image = rng.random((96, 112))
+    image[32:48, 48:64] = 0.5 + 0.01 * rng.random((16, 16))  # the one to find
+    image[0:16, 0:16] = 0.5  # evener, but the sector lacks a pixel of it
+    image[64:80, 16:32] = 0.01  # even, but dark
+    sector = np.ones(image.shape, bool)
+    sector[3, 3] = False
+    zones = homogeneous_zones(image, data_range=1, sector=sector)
+    assert zones[0].tolist() == [32, 48]
+    assert len(zones) == 4  # a tenth of 6 * 7 - 2
+    assert (
+        homogeneous_zones((255 * image).astype(np.uint8), data_range=255, sector=sector)[0].tolist()
+        == zones[0].tolist()
+    )
+    assert not len(homogeneous_zones(np.zeros((32, 32)), data_range=1, sector=sector[40:72, :32]))
+    with pytest.raises(MetricError, match="too small"):
+        homogeneous_zones(np.zeros((9, 40)), data_range=1, sector=np.ones((9, 40), bool))
+
+
+def test_contrast_to_noise_is_the_formula() -> None:
+    image = np.array([[1.0, 3.0], [10.0, 14.0]])
+    bright, dark = np.array([[0, 0], [1, 1]], bool), np.array([[1, 1], [0, 0]], bool)
+    # Means 12 and 2, variances 4 and 1.
+    assert contrast_to_noise(image, bright, dark) == pytest.approx(10 / math.sqrt(5))
+    assert contrast_to_noise(image / 14, bright, dark) == pytest.approx(10 / math.sqrt(5))
+    assert math.isnan(contrast_to_noise(image, bright, np.zeros_like(dark)))
+    assert contrast_to_noise(np.where(bright, 1.0, 0.0), bright, dark) == math.inf
+    assert contrast_to_noise(np.zeros((2, 2)), bright, dark) == 0
+    with pytest.raises(MetricError, match="mask is"):
+        contrast_to_noise(image, bright[:1], dark)
+
+
+def test_ratio_image_and_its_mean() -> None:
+    noisy, denoised = np.array([[0.2, 0.6, 0.5]]), np.array([[0.4, 0.3, 0.0]])
+    ratio = ratio_image(noisy, denoised, data_range=1)
+    np.testing.assert_allclose(ratio, [[0.5, 2.0, np.nan]])
+    assert ratio_mean(noisy, denoised, data_range=1) == pytest.approx(1.25)
+    assert ratio_mean(noisy, noisy, data_range=1) == 1
+    assert math.isnan(ratio_mean(noisy, np.zeros_like(noisy), data_range=1))
+
+
+def test_structure_against_scikit_image_and_probability() -> None:
+    """h by scikit-image's co-occurrence matrix; h' by the expectation of independent levels."""
+    from skimage.feature import graycomatrix, graycoprops
+
+    noise = np.random.default_rng(3).normal(size=(160, 160))
+    ratio = 1 + 0.1 * ndimage.gaussian_filter(noise, 1.5)
+    levels = (np.argsort(np.argsort(ratio.ravel())) * 16 // ratio.size).reshape(ratio.shape)
+    matrix = graycomatrix(levels.astype(np.uint8), [1], [0, np.pi / 2], levels=16)
+    before = float(graycoprops(matrix, "homogeneity").mean())
+    i, j = np.mgrid[:16, :16]
+    random = float((1 / (1 + (i - j) ** 2)).mean())
+    expected = 100 * (before - random) / before
+    assert expected > 30
+    assert structure(ratio) == pytest.approx(expected, rel=1e-3)
+
+
+def test_shuffling_is_the_mean_over_all_orders() -> None:
+    """Against many real shuffles of a picture with few pixels and many ties."""
+    rng = np.random.default_rng(5)
+    ratio = np.round(rng.gamma(2, 0.5, (7, 9)), 1)
+    levels = np.floor(16 * (ratio.ravel()[:, None] > ratio.ravel()).mean(axis=1)).astype(int)
+
+    def homogeneity(picture: Any) -> float:
+        steps = np.concatenate([np.diff(picture, axis=axis).ravel() for axis in (0, 1)])
+        return float((1 / (1 + steps**2.0)).mean())
+
+    before = homogeneity(levels.reshape(7, 9))
+    shuffled = np.mean([homogeneity(rng.permutation(levels).reshape(7, 9)) for _ in range(4000)])
+    expected = 100 * abs(before - shuffled) / before
+    assert structure(ratio) == pytest.approx(expected, abs=0.3)
+
+
+def test_structure_sees_what_a_filter_took_along() -> None:
+    pure = speckled(np.ones((128, 128)), 4)
+    assert structure(pure) < 2
+    edges = pure * np.where(np.arange(128) // 16 % 2, 1.5, 0.7)
+    assert structure(edges) > 10
+    assert structure(np.ones((9, 9))) == 0
+    hidden = pure.copy()
+    hidden[::2, ::2] = np.nan  # no neighbours but those to the side
+    assert structure(hidden) < 4
+    assert math.isnan(structure(np.full((4, 4), np.nan)))
+
+
+def test_m_index_ranks_filters() -> None:
+    level = 0.1 + 0.1 * (np.arange(192) // 32 % 2) * np.ones((192, 1))
+    noisy = np.clip(speckled(level, 8), 0, 1)
+    zones = homogeneous_zones(level, data_range=1, sector=np.ones(level.shape, bool), share=1.0)
+    ideal, blurred, wrong = (
+        m_index(noisy, image, zones, data_range=1)
+        for image in (level, ndimage.gaussian_filter(noisy, 4), np.full_like(level, 0.15))
+    )
+    assert ideal < 1
+    assert ideal < blurred
+    assert ideal < wrong
+    assert m_index(noisy, noisy, zones, data_range=1) == pytest.approx(0.5)
+    assert math.isnan(m_index(noisy, level, zones[:0], data_range=1))
+
+
+def test_what_methods_share_on_a_pair_changes_no_figure() -> None:
+    rng = np.random.default_rng(5)
+    clean = np.asarray(waves(192, 200)[0] / 255, dtype=np.float32)
+    noisy = np.clip(speckled(clean, 9), 0, 1).astype(np.float32)
+    shadow = np.zeros(clean.shape, bool)
+    shadow[60:90, 40:120] = True
+    clean[shadow], noisy[:, :20], clean[:, :20] = 0, 0, 0
+    sector = sector_of(noisy, clean, shadow)
+    scene = Scene(Picture(noisy, clean, shadow, sector))
+    zones = homogeneous_zones(clean, data_range=1, sector=sector)
+    assert len(zones) > 1
+    for image in (noisy, ndimage.gaussian_filter(noisy, 2), rng.random(clean.shape, np.float32)):
+        found = scene.texture(Compared(scene.reference, image.astype(np.float64)))
+        alone = {
+            "gmsd_unpooled": gmsd(clean, image, data_range=1, pooled=False),
+            "ms_ssim": ms_ssim(clean, image, data_range=1),
+            "edge_preservation": edge_preservation(clean, image, data_range=1, mask=sector),
+            "enl": enl(image, zones),
+            "cnr": contrast_to_noise(image, sector & ~shadow & (clean > 0), shadow),
+            "ratio_mean": ratio_mean(noisy, image, data_range=1),
+            "m_index": m_index(noisy, image, zones, data_range=1),
+        }
+        assert asdict(found) == pytest.approx(alone, abs=1e-9)

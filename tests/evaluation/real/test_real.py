@@ -1,0 +1,199 @@
+"""`simnfnd evaluate real`: pictures without truth, measured and segmented."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from simnfnd.command import main
+from simnfnd.evaluation.real.downstream import segmented, split_of
+from simnfnd.evaluation.real.measure import figures_of
+from simnfnd.evaluation.real.pictures import open_folder, pixel_geometry, scene
+from simnfnd.evaluation.realism.geometry import sector_mask
+from simnfnd.evaluation.realism.real import MDD_GEOMETRIES, MDD_SHAPE
+from simnfnd.factory.errors import FactoryError
+from tests.project_files import ROOT
+
+Array = npt.NDArray[Any]
+MDD = ROOT.parent / "shared" / "data" / "mdd"
+
+
+def save(path: Path, picture: Array) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(path), np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8))
+
+
+def fans(root: Path, count: int) -> Path:
+    """Pictures of both fans with speckle, a shadow and a bright object each, and their masks."""
+    rng = np.random.default_rng(0)
+    for number in range(count):
+        name = "AB"[number % 2]
+        sector = sector_mask(MDD_GEOMETRIES[name], MDD_SHAPE)
+        clean = np.where(sector, 0.4, 0.0)
+        mask = np.zeros(MDD_SHAPE, np.uint8)
+        row, column = int(rng.integers(90, 220)), int(rng.integers(130, 170))
+        mask[row : row + 24, column : column + 24] = 3
+        clean[mask > 0] = 0.8
+        clean[row + 30 : row + 150, column - 40 : column + 64] *= 0.05
+        noisy = clean * rng.gamma(6, 1 / 6, clean.shape)
+        save(root / "Images" / f"{number:02d}.png", np.where(sector, np.maximum(noisy, 1 / 255), 0))
+        cv2.imwrite(str(root / f"{number:02d}.png"), mask)
+        (root / "Masks").mkdir(exist_ok=True)
+        (root / f"{number:02d}.png").rename(root / "Masks" / f"{number:02d}.png")
+    return root
+
+
+def real(*words: str) -> int:
+    return main(["evaluate", "real", *words, "workers=1"])
+
+
+def test_both_fans_of_the_dataset_get_their_geometry(tmp_path: Path) -> None:
+    files, notes = open_folder(str(fans(tmp_path / "mdd", 2)), None)
+    assert notes == ("Marine Debris Dataset: 1 of geometry A, 1 of geometry B",)
+    for file, name in zip(files, "AB", strict=True):
+        shared = scene(file)
+        own = MDD_GEOMETRIES[name]
+        np.testing.assert_array_equal(shared.sector, sector_mask(own, MDD_SHAPE))
+        # The same sector by the geometry that filters and networks get.
+        known = pixel_geometry(file)
+        assert known is not None
+        theirs = known.maps(0, 0, *MDD_SHAPE)["sector"] > 0
+        assert (theirs ^ shared.sector).sum() < 0.005 * shared.sector.sum()
+        # Dark ground lies in the shadow, objects where the mask says.
+        assert shared.noisy[shared.dark].mean() < 0.3 < shared.noisy[shared.bright].mean()
+        assert shared.objects is not None
+        assert shared.around is not None
+        assert shared.objects.sum() == 24 * 24
+        assert not (shared.around & shared.objects).any()
+        assert (shared.around & ~shared.sector).sum() == 0
+
+
+def test_figures_say_what_was_done(tmp_path: Path) -> None:
+    (file, *_), _ = open_folder(str(fans(tmp_path / "mdd", 1)), None)
+    shared = scene(file)
+    same = figures_of(shared.noisy, shared)
+    assert same["edges_kept"] == pytest.approx(1)
+    assert same["ratio_mean"] == pytest.approx(1)
+    assert same["m_index"] == pytest.approx(0.5)
+    blurred = cv2.GaussianBlur(shared.noisy, (0, 0), 2)
+    smooth = figures_of(np.asarray(blurred, np.float32), shared)
+    assert smooth["enl"] > 3 * same["enl"]
+    assert smooth["object_cnr"] > 1.2 * same["object_cnr"]
+    assert smooth["edges_kept"] < 0.5
+    half = figures_of(shared.noisy / 2, shared)
+    assert half["ratio_mean"] == pytest.approx(2, rel=1e-3)
+    for name in ("enl", "cnr", "shadow_level", "object_cnr", "edges_kept"):
+        assert half[name] == pytest.approx(same[name], rel=1e-4), name
+    lifted = figures_of(shared.noisy * 0.8 + 0.2, shared)
+    assert lifted["shadow_level"] > 2 * same["shadow_level"]
+    black = figures_of(np.zeros_like(shared.noisy), shared)
+    assert all(math.isnan(black[name]) for name in ("shadow_level", "edges_kept", "ratio_mean"))
+
+
+def test_the_report_of_a_folder_with_masks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = fans(tmp_path / "mdd", 2), tmp_path / "out"
+    words = ("baselines=[gaussian,richardson_lucy,recursive]", "downstream=true", "epochs=1")
+    assert real(str(folder), f"out={out}", *words, "test_share=0.5", "examples=2") == 0
+    assert "| noisy |" in capsys.readouterr().out
+    content = json.loads((out / "real.json").read_text(encoding="utf-8"))
+    rows = {row["label"]: row for row in content["rows"]}
+    assert list(rows) == ["noisy", "gaussian", "richardson_lucy", "recursive"]
+    assert "needs several looks" in rows["recursive"]["lost"]
+    assert rows["gaussian"]["means"]["enl"] > rows["noisy"]["means"]["enl"]
+    for label in ("noisy", "gaussian", "richardson_lucy"):
+        assert len(rows[label]["pictures"]) == 2
+        assert set(rows[label]["class_iou"]) == {"0", "3"}
+    page = (out / "real.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png") == 2 * 3
+    assert "lost:" in page
+    assert "http" not in page.replace('<html lang="en">', ""), "works without a network"
+    assert "| recursive" in (out / "real.md").read_text(encoding="utf-8")
+
+
+def test_any_gray_pictures_will_do(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for number, shape in enumerate(((64, 80), (70, 50), (64, 64))):
+        save(tmp_path / "in" / f"{number}.png", 0.5 * rng.gamma(6, 1 / 6, shape))
+    out = tmp_path / "out"
+    assert real(str(tmp_path / "in"), f"out={out}", "baselines=[median]", "limit=2") == 0
+    content = json.loads((out / "real.json").read_text(encoding="utf-8"))
+    assert content["files"] == ["0.png", "1.png"]
+    assert "object_cnr" not in content["rows"][0]["pictures"][0]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ((), "real: give a folder of pictures"),
+        (("{root}/none",), "no such folder"),
+        (("{root}/empty",), "holds no pictures"),
+        (("{root}/black",), "0.png: black, or smaller than 16 pixels"),
+        (("{root}/plain", "downstream=true"), "0.png has no mask of its name in Masks/"),
+        (("{root}/plain", "tuned={root}/none.json"), "tuned={root}/none.json: no such file"),
+        (("{root}/plain", "epochs=0"), "epochs"),
+        (("{root}/plain", "baselines=[wiener]"), "baselines: no 'wiener'"),
+        (("{root}/plain", "models=[{root}/none]"), "models: "),
+    ],
+)
+def test_bad_input_is_one_line(
+    words: tuple[str, ...], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "empty").mkdir()
+    save(tmp_path / "black" / "0.png", np.zeros((40, 40)))
+    save(tmp_path / "plain" / "0.png", np.full((40, 40), 0.5))
+    filled = [word.format(root=tmp_path) for word in words]
+    assert real(*filled, f"out={tmp_path / 'out'}") == 2
+    error = capsys.readouterr().err
+    assert told.format(root=tmp_path) in error
+    assert "Traceback" not in error
+
+
+def test_segmentation_learns_what_the_picture_shows_and_repeats() -> None:
+    """Blocks that are visible are found; the same blocks drowned in noise are not."""
+    rng = np.random.default_rng(1)
+    images, labels = [], []
+    for _ in range(16):
+        label = np.zeros((48, 56), np.uint8)
+        row, column = rng.integers(2, 28, 2)
+        label[row : row + 16, column : column + 16] = 1
+        images.append(np.where(label > 0, 0.9, 0.2).astype(np.float32))
+        labels.append(label)
+    settings: dict[str, Any] = {"epochs": 12, "test_share": 0.25, "seed": 3}
+    clear = segmented(images, labels, **settings)
+    assert set(clear.iou) == {0, 1}
+    assert clear.mean > 0.8
+    short = {**settings, "epochs": 1}
+    assert segmented(images, labels, **short) == segmented(images, labels, **short)
+    drowned = [0.2 * one + rng.random(one.shape, dtype=np.float32) for one in images]
+    assert segmented(drowned, labels, **settings).mean < clear.mean - 0.1
+
+
+def test_split_is_by_picture_and_the_same_for_all() -> None:
+    train, test = split_of(117, 0.3, 0)
+    assert sorted(train + test) == list(range(117))
+    assert len(test) == 35
+    assert split_of(117, 0.3, 0) == (train, test)
+    assert split_of(117, 0.3, 1)[1] != test
+    with pytest.raises(FactoryError, match="cannot be split"):
+        split_of(1, 0.3, 0)
+
+
+@pytest.mark.skipif(not MDD.is_dir(), reason="needs ../shared/data/mdd")
+def test_marine_debris_dataset(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert real(str(MDD), f"out={out}", "limit=2", "baselines=[nlm]", "examples=0") == 0
+    content = json.loads((out / "real.json").read_text(encoding="utf-8"))
+    noisy, nlm = (row["means"] for row in content["rows"])
+    assert nlm["enl"] > 2 * noisy["enl"]
+    assert nlm["cnr"] > noisy["cnr"]
+    assert nlm["ratio_mean"] == pytest.approx(1, abs=0.05)
+    assert 0.3 < nlm["edges_kept"] < 0.9

@@ -1,0 +1,237 @@
+"""`simnfnd evaluate realism`: geometries, baselines and the report."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from simnfnd.command import main
+from simnfnd.evaluation.realism import compare, real
+from simnfnd.evaluation.realism.geometry import Geometry, Grid, sector_mask, to_polar
+from simnfnd.evaluation.realism.measure import Measured, joined, measure_picture
+from simnfnd.evaluation.realism.simulated import picture_geometry
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.sonar.fan import fan_table
+from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
+from tests.evaluation.realism.realism_pictures import polar_folder, sonar_picture
+from tests.project_files import ROOT
+
+MDD = ROOT.parent / "shared" / "data" / "mdd"
+
+
+def smooth(rows: int, columns: int) -> np.ndarray:
+    r, c = np.mgrid[0:rows, 0:columns]
+    waves = 0.2 * np.sin(r / rows * 9) + 0.2 * np.cos(c / columns * 7)
+    return np.asarray(0.5 + waves, dtype=np.float32)
+
+
+@pytest.mark.parametrize(("near", "size"), [(0.25, (320, 480)), (0.5, (256, 256))])
+def test_a_fan_of_the_factory_comes_back_as_its_polar_picture(
+    near: float, size: tuple[int, int]
+) -> None:
+    image = ImageSettings(width_px=size[0], height_px=size[1])
+    sonar = SonarSettings(hfov_deg=30, beams=64, range_bins=128, image=image)
+    polar = smooth(128, 64)
+    fan = fan_table(sonar, near).bilinear(polar)
+    geometry = picture_geometry("fan", (size[1], size[0]), 30, (near * 8, 8.0), (-15, 15))
+    back = to_polar(fan, geometry, Grid(128, 64))
+    assert np.abs(back - polar)[3:-3, 3:-3].max() < 0.02
+    assert geometry.span_m == pytest.approx(8 * (1 - near))
+
+
+def test_bearings_without_data_are_left_out_and_squeezed_pictures_stretched() -> None:
+    geometry = picture_geometry("polar", (64, 64), 40, (1, 5), (-10, 20))
+    assert geometry.seen == (0.25, 1.0)
+    assert to_polar(smooth(64, 64), geometry, Grid(64, 64)).shape == (64, 48)
+    wide = Geometry("fan", 30, 100.0, 300.0, 50.0, 280.0)
+    narrow = replace(wide, x_scale=0.5, apex_x_px=50.0)
+    rows, columns = np.mgrid[0:300, 0:200]
+    picture = np.hypot(300.0 - rows, columns - 100.0).astype(np.float32)
+    squeezed = np.hypot(300.0 - rows[:, :100], (columns[:, :100] - 50.0) / 0.5)
+    grid = Grid(64, 32)
+    one = to_polar(picture, wide, grid)
+    other = to_polar(squeezed.astype(np.float32), narrow, grid)
+    assert np.abs(one - other).max() < 0.05
+    # Rows are ranges, near first.
+    assert one[0].mean() == pytest.approx(50 + 230 / 128, abs=0.05)
+    assert one.std(axis=1).max() < 0.05
+
+
+@pytest.mark.parametrize("name", ["A", "B"])
+def test_the_two_fans_of_mdd_are_told_apart(name: str) -> None:
+    rng = np.random.default_rng(0)
+    sector = sector_mask(real.MDD_GEOMETRIES[name], real.MDD_SHAPE)
+    picture = np.where(sector, rng.rayleigh(0.2, sector.shape), 0).astype(np.float32)
+    picture[rng.random(sector.shape) < 0.1] = 0  # dark pixels inside must not matter
+    assert real.mdd_geometry(picture) == name
+    assert real.mdd_geometry(np.ones(real.MDD_SHAPE, np.float32)) is None
+    assert real.mdd_geometry(picture[:-1]) is None
+
+
+@pytest.mark.skipif(not MDD.is_dir(), reason="needs the MDD sample in ../shared/data")
+def test_every_real_picture_gets_the_geometry_it_was_measured_to_have() -> None:
+    lines = (MDD / "fan_geometry.csv").read_text().splitlines()[1:]
+    known = dict(line.split(",")[:2] for line in lines)
+    found = real.open_real(MDD)
+    assert len(found.sources) == len(known) == 117
+    names = {geometry: name for name, geometry in real.MDD_GEOMETRIES.items()}
+    assert {source.name: names[source.geometry] for source in found.sources} == known
+    # No black border is left in the polar picture.
+    polar = found.sources[0].polar(Grid())
+    assert polar.shape == (440, 128)
+    assert (polar[2:-2, 2:-2] == 0).mean() < 0.01
+
+
+def test_geometry_files_are_checked(tmp_path: Path) -> None:
+    folder = polar_folder(tmp_path / "real", 1, 4)
+    table = folder / "geometry.csv"
+    good = table.read_text()
+    assert len(real.open_real(folder).sources) == 4
+    for text, said in (
+        ("file,layout,hfov_deg,widht\n*,polar,30,2\n", "unknown column 'widht'"),
+        ("layout,hfov_deg\npolar,30\n", "no column 'file'"),
+        ("file,layout,hfov_deg\n*,round,30\n", "layout must be fan or polar"),
+        ("file,layout,hfov_deg\n*,polar,wide\n", "hfov_deg is no number"),
+        ("file,layout,hfov_deg\n*,fan,30\n", "apex_x_px is missing"),
+        ("file,layout,hfov_deg\n000.png,polar,30\n", "no line for 001.png"),
+        (good + "999.png,polar,30,,\n", "999.png is listed"),
+        ("file,layout,hfov_deg,range_min_m,range_max_m\n*,polar,30,5,1\n", "range_max_m"),
+    ):
+        table.write_text(text)
+        with pytest.raises(FactoryError, match=said):
+            real.open_real(folder)
+    table.unlink()
+    with pytest.raises(FactoryError, match=r"no geometry\.csv"):
+        real.open_real(folder)
+    (folder / "Images").mkdir()
+    with pytest.raises(FactoryError, match="no pictures"):
+        real.open_real(folder)
+
+
+def test_pictures_of_any_kind_are_read(tmp_path: Path) -> None:
+    grey = (np.arange(64 * 32) % 65536).reshape(64, 32)
+    Image.fromarray(grey.astype(np.uint16)).save(tmp_path / "deep.png")
+    colour = np.repeat(np.full((8, 8, 1), 51, np.uint8), 3, axis=2)
+    Image.fromarray(colour).save(tmp_path / "colour.png")
+    assert real.read_gray(tmp_path / "deep.png").max() == pytest.approx(grey.max() / 65535)
+    assert real.read_gray(tmp_path / "colour.png") == pytest.approx(0.2)
+    (tmp_path / "broken.png").write_bytes(b"not a picture")
+    with pytest.raises(FactoryError, match=r"broken\.png: not a picture"):
+        real.read_gray(tmp_path / "broken.png")
+
+
+@pytest.fixture(scope="module")
+def many() -> dict[str, Measured]:
+    rng = np.random.default_rng(3)
+
+    def of(count: int, **changes: float) -> Measured:
+        return joined([measure_picture(sonar_picture(rng, **changes), 4.0) for _ in range(count)])  # type: ignore[arg-type]
+
+    return {"real": of(24), "same": of(24), "bright": of(16, level=0.42)}
+
+
+def test_a_perfect_simulation_reaches_the_baseline_and_another_does_not(
+    many: dict[str, Measured],
+) -> None:
+    simulated = {"same": many["same"], "bright": many["bright"]}
+    found = compare.compare(
+        many["real"], simulated, resamples=30, halves="random", seed=1, progress=False
+    )
+    ratios = {item.statistic.name: item.ratio("same") for item in found}
+    assert len(found) == 22
+    assert np.median(list(ratios.values())) == pytest.approx(1, abs=0.35)
+    assert compare.overall(found, "same")["within_2"] > 0.9
+    amplitude = next(item for item in found if item.statistic.name == "amplitude_emd")
+    assert amplitude.ratio("bright") > 5
+    assert amplitude.distance["bright"].mean == pytest.approx(0.12 * 255, rel=0.1)
+    assert amplitude.distance["bright"].low <= amplitude.distance["bright"].mean
+    assert compare.overall(found, "bright")["geometric_mean_ratio"] > 1.5
+
+
+@pytest.mark.parametrize("halves", ["random", "blocks"])
+def test_the_same_seed_gives_the_same_figures(many: dict[str, Measured], halves: str) -> None:
+    one, two = (
+        compare.compare(
+            many["real"],
+            {"same": many["same"]},
+            resamples=3,
+            halves=halves,
+            seed=9,
+            progress=False,
+        )
+        for _ in range(2)
+    )
+    assert [item.baseline for item in one] == [item.baseline for item in two]
+    assert [item.distance for item in one] == [item.distance for item in two]
+
+
+def test_halves_have_no_picture_in_common() -> None:
+    rng = np.random.default_rng(0)
+    for how in ("random", "blocks"):
+        for count, size in ((9, 4), (40, 20), (117, 24)):
+            first, second = compare._halves(count, size, how, rng)
+            assert len(first) == len(second) == size
+            assert not set(first) & set(second)
+            assert max(*first, *second) < count
+
+
+def test_too_few_pictures_are_refused(many: dict[str, Measured]) -> None:
+    few = measure_picture(sonar_picture(np.random.default_rng(0)))
+    with pytest.raises(FactoryError, match="few: 1 pictures; at least 8"):
+        compare.half_size(many["real"], {"few": few})
+
+
+def test_the_command_writes_a_report_that_needs_nothing_else(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one = polar_folder(tmp_path / "real pictures", 1)
+    two = polar_folder(tmp_path / "made, up", 2, 9, level=0.4)
+    out = tmp_path / "report"
+    words = [str(one), str(two), "resamples=4", "grid.range_bins=96", "grid.beams=48"]
+    assert main(["evaluate", "realism", *words, f"out={out}"]) == 0
+    said = capsys.readouterr().out
+    assert "| amplitude, EMD | grey |" in said
+    told = json.loads((out / "realism.json").read_text())
+    assert told["pictures"] == {"real": 16, "made, up": 9}
+    assert told["half"] == 4
+    assert told["statistics"]["slope_per_m"]["baseline"]["mean"] > 0
+    assert told["overall"]["made, up"]["geometric_mean_ratio"] > 1
+    page = (out / "realism.html").read_text()
+    assert page.count("data:image/png;base64,") == 6
+    assert 'src="http' not in page
+    for name in ("ratios", "distributions", "pictures"):
+        with Image.open(out / f"{name}.png") as picture:
+            assert min(picture.size) > 300
+    assert "| **within 2 times** |" in (out / "realism.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["REAL"], "sim: give both folders"),
+        (["nowhere", "REAL"], "real=nowhere: no such folder"),
+        (["REAL", "nowhere"], "dataset=nowhere: no such folder"),
+        (["REAL", "REAL", "halves=thirds"], "halves"),
+        (["REAL", "REAL", "limit=6"], "6 pictures; at least 8"),
+        (["REAL", "REAL", "grid.beams=1"], "grid.beams"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(
+    words: list[str],
+    said: str,
+    tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    base = tmp_path_factory.mktemp("bad")
+    monkeypatch.chdir(base)
+    polar_folder(base / "REAL", 1, 12)
+    assert main(["evaluate", "realism", *words]) == 2
+    error = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
+    assert len(error) == 1
+    assert said in error[0]

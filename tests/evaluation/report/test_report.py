@@ -1,0 +1,312 @@
+"""What the figures say together: tests, the paper's tables, breakdowns, comparisons."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from simnfnd.command import main
+from simnfnd.evaluation import compare
+from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.metrics import statistics
+from simnfnd.evaluation.pictures import Item
+from simnfnd.evaluation.report import breakdown, charts, paper, robustness
+from simnfnd.evaluation.report import build as builder
+from simnfnd.evaluation.report.content import best_classical, content_of
+from simnfnd.evaluation.report.files import read_results
+from simnfnd.evaluation.rows import Row
+from simnfnd.factory.errors import FactoryError
+from tests.evaluation.evaluation_settings import settings_for
+from tests.small_dataset import write_dataset
+
+
+def test_bootstrap_draws_frames_not_images() -> None:
+    """Ten copies of each of four frames are four observations, not forty."""
+    values = np.repeat([1.0, 2.0, 3.0, 4.0], 10)
+    frames = [str(index // 10) for index in range(40)]
+    together = statistics.estimate(values, frames, resamples=2000, seed=0)
+    apart = statistics.estimate(values, [str(index) for index in range(40)], resamples=2000, seed=0)
+    assert together.mean == apart.mean == 2.5
+    assert together.high - together.low > 2.5 * (apart.high - apart.low)
+    assert statistics.estimate(values, frames, resamples=2000, seed=0) == together
+
+
+def test_bootstrap_interval_covers_the_mean() -> None:
+    rng = np.random.default_rng(0)
+    hits = 0
+    for _ in range(200):
+        values = rng.normal(5, 2, 40)
+        item = statistics.estimate(values, [str(i) for i in range(40)], resamples=300, seed=1)
+        hits += item.low <= 5 <= item.high
+    assert 0.88 <= hits / 200 <= 0.99
+
+
+def test_values_that_do_not_exist_are_left_out() -> None:
+    item = statistics.estimate(np.array([1.0, np.nan, 3.0]), list("abc"), resamples=100, seed=0)
+    assert (item.mean, item.count) == (2.0, 2)
+    none = statistics.estimate(np.array([np.nan]), ["a"], resamples=100, seed=0)
+    assert none.count == 0
+    assert math.isnan(none.mean)
+
+
+def test_the_paired_test_sees_frames() -> None:
+    rng = np.random.default_rng(1)
+    base = rng.normal(20, 3, 24)
+    shift = np.repeat(rng.normal(0.4, 0.5, 12), 2)
+    groups = [str(index // 2) for index in range(24)]
+    found = statistics.paired(base + shift, base, groups, better=1, resamples=200, seed=0)
+    assert found.difference.mean == pytest.approx(shift.mean())
+    assert found.p == pytest.approx(stats.wilcoxon(shift[::2]).pvalue)
+    assert found.wins == pytest.approx((shift > 0).mean())
+    other = statistics.paired(base, base + shift, groups, better=1, resamples=200, seed=0)
+    assert other.difference.mean == pytest.approx(-found.difference.mean)
+    assert other.p == pytest.approx(found.p)
+    assert other.wins == pytest.approx(1 - found.wins)
+    low_is_good = statistics.paired(base + shift, base, groups, better=-1, resamples=200, seed=0)
+    assert low_is_good.wins == pytest.approx(1 - found.wins)
+    same = statistics.paired(base, base, groups, better=1, resamples=200, seed=0)
+    assert (same.p, same.wins, same.difference.mean) == (1.0, 0.5, 0.0)
+    infinite = np.where(np.arange(24) < 2, np.inf, base)
+    assert (
+        statistics.paired(infinite, infinite, groups, better=1, resamples=100, seed=0).wins == 0.5
+    )
+
+
+def test_holm_is_the_published_procedure() -> None:
+    """Worked by hand: the smallest p times 4, the next times 3, ..., never decreasing."""
+    found = statistics.holm([0.01, 0.04, 0.03, 0.005, float("nan")])
+    assert found[:4] == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert math.isnan(found[4])
+    assert statistics.holm([0.9, 0.8]) == [1.0, 1.0]
+
+
+def made_row(label: str, psnr: Any, **changes: Any) -> Row:
+    values = np.asarray(psnr, dtype=float)
+    figures = {"psnr": values, "ssim": values / 30, "gmsd": 0.4 - values / 100}
+    return Row(Method(label, "", {}, **changes), figures, 5.0)
+
+
+def items(count: int, scenes: int = 2) -> list[Item]:
+    return [
+        Item("s", ("s", index), str(index), "", f"scene-{index % scenes}", str(index), 0, ())
+        for index in range(count)
+    ]
+
+
+def test_networks_are_held_against_the_best_tuned_baseline(tmp_path: Path) -> None:
+    """Which baseline that is, validation says: on the test pairs another one is ahead."""
+    base = np.linspace(15, 20, 12)
+    rows = [
+        made_row("identity", base),
+        replace(made_row("median", base + 1), method=Method("median", "+ levels", {})),
+        replace(made_row("nlm", base + 1.5), method=Method("nlm", "+ levels", {})),
+        made_row("net", base + 3 + np.sin(np.arange(12)), weights="net.safetensors"),
+        Row(Method("broken", "", {}), lost="no luck"),
+    ]
+    point = {"psnr_levels": 18.0}
+    tuned = {
+        "median": {"default": point, "tuned_levels": point},
+        "nlm": {"default": {"psnr_levels": 17.0}, "tuned_levels": {"psnr_levels": 17.0}},
+    }
+    settings = settings_for(tmp_path / "data")
+    facts = {"pairs": 12}
+    content = content_of(rows, items(12), settings, facts, tuned, {"net": {"gmac": 1.5}})
+    assert content["best_classical"] == {"row": "median + levels", "chosen_on": "validation pairs"}
+    assert [row["label"] for row in content["rows"]] == [
+        "net", "nlm + levels", "median + levels", "noisy", "broken",
+    ]  # fmt: skip
+    net = content["rows"][0]
+    assert net["gmac"] == 1.5
+    assert net["against_best"]["psnr"]["mean"] == pytest.approx(2 + np.sin(np.arange(12)).mean())
+    assert net["against_noisy"]["psnr"]["p_holm"] < 0.01
+    assert net["against_noisy"]["gmsd"]["wins"] == 1, "low is good"
+    json.dumps(content, allow_nan=False)
+    assert best_classical(content["rows"], {}) == ("nlm + levels", "these very pairs")
+    several = [*content["rows"], {**content["rows"][1], "name": "recursive", "label": "recursive"}]
+    several[-1]["metrics"] = {"psnr": {"mean": 40.0}}
+    assert best_classical(several, {})[0] == "nlm + levels", "no network sees several looks"
+
+
+def table(**psnr: float) -> list[dict[str, Any]]:
+    """Rows of Table 2 with our PSNR, all else as in the paper."""
+    found = []
+    for name, (title, figures) in paper.TABLE_2.items():
+        there = dict(zip(paper.TABLE_METRICS, figures, strict=True))
+        ours = {**there, "psnr": psnr[name]} if name in psnr else None
+        found.append({"title": title, "paper": there, "ours": ours, "row": name})
+    return found
+
+
+def test_another_order_than_the_paper_is_said() -> None:
+    same = table(identity=16.0, median=16.2, nlm=16.1)
+    assert paper.ordering(same) == [
+        "Table 2: of 8 ordered pairs of rows in three metrics, 8 are in the paper's order."
+    ]
+    lines = paper.ordering(table(identity=16.3, median=16.2, nlm=16.1))
+    assert "6 are in the paper's order, 2 are the other way." in lines[0]
+    assert lines[1] == (
+        "PSNR: the paper has Median before Origin (17.76, 17.64), here it is the other way "
+        "(16.20, 16.30)"
+    )
+    assert len(lines) == 3
+    assert "too few rows" in paper.ordering(table(median=16.0))[0]
+    near = paper.ordering(table(identity=16.004, median=16.0, nlm=15.9))
+    assert "6 are in the paper's order, 1 are equal here (within 0.01), 1 are the other" in near[0]
+    ours = [{**row, "ours": row["paper"]} for row in paper.table_3([])]
+    assert paper.ordering(ours, "Table 3", digits=3) == [
+        "Table 3: of 9 ordered pairs of rows in three metrics, 9 are in the paper's order."
+    ]
+
+
+def test_breakdowns_find_where_a_method_is_good(tmp_path: Path) -> None:
+    """A method that gains one dB where the effect is strong, and none where it is off."""
+    count = 48
+    level = np.where(np.arange(count) % 4 == 0, np.nan, np.linspace(0.1, 0.9, count))
+    base = np.full(count, 17.0)
+    rows = [made_row("identity", base), made_row("median", base + np.nan_to_num(level))]
+    drawn = {
+        "noise.background.density": level,
+        "noise.mode": np.where(np.arange(count) % 2, "radial", ""),
+        "noise.fixed": np.full(count, 2.0),
+        "full_scale": np.linspace(0, 1, count),
+    }
+    found = breakdown.breakdown_of(
+        rows, items(count), drawn, ["noisy", "median"], settings_for(tmp_path / "data")
+    )
+    by_name = {entry["factor"]: entry for entry in found}
+    assert set(by_name) == {"scene", "noise.background.density", "noise.mode"}, "what varies"
+    entry = by_name["noise.background.density"]
+    assert entry["bins"][0]["label"] == "off"
+    assert sum(one["pairs"] for one in entry["bins"]) == count
+    gains = [one["gain"]["mean"] for one in entry["rows"]["median"]]
+    assert gains[0] == 0
+    centres = [one["centre"] for one in entry["bins"]]
+    assert gains[1:] == pytest.approx(centres[1:])
+    assert entry["rows"]["noisy"][0]["gain"] is None
+    assert [one["label"] for one in by_name["noise.mode"]["bins"]] == ["off", "radial"]
+
+
+def test_datasets_that_differ_in_one_number_make_a_curve() -> None:
+    own = {"noise.a": 0.5, "noise.b": 1}
+    other = {"noise.a": 0.7, "noise.b": 1}
+    assert robustness.difference(own, other) == {"noise.a": 0.7}
+    entries = [{"differs": {"noise.a": value}} for value in (0.1, 0.9)]
+    assert robustness.curve_of(entries, own) == ("noise.a", [0.1, 0.9])
+    assert robustness.curve_of([*entries, {"differs": {"noise.b": 2}}], own) is None
+    assert robustness.curve_of([{"differs": {"noise.a": True, "noise.b": 2}}], own) is None
+    assert robustness.curve_of([], own) is None
+
+
+def test_charts_show_every_point_and_escape_names() -> None:
+    points = (charts.Point(1, 17.0, 16.0, 18.0), charts.Point(100, 19.0, None, None))
+    series = [charts.Series("a <b>", points, 0), charts.Series("c", points[:1], 3)]
+    text = charts.chart(
+        series, x_label="ms", y_label="PSNR", title='say "what"', lines=True, log_x=True
+    )
+    assert text.count("<circle") == 3
+    assert text.count('class="whisker"') == 2
+    assert "a &lt;b&gt;" in text
+    assert "<b>" not in text
+    assert 'aria-label="say &quot;what&quot;"' in text
+    assert charts.chart([], x_label="", y_label="", title="", lines=False) == ""
+    flat = charts.Series("flat", (charts.Point(2, 5), charts.Point(2, 5)), 0)
+    assert "nan" not in charts.chart([flat], x_label="", y_label="", title="", lines=True)
+
+
+@pytest.fixture(scope="module")
+def reports(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
+    """Two reports on the same twelve frames, the second with another data set beside; one alone."""
+    root = tmp_path_factory.mktemp("reports")
+    dataset = write_dataset(root / "data", train=0, test=24, size=40, per_shard=24)
+    other = write_dataset(root / "louder", train=0, test=4, size=40, noise=0.4)
+    a, b, c = (root / name for name in "abc")
+    page = {"examples": 1, "methods": 2}
+    builder.build(settings_for(dataset, out=str(a), baselines=["grey_opening"], page=page))
+    robust = {"robustness": [str(other)], "real": []}
+    builder.build(settings_for(dataset, out=str(b), baselines=["gaussian"], page=page, **robust))
+    builder.build(settings_for(other, out=str(c), baselines=[], page={"examples": 0, "methods": 1}))
+    return a, b, c
+
+
+def test_compare_says_which_is_better(
+    reports: tuple[Path, Path, Path], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    a, b, _ = reports
+    assert (
+        main(["evaluate", "compare", str(a), str(b), "--row-b", "noisy", "--out", str(tmp_path)])
+        == 0
+    )
+    said = capsys.readouterr().out
+    assert "A = grey_opening (a), B = noisy (b): 24 pairs of 12 frames" in said
+    content = json.loads((tmp_path / "compare.json").read_text(encoding="utf-8"))
+    one, other = read_results(a), read_results(b)
+    first = one["psnr"][one["method"] == "grey_opening"]
+    second = other["psnr"][other["method"] == "noisy"]
+    psnr = content["metrics"]["psnr"]
+    assert psnr["difference"] == pytest.approx((first - second).mean())
+    assert psnr["wins"] == pytest.approx((first > second).mean())
+    assert psnr["verdict"] == "better"
+    assert "A is really better than B in PSNR" in said or "Mixed: A is better in PSNR" in said
+    assert main(["evaluate", "compare", str(a), str(a)]) == 0
+    assert "No difference is shown" in capsys.readouterr().out
+
+
+def test_compare_refuses_what_cannot_be_compared(
+    reports: tuple[Path, Path, Path], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    a, b, c = reports
+    (tmp_path / "results.parquet").write_bytes(b"PAR1")
+    for words, said in (
+        ((str(a), str(c)), "different pairs, none in common"),
+        ((str(a), "nowhere"), "no report here"),
+        ((str(a), str(tmp_path)), "damaged"),
+        ((str(a), str(b), "--row-a", "wiener"), "no row 'wiener'; it has noisy, grey_opening"),
+        ((str(a),), "the following arguments are required: B"),
+        ((str(a), str(b), "--bootstrap", "3"), "at least 100"),
+    ):
+        assert main(["evaluate", "compare", *words]) == 2
+        error = capsys.readouterr().err
+        assert said in error
+        assert error.count("\n") == 1
+
+
+def test_other_noise_is_in_the_report(reports: tuple[Path, Path, Path]) -> None:
+    content = json.loads((reports[1] / "report.json").read_text(encoding="utf-8"))
+    (entry,) = content["robustness"]
+    assert (entry["dataset"], entry["pairs"]) == ("louder", 4)
+    assert set(entry["rows"]) == {"noisy", "gaussian"}
+    noisy = next(row for row in content["rows"] if row["label"] == "noisy")
+    assert entry["rows"]["noisy"]["psnr"]["mean"] < noisy["metrics"]["psnr"]["mean"]
+    assert "**louder** (4 pairs" in (reports[1] / "report.md").read_text(encoding="utf-8")
+
+
+def test_a_report_without_any_method(reports: tuple[Path, Path, Path]) -> None:
+    content = json.loads((reports[2] / "report.json").read_text(encoding="utf-8"))
+    assert [row["label"] for row in content["rows"]] == ["noisy"]
+    assert content["best_classical"]["row"] is None
+    assert not (reports[2] / "figure16.png").exists()
+
+
+def test_verdicts_need_interval_and_test() -> None:
+    rng = np.random.default_rng(0)
+    groups = [str(index) for index in range(40)]
+    noise = rng.normal(0, 1, 40)
+    same = statistics.paired(noise, np.zeros(40), groups, better=1, resamples=300, seed=0)
+    clear = statistics.paired(noise + 3, np.zeros(40), groups, better=1, resamples=300, seed=0)
+    assert compare._entry("psnr", same, same.p)["verdict"] == "no difference shown"
+    assert compare._entry("psnr", clear, clear.p)["verdict"] == "better"
+    assert compare._entry("gmsd", clear, clear.p)["verdict"] == "worse"
+    assert compare._entry("enl", clear, float("nan"))["verdict"] == "not ranked"
+    assert compare._entry("psnr", clear, 0.2)["verdict"] == "no difference shown"
+
+
+def test_a_folder_that_is_no_report_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FactoryError, match="no report here"):
+        read_results(tmp_path)

@@ -1,0 +1,358 @@
+"""`simnfnd evaluate`: from a dataset folder to the files of the report."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import json
+import math
+import os
+import signal
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+
+from simnfnd.evaluation import rows
+from simnfnd.evaluation.crew import Died, Team
+from simnfnd.evaluation.image_pairs import read_gray
+from simnfnd.evaluation.journal import JOURNAL_NAME, Journal
+from simnfnd.evaluation.methods import NOISY, Method, baselines_of, methods_of
+from simnfnd.evaluation.metrics import fidelity as metrics
+from simnfnd.evaluation.metrics import measure
+from simnfnd.evaluation.pictures import drawn_of, items_of, picture
+from simnfnd.evaluation.report import build as builder
+from simnfnd.evaluation.report.files import read_results
+from simnfnd.evaluation.work import Task, measure_task
+from simnfnd.factory.dataset.format.sample import Pair
+from simnfnd.factory.dataset.read.reader import open_shard, shard_paths
+from simnfnd.factory.errors import FactoryError
+from tests.evaluation.evaluation_settings import evaluation, settings_for
+from tests.small_dataset import add_shard, fan_images, write_dataset, write_manifest
+
+FILES = {
+    "report.html", "report.json", "report.md", "results.parquet", "leaderboard.csv",
+    "leaderboard.md", "leaderboard.tex", "leaderboard.png", "figure16.png", JOURNAL_NAME,
+}  # fmt: skip
+
+MEDIAN = Method("median", "", {"size": 3})
+GAUSSIAN = Method("gaussian", "", {"sigma_px": 1.0})
+
+
+def measured(dataset: Path, methods: list[Method], out: Path, **changes: Any) -> list[rows.Row]:
+    settings = settings_for(dataset, **changes)
+    journal = Journal(out)
+    with contextlib.closing(journal), Team(settings.workers) as team:
+        items = items_of(dataset, settings.split, settings.limit)
+        return rows.measure_rows(settings, items, methods, journal, team)
+
+
+def test_one_command_writes_the_whole_report(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data", train=16, test=6, size=48)
+    out = tmp_path / "report"
+    words = (f"dataset={dataset}", f"out={out}", "baselines=[median]", "tuning.pairs=2",
+             f"tuning.file={tmp_path / 'tuned.json'}")  # fmt: skip
+    done = evaluation(*words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "| median tuned + levels (size=" in done.stdout
+    assert {path.name for path in out.iterdir()} == FILES
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"data", "report", "tuned.json"}, "Hydra left litter"
+
+    # The figures are those of the images in the shards, taken one by one.
+    expected = []
+    for path in sorted((dataset / "test").glob("*.h5")):
+        with h5py.File(path) as file:
+            expected += [
+                metrics.psnr(clean, noisy, data_range=255)
+                for clean, noisy in zip(file["clean"], file["noisy"], strict=True)
+            ]
+    results = read_results(out)
+    noisy = results["method"] == "noisy"
+    assert results["psnr"][noisy] == pytest.approx(expected, rel=1e-6)
+    assert set(results["method"]) == {
+        "noisy", "median", "median + levels", "median tuned", "median tuned + levels",
+    }  # fmt: skip
+    content = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    row = next(row for row in content["rows"] if row["label"] == "noisy")
+    psnr = row["metrics"]["psnr"]
+    assert psnr["mean"] == pytest.approx(np.mean(expected))
+    assert psnr["low"] < psnr["mean"] < psnr["high"]
+    assert (content["facts"]["pairs"], content["facts"]["frames"]) == (6, 3)
+    assert content["best_classical"]["chosen_on"] == "validation pairs"
+    with (out / "leaderboard.csv").open(encoding="utf-8") as file:
+        lines = {line["method"]: line for line in csv.DictReader(file)}
+    assert float(lines["noisy"]["psnr"]) == pytest.approx(np.mean(expected))
+    assert float(lines["median + levels"]["psnr_gain_low"]) > 0, "the haze is an offset"
+    markdown = (out / "report.md").read_text(encoding="utf-8")
+    assert "| Median | 17.76 / 0.690 / 0.190 |" in markdown
+    latex = (out / "leaderboard.tex").read_text(encoding="utf-8")
+    assert latex.count(r"\\") == 1 + 5
+    assert r"\textbf{" in latex
+
+
+def test_a_report_goes_on_where_it_was_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dataset = write_dataset(tmp_path / "data", train=0, test=9, size=48)
+    whole = measured(dataset, [MEDIAN, GAUSSIAN], tmp_path / "whole")
+    tasks: list[Task] = []
+
+    def stopping(task: Task) -> Any:
+        tasks.append(task)
+        if len(tasks) == 2:
+            raise KeyboardInterrupt
+        return measure_task(task)
+
+    monkeypatch.setattr(rows, "measure_task", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        measured(dataset, [MEDIAN, GAUSSIAN], tmp_path / "out")
+    # A crash may cut a line in two.
+    with (tmp_path / "out" / JOURNAL_NAME).open("a", encoding="utf-8") as file:
+        file.write('{"method": "x", "pictures": ["a"')
+    again = measured(dataset, [MEDIAN, GAUSSIAN], tmp_path / "out")
+    assert [len(task.items) for task in tasks[2:]] == [4, 1], "the first four were known"
+    for one, other in zip(whole, again, strict=True):
+        assert one.method == other.method
+        for name in measure.METRICS:
+            np.testing.assert_array_equal(one.values[name], other.values[name])
+    # Known rows are read, a new one is measured alone.
+    tasks.clear()
+
+    def counting(task: Task) -> Any:
+        tasks.append(task)
+        return measure_task(task)
+
+    monkeypatch.setattr(rows, "measure_task", counting)
+    measured(dataset, [MEDIAN, Method("grey_opening", "", {"size": 3})], tmp_path / "out")
+    assert {method.name for task in tasks for method in task.methods} == {"grey_opening"}
+    tasks.clear()
+    measured(dataset, [MEDIAN], tmp_path / "out", shadow_threshold=0.1)
+    assert {method.name for task in tasks for method in task.methods} == {"identity", "median"}
+
+
+def test_processes_do_not_change_the_figures(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data", train=3, test=9, size=48, per_shard=5)
+    alone, together = (
+        measured(dataset, [MEDIAN], tmp_path / str(n), split="all", workers=n) for n in (1, 2)
+    )
+    for one, other in zip(alone, together, strict=True):
+        for name in measure.METRICS:
+            np.testing.assert_array_equal(one.values[name], other.values[name])
+    items = items_of(dataset, "all")
+    assert len(items) == 12
+    assert items[0].shard == "train/shard-00000.h5"
+    assert items_of(dataset, "all", 5) == items[:5]
+
+
+def killed_by_median(task: Task) -> Any:
+    if any(method.name == "median" for method in task.methods):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return measure_task(task)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there is no SIGKILL")
+def test_a_killed_worker_costs_the_row_of_its_method_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dataset = write_dataset(tmp_path / "data", train=0, test=5, size=48)
+    monkeypatch.setattr(rows, "measure_task", killed_by_median)
+    found = measured(dataset, [MEDIAN, GAUSSIAN], tmp_path / "out", workers=2)
+    noisy, median, gaussian = found
+    assert "SIGKILL" in (median.lost or "")
+    assert (noisy.lost, gaussian.lost) == (None, None)
+    monkeypatch.undo()
+    honest = measured(dataset, [GAUSSIAN], tmp_path / "other")[1]
+    np.testing.assert_array_equal(gaussian.values["psnr"], honest.values["psnr"])
+    assert measured(dataset, [MEDIAN], tmp_path / "out")[1].lost is None, "the next run tries again"
+
+
+def sleeps(seconds: float) -> float:
+    import time
+
+    time.sleep(seconds)
+    return seconds
+
+
+def test_tasks_that_take_too_long_are_given_up() -> None:
+    with Team(2) as team:
+        found = dict(team.run(sleeps, deque([0.0, 60.0]), lambda _: 3.0))
+    assert found[0.0] == 0.0
+    assert found[60.0] == Died("took longer than 3 s")
+
+
+def test_float_shards_measure_like_uint8_ones(tmp_path: Path) -> None:
+    whole, unit = (
+        measured(write_dataset(tmp_path / kind, train=0, test=3, dtype=kind), [], tmp_path / "o")[0]
+        for kind in ("uint8", "float32")
+    )
+    for name in measure.METRICS:
+        np.testing.assert_allclose(whole.values[name], unit.values[name], rtol=0.02, atol=1e-3)
+
+
+def test_noiseless_pairs_have_a_stated_rule(tmp_path: Path) -> None:
+    _, clean, shadow = fan_images(48, np.random.default_rng(0))
+    record: dict[str, float | int | str] = {
+        "location": "", "scene": "s", "frame": "f", "variant": 0,
+    }  # fmt: skip
+    data = tmp_path / "data"
+    add_shard(data, "test/shard-00000.h5", [Pair(clean, clean, shadow, record)] * 2)
+    content = builder.build(settings_for(data))
+    row = next(row for row in content["rows"] if row["label"] == "noisy")
+    assert row["metrics"]["psnr"]["mean"] == metrics.PSNR_CAP_DB
+    assert row["metrics"]["shadow_iou"]["mean"] == 1
+    assert any("identical pairs (2 here) count as 100 dB" in r for r in content["facts"]["rules"])
+
+
+def test_the_sector_leaves_out_what_the_sonar_cannot_see() -> None:
+    noisy, clean, shadow = fan_images(64, np.random.default_rng(1))
+    sector = measure.sector_of(noisy, clean, shadow)
+    scores = measure.score_pair(noisy, clean, shadow, data_range=1, shadow_threshold=0.02)
+    share = sector.mean()
+    assert 0.2 < share < 0.8
+    # Outside all is 0 in both images: it adds 10 log10(1/share) dB to the full frame.
+    assert scores.psnr - scores.psnr_fan == pytest.approx(-10 * math.log10(share))
+    assert scores.ssim_fan < scores.ssim
+
+
+def test_what_was_drawn_is_found_for_every_pair(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path, train=0, test=6, size=32)
+    drawn = drawn_of(items_of(dataset, "test"))
+    assert drawn["variant"].tolist() == [0, 1, 0, 1, 0, 1]
+    assert drawn["scene"].tolist() == ["test-0"] * 6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "dataset: give the folder"),
+        (("dataset=nowhere",), "no such folder"),
+        (("dataset=nowhere", "speed=1"), "Could not override 'speed'"),
+        (("dataset=nowhere", "workers=0"), "workers: "),
+        (("dataset=nowhere", "split=valid"), "split: Input should be 'train', 'test' or 'all'"),
+    ],
+)
+def test_bad_input_is_one_line(arguments: tuple[str, ...], words: str, tmp_path: Path) -> None:
+    done = evaluation(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_bad_datasets_are_named(tmp_path: Path) -> None:
+    with pytest.raises(FactoryError, match="no shards"):
+        items_of(tmp_path, "test")
+    dataset = write_dataset(tmp_path / "train only", train=4, test=0)
+    with pytest.raises(FactoryError, match=r"test split is empty.*split=train"):
+        items_of(dataset, "test")
+    path = dataset / "train" / "shard-00000.h5"
+    for name, words in (("schema", "schema 'other/9'"), ("clean", "/clean is absent")):
+        with h5py.File(path, "r+") as file:
+            if name == "schema":
+                file.attrs["schema"] = "other/9"
+            else:
+                file.attrs["schema"] = "simnfnd/1"
+                del file["clean"]
+        with pytest.raises(FactoryError, match=words):
+            open_shard(path)
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(FactoryError, match="not a readable HDF5 file"):
+        open_shard(path)
+
+
+def test_the_manifest_decides_which_shards_count(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path, train=8, test=4)
+    before = items_of(dataset, "train")
+    write_manifest(dataset, "train/shard-00001.h5")
+    assert [path.name for path in shard_paths(dataset, "all")] == ["shard-00001.h5"]
+    # The key of a pair is its content, whether or not a manifest says it.
+    assert [item.key for item in items_of(dataset, "all")] == [item.key for item in before[4:]]
+    (dataset / "manifest.json").write_text("{", encoding="utf-8")
+    with pytest.raises(FactoryError, match="damaged"):
+        items_of(dataset, "all")
+
+
+def test_nan_in_a_shard_names_the_sample(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data", train=0, test=3, dtype="float32")
+    with h5py.File(dataset / "test" / "shard-00000.h5", "r+") as file:
+        file["noisy"][1, 5, 5] = np.nan
+    with pytest.raises(FactoryError, match=r"shard-00000\.h5: sample 1: noisy has NaN"):
+        measured(dataset, [MEDIAN], tmp_path / "out")
+
+
+def test_out_that_cannot_be_written(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data", train=0, test=2, size=48)
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    with pytest.raises(FactoryError, match=r"out: cannot write"):
+        builder.build(settings_for(dataset, out=str(tmp_path / "file" / "x")))
+
+
+def write_images(folder: Path, images: dict[str, Any]) -> Path:
+    for name, image in images.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        assert cv2.imwrite(str(folder / name), image)
+    return folder
+
+
+def test_folders_of_image_pairs_are_a_dataset(tmp_path: Path) -> None:
+    """8 and 16 bits, gray and equal channels, sizes that differ from pair to pair."""
+    images: dict[str, Any] = {}
+    for number, size in enumerate((48, 64)):
+        noisy, clean, shadow = fan_images(size, np.random.default_rng(number))
+        deep = (clean * 65535).astype(np.uint16)
+        images[f"clean/{number}.png"] = deep
+        gray = (noisy * 255).astype(np.uint8)
+        images[f"noisy/{number}.png"] = np.stack([gray] * 3, axis=-1) if number else gray
+        images[f"shadow/{number}.png"] = shadow.astype(np.uint8) * 255
+    folder = write_images(tmp_path / "pairs", images)
+    row = measured(folder, [MEDIAN], tmp_path / "out")[1]
+    assert row.values["psnr"].shape == (2,)
+    assert np.isfinite(row.values["shadow_residual"]).all()
+    first = picture(items_of(folder, "test")[0].place)
+    assert first.clean.max() == pytest.approx(images["clean/0.png"].max() / 65535)
+    for file in (folder / "shadow").iterdir():
+        file.unlink()
+    row = measured(folder, [MEDIAN], tmp_path / "out")[1]
+    assert np.isnan(row.values["shadow_iou"]).all(), "nobody knows where shadow is"
+    assert np.isfinite(row.values["psnr"]).all()
+
+
+def test_unfit_image_pairs_are_named(tmp_path: Path) -> None:
+    gray = np.full((32, 32), 100, np.uint8)
+    cases: list[tuple[str, dict[str, Any], str]] = [
+        ("lonely", {"noisy/a.png": gray, "noisy/b.png": gray, "clean/a.png": gray},
+         r"b\.png: no partner in clean/"),
+        ("sizes", {"noisy/a.png": gray, "clean/a.png": gray[:16]}, r"32x32, but .* 32x16 pixels"),
+        ("colour", {"noisy/a.png": np.dstack([gray, gray, gray // 2]), "clean/a.png": gray},
+         "in colour"),
+        ("float", {"noisy/a.tif": gray.astype("f4"), "clean/a.tif": gray}, "expected 8 or 16"),
+    ]  # fmt: skip
+    for name, images, words in cases:
+        folder = write_images(tmp_path / name, images)
+        with pytest.raises(FactoryError, match=words):
+            measured(folder, [], tmp_path / "out")
+    (tmp_path / "empty" / "noisy").mkdir(parents=True)
+    (tmp_path / "empty" / "clean").mkdir()
+    with pytest.raises(FactoryError, match="hold no images"):
+        items_of(tmp_path / "empty", "test")
+    (tmp_path / "text.png").write_text("not an image", encoding="utf-8")
+    with pytest.raises(FactoryError, match="not a readable image"):
+        read_gray(tmp_path / "text.png")
+    constant = write_images(tmp_path / "flat", {"noisy/a.png": gray, "clean/a.png": gray})
+    (row,) = measured(constant, [], tmp_path / "out")
+    assert row.values["psnr"][0] == metrics.PSNR_CAP_DB
+    assert row.values["ssim"][0] == pytest.approx(1)
+
+
+def test_rows_are_named_once() -> None:
+    methods = methods_of(baselines_of(["fast", "median", "paper"]), {})
+    labels = [method.label for method in methods]
+    assert labels == ["noisy", "median", "gaussian", "bilateral", "nlm", "grey_opening", "bm3d"]
+    assert methods[0] == NOISY
+    keys = {method.key for method in (MEDIAN, GAUSSIAN, Method("median", "", {"size": 5}))}
+    assert len(keys) == 3

@@ -1,0 +1,79 @@
+"""Trained networks as rows of the report."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from simnfnd.evaluation.crew import Team
+from simnfnd.evaluation.journal import Journal
+from simnfnd.evaluation.metrics.fidelity import psnr
+from simnfnd.evaluation.networks import costs_of, networks_of
+from simnfnd.evaluation.pictures import items_of, picture
+from simnfnd.evaluation.rows import measure_rows
+from simnfnd.factory.errors import FactoryError
+from tests.evaluation.evaluation_settings import settings_for
+from tests.small_dataset import write_dataset
+
+
+def weights(path: Path, seed: int) -> Path:
+    """The weights of a small untrained network."""
+    import torch
+
+    from simnfnd.models import build_network
+    from simnfnd.models.weights import save_weights
+
+    config = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 1, "decoder": [1]}
+    torch.manual_seed(seed)
+    network = build_network(config)
+    for parameter in network.parameters():
+        torch.nn.init.normal_(parameter, std=0.05)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_weights(path, network, config, {})
+    return path
+
+
+def test_networks_are_rows_with_their_costs(tmp_path: Path) -> None:
+    first = weights(tmp_path / "small" / "weights.safetensors", 1)
+    second = weights(tmp_path / "other.safetensors", 2)
+    dataset = write_dataset(tmp_path / "data", train=0, test=3, size=48)
+    ablation = {"olddata_l1": None, "simnfnd_l1": str(second), "simnfnd_newloss": None}
+    settings = settings_for(dataset, models=[str(first.parent)], ablation=ablation)
+    methods = networks_of(settings)
+    assert [(method.label, method.ablation) for method in methods] == [
+        ("small", ""),
+        ("other", "simnfnd_l1"),
+    ]
+    items = items_of(dataset, "test")
+    with closing(Journal(tmp_path / "out")) as journal, Team(1) as team:
+        rows = measure_rows(settings, items, methods, journal, team)
+    from simnfnd.models.denoise.command import load_denoiser
+
+    pair = picture(items[1].place)
+    expected = psnr(pair.clean, load_denoiser(first)(pair.noisy).clip(0, 1), data_range=1.0)
+    assert rows[1].values["psnr"][1] == pytest.approx(expected, abs=1e-6)
+    assert rows[1].values["psnr"][1] != rows[2].values["psnr"][1]
+    assert rows[1].milliseconds > 0
+    costs = costs_of(methods)
+    assert costs["small"] == costs["other"]
+    assert 0 < costs["small"]["gmac"] < 1
+    assert costs["small"]["parameters"] > 100
+
+
+def test_paths_without_weights_are_named(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    for path, words in (("empty", "holds 0 weights files"), ("none", "models: weights=.*no such")):
+        with pytest.raises(FactoryError, match=words):
+            networks_of(settings_for(tmp_path / "data", models=[str(tmp_path / path)]))
+
+
+def test_a_file_that_is_no_network_loses_its_row(tmp_path: Path) -> None:
+    (tmp_path / "bad.safetensors").write_bytes(b"no weights")
+    dataset = write_dataset(tmp_path / "data", train=0, test=2, size=48)
+    settings = settings_for(dataset, models=[str(tmp_path / "bad.safetensors")])
+    with closing(Journal(tmp_path / "out")) as journal, Team(1) as team:
+        items = items_of(dataset, "test")
+        row = measure_rows(settings, items, networks_of(settings), journal, team)[1]
+    assert "not a safetensors file" in (row.lost or "")

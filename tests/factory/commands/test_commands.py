@@ -1,0 +1,63 @@
+"""The verbs of `simnfnd`: each explains itself, and ends as the others do."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from simnfnd.command import VERBS, main, overview
+from tests.factory.export.export_dataset import write
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
+    """Exit code of `simnfnd WORDS`, in this process."""
+    monkeypatch.setattr(sys, "argv", ["simnfnd"])
+    try:
+        return main(words)
+    except SystemExit as ended:  # of argparse
+        return int(ended.code or 0)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_is_listed_and_exists(verb) -> None:
+    assert f"\n  {verb} " in overview()
+    module, function = VERBS[verb].target.split(":")
+    assert callable(getattr(import_module(module), function))
+
+
+@pytest.mark.parametrize("verb", ["preview", "inspect", "gallery", "merge", "export"])
+def test_verbs_explain_themselves(verb, monkeypatch, capsys) -> None:
+    assert run(monkeypatch, verb, "--help") == 0
+    assert f"simnfnd {verb}" in capsys.readouterr().out
+
+
+def test_what_verbs_do_is_printed(monkeypatch, capsys, tmp_path: Path) -> None:
+    source = write(tmp_path / "source")
+    assert run(monkeypatch, "inspect", str(source)) == 0
+    assert "9 train, 3 test" in capsys.readouterr().out
+    out = tmp_path / "out"
+    assert run(monkeypatch, "export", str(source), "--to", "png", "--out", str(out)) == 0
+    assert "12 samples as PNG" in capsys.readouterr().out
+    assert (out / "test/clean/000002.png").exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("inspect", "{nothing}"),
+        ("merge", "{nothing}", "{nothing}", "--out", "{nothing}/out"),
+        ("export", "{nothing}", "--to", "mdd", "--out", "{nothing}/out"),
+        ("gallery", "sonar.beams=-1", "--out", "{nothing}/out"),
+    ],
+)
+def test_mistakes_are_one_line_and_exit_code_two(words, monkeypatch, capsys, tmp_path) -> None:
+    nothing = str(tmp_path / "nothing")
+    given = [word.replace("{nothing}", nothing) for word in words]
+    assert run(monkeypatch, *given) == 2
+    told = capsys.readouterr().err.strip().splitlines()
+    assert len(told) == 1
+    assert told[0].startswith("error: ")
+    assert not Path(nothing).exists()

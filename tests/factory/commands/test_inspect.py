@@ -1,0 +1,140 @@
+"""`inspect` tells what is in a dataset: against what h5py and the metrics of `evaluation` say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+
+from simnfnd.evaluation.metrics import fidelity as metrics
+from simnfnd.factory.commands.inspect import main, report
+from simnfnd.factory.dataset.describe.inspection import inspect
+from simnfnd.factory.dataset.describe.quality import PSNR_CAP_DB, psnr_db, ssim
+from simnfnd.factory.errors import FactoryError
+from tests import small_dataset
+from tests.factory.export.export_dataset import write
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("inspect"), labels=True)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "float32"])
+def test_quality_is_what_evaluation_reports(dtype) -> None:
+    noisy, clean, _ = small_dataset.fan_images(64, np.random.default_rng(3))
+    if dtype == "uint8":
+        noisy, clean = (np.rint(image * 255).astype(np.uint8) for image in (noisy, clean))
+    scale = 255.0 if dtype == "uint8" else 1.0
+    assert psnr_db(clean, noisy) == pytest.approx(
+        metrics.psnr(clean, noisy, data_range=scale), abs=1e-6
+    )
+    assert ssim(clean, noisy) == pytest.approx(
+        metrics.ssim(clean, noisy, data_range=scale), abs=1e-6
+    )
+    assert psnr_db(clean, clean) == PSNR_CAP_DB
+    assert ssim(clean, clean) == pytest.approx(1)
+    assert np.isnan(ssim(clean[:8, :8], noisy[:8, :8]))
+
+
+def test_figures_are_those_of_the_files(dataset) -> None:
+    found = inspect(dataset)
+    shards = sorted(dataset.glob("*/*.h5"), key=lambda path: (path.parent.name != "train", path))
+    tables, pairs = [], []
+    for path in shards:
+        with h5py.File(path) as file:
+            tables.append(file["meta"][:])
+            pairs += list(zip(file["clean"][:], file["noisy"][:], strict=True))
+    table = np.concatenate(tables)
+    assert found.stored_bytes == sum(path.stat().st_size for path in shards)
+    # noisy, clean, shadow, segmentation: a byte a pixel; instance two, range four.
+    assert found.image_bytes == 12 * 20 * 16 * (4 + 2 + 4)
+    assert list(found.splits) == ["train"] * 9 + ["test"] * 3
+    np.testing.assert_array_equal(found.table["range_max_m"], table["range_max_m"])
+    assert found.numbers("noise.background.density").size < 12  # some were not drawn
+    assert found.psnr_db == pytest.approx([psnr_db(*pair) for pair in pairs])
+
+
+def test_few_pairs_are_spread_over_all(dataset) -> None:
+    everything = inspect(dataset)
+    for pairs in (1, 3, 5):
+        few = inspect(dataset, pairs=pairs)
+        at = [(2 * k + 1) * 12 // (2 * pairs) for k in range(pairs)]
+        assert list(few.psnr_db) == list(everything.psnr_db[at])
+
+
+def test_the_report_says_it_in_words(dataset) -> None:
+    lines = list(report(inspect(dataset), "little"))
+    text = "\n".join(lines)
+    assert lines[0].startswith("little: simnfnd/1, made by simnfnd 0.1.0, config hash 0000")
+    assert "9 train, 3 test, in 3 file(s)" in text
+    assert "20 x 16 uint8 (0..255), fan" in text
+    assert "gzip 1, fletcher32" in text
+    assert "CC-BY-4.0" in text
+    scene = next(line for line in lines if line.startswith("test ") and "reef" in line)
+    assert scene.split() == ["test", "reef", "reef-test", "3"]
+    low, high = (np.min, np.max)
+    values = inspect(dataset).numbers("range_max_m")
+    row = next(line for line in lines if line.startswith("range_max_m")).split()
+    assert row == [
+        "range_max_m", f"{low(values):.6g}", f"{values.mean():.6g}", f"{high(values):.6g}", "m",
+        "12",
+    ]  # fmt: skip
+    assert any(
+        line.startswith("noise.range_spreading.mode") and "not drawn" in line for line in lines
+    )
+    counts = [int(line.split()[-1]) for line in lines if "|" in line]
+    assert sum(counts[:10]) == 12  # every pair is in one bar of the PSNR
+
+
+def test_one_shard_and_the_index_can_be_given(dataset, tmp_path) -> None:
+    shard = inspect(dataset / "test/shard-00000.h5")
+    assert shard.source.splits == {"test": 3}
+    (dataset / "index.h5").touch()  # only its place matters
+    try:
+        assert inspect(dataset / "index.h5").source.splits == {"train": 9, "test": 3}
+    finally:
+        (dataset / "index.h5").unlink()
+
+
+@pytest.mark.parametrize(
+    ("compression", "said"),
+    [("none", "fletcher32"), ("lzf", "lzf, fletcher32"), ("gzip", "gzip 1, fletcher32")],
+)
+def test_compression_is_told(compression, said, tmp_path) -> None:
+    from simnfnd.factory.dataset.describe.inspection import compression_of
+
+    filters = {} if compression == "none" else {"compression": compression}
+    if compression == "gzip":
+        filters["compression_opts"] = 1
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        stack = file.create_dataset(
+            "x", shape=(2, 4, 4), dtype="u1", chunks=(1, 4, 4), fletcher32=True, **filters
+        )
+        assert compression_of(stack) == said
+
+
+def test_the_figure_is_a_picture(dataset, tmp_path, capsys) -> None:
+    main([str(dataset), "--png", str(tmp_path / "a.png")])
+    main([str(dataset), "--png", str(tmp_path / "b.png")])
+    assert "figure:" in capsys.readouterr().out
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    picture = cv2.imread(str(tmp_path / "a.png"))
+    assert picture is not None
+    assert min(picture.shape[:2]) > 200
+    assert picture.std() > 10
+
+
+def test_what_is_no_dataset_is_said(tmp_path, dataset) -> None:
+    with pytest.raises(FactoryError, match="no such file or folder"):
+        inspect(tmp_path / "nothing")
+    with pytest.raises(FactoryError, match="no shards"):
+        inspect(tmp_path)
+    (tmp_path / "a.h5").write_bytes(b"hello")
+    with pytest.raises(FactoryError, match=r"a\.h5"):
+        inspect(tmp_path / "a.h5")
+    with pytest.raises(FactoryError, match="--pairs"):
+        inspect(dataset, pairs=0)

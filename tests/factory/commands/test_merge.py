@@ -1,0 +1,168 @@
+"""Datasets are merged when they are of one kind and share nothing; anything else is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import yaml
+
+from simnfnd.factory.commands.merge import main, merge
+from simnfnd.factory.dataset.format.manifest import damage, load_manifest
+from simnfnd.factory.errors import FactoryError
+from tests.factory.export.export_dataset import CONFIG, write
+
+
+@pytest.fixture
+def two(tmp_path: Path) -> tuple[Path, Path]:
+    return write(tmp_path / "a", place="reef", seed=1), write(tmp_path / "b", place="pier", seed=2)
+
+
+def refused(directories, out: Path, match: str) -> None:
+    with pytest.raises(FactoryError, match=match) as told:
+        merge(directories, out)
+    assert "\n" not in str(told.value)
+    assert not out.exists()
+    assert not list(out.parent.glob(".*partial*"))
+
+
+def test_the_shards_are_those_of_both(two, tmp_path, capsys) -> None:
+    out = tmp_path / "out"
+    main([str(two[0]), str(two[1]), "--out", str(out), "--name", "both"])
+    assert "18 train and 6 test pairs in 6 shards" in capsys.readouterr().out
+    manifest = load_manifest(out)
+    assert manifest is not None
+    assert list(manifest.shards) == [
+        "test/shard-00000.h5", "test/shard-00001.h5", "train/shard-00000.h5",
+        "train/shard-00001.h5", "train/shard-00002.h5", "train/shard-00003.h5",
+    ]  # fmt: skip
+    assert [damage(out, info) for info in manifest.shards.values()] == [None] * 6
+    for name, (source, original) in {
+        "train/shard-00001.h5": (two[0], "train/shard-00001.h5"),
+        "train/shard-00002.h5": (two[1], "train/shard-00000.h5"),
+        "test/shard-00001.h5": (two[1], "test/shard-00000.h5"),
+    }.items():
+        assert (out / name).read_bytes() == (source / original).read_bytes()
+    with h5py.File(out / "index.h5") as index, h5py.File(two[1] / "test/shard-00000.h5") as last:
+        np.testing.assert_array_equal(index["test/noisy"][3:], last["noisy"][:])
+
+
+def test_the_result_is_valid(two, tmp_path) -> None:
+    from simnfnd.factory.dataset.check.validate import validate
+
+    third = write(tmp_path / "c", place="canyon", seed=3)
+    merge(two, tmp_path / "ab")
+    merge((tmp_path / "ab", third), tmp_path / "abc")
+    for name in ("ab", "abc"):
+        report = validate(tmp_path / name, deep=True)
+        assert report.errors == ()
+        assert report.samples == 12 * len(name)
+
+
+def test_it_says_where_everything_came_from(two, tmp_path) -> None:
+    merge(two, tmp_path / "out", name="both")
+    manifest = json.loads((tmp_path / "out/manifest.json").read_text())
+    config = manifest["config"]
+    assert config["noise"] == CONFIG["noise"]
+    assert "seed" not in config
+    assert [part["seed"] for part in config["merged"]] == [1, 2]
+    hashes = [part["config_hash"] for part in config["merged"]]
+    assert hashes == ["0000000000000001", "0000000000000002"]
+    assert manifest["config_hash"] not in hashes
+    card = (tmp_path / "out/README.md").read_text()
+    assert all(config_hash in card for config_hash in hashes)
+    assert "license: cc-by-4.0" in card
+    assert "# both" in card
+    assert yaml.safe_load((tmp_path / "out/config.yaml").read_text())["dataset"]["name"] == "both"
+    with h5py.File(tmp_path / "out/index.h5") as index:
+        assert index.attrs["config_hash"] == manifest["config_hash"]
+        assert json.loads(index.attrs["config"]) == config
+    croissant = json.loads((tmp_path / "out/croissant.json").read_text())
+    assert {"manifest.json", "index.h5"} < {file["name"] for file in croissant["distribution"]}
+
+
+def test_the_same_merge_gives_the_same_files(two, tmp_path) -> None:
+    merge(two, tmp_path / "one")
+    merge(two, tmp_path / "two")
+    files = sorted(path for path in (tmp_path / "one").rglob("*") if path.is_file())
+    assert len(files) > 8
+    for path in files:
+        twin = tmp_path / "two" / path.relative_to(tmp_path / "one")
+        assert path.read_bytes() == twin.read_bytes(), path.name
+
+
+def test_a_sample_in_both_is_refused(tmp_path, two) -> None:
+    again = write(tmp_path / "again", place="reef", seed=9)
+    refused((two[0], again), tmp_path / "out", r"reef/reef-train/0.000 variant 0 is in .*a and in")
+
+
+def test_a_scene_that_trains_here_and_tests_there_is_refused(tmp_path, two) -> None:
+    # The other dataset's test scene, with frames of its own, trains here.
+    leaking = write(tmp_path / "leaking", place="mole", seed=9)
+    for path in leaking.glob("train/*.h5"):
+        with h5py.File(path, "r+") as file:
+            table = file["meta"][:]
+            table["location"], table["scene"] = b"pier", b"pier-test"
+            table["frame"] = [b"new-%d-%d" % (int(path.stem[-1]), row) for row in range(len(table))]
+            file["meta"][:] = table
+    reseal(leaking)
+    refused((two[1], leaking), tmp_path / "out", "pier/pier-test is in test of .* and in train of")
+
+
+def reseal(root: Path) -> None:
+    """Bring the checksums of manifest.json up to date."""
+    from dataclasses import replace
+
+    from simnfnd.factory.dataset.format.manifest import save_manifest
+    from simnfnd.factory.files import sha256_of
+
+    manifest = load_manifest(root)
+    assert manifest is not None
+    for path, info in manifest.shards.items():
+        file = root / path
+        fresh = replace(info, bytes=file.stat().st_size, sha256=sha256_of(file))
+        manifest = manifest.with_shard(fresh)
+    save_manifest(root, manifest)
+
+
+def test_other_noise_is_refused_by_its_key(tmp_path, two) -> None:
+    noise = {"background": {"density": {"uniform": [0.1, 0.9]}}}
+    other = write(tmp_path / "other", place="mole", config={**CONFIG, "noise": noise})
+    refused((two[0], other), tmp_path / "out", r"noise.background.density.uniform \[0.1, 0.5\] and")
+
+
+@pytest.mark.parametrize(
+    ("form", "said"),
+    [({"layout": "polar"}, "ahead axes"), ({"dtype": "float32"}, "layers"),
+     ({"labels": True}, "layers")],
+)  # fmt: skip
+def test_other_forms_are_refused(tmp_path, two, form, said) -> None:
+    other = write(tmp_path / "other", place="mole", **form)
+    refused((two[0], other), tmp_path / "out", said)
+
+
+def test_licences_must_agree_or_be_given(tmp_path, two) -> None:
+    other = write(tmp_path / "other", place="mole", licence="MIT")
+    refused((two[0], other), tmp_path / "out", r"licences differ .*CC-BY-4.0.*MIT.*--licence")
+    merge((two[0], other), tmp_path / "out", licence="CC-BY-4.0")
+    assert "license: cc-by-4.0" in (tmp_path / "out/README.md").read_text()
+
+
+def test_damage_is_found_before_anything_is_written(tmp_path, two) -> None:
+    path = two[1] / "train/shard-00000.h5"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    refused(two, tmp_path / "out", "b/train/shard-00000.h5: SHA-256 differs")
+
+
+def test_what_cannot_be_merged(tmp_path, two) -> None:
+    out = tmp_path / "out"
+    refused(two[:1], out, "at least two")
+    refused((two[0], two[0]), out, "named twice")
+    refused((two[0], tmp_path), out, "no manifest.json")
+    with pytest.raises(FactoryError, match="holds files already"):
+        merge(two, two[0])

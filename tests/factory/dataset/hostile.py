@@ -1,0 +1,411 @@
+"""Datasets as an attacker or a dying disk leaves them: one mutation a number."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import h5py
+import numpy as np
+
+from simnfnd.factory.dataset import PairDataset
+from simnfnd.factory.dataset.check import validate
+from simnfnd.factory.dataset.check.isolated import Guard
+from simnfnd.factory.dataset.format.manifest import Manifest, load_manifest, save_manifest
+from simnfnd.factory.dataset.format.sample import Pair
+from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.read import pair_dataset
+from simnfnd.factory.dataset.write.index import write_index
+from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import sha256_of
+from tests.fake_source import FakeConfig, FakeSource, refs
+
+SHARDS = {
+    "train/shard-00000.h5": "alpha",
+    "train/shard-00001.h5": "beta",
+    "test/shard-00000.h5": "gamma",
+}
+SECRET = 77
+PROVENANCE = Provenance({"seed": 7}, "c0ffee0123456789", "simnfnd 0.1.0")
+Rng = np.random.Generator
+
+
+def with_layers(pair: Pair) -> Pair:
+    """The pair with one optional layer of every dtype."""
+    clean = np.asarray(pair.clean, np.uint8)
+    seen = clean > 0
+    range_m = np.where(seen, 3.0, np.nan).astype(np.float32)
+    number = (clean > 200).astype(np.uint8)
+    return replace(
+        pair,
+        layers={
+            "range": range_m,
+            "elevation": range_m / 10,
+            "valid_azimuth": seen,
+            "segmentation": number,
+            "instance": number.astype(np.uint16),
+            "layers/background": pair.noisy,
+        },
+    )
+
+
+def whole(root: Path, **changes: Any) -> Path:
+    """A sound dataset of three shards with every layer, manifest and index; and a secret beside."""
+    source = FakeSource(FakeConfig())
+    manifest = Manifest(PROVENANCE.config_hash, PROVENANCE.generator, dict(PROVENANCE.config))
+    for relative, scene in SHARDS.items():
+        pairs = [with_layers(source.pairs(ref, (0,))[0]) for ref in refs(4, scene)]
+        info = write_shard(
+            root,
+            relative,
+            pairs,
+            source.axes(),
+            source.columns(),
+            PROVENANCE,
+            DatasetSettings(**changes),
+        )
+        assert info is not None
+        manifest = manifest.with_shard(info)
+    save_manifest(root, manifest)
+    write_index(root, manifest)
+    with h5py.File(root.parent / "secret.h5", "w") as file:
+        for name in ("noisy", "clean"):
+            file[name] = np.full((4, 24, 20), SECRET, np.uint8)
+        (root.parent / "secret.raw").write_bytes(bytes([SECRET]) * 4 * 24 * 20)
+    return root
+
+
+def admit(root: Path) -> None:
+    """Make the manifest tell the truth about the files, as who made them on purpose would."""
+    manifest = load_manifest(root)
+    assert manifest is not None
+    for path, info in manifest.shards.items():
+        file = root / path
+        if file.is_file():
+            size = file.stat().st_size
+            if size >= info.samples:
+                manifest = manifest.with_shard(replace(info, bytes=size, sha256=sha256_of(file)))
+    save_manifest(root, manifest)
+
+
+class LastingGuard(Guard):
+    """One process for many datasets: starting one takes far longer than looking at a small file."""
+
+    _one: Guard | None = None
+
+    def __enter__(self) -> Guard:
+        LastingGuard._one = LastingGuard._one or Guard()
+        return LastingGuard._one
+
+    def __exit__(self, *exception: object) -> None:
+        """Leave it running."""
+
+
+def read_quickly(root: Path) -> str:
+    """`read_everything` with a lasting process that looks at the shards first."""
+    with mock.patch.multiple(pair_dataset, Guard=LastingGuard, _LIMIT_S=2.0):
+        return read_everything(root)
+
+
+def read_everything(root: Path) -> str:
+    """Read a dataset as a user would: 'read', or the one line that refuses it."""
+    try:
+        for split in ("train", "test"):
+            layers = ("noisy", "clean", "shadow", "range", "segmentation", "layers/background")
+            with PairDataset(root, split, layers=layers) as pairs:
+                assert len(pairs) < 1000
+                pairs.meta()
+                _ = pairs.axes, pairs.shape, pairs.value_range
+                for sample in pairs:
+                    for image in sample.values():
+                        assert image.nbytes < 1 << 28
+                        assert not (image == SECRET).all(), "read a file outside of the dataset"
+    except FactoryError as error:
+        return f"refused: {error}"
+    return "read"
+
+
+def check(root: Path, reader: Guard, validator: Guard) -> tuple[str, str]:
+    """What reader and validator say of a dataset; AssertionError when it is no clear answer.
+
+    reader, validator: processes that may crash or hang instead of this one.
+    """
+    said = reader.call(read_quickly, root, limit_s=30.0)
+    assert said == "read" or said.startswith("refused: ")
+    try:
+        with mock.patch.object(validate, "_LIMIT_S", 2.0):
+            report = validate.validate_with(validator, root, deep=True)
+        found = "; ".join(str(finding) for finding in report.errors) or "valid"
+    except FactoryError as error:
+        found = f"refused: {error}"
+    for text in (said, found):
+        assert "\n" not in text
+        assert len(text) < 20_000
+    return said, found
+
+
+def mutate(root: Path, number: int) -> str:
+    """Damage a fresh copy of a dataset in the way that `number` stands for; says how."""
+    rng = np.random.default_rng(number)
+    kinds: list[Callable[[Path, Rng], str]] = [
+        _bytes_of_shard,
+        _bytes_of_shard,
+        _bytes_of_shard,
+        _objects_of_shard,
+        _objects_of_shard,
+        _values_of_manifest,
+        _bytes_of_manifest,
+        _bytes_of_index,
+        _sources_of_index,
+        _files,
+    ]
+    said = kinds[number % len(kinds)](root, rng)
+    if rng.random() < 0.7 and "manifest" not in said:
+        admit(root)
+        said += ", admitted"
+    return f"{number}: {said}"
+
+
+def _any_shard(root: Path, rng: Rng) -> Path:
+    return root / sorted(SHARDS)[rng.integers(len(SHARDS))]
+
+
+def _spoil(content: bytes, rng: Rng) -> tuple[bytes, str]:
+    """Some of the bytes of a file changed, as flips, runs, moves, cuts or extreme numbers."""
+    data = bytearray(content)
+    size = len(data)
+    kind = rng.choice(["flip", "many", "head", "zero", "ones", "noise", "move", "cut", "length"])
+    at = int(rng.integers(size))
+    run = int(rng.integers(1, 400))
+    if kind == "flip":
+        data[at] ^= 1 << int(rng.integers(8))
+    elif kind == "many":
+        for place in rng.integers(size, size=int(rng.integers(2, 60))):
+            data[place] = int(rng.integers(256))
+    elif kind == "head":
+        data[int(rng.integers(min(size, 3000)))] = int(rng.integers(256))
+    elif kind == "zero":
+        data[at : at + run] = bytes(len(data[at : at + run]))
+    elif kind == "ones":
+        data[at : at + run] = b"\xff" * len(data[at : at + run])
+    elif kind == "noise":
+        data[at : at + run] = rng.bytes(len(data[at : at + run]))
+    elif kind == "move":
+        other = int(rng.integers(size))
+        data[at : at + run] = data[other : other + run][: len(data[at : at + run])]
+    elif kind == "cut":
+        del data[at:]
+    else:
+        # Sizes and addresses are little-endian 8-byte numbers on 8-byte bounds as a rule.
+        at &= ~7
+        value = int(rng.choice([0, 1, 2**31, 2**40, 2**62, 2**63 - 1, size, size - 8, at]))
+        data[at : at + 8] = value.to_bytes(8, "little")[: len(data[at : at + 8])]
+    return bytes(data), f"{kind} at {at}"
+
+
+def _bytes_of_shard(root: Path, rng: Rng) -> str:
+    path = _any_shard(root, rng)
+    content, said = _spoil(path.read_bytes(), rng)
+    path.write_bytes(content)
+    return f"{path.name} {said}"
+
+
+def _bytes_of_manifest(root: Path, rng: Rng) -> str:
+    path = root / "manifest.json"
+    content, said = _spoil(path.read_bytes(), rng)
+    path.write_bytes(content)
+    return f"manifest {said}"
+
+
+def _bytes_of_index(root: Path, rng: Rng) -> str:
+    path = root / "index.h5"
+    content, said = _spoil(path.read_bytes(), rng)
+    path.write_bytes(content)
+    return f"index {said}"
+
+
+_ODD_VALUES: tuple[Any, ...] = (
+    None, -1, 0, 1, 2**31, 2**63, 10**30, 1.5, True, "", "x", [], {}, [[]], "\ud800",
+    "../secret.h5", "train/../../secret.h5", "test/shard-00000.h5", "simnfnd/2", "\0", "a" * 10**5,
+)  # fmt: skip
+
+
+def _values_of_manifest(root: Path, rng: Rng) -> str:
+    path = root / "manifest.json"
+    document = json.loads(path.read_text())
+    shard = document["shards"][rng.integers(3)]
+    target = document if rng.random() < 0.3 else shard
+    key = sorted(target)[rng.integers(len(target))]
+    value = _ODD_VALUES[rng.integers(len(_ODD_VALUES))]
+    if rng.random() < 0.15:
+        del target[key]
+    elif rng.random() < 0.15:
+        document["shards"].append(dict(shard))
+    else:
+        target[key] = str((root.parent / "secret.h5").resolve()) if value == "x" else value
+    path.write_text(json.dumps(document))
+    return f"manifest {key} = {str(value)[:30]!r}"
+
+
+def _objects_of_shard(root: Path, rng: Rng) -> str:
+    path = _any_shard(root, rng)
+    name = str(rng.choice(["noisy", "clean", "shadow", "range", "segmentation", "meta"]))
+    kind = sorted(OBJECTS)[rng.integers(len(OBJECTS))]
+    with h5py.File(path, "r+") as file:
+        OBJECTS[kind](file, name, (root.parent / "secret.h5").resolve())
+    return f"{path.name} {name}: {kind}"
+
+
+def _again(file: h5py.File, name: str, **keywords: Any) -> h5py.Dataset:
+    """Another dataset of the same name, otherwise as the schema has it."""
+    del file[name]
+    form: dict[str, Any] = {"shape": (4, 24, 20), "dtype": "u1", "chunks": (1, 24, 20)}
+    return file.create_dataset(name, **{**form, **keywords})
+
+
+def _swap(file: h5py.File, name: str, secret: Path) -> None:
+    file.move(name, "other")
+    file.move("layers/background", name)
+    file.move("other", "layers/background")
+
+
+def _external_link(file: h5py.File, name: str, secret: Path) -> None:
+    del file[name]
+    file[name] = h5py.ExternalLink(str(secret), "/noisy")
+
+
+def _soft_loop(file: h5py.File, name: str, secret: Path) -> None:
+    del file[name]
+    file[name] = h5py.SoftLink(f"/{name}")
+
+
+def _virtual(file: h5py.File, name: str, secret: Path) -> None:
+    del file[name]
+    layout = h5py.VirtualLayout((4, 24, 20), "u1")
+    layout[:] = h5py.VirtualSource(str(secret), "noisy", (4, 24, 20))
+    file.create_virtual_dataset(name, layout)
+
+
+def _external_storage(file: h5py.File, name: str, secret: Path) -> None:
+    raw = secret.with_suffix(".raw")
+    _again(file, name, chunks=None, external=[(str(raw), 0, h5py.h5f.UNLIMITED)])
+
+
+def _bomb(file: h5py.File, name: str, secret: Path) -> None:
+    """A chunk of 260 kB that grows to 260 MB."""
+    stack = _again(file, name, compression="gzip")
+    packer = zlib.compressobj(9)
+    piece = packer.compress(bytes(1 << 22))
+    zeros = b"".join([piece, *(packer.compress(bytes(1 << 26)) for _ in range(4)), packer.flush()])
+    for row in range(4):
+        stack.id.write_direct_chunk((row, 0, 0), zeros)
+
+
+def _small_bomb(file: h5py.File, name: str, secret: Path) -> None:
+    """A chunk as small as a picture may be that grows to a thousand pictures."""
+    stack = _again(file, name, compression="gzip")
+    for row in range(4):
+        stack.id.write_direct_chunk((row, 0, 0), zlib.compress(bytes(24 * 20 * 1000), 9))
+
+
+def _attribute(file: h5py.File, name: str, value: Any) -> None:
+    del file.attrs[name]
+    file.attrs[name] = value
+
+
+OBJECTS: dict[str, Callable[[h5py.File, str, Path], Any]] = {
+    "swapped names": _swap,
+    "absent": lambda file, name, secret: file.pop(name),
+    "external link": _external_link,
+    "link to itself": _soft_loop,
+    "virtual dataset of another file": _virtual,
+    "data in another file": _external_storage,
+    "bomb": _bomb,
+    "small bomb": _small_bomb,
+    "a group": lambda file, name, secret: (file.pop(name), file.create_group(name)),
+    "other dtype": lambda file, name, secret: _again(file, name, dtype="f8"),
+    "text": lambda file, name, secret: _again(file, name, dtype=h5py.string_dtype()),
+    "references": lambda file, name, secret: _again(file, name, dtype=h5py.ref_dtype),
+    "nested compound": lambda file, name, secret: _again(
+        file, name, dtype=[("location", [("scene", "S3"), ("frame", "f4")]), ("variant", "i4")]
+    ),
+    "huge and empty": lambda file, name, secret: _again(
+        file, name, shape=(2**40, 24, 20), maxshape=(None, 24, 20)
+    ),
+    "huge pictures": lambda file, name, secret: _again(
+        file, name, shape=(4, 2**31, 2**31), chunks=(1, 2**15, 2**15)
+    ),
+    "no dimension": lambda file, name, secret: _again(file, name, shape=(), chunks=None),
+    "no sample": lambda file, name, secret: _again(
+        file, name, shape=(0, 24, 20), maxshape=(None, 24, 20)
+    ),
+    "more samples": lambda file, name, secret: _again(file, name, shape=(400, 24, 20)),
+    "contiguous": lambda file, name, secret: _again(file, name, chunks=None),
+    "other chunks": lambda file, name, secret: _again(file, name, chunks=(2, 5, 5)),
+    "scale-offset": lambda file, name, secret: _again(file, name, scaleoffset=2),
+    "schema a number": lambda file, name, secret: _attribute(file, "schema", 1),
+    "schema 2": lambda file, name, secret: _attribute(file, "schema", "simnfnd/2"),
+    "schema an array": lambda file, name, secret: _attribute(file, "schema", np.zeros(3)),
+    "axes absent": lambda file, name, secret: file.pop("axes"),
+    "no scales": lambda file, name, secret: file["noisy"].attrs.pop("DIMENSION_LIST"),
+}
+
+
+def _sources_of_index(root: Path, rng: Rng) -> str:
+    places = (
+        str((root.parent / "secret.h5").resolve()),
+        "../secret.h5",
+        "train/../../secret.h5",
+        "test/shard-00000.h5",
+        "train/shard-00009.h5",
+    )
+    place = places[rng.integers(len(places))]
+    split = str(rng.choice(["train", "test"]))
+    layer = str(rng.choice(["noisy", "clean"]))
+    rows = {"train": 8, "test": 4}[split]
+    with h5py.File(root / "index.h5", "r+") as file:
+        del file[f"{split}/{layer}"]
+        layout = h5py.VirtualLayout((rows, 24, 20), "u1")
+        for start in range(0, rows, 4):
+            layout[start : start + 4] = h5py.VirtualSource(place, "noisy", (4, 24, 20))
+        file.create_virtual_dataset(f"{split}/{layer}", layout)
+    return f"index {split}/{layer} from {place[-24:]}"
+
+
+def _files(root: Path, rng: Rng) -> str:
+    names = [*SHARDS, "manifest.json", "index.h5"]
+    path = root / names[rng.integers(len(names))]
+    kind = str(rng.choice(["absent", "empty", "folder", "pipe", "link", "swapped", "endless"]))
+    other = root / "test/shard-00000.h5"
+    content = other.read_bytes()
+    path.unlink()
+    if kind == "empty":
+        path.touch()
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "link":
+        path.symlink_to((root.parent / "secret.h5").resolve())
+    elif kind == "swapped":
+        path.write_bytes(content)
+    elif kind == "endless":
+        path.symlink_to("/dev/zero")
+    return f"{'manifest' if path.suffix == '.json' else path.name} is {kind}"
+
+
+def copy(root: Path, target: Path) -> Path:
+    """A fresh copy of a sound dataset."""
+    if target.exists():
+        shutil.rmtree(target)
+    shutil.copytree(root, target)
+    return target

@@ -1,0 +1,408 @@
+"""The reader: every sample, from anywhere, in any process; and index.h5 for h5py alone."""
+
+from __future__ import annotations
+
+import gc
+import multiprocessing
+import pickle
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import psutil
+import pytest
+
+from simnfnd.factory.dataset import PairDataset
+from simnfnd.factory.dataset.format.manifest import load_manifest, save_manifest
+from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.read.open_shards import _MOST_FILES
+from simnfnd.factory.dataset.write.index import write_index
+from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.errors import FactoryError
+from tests.factory.dataset.hostile import PROVENANCE, admit, whole, with_layers
+from tests.fake_source import FakeConfig, FakeSource, refs
+from tests.project_files import ROOT
+from tests.run_fake import make
+
+SOURCE = FakeSource(FakeConfig())
+PAIRS = [
+    with_layers(SOURCE.pairs(ref, (0,))[0]) for name in ("alpha", "beta") for ref in refs(4, name)
+]
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return whole(tmp_path_factory.mktemp("sound") / "dataset")
+
+
+@pytest.fixture
+def folder(sound: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(sound, tmp_path / "dataset"))
+
+
+def opened(folder: Path, **keywords: Any) -> PairDataset:
+    return PairDataset(folder, trusted=True, **keywords)
+
+
+# --- reading
+
+
+def test_every_sample_is_what_was_written(sound: Path) -> None:
+    layers = ("noisy", "clean", "shadow", "range", "instance", "layers/background")
+    with PairDataset(sound, layers=layers) as pairs:
+        assert len(pairs) == 8
+        for sample, pair in zip(pairs, PAIRS, strict=True):
+            assert tuple(sample) == layers
+            for name in ("noisy", "clean", "shadow"):
+                np.testing.assert_array_equal(sample[name], getattr(pair, name))
+            for name in layers[3:]:
+                np.testing.assert_array_equal(sample[name], pair.layers[name])
+                assert sample[name].dtype == pair.layers[name].dtype
+
+
+@pytest.mark.parametrize(
+    "item",
+    [slice(None), slice(2, 7), slice(7, 1, -2), slice(3, 3), [5, 0, 5, -1], np.array([3, 4, 5])],
+)
+def test_several_samples_at_once_are_stacked(sound: Path, item: Any) -> None:
+    noisy = np.stack([pair.noisy for pair in PAIRS])
+    with opened(sound) as pairs:
+        np.testing.assert_array_equal(pairs[item]["noisy"], noisy[item])
+        assert pairs[item]["clean"].dtype == np.uint8
+
+
+@pytest.mark.parametrize("scaled", [False, True])
+@pytest.mark.parametrize("dtype", ["uint8", "float32"])
+def test_values_are_in_the_range_that_is_stated(tmp_path: Path, dtype: str, scaled: bool) -> None:
+    with opened(whole(tmp_path / "dataset", dtype=dtype), scaled=scaled) as pairs:
+        clean = pairs[0]["clean"]
+        assert clean.dtype == pairs.dtype == (np.float32 if scaled else dtype)
+        low, high = pairs.value_range
+        assert (low, high) == ((0, 255) if pairs.dtype == np.uint8 else (0.0, 1.0))
+        np.testing.assert_allclose(clean / high, np.asarray(PAIRS[0].clean, float) / 255, atol=1e-6)
+
+
+def test_numbers_beyond_the_end_are_index_errors(sound: Path) -> None:
+    with opened(sound) as pairs:
+        for number in (8, -9):
+            with pytest.raises(IndexError):
+                pairs[number]
+        with pytest.raises(TypeError):
+            pairs[True]
+        np.testing.assert_array_equal(pairs[-8]["noisy"], pairs[np.int64(0)]["noisy"])
+
+
+def test_table_and_axes_come_with_the_pictures(sound: Path) -> None:
+    pairs = opened(sound / "index.h5", split="all")
+    table = pairs.meta()
+    assert [row["scene"].decode() for row in table] == ["alpha"] * 4 + ["beta"] * 4 + ["gamma"] * 4
+    rows, columns = pairs.axes
+    assert (rows.name, rows.units, columns.name) == ("ahead", "m", "right")
+    np.testing.assert_array_equal(rows.values, SOURCE.axes()[0].values)
+    assert pairs.shape == (24, 20)
+    assert pairs.config_hash == PROVENANCE.config_hash
+
+
+# --- processes, threads, handles
+
+
+def open_files(folder: Path) -> list[str]:
+    names = [file.path for file in psutil.Process().open_files()]
+    return [name for name in names if name.startswith(str(folder))]
+
+
+def noisy_of(pairs: PairDataset, number: int) -> bytes:
+    return bytes(pairs[number]["noisy"].tobytes())
+
+
+def test_nothing_is_open_before_the_first_read_and_after_the_last(folder: Path) -> None:
+    pairs = opened(folder)
+    assert open_files(folder) == []
+    noisy_of(pairs, 0)
+    noisy_of(pairs, 7)
+    assert len(open_files(folder)) == 2
+    pairs.close()
+    assert open_files(folder) == []
+    noisy_of(pairs, 0)
+    del pairs
+    gc.collect()
+    assert open_files(folder) == []
+
+
+def test_a_dataset_of_many_shards_keeps_few_open(tmp_path: Path) -> None:
+    for number in range(_MOST_FILES + 6):
+        write_shard(
+            tmp_path,
+            f"train/shard-{number:05d}.h5",
+            [replace(PAIRS[0], noisy=np.full((24, 20), number, np.uint8), layers={})],
+            SOURCE.axes(),
+            SOURCE.columns(),
+            PROVENANCE,
+            DatasetSettings(),
+        )
+    with opened(tmp_path) as pairs:
+        for _ in range(2):
+            assert [int(sample["noisy"][0, 0]) for sample in pairs] == list(range(len(pairs)))
+            assert len(open_files(tmp_path)) == _MOST_FILES
+
+
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_other_processes_read_the_same(sound: Path, method: str) -> None:
+    pairs = opened(sound)
+    expected = [noisy_of(pairs, number) for number in range(8)]  # files are open when it forks
+    context = multiprocessing.get_context(method)
+    with ProcessPoolExecutor(2, mp_context=context) as pool:
+        assert list(pool.map(noisy_of, [pairs] * 8, range(8))) == expected
+    assert noisy_of(pickle.loads(pickle.dumps(pairs)), 5) == expected[5]
+    pairs.close()
+
+
+def test_threads_read_the_same(sound: Path) -> None:
+    pairs = opened(sound)
+    expected = [noisy_of(pairs, number) for number in range(8)]
+    wrong: list[int] = []
+
+    def read(seed: int) -> None:
+        for number in np.random.default_rng(seed).integers(8, size=200):
+            if noisy_of(pairs, int(number)) != expected[number]:
+                wrong.append(int(number))
+
+    threads = [threading.Thread(target=read, args=(seed,)) for seed in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert wrong == []
+
+
+def test_a_torch_loader_with_workers_reads_every_sample_once(sound: Path) -> None:
+    from torch.utils.data import DataLoader
+
+    from simnfnd.models.data.pairs import Pairs
+
+    loader = DataLoader(
+        Pairs(sound), 3, shuffle=True, num_workers=2, multiprocessing_context="spawn"
+    )
+    seen = [image.numpy() for batch in loader for image in batch["noisy"]]
+    assert {image.shape for image in seen} == {(1, 24, 20)}
+    assert {image.dtype for image in seen} == {np.dtype(np.float32)}
+    stored = {(pair.noisy.astype(np.float32) * np.float32(1 / 255)).tobytes() for pair in PAIRS}
+    assert {image.tobytes() for image in seen} == stored
+
+
+# --- what is refused
+
+
+@pytest.mark.parametrize(
+    ("harm", "words"),
+    [
+        (lambda root: (root / "train/shard-00001.h5").unlink(), "shard-00001.h5: listed .* absent"),
+        (lambda root: (root / "manifest.json").write_text("{"), "manifest.json: damaged"),
+        (lambda root: shutil.rmtree(root), "no such folder"),
+    ],
+)
+def test_a_dataset_that_is_not_whole_is_refused_at_once(
+    folder: Path, harm: Callable[[Path], Any], words: str
+) -> None:
+    harm(folder)
+    with pytest.raises(FactoryError, match=words) as caught:
+        PairDataset(folder)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_unknown_or_absent_layer_is_named(folder: Path) -> None:
+    with pytest.raises(FactoryError, match="/depth: no layer of simnfnd/1"):
+        PairDataset(folder, layers=("noisy", "depth"))
+    pairs = opened(folder, layers=("layers/multipath",))
+    with pytest.raises(FactoryError, match=r"has no layer layers/multipath.*dataset\.layers"):
+        pairs[0]
+
+
+@pytest.mark.parametrize("trusted", [False, True])
+def test_another_schema_names_file_and_cure(folder: Path, trusted: bool) -> None:
+    path = folder / "train/shard-00000.h5"
+    with h5py.File(path, "r+") as file:
+        file.attrs["schema"] = "simnfnd/2"
+    admit(folder)
+    with pytest.raises(FactoryError, match=r"shard-00000\.h5: schema 'simnfnd/2'.*matching"):
+        PairDataset(folder, trusted=trusted)[0]
+
+
+def test_a_damaged_chunk_names_file_sample_and_cure(folder: Path) -> None:
+    path = folder / "train/shard-00001.h5"
+    with h5py.File(path) as file:
+        chunk = file["clean"].id.get_chunk_info(2)
+    content = bytearray(path.read_bytes())
+    content[chunk.byte_offset + chunk.size // 2] ^= 4
+    path.write_bytes(content)
+    with PairDataset(folder) as pairs:
+        pairs[5]
+        with pytest.raises(FactoryError, match=r"shard-00001\.h5: sample 2 is damaged.*run the"):
+            pairs[6]
+
+
+def test_a_shard_that_changed_since_opening_is_not_mixed_in(folder: Path) -> None:
+    pairs = opened(folder)
+    shutil.copy(folder / "test/shard-00000.h5", folder / "train/shard-00000.h5")
+    with pytest.raises(FactoryError, match="open the dataset again"):
+        pairs[0]
+
+
+def test_zstd_without_its_plugin_names_file_and_cure(tmp_path: Path) -> None:
+    pytest.importorskip("hdf5plugin")
+    root = whole(tmp_path / "dataset", compression="zstd")
+    code = (
+        "import sys; sys.modules['hdf5plugin'] = None\n"
+        "from simnfnd.factory.dataset import PairDataset\n"
+        "try:\n    PairDataset(sys.argv[1], trusted=True)[0]\n"
+        "except Exception as error:\n    print(type(error).__name__, error)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(root)], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.stdout.startswith("FactoryError ")
+    assert "shard-00000.h5: compressed with zstd" in done.stdout
+    assert "pip install 'simnfnd[zstd]'" in done.stdout
+    with PairDataset(root) as pairs:
+        np.testing.assert_array_equal(pairs[3]["noisy"], PAIRS[3].noisy)
+
+
+def test_a_damage_that_makes_hdf5_hang_is_refused_in_time(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The heap that holds the attributes' texts, emptied: HDF5 walks it for ever."""
+    monkeypatch.setattr("simnfnd.factory.dataset.read.pair_dataset._LIMIT_S", 2.0)
+    path = folder / "train/shard-00000.h5"
+    content = bytearray(path.read_bytes())
+    start = content.index(b"GCOL") + 16
+    content[start : start + 200] = bytes(200)
+    path.write_bytes(content)
+    with pytest.raises(FactoryError, match=r"shard-00000\.h5: (not read within 2 s|damaged)"):
+        PairDataset(folder)
+
+
+# --- index.h5
+
+
+def test_h5py_alone_reads_the_index_of_a_moved_dataset(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    moved = folder.rename(tmp_path / "elsewhere")
+    monkeypatch.chdir("/")
+    with h5py.File(moved / "index.h5") as index, opened(moved) as pairs:
+        assert set(index) == {"train", "test", "axes"}
+        for name in ("noisy", "clean", "shadow"):
+            stack = index[f"train/{name}"]
+            np.testing.assert_array_equal(stack[:], [getattr(pair, name) for pair in PAIRS])
+            assert [dimension.label for dimension in stack.dims] == ["sample", "ahead", "right"]
+            np.testing.assert_array_equal(stack.dims[1][0][:], SOURCE.axes()[0].values)
+            assert {source.file_name for source in stack.virtual_sources()} == {
+                "train/shard-00000.h5",
+                "train/shard-00001.h5",
+            }
+        assert index["test/layers/background"].shape == (4, 24, 20)
+        assert index["train/segmentation"].attrs["classes"][1] == "Bottle"
+        np.testing.assert_array_equal(index["train/meta"][()], pairs.meta())
+        assert index.attrs["schema"] == "simnfnd/1"
+        np.testing.assert_array_equal(pairs[6]["noisy"], index["train/noisy"][6])
+
+
+def test_the_index_of_the_same_shards_has_the_same_bytes(folder: Path) -> None:
+    manifest = load_manifest(folder)
+    assert manifest is not None
+    first = (folder / "index.h5").read_bytes()
+    backwards = replace(manifest, shards=dict(reversed(list(manifest.shards.items()))))
+    assert write_index(folder, backwards).read_bytes() == first
+
+
+def test_a_run_leaves_an_index_of_all_its_shards(tmp_path: Path) -> None:
+    """The same after an interruption, and on any number of workers."""
+    directory = tmp_path / "dataset"
+    make(directory, workers=2)
+    first = (directory / "index.h5").read_bytes()
+    with h5py.File(directory / "index.h5") as index, opened(directory) as pairs:
+        assert len(index["train/noisy"]) == len(pairs) > 8
+        np.testing.assert_array_equal(index["train/meta"][()], pairs.meta())
+    (directory / "index.h5").unlink()
+    (directory / "train/shard-00000.h5").unlink()
+    make(directory, workers=1)
+    assert (directory / "index.h5").read_bytes() == first
+
+
+def test_shards_of_another_form_are_not_indexed(folder: Path) -> None:
+    manifest = load_manifest(folder)
+    assert manifest is not None
+    info = write_shard(
+        folder,
+        "train/shard-00002.h5",
+        [replace(PAIRS[0], layers={})],
+        SOURCE.axes(),
+        SOURCE.columns(),
+        PROVENANCE,
+        DatasetSettings(),
+    )
+    assert info is not None
+    with pytest.raises(FactoryError, match=r"shard-00002\.h5: has other pictures"):
+        write_index(folder, manifest.with_shard(info))
+
+
+READ_ON = """
+import sys, time
+from pathlib import Path
+from simnfnd import PairDataset
+stop, counts = Path(sys.argv[2]), set()
+while not stop.exists():
+    with PairDataset(sys.argv[1], trusted=True) as pairs:
+        counts.add(len(pairs))
+        assert all(sample["noisy"].any() for sample in pairs)
+print(*sorted(counts))
+"""
+
+
+def test_two_processes_read_while_a_third_extends(folder: Path, tmp_path: Path) -> None:
+    stop = tmp_path / "stop"
+    readers = [
+        subprocess.Popen(
+            [sys.executable, "-c", READ_ON, str(folder), str(stop)],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for _ in range(2)
+    ]
+    try:
+        manifest = load_manifest(folder)
+        assert manifest is not None
+        for number in range(2, 14):
+            info = write_shard(
+                folder,
+                f"train/shard-{number:05d}.h5",
+                PAIRS[:4],
+                SOURCE.axes(),
+                SOURCE.columns(),
+                PROVENANCE,
+                DatasetSettings(),
+            )
+            assert info is not None
+            manifest = manifest.with_shard(info)
+            save_manifest(folder, manifest)
+            write_index(folder, manifest)
+            threading.Event().wait(0.05)
+    finally:
+        stop.touch()
+        ended = [reader.communicate(timeout=60) for reader in readers]
+    for reader, (out, errors) in zip(readers, ended, strict=True):
+        assert reader.returncode == 0, errors
+        assert len(out.split()) >= 1
+    assert max(int(count) for out, _ in ended for count in out.split()) > 8
+    with h5py.File(folder / "index.h5") as index:
+        assert index["train/noisy"].shape[0] == 8 + 12 * 4

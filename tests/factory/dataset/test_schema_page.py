@@ -1,0 +1,35 @@
+"""docs/dataset.md says what the schema says, and its Python runs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from simnfnd.factory.dataset.describe.schema_page import markdown
+from tests.factory.dataset.hostile import whole
+from tests.project import readme_steps
+from tests.project_files import ROOT
+
+
+def test_the_format_is_documented_as_it_is() -> None:
+    text = (ROOT / "docs" / "dataset.md").read_text(encoding="utf-8")
+    assert text == markdown(), (
+        "run `python -m simnfnd.factory.dataset.describe.schema_page > docs/dataset.md`"
+    )
+
+
+def test_the_python_of_the_documentation_runs(tmp_path: Path) -> None:
+    whole(tmp_path / "outputs" / "demo")
+    blocks = [step for step in readme_steps.steps(markdown()) if step.kind == "python"]
+    assert len(blocks) == 2
+    for block in blocks:
+        done = subprocess.run(
+            [sys.executable, "-c", block.text],
+            cwd=tmp_path,
+            env={"PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+    assert "8 (24, 20) (0.0, 1.0) m b'alpha'" in done.stdout

@@ -1,0 +1,256 @@
+"""Validation, and what becomes of datasets that were damaged or made to do harm."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from simnfnd.factory.dataset.check.isolated import Guard
+from simnfnd.factory.dataset.check.validate import Report, validate_with
+from simnfnd.factory.dataset.format.manifest import load_manifest, save_manifest
+from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.write.index import write_index
+from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.errors import FactoryError
+from tests.factory.dataset.hostile import (
+    OBJECTS,
+    PROVENANCE,
+    admit,
+    check,
+    copy,
+    mutate,
+    whole,
+    with_layers,
+)
+from tests.fake_source import FakeConfig, FakeSource, refs
+from tests.project_files import ROOT
+
+SOURCE = FakeSource(FakeConfig())
+# benchmarks/bench_hostile.py goes through 1200 of them.
+MUTATIONS = 60
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return whole(tmp_path_factory.mktemp("sound") / "dataset")
+
+
+@pytest.fixture
+def folder(sound: Path, tmp_path: Path) -> Path:
+    for name in ("secret.h5", "secret.raw"):
+        shutil.copy(sound.parent / name, tmp_path / name)
+    return Path(shutil.copytree(sound, tmp_path / "dataset"))
+
+
+@pytest.fixture(scope="module")
+def validator() -> Iterator[Guard]:
+    with Guard() as guard:
+        yield guard
+
+
+@pytest.fixture(scope="module")
+def reader() -> Iterator[Guard]:
+    with Guard() as guard:
+        yield guard
+
+
+def add(folder: Path, relative: str, scene: str, first: int = 0, **changes: Any) -> None:
+    """One more shard, in manifest and index."""
+    pairs = [
+        replace(with_layers(SOURCE.pairs(ref, (0,))[0]), **changes)
+        for ref in refs(first + 2, scene)[first:]
+    ]
+    info = write_shard(
+        folder, relative, pairs, SOURCE.axes(), SOURCE.columns(), PROVENANCE, DatasetSettings()
+    )
+    manifest = load_manifest(folder)
+    assert info is not None
+    assert manifest is not None
+    save_manifest(folder, manifest.with_shard(info))
+    write_index(folder, manifest.with_shard(info))
+
+
+def errors(report: Report) -> str:
+    return "\n".join(str(finding) for finding in report.errors)
+
+
+# --- validation
+
+
+@pytest.mark.parametrize("deep", [False, True])
+def test_a_sound_dataset_is_valid(sound: Path, validator: Guard, deep: bool) -> None:
+    report = validate_with(validator, sound, deep)
+    assert report.errors == ()
+    assert (report.samples, report.shards) == (12, 3)
+
+
+def test_the_command_says_it_with_its_exit_code(folder: Path) -> None:
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "simnfnd.factory", "validate", *words]
+        return subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+
+    done = run(str(folder), "--deep")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1].startswith(f"valid: {folder}: 12 samples in 3 shards")
+    (folder / "train/shard-00001.h5").write_bytes(b"no")
+    done = run(str(folder))
+    assert done.returncode == 1
+    assert "error: train/shard-00001.h5: 2 bytes instead of" in done.stdout
+    assert "invalid: " in done.stdout.splitlines()[-1]
+    done = run(str(folder / "train"))
+    assert done.returncode == 2
+    assert "manifest.json" in done.stderr
+
+
+def test_a_scene_on_both_sides_is_a_leak(folder: Path, validator: Guard) -> None:
+    add(folder, "test/shard-00001.h5", "alpha", first=10)
+    assert "1 scene(s) both train and test: reef/alpha" in errors(
+        validate_with(validator, folder, False)
+    )
+
+
+def test_a_clean_picture_on_both_sides_is_a_leak(folder: Path, validator: Guard) -> None:
+    clean = np.asarray(SOURCE.pairs(refs(1, "alpha")[0], (0,))[0].clean)
+    add(folder, "test/shard-00001.h5", "delta", clean=clean)
+    assert errors(validate_with(validator, folder, False)) == ""
+    assert "1 clean picture(s) are in train and in test" in errors(
+        validate_with(validator, folder, True)
+    )
+
+
+def test_a_sample_twice_is_found_by_name_and_by_picture(folder: Path, validator: Guard) -> None:
+    add(folder, "train/shard-00002.h5", "beta", first=2)
+    text = errors(validate_with(validator, folder, True))
+    assert "sample 0 is reef/beta/0002 variant 0 again, as train/shard-00001.h5 sample 2" in text
+    assert "sample 1 has the same noisy picture as train/shard-00001.h5 sample 3" in text
+
+
+@pytest.mark.parametrize(
+    ("layer", "value", "words"),
+    [
+        ("noisy", np.nan, "sample 1: /noisy has values outside 0..1, or NaN"),
+        ("clean", 1.5, "/clean has values outside 0..1"),
+        ("elevation", 2.0, "/elevation has values outside -1.5708..1.5708"),
+        ("range", -1.0, "/range has values outside 0..inf"),
+        ("segmentation", 200, "/segmentation has class 200; the schema knows 21"),
+    ],
+)
+def test_values_that_cannot_be_are_found(
+    tmp_path: Path, validator: Guard, layer: str, value: float, words: str
+) -> None:
+    root = whole(tmp_path / "dataset", dtype="float32")
+    with h5py.File(root / "train/shard-00001.h5", "r+") as file:
+        file[layer][1, 3, 4] = value
+    admit(root)
+    assert errors(validate_with(validator, root, False)) == ""
+    assert words in errors(validate_with(validator, root, True))
+
+
+def test_what_is_not_as_the_manifest_says_is_found(folder: Path, validator: Guard) -> None:
+    (folder / "train/shard-00007.h5").write_bytes(b"stray")
+    manifest = load_manifest(folder)
+    assert manifest is not None
+    info = manifest.shards["test/shard-00000.h5"]
+    manifest = manifest.with_shard(replace(info, samples=3))
+    save_manifest(folder, replace(manifest, config_hash="another"))
+    report = validate_with(validator, folder, False)
+    text = "\n".join(str(finding) for finding in report.findings)
+    assert "note: train/shard-00007.h5: not in the manifest" in text
+    assert "error: test/shard-00000.h5: 4 samples, the manifest says 3" in text
+    assert "error: train/shard-00000.h5: is of another configuration" in text
+    assert "error: index.h5: /test/clean does not show the shards" in text
+
+
+def test_a_shard_of_another_form_is_found(folder: Path, validator: Guard) -> None:
+    info = write_shard(
+        folder,
+        "train/shard-00002.h5",
+        SOURCE.pairs(refs(1, "delta")[0], (0,)),
+        SOURCE.axes(),
+        SOURCE.columns(),
+        PROVENANCE,
+        DatasetSettings(),
+    )
+    manifest = load_manifest(folder)
+    assert info is not None
+    assert manifest is not None
+    save_manifest(folder, manifest.with_shard(info))
+    text = errors(validate_with(validator, folder, False))
+    assert "train/shard-00002.h5: has another form than" in text
+
+
+# --- hostile files
+
+
+@pytest.mark.parametrize("kind", sorted(OBJECTS))
+def test_no_object_that_the_schema_has_not_is_read(
+    folder: Path, reader: Guard, validator: Guard, kind: str
+) -> None:
+    with h5py.File(folder / "train/shard-00000.h5", "r+") as file:
+        OBJECTS[kind](file, "noisy", (folder.parent / "secret.h5").resolve())
+    admit(folder)
+    read, found = check(folder, reader, validator)
+    # Two grey pictures that changed names are as good as any others, to a program.
+    if kind != "swapped names":
+        assert read.startswith("refused: "), read
+        assert found != "valid"
+        assert "train/shard-00000.h5" in read.replace("\\", "/")
+
+
+@pytest.mark.parametrize("place", ["absolute", "../secret.h5", "train/../../secret.h5"])
+def test_an_index_that_leads_out_of_the_folder_is_found_and_not_read(
+    folder: Path, validator: Guard, place: str
+) -> None:
+    secret = folder.parent / "secret.h5"
+    place = str(secret.resolve()) if place == "absolute" else place
+    with h5py.File(folder / "index.h5", "r+") as file:
+        del file["test/noisy"]
+        layout = h5py.VirtualLayout((4, 24, 20), "u1")
+        layout[:] = h5py.VirtualSource(place, "noisy", (4, 24, 20))
+        file.create_virtual_dataset("test/noisy", layout)
+    secret.unlink()
+    # Reading it would now give zeros; looking at it gives the same finding as before.
+    text = errors(validate_with(validator, folder, True))
+    assert text.count("error") == 1
+    assert "/test/noisy does not show the shards of the manifest" in text
+
+
+@pytest.mark.parametrize("first", range(0, MUTATIONS, 20))
+def test_mutated_datasets_get_a_clear_answer(
+    sound: Path, tmp_path: Path, reader: Guard, validator: Guard, first: int
+) -> None:
+    shutil.copy(sound.parent / "secret.h5", tmp_path)
+    shutil.copy(sound.parent / "secret.raw", tmp_path)
+    answers = set()
+    for number in range(first, first + 20):
+        root = copy(sound, tmp_path / "mutated")
+        said = mutate(root, number)
+        read, found = check(root, reader, validator)
+        answers.add((read == "read", found == "valid"))
+        if "admitted" not in said and ".h5" in said and "index" not in said:
+            assert found != "valid", said
+    assert (False, False) in answers
+
+
+def test_what_happens_in_the_guarded_process_is_told(validator: Guard) -> None:
+    import os
+    import time
+
+    with pytest.raises(FactoryError, match="crashes the HDF5 library"):
+        validator.call(os.abort, limit_s=5.0)
+    with pytest.raises(FactoryError, match=r"not read within 0\.5 s"):
+        validator.call(time.sleep, 60, limit_s=0.5)
+    with pytest.raises(FactoryError, match="more memory"):
+        validator.call(bytes, 1 << 36, limit_s=5.0)
+    with pytest.raises(RuntimeError, match="ZeroDivisionError"):
+        validator.call(divmod, 1, 0, limit_s=5.0)
+    assert validator.call(divmod, 7, 2, limit_s=5.0) == (3, 1)

@@ -1,0 +1,349 @@
+"""Every export is loaded back by the library of its own ecosystem and equals the source."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.export import FORMATS, export
+from simnfnd.factory.scenes.labels import CLASSES
+from tests.factory.export import export_dataset
+from tests.factory.export.export_dataset import COUNTS, write
+
+TOTALS = {split: sum(counts) for split, counts in COUNTS.items()}
+
+
+def stored(root: Path, split: str, name: str) -> np.ndarray:
+    """All images of one layer, or the table, by h5py alone."""
+    parts = []
+    for path in sorted((root / split).glob("*.h5")):
+        with h5py.File(path) as file:
+            parts.append(file[name][:])
+    return np.concatenate(parts)
+
+
+def same_record(given: dict[str, Any], row: np.void) -> None:
+    assert list(given) == list(row.dtype.names or ())
+    for name, value in given.items():
+        expected = row[name].decode() if isinstance(row[name], bytes) else row[name].item()
+        if isinstance(expected, float) and math.isnan(expected):
+            assert value is None or math.isnan(value), name
+        else:
+            assert value == expected, name
+
+
+@pytest.fixture(scope="module")
+def fans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("fans"), labels=True)
+
+
+@pytest.fixture(scope="module")
+def floats(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("floats"), dtype="float32")
+
+
+@pytest.mark.parametrize("which", ["fans", "floats"])
+def test_webdataset_gives_back_every_sample(which, request, tmp_path) -> None:
+    import webdataset
+
+    source = request.getfixturevalue(which)
+    told = export(source, "webdataset", tmp_path / "out")
+    assert told == "2 tars, 9 train samples and 3 test samples"
+    for split, total in TOTALS.items():
+        url = (tmp_path / "out" / f"{split}-000000.tar").as_uri().replace("file://", "file:")
+        samples = list(webdataset.WebDataset(url, shardshuffle=False).decode("l8"))
+        assert [sample["__key__"] for sample in samples] == [
+            f"{split}-{number:06d}" for number in range(total)
+        ]
+        table = stored(source, split, "meta")
+        for name in ("noisy", "clean"):
+            found = [s.get(f"{name}.png", s.get(f"{name}.npy")) for s in samples]
+            np.testing.assert_array_equal(np.stack(found), stored(source, split, name))
+            assert found[0].dtype == stored(source, split, name).dtype
+        shadow = np.stack([sample["shadow.png"] for sample in samples])
+        np.testing.assert_array_equal(shadow > 0, stored(source, split, "shadow"))
+        if which == "fans":
+            for name, key in (("segmentation", "segmentation.png"), ("range", "range.npy")):
+                found = np.stack([sample[key] for sample in samples])
+                np.testing.assert_array_equal(found, stored(source, split, name))
+        for sample, row in zip(samples, table, strict=True):
+            same_record(sample["json"], row)
+
+
+def test_webdataset_starts_a_new_tar_in_time(monkeypatch, fans, tmp_path) -> None:
+    import webdataset
+
+    monkeypatch.setattr("simnfnd.factory.export.webdataset.SAMPLES_PER_TAR", 4)
+    export(fans, "webdataset", tmp_path / "out", "train")
+    tars = sorted(path.name for path in (tmp_path / "out").glob("*.tar"))
+    assert tars == ["train-000000.tar", "train-000001.tar", "train-000002.tar"]
+    url = f"file:{tmp_path}/out/train-{{000000..000002}}.tar"
+    keys = [sample["__key__"] for sample in webdataset.WebDataset(url, shardshuffle=False)]
+    assert keys == [f"train-{number:06d}" for number in range(9)]
+
+
+@pytest.mark.parametrize("which", ["fans", "floats"])
+def test_load_dataset_gives_back_every_sample(which, request, monkeypatch, tmp_path) -> None:
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    monkeypatch.setattr("simnfnd.factory.export.huggingface.SAMPLES_PER_FILE", 6)
+    import datasets
+
+    source = request.getfixturevalue(which)
+    out = tmp_path / "out"
+    export(source, "huggingface", out)
+    assert sorted(path.name for path in (out / "data").iterdir()) == [
+        "test-00000-of-00001.parquet",
+        "train-00000-of-00002.parquet",
+        "train-00001-of-00002.parquet",
+    ]
+    loaded = datasets.load_dataset(str(out), cache_dir=str(tmp_path / "cache"))
+    assert {split: len(rows) for split, rows in loaded.items()} == TOTALS
+    for split, rows in loaded.items():
+        assert isinstance(rows.features["shadow"], datasets.Image)
+        samples = list(rows.with_format(None))
+        for name in ("noisy", "clean"):
+            expected = stored(source, split, name)
+            found = np.stack([np.asarray(s[name], dtype=expected.dtype) for s in samples])
+            np.testing.assert_array_equal(found, expected)
+        shadow = np.stack([np.asarray(sample["shadow"]) for sample in samples])
+        np.testing.assert_array_equal(shadow > 0, stored(source, split, "shadow"))
+        if which == "fans":
+            for name in ("segmentation", "instance", "range"):
+                found = np.stack([np.asarray(sample[name]) for sample in samples])
+                np.testing.assert_array_equal(found, stored(source, split, name))
+        columns = [column.name for column in export_dataset.COLUMNS]
+        for sample, row in zip(samples, stored(source, split, "meta"), strict=True):
+            same_record({name: sample[name] for name in columns}, row)
+
+
+def test_the_card_for_the_hub_names_files_and_licence(fans, tmp_path) -> None:
+    export(fans, "huggingface", tmp_path / "out")
+    front = (tmp_path / "out/README.md").read_text().split("---\n")[1]
+    told = yaml.safe_load(front)
+    assert told["license"] == "cc-by-4.0"
+    assert told["configs"][0]["data_files"] == [
+        {"split": "train", "path": "data/train-*.parquet"},
+        {"split": "test", "path": "data/test-*.parquet"},
+    ]
+
+
+@pytest.mark.parametrize("which", ["fans", "floats"])
+def test_png_pairs_are_the_pictures(which, request, tmp_path) -> None:
+    source = request.getfixturevalue(which)
+    told = export(source, "png", tmp_path / "out")
+    assert ("range" in told) == (which == "fans")  # what no PNG holds is said
+    for split, total in TOTALS.items():
+        folder = tmp_path / "out" / split
+        for name in ("noisy", "clean", "shadow"):
+            files = sorted((folder / name).iterdir())
+            assert [file.name for file in files] == [f"{k:06d}.png" for k in range(total)]
+            found = np.stack([cv2.imread(str(file), cv2.IMREAD_UNCHANGED) for file in files])
+            expected = stored(source, split, name)
+            if name == "shadow":
+                np.testing.assert_array_equal(found, expected * np.uint8(255))
+            elif which == "fans":
+                np.testing.assert_array_equal(found, expected)
+                assert found.dtype == np.uint8
+            else:
+                # 16 bits: half a step of rounding and no more.
+                assert found.dtype == np.uint16
+                assert np.abs(found / 65535 - expected.astype(float)).max() <= 0.5001 / 65535
+        with (folder / "samples.csv").open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        assert [row["file"] for row in rows] == [f"{k:06d}.png" for k in range(total)]
+        table = stored(source, split, "meta")
+        assert [row["frame"].encode() for row in rows] == list(table["frame"])
+        assert [float(row["range_max_m"]) for row in rows] == list(table["range_max_m"])
+
+
+def test_mdd_folders_hold_images_and_class_masks(fans, tmp_path) -> None:
+    out = tmp_path / "out"
+    export(fans, "mdd", out)
+    names = {split: (out / f"{split}.txt").read_text().split() for split in TOTALS}
+    assert {split: len(found) for split, found in names.items()} == TOTALS
+    assert (out / "classes.txt").read_text().split() == list(CLASSES[:12])
+    assert CLASSES[9] == "Tire"  # as in MDD
+    for split, found in names.items():
+        images, masks, clean = (
+            np.stack([np.asarray(Image.open(out / folder / f"{name}.png")) for name in found])
+            for folder in ("Images", "Masks", "Clean")
+        )
+        labels = stored(fans, split, "segmentation")
+        assert images.dtype == masks.dtype == np.uint8
+        np.testing.assert_array_equal(images, stored(fans, split, "noisy"))
+        np.testing.assert_array_equal(clean, stored(fans, split, "clean"))
+        np.testing.assert_array_equal(masks[labels <= 11], labels[labels <= 11])
+        assert not masks[labels > 11].any()
+        assert (labels > 11).any()
+
+
+MESSAGES = {
+    "marine_acoustic_msgs/msg/PingInfo": (
+        "float32 frequency\nfloat32 sound_speed\nfloat32[] tx_beamwidths\nfloat32[] rx_beamwidths\n"
+    ),
+    "marine_acoustic_msgs/msg/SonarImageData": (
+        "bool is_bigendian\nuint32 DTYPE_UINT8=0\nuint32 DTYPE_FLOAT32=8\nuint32 dtype\n"
+        "uint32 beam_count\nuint8[] data\n"
+    ),
+    "marine_acoustic_msgs/msg/ProjectedSonarImage": (
+        "std_msgs/Header header\nPingInfo ping_info\ngeometry_msgs/Vector3[] beam_directions\n"
+        "float32[] ranges\nSonarImageData image\n"
+    ),
+}
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "float32"])
+def test_a_ping_survives_as_a_ros_message(dtype, tmp_path) -> None:
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in MESSAGES.items():
+        store.register(get_types_from_msg(text, name))
+    kinds = {name.rsplit("/")[-1]: store.types[name] for name in MESSAGES}
+    vector, header, time = (
+        store.types[f"{name}"]
+        for name in (
+            "geometry_msgs/msg/Vector3",
+            "std_msgs/msg/Header",
+            "builtin_interfaces/msg/Time",
+        )
+    )
+    source = write(tmp_path / "polar", layout="polar", dtype=dtype)
+    export(source, "sonar_message", tmp_path / "out")
+    for split, total in TOTALS.items():
+        assert len(list((tmp_path / "out" / split).glob("*.npz"))) == total
+        noisy = stored(source, split, "noisy")
+        table = stored(source, split, "meta")
+        for number in range(total):
+            stem = tmp_path / "out" / split / f"{number:06d}"
+            told = json.loads(stem.with_suffix(".json").read_text())
+            arrays = np.load(stem.with_suffix(".npz"))
+            ping = told["ping_info"]
+            widths = {k: np.asarray(ping.pop(k), np.float32) for k in list(ping) if "widths" in k}
+            head = told["header"]
+            message = kinds["ProjectedSonarImage"](
+                header=header(stamp=time(**head["stamp"]), frame_id=head["frame_id"]),
+                ping_info=kinds["PingInfo"](**ping, **widths),
+                beam_directions=[vector(*direction) for direction in arrays["beam_directions"]],
+                ranges=arrays["ranges"],
+                image=kinds["SonarImageData"](
+                    **told["image"], data=np.frombuffer(arrays["noisy"].tobytes(), np.uint8)
+                ),
+            )
+            kind = "marine_acoustic_msgs/msg/ProjectedSonarImage"
+            back: Any = store.deserialize_cdr(store.serialize_cdr(message, kind), kind)
+            beams = back.image.beam_count
+            pixel: Any = {0: np.uint8, 8: np.dtype("<f4")}[back.image.dtype]
+            picture = back.image.data.tobytes()
+            found = np.frombuffer(picture, pixel).reshape(-1, beams)
+            np.testing.assert_array_equal(found, noisy[number])
+            near, far = table["range_min_m"][number], table["range_max_m"][number]
+            rows = len(back.ranges)
+            np.testing.assert_allclose(
+                back.ranges, near + (np.arange(rows) + 0.5) / rows * (far - near), rtol=1e-6
+            )
+            # Zero azimuth is ahead (z); the first beam is the leftmost (y points right).
+            bearings = [math.degrees(math.atan2(d.y, d.z)) for d in back.beam_directions]
+            np.testing.assert_allclose(bearings, np.arange(beams) * 3.0 - 22.5, atol=1e-9)
+            assert back.ping_info.frequency == 1.2e6
+            same_record(told["record"], table[number])
+
+
+@pytest.mark.parametrize("to", FORMATS)
+def test_the_same_dataset_gives_the_same_bytes(to, tmp_path, fans) -> None:
+    source = write(tmp_path / "polar", layout="polar") if to == "sonar_message" else fans
+    for name in ("one", "two"):
+        export(source, to, tmp_path / name)
+    files = [path for path in sorted((tmp_path / "one").rglob("*")) if path.is_file()]
+    assert len(files) > 2
+    for path in files:
+        twin = tmp_path / "two" / path.relative_to(tmp_path / "one")
+        assert path.read_bytes() == twin.read_bytes(), path.name
+
+
+@pytest.mark.parametrize(
+    ("to", "package"),
+    [("webdataset", "webdataset"), ("huggingface", "pyarrow")],
+)
+def test_an_absent_library_is_named_with_its_cure(to, package, monkeypatch, tmp_path, fans) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(FactoryError, match=rf"{package}.*pip install 'simnfnd\[export\]'"):
+        export(fans, to, tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_does_not_fit_is_refused_with_the_way_out(fans, floats, tmp_path) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(FactoryError, match=r"fan pictures.*layout=polar"):
+        export(fans, "sonar_message", out)
+    with pytest.raises(FactoryError, match=r"no labels.*dataset.layers=\[segmentation\]"):
+        export(floats, "mdd", out)
+    with pytest.raises(FactoryError, match=r"polar pictures.*layout=fan"):
+        export(write(tmp_path / "p", layout="polar", labels=True), "mdd", out)
+    with pytest.raises(FactoryError, match="no such format"):
+        export(fans, "zarr", out)
+    assert not out.exists()
+
+
+def test_what_the_schema_does_not_know_stays_where_it_is(tmp_path) -> None:
+    # A stranger's file: one more stack, whose values lie in a file beside the dataset.
+    source = write(tmp_path / "source")
+    secret = np.full((4, 20, 16), 7, np.uint8)
+    (tmp_path / "secret.raw").write_bytes(secret.tobytes())
+    for path in source.glob("*/*.h5"):
+        with h5py.File(path, "r+") as file:
+            file.create_dataset(
+                "secret",
+                shape=file["noisy"].shape,
+                dtype="u1",
+                external=[(str(tmp_path / "secret.raw"), 0, h5py.h5f.UNLIMITED)],
+            )
+    export(source, "png", tmp_path / "out")
+    assert not list((tmp_path / "out").rglob("*secret*"))
+
+
+def test_a_folder_with_files_is_left_alone(fans, tmp_path) -> None:
+    (tmp_path / "precious.txt").write_text("mine")
+    with pytest.raises(FactoryError, match="holds files already"):
+        export(fans, "png", tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["precious.txt"]
+    (tmp_path / "empty").mkdir()
+    export(fans, "png", tmp_path / "empty", "test")
+    assert sorted(path.name for path in (tmp_path / "empty").iterdir()) == ["README.md", "test"]
+
+
+def test_a_damaged_shard_leaves_no_half_export(tmp_path) -> None:
+    source = write(tmp_path / "source")
+    path = source / "train/shard-00001.h5"
+    with h5py.File(path) as file:
+        at = file["noisy"].id.get_chunk_info(2)
+    content = bytearray(path.read_bytes())
+    content[at.byte_offset + 20] ^= 0xFF
+    path.write_bytes(content)
+    with pytest.raises(FactoryError, match=r"shard-00001.h5: /noisy sample 2 is damaged"):
+        export(source, "png", tmp_path / "out")
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["source"]
+
+
+def test_pngs_refuse_what_they_cannot_hold() -> None:
+    from simnfnd.factory.export.pictures import npy, png
+
+    with pytest.raises(TypeError, match="float32"):
+        png(np.zeros((2, 2), np.float32))
+    image = np.arange(6, dtype=np.uint16).reshape(2, 3) * 9999
+    decoded = cv2.imdecode(np.frombuffer(png(image), np.uint8), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(decoded, image)
+    np.testing.assert_array_equal(np.load(io.BytesIO(npy(image))), image)

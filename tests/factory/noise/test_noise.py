@@ -1,0 +1,197 @@
+"""Noise effects against what the paper says of them, in numbers."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from simnfnd.factory import noise, seeds
+from simnfnd.factory.distribution import parse
+from simnfnd.factory.noise import EFFECTS, NoiseSettings
+from simnfnd.factory.noise.azimuth import AzimuthSettings, azimuth
+from simnfnd.factory.noise.background import BackgroundSettings, background
+from simnfnd.factory.noise.multipath import multipath
+from simnfnd.factory.noise.range_arc import range_arc
+from simnfnd.factory.noise.range_spreading import RangeSpreadingSettings, range_spreading
+from simnfnd.factory.settings import build
+from tests.clouds import HALF_RAD, camera_scene, uniform_scene, window
+
+RNG = np.random.default_rng
+
+
+def noisy(values) -> NoiseSettings:
+    return build(NoiseSettings, values)
+
+
+def test_background_is_uniform_in_range_bearing_and_strength():
+    scene = uniform_scene()
+    made = background(scene, window(), RNG(1), density=0.5, strength=0.8)
+    assert len(made) == 10000
+    for values, low, span in (
+        (made.range_m, 1.0, 8.0),
+        (made.azimuth_rad, -HALF_RAD, 2 * HALF_RAD),
+        (made.strength, 0.0, 0.8),
+    ):
+        assert stats.kstest(values, "uniform", (low, span)).pvalue > 1e-3
+
+
+def test_the_printed_range_spreading_formula_is_biased():
+    """Paper section 3.3.2 to the letter at alpha = 0.02: it turns the scene right and down and
+    brings points nearer, which its own text denies."""
+    scene = camera_scene()
+    spread = range_spreading(scene, window(), RNG(0), mode="paper", alpha=0.02)
+    turned_right_deg = np.rad2deg(np.mean(spread.azimuth_rad - scene.azimuth_rad))
+    turned_down_deg = np.rad2deg(np.mean(scene.elevation_rad - spread.elevation_rad))
+    nearer = np.mean(spread.range_m < scene.range_m)
+    # On six real FLSea frames: 0.87 to 0.93 degrees, 0.78 to 0.85 degrees, 3 to 6 % of the points.
+    assert turned_right_deg == pytest.approx(0.886, abs=0.01)
+    assert turned_down_deg == pytest.approx(0.892, abs=0.01)
+    assert nearer == pytest.approx(0.073, abs=0.005)
+
+
+def test_printed_formula_moves_each_coordinate_by_the_mean_of_a_half_normal():
+    scene = camera_scene()
+    spread = range_spreading(scene, window(), RNG(0), mode="paper", alpha=0.02)
+    moved = (spread.xyz_m() - scene.xyz_m()) / scene.range_m[:, None]
+    expected = 0.02 * np.sqrt(2 / np.pi)
+    assert np.mean(moved, axis=0) == pytest.approx([expected, -expected, -expected], rel=0.02)
+
+
+def test_radial_spreading_only_delays_and_grows_with_range():
+    scene = camera_scene()
+    spread = range_spreading(scene, window(), RNG(0), mode="radial", alpha=0.02)
+    delay = (spread.range_m - scene.range_m) / scene.range_m
+    assert delay.min() >= -1e-6
+    assert np.mean(delay) == pytest.approx(0.02 * np.sqrt(2 / np.pi), rel=0.02)
+    np.testing.assert_array_equal(spread.azimuth_rad, scene.azimuth_rad)
+    np.testing.assert_array_equal(spread.elevation_rad, scene.elevation_rad)
+
+
+def test_exponential_spreading_weakens_late_echoes():
+    scene = camera_scene()
+    spread = range_spreading(scene, window(), RNG(0), mode="exponential", alpha=0.02)
+    delay = (spread.range_m - scene.range_m) / (0.02 * scene.range_m)
+    assert np.mean(delay) == pytest.approx(1, rel=0.02)
+    np.testing.assert_allclose(spread.strength, np.exp(-delay), atol=2e-3)
+
+
+def test_ghosts_appear_behind_the_dense_region():
+    rng = RNG(3)
+    dense = rng.normal(3.0, 0.1, 5000)
+    azimuth_rad = rng.normal(0.1, 0.01, 5000)
+    blob = type(uniform_scene(1))(
+        dense.astype(np.float32),
+        azimuth_rad.astype(np.float32),
+        np.zeros(5000, np.float32),
+        np.ones(5000, np.float32),
+    )
+    given = {"count": 3, "density": 0.2, "quantile": 0.9, "spread": 0.01, "strength": 0.5}
+    made = multipath(blob, window(), RNG(0), delay=0.1, **given)
+    assert len(made) == 1000
+    assert np.mean(made.range_m) == pytest.approx(3.0 + 0.1 * 8, abs=0.15)
+    assert np.mean(made.azimuth_rad) == pytest.approx(0.1, abs=0.02)
+    assert made.strength.max() <= 0.5
+
+
+def test_ghost_clusters_are_gaussian_and_as_wide_as_asked():
+    scene = uniform_scene()
+    made = multipath(
+        scene,
+        window(),
+        RNG(5),
+        count=1,
+        density=0.5,
+        quantile=0.5,
+        delay=0,
+        spread=0.02,
+        strength=1,
+    )
+    assert np.std(made.range_m) == pytest.approx(0.02 * 8, rel=0.05)
+    across_m = np.std(made.azimuth_rad) * np.mean(made.range_m)
+    assert across_m == pytest.approx(0.02 * 8, rel=0.05)
+    standard = (made.range_m - made.range_m.mean()) / made.range_m.std()
+    assert stats.kstest(standard, "norm").pvalue > 1e-3
+
+
+def test_spokes_hold_a_bearing_over_all_ranges():
+    made = azimuth(
+        uniform_scene(), window(), RNG(0), count=1, density=0.5, sigma_deg=0.3, strength=1
+    )
+    assert np.rad2deg(np.std(made.azimuth_rad)) == pytest.approx(0.3, rel=0.05)
+    assert stats.kstest(made.range_m, "uniform", (1.0, 8.0)).pvalue > 1e-3
+
+
+def test_arcs_hold_a_range_over_all_bearings():
+    made = range_arc(
+        uniform_scene(), window(), RNG(0), count=1, density=0.5, sigma=0.01, strength=1
+    )
+    assert np.std(made.range_m) == pytest.approx(0.08, rel=0.05)
+    assert stats.kstest(made.azimuth_rad, "uniform", (-HALF_RAD, 2 * HALF_RAD)).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("effect", [name for name in EFFECTS if not EFFECTS[name].moves])
+def test_density_is_a_fraction_of_the_scene_points(effect):
+    settings = noisy(
+        {effect: {"density": 0.25} | ({} if effect == "background" else {"count": 2})},
+    )
+    scene = uniform_scene(8000)
+    made = noise.layers(
+        scene, scene, window(), noise.draw(settings, 0, "s", "f", 0), 0, "s", "f", 0
+    )
+    assert len(made[effect]) == 2000
+
+
+@pytest.mark.parametrize("effect", list(EFFECTS))
+def test_an_effect_that_is_off_leaves_the_others_draws_untouched(effect):
+    scene = uniform_scene(2000)
+    everything = NoiseSettings()
+    without = noisy({effect: {"enabled": False}})
+    names = ("scene", "frame", 0)
+    layers = [
+        noise.layers(scene, scene, window(), noise.draw(settings, 7, *names), 7, *names)
+        for settings in (everything, without)
+    ]
+    assert set(layers[0]) - set(layers[1]) == {effect}
+    for other, made in layers[1].items():
+        np.testing.assert_array_equal(made.range_m, layers[0][other].range_m)
+        np.testing.assert_array_equal(made.strength, layers[0][other].strength)
+
+
+def test_more_of_one_effect_keeps_the_points_of_less():
+    """A sweep over density changes how many points there are and not the draws of other effects."""
+    few, many = (noisy({"background": {"density": density}}) for density in (0.1, 0.5))
+    drawn = [noise.draw(settings, 1, "a", "b", 0) for settings in (few, many)]
+    assert drawn[0]["multipath"] == drawn[1]["multipath"]
+    assert drawn[0]["background"]["density"] == 0.1
+    assert drawn[1]["background"]["density"] == 0.5
+
+
+def test_draws_are_recorded_and_differ_between_samples_only():
+    settings = noisy({"background": {"density": {"uniform": [0.1, 0.9]}}})
+    first = noise.draw(settings, 0, "u_canyon", "1", 0)["background"]["density"]
+    again = noise.draw(settings, 0, "u_canyon", "1", 0)["background"]["density"]
+    others = {noise.draw(settings, 0, "u_canyon", "1", v)["background"]["density"] for v in (1, 2)}
+    assert first == again
+    assert first not in others
+    assert len(others) == 2
+
+
+def test_an_empty_scene_gets_no_noise():
+    scene = uniform_scene(0)
+    settings = noisy({"range_arc": {"count": 2}})
+    made = noise.layers(scene, scene, window(), noise.draw(settings, 0, "x"), 0, "x")
+    assert all(len(echoes) == 0 for echoes in made.values())
+
+
+def test_settings_carry_their_distributions():
+    assert RangeSpreadingSettings(alpha=parse(0.1)).alpha.values == (0.1,)
+    assert BackgroundSettings().enabled
+    assert AzimuthSettings().count.values == (2.0,)
+
+
+def test_streams_differ_by_name_and_seed():
+    draws = {
+        seeds.stream(seed, *names).integers(2**62)
+        for seed in (0, 1)
+        for names in (("a", "b"), ("ab",), ("a", "b", 0), ("a", "b", 1))
+    }
+    assert len(draws) == 8

@@ -1,0 +1,366 @@
+"""Each effect of the complex field: what it does to a picture, alone and recorded."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simnfnd.factory.compose import compose_config
+from simnfnd.factory.config import FactoryConfig
+from simnfnd.factory.formation.field.pairs import FieldScene, field_scene, make_field_pair, received
+from simnfnd.factory.formation.field.signal import Ping, Signal, vertical_table
+from simnfnd.factory.formation.record import columns
+from simnfnd.factory.noise import NoiseSettings, physical
+from simnfnd.factory.noise.physical import FIELD_EFFECTS
+from simnfnd.factory.noise.physical.beam_gain import beam_gain
+from simnfnd.factory.noise.physical.crosstalk import crosstalk
+from simnfnd.factory.noise.physical.image_source import bottom_multipath, surface_multipath
+from simnfnd.factory.noise.physical.near_range import comb_lines, ring_down
+from simnfnd.factory.noise.physical.receiver import receiver
+from simnfnd.factory.noise.physical.saturation import saturation
+from simnfnd.factory.noise.physical.sidelobe_arcs import sidelobe_arcs
+from simnfnd.factory.noise.physical.spokes import spokes
+from simnfnd.factory.noise.physical.tvg_error import tvg_error
+from simnfnd.factory.noise.physical.volume import volume
+from simnfnd.factory.sonar.acoustics import thermal_noise_db
+from simnfnd.factory.sonar.array import directivity_db
+from tests.constant_field import config, constant_field, heard
+
+EVERY: dict[str, dict[str, Any]] = {name: {} for name in FIELD_EFFECTS}
+
+
+def ping(**keys: Any) -> Ping:
+    return heard(config(**keys)).ping
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(5)
+
+
+def silence(of: Ping, looks: int = 1) -> np.ndarray:
+    return np.zeros((looks, 2, *of.shape), np.float32)
+
+
+def decibels(intensity: np.ndarray | float) -> Any:
+    return 10 * np.log10(intensity)
+
+
+def intensity(field: np.ndarray) -> np.ndarray:
+    return np.asarray((field.astype(np.float64) ** 2).sum(axis=1).mean(axis=0))
+
+
+def test_the_registry_and_the_settings_name_the_same_effects() -> None:
+    names = [item.name for item in fields(NoiseSettings)]
+    assert [name for name in names if name in FIELD_EFFECTS] == list(FIELD_EFFECTS)
+    given = compose_config(["experiment=physical"]).noise
+    assert list(physical.blocks(given)) == list(FIELD_EFFECTS)
+
+
+def test_receiver_noise_is_mellens_and_flat_before_the_gain() -> None:
+    of = ping()
+    noise = intensity(receiver(silence(of), of, rng(), level_db=7, grain="sample"))
+    device, sonar = of.sonar.array, of.sonar
+    golden_db = (
+        thermal_noise_db(sonar.frequency_khz, device.bandwidth_khz)
+        - directivity_db(device, sonar.vfov_deg) - device.source_level_db + 7
+    )  # fmt: skip
+    assert decibels(noise.mean()) == pytest.approx(golden_db, abs=0.1)
+    assert noise[:60].mean() == pytest.approx(noise[-60:].mean(), rel=0.05)
+    amplitude = np.sqrt(noise)
+    assert (amplitude.mean() / amplitude.std()) ** 2 == pytest.approx(3.66, rel=0.02)
+
+
+def test_receiver_noise_grows_with_range_after_the_gain() -> None:
+    settings = config(noise={"receiver": {"level_db": 60}})
+    made = heard(settings, power=1e-20)
+    drawn = physical.draw(settings.noise, 0, made.ref, 0, False)
+    level = received(made.ping, drawn, {"receiver": rng()}) ** 2
+    grown = decibels(level[-30:].mean() / level[:30].mean())
+    assert grown == pytest.approx(
+        decibels(made.ping.gain[-30:].mean() / made.ping.gain[:30].mean()), abs=0.5
+    )
+
+
+def test_noise_through_the_beamformer_has_the_grain_of_speckle() -> None:
+    of = ping()
+    grains = {}
+    for grain in ("sample", "beam"):
+        noise = receiver(silence(of), of, rng(), level_db=0, grain=grain)[0, 0]
+        grains[grain] = np.corrcoef(noise[:, 1:].ravel(), noise[:, :-1].ravel())[0, 1]
+    assert abs(grains["sample"]) < 0.03
+    assert grains["beam"] > 0.5
+
+
+def test_haze_is_the_volume_of_a_bin() -> None:
+    of = ping()
+    empty = Signal(np.zeros(of.shape, np.float32), silence(of))
+    haze = intensity(volume(empty, of, rng(), strength_db=-50).field).mean(axis=1)
+    row = 100
+    range_m = float(of.range_m[row])
+    cell_m3 = range_m**2 * np.deg2rad(24 / 128) * np.deg2rad(20) * of.bin_m
+    golden_db = (
+        -50 + decibels(cell_m3) - 40 * np.log10(range_m) - 2 * of.absorption_db_per_m * range_m
+    )
+    assert decibels(haze[row - 10 : row + 10].mean()) == pytest.approx(golden_db, abs=0.4)
+
+
+@pytest.mark.parametrize("way", ["surface", "bottom"])
+def test_multipath_comes_when_the_geometry_says(way):
+    """A target straight ahead; the plane at 1 m: by way of it, and by way of it twice."""
+    sonar = {"vfov_deg": 60, "array": {"vertical": {"window": "uniform"}}}
+    of = ping(sonar=sonar, water={"depth_m": 1})
+    power = np.zeros(of.shape, np.float32)
+    row, beam = 20, 64
+    power[row, beam] = 1
+    signal = Signal(power, silence(of))
+    if way == "surface":
+        made = surface_multipath(signal, of, rng(), loss_db=6, tilt_deg=0)
+    else:
+        made = bottom_multipath(signal, of, rng(), altitude_m=1, loss_db=6, tilt_deg=0)
+    r = float(of.range_m[row])
+    by_plane = np.hypot(r, 2.0)
+    expected = [
+        row,
+        row + round((by_plane - r) / 2 / of.bin_m),
+        row + round((by_plane - r) / of.bin_m),
+    ]
+    found = np.flatnonzero(made.power[:, beam] > 0)
+    assert np.abs(found - expected).max() <= 1
+    assert np.flatnonzero(made.power.sum(axis=0) > 0).tolist() == [beam]
+    table = vertical_table(of.sonar)
+    pattern = np.sqrt(table[np.rint((2.0 / by_plane + 1) * (len(table) // 2)).astype(int)])
+    absorbed = 10 ** (-of.absorption_db_per_m * (by_plane - r) / 10)
+    once = 10**-0.6 * (r / by_plane) ** 2 * pattern * absorbed
+    assert made.power[found[1], beam] == pytest.approx(4 * once, rel=0.1)
+    assert made.power[found[2], beam] == pytest.approx(once**2, rel=0.1)
+
+
+def test_effects_leave_the_frame_as_it_is() -> None:
+    """They change the field that they are given, but what the frame's pairs share stays."""
+    settings = config(noise={name: {} for name in EVERY if name != "speckle"})
+    made = heard(settings)
+    before = made.ping.scatterers.power.copy(), made.clean.copy()
+    first = make_field_pair(made, 0, settings)
+    again = make_field_pair(made, 0, settings)
+    np.testing.assert_array_equal(first.noisy, again.noisy)
+    np.testing.assert_array_equal(made.ping.scatterers.power, before[0])
+    np.testing.assert_array_equal(made.clean, before[1])
+
+
+def test_speckled_echoes_are_mirrored_with_the_same_strength() -> None:
+    of = ping(sonar={"vfov_deg": 60}, water={"depth_m": 1})
+    power = np.full(of.shape, 1, np.float32)
+    field = rng().standard_normal((1, 2, *of.shape)).astype(np.float32) / np.sqrt(2).astype("f4")
+    plain = surface_multipath(Signal(power, silence(of)), of, rng(), loss_db=3, tilt_deg=5)
+    zero = np.zeros(of.shape, np.float32)
+    speckled = surface_multipath(Signal(zero, field), of, rng(), loss_db=3, tilt_deg=5)
+    rows = slice(60, None)
+    # Field ghosts add to the field with random phases, so the means agree.
+    assert intensity(speckled.field)[rows].mean() == pytest.approx(
+        plain.power[rows].mean(), rel=0.1
+    )
+
+
+def test_arcs_are_as_far_below_the_strongest_return_as_told() -> None:
+    of = ping()
+    field = silence(of)
+    field[0, 0, 50, 64] = 2.0
+    arcs = intensity(sidelobe_arcs(field, of, rng(), level_db=-30))
+    away = np.delete(arcs[50], 64)
+    np.testing.assert_allclose(decibels(away / 4), -30, atol=0.01)
+    assert arcs[:50].sum() == arcs[51:].sum() == 0
+
+
+def test_crosstalk_leaks_to_both_sides() -> None:
+    of = ping()
+    field = silence(of)
+    field[0, 1, 50, 64] = 1.0
+    leaked = intensity(crosstalk(field, of, rng(), level_db=-20, spacing_beams=8))
+    assert np.flatnonzero(leaked[50]).tolist() == [56, 64, 72]
+    assert leaked[50, 56] == pytest.approx(0.01, rel=1e-3)
+
+
+def test_a_wrong_gain_tilts_the_picture_about_its_middle() -> None:
+    of = ping()
+    ones = np.ones((1, 2, *of.shape), np.float32)
+    rows = decibels(intensity(tvg_error(ones, of, rng(), db_per_decade=10, db_per_m=0.5))[:, 0] / 2)
+    expected = 10 * np.log10(of.range_m / 6) + 0.5 * (of.range_m - 6)
+    np.testing.assert_allclose(rows, expected, atol=1e-3)
+
+
+def test_beams_differ_and_some_are_dead() -> None:
+    of = ping()
+    ones = np.ones((1, 2, *of.shape), np.float32)
+    gain = beam_gain(ones, of, rng(), sigma_db=1.0, dead=3, dead_db=-40)
+    column = decibels(intensity(gain)[0] / 2)
+    assert (np.isclose(column, -40, atol=1e-3)).sum() == 3
+    assert column[column > -20].std() == pytest.approx(1, rel=0.2)
+    assert np.ptp(intensity(gain), axis=0).max() == 0
+
+
+def test_the_device_is_the_same_in_all_frames_of_a_recording() -> None:
+    noise = {"beam_gain": {"sigma_db": {"uniform": [0.5, 2]}, "dead": 1}}
+    settings = config(noise=noise)
+    made = []
+    for name in ("0", "1"):
+        scene = heard(settings, name=name)
+        drawn = physical.draw(settings.noise, 0, scene.ref, 0, False)
+        made.append((drawn, make_field_pair(scene, 0, settings).noisy))
+    assert made[0][0] == made[1][0]
+    np.testing.assert_array_equal(made[0][1], made[1][1])
+
+
+def test_spokes_are_bearings() -> None:
+    of = ping()
+    loud = intensity(spokes(silence(of), of, rng(), count=2, level_db=-20, width_beams=1))
+    columns_ = loud.mean(axis=0)
+    assert decibels(columns_.max() / of.full_scale) == pytest.approx(-20, abs=1.5)
+    assert 4 <= (columns_ > 0).sum() <= 20
+
+
+def test_ring_down_dies_with_range() -> None:
+    of = ping()
+    ringing = intensity(ring_down(silence(of), of, rng(), level_db=0, decay_db_per_m=10))
+    rows = decibels(ringing.mean(axis=1) / of.full_scale)
+    np.testing.assert_allclose(rows[:100], -10 * of.range_m[:100], atol=1.5)
+
+
+def test_comb_lines_are_equally_far_apart() -> None:
+    of = ping()
+    lines = intensity(
+        comb_lines(silence(of), of, rng(), level_db=0, spacing_m=0.5, decay_db=2, uneven_db=0)
+    )
+    rows = np.flatnonzero(lines.sum(axis=1))
+    np.testing.assert_allclose(of.range_m[rows], 4 + 0.5 * np.arange(len(rows)), atol=of.bin_m)
+    steps = np.diff(decibels(lines[rows, 0]))
+    np.testing.assert_allclose(steps, -2, atol=1e-3)
+
+
+def test_near_range_lines_of_a_window_that_begins_far_away_are_not_there() -> None:
+    of = ping()
+    assert not comb_lines(
+        silence(of), of, rng(), level_db=0, spacing_m=0.1, decay_db=5, uneven_db=3
+    ).any()
+    assert not ring_down(silence(of), of, rng(), level_db=0, decay_db_per_m=40).any()
+
+
+def test_saturation_limits_and_leaves_the_rest() -> None:
+    of = ping()
+    limit = of.strongest * 10**0.3 * of.gain[:, None]
+    field = silence(of)
+    field[0, 0] = np.sqrt(np.linspace(0.1, 10, of.shape[1]) * limit)
+    clipped = saturation(field.copy(), of, rng(), level_db=3)
+    assert (intensity(clipped) <= limit * 1.0001).all()
+    under = intensity(field) < limit * 0.999
+    np.testing.assert_array_equal(clipped[0, 0][under], field[0, 0][under])
+
+
+@pytest.fixture(scope="module")
+def complete() -> tuple[FieldScene, Any]:
+    """Every effect, each as strong as to show."""
+    noise = {
+        **EVERY,
+        "receiver": {"level_db": 40}, "volume": {"strength_db": -30},
+        "surface_multipath": {"loss_db": 0}, "bottom_multipath": {"loss_db": 0, "altitude_m": 0.5},
+        "tvg_error": {"db_per_decade": 6}, "crosstalk": {"level_db": -10},
+        "sidelobe_arcs": {"level_db": -10}, "beam_gain": {"sigma_db": 2},
+        "spokes": {"level_db": -3},
+        "ring_down": {"level_db": 60, "decay_db_per_m": 12},
+        "comb_lines": {"level_db": 10, "spacing_m": 0.4, "decay_db": 1},
+        "saturation": {"level_db": -3}, "background": {"enabled": True, "density": 0.1},
+    }  # fmt: skip
+    settings = config(
+        noise=noise, water={"depth_m": 0.6}, dataset={"layers": ["effects"], "dtype": "float32"},
+        sonar={"vfov_deg": 60, "transfer": {"kind": "log", "reference": 0.7}},
+    )  # fmt: skip
+    return heard(settings), settings
+
+
+def test_each_layer_is_its_effect_alone(complete):
+    made, settings = complete
+    pair = make_field_pair(made, 0, settings)
+    names = {*EVERY, "background"}
+    assert set(pair.layers) == {f"layers/{name}" for name in names}
+    for name in names:
+        layer = pair.layers[f"layers/{name}"]
+        others = {
+            other: replace(getattr(settings.noise, other), enabled=False)
+            for other in names - {name}
+        }
+        alone = replace(settings, noise=replace(settings.noise, **others))
+        np.testing.assert_array_equal(make_field_pair(made, 0, alone).noisy, layer)
+        assert (layer != pair.clean).mean() > 0.005, name
+        assert 0 <= layer.min() <= layer.max() <= 1
+
+
+def test_without_effects_noisy_is_clean() -> None:
+    settings = config()
+    pair = make_field_pair(heard(settings), 0, settings)
+    np.testing.assert_array_equal(pair.noisy, pair.clean)
+
+
+def with_receiver(settings: FactoryConfig, level_db: Any) -> FactoryConfig:
+    block = config(noise={"receiver": {"level_db": level_db}}).noise.receiver
+    return replace(settings, noise=replace(settings.noise, receiver=block))
+
+
+def test_drawn_parameters_are_in_the_record_and_replay_the_sample(complete):
+    made, settings = complete
+    settings = with_receiver(settings, {"uniform": [20, 50]})
+    pair = make_field_pair(made, 3, settings)
+    level_db = float(pair.record["noise.receiver.level_db"])
+    assert 20 <= level_db <= 50
+    again = make_field_pair(made, 3, with_receiver(settings, level_db))
+    np.testing.assert_array_equal(again.noisy, pair.noisy)
+    table = columns(settings.noise)
+    assert {column.name for column in table} == set(pair.record)
+    units = {column.name: column.units for column in table}
+    assert units["noise.receiver.level_db"] == "dB"
+    assert units["noise.speckle.scatterer_m"] == "m"
+    assert units["noise.ring_down.decay_db_per_m"] == "dB/m"
+    assert units["noise.surface_multipath.tilt_deg"] == "deg"
+
+
+def test_one_effect_leaves_the_draws_of_the_others() -> None:
+    everything = {**EVERY, "receiver": {"level_db": {"uniform": [0, 30]}}}
+    few = {"receiver": everything["receiver"]}
+    ref = constant_field()[0].ref
+    drawn = [
+        physical.draw(config(noise=noise).noise, 3, ref, 0, True) for noise in (everything, few)
+    ]
+    assert drawn[0]["receiver"] == drawn[1]["receiver"]
+
+
+@pytest.mark.parametrize("target", ["mean_field", "geometry", "radiometric"])
+def test_the_clean_picture_is_the_target_that_was_asked_for(target):
+    settings = config(
+        acoustics={"target": target}, dataset={"dtype": "float32"}, noise={"speckle": {}}
+    )
+    frame, rendered = constant_field()
+    # A target on one side, the rest without an echo.
+    radiance = rendered.radiance.copy()
+    radiance[:, radiance.shape[1] // 2 :] = 0
+    rendered = type(rendered)(radiance, rendered.surface)
+    pair = make_field_pair(field_scene(frame, rendered, settings), 0, settings)
+    clean = pair.clean.astype(np.float32)
+    leaks = float((clean[:, 80:] > 0).mean())
+    if target == "mean_field":
+        assert clean[60, 66] > 0  # the beams' skirts reach into the dark
+    else:
+        assert leaks == 0
+    assert clean[:, 8:56].min() > 0
+
+
+def test_noise_workers_need_no_renderer_and_no_torch() -> None:
+    import subprocess
+    import sys
+
+    code = (
+        "import sys, simnfnd.factory.formation.field.pairs\n"
+        "import simnfnd.factory.formation.field.kernels, simnfnd.factory.noise\n"
+        "sys.exit(bool({'bpy', 'open3d', 'torch'} & set(sys.modules)))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,478 @@
+"""Renderers against hand-computed values and against each other."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.frame import Frame, Intrinsics
+from simnfnd.factory.render import Rendered, Renderer, RenderSettings, check_renderer, open_renderer
+from simnfnd.factory.render.albedo import albedo, linear_luminance
+from simnfnd.factory.render.cloud import back_project, normals, surface_mask
+from simnfnd.factory.render.mesh import surface_mesh
+from simnfnd.factory.settings import build
+from simnfnd.factory.sonar.mount import Mount
+from tests.project_files import ROOT
+from tests.render_scenes import FLSEA, flsea_frame, frame_of, plane_depth, rays, yard
+
+ABOVE, LEFT = Mount((0.0, 0.0, 1.0)), Mount((0.0, 0.8, 0.5))
+HERE = Mount()
+CONSTANT = 0.5
+KINDS = ["analytic", "embree", "cycles", "points"]
+real_data = pytest.mark.skipif(not FLSEA.is_dir(), reason="no real data")
+
+_open: dict[RenderSettings, Renderer] = {}
+
+
+def opened(kind: str, **keys: Any) -> Renderer:
+    """One renderer for each setting: Blender starts once in a test session.
+
+    Traced are all pixels, and by Cycles the mesh (or, as `points`, spheres), unless keys say else.
+    """
+    keys = {"stride": 1, **keys}
+    if kind in ("cycles", "points"):
+        kind, keys = "cycles", {"geometry": "mesh" if kind == "cycles" else "points", **keys}
+    if kind in ("cycles", "embree"):
+        pytest.importorskip({"cycles": "bpy", "embree": "open3d"}[kind])
+    wanted: RenderSettings = build(RenderSettings, {"kind": kind, **keys})
+    if wanted not in _open:
+        _open[wanted] = open_renderer(wanted)
+    return _open[wanted]
+
+
+def render(kind: str, frame: Frame, mount: Mount = HERE, **keys: Any) -> Rendered:
+    return opened(kind, **keys).render(frame, mount)
+
+
+def relative_error(found: Rendered, expected: Rendered) -> npt.NDArray[np.float64]:
+    lit = found.insonified & expected.insonified
+    return np.asarray(np.abs(found.radiance[lit].astype(np.float64) / expected.radiance[lit] - 1))
+
+
+def digest(rendered: Rendered) -> str:
+    return hashlib.sha256(rendered.radiance.tobytes() + rendered.surface.tobytes()).hexdigest()
+
+
+# ---- the laws, computed by hand ----
+
+CENTRED = Intrinsics(80.0, 80.0, 40.0, 30.0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("distance_m", [1.0, 2.0, 4.0])
+def test_inverse_square_law(kind: str, distance_m: float) -> None:
+    frame = frame_of(np.full((61, 81), distance_m), CENTRED)
+    found = render(kind, frame, albedo="constant")
+    assert found.radiance[30, 40] == pytest.approx(CONSTANT / distance_m**2, rel=1e-4)
+    # At 45 degrees across (u - cx = fx): range sqrt(2) z, incidence 45 degrees.
+    half = CONSTANT * np.cos(np.pi / 4) / (2 * distance_m**2)
+    wide = replace(frame, intrinsics=Intrinsics(40.0, 40.0, 40.0, 30.0))
+    assert render(kind, wide, albedo="constant").radiance[30, 80] == pytest.approx(half, rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("tilt_deg", [0, 30, 60, 75])
+def test_lamberts_law(kind: str, tilt_deg: float) -> None:
+    """A plane through (0, 0, 3), turned by the angle about the vertical axis."""
+    tilt = np.deg2rad(tilt_deg)
+    normal = (np.sin(tilt), 0.0, np.cos(tilt))
+    depth_m = plane_depth(61, 81, CENTRED, normal, 3 * np.cos(tilt))
+    depth_m[depth_m > 20] = 0
+    found = render(kind, frame_of(depth_m, CENTRED), albedo="constant", edge_ratio=0.3)
+    assert found.radiance[30, 40] == pytest.approx(CONSTANT * np.cos(tilt) / 9, rel=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["embree", "cycles"])
+def test_light_is_at_the_sonar(kind: str) -> None:
+    """Wall 3 m ahead, sonar 1 m above the camera: range sqrt(10), cosine 3 / sqrt(10)."""
+    frame = frame_of(np.full((61, 81), 3.0), CENTRED)
+    found = render(kind, frame, ABOVE, albedo="constant")
+    assert found.radiance[30, 40] == pytest.approx(CONSTANT * 3 / 10**1.5, rel=1e-4)
+    # Its brightest row is where it is level: v = cy + fy * (-1 / 3), up in the picture.
+    assert abs(int(found.radiance[:, 40].argmax()) - (30 - 80 / 3)) <= 1
+
+
+@pytest.mark.parametrize("kind", ["embree", "cycles"])
+def test_shadow_of_a_plate_is_where_similar_triangles_put_it(kind: str) -> None:
+    """A plate at 2 m before a wall at 4 m, sonar 0.5 m to the left of the camera.
+
+    Seen from (-0.5, 0, 0), the plate |x|, |y| < 0.2 at z = 2 covers x in (0.1, 0.9), y in
+    (-0.4, 0.4) of the wall at z = 4; the camera sees that part which the plate does not hide.
+    """
+    camera = Intrinsics(300.0, 300.0, 150.0, 100.0)
+    direction = rays(201, 301, camera)
+    plate = (np.abs(direction[..., 0]) < 0.1) & (np.abs(direction[..., 1]) < 0.1)
+    frame = frame_of(np.where(plate, 2.0, 4.0), camera)
+    x, y = 4 * direction[..., 0], 4 * direction[..., 1]
+    expected = ~plate & (x > 0.1) & (x < 0.9) & (np.abs(y) < 0.4)
+    found = render(kind, frame, Mount((0.0, 0.5, 0.0)), albedo="constant")
+    shadow = found.surface & ~found.insonified
+    assert found.surface.all()
+    assert expected.sum() > 1000
+    # Half a pixel of the plate is a pixel of its shadow's outline (130 pixels long).
+    assert (shadow != expected).sum() < 200
+    inner = expected & (x < 0.86) & (np.abs(y) < 0.37)
+    outer = ~plate & ((x > 0.94) | (np.abs(y) > 0.43) | (x < 0))
+    assert shadow[inner].all()
+    assert not shadow[outer].any()
+
+
+# ---- the renderers against each other ----
+
+
+@pytest.mark.parametrize("kind", ["cycles", "points"])
+@pytest.mark.parametrize(
+    ("size", "texture", "median"),
+    [
+        ((152, 242), "constant", 1e-4),
+        ((608, 968), "constant", 1e-4),
+        # White noise, one pixel fine, is the hardest texture to be exact on.
+        ((152, 242), "rgb", 0.005),
+        ((152, 242), "flattened", 0.005),
+    ],
+)
+def test_cycles_is_the_analytic_solution_when_colocated(
+    kind: str, size: tuple[int, int], texture: str, median: float
+) -> None:
+    frame = yard(*size)
+    found, expected = (render(name, frame, albedo=texture) for name in (kind, "analytic"))
+    assert (found.surface == expected.surface).mean() > 0.9999
+    assert (found.insonified == expected.insonified).mean() > 0.9999
+    error = relative_error(found, expected)
+    assert np.median(error) < median
+    assert np.percentile(error, 99) < max(0.01, 10 * median)
+
+
+@pytest.mark.parametrize("size", [(152, 242), (608, 968)])
+@pytest.mark.parametrize("mount", [ABOVE, LEFT], ids=["above", "left"])
+def test_cycles_and_embree_agree_on_shadows(size: tuple[int, int], mount: Mount) -> None:
+    frame = yard(*size)
+    _assert_same_shadows(render("cycles", frame, mount), render("embree", frame, mount))
+
+
+@real_data
+@pytest.mark.parametrize("mount", [HERE, ABOVE, LEFT], ids=["here", "above", "left"])
+def test_real_frame(mount: Mount) -> None:
+    frame = flsea_frame()
+    found, expected = render("cycles", frame, mount), render("embree", frame, mount)
+    _assert_same_shadows(found, expected)
+    assert not found.surface[~frame.valid].any()
+    if mount.colocated:
+        assert np.median(relative_error(found, render("analytic", frame))) < 1e-3
+        assert found.insonified.sum() > 0.999 * frame.valid.sum()
+    else:
+        assert 0.005 < 1 - found.insonified[found.surface].mean() < 0.5
+
+
+def _assert_same_shadows(found: Rendered, expected: Rendered) -> None:
+    surface = expected.surface
+    assert (found.surface == surface).mean() > 0.9999
+    assert (found.insonified == expected.insonified)[surface].mean() > 0.999
+    assert np.median(relative_error(found, expected)) < 1e-3
+
+
+def test_only_a_sonar_away_from_the_camera_sees_shadow() -> None:
+    frame = yard(152, 242)
+    embree = render("embree", frame)
+    assert digest(embree) == digest(render("analytic", frame))
+    assert 0.01 < 1 - render("embree", frame, LEFT).insonified[embree.surface].mean() < 0.3
+    flags = {kind: opened(kind).casts_shadows for kind in KINDS}  # type: ignore[attr-defined]
+    assert flags == {"analytic": False, "embree": True, "cycles": True, "points": True}
+
+
+@pytest.mark.parametrize("kind", ["cycles", "points"])
+@pytest.mark.parametrize(
+    "camera",
+    [
+        Intrinsics(90.0, 90.0, 10.5, 60.0),
+        Intrinsics(90.0, 71.0, 77.0, 3.25),
+        Intrinsics(64.0, 97.0, -20.0, 33.0),
+    ],
+)
+def test_every_pixel_is_where_the_intrinsics_say(kind: str, camera: Intrinsics) -> None:
+    """A chequered wall: an image shifted by a fraction of a pixel would miss its squares."""
+    v, u = np.mgrid[:67, :93]
+    rgb = np.where(((u + v) % 2)[..., None] == 0, 240, 60).astype(np.uint8) * np.ones(3, np.uint8)
+    frame = frame_of(plane_depth(67, 93, camera, (0.1, -0.2, 1.0), 3.0), camera, rgb)
+    found, expected = (render(name, frame, albedo="rgb") for name in (kind, "analytic"))
+    assert found.surface.all()
+    # The darkest and the brightest square differ by 20 : 1, so this is 1/400 of a pixel.
+    np.testing.assert_allclose(found.radiance, expected.radiance, rtol=0.05)
+
+
+# ---- invalid pixels, edges, the mesh ----
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_unmeasured_pixels_are_neither_surface_nor_bright(kind: str) -> None:
+    frame = yard(152, 242)
+    hole = np.random.default_rng(1).random(frame.depth_m.shape) < 0.2
+    frame = replace(frame, depth_m=np.where(hole, np.float32(0), frame.depth_m))
+    for mount in (HERE,) if kind == "analytic" else (HERE, LEFT):
+        found = render(kind, frame, mount)
+        assert found.radiance.dtype == np.float32
+        assert found.surface.dtype == np.bool_
+        assert not found.surface[~frame.valid].any()
+        assert not found.radiance[~found.surface].any()
+        assert found.surface.sum() > 0.98 * frame.valid.sum()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nothing_measured(kind: str) -> None:
+    found = render(kind, frame_of(np.zeros((20, 30)), CENTRED), LEFT)
+    assert found.radiance.shape == (20, 30)
+    assert not found.radiance.any()
+    assert not found.surface.any()
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.05, 0.1, 0.4]))
+def test_mesh_covers_every_surface_pixel_and_bridges_nothing(seed: int, edge_ratio: float) -> None:
+    open3d = pytest.importorskip("open3d")
+    rng = np.random.default_rng(seed)
+    camera = Intrinsics(90.0, 80.0, 14.2, 11.3)
+    depth_m = plane_depth(24, 30, camera, (0.3, 0.2, 1.0), 3.0).astype(np.float32)
+    depth_m *= rng.choice([1.0, 1.0, 1.0, 1.3, 2.0], (3, 3)).repeat(8, 0).repeat(10, 1)
+    depth_m[rng.random(depth_m.shape) < 0.15] = 0
+    points_m = back_project(depth_m.astype(np.float32), camera)
+    mesh = surface_mesh(points_m, normals(points_m, edge_ratio), camera, edge_ratio)
+
+    depths_m = mesh.vertices_m[mesh.triangles][..., 2]
+    spread = depths_m.max(axis=1) / depths_m.min(axis=1)
+    assert spread.max() < (1 + edge_ratio) * (1 + edge_ratio / 4) + 1e-5
+    mask = surface_mask(depth_m, edge_ratio)
+    np.testing.assert_array_equal(mesh.pixel[: mask.sum()], np.flatnonzero(mask))
+
+    scene = open3d.t.geometry.RaycastingScene(nthreads=1)
+    scene.add_triangles(mesh.vertices_m, mesh.triangles.astype(np.uint32))
+    direction = rays(24, 30, camera)
+    # Rays a hair off the pixel centres, for rounding decides what the exact ones meet.
+    direction[..., :2] += rng.uniform(-1, 1, (24, 30, 2)) * 1e-4
+    sight = np.concatenate([np.zeros_like(direction), direction], axis=-1).astype(np.float32)
+    hit_m = scene.cast_rays(open3d.core.Tensor(sight))["t_hit"].numpy()
+    np.testing.assert_allclose(hit_m[mask], depth_m[mask], rtol=1e-2)
+    assert not np.isfinite(hit_m[~mask]).any()
+
+
+# ---- repeatability ----
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_same_bytes_whatever_was_rendered_before(kind: str) -> None:
+    frame, other = yard(152, 242), yard(100, 130, seed=3)
+    mounts = (HERE,) if kind == "analytic" else (HERE, LEFT)
+    first = [digest(render(kind, frame, mount)) for mount in mounts]
+    render(kind, other, HERE if kind == "analytic" else ABOVE)
+    assert [digest(render(kind, frame, mount)) for mount in mounts] == first
+
+
+@pytest.fixture(scope="module")
+def fresh_process() -> Iterator[subprocess.Popen[str]]:
+    """Another process that renders the same with Cycles, started early as Blender takes a while."""
+    pytest.importorskip("bpy")
+    script = (
+        "from tests.factory.render.test_render import LEFT, digest, render, yard\n"
+        "print(digest(render('cycles', yard(152, 242), LEFT)))\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", script],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+    )
+    yield process
+    process.kill()
+    process.wait()
+
+
+def test_a_fresh_process_gives_the_same_bytes_and_prints_nothing_else(
+    fresh_process: subprocess.Popen[str],
+) -> None:
+    printed, _ = fresh_process.communicate(timeout=120)
+    assert fresh_process.returncode == 0
+    assert printed == digest(render("cycles", yard(152, 242), LEFT)) + "\n"
+
+
+def test_pixels_through_a_file_are_the_same_bits(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from simnfnd.factory.render import blender
+
+    direct = digest(render("cycles", yard(152, 242), LEFT))
+    files = []
+    through_file = blender.render_to_file
+
+    def counted(stage: blender.Stage) -> npt.NDArray[np.float32]:
+        files.append(stage)
+        return through_file(stage)
+
+    monkeypatch.setattr(blender, "_render_to_memory", lambda stage: None)
+    monkeypatch.setattr(blender, "render_to_file", counted)
+    assert digest(render("cycles", yard(152, 242), LEFT)) == direct
+    assert files
+    assert capfd.readouterr().out == ""
+
+
+def test_pixels_come_from_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The fast way is undocumented: a Blender that closes it should be noticed here."""
+    from simnfnd.factory.render import blender
+
+    def refuse(stage: object) -> None:
+        raise AssertionError("went through a file")
+
+    opened("cycles")
+    monkeypatch.setattr(blender, "render_to_file", refuse)
+    assert render("cycles", yard(100, 130)).insonified.any()
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="Linux only")
+def test_starting_blender_leaves_every_core_usable() -> None:
+    from simnfnd.factory.render import blender
+
+    cores = os.sched_getaffinity(0)
+    with blender._one_core():
+        assert len(os.sched_getaffinity(0)) == 1
+    opened("cycles")
+    for thread in os.listdir("/proc/self/task"):
+        assert os.sched_getaffinity(int(thread)) == cores
+
+
+# ---- bounces and samples ----
+
+
+def _groove() -> Frame:
+    """Two walls that meet in an upright 90 degree groove, 3 m ahead."""
+    camera = Intrinsics(90.0, 90.0, 47.5, 31.5)
+    left = plane_depth(64, 96, camera, (-(0.5**0.5), 0.0, 0.5**0.5), 3 * 0.5**0.5)
+    right = plane_depth(64, 96, camera, (0.5**0.5, 0.0, 0.5**0.5), 3 * 0.5**0.5)
+    return frame_of(np.minimum(left, right), camera)
+
+
+def test_bounces_light_up_a_groove() -> None:
+    frame = _groove()
+    direct = render("cycles", frame, albedo="constant").radiance
+    bounced = render("cycles", frame, albedo="constant", bounces=2, samples=16).radiance
+    again = render("cycles", frame, albedo="constant", bounces=2, samples=16).radiance
+    np.testing.assert_array_equal(bounced, again)
+    assert bounced.mean() > 1.05 * direct.mean()
+    assert (bounced >= direct * 0.999).mean() > 0.999
+
+
+def test_bounces_change_nothing_on_a_flat_wall() -> None:
+    frame = frame_of(np.full((64, 96), 2.0), Intrinsics(90.0, 90.0, 47.5, 31.5))
+    direct = render("cycles", frame, albedo="constant").radiance
+    bounced = render("cycles", frame, albedo="constant", bounces=2, samples=16).radiance
+    np.testing.assert_allclose(bounced, direct, rtol=1e-3)
+
+
+def test_more_samples_stay_at_pixel_centres() -> None:
+    frame = yard(100, 130)
+    one, many = (render("cycles", frame, albedo="constant", samples=count) for count in (1, 8))
+    error = relative_error(many, one)
+    assert np.median(error) < 1e-3
+    assert np.percentile(error, 99) < 0.02
+
+
+# ---- albedo ----
+
+
+def test_albedo_rgb_is_linear_luminance() -> None:
+    rgb = np.array([[[255, 255, 255], [128, 128, 128], [255, 0, 0], [0, 0, 0]]], np.uint8)
+    np.testing.assert_allclose(
+        linear_luminance(rgb)[0], [1, 0.2158605, 0.2126, 0], rtol=1e-5, atol=1e-7
+    )
+    found = albedo(rgb, np.array([[True, True, False, True]]), "rgb")
+    np.testing.assert_allclose(found[0], [1, 0.2158605, 0, 0.01], rtol=1e-5)
+
+
+def test_flattened_albedo_forgets_light_and_keeps_texture() -> None:
+    rng = np.random.default_rng(0)
+    texture = rng.uniform(0.5, 1.5, (200, 300))
+    haze = np.linspace(0.02, 0.5, 300)[None, :] * np.linspace(1, 0.4, 200)[:, None]
+
+    def picture(linear: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
+        code = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+        grey: npt.NDArray[np.uint8] = np.round(255 * code).astype(np.uint8)
+        return np.repeat(grey[..., None], 3, axis=-1)
+
+    valid = np.ones((200, 300), np.bool_)
+    flat = albedo(picture(texture * haze), valid, "flattened")
+    assert flat.mean() == pytest.approx(0.5, abs=0.02)
+    assert flat.min() >= 0.1
+    assert flat.max() <= 1
+    assert np.corrcoef(flat.ravel(), texture.ravel())[0, 1] > 0.97
+    thirds = [part.mean() for part in np.array_split(flat, 3, axis=1)]
+    assert max(thirds) - min(thirds) < 0.03
+
+
+def test_flattened_albedo_ignores_unmeasured_pixels() -> None:
+    rgb = np.full((120, 160, 3), 90, np.uint8)
+    valid = np.ones((120, 160), np.bool_)
+    valid[:, 80:] = False
+    bright = rgb.copy()
+    bright[:, 80:] = 255
+    found = albedo(bright, valid, "flattened")
+    np.testing.assert_allclose(found[:, :80], 0.5, rtol=1e-4)
+    np.testing.assert_array_equal(found[:, 80:], 0)
+    np.testing.assert_array_equal(albedo(rgb, valid, "constant"), np.where(valid, 0.5, 0))
+
+
+# ---- settings and missing libraries ----
+
+
+@pytest.mark.parametrize(
+    ("kind", "module", "install"),
+    [("cycles", "bpy", "pip install bpy==5.0.1"), ("embree", "open3d", "pip install open3d-cpu")],
+)
+def test_missing_library_is_one_line_with_the_way_out(
+    kind: str, module: str, install: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wanted: RenderSettings = build(RenderSettings, {"kind": kind})
+    monkeypatch.setitem(sys.modules, module, None)
+    for attempt in (check_renderer, open_renderer):
+        with pytest.raises(FactoryError) as caught:
+            attempt(wanted)
+        text = str(caught.value)
+        assert "\n" not in text
+        for part in (f"render.kind={kind}", module, install, "render=analytic"):
+            assert part in text
+
+
+def test_library_that_does_not_load_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Installed, but a shared library of the system is not there."""
+    (tmp_path / "bpy.py").write_text(
+        "raise ImportError('libXrender.so.1: cannot open shared object file')"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "bpy", raising=False)
+    with pytest.raises(FactoryError, match=r"libXrender\.so\.1.*make setup"):
+        open_renderer(build(RenderSettings, {"kind": "cycles"}))
+
+
+def test_points_are_for_cycles_only() -> None:
+    with pytest.raises(FactoryError, match=r"render\.geometry=points.*render\.geometry=auto"):
+        open_renderer(build(RenderSettings, {"kind": "embree", "geometry": "points"}))
+
+
+@pytest.mark.parametrize("kind", ["cycles", "embree", "analytic"])
+def test_config_file_lists_every_key(kind: str) -> None:
+    yaml = pytest.importorskip("yaml")
+    file = ROOT / "conf" / "render" / f"{kind}.yaml"
+    values = yaml.safe_load(file.read_text())
+    assert set(values) == set(RenderSettings.__dataclass_fields__)
+    assert build(RenderSettings, values) == build(RenderSettings, {"kind": kind})

@@ -1,0 +1,357 @@
+"""The procedural seabed: reproducible, plausible, consistent in the world, varied, and bounded."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.frame import Frame, FrameRef
+from simnfnd.factory.scenes.seabed import CLASSES, SeabedReader, SeabedSettings
+from simnfnd.factory.scenes.seabed.fields import lookup, tiles, waves
+from simnfnd.factory.scenes.seabed.meshes import Mesh, box, lathe, rock, sphere, tube
+from simnfnd.factory.scenes.seabed.names import PLACE_NAMES
+from simnfnd.factory.scenes.seabed.world import build_world, choose_pose
+from simnfnd.factory.settings import build
+from tests.project_files import ROOT
+
+LOCATIONS, POSES = range(12), (0, 5)
+
+
+def small_reader(**keys: Any) -> SeabedReader:
+    """A reader of pictures a quarter as wide and high as FLSea's."""
+    return SeabedReader(SeabedSettings(**{"width": 242, "height": 152, **keys}))
+
+
+def ref(location: int, pose: int) -> FrameRef:
+    return FrameRef("seabed", f"seabed-{location:04d}", f"{pose:04d}")
+
+
+def fingerprint(frame: Frame) -> str:
+    digest = hashlib.sha256()
+    arrays = (frame.rgb, frame.depth_m, frame.world_from_camera, frame.segmentation, frame.instance)
+    for array in arrays:
+        assert array is not None
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def world_points(frame: Frame) -> npt.NDArray[np.float64]:
+    """(H, W, 3) points of a frame in world axes, by the pinhole model."""
+    assert frame.world_from_camera is not None
+    v, u = np.indices(frame.depth_m.shape)
+    camera = frame.intrinsics
+    depth = frame.depth_m.astype(np.float64)
+    x, y = (u - camera.cx) / camera.fx * depth, (v - camera.cy) / camera.fy * depth
+    points = np.stack([x, y, depth], axis=-1)
+    return np.asarray(points @ frame.world_from_camera[:3, :3].T + frame.world_from_camera[:3, 3])
+
+
+@pytest.fixture(scope="module")
+def frames() -> dict[tuple[int, int], Frame]:
+    reader = small_reader()
+    return {(k, pose): reader.load(ref(k, pose)) for k in LOCATIONS for pose in POSES}
+
+
+def test_every_frame_is_measured_in_part_and_at_close_range(
+    frames: dict[tuple[int, int], Frame],
+) -> None:
+    for name, frame in frames.items():
+        depth = frame.depth_m[frame.valid]
+        assert 0.5 < frame.valid.mean() < 0.95, name
+        assert depth.min() > 0.5, name
+        assert depth.max() < 20, name
+        assert 1.0 < np.median(depth) < 8, name
+
+
+def test_frames_have_the_types_that_readers_promise(frames: dict[tuple[int, int], Frame]) -> None:
+    frame = frames[0, 0]
+    assert frame.rgb.shape == (152, 242, 3)
+    assert frame.rgb.dtype == np.uint8
+    assert frame.depth_m.dtype == np.float32
+    assert frame.segmentation is not None
+    assert frame.segmentation.dtype == np.uint8
+    assert frame.instance is not None
+    assert frame.instance.dtype == np.uint16
+    across = 2 * np.rad2deg(np.arctan(121 / frame.intrinsics.fx))
+    assert across == pytest.approx(45, abs=0.1)
+    assert frame.ref == ref(0, 0)
+
+
+def test_an_instance_is_of_one_class_and_ground_has_none(
+    frames: dict[tuple[int, int], Frame],
+) -> None:
+    for frame in frames.values():
+        assert frame.segmentation is not None
+        assert frame.instance is not None
+        np.testing.assert_array_equal(frame.segmentation > 0, frame.instance > 0)
+        for number in np.unique(frame.instance):
+            assert len(np.unique(frame.segmentation[frame.instance == number])) == 1
+
+
+def test_every_class_is_seen(frames: dict[tuple[int, int], Frame]) -> None:
+    seen = {int(k) for f in frames.values() for k in np.unique(f.segmentation)}  # type: ignore[arg-type]
+    assert {CLASSES[k] for k in seen} == set(CLASSES)
+
+
+def test_classes_keep_the_numbers_of_the_marine_debris_dataset() -> None:
+    debris = "Background Bottle Can Chain Drink-carton Hook Propeller Shampoo-bottle"
+    debris += " Standing-bottle Tire Valve Wall"
+    assert CLASSES[:12] == tuple(debris.split())
+    assert len(set(CLASSES)) == len(CLASSES)
+
+
+def test_poses_are_rigid_and_look_a_little_down(frames: dict[tuple[int, int], Frame]) -> None:
+    for name, frame in frames.items():
+        assert frame.world_from_camera is not None
+        rotation = frame.world_from_camera[:3, :3]
+        np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
+        assert np.linalg.det(rotation) == pytest.approx(1)
+        assert 8 <= np.rad2deg(np.arcsin(-rotation[2, 2])) <= 35, name  # pitch
+        assert rotation[2, 1] < -0.8, name  # the picture's y axis points down
+
+
+def test_pictures_are_exposed_and_no_two_are_alike(frames: dict[tuple[int, int], Frame]) -> None:
+    pictures = [frame.rgb.astype(np.float32) for frame in frames.values()]
+    for picture in pictures:
+        assert 25 < picture.mean() < 200
+        assert picture.max(axis=-1).std() > 10
+    for k, one in enumerate(pictures):
+        for other in pictures[k + 1 :]:
+            assert np.abs(one - other).mean() > 4
+
+
+def test_poses_of_a_location_differ_clearly() -> None:
+    reader = small_reader()
+    eyes = []
+    for pose in range(8):
+        matrix = reader.load(ref(2, pose)).world_from_camera
+        assert matrix is not None
+        eyes.append(matrix[:3, 3])
+    steps = np.linalg.norm(np.diff(eyes, axis=0), axis=1)
+    assert (steps > 1.0).all()
+    assert (steps < 3.0).all()
+
+
+@pytest.mark.parametrize("location", [0, 1, 3, 5])
+def test_two_views_show_the_same_surface(location: int) -> None:
+    """Points of one view, seen from the next, are never in front of what that view measured."""
+    reader = small_reader()
+    checked = 0
+    for pose in range(3):
+        one, two = reader.load(ref(location, pose)), reader.load(ref(location, pose + 1))
+        assert two.world_from_camera is not None
+        points = world_points(one)[one.valid]
+        inverse = np.linalg.inv(two.world_from_camera)
+        x, y, z = (points @ inverse[:3, :3].T + inverse[:3, 3]).T
+        camera = two.intrinsics
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+        inside = (z > 0.3) & (u > 1) & (u < 240) & (v > 1) & (v < 150)
+        column, row = u[inside].round().astype(int), v[inside].round().astype(int)
+        measured, expected = two.depth_m[row, column], z[inside]
+        # A pixel away from depth edges, whose neighbours agree, may be compared point to pixel.
+        around = np.stack(
+            [two.depth_m[row + dy, column + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+        )
+        flat = (around.min(axis=0) > 0) & (np.ptp(around, axis=0) < 0.04 * measured)
+        if flat.sum() < 300:
+            continue
+        checked += 1
+        error = (expected - measured)[flat] / measured[flat]
+        assert (error < -0.06).mean() < 0.01
+        visible = error < 0.06  # the others are hidden in the second view
+        assert visible.mean() > 0.3
+        assert np.median(np.abs(error[visible])) < 0.012
+    assert checked >= 1
+
+
+def test_ground_points_lie_on_the_terrain(frames: dict[tuple[int, int], Frame]) -> None:
+    terrain = build_world(7, PLACE_NAMES, 1.0, None).terrain
+    frame = frames[7, 0]
+    assert frame.segmentation is not None
+    x, y, z = world_points(frame)[frame.valid & (frame.segmentation == 0)].T
+    above = z - terrain.height_m(x, y)
+    assert np.median(np.abs(above)) < 0.05
+    assert np.percentile(np.abs(above), 98) < 0.4
+
+
+@pytest.mark.parametrize("location", [0, 1, 3, 6, 12])
+def test_the_path_keeps_clear_of_everything(location: int) -> None:
+    import open3d
+
+    core: Any = open3d.core
+    world = build_world(location, PLACE_NAMES, 1.0, None)
+    for pose in (*range(0, 60, 6), 5000):
+        eye = choose_pose(world, pose).eye
+        query = core.Tensor(eye[None].astype(np.float32))
+        for scene in (world.objects.scene, world.coarse):
+            assert scene.compute_distance(query).numpy()[0] > 0.4
+        ground = world.terrain.height_m(eye[:1], eye[1:2])[0]
+        assert 0.7 <= eye[2] - ground <= 3.0
+
+
+def test_a_frame_depends_on_its_name_alone() -> None:
+    """Neither the order of work, nor other frames, nor how many are asked for, nor the process."""
+    first = small_reader()
+    expected = [fingerprint(first.load(ref(k, pose))) for k, pose in ((3, 2), (4, 0), (3, 1))]
+    # Other locations push each other out of the reader's memory.
+    other = small_reader(locations=9, first_location=1, frames_per_location=1)
+    for k in (9, 4):
+        other.load(ref(k, 0))
+    again = [fingerprint(other.load(ref(k, pose))) for k, pose in ((3, 1), (4, 0), (3, 2))]
+    assert again[::-1] == expected
+    script = (
+        "from tests.factory.scenes.test_seabed import *\n"
+        "reader = small_reader()\n"
+        "print(*(fingerprint(reader.load(ref(k, pose))) for k, pose in ((4, 0), (3, 1), (3, 2))))"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    elsewhere = run.stdout.split()
+    assert [elsewhere[2], elsewhere[0], elsewhere[1]] == expected
+
+
+def test_discovery_lists_sorted_frames_of_the_wanted_locations() -> None:
+    found = SeabedReader(SeabedSettings(locations=3, first_location=7, frames_per_location=2))
+    frames = found.discover().frames
+    assert len(frames) == 6
+    assert frames[0].name == "seabed/seabed-0007/0000"
+    assert frames[-1].name == "seabed/seabed-0009/0001"
+    assert list(frames) == sorted(frames, key=lambda f: (f.location, f.scene, f.frame))
+
+
+@pytest.mark.parametrize(
+    ("scene", "frame"),
+    [("canyon", "0001"), ("seabed-1", "0001"), ("seabed-0001", "x"), ("seabed-0001", "0001\n")],
+)
+def test_a_foreign_name_is_a_bad_frame(scene: str, frame: str) -> None:
+    with pytest.raises(FrameError, match="not a procedural frame"):
+        small_reader().load(FrameRef("seabed", scene, frame))
+
+
+def test_only_wanted_kinds_lie_there() -> None:
+    reader = small_reader(kinds=("Tire", "Boulder"), places=("debris",))
+    seen = np.unique(np.concatenate([reader.load(ref(k, 0)).segmentation for k in range(3)]))
+    assert {CLASSES[k] for k in seen} == {"Background", "Tire", "Boulder"}
+
+
+def test_an_empty_seabed_works() -> None:
+    reader = small_reader(objects=0, kinds=(), places=("sand",))
+    frame = reader.load(ref(0, 0))
+    assert frame.segmentation is not None
+    assert not frame.segmentation.any()
+    assert frame.valid.mean() > 0.5
+
+
+def test_leaving_a_kind_out_does_not_move_the_ground() -> None:
+    whole = build_world(0, PLACE_NAMES, 1.0, None)
+    fewer = build_world(0, PLACE_NAMES, 1.0, ("Tire",))
+    assert len(fewer.labels) < len(whole.labels)
+    x = np.linspace(-9, 9, 50, dtype=np.float32)
+    np.testing.assert_array_equal(whole.terrain.height_m(x, x), fewer.terrain.height_m(x, x))
+    np.testing.assert_array_equal(whole.path.loop.points, fewer.path.loop.points)
+    assert whole.water == fewer.water
+
+
+@pytest.mark.parametrize("size", [{"width": 64, "height": 48}, {"width": 300, "height": 900}])
+def test_other_picture_sizes(size: dict[str, int]) -> None:
+    frame = small_reader(**size).load(ref(7, 0))
+    assert frame.depth_m.shape == (size["height"], size["width"])
+    assert frame.valid.any()
+
+
+@pytest.mark.parametrize(
+    ("values", "key"),
+    [
+        ({"locations": 0}, "scenes.locations"),
+        ({"frames_per_location": 0}, "scenes.frames_per_location"),
+        ({"width": 10}, "scenes.width"),
+        ({"objects": -1}, "scenes.objects"),
+        ({"objects": float("nan")}, "scenes.objects"),
+        ({"kinds": ["Shark"]}, "scenes.kinds"),
+        ({"places": []}, "scenes.places"),
+        ({"places": ["moon"]}, "scenes.places"),
+        ({"depth_kind": "range"}, "scenes.depth_kind"),
+        ({"first_location": 9999, "locations": 2}, "first_location"),
+        ({"sharks": 1}, "scenes.sharks: unknown key"),
+    ],
+)
+def test_bad_settings_are_refused_with_their_key(values: dict[str, object], key: str) -> None:
+    with pytest.raises(FactoryError, match=key) as caught:
+        build(SeabedSettings, values, "scenes")
+    assert "\n" not in str(caught.value)
+
+
+def test_the_config_file_lists_every_key_with_its_default() -> None:
+    values = yaml.safe_load((ROOT / "conf/scenes/seabed.yaml").read_text())
+    assert build(SeabedSettings, values, "scenes") == SeabedSettings()
+    assert set(values) == set(SeabedSettings.__dataclass_fields__)
+
+
+def volume(mesh: Mesh) -> float:
+    """Signed volume by the divergence theorem: positive where triangles face outward."""
+    a, b, c = (mesh.vertices[mesh.triangles[:, k]].astype(np.float64) for k in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        (lambda: box((2, 3, 4), (5, 5, 5)), 24),
+        (lambda: sphere(4), 4 / 3 * np.pi),
+        (lambda: lathe([[0, 0], [1, 0], [1, 2], [0, 2]], 200, crease=True), 2 * np.pi),
+        (lambda: tube([[0, 0, 0], [1, 0, 0], [3, 0, 0]], 0.5, 200), 3 * np.pi / 4),
+        (lambda: tube(_ring(400), 0.1, 200, closed=True), 2 * np.pi**2 * 0.01),
+    ],
+    ids=["box", "sphere", "lathe", "tube", "torus"],
+)
+def test_meshes_are_closed_and_face_outward(shape: Callable[[], Mesh], expected: float) -> None:
+    assert volume(shape()) == pytest.approx(expected, rel=0.01)
+
+
+def _ring(count: int) -> npt.NDArray[np.float64]:
+    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    return np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)])
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**31))
+def test_rocks_are_solid_and_of_about_unit_size(seed: int) -> None:
+    stone = rock(np.random.default_rng(seed), 3)
+    radius = np.linalg.norm(stone.vertices, axis=1)
+    assert radius.min() > 0.2
+    assert radius.max() < 1.8
+    assert 1 < volume(stone) < 6.5
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**31))
+def test_waves_have_unit_variance(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    field = waves(rng, 8.0, 0.5)
+    values = field(*rng.uniform(-2000, 2000, (2, 20_000)))
+    assert abs(float(values.mean())) < 0.1
+    assert float(values.std()) == pytest.approx(1, abs=0.1)
+
+
+def test_noise_pictures_repeat_without_a_seam_however_far_away() -> None:
+    u, v = np.random.default_rng(0).uniform(0, 3, (2, 40, 50)).astype(np.float32)
+    near = lookup(tiles().texture, u, v, 3.0)
+    far = lookup(tiles().texture, u + 90, v - 60, 3.0)
+    assert np.abs(near - far).mean() < 0.02
+    rock_tile = tiles().rock
+    step = np.abs(np.diff(rock_tile, axis=0)).mean()
+    assert np.abs(rock_tile[0] - rock_tile[-1]).mean() < 1.5 * step
+    assert rock_tile.std() == pytest.approx(1, abs=1e-3)

@@ -1,0 +1,233 @@
+"""Image formation: geometry against hand-computed places, energy, and the transfer curves."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.settings import build
+from simnfnd.factory.sonar import polar, transfer
+from simnfnd.factory.sonar.echoes import from_xyz, in_plane
+from simnfnd.factory.sonar.fan import fan_table, pixel_size
+from simnfnd.factory.sonar.mount import Mount
+from simnfnd.factory.sonar.settings import SonarSettings, TransferSettings
+from simnfnd.factory.sonar.surface import Extent
+from simnfnd.factory.sonar.window import Window
+from simnfnd.factory.sonar.window_fit import fit_window
+from tests.clouds import HALF_RAD, uniform_scene, window
+
+SHARP = {"point_spread": {"range_bins": 0, "beams": 0}}
+
+
+def sonar(**keys) -> SonarSettings:
+    return build(SonarSettings, {"range": {"auto": False, "min_m": 1, "max_m": 9}, **SHARP, **keys})
+
+
+def test_polar_bins_follow_the_formula():
+    """range_bin = floor((r - r_min) / dr), beam = floor((azimuth + hfov/2) / dtheta)."""
+    device = sonar(beams=90, range_bins=80)
+    echoes = in_plane(
+        np.array([1.05, 8.95, 5.0]), np.deg2rad([-22.4, 22.4, 0.1]), np.array([1.0, 2.0, 3.0])
+    )
+    level = polar.accumulate(echoes, window(), device)
+    assert level.shape == (80, 90)
+    assert level[0, 0] == 1
+    assert level[79, 89] == 2
+    assert level[40, 45] == 3
+    assert level.sum() == 6
+
+
+def test_echoes_outside_window_or_sector_are_dropped():
+    echoes = in_plane(np.array([0.99, 9.01, 5, 5]), np.deg2rad([0, 0, 23, -23.0]), np.ones(4))
+    assert polar.accumulate(echoes, window(), sonar()).sum() == 0
+
+
+def test_tabled_beams_take_the_nearest_direction():
+    device = sonar(beams=4, range_bins=2, beam_azimuths_deg=[-20, -5, 5, 20])
+    azimuth = np.deg2rad([-22, -13, -12, -1, 1, 12, 13, 30])
+    echoes = in_plane(np.full(8, 3.0), azimuth, np.ones(8))
+    assert polar.bin_index(echoes, window(), device).tolist() == [0, 0, 1, 1, 2, 2, 3, 8]
+
+
+def test_a_table_of_uniform_directions_equals_uniform_beams():
+    scene = uniform_scene()
+    uniform = sonar(beams=64)
+    table = np.rad2deg(uniform.beam_centres_rad()).tolist()
+    tabled = sonar(beams=64, beam_azimuths_deg=table)
+    np.testing.assert_allclose(
+        polar.accumulate(scene, window(), uniform), polar.accumulate(scene, window(), tabled)
+    )
+
+
+@pytest.mark.parametrize(("how", "level"), [("mean", 2.0), ("max", 3.0), ("sum", 4.0)])
+def test_accumulation(how, level):
+    echoes = in_plane(np.array([5.0, 5.0]), np.array([0.01, 0.01]), np.array([1.0, 3.0]))
+    assert polar.accumulate(echoes, window(), sonar(accumulate=how)).max() == level
+
+
+def test_slant_range_and_top_view_see_an_elevated_point_at_different_ranges():
+    point = from_xyz(np.array([[3.0, 0.0, -4.0]]), np.ones(1))
+    assert window().range_of(point) == pytest.approx(5)
+    assert window(projection="top_view").range_of(point) == pytest.approx(3)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    x=st.floats(0.5, 20),
+    y=st.floats(-10, 10),
+    z=st.floats(-10, 10),
+)
+def test_polar_and_cartesian_coordinates_are_inverse(x, y, z):
+    echoes = from_xyz(np.array([[x, y, z]]), np.ones(1))
+    np.testing.assert_allclose(
+        echoes.xyz_m(), [[x, y, z]], atol=2e-5 * np.hypot(np.hypot(x, y), z) + 1e-6
+    )
+
+
+def test_azimuth_is_positive_to_the_right():
+    assert from_xyz(np.array([[1.0, -1.0, 0.0]]), np.ones(1)).azimuth_rad[0] == pytest.approx(
+        np.pi / 4
+    )
+
+
+def test_fan_shows_a_point_where_it_is():
+    """Far range on top, right on the right: a blob at 6 m and 10 degrees right."""
+    device = sonar()
+    level = np.zeros((256, 256), np.float32)
+    blob = in_plane(np.full(500, 6.0), np.full(500, np.deg2rad(10)), np.ones(500))
+    level = polar.spread_points(
+        polar.accumulate(blob, window(), device),
+        build(SonarSettings, {"point_spread": {"range_bins": 1, "beams": 1}}),
+    )
+    fan = fan_table(device, 1 / 9).bilinear(level)
+    row, column = np.unravel_index(fan.argmax(), fan.shape)
+    pixel_m = 9 * pixel_size(device, 1 / 9)
+    assert (row + 0.5) * pixel_m == pytest.approx(9 - 6 * np.cos(np.deg2rad(10)), abs=1.5 * pixel_m)
+    assert (column + 0.5 - 128) * pixel_m == pytest.approx(
+        6 * np.sin(np.deg2rad(10)), abs=1.5 * pixel_m
+    )
+
+
+def test_fan_of_a_constant_is_constant_inside_and_black_outside():
+    device = sonar()
+    table = fan_table(device, 1 / 9)
+    fan = table.bilinear(np.ones((256, 256), np.float32))
+    np.testing.assert_allclose(fan[table.inside], 1, rtol=1e-6)
+    assert not fan[~table.inside].any()
+    assert 0.3 < table.inside.mean() < 0.8
+    np.testing.assert_array_equal(table.inside, table.inside[:, ::-1])
+
+
+def test_fan_fits_the_picture_for_every_sector():
+    for hfov in (10, 45, 90, 130, 180):
+        inside = fan_table(sonar(hfov_deg=hfov), 0.1).inside
+        assert inside.any(axis=0).sum() > 250 or inside.any(axis=1).sum() > 250
+        assert inside[0].any() or inside[:, 0].any()
+
+
+def test_point_spread_keeps_the_energy_of_an_inner_echo():
+    level = np.zeros((256, 256), np.float32)
+    level[100, 100] = 7
+    spread = polar.spread_points(level, build(SonarSettings, {}))
+    assert spread.sum() == pytest.approx(7, rel=1e-5)
+    assert spread.max() < 7
+
+
+def test_unseen_beams_are_told():
+    device = sonar(hfov_deg=90, beams=90)
+    seen = polar.seen_beams(
+        Window("slant_range", 1, 9, -np.deg2rad(20.5), np.deg2rad(10.5)), device
+    )
+    assert np.flatnonzero(seen)[[0, -1]].tolist() == [24, 55]
+
+
+def test_covered_closes_pinholes_but_not_shadows():
+    device = sonar(beams=64, range_bins=64)
+    rng = np.random.default_rng(1)
+    scene = uniform_scene(60000)
+    shadowed = (scene.range_m > 4) & (scene.range_m < 6) & (np.abs(scene.azimuth_rad) < 0.1)
+    some = scene.select(~shadowed & (rng.random(60000) < 0.3))
+    covered = polar.covered(polar.accumulate(some, window(), device) > 0)
+    azimuth = device.beam_centres_rad()
+    inside = np.abs(azimuth) < 0.08
+    rows = (np.arange(64) + 0.5) / 64 * 8 + 1
+    assert not covered[np.ix_((rows > 4.4) & (rows < 5.6), inside)].any()
+    assert covered[(rows < 3.5) | (rows > 6.5)].mean() > 0.97
+
+
+@pytest.mark.parametrize("kind", ["linear", "power", "log"])
+def test_transfer_is_monotone_bounded_and_hits_its_reference(kind):
+    curve = TransferSettings(kind=kind, reference=0.8, exponent=0.5, percentile=90)
+    clean = np.linspace(0, 10, 1001, dtype=np.float32)
+    scale = transfer.full_scale(clean, curve)
+    values = transfer.grey(np.linspace(0, 100, 500), scale, curve)
+    assert np.all(np.diff(values) >= 0)
+    assert values[0] == 0
+    assert values[-1] == 1
+    level = np.percentile(clean[clean > 0], 90)
+    assert transfer.grey(np.array([level]), scale, curve)[0] == pytest.approx(0.8, abs=1e-4)
+
+
+def test_log_curve_is_the_formula():
+    curve = TransferSettings(kind="log", dynamic_range_db=40)
+    values = transfer.grey(np.array([1.0, 0.1, 0.01, 0.001]), 1.0, curve)
+    assert values == pytest.approx([1, 0.5, 0, 0], abs=1e-6)
+
+
+def test_quantisation_is_last_and_rounds():
+    grey = np.array([0, 0.5, 1.0], np.float32)
+    assert transfer.quantise(grey, "uint8").tolist() == [0, 128, 255]
+    assert transfer.quantise(grey, "float32").dtype == np.float32
+
+
+def test_mount_axes():
+    """Camera x right, y down, z forward; sonar x forward, y left, z up."""
+    points = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]])
+    assert Mount().to_sonar(points).tolist() == [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
+    down = Mount(pitch_deg=90).to_sonar(np.array([[0, 2.0, 0]]))
+    np.testing.assert_allclose(down, [[2, 0, 0]], atol=1e-12)
+    left = Mount(yaw_deg=90).to_sonar(np.array([[-2.0, 0, 0]]))
+    np.testing.assert_allclose(left, [[2, 0, 0]], atol=1e-12)
+    above = Mount(translation_m=(0, 0, 1)).to_sonar(np.array([[0, 0, 5.0]]))
+    np.testing.assert_allclose(above, [[5, 0, -1]], atol=1e-12)
+    assert not Mount(translation_m=(0, 0, 1)).colocated
+    assert Mount(pitch_deg=5).colocated
+
+
+def test_window_fits_the_echoes_and_forgets_stray_points():
+    scene = uniform_scene(near_m=3, far_m=8)
+    lit_m = np.concatenate([scene.range_m, np.full(20, 25, np.float32)])
+    fitted = fit_window(Extent(lit_m, -HALF_RAD, HALF_RAD), build(SonarSettings, {}))
+    assert 2 < fitted.range_min_m < 3
+    assert 7.9 < fitted.range_max_m < 8.6
+    assert (fitted.azimuth_min_rad, fitted.azimuth_max_rad) == (-HALF_RAD, HALF_RAD)
+    assert fitted.near_fraction * 16 == pytest.approx(round(fitted.near_fraction * 16))
+
+
+def test_window_without_echo_is_a_bad_frame():
+    nothing = Extent(np.empty(0, np.float32), np.inf, -np.inf)
+    with pytest.raises(FrameError, match="hfov_deg"):
+        fit_window(nothing, build(SonarSettings, {}))
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"range": {"min_m": 5, "max_m": 5}}, "min_m must be smaller"),
+        ({"range": {"min_m": -1}}, "sonar.range.min_m"),
+        ({"hfov_deg": 0}, "sonar.hfov_deg"),
+        ({"beams": 1}, "sonar.beams"),
+        ({"beam": 64}, "sonar.beam: unknown key"),
+        ({"projection": "side"}, "sonar.projection"),
+        ({"beams": 3, "beam_azimuths_deg": [0, 1]}, "2 entries for 3 beams"),
+        ({"beams": 2, "beam_azimuths_deg": [1, 0]}, "must increase"),
+        ({"beams": 2, "beam_azimuths_deg": [0, 60]}, "within hfov_deg"),
+        ({"mount": {"translation_m": [1, 2]}}, "sonar.mount.translation_m"),
+    ],
+)
+def test_bad_settings_name_the_key(keys, said):
+    with pytest.raises(FactoryError) as caught:
+        build(SonarSettings, keys, prefix="sonar")
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)

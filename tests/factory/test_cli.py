@@ -1,0 +1,297 @@
+"""The command line: what it makes, what it says, and how it ends."""
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+
+from simnfnd.command import main
+from tests.project_files import ROOT
+
+FLSEA = ROOT.parent / "shared/data/flsea-vi"
+FAST = ["render=analytic", "scheduler.workers=1", "dataset.preview_pairs=0"]
+
+
+def run(monkeypatch, *words: str) -> int:
+    """Exit code of `simnfnd make WORDS`, in this process."""
+    monkeypatch.setattr(sys, "argv", ["simnfnd"])  # Hydra's words are put there
+    return main(words, default="make")
+
+
+def write_frame(root: Path, name: str, depth_m: np.ndarray, scene="canyons/u_canyon") -> None:
+    folder = root / scene
+    (folder / "imgs").mkdir(parents=True, exist_ok=True)
+    (folder / "depth").mkdir(parents=True, exist_ok=True)
+    rgb = np.random.default_rng(0).integers(60, 200, (*depth_m.shape, 3), dtype=np.uint8)
+    cv2.imwrite(str(folder / "imgs" / f"{name}.tiff"), rgb)
+    cv2.imwrite(str(folder / "depth" / f"{name}_SeaErra_abs_depth.tif"), depth_m.astype(np.float32))
+
+
+def ground(height=96, width=152) -> np.ndarray:
+    v = np.arange(height)[:, None] / height
+    return np.broadcast_to(1.5 / (0.15 + 0.5 * v), (height, width)).astype(np.float32)
+
+
+@pytest.fixture
+def flsea(tmp_path):
+    root = tmp_path / "flsea"
+    for number in range(3):
+        write_frame(root, f"1623304454176560{number}", ground() * (1 + 0.1 * number))
+    write_frame(root, "16316026967750072", ground(), "red_sea/sub_pier")
+    return root
+
+
+def test_a_partial_download_makes_what_there_is(monkeypatch, tmp_path, flsea, capfd):
+    out = tmp_path / "out"
+    code = run(
+        monkeypatch, "experiment=simnfnd", f"scenes.root={flsea}", f"dataset.dir={out}", *FAST
+    )
+    printed = capfd.readouterr().out
+    assert code == 0
+    assert printed.strip().splitlines()[-1] == f"dataset: {out}"
+    assert "flatiron" in printed  # absent scenes are told
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert {shard["split"]: shard["samples"] for shard in manifest["shards"]} == {
+        "test": 3,
+        "train": 1,
+    }
+    with h5py.File(out / "test/shard-00000.h5") as shard:
+        assert shard["noisy"].shape == (3, 256, 256)
+        assert set(shard["meta"]["scene"]) == {b"u_canyon"}
+
+
+def test_a_bad_frame_among_good_ones_is_skipped_and_named(monkeypatch, tmp_path, flsea, capfd):
+    bad = ground()
+    bad[3, 4] = np.nan
+    write_frame(flsea, "16233045486672034", bad)
+    out = tmp_path / "out"
+    code = run(monkeypatch, "scenes=flsea", f"scenes.root={flsea}", f"dataset.dir={out}", *FAST)
+    assert code == 1
+    failures = [json.loads(line) for line in (out / "failed.jsonl").read_text().splitlines()]
+    assert len(failures) == 1
+    assert "16233045486672034" in failures[0]["frame"]
+    assert "1 NaN" in failures[0]["reason"]
+    assert "frames.only=" in failures[0]["command"]
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert sum(shard["samples"] for shard in manifest["shards"]) == 4
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda depth: np.full_like(depth, np.nan), "NaN"),
+        (lambda depth: -depth, "negative"),
+        (lambda depth: depth * np.inf, "infinite"),
+        (lambda depth: depth * 0, "valid"),
+        (lambda depth: depth[:50], "152x50"),
+    ],
+)
+def test_when_every_frame_is_bad_the_run_ends_with_2(monkeypatch, tmp_path, damage, said, capfd):
+    root = tmp_path / "flsea"
+    write_frame(root, "16233044541765633", ground())
+    depth = root / "canyons/u_canyon/depth/16233044541765633_SeaErra_abs_depth.tif"
+    cv2.imwrite(str(depth), damage(ground()))
+    code = run(
+        monkeypatch, "scenes=flsea", f"scenes.root={root}", f"dataset.dir={tmp_path / 'o'}", *FAST
+    )
+    error = capfd.readouterr().err
+    assert code == 2
+    assert said in error
+    assert "Traceback" not in error
+
+
+def test_a_truncated_tiff_is_a_bad_frame(monkeypatch, tmp_path, flsea, capfd):
+    image = flsea / "canyons/u_canyon/imgs/16233044541765600.tiff"
+    image.write_bytes(image.read_bytes()[: image.stat().st_size // 2])
+    out = tmp_path / "out"
+    code = run(monkeypatch, "scenes=flsea", f"scenes.root={flsea}", f"dataset.dir={out}", *FAST)
+    assert code == 1
+    assert "16233044541765600" in (out / "failed.jsonl").read_text()
+    assert "Traceback" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["scenes=flsea"], "scenes.root: a value is required"),
+        (["scenes=flsea", "scenes.root=/does/not/exist"], "/does/not/exist"),
+        (["scenes=flsea", "scenes.root={empty}"], "no"),
+        (["noise.backgroud.density=1"], "backgroud"),
+        (["+noise.backgroud.density=1"], "noise.backgroud"),
+        (["scenes=mars"], "mars"),
+        (["resample.rate=0"], "resample.rate"),
+        (["resample.rate=1.5"], "resample.rate"),
+        (["noise.background.density=-0.1"], "noise.background.density"),
+        (["sonar.range.min_m=5", "sonar.range.max_m=5"], "min_m must be smaller than max_m"),
+        (["noise.background.density={uniform: [3, 1]}"], "low 3 > high 1"),
+        (["frames.only=[nowhere]"], "nowhere"),
+        (["render=analytic", "sonar.mount.translation_m=[0,0,1]"], "casts no shadows"),
+        (["seed=="], "config"),
+    ],
+)
+def test_bad_input_is_one_clear_line_and_exit_code_2(monkeypatch, tmp_path, words, said, capfd):
+    (tmp_path / "empty").mkdir()
+    words = [word.replace("{empty}", str(tmp_path / "empty")) for word in words]
+    code = run(monkeypatch, *words, f"dataset.dir={tmp_path / 'out'}")
+    error = capfd.readouterr().err
+    assert code == 2, error
+    assert said in error
+    assert len(error.strip().splitlines()) == 1
+    assert error.startswith("error: ")
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_output_that_cannot_be_written_is_said_before_work_starts(
+    monkeypatch, tmp_path, flsea, capfd
+):
+    (tmp_path / "file").write_text("in the way")
+    code = run(
+        monkeypatch,
+        "scenes=flsea",
+        f"scenes.root={flsea}",
+        f"dataset.dir={tmp_path}/file/out",
+        *FAST,
+    )
+    error = capfd.readouterr().err
+    assert code == 2
+    assert "file" in error
+    assert len(error.strip().splitlines()) == 1
+
+
+def test_a_missing_blender_is_said_with_the_remedy(monkeypatch, tmp_path, capfd):
+    monkeypatch.setitem(sys.modules, "bpy", None)
+    import importlib.util
+
+    real = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util,
+        "find_spec",
+        lambda name, *rest: None if name == "bpy" else real(name, *rest),
+    )
+    code = run(monkeypatch, f"dataset.dir={tmp_path / 'out'}")
+    error = capfd.readouterr().err
+    assert code == 2
+    assert "bpy" in error
+    assert "render=embree" in error
+
+
+def test_a_traceback_is_shown_with_debug_only(monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "argv", ["simnfnd"])
+    with pytest.raises(Exception, match=r"resample\.rate"):
+        main(["make", "resample.rate=0", "debug=true"])
+
+
+def test_a_sweep_makes_one_named_dataset_a_point_and_one_table(monkeypatch, tmp_path, flsea, capfd):
+    monkeypatch.chdir(tmp_path)
+    code = run(
+        monkeypatch,
+        "-m",
+        "noise.background.density=0.1,0.5",
+        "resample.rate=0.1,0.3",
+        "noise=none",
+        "noise.background.enabled=true",
+        "scenes=flsea",
+        f"scenes.root={flsea}",
+        *FAST,
+    )
+    assert code == 0
+    datasets = sorted(path.parent for path in tmp_path.glob("outputs/*/manifest.json"))
+    assert len(datasets) == 4
+    table = next(tmp_path.glob("outputs/sweeps/*/sweep.md")).read_text().splitlines()
+    assert len(table) == 2 + 4
+    assert all(str(folder.name) in "".join(table) for folder in datasets)
+    noisy = {
+        line.split("|")[1].strip(): float(line.split("|")[5]) for line in table[2:] if "0.3" in line
+    }
+    assert noisy["0.1"] > noisy["0.5"]
+
+
+def test_the_sweep_flag_may_stand_anywhere(monkeypatch, tmp_path, flsea):
+    monkeypatch.chdir(tmp_path)
+    words = ["scenes=flsea", f"scenes.root={flsea}", "-m", "seed=1,2", *FAST]
+    assert run(monkeypatch, *words) == 0
+    assert len(list(tmp_path.glob("outputs/*/manifest.json"))) == 2
+
+
+def test_a_bad_point_of_a_sweep_does_not_stop_the_others(monkeypatch, tmp_path, flsea):
+    monkeypatch.chdir(tmp_path)
+    code = run(
+        monkeypatch, "-m", "resample.rate=0,0.5", "scenes=flsea", f"scenes.root={flsea}", *FAST
+    )
+    assert code == 2
+    assert len(list(tmp_path.glob("outputs/*/manifest.json"))) == 1
+
+
+def test_the_same_seed_gives_the_same_bytes_for_any_number_of_workers(monkeypatch, tmp_path, flsea):
+    for workers in (1, 3):
+        code = run(
+            monkeypatch,
+            "scenes=flsea",
+            f"scenes.root={flsea}",
+            f"dataset.dir={tmp_path / str(workers)}",
+            "render=analytic",
+            "dataset.preview_pairs=0",
+            f"scheduler.workers={workers}",
+            "scheduler.shard_size=1",
+        )
+        assert code == 0
+    shards = sorted(path.relative_to(tmp_path / "1") for path in (tmp_path / "1").glob("*/*.h5"))
+    assert len(shards) == 4
+    for shard in shards:
+        assert (tmp_path / "1" / shard).read_bytes() == (tmp_path / "3" / shard).read_bytes()
+
+
+def test_running_again_keeps_finished_shards_and_makes_the_missing_one(
+    monkeypatch, tmp_path, flsea
+):
+    out = tmp_path / "out"
+    words = [
+        "scenes=flsea",
+        f"scenes.root={flsea}",
+        f"dataset.dir={out}",
+        *FAST,
+        "scheduler.shard_size=1",
+    ]
+    assert run(monkeypatch, *words) == 0
+    first = {path: path.read_bytes() for path in out.glob("*/*.h5")}
+    lost, kept = sorted(first)[:2]
+    before = kept.stat().st_mtime_ns
+    lost.unlink()
+    assert run(monkeypatch, *words) == 0
+    assert {path: path.read_bytes() for path in out.glob("*/*.h5")} == first
+    assert kept.stat().st_mtime_ns == before
+
+
+def test_stride_limit_variants_and_only(monkeypatch, tmp_path, flsea):
+    out = tmp_path / "out"
+    words = ["scenes=flsea", f"scenes.root={flsea}", *FAST]
+    assert (
+        run(monkeypatch, *words, f"dataset.dir={out}", "frames.limit=2", "frames.variants=3") == 0
+    )
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert sum(shard["samples"] for shard in manifest["shards"]) == (2 + 1) * 3
+    one = tmp_path / "one"
+    name = "canyons/u_canyon/16233044541765601"
+    assert run(monkeypatch, *words, f"dataset.dir={one}", f"frames.only=[{name}]") == 0
+    with h5py.File(next(one.glob("*/*.h5"))) as shard:
+        assert shard["meta"]["frame"].tolist() == [b"16233044541765601"]
+
+
+@pytest.mark.skipif(not FLSEA.exists(), reason="no FLSea frames beside the project")
+def test_real_frames_make_pairs(monkeypatch, tmp_path, capfd):
+    out = tmp_path / "real"
+    shutil.rmtree(out, ignore_errors=True)
+    code = run(
+        monkeypatch, "experiment=simnfnd", f"scenes.root={FLSEA}", f"dataset.dir={out}", *FAST
+    )
+    assert code == 0
+    manifest = json.loads((out / "manifest.json").read_text())
+    counts: dict[str, int] = {}
+    for shard in manifest["shards"]:
+        counts[shard["split"]] = counts.get(shard["split"], 0) + shard["samples"]
+    assert counts == {"test": 4, "train": 2}

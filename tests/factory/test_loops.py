@@ -1,0 +1,350 @@
+"""Every compiled loop against the plain numpy or scipy version of the same step."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+from scipy import ndimage, special
+
+from simnfnd.factory import seeds
+from simnfnd.factory.config import from_mapping
+from simnfnd.factory.formation import resample
+from simnfnd.factory.frame import Frame
+from simnfnd.factory.render.base import Rendered
+from simnfnd.factory.render.cloud import back_project
+from simnfnd.factory.settings import build
+from simnfnd.factory.sonar import polar, surface, transfer
+from simnfnd.factory.sonar.echoes import Echoes, from_xyz, join
+from simnfnd.factory.sonar.fan import fan_table
+from simnfnd.factory.sonar.quantile import quantiles
+from simnfnd.factory.sonar.settings import SonarSettings, TransferSettings
+from simnfnd.factory.sonar.window import Window
+from simnfnd.factory.sonar.window_fit import fit_window
+from simnfnd.factory.workers.memory import keep_freed_memory
+from tests.clouds import camera_scene, window
+from tests.frames import ground_and_post, plain_render
+from tests.project_files import ROOT
+
+
+def sonar(**keys: Any) -> SonarSettings:
+    return build(SonarSettings, keys)
+
+
+SONARS = {
+    "default": sonar(),
+    "top view": sonar(projection="top_view", tvg_db_per_decade=20),
+    "elsewhere": sonar(
+        mount={"translation_m": [0.1, -0.2, 0.3], "pitch_deg": 7, "yaw_deg": -11},
+        tvg_db_per_decade=33,
+    ),
+    "tabled": sonar(beams=5, beam_azimuths_deg=[-15, -8, 0, 3, 16], tvg_db_per_decade=0),
+    "narrow": sonar(hfov_deg=20, vfov_deg=8, range={"min_m": 2, "max_m": 6}),
+}
+
+
+def frame_and_render() -> tuple[Frame, Rendered]:
+    """Ground and post with a shadow: surface without echo."""
+    frame = ground_and_post()
+    rendered = plain_render(frame)
+    radiance = rendered.radiance.copy()
+    radiance[60:90, 30:70] = 0
+    return frame, replace(rendered, radiance=radiance)
+
+
+# --- pixels to echoes -------------------------------------------------------------------------
+
+
+def plain_surface(
+    frame: Frame, rendered: Rendered, device: SonarSettings
+) -> tuple[Echoes, npt.NDArray[np.intp]]:
+    """Every surface pixel in the vertical beam, in double precision."""
+    points_m = device.mount.to_sonar(back_project(frame.depth_m, frame.intrinsics))
+    echoes = from_xyz(points_m[rendered.surface], rendered.radiance[rendered.surface])
+    in_beam = np.abs(echoes.elevation_rad) <= np.deg2rad(device.vfov_deg) / 2
+    return echoes.select(in_beam), np.flatnonzero(rendered.surface)[in_beam]
+
+
+def plain_bins(echoes: Echoes, at: Window, device: SonarSettings) -> npt.NDArray[np.intp]:
+    half = np.float32(np.deg2rad(device.hfov_deg) / 2)
+    row = np.floor(at.range_fraction(echoes) * np.float32(device.range_bins)).astype(np.intp)
+    scale = np.float32(device.beams / (2 * half))
+    beam = np.floor((echoes.azimuth_rad + half) * scale).astype(np.intp)
+    inside = (row >= 0) & (row < device.range_bins) & (beam >= 0) & (beam < device.beams)
+    if device.beam_azimuths_deg is not None:
+        centres = device.beam_centres_rad()
+        edges = ((centres[1:] + centres[:-1]) / 2).astype(np.float32)
+        beam = np.searchsorted(edges, echoes.azimuth_rad, side="right")
+    return np.where(inside, row * device.beams + beam, device.range_bins * device.beams)
+
+
+@pytest.mark.parametrize("name", list(SONARS))
+def test_the_window_is_that_of_the_quantiles_of_the_sector(name: str) -> None:
+    device = SONARS[name]
+    frame, rendered = frame_and_render()
+    echoes, _ = plain_surface(frame, rendered, device)
+    half = np.deg2rad(device.hfov_deg) / 2
+    limits = Window(device.projection, device.range.min_m, device.range.max_m, -half, half)
+    away_m = limits.range_of(echoes)
+    inside = (away_m >= limits.range_min_m) & (away_m < limits.range_max_m)
+    inside &= np.abs(echoes.azimuth_rad) <= half
+    found = surface.extent(frame, rendered, device)
+    lit_m = away_m[inside & (echoes.strength > 0)]
+    # In single precision a pixel on a limit may fall on its other side.
+    assert abs(len(found.lit_m) - len(lit_m)) <= 1e-4 * len(lit_m)
+    np.testing.assert_allclose(
+        np.quantile(found.lit_m, [0, 0.005, 0.5, 0.99, 1]),
+        np.quantile(lit_m, [0, 0.005, 0.5, 0.99, 1]),
+        rtol=1e-3,
+    )
+    fitted = fit_window(found, device)
+    azimuth = echoes.azimuth_rad[inside]
+    assert fitted.azimuth_min_rad == pytest.approx(azimuth.min(), abs=2e-6)
+    assert fitted.azimuth_max_rad == pytest.approx(azimuth.max(), abs=2e-6)
+
+
+@pytest.mark.parametrize("name", list(SONARS))
+def test_insonified_surface_as_in_double_precision(name: str) -> None:
+    device = SONARS[name]
+    frame, rendered = frame_and_render()
+    at = fit_window(surface.extent(frame, rendered, device), device)
+    found, pixel, hit = surface.insonified(frame, rendered, at, device)
+    echoes, number = plain_surface(frame, rendered, device)
+    bins = plain_bins(echoes, at, device)
+    kept = (bins < hit.size) & (echoes.strength > 0)
+    echoes, number = echoes.select(kept), number[kept]
+    # All but the few on the edge of the window.
+    assert len(np.setxor1d(number, pixel)) <= 1e-3 * len(number)
+    _, here, there = np.intersect1d(pixel, number, assume_unique=True, return_indices=True)
+    gain = echoes.range_m.astype(np.float64) ** (device.tvg_db_per_decade / 10)
+    expected = replace(echoes, strength=(echoes.strength * gain).astype(np.float32))
+    for field, values in vars(expected).items():
+        given = getattr(found, field)[here]
+        np.testing.assert_allclose(given, values[there], rtol=2e-6, atol=3e-7)
+    assert np.all(np.diff(pixel) > 0)
+    filled = np.zeros(hit.size, np.bool_)
+    filled[polar.bin_index(found, at, device)] = True
+    np.testing.assert_array_equal(hit.ravel(), filled)
+
+
+@pytest.mark.parametrize("name", list(SONARS))
+def test_bins_follow_the_formula(name: str) -> None:
+    device, scene = SONARS[name], camera_scene(20_000)
+    at = window(2, 8, device.projection)
+    bins, expected = polar.bin_index(scene, at, device), plain_bins(scene, at, device)
+    if device.projection == "top_view":  # whose cosine is a polynomial
+        assert np.mean(bins != expected) < 1e-3
+    else:
+        np.testing.assert_array_equal(bins, expected)
+
+
+def test_density_is_a_histogram() -> None:
+    scene, at = camera_scene(20_000), window()
+    scene.strength[::3] = 0
+    lit = scene.select(scene.strength > 0)
+    edges: Any = [np.linspace(1, 9, 65), np.linspace(at.azimuth_min_rad, at.azimuth_max_rad, 49)]
+    expected, *_ = np.histogram2d(lit.range_m, lit.azimuth_rad, edges)
+    found = polar.density(scene, at, 64, 48)
+    assert found.sum() == pytest.approx(expected.sum(), abs=3)
+    assert np.abs(found - expected).sum() <= 8  # points on an edge
+
+
+# --- pictures ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("how", ["sum", "mean", "max"])
+def test_accumulation_is_that_of_numpy_and_parts_need_not_be_joined(how: str) -> None:
+    device, at = sonar(accumulate=how), window()
+    scene = camera_scene(50_000)
+    rng = np.random.default_rng(3)
+    scene = replace(scene, strength=rng.random(50_000, dtype=np.float32))
+    bins = plain_bins(scene, at, device)
+    size = device.range_bins * device.beams
+    total: Any = np.bincount(bins, weights=scene.strength, minlength=size + 1)[:size]
+    if how == "mean":
+        total /= np.maximum(np.bincount(bins, minlength=size + 1)[:size], 1)
+    elif how == "max":
+        total[:] = 0
+        np.maximum.at(total, bins[bins < size], scene.strength[bins < size])
+    level = polar.accumulate(scene, at, device)
+    np.testing.assert_allclose(level.ravel(), total, rtol=1e-5)
+    halves = [scene.select(np.arange(50_000) % 3 == part) for part in range(3)]
+    np.testing.assert_array_equal(
+        polar.accumulate(halves[0], at, device, *halves[1:]),
+        polar.accumulate(join(*halves), at, device),
+    )
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    level=arrays(
+        np.float32,
+        array_shapes(min_dims=2, max_dims=2, max_side=12),
+        elements=st.floats(0, 100, width=32),
+    ),
+    range_bins=st.sampled_from([0, 0.3, 0.7, 2.5]),
+    beams=st.sampled_from([0, 0.5, 1.2]),
+)
+def test_blur_is_that_of_scipy(
+    level: npt.NDArray[np.float32], range_bins: float, beams: float
+) -> None:
+    device = sonar(point_spread={"range_bins": range_bins, "beams": beams})
+    expected = ndimage.gaussian_filter(
+        level.astype(np.float64), (range_bins, beams), mode="constant", truncate=3.0
+    )
+    np.testing.assert_allclose(polar.spread_points(level, device), expected, rtol=1e-5, atol=1e-5)
+
+
+@settings(max_examples=30, deadline=None)
+@given(hit=arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=14)))
+def test_closing_is_that_of_scipy(hit: npt.NDArray[np.bool_]) -> None:
+    grid = ndimage.binary_closing(np.pad(hit, 9), structure=np.ones((5, 3), np.bool_))
+    np.testing.assert_array_equal(polar.covered(hit), grid[9:-9, 9:-9])
+
+
+def test_fan_is_bilinear_and_nearest_as_scipy_interpolates() -> None:
+    device = sonar(beams=40, range_bins=60, hfov_deg=90)
+    table = fan_table(device, 0.25)
+    rng = np.random.default_rng(0)
+    level = rng.random((60, 40), dtype=np.float32)
+    rows, columns = device.image.height_px, device.image.width_px
+    ahead = 1 - (np.arange(rows)[:, None] + 0.5) * table.pixel_fraction
+    right = (np.arange(columns)[None] + 0.5 - columns / 2) * table.pixel_fraction
+    row = (np.hypot(ahead, right) - 0.25) / 0.75 * 60 - 0.5
+    beam = (np.arctan2(right, ahead) + np.deg2rad(45)) / np.deg2rad(90) * 40 - 0.5
+    places = [row[table.inside], beam[table.inside]]
+    expected = ndimage.map_coordinates(level, places, order=1, mode="nearest")
+    np.testing.assert_allclose(table.bilinear(level)[table.inside], expected, atol=2e-5)
+    assert not table.bilinear(level)[~table.inside].any()
+    near = table.nearest(level, np.nan)
+    expected = ndimage.map_coordinates(level, places, order=0, mode="nearest")
+    assert np.mean(near[table.inside] != expected) < 1e-3  # half way between two
+    assert np.isnan(near[~table.inside]).all()
+    mask = table.nearest(level > 0.5)
+    assert mask.dtype == np.bool_
+    assert not mask[~table.inside].any()
+
+
+# --- numbers ----------------------------------------------------------------------------------
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    values=arrays(np.float32, st.integers(1, 60), elements=st.floats(0, 2.0**100, width=32)),
+    fraction=st.floats(0, 1),
+    skip=st.integers(0, 59),
+)
+def test_quantiles_are_those_of_numpy(
+    values: npt.NDArray[np.float32], fraction: float, skip: int
+) -> None:
+    skip = min(skip, len(values) - 1)
+    expected = np.quantile(np.sort(values.astype(np.float64))[skip:], [fraction, 0.5])
+    np.testing.assert_allclose(quantiles(values, (fraction, 0.5), skip=skip), expected, rtol=1e-6)
+
+
+def test_full_scale_is_a_percentile_of_the_echoing_bins() -> None:
+    rng = np.random.default_rng(0)
+    level = np.maximum(rng.normal(0, 1, (90, 70)), 0).astype(np.float32)
+    curve = TransferSettings(percentile=83.0)
+    expected = np.percentile(level[level > 0].astype(np.float64), 83)
+    assert transfer.full_scale(level, curve) == pytest.approx(expected, rel=1e-6)
+    assert transfer.full_scale(level * 0, curve) == 1
+
+
+def test_half_normal_is_the_inverse_of_its_distribution() -> None:
+    from simnfnd.factory.sonar import number_loops
+
+    lot = np.random.default_rng(0).random(100_000, dtype=np.float32)
+    lot[:3] = 0, 2**-24, 1 - 2**-24  # the least and the most there is
+    size = np.empty_like(lot)
+    number_loops.half_normal(lot, size)
+    expected = np.sqrt(2) * special.erfinv(lot.astype(np.float64))
+    np.testing.assert_allclose(size, expected, rtol=1e-6)
+
+
+def test_thinning_keeps_what_the_same_draws_choose() -> None:
+    scene = camera_scene(5_000)
+    kept = resample.random_subset(scene, 0.3, seeds.stream(1, "x"))
+    lot = seeds.stream(1, "x").random(5_000, dtype=np.float32)
+    for field, values in vars(scene.select(lot < np.float32(0.3))).items():
+        np.testing.assert_array_equal(getattr(kept, field), values)
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 2**200), names=st.lists(st.text(max_size=4) | st.integers(), max_size=3))
+def test_streams_are_those_of_numpys_seed_sequence(seed: int, names: list[str | int]) -> None:
+    plain = np.random.SeedSequence(seed, spawn_key=seeds.spawn_key(*names))
+    expected = np.random.Generator(np.random.PCG64(plain)).integers(2**62, size=3)
+    np.testing.assert_array_equal(seeds.stream(seed, *names).integers(2**62, size=3), expected)
+
+
+# --- compiled once ----------------------------------------------------------------------------
+
+
+def test_every_module_of_loops_is_compiled_before_workers_start() -> None:
+    """A module that `compile_all` forgets would be compiled by every worker at once."""
+    from simnfnd.factory.compiled import LOOPS
+
+    using = {
+        ".".join(("simnfnd", *path.relative_to(ROOT).with_suffix("").parts))
+        for path in (ROOT / "factory").rglob("*.py")
+        if "\n@compiled(" in path.read_text(encoding="utf-8")
+    }
+    assert using == set(LOOPS)
+    for name in LOOPS:
+        importlib.import_module(name)
+
+
+def test_loops_work_where_nothing_can_be_kept(tmp_path: Path) -> None:
+    """Neither the package nor the user's cache can be written: compiled in memory, same result."""
+    code = """
+import numba.core.caching as caching
+caching.CacheImpl._locator_classes = []
+from simnfnd.factory.compiled import compiled
+
+@compiled("int64(int64)")
+def twice(number):
+    return 2 * number
+
+assert twice(21) == 42
+"""
+    script = tmp_path / "script.py"
+    script.write_text(code)
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_pictures_need_no_memory_of_the_system_once_warm() -> None:
+    """Page faults of a pair after the first few: none to speak of, where the C library is GNU's."""
+    resource = pytest.importorskip("resource")
+    if not keep_freed_memory():
+        pytest.skip("another C library")
+    from simnfnd.factory.pairs import make_pair, observe
+
+    config = from_mapping({"scenes": {"kind": "seabed"}})
+    frame, rendered = ground_and_post(640, 480), plain_render(ground_and_post(640, 480))
+    faults = []
+    for variant in range(6):
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        make_pair(observe(frame, rendered, config.sonar), variant, config)
+        faults.append(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+    # One pair's arrays are ten megabytes, 2500 pages.
+    assert min(faults[2:]) < 100

@@ -1,0 +1,206 @@
+"""One frame to its pairs: what clean and noisy share, what differs, and that it repeats."""
+
+import numpy as np
+import pytest
+
+from simnfnd.factory import pairs
+from simnfnd.factory.config import FactoryConfig, from_mapping
+from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.formation.record import columns, image_axes
+from simnfnd.factory.sonar.fan import fan_table
+from tests.frames import POST_M, ground_and_post, plain_render
+
+OFF = {
+    effect: {"enabled": False}
+    for effect in ("range_spreading", "multipath", "azimuth", "range_arc", "background")
+}
+
+
+def config(**keys) -> FactoryConfig:
+    return from_mapping({"scenes": {"kind": "seabed"}, **keys})
+
+
+def observed(settings: FactoryConfig, frame=None):
+    frame = frame or ground_and_post()
+    return pairs.observe(frame, plain_render(frame), settings.sonar)
+
+
+def test_without_noise_the_noisy_picture_is_the_clean_one():
+    settings = config(noise=OFF)
+    pair = pairs.make_pair(observed(settings), 0, settings)
+    np.testing.assert_array_equal(pair.noisy, pair.clean)
+    assert pair.clean.max() == 255
+
+
+@pytest.mark.parametrize("effect", list(OFF))
+def test_each_effect_alone_changes_the_noisy_picture_only(effect):
+    settings = config(noise=OFF)
+    some = {"enabled": True} | ({"count": 2} if effect in ("range_arc", "multipath") else {})
+    alone = config(noise={**OFF, effect: some})
+    quiet = pairs.make_pair(observed(settings), 0, settings)
+    loud = pairs.make_pair(observed(alone), 0, alone)
+    np.testing.assert_array_equal(loud.clean, quiet.clean)
+    assert np.abs(loud.noisy.astype(int) - quiet.noisy).sum() > 500
+
+
+def test_the_same_sample_has_the_same_bytes_and_variants_differ():
+    settings = config()
+    first, again = (pairs.make_pair(observed(settings), 1, settings) for _ in range(2))
+    other = pairs.make_pair(observed(settings), 2, settings)
+    assert first.noisy.tobytes() == again.noisy.tobytes()
+    assert first.record == again.record
+    assert first.noisy.tobytes() != other.noisy.tobytes()
+    assert first.record["seed_key"] != other.record["seed_key"]
+
+
+def test_seed_changes_the_noise_and_never_the_scene():
+    one, two = (config(seed=seed, resample={"rate": 1.0}) for seed in (1, 2))
+    first, second = (pairs.make_pair(observed(settings), 0, settings) for settings in (one, two))
+    np.testing.assert_array_equal(first.clean, second.clean)
+    assert first.noisy.tobytes() != second.noisy.tobytes()
+
+
+def test_the_record_makes_the_sample_again():
+    """Every drawn value, given back as a number, gives the same picture."""
+    drawn = {"background": {"density": {"uniform": [0.1, 0.9]}, "strength": {"uniform": [0, 1]}}}
+    settings = config(noise=drawn, resample={"rate": {"uniform": [0.3, 0.9]}})
+    pair = pairs.make_pair(observed(settings), 3, settings)
+    fixed = {
+        "background": {
+            "density": pair.record["noise.background.density"],
+            "strength": pair.record["noise.background.strength"],
+        }
+    }
+    replay = config(noise=fixed, resample={"rate": pair.record["resample.rate"]})
+    again = pairs.make_pair(observed(replay), 3, replay)
+    assert again.noisy.tobytes() == pair.noisy.tobytes()
+
+
+@pytest.mark.parametrize("projection", ["slant_range", "top_view"])
+def test_the_post_is_where_it_stands_and_casts_a_shadow(projection):
+    settings = config(
+        noise=OFF,
+        resample={"rate": 1.0},
+        sonar={
+            "projection": projection,
+            "vfov_deg": 60,
+            "image": {"layout": "polar"},
+            "tvg_db_per_decade": 20,
+            "transfer": {"percentile": 100},
+        },
+    )
+    frame = ground_and_post(480, 320)
+    scene = observed(settings, frame)
+    pair = pairs.make_pair(scene, 0, settings)
+    window = scene.window
+    middle = pair.clean[:, 126:130].mean(axis=1)
+    range_m = window.range_min_m + (np.arange(256) + 0.5) / 256 * window.range_span_m
+    # It stands at 3 m along the optical axis; its ends are up to 4 % farther in slant range.
+    brightest_m = range_m[middle.argmax()]
+    assert POST_M * 0.99 < brightest_m < POST_M * (1.05 if projection == "slant_range" else 1.01)
+    # Over its head the seabed shows again from 8 m on.
+    behind = (range_m > POST_M * 1.25) & (range_m < 7.5)
+    assert pair.shadow[behind][:, 126:130].mean() > 0.95
+    assert pair.shadow[behind][:, 40:60].mean() < 0.05
+    assert middle[behind].mean() < 2
+
+
+def test_resampling_keeps_the_asked_fraction():
+    settings = config(resample={"rate": 0.25})
+    scene = observed(settings)
+    pair = pairs.make_pair(scene, 0, settings)
+    assert pair.record["points.scene"] == pytest.approx(0.25 * len(scene.echoes), rel=0.05)
+    background = float(pair.record["points.background"]) / float(pair.record["points.scene"])
+    assert background == pytest.approx(pair.record["noise.background.density"], rel=0.01)
+
+
+def test_voxel_resampling_by_open3d_keeps_the_asked_fraction():
+    pytest.importorskip("open3d")
+    settings = config(resample={"kind": "voxel", "rate": 0.2})
+    scene = observed(settings)
+    pair = pairs.make_pair(scene, 0, settings)
+    assert pair.record["points.scene"] == pytest.approx(0.2 * len(scene.echoes), rel=0.05)
+    again = pairs.make_pair(scene, 0, settings)
+    assert pair.noisy.tobytes() == again.noisy.tobytes()
+
+
+def test_thinning_first_has_the_distribution_of_thinning_everything():
+    """Scene first, noise in proportion: mean and spread of the level as when all is thinned."""
+    from simnfnd.factory.formation import resample
+    from simnfnd.factory.noise.background import background
+    from simnfnd.factory.sonar import polar
+    from tests.clouds import uniform_scene, window
+
+    device = config(sonar={"beams": 16, "range_bins": 16, "range": {"min_m": 1, "max_m": 9}}).sonar
+    scene = uniform_scene(8000)
+    first, last = [], []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        kept = resample.random_subset(scene, 0.3, rng)
+        noise = background(kept, window(), rng, density=0.5, strength=1.0)
+        first.append(
+            polar.accumulate(kept, window(), device) + polar.accumulate(noise, window(), device)
+        )
+        noise = background(scene, window(), rng, density=0.5, strength=1.0)
+        everything = [resample.random_subset(part, 0.3, rng) for part in (scene, noise)]
+        last.append(sum(polar.accumulate(part, window(), device) for part in everything))
+    before, after = np.array(first), np.array(last)
+    assert before.mean() == pytest.approx(after.mean(), rel=0.01)
+    assert before.std(axis=0).mean() == pytest.approx(after.std(axis=0).mean(), rel=0.05)
+
+
+def test_bearings_that_the_camera_did_not_see_are_black_in_both():
+    settings = config(sonar={"hfov_deg": 120, "image": {"layout": "polar"}})
+    scene = observed(settings)
+    pair = pairs.make_pair(scene, 0, settings)
+    unseen = np.abs(np.rad2deg(settings.sonar.beam_centres_rad())) > 23.5
+    assert not pair.noisy[:, unseen].any()
+    assert not pair.clean[:, unseen].any()
+    assert not pair.shadow[:, unseen].any()
+    assert pair.noisy[:, ~unseen].any(axis=0).mean() > 0.9
+    assert pair.record["azimuth_max_deg"] == pytest.approx(22.4, abs=0.3)
+
+
+def test_fan_pictures_are_black_outside_the_sector():
+    settings = config()
+    scene = observed(settings)
+    pair = pairs.make_pair(scene, 0, settings)
+    outside = ~fan_table(settings.sonar, scene.window.near_fraction).inside
+    assert not pair.noisy[outside].any()
+    assert not pair.shadow[outside].any()
+
+
+def test_float_pictures_are_the_unquantised_ones():
+    as_float = config(dataset={"dtype": "float32"})
+    as_bytes = config()
+    exact = pairs.make_pair(observed(as_float), 0, as_float)
+    rounded = pairs.make_pair(observed(as_bytes), 0, as_bytes)
+    assert exact.noisy.dtype == np.float32
+    assert np.abs(exact.noisy.astype(float) * 255 - rounded.noisy.astype(float)).max() <= 0.501
+
+
+def test_a_sonar_that_looks_elsewhere_is_a_bad_frame_with_its_name():
+    settings = config(sonar={"mount": {"yaw_deg": 120}})
+    with pytest.raises(FrameError, match="here/plain/0001"):
+        observed(settings)
+
+
+def test_analytic_render_is_refused_for_a_sonar_away_from_the_camera():
+    with pytest.raises(FactoryError, match="casts no shadows"):
+        config(render={"kind": "analytic"}, sonar={"mount": {"translation_m": [0, 0, 1]}})
+
+
+def test_record_has_exactly_the_columns():
+    settings = config()
+    pair = pairs.make_pair(observed(settings), 0, settings)
+    assert set(pair.record) == {column.name for column in columns(settings.noise)}
+    assert {axis.values.size for axis in image_axes(settings.sonar)} == {256}
+
+
+def test_fixed_range_axes_are_metres():
+    settings = config(sonar={"range": {"auto": False, "min_m": 1, "max_m": 5}})
+    ahead, right = image_axes(settings.sonar)
+    assert ahead.units == right.units == "m"
+    assert ahead.values[0] > ahead.values[-1]
+    assert ahead.values[0] == pytest.approx(5, abs=0.02)
+    assert right.values.mean() == pytest.approx(0, abs=1e-9)

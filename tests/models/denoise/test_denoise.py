@@ -1,0 +1,346 @@
+"""`simnfnd denoise`: what comes in comes out, denoised, under its own name."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import cv2
+import h5py
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.models import build_network
+from simnfnd.models.data.geometry import polar_picture
+from simnfnd.models.denoise.command import Item, denoise_image, find_items, load_denoiser, main
+from simnfnd.models.denoise.tile import starts, tiled
+from simnfnd.models.networks.network import Network
+from simnfnd.models.weights import load_weights, save_weights
+from tests.small_dataset import fan_images, write_dataset, write_manifest
+
+TINY = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 0, "decoder": [1]}
+
+
+def half(gray: npt.NDArray[np.float32], geometry: object = None) -> npt.NDArray[np.float32]:
+    """A denoiser whose result is easy to foretell."""
+    return gray / 2
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Weights of an untrained network: it changes images, and by how much can be computed."""
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("weights") / "weights.safetensors"
+    save_weights(path, build_network(TINY), TINY, {})
+    return path
+
+
+def untrained_sonarnet(folder: Path) -> Path:
+    """Weights that expect to gain 3 dB on every picture, with a limit of 3.5 dB."""
+    config = {
+        **{"kind": "sonarnet", "widths": [4, 4], "blocks": [0, 0], "polar": False},
+        **{"mask": True, "least_gain_db": 3.5, "forget": 0.0},
+    }
+    torch.manual_seed(0)
+    path = folder / "weights.safetensors"
+    save_weights(path, build_network(config), config, {})
+    return path
+
+
+def through_network(weights: Path, image: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    network = load_weights(weights).network
+    with torch.inference_mode():
+        result = network(torch.from_numpy(image.astype(np.float32))[None, None])
+    return np.asarray(np.clip(result[0, 0].numpy(), 0, 1), dtype=np.float64)
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
+@pytest.mark.parametrize("shape", [(6, 7), (6, 7, 3), (6, 7, 4), (1, 1)])
+def test_shape_dtype_and_scale_stay(dtype: str, shape: tuple[int, ...]) -> None:
+    full = {"uint8": 255, "uint16": 65535, "float32": 1}[dtype]
+    image = np.random.default_rng(0).random(shape) * full
+    image = image.astype(dtype) if dtype == "float32" else np.rint(image).astype(dtype)
+    result = denoise_image(image, half)
+    assert result.shape == shape
+    assert result.dtype == image.dtype
+    tolerance = 1e-6 if dtype == "float32" else 0.5
+    colours = np.s_[..., :3]
+    assert np.abs(result[colours] - image[colours] / 2.0).max() <= tolerance
+    if shape[-1] == 4:
+        assert np.array_equal(result[..., 3], image[..., 3]), "alpha is no echo"
+
+
+def test_unusable_pixels_are_refused() -> None:
+    for image, words in (
+        (np.full((4, 4), np.nan, np.float32), r"0\.\.1"),
+        (np.full((4, 4), 3, np.float32), r"0\.\.1"),
+        (np.zeros((4, 4), np.int32), "int32"),
+        (np.zeros((0, 4), np.uint8), "shape"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            denoise_image(image, half)
+
+
+def test_images_keep_name_size_and_dtype(
+    weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    noisy, _, _ = fan_images(40, np.random.default_rng(0))
+    noisy = noisy[:31]
+    images: dict[str, npt.NDArray[Any]] = {
+        "a.png": (noisy * 255).astype(np.uint8),
+        "deep/b.png": (noisy * 65535).astype(np.uint16),
+        "deep/c.tif": noisy,
+        "d.PNG": np.repeat((noisy * 255).astype(np.uint8)[..., None], 3, axis=2),
+    }
+    for name, image in images.items():
+        path = tmp_path / "in" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        assert cv2.imwrite(str(path), image)
+    out = tmp_path / "out"
+    arguments = [str(tmp_path / "in"), "--out", str(out), "--weights", str(weights), "--compare"]
+    assert main(arguments) == 0
+    assert "denoised: 4 file(s)" in capsys.readouterr().out
+    for name, image in images.items():
+        result = cv2.imread(str(out / name), cv2.IMREAD_UNCHANGED)
+        assert result is not None
+        assert (result.shape, result.dtype) == (image.shape, image.dtype)
+        full = {"uint8": 255, "uint16": 65535, "float32": 1}[str(image.dtype)]
+        gray = image[..., 0] if image.ndim == 3 else image
+        shown = result[..., 0] if result.ndim == 3 else result
+        expected = through_network(weights, gray / full)
+        assert np.abs(shown / full - expected).max() <= 0.51 / full + 1e-6
+        assert not np.array_equal(result, image)
+        sheet = cv2.imread(str((out / "compare" / name).with_suffix(".png")), cv2.IMREAD_UNCHANGED)
+        assert sheet is not None
+        assert sheet.shape[:2] == (31, 2 * 40 + 4)
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    assert main(arguments) == 0
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+
+
+def test_pictures_given_back_as_they_came_are_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    weights = untrained_sonarnet(tmp_path)
+    (tmp_path / "in").mkdir()
+    noisy = (fan_images(40, np.random.default_rng(0))[0] * 255).astype(np.uint8)
+    for name in ("a", "b"):
+        assert cv2.imwrite(str(tmp_path / "in" / f"{name}.png"), noisy)
+    arguments = [str(tmp_path / "in"), "--out", str(tmp_path / "out"), "--weights", str(weights)]
+    assert main(arguments) == 0
+    assert "given back as they came: 2 of 2 picture(s)" in capsys.readouterr().out
+    result = tmp_path / "out" / "a.png"
+    assert np.array_equal(cv2.imread(str(result), cv2.IMREAD_UNCHANGED), noisy)
+    assert main([*arguments, "--always"]) == 0
+    assert "given back" not in capsys.readouterr().out
+    assert not np.array_equal(cv2.imread(str(result), cv2.IMREAD_UNCHANGED), noisy)
+
+
+def test_nobody_is_told_of_pictures_that_a_network_cannot_give_back(
+    weights: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    denoise = load_denoiser(weights)
+    monkeypatch.setattr(denoise, "_one", lambda gray, maps: (gray, None))
+    denoise(np.zeros((8, 8), np.float32))
+    assert (denoise.seen, denoise.left) == (1, 0)
+
+
+@pytest.mark.parametrize(("right_db", "left"), [(6.5, 0), (5.0, 1)])
+def test_a_large_picture_is_denoised_as_a_whole_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, right_db: float, left: int
+) -> None:
+    """One tile of two is left alone by itself; with limit 3.5 dB the mean of both counts."""
+    weights = untrained_sonarnet(tmp_path)
+    denoise = load_denoiser(weights, "cpu", tile=32, overlap=0)
+    gray = np.full((32, 64), 0.5, np.float32)
+    gray[:, 32:] = 0.75
+    monkeypatch.setattr(
+        denoise, "_one", lambda part, maps: (part / 2, right_db if part[0, 0] > 0.6 else 1.0)
+    )
+    result = denoise(gray)
+    assert np.array_equal(result, gray if left else gray / 2)
+    assert (denoise.seen, denoise.left) == (1, left)
+
+
+def test_shards_become_denoised_shards(weights: Path, tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data", train=4, test=2, size=32)
+    write_manifest(dataset, "train/shard-00000.h5", "test/shard-00000.h5")
+    (dataset / "preview.png").write_bytes(b"no sonar image")
+    out = tmp_path / "out"
+    arguments = [str(dataset), "--out", str(out), "--weights", str(weights), "--compare"]
+    assert main(arguments) == 0
+    names = sorted(p.relative_to(out).as_posix() for p in out.rglob("*") if p.is_file())
+    assert names == [
+        "compare/test/shard-00000.png",
+        "compare/train/shard-00000.png",
+        "test/shard-00000.h5",
+        "train/shard-00000.h5",
+    ]
+    source = dataset / "train" / "shard-00000.h5"
+    with h5py.File(source) as noisy, h5py.File(out / "train" / "shard-00000.h5") as done:
+        assert done["denoised"].shape == noisy["noisy"].shape
+        assert done["denoised"].dtype == np.uint8
+        assert np.array_equal(done["meta"][()], noisy["meta"][()])
+        assert np.array_equal(done["axes/range"][()], noisy["axes/range"][()])
+        for row in range(4):
+            expected = through_network(weights, noisy["noisy"][row] / 255) * 255
+            assert np.abs(done["denoised"][row] - expected).max() <= 0.51
+    sheet = cv2.imread(str(out / "compare/train/shard-00000.png"))
+    assert sheet is not None
+    assert sheet.shape[:2] == (4 * 32, 3 * 32 + 2 * 4)
+
+
+def test_a_bad_file_among_good_ones_is_skipped(
+    weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "in"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "good.png"), np.zeros((9, 9), np.uint8))
+    (folder / "broken.png").write_bytes(b"\x89PNG not")
+    (folder / "empty.png").write_bytes(b"")
+    (folder / "other.h5").write_bytes(b"no HDF5")
+    out = tmp_path / "out"
+    assert main([str(folder), "--out", str(out), "--weights", str(weights)]) == 1
+    said = capsys.readouterr()
+    assert "denoised: 1 file(s)" in said.out
+    for name in ("broken.png: not a readable image", "empty.png", "other.h5: not a readable"):
+        assert name in said.err
+    assert [path.name for path in out.iterdir()] == ["good.png"]
+    (folder / "good.png").unlink()
+    with pytest.raises(FactoryError, match=r"broken\.png.*and 2 more"):
+        main([str(folder), "--out", str(out), "--weights", str(weights)])
+
+
+def test_no_result_replaces_another_file(tmp_path: Path) -> None:
+    for name in ("a/x.png", "b/x.png"):
+        path = tmp_path / name
+        path.parent.mkdir()
+        cv2.imwrite(str(path), np.zeros((9, 9), np.uint8))
+    first, second = tmp_path / "a" / "x.png", tmp_path / "b" / "x.png"
+    with pytest.raises(FactoryError, match=r"both become x\.png"):
+        find_items([first, second], tmp_path / "out")
+    with pytest.raises(FactoryError, match="would overwrite the input"):
+        find_items([first], tmp_path / "a")
+    # Results of an earlier run below the input folder are no input.
+    out = tmp_path / "a" / "out"
+    out.mkdir()
+    (out / "x.png").write_bytes(first.read_bytes())
+    assert find_items([tmp_path / "a"], out) == [Item(first, Path("x.png"))]
+
+
+def test_nothing_to_denoise(tmp_path: Path) -> None:
+    with pytest.raises(FactoryError, match="no such file or folder"):
+        find_items([tmp_path / "nowhere"], tmp_path / "out")
+    with pytest.raises(FactoryError, match="holds no image"):
+        find_items([tmp_path], tmp_path / "out")
+    (tmp_path / "notes.txt").write_text("words", encoding="utf-8")
+    with pytest.raises(FactoryError, match="neither an image nor a shard"):
+        find_items([tmp_path / "notes.txt"], tmp_path / "out")
+
+
+def test_videos_become_folders_of_frames(weights: Path, tmp_path: Path) -> None:
+    noisy, _, _ = fan_images(48, np.random.default_rng(1))
+    grey = (noisy * 255).astype(np.uint8)
+    path = tmp_path / "dive.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10, (48, 48))
+    for shift in range(3):
+        writer.write(cv2.cvtColor(np.roll(grey, shift, axis=1), cv2.COLOR_GRAY2BGR))
+    writer.release()
+    out = tmp_path / "out"
+    assert main([str(path), "--out", str(out), "--weights", str(weights), "--compare"]) == 0
+    frames = sorted((out / "dive.avi").iterdir())
+    assert [frame.name for frame in frames] == ["000000.png", "000001.png", "000002.png"]
+    capture = cv2.VideoCapture(str(path))
+    for frame in frames:
+        _, original = capture.read()
+        result = cv2.imread(str(frame), cv2.IMREAD_UNCHANGED)
+        assert result is not None
+        expected = through_network(weights, original[..., 0] / 255.0) * 255
+        shown = result if result.ndim == 2 else result[..., 0]
+        assert np.abs(shown - expected).max() <= 0.51
+    assert (out / "compare" / "dive.png").is_file()
+    (tmp_path / "broken.mp4").write_bytes(b"no video")
+    with pytest.raises(FactoryError, match=r"broken\.mp4: not a readable video"):
+        main([str(tmp_path / "broken.mp4"), "--out", str(out), "--weights", str(weights)])
+
+
+@given(st.integers(1, 400), st.integers(8, 64), st.data())
+def test_tiles_cover_every_pixel_and_share_enough(
+    size: int, tile: int, data: st.DataObject
+) -> None:
+    overlap = data.draw(st.integers(0, tile // 2))
+    found = starts(size, tile, overlap)
+    assert found[0] == 0
+    assert found[-1] + tile >= size
+    assert size <= tile or found[-1] + tile == size
+    for first, second in pairwise(found):
+        assert overlap <= first + tile - second < tile
+
+
+def test_tiles_leave_no_seam() -> None:
+    rng = np.random.default_rng(0)
+    image = rng.random((90, 130)).astype(np.float32)
+    scale = {"scale": np.linspace(0, 1, 90 * 130, dtype=np.float32).reshape(90, 130)}
+
+    def local(part: npt.NDArray[np.float32], maps: Any) -> npt.NDArray[np.float32]:
+        # What a network with a small field of view does: pixels and their neighbours.
+        return np.asarray(ndimage.uniform_filter(part, 5, mode="nearest") * maps["scale"])
+
+    whole, parts = local(image, scale), tiled(local, image, scale, 48, 20)
+    np.testing.assert_allclose(parts[3:-3, 3:-3], whole[3:-3, 3:-3], atol=0.02)
+    middle = np.abs(parts - whole)[3:-3, 3:-3]
+    assert np.median(middle) < 1e-6
+
+    def brightening(part: npt.NDArray[np.float32], maps: Any) -> npt.NDArray[np.float32]:
+        # Each tile comes out brighter than the one before: the worst seam that there could be.
+        brightening.calls += 1  # type: ignore[attr-defined]
+        return np.full(part.shape, brightening.calls, np.float32)  # type: ignore[attr-defined]
+
+    brightening.calls = 0  # type: ignore[attr-defined]
+    blended = tiled(brightening, np.zeros((40, 200), np.float32), {}, 60, 20)
+    assert np.abs(np.diff(blended, axis=1)).max() <= 1.01 / 20
+    with pytest.raises(ValueError, match="half of the tile"):
+        tiled(local, image, scale, 32, 20)
+
+
+def test_large_pictures_are_denoised_in_tiles(weights: Path) -> None:
+    noisy, _, _ = fan_images(96, np.random.default_rng(2))
+    whole = load_denoiser(weights, "cpu")(noisy)
+    parts = load_denoiser(weights, "cpu", tile=64, overlap=24)(noisy)
+    # NAFNet's attention is a mean over the tile, so a little differs.
+    assert np.abs(whole - parts).max() < 0.05
+    assert parts.dtype == np.float32
+    with pytest.raises(FactoryError, match="--overlap 40: must be at most half"):
+        main(["x.png", "--out", "o", "--tile", "64", "--overlap", "40"])
+
+
+def test_geometry_reaches_the_network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[tuple[str, ...]] = []
+
+    class Told(Network):
+        extras = ("range_fraction", "sector", "noise_level")
+
+        def __init__(self) -> None:
+            super().__init__(channels=1, stride=1)
+            self.scale = torch.nn.Parameter(torch.ones(()))
+
+        def restore(self, noisy: torch.Tensor, **extras: torch.Tensor) -> torch.Tensor:
+            told.append(tuple(extras))
+            return noisy * self.scale
+
+    monkeypatch.setattr("simnfnd.models.weights.build_network", lambda model: Told())
+    path = tmp_path / "weights.safetensors"
+    save_weights(path, Told(), {"kind": "told"}, {})
+    denoise = load_denoiser(path, "cpu")
+    gray = np.zeros((20, 20), np.float32)
+    denoise(gray)
+    denoise(gray, polar_picture(20, 20))
+    denoise(gray, layout="polar")
+    assert told == [(), ("range_fraction", "sector"), ("range_fraction", "sector")]

@@ -1,0 +1,119 @@
+"""Weights that ship: 16 bits, a card, and a name instead of a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.models import build_network, pretrained
+from simnfnd.models.weights import load_weights, save_weights
+from simnfnd.models.weights_export import export, main
+
+TINY = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 0, "decoder": [1]}
+FACTS = {
+    "loss.kind": "l1",
+    "dataset.config_hash": "0123abcd",
+    "seed": 3,
+    "validation": {"step": 40, "psnr_noisy": 17.6, "psnr": 24.1, "ssim_noisy": 0.67, "ssim": 0.86},
+}
+
+
+@pytest.fixture
+def weights(tmp_path: Path) -> Path:
+    torch.manual_seed(1)
+    path = tmp_path / "weights.safetensors"
+    save_weights(path, build_network(TINY), TINY, FACTS)
+    return path
+
+
+def test_exported_weights_are_half_the_size_and_denoise_the_same(
+    weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "shipped" / "small.safetensors"
+    figures = tmp_path / "figures.md"
+    figures.write_text("+7.1 dB on everything", encoding="utf-8")
+    assert main([str(weights), "--out", str(out), "--figures", str(figures)]) == 0
+    assert str(out) in capsys.readouterr().out
+    before, after = load_weights(weights), load_weights(out)
+    image = torch.rand(1, 1, 40, 40)
+    with torch.inference_mode():
+        torch.testing.assert_close(after.network(image), before.network(image), atol=2e-3, rtol=0)
+    assert next(after.network.parameters()).dtype == torch.float32
+    assert after.training == before.training
+    count = sum(parameter.numel() for parameter in after.network.parameters())
+    assert out.stat().st_size < 2 * count + 4000
+    card = out.with_suffix(".md").read_text(encoding="utf-8")
+    for words in (
+        f"{count:,}",
+        "GMAC",
+        "`dataset.config_hash` | 0123abcd",
+        "+7.1 dB",
+        "| seed | 3",
+    ):
+        assert words in card
+    first = out.read_bytes()
+    export(weights, out)
+    assert out.read_bytes() == first
+    card = out.with_suffix(".md").read_text(encoding="utf-8")
+    assert "17.60 -> 24.10 dB" in card
+
+
+def test_what_cannot_ship_is_refused(weights: Path, tmp_path: Path) -> None:
+    with pytest.raises(FactoryError, match=r"must end in \.safetensors"):
+        main([str(weights), "--out", str(tmp_path / "x.bin")])
+    with pytest.raises(FactoryError, match="no such file"):
+        export(tmp_path / "nowhere.safetensors", tmp_path / "x.safetensors")
+    wide = {**TINY, "width": 256, "encoder": [1, 1], "decoder": [1, 1]}
+    big = tmp_path / "big.safetensors"
+    save_weights(big, build_network(wide), wide, {})
+    with pytest.raises(FactoryError, match=r"more than the 8 MB that may ship"):
+        export(big, tmp_path / "x.safetensors")
+    huge = build_network(TINY)
+    with torch.no_grad():
+        next(huge.parameters()).fill_(1e6)
+    save_weights(big, huge, TINY, {})
+    with pytest.raises(FactoryError, match="does not fit into 16 bits"):
+        export(big, tmp_path / "x.safetensors")
+    assert not (tmp_path / "x.safetensors").exists()
+
+
+def test_a_setting_may_change_after_training(tmp_path: Path) -> None:
+    polar = {"kind": "sonarnet", "widths": [4, 4], "blocks": [0, 0], "polar": False}
+    config = {**polar, "mask": True, "least_gain_db": 0.5, "forget": 0.0}
+    trained, out = tmp_path / "trained.safetensors", tmp_path / "out.safetensors"
+    save_weights(trained, build_network(config), config, {})
+    assert main([str(trained), "--out", str(out), "--set", "least_gain_db=3"]) == 0
+    assert load_weights(out).model == {**config, "least_gain_db": 3}
+    with pytest.raises(FactoryError, match="set only what does not change its sizes"):
+        export(trained, out, changes={"widths": [4, 8]})
+    with pytest.raises(FactoryError, match=r"model\.least_gain_db"):
+        export(trained, out, changes={"least_gain_db": "much"})
+    with pytest.raises(FactoryError, match="--set least_gain_db: is no KEY=VALUE"):
+        main([str(trained), "--out", str(out), "--set", "least_gain_db"])
+    assert load_weights(out).model["least_gain_db"] == 3
+
+
+def test_weights_that_ship_are_found_by_name(
+    weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "ship"
+    monkeypatch.setattr(pretrained, "_FOLDER", folder)
+    with pytest.raises(FactoryError, match="ships no trained weights"):
+        pretrained.find_weights(None)
+    export(weights, folder / "simnfnd.safetensors")
+    export(weights, folder / "other.safetensors")
+    assert pretrained.find_weights(None) == folder / "simnfnd.safetensors"
+    assert pretrained.find_weights("other") == folder / "other.safetensors"
+    assert pretrained.find_weights(weights) == weights
+    with pytest.raises(FactoryError, match="weights that ship: other, simnfnd"):
+        pretrained.find_weights("third")
+
+
+def test_everything_that_ships_has_a_card_and_is_small() -> None:
+    for path in pretrained.shipped().values():
+        assert path.with_suffix(".md").is_file()
+        assert path.stat().st_size <= 8_000_000
+        load_weights(path)

@@ -1,0 +1,198 @@
+"""The commands of README.md as data, and how a test runs them: small, and away from the checkout.
+
+Every line of a ```sh block and every ```python block is a step.  tests/project/test_readme.py holds
+the table that says how each is run; a step that is missing from the table fails the tests.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import textwrap
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.project_files import ROOT
+
+SHARED = ROOT.parent / "shared"
+
+# Commands hide from the table in any other kind of block.
+LANGUAGES = frozenset({"sh", "python", "text", "yaml", "bibtex"})
+
+_FENCE = re.compile(r"^\s*```+\s*(\S*)")
+_COMMENT = re.compile(r"(^|\s+)#(\s.*|$)")
+
+
+@dataclass(frozen=True)
+class Step:
+    """One thing the README tells the reader to run.
+
+    kind: sh (one command, continuation lines joined) or python (a whole block).
+    line: where it starts in the file, counted from 1.
+    """
+
+    kind: str
+    text: str
+    line: int
+
+    @property
+    def key(self) -> str:
+        """What the table knows it by: the command, or the first line of the Python block."""
+        return self.text.splitlines()[0]
+
+
+@dataclass(frozen=True)
+class Run:
+    """Run the step in the sandbox, with what makes it small.
+
+    extra: words added at the end of the command (handed to `make` as ARGS).
+    instead: (old, new) replacements; `old` must be in the step.
+    needs: a file or folder without which the step is skipped.
+    {root}, {sandbox} and {shared} stand for the checkout, the folder the steps run in and the
+    folder beside the checkout that holds real recordings.
+    """
+
+    extra: tuple[str, ...] = ()
+    instead: tuple[tuple[str, str], ...] = ()
+    needs: str | None = None
+
+
+@dataclass(frozen=True)
+class Elsewhere:
+    """The step is run by something else: `file` of the checkout, which has to hold `text`."""
+
+    file: str
+    text: str
+
+
+@dataclass(frozen=True)
+class NotRun:
+    """The step cannot run in a test; `why` says so (a download, a cluster, a question)."""
+
+    why: str
+
+
+How = Run | Elsewhere | NotRun
+
+
+def fences(markdown: str) -> list[tuple[str, int, list[str]]]:
+    """(language, first line number, lines) of every fenced block; ValueError for an open one."""
+    blocks: list[tuple[str, int, list[str]]] = []
+    inside = False
+    for number, line in enumerate(markdown.splitlines(), start=1):
+        match = _FENCE.match(line)
+        if match and not inside:
+            blocks.append((match.group(1), number + 1, []))
+        elif inside and not match:
+            blocks[-1][2].append(line)
+        inside = inside != bool(match)
+    if inside:
+        raise ValueError(f"line {blocks[-1][1] - 1}: the block is never closed")
+    return blocks
+
+
+def steps(markdown: str) -> list[Step]:
+    """Everything to run, in the order of reading."""
+    found: list[Step] = []
+    for language, first, lines in fences(markdown):
+        if language == "python":
+            found.append(Step("python", textwrap.dedent("\n".join(lines)), first))
+        elif language == "sh":
+            found += _commands(lines, first)
+    return found
+
+
+def _commands(lines: list[str], first: int) -> list[Step]:
+    found: list[Step] = []
+    waiting = ""
+    start = first
+    for number, line in enumerate(lines, start=first):
+        text = line.strip() if waiting else _COMMENT.sub("", line).strip()
+        start = start if waiting else number
+        waiting = f"{waiting} {text.removesuffix(chr(92)).strip()}".strip()
+        if text.endswith("\\"):
+            continue
+        if waiting:
+            found.append(Step("sh", waiting, start))
+        waiting = ""
+    if waiting:
+        raise ValueError(f"line {start}: the command goes on after the block's end")
+    return found
+
+
+def untold(found: list[Step], table: Mapping[str, How]) -> list[str]:
+    """What the table and the README do not agree on, as sentences."""
+    keys = {step.key for step in found}
+    return [
+        f"README.md:{step.line}: `{step.key}` is not in the table of tests/project/test_readme.py"
+        for step in found
+        if step.kind == "sh" and step.key not in table
+    ] + [f"the table names `{key}`, which README.md has not" for key in table if key not in keys]
+
+
+def _filled(text: str, sandbox: Path) -> str:
+    places = {"{root}": ROOT, "{sandbox}": sandbox, "{shared}": SHARED}
+    for name, path in places.items():
+        text = text.replace(name, str(path))
+    return text
+
+
+def missing(how: Run, sandbox: Path) -> str | None:
+    """The path that the step needs and this machine has not, or None."""
+    if how.needs is None:
+        return None
+    path = _filled(how.needs, sandbox)
+    return None if Path(path).exists() else path
+
+
+def command(step: Step, how: Run, sandbox: Path) -> list[str]:
+    """The argument vector that runs `step` as `how` says.  ValueError when they do not fit."""
+    text = step.text
+    for old, new in how.instead:
+        if old not in text:
+            raise ValueError(
+                f"README.md:{step.line}: the table replaces `{old}`, which is not there"
+            )
+        text = text.replace(old, new)
+    text = _filled(text, sandbox)
+    extra = _filled(" ".join(how.extra), sandbox)
+    if step.kind == "python":
+        return [sys.executable, "-c", text]
+    if text.startswith("make "):
+        # The environment that runs this test is the one to use: -o keeps make from renewing it.
+        prefix = Path(sys.prefix)
+        target = text.removeprefix("make ").split()
+        stamp = prefix / ".simnfnd-installed"
+        return [
+            "make",
+            "-C",
+            str(ROOT),
+            "-o",
+            str(stamp),
+            *target,
+            f"VENV={prefix}",
+            f"ARGS={extra}",
+        ]
+    return ["bash", "-euo", "pipefail", "-c", f"{text} {extra}".strip()]
+
+
+def run(step: Step, how: Run, sandbox: Path, timeout_s: float) -> subprocess.CompletedProcess[str]:
+    """Run `step` with `sandbox` as working directory; output and errors come back as one text."""
+    environment = dict(os.environ)
+    # `python` and the console scripts are those of the interpreter that runs this test.
+    environment["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), environment["PATH"]])
+    environment["PYTHONPATH"] = str(ROOT)
+    return subprocess.run(
+        command(step, how, sandbox),
+        cwd=sandbox,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=timeout_s,
+        check=False,
+    )

@@ -1,0 +1,150 @@
+"""`python -m benchmarks` finds, runs and reports; a benchmark that fails is not hidden."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks import __main__ as benchmarks
+from benchmarks.report import Options, Section, Table, from_json, shown, to_json
+from tests.project_files import ROOT
+
+GOOD = """
+from benchmarks.report import Options, Section, Table
+def measure(options):
+    rows = (("theirs", 1.0, 20.123456), ("ours | fast", 123.456, 0.16))
+    return Section((Table(("pair", "times less", "CPU s"), rows, "a frame", bars="times less"),),
+                   f"quick: {options.quick}")
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A package of benchmarks, of which two fail, in the working directory."""
+    package = tmp_path / "measured"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "bench_good.py").write_text(GOOD, encoding="utf-8")
+    (package / "bench_bad.py").write_text("def measure(options): 1 / 0\n", encoding="utf-8")
+    (package / "bench_wrong.py").write_text(
+        "from benchmarks.report import Section\n"
+        "def measure(options): return Section(failed='one shard differs')\n",
+        encoding="utf-8",
+    )
+    (package / "helper.py").touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{ROOT}")
+    find, run = benchmarks.discover, benchmarks.run
+    monkeypatch.setattr(benchmarks, "discover", lambda: find(package))
+    monkeypatch.setattr(benchmarks, "run", lambda name, options: run(name, options, "measured"))
+    return tmp_path
+
+
+def test_all_run_and_the_failed_ones_are_named(
+    folder: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert benchmarks.main([]) == 1
+    said = capfd.readouterr()
+    assert said.out.index("## bad") < said.out.index("## good") < said.out.index("| pair |")
+    assert said.err.splitlines()[-1] == "error: failed: bad, wrong"
+    told = (folder / "outputs/benchmarks/report.md").read_text()
+    assert "**Failed: ended with exit code 1**" in told
+    assert "**Failed: one shard differs**" in told
+
+
+def test_one_report_as_text_numbers_and_picture(
+    folder: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert benchmarks.main(["good", "--out", "reports"]) == 0
+    text = (folder / "reports/good.md").read_text()
+    assert text.startswith("# Benchmarks\n")
+    assert "| ours \\| fast | 123 | 0.16 |" in text
+    assert "![ratios and times](good.png)" in text
+    assert "quick: False" in text
+    document = json.loads((folder / "reports/good.json").read_text())
+    assert document["sections"]["good"]["tables"][0]["rows"][0] == ["theirs", 1.0, 20.123456]
+    assert (folder / "reports/good.png").read_bytes().startswith(b"\x89PNG")
+    assert "bad" not in capfd.readouterr().out
+
+
+def test_quick_says_that_its_figures_mean_nothing(folder: Path) -> None:
+    assert benchmarks.main(["good", "--quick"]) == 0
+    text = (folder / "outputs/benchmarks/quick-good.md").read_text()
+    assert "too small for the figures to mean anything" in text
+    assert "quick: True" in text
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["fast"], "error: no benchmark fast; there are: bad, good, wrong\n"),
+        (["good", "--frame", "nowhere"], "error: --frame nowhere: no such folder\n"),
+        (["good", "--peer", "nowhere"], "error: --peer nowhere: no such folder\n"),
+    ],
+)
+def test_mistakes_are_one_line(
+    words: list[str], said: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert benchmarks.main(words) == 2
+    assert capfd.readouterr().err == said
+
+
+def test_a_section_survives_the_way_to_another_process() -> None:
+    table = Table(("a", "b"), (("x", 1), ("y", 2.5)), "t", "n", bars="b", lines=("a", "b"))
+    section = Section((table,), "note", "bad", 3.0)
+    assert from_json(json.loads(json.dumps(to_json(section)))) == section
+
+
+@pytest.mark.parametrize(
+    ("cell", "text"), [(0.0, "0"), (0.00012345, "0.00012"), (1.2345, "1.23"), (1234.5, "1234"),
+                       (7, "7"), ("x", "x")]
+)  # fmt: skip
+def test_numbers_are_shown_with_three_digits(cell: float | str, text: str) -> None:
+    assert shown(cell) == text
+
+
+def test_the_projects_own_are_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert benchmarks.main(["--list"]) == 0
+    assert set(capsys.readouterr().out.split()) >= {
+        *("codecs", "pair", "peer", "readers", "scaling", "stages", "sweep", "workers"),
+    }
+
+
+def test_without_a_peer_the_comparison_says_so() -> None:
+    section = benchmarks.run("peer", Options(quick=True))
+    assert section.note.startswith("Skipped: --peer")
+    assert (section.tables, section.failed) == ((), "")
+
+
+PEER = """
+import sys, yaml, pathlib
+run = yaml.safe_load(open("config/" + sys.argv[1]))
+sonar = yaml.safe_load(open(run["sonar_config_file"]))
+count = yaml.safe_load(open(run["trajectory_file"]))["timesteps"]
+assert open(run["scene_file"], "rb").readline() == b"ply\\n"
+assert sonar["azimuth_bins"] == 512 and 1 < sonar["max_range"] < 100
+sum(range(10_000_000 * count))
+for number in range(count):
+    pathlib.Path(run["output_folder"], f"{number}.png").touch()
+"""
+
+
+@pytest.mark.slow
+def test_a_peer_is_run_as_its_readme_says(tmp_path: Path) -> None:
+    (tmp_path / "config").mkdir()
+    (tmp_path / "run_simulation.py").write_text(PEER)
+    section = benchmarks.run("peer", Options(quick=True, peer=str(tmp_path)))
+    assert section.failed == ""
+    (table,) = section.tables
+    assert [row[1] > 0 for row in table.rows if isinstance(row[1], float)] == [True] * 2
+    assert [path.name for path in (tmp_path / "config").iterdir()] == [], "the checkout was touched"
+
+
+@pytest.mark.slow
+def test_quick_runs_the_stages() -> None:
+    section = benchmarks.run("stages", Options(quick=True))
+    assert section.failed == ""
+    assert all(table.rows for table in section.tables)

@@ -1,0 +1,117 @@
+"""The wheel, away from the checkout: it holds what it must and its three programs start."""
+
+from __future__ import annotations
+
+import configparser
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.project_files import PACKAGES, ROOT, files
+
+pytestmark = pytest.mark.slow
+
+
+def checked(words: list[str], **options: object) -> str:
+    """Run, and return what was printed; fail with all of it otherwise."""
+    done = subprocess.run(
+        words,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+        timeout=300,
+        **options,  # type: ignore[call-overload]
+    )
+    output = str(done.stdout)
+    assert done.returncode == 0, f"{words} ended with {done.returncode}:\n{output[-4000:]}"
+    return output
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Built from a copy, so that the checkout gets no build folder and lends nothing ignored."""
+    source = tmp_path_factory.mktemp("source")
+    for path in files():
+        (source / path).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / path, source / path)
+    target = tmp_path_factory.mktemp("wheel")
+    checked(
+        [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(target), "."],
+        cwd=source,
+    )
+    (built,) = target.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    target = tmp_path_factory.mktemp("site")
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    checked([*pip, "--no-deps", "--no-index", "--target", str(target), str(wheel)])
+    return target
+
+
+def outside(installed: Path) -> dict[str, str]:
+    """An environment in which the installed copy, and not the checkout, is imported."""
+    return {**os.environ, "PYTHONPATH": str(installed)}
+
+
+def test_wheel_holds_every_module_and_every_configuration_file(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        names = {name for name in archive.namelist() if ".dist-info/" not in name}
+        metadata = next(n for n in archive.namelist() if n.endswith(".dist-info/METADATA"))
+        text = archive.read(metadata).decode()
+    wanted = {
+        path.as_posix() if path.parts[0] == "simnfnd" else f"simnfnd/{path.as_posix()}"
+        for path in files()
+        if path.parts[0] in (*PACKAGES, "simnfnd")
+        and path.suffix in (".py", ".yaml", ".css", ".js")
+    }
+    assert wanted - names == set()
+    assert {name.split("/")[0] for name in names} == {"simnfnd"}
+    assert "License-Expression: Apache-2.0" in text
+    assert "Requires-Python: >=3.11" in text
+
+
+def test_console_scripts_are_declared(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        name = next(n for n in archive.namelist() if n.endswith("/entry_points.txt"))
+        parser = configparser.ConfigParser()
+        parser.read_string(archive.read(name).decode())
+    assert dict(parser["console_scripts"]) == {"simnfnd": "simnfnd.__main__:main"}
+
+
+@pytest.mark.parametrize("room", PACKAGES)
+def test_installed_copy_is_the_one_imported(installed: Path, tmp_path: Path, room: str) -> None:
+    code = f"import simnfnd.{room} as room; print(room.__file__)"
+    where = checked([sys.executable, "-c", code], cwd=tmp_path, env=outside(installed))
+    assert Path(where.strip()).is_relative_to(installed)
+
+
+@pytest.mark.parametrize("verb", ["make", "train", "evaluate"])
+def test_verbs_start_outside_the_checkout(installed: Path, tmp_path: Path, verb: str) -> None:
+    environment = outside(installed)
+    module = [sys.executable, "-m", "simnfnd", verb]
+    script = [str(installed / "bin" / "simnfnd"), verb]
+    assert "Powered by Hydra" in checked([*module, "--help"], cwd=tmp_path, env=environment)
+    configs = {
+        checked([*words, "--cfg", "job"], cwd=tmp_path, env=environment)
+        for words in (module, script)
+    }
+    assert len(configs) == 1, "the console script and the module read different configurations"
+    assert list(tmp_path.iterdir()) == [], "a program left something behind"
+
+
+def test_a_dataset_is_made_outside_the_checkout(installed: Path, tmp_path: Path) -> None:
+    words = [str(installed / "bin" / "simnfnd"), "make", "render=analytic", "scenes.locations=2"]
+    words += ["scenes.frames_per_location=1", "scenes.width=242", "scenes.height=152"]
+    words += ["dataset.dir=made", "scheduler.workers=1"]
+    said = checked(words, cwd=tmp_path, env=outside(installed))
+    assert said.splitlines()[-1].startswith("dataset: ")
+    assert list((tmp_path / "made").glob("*/shard-*.h5"))
