@@ -8,7 +8,7 @@ from pydantic import TypeAdapter
 
 from simnfnd.factory.config import digest, from_mapping, identity, plain
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.noise import NoiseSettings
+from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.factory.sonar.settings import SonarSettings
 from tests.project_files import ROOT
 
