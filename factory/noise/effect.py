@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from pydantic.dataclasses import dataclass as validated
 
-from simnfnd.factory.distribution import number
+from simnfnd.factory.distribution import Distribution, number
 from simnfnd.factory.formation.contract import Stage
 from simnfnd.factory.settings import STRICT
 
@@ -26,12 +26,13 @@ class EffectSettings:
     enabled: bool = True
 
 
-def parameter(default: float, unit: str) -> Any:
+def parameter(default: float | Distribution, unit: str) -> Any:
     """A field of an effect's settings that may be a distribution; its draws are recorded.
 
     unit: of the record's column; "1" for none.
     """
-    return field(default=number(default), metadata={"unit": unit, "type": float})
+    value = default if isinstance(default, Distribution) else number(default)
+    return field(default=value, metadata={"unit": unit, "type": float})
 
 
 def option(default: str) -> Any:

@@ -84,6 +84,24 @@ def test_every_experiment_composes(experiment):
     assert from_mapping(values).dataset.name == experiment
 
 
+def test_defaults_in_python_and_in_yaml_are_the_same(monkeypatch):
+    """Every value: a configuration that names nothing is the one that the files make."""
+    monkeypatch.delenv("SIMNFND_CACHE", raising=False)
+    assert plain(config()) == plain(from_mapping({"scenes": {"kind": "seabed"}}))
+
+
+def test_unions_leave_no_trace_in_the_key_of_a_mistake():
+    for values, key in (
+        ({"scheduler": {"workers": -1}}, "scheduler.workers"),
+        ({"scenes": {"kind": "seabed", "locations": 0}}, "scenes.locations"),
+        ({"scenes": {"kind": "flsea"}}, "scenes.root"),
+        ({"noise": {"speckle": {"looks": 0}}}, "noise.speckle.looks"),
+    ):
+        with pytest.raises(FactoryError) as caught:
+            from_mapping({"scenes": {"kind": "seabed"}, **values})
+        assert all(part.startswith(f"{key}: ") for part in str(caught.value).split("; "))
+
+
 @pytest.mark.parametrize(
     ("settings", "file"),
     [(SonarSettings, "sonar/camera_matched.yaml"), (NoiseSettings, "noise/simnfnd.yaml")],

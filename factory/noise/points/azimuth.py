@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import NonNegative
+from simnfnd.factory.distribution import NonNegative, choice, uniform
 from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 from simnfnd.factory.sonar.echoes import Echoes, in_plane
@@ -25,10 +25,10 @@ class AzimuthSettings(EffectSettings):
     strength: strongest spoke point; 1 alone fills a bin to full scale.
     """
 
-    count: NonNegative = parameter(2, "1")
-    density: NonNegative = parameter(0.01, "1")
-    sigma_deg: NonNegative = parameter(0.3, "deg")
-    strength: NonNegative = parameter(0.3, "1")
+    count: NonNegative = parameter(choice(1, 2), "1")
+    density: NonNegative = parameter(uniform(0.003, 0.02), "1")
+    sigma_deg: NonNegative = parameter(uniform(0.1, 0.4), "deg")
+    strength: NonNegative = parameter(uniform(0.1, 0.6), "1")
 
 
 def azimuth(

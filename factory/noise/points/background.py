@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import NonNegative
+from simnfnd.factory.distribution import NonNegative, uniform
 from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 from simnfnd.factory.sonar.echoes import Echoes, in_plane
@@ -24,8 +24,8 @@ class BackgroundSettings(EffectSettings):
     strength: strongest noise point; 1 alone fills a bin to full scale.
     """
 
-    density: NonNegative = parameter(0.03, "1")
-    strength: NonNegative = parameter(0.2, "1")
+    density: NonNegative = parameter(uniform(0.002, 0.05), "1")
+    strength: NonNegative = parameter(uniform(0.05, 0.35), "1")
 
 
 def background(

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import Fraction, NonNegative
+from simnfnd.factory.distribution import Fraction, NonNegative, choice, uniform
 from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 from simnfnd.factory.sonar import polar
@@ -34,12 +34,12 @@ class MultipathSettings(EffectSettings):
     strength: strongest ghost point; 1 alone fills a bin to full scale.
     """
 
-    count: NonNegative = parameter(2, "1")
-    density: NonNegative = parameter(0.02, "1")
+    count: NonNegative = parameter(choice(1, 2, 3), "1")
+    density: NonNegative = parameter(uniform(0.005, 0.04), "1")
     quantile: Fraction = parameter(0.9, "1")
-    delay: NonNegative = parameter(0.03, "1")
-    spread: NonNegative = parameter(0.02, "1")
-    strength: NonNegative = parameter(0.3, "1")
+    delay: NonNegative = parameter(uniform(0.01, 0.06), "1")
+    spread: NonNegative = parameter(uniform(0.01, 0.03), "1")
+    strength: NonNegative = parameter(uniform(0.1, 0.6), "1")
 
 
 def multipath(

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import NonNegative
+from simnfnd.factory.distribution import NonNegative, uniform
 from simnfnd.factory.noise.effect import Effect, EffectSettings, option, parameter
 from simnfnd.factory.settings import STRICT
 from simnfnd.factory.sonar.echoes import Echoes, from_xyz
@@ -32,7 +32,7 @@ class RangeSpreadingSettings(EffectSettings):
     """
 
     mode: Literal["paper", "radial", "exponential"] = option("radial")
-    alpha: NonNegative = parameter(0.02, "1")
+    alpha: NonNegative = parameter(uniform(0.003, 0.032), "1")
 
 
 def range_spreading(

@@ -194,7 +194,7 @@ def test_an_empty_scene_gets_no_noise():
 def test_settings_carry_their_distributions():
     assert RangeSpreadingSettings(alpha=parse(0.1)).alpha.values == (0.1,)
     assert BackgroundSettings().enabled
-    assert AzimuthSettings().count.values == (2.0,)
+    assert AzimuthSettings().count.values == (1.0, 2.0)
 
 
 def test_streams_differ_by_name_and_seed():
