@@ -15,13 +15,14 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import Positive, number
+from simnfnd.factory.distribution import Positive
 from simnfnd.factory.formation.field.signal import Ping, Signal, gaussian_table
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)
-class SpeckleSettings:
+class SpeckleSettings(EffectSettings):
     """Keys of `noise.speckle`.
 
     looks: independent fields whose intensities are averaged (rounded); 1 is Rayleigh speckle.
@@ -29,9 +30,8 @@ class SpeckleSettings:
         pixels it loses its hold on the scene when the camera moves.
     """
 
-    enabled: bool = True
-    looks: Positive = number(1)
-    scatterer_m: Positive = number(0.01)
+    looks: Positive = parameter(1, "1")
+    scatterer_m: Positive = parameter(0.01, "m")
 
 
 def speckle(
@@ -51,3 +51,6 @@ def speckle(
         cell_loops.scatter(scene.bins, cells.runs, scene.powers, drawn, bins)
         cell_loops.into_planes(bins, amplitude, look)
     return Signal(np.zeros_like(signal.power), field)
+
+
+SPECKLE = Effect(SpeckleSettings, speckle, "echo", "world")

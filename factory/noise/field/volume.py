@@ -9,20 +9,20 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber, number
+from simnfnd.factory.distribution import AnyNumber
 from simnfnd.factory.formation.field.signal import Ping, Signal, add_white_noise
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)
-class VolumeSettings:
+class VolumeSettings(EffectSettings):
     """Keys of `noise.volume`.
 
     strength_db: volume scattering strength, dB re 1/m; clear water -70, a harbour -45.
     """
 
-    enabled: bool = True
-    strength_db: AnyNumber = number(-60)
+    strength_db: AnyNumber = parameter(-60, "dB")
 
 
 def volume(signal: Signal, ping: Ping, rng: np.random.Generator, *, strength_db: float) -> Signal:
@@ -35,3 +35,6 @@ def volume(signal: Signal, ping: Ping, rng: np.random.Generator, *, strength_db:
     amplitude = np.sqrt(level * ping.scatterers.loss).astype(np.float32)
     add_white_noise(signal.field, rng, amplitude)
     return signal
+
+
+VOLUME = Effect(VolumeSettings, volume, "echo")

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber, number
+from simnfnd.factory.distribution import AnyNumber
 from simnfnd.factory.formation.field.signal import (
     Floats,
     Ping,
@@ -19,11 +19,12 @@ from simnfnd.factory.formation.field.signal import (
     beamform,
     white_noise,
 )
+from simnfnd.factory.noise.effect import Effect, EffectSettings, option, parameter
 from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)
-class ReceiverSettings:
+class ReceiverSettings(EffectSettings):
     """Keys of `noise.receiver`.
 
     level_db: above the thermal noise of the sea in the device's band and beam, dB.
@@ -31,9 +32,8 @@ class ReceiverSettings:
         beamformer and the pulse compression, with the grain of speckle).
     """
 
-    enabled: bool = True
-    level_db: AnyNumber = number(10)
-    grain: Literal["sample", "beam"] = "sample"
+    level_db: AnyNumber = parameter(10, "dB")
+    grain: Literal["sample", "beam"] = option("sample")
 
 
 def receiver(
@@ -48,3 +48,6 @@ def receiver(
         return noise
     add_white_noise(field, rng, np.full(ping.shape[0], amplitude))
     return field
+
+
+RECEIVER = Effect(ReceiverSettings, receiver, "beam")
