@@ -20,7 +20,7 @@ from simnfnd.factory.dataset.write.folder import EXTENDED_NAME
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.jobs.plan import Item, ShardTask
+from simnfnd.factory.jobs.plan import FrameVariants, ShardTask
 
 _PATH = re.compile(rf"({'|'.join(SPLITS)})/shard-(\d{{5,}})\.h5")
 # What a part of `extends` says beside the settings in which it differs.
@@ -36,7 +36,7 @@ class Earlier:
     """
 
     path: str
-    items: tuple[Item, ...]
+    items: tuple[FrameVariants, ...]
     config_hash: str
 
     def __post_init__(self) -> None:
@@ -108,7 +108,7 @@ def _load(directory: Path, config_hash: str) -> list[Earlier]:
         return []
 
 
-def _grouped(rows: Sequence[tuple[Any, ...]]) -> tuple[Item, ...]:
+def _grouped(rows: Sequence[tuple[Any, ...]]) -> tuple[FrameVariants, ...]:
     """Rows (location, scene, frame, variant) as frames with their variants."""
     return tuple(
         (FrameRef(*name), tuple(row[3] for row in group))

@@ -22,7 +22,7 @@ from simnfnd.factory.dataset.write.folder import (
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.jobs.earlier import Earlier, parts, read_earlier, save_earlier
-from simnfnd.factory.jobs.plan import Item, ShardTask, refuse_doubles
+from simnfnd.factory.jobs.plan import FrameVariants, ShardTask, refuse_doubles
 
 Plan = Callable[[Sequence[Earlier]], tuple[ShardTask, ...]]
 
@@ -164,11 +164,11 @@ def _refuse_other(
         )
 
 
-def _spread(items: Sequence[Item], room: int) -> list[Item]:
+def _spread(items: Sequence[FrameVariants], room: int) -> list[FrameVariants]:
     """As many samples as there is room for, of frames from all over the list, in its order."""
     # Numbers with their bits reversed: every part of that order is spread evenly.
     width = max(1, (len(items) - 1).bit_length())
-    chosen: dict[int, Item] = {}
+    chosen: dict[int, FrameVariants] = {}
     for reversed_ in range(1 << width):
         index = int(f"{reversed_:0{width}b}"[::-1], 2)
         if room <= 0:
@@ -180,9 +180,9 @@ def _spread(items: Sequence[Item], room: int) -> list[Item]:
     return [chosen[index] for index in sorted(chosen)]
 
 
-def _packed(items: Sequence[Item], shard_size: int) -> Iterator[tuple[Item, ...]]:
+def _packed(items: Sequence[FrameVariants], shard_size: int) -> Iterator[tuple[FrameVariants, ...]]:
     """Items in shards of at most `shard_size` samples; a frame is parted only when it must be."""
-    shard: list[Item] = []
+    shard: list[FrameVariants] = []
     filled = 0
     for ref, numbers in items:
         if filled + len(numbers) > shard_size and shard:

@@ -12,7 +12,7 @@ from simnfnd.factory.dataset.format.schema import SPLITS
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
 
-Item = tuple[FrameRef, tuple[int, ...]]
+FrameVariants = tuple[FrameRef, tuple[int, ...]]
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class ShardTask:
 
     split: str
     index: int
-    items: tuple[Item, ...]
+    items: tuple[FrameVariants, ...]
 
     @property
     def path(self) -> str:
@@ -74,7 +74,7 @@ def plan_shards(
     return tuple(tasks)
 
 
-def _limited(refs: Sequence[FrameRef], variants: int, limit: int | None) -> list[Item]:
+def _limited(refs: Sequence[FrameRef], variants: int, limit: int | None) -> list[FrameVariants]:
     everything = tuple(range(variants))
     if limit is None or limit >= len(refs) * variants:
         return [(ref, everything) for ref in refs]
@@ -85,7 +85,9 @@ def _limited(refs: Sequence[FrameRef], variants: int, limit: int | None) -> list
     return items
 
 
-def _cut(items: Sequence[Item], variants: int, shard_size: int) -> Iterator[Sequence[Item]]:
+def _cut(
+    items: Sequence[FrameVariants], variants: int, shard_size: int
+) -> Iterator[Sequence[FrameVariants]]:
     if variants > shard_size:
         for ref, numbers in items:
             for start in range(0, len(numbers), shard_size):
