@@ -1,7 +1,7 @@
-"""`dataset.on_existing=extend`: more samples for a dataset that is there, and none of it touched.
+"""`dataset.on_existing=extend`: more samples for an existing dataset, whose shards stay untouched.
 
-What was there keeps its shards, their bytes and what they state.  The samples that it lacks go into
-shards after them, which state the new configuration.
+Existing shards keep their bytes and the configuration that they state.  The samples that are
+lacking go into shards after them, which state the new configuration.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ Plan = Callable[[Sequence[Earlier]], tuple[ShardTask, ...]]
 def begin_extension(directory: Path, provenance: Provenance, plan: Plan) -> tuple[str, ...]:
     """Make the dataset in `directory` one of `provenance` that extends what is there.
 
-    plan: earlier shards -> all shards; asked before anything is written, because it refuses what
-        would not only add.
+    plan: earlier shards -> all shards; called before anything is written, because it raises
+        unless samples are only added.
     Returns a line about each shard that was damaged: its samples go into new shards.
     Nothing is done to a folder without a dataset, or whose dataset is of `provenance` already.
 
-    Raises FactoryError when a key differs that decides the samples that are there.
+    Raises FactoryError when a key differs that the existing samples depend on.
     """
     there = load_manifest(directory)
     if there is None or there.config_hash == provenance.config_hash:
@@ -80,7 +80,7 @@ def refuse_other_settings(directory: Path, there: Manifest, provenance: Provenan
             f"{provenance.generator}; give another folder with dataset.dir="
         )
     changes = differences(there.config, provenance.config)
-    other = {key: told for key, told in changes.items() if not CHOOSING.fullmatch(key)}
+    other = {key: values for key, values in changes.items() if not CHOOSING.fullmatch(key)}
     if other:
         raise FactoryError(
             f"dataset.on_existing=extend: {directory} was made with other settings "

@@ -83,7 +83,7 @@ class Job:
 
     @property
     def recipe(self) -> Recipe:
-        """What workers are told."""
+        """The part that workers need."""
         directory = Path(os.path.abspath(self.directory))
         return Recipe(
             directory,

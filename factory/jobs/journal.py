@@ -2,7 +2,7 @@
 
 One short line an event, written at once with one system call: a worker may be killed at any moment
 without damage, and the parent still learns how far it came and which frame it had in
-hand.  No locks and no queues, so the same works for any number of processes and over shared disks.
+hand.  No locks and no queues, so it works for any number of processes and over shared disks.
 When a worker crashes or hangs, the interpreter adds its traceback to the same file.
 """
 

@@ -93,7 +93,7 @@ class Ledger:
         save_failures(job.directory, self.failures, job.rerun_command, job.shard.part)
 
     def report(self, already_done: int) -> RunReport:
-        """What the run did; `already_done`: shards that it had not even to look at."""
+        """What the run did; `already_done`: shards in which nothing was left to do."""
         manifest = self._current()
         return RunReport(
             samples=manifest.samples(),

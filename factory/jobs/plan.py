@@ -17,7 +17,7 @@ FrameVariants = tuple[FrameRef, tuple[int, ...]]
 
 @dataclass(frozen=True)
 class ShardTask:
-    """One shard to make: small enough to be sent anywhere.
+    """One shard to make; small enough to be sent to any worker.
 
     items: (frame, variants of it to make), in the order of the samples.
     """
@@ -38,7 +38,7 @@ class ShardTask:
 
     @cached_property
     def digest(self) -> str:
-        """Stands for which frames and variants the shard holds, wherever their files are."""
+        """Hash of the frames and variants that the shard holds, wherever their files are."""
         content = [(ref.location, ref.scene, ref.frame, variants) for ref, variants in self.items]
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 

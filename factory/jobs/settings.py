@@ -1,4 +1,4 @@
-"""The `scheduler` group: how the work is spread over processes.  Nothing here changes a pixel."""
+"""The `scheduler` group: how the work is spread over processes.  No pixel depends on it."""
 
 from __future__ import annotations
 

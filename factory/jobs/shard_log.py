@@ -1,4 +1,4 @@
-"""logs/: one text file a shard that had trouble, or lacks a frame: what happened, and when."""
+"""logs/: a text file for each shard that had trouble or lacks a frame: what happened, and when."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _TRACEBACK_CHARACTERS = 4000
 
 
 class ShardLog:
-    """Writes the logs of one dataset.  A log that cannot be written stops nobody."""
+    """Writes the logs of one dataset.  A log that cannot be written is skipped."""
 
     def __init__(self, directory: Path) -> None:
         self._folder = directory / LOGS_NAME
@@ -23,9 +23,9 @@ class ShardLog:
         """A worker died over a shard, or over a frame that shards wait for."""
         shards = [work] if isinstance(work, PendingShard) else work.waiting
         what = "" if isinstance(work, PendingShard) else f"preparing {work.ref.name}, "
-        last_words = _last_words(journal)
+        traceback_text = _traceback_in(journal)
         for shard in shards:
-            self._write(shard, f"{what}try {work.number}: {reason}{last_words}")
+            self._write(shard, f"{what}try {work.number}: {reason}{traceback_text}")
 
     def finished(self, shard: PendingShard, result: ShardResult) -> None:
         """The shard is settled."""
@@ -43,7 +43,7 @@ class ShardLog:
                 file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
 
 
-def _last_words(journal: Path) -> str:
+def _traceback_in(journal: Path) -> str:
     """The traceback that the interpreter left when it crashed or was too late."""
     try:
         text = journal.read_text(encoding="utf-8", errors="replace")

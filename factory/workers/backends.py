@@ -12,7 +12,7 @@ def open_backend(settings: WorkerSettings) -> Backend:
 
         return SerialBackend()
     if settings.backend == "dask":
-        # Half a second of imports, and an extra that not everybody has.
+        # Half a second of imports, and an optional dependency.
         from simnfnd.factory.workers.dask_cluster import DaskBackend
 
         return DaskBackend(settings)

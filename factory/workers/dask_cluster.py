@@ -201,7 +201,7 @@ class DaskBackend:
 
 
 class _Lost(Exception):
-    """A task came to no end of its own."""
+    """A task ended without a result of its own."""
 
 
 def _restricted(pools: Sequence[Pool]) -> frozenset[str]:

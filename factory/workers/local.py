@@ -146,7 +146,7 @@ class LocalBackend:
         joiner = threading.Thread(target=self._join, daemon=True)
         joiner.start()
         deadline = time.monotonic() + _STOP_S
-        # A pool may be starting a worker at this very moment, so look until all is quiet.  The
+        # A pool may be starting a worker at this very moment, so repeat until none is left.  The
         # threads of pools are daemons and hold nothing of ours, should they not notice in time.
         while (self._kill_workers() or joiner.is_alive()) and time.monotonic() < deadline:
             joiner.join(0.02)
