@@ -72,11 +72,11 @@ def run_tune(config: DictConfig) -> None:
     """Tune the baselines on validation pairs."""
     settings = settings_of(config)
     from simnfnd.evaluation import tuning
-    from simnfnd.evaluation.crew import Team
     from simnfnd.evaluation.methods import baselines_of
+    from simnfnd.factory.workers.tasks import TaskPool
 
-    with Team(settings.workers) as team:
-        print("\n".join(tuning.tune(settings, baselines_of(settings.baselines), team)))
+    with TaskPool(settings.workers) as pool:
+        print("\n".join(tuning.tune(settings, baselines_of(settings.baselines), pool)))
 
 
 def settings_of(config: DictConfig) -> EvaluationSettings:

@@ -13,13 +13,13 @@ import numpy.typing as npt
 from tqdm import tqdm
 
 from simnfnd.evaluation.baselines import REGISTRY
-from simnfnd.evaluation.crew import Died, Team
 from simnfnd.evaluation.journal import Figures, Journal, program_digest
 from simnfnd.evaluation.methods import NOISY, Method
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.evaluation.pictures import Item, picture
 from simnfnd.evaluation.settings import EvaluationSettings
 from simnfnd.evaluation.work import Task, measure_task
+from simnfnd.factory.workers.tasks import TaskLost, TaskPool
 
 Values = npt.NDArray[np.float64]
 
@@ -126,7 +126,7 @@ def measure_rows(
     items: Sequence[Item],
     methods: Sequence[Method],
     journal: Journal,
-    team: Team,
+    pool: TaskPool,
     *,
     title: str = "measuring",
 ) -> list[Row]:
@@ -142,9 +142,9 @@ def measure_rows(
     total = len(every) * len(items)
     left = sum(len(task.methods) * len(task.items) for task in bench.waiting)
     with tqdm(total=total, initial=total - left, unit="image", desc=title) as bar:
-        for task, found in team.run(measure_task, bench.waiting, bench.timeout_s):
-            if isinstance(found, Died):
-                bench.waiting.extendleft(bench.died(task, found.why))
+        for task, found in pool.run(measure_task, bench.waiting, bench.timeout_s):
+            if isinstance(found, TaskLost):
+                bench.waiting.extendleft(bench.died(task, found.reason))
                 continue
             bench.keep(task, found)
             bar.update(len(task.methods) * len(task.items))

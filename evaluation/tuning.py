@@ -20,7 +20,6 @@ from tqdm import tqdm
 
 from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.baselines.base import Baseline, Gray, Parameters
-from simnfnd.evaluation.crew import Died, Team
 from simnfnd.evaluation.metrics.fidelity import finite_psnr, psnr
 from simnfnd.evaluation.metrics.levels import Levels, fit_levels
 from simnfnd.evaluation.networks import geometry_of
@@ -28,6 +27,7 @@ from simnfnd.evaluation.pictures import Item, input_of, items_of, picture
 from simnfnd.evaluation.settings import EvaluationSettings
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import explain_os_errors, write_atomically
+from simnfnd.factory.workers.tasks import TaskLost, TaskPool
 
 SCHEMA = "simnfnd-tuned/1"
 
@@ -50,7 +50,7 @@ class _Task:
     items: tuple[Item, ...]
 
 
-def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], team: Team) -> list[str]:
+def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: TaskPool) -> list[str]:
     """Tune the baselines and write the file after each.
 
     What the file already has for the same pairs, grid and program is kept.  Returns lines to show:
@@ -75,11 +75,11 @@ def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], team: Team
         return settings.image_timeout_s * len(items)
 
     with tqdm(total=len(waiting), unit="point", desc="tuning") as bar:
-        for task, found in team.run(_measure_point, waiting, timeout_s):
+        for task, found in pool.run(_measure_point, waiting, timeout_s):
             bar.update()
             name = task.baseline
             if not isinstance(found, Point):
-                lost.setdefault(name, found.why if isinstance(found, Died) else found)
+                lost.setdefault(name, found.reason if isinstance(found, TaskLost) else found)
                 continue
             points[name][task.number] = found
             if len(points[name]) == len(wanted[name]) and name not in lost:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from simnfnd.factory.config import FactoryConfig
-    from simnfnd.factory.jobs.run import RunReport
+    from simnfnd.factory.jobs.ledger import RunReport
 
 _RESULT = "result.json"
 

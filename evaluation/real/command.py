@@ -30,7 +30,6 @@ def run(config: DictConfig) -> None:
     settings = settings_of(config)
     import numpy as np
 
-    from simnfnd.evaluation.crew import Team
     from simnfnd.evaluation.methods import baselines_of, methods_of
     from simnfnd.evaluation.networks import networks_at
     from simnfnd.evaluation.real import report
@@ -38,6 +37,7 @@ def run(config: DictConfig) -> None:
     from simnfnd.evaluation.real.pictures import open_folder
     from simnfnd.evaluation.tuning import load_tuned
     from simnfnd.factory.files import check_writable
+    from simnfnd.factory.workers.tasks import TaskPool
 
     if settings.tuned is not None and not Path(settings.tuned).is_file():
         raise FactoryError(f"tuned={settings.tuned}: no such file; `evaluation tune` writes one")
@@ -51,8 +51,8 @@ def run(config: DictConfig) -> None:
         check_masks(files)
     out = settings.folder
     check_writable(out, "out")
-    with Team(settings.workers) as team:
-        rows = measure(files, methods, team, settings.device, settings.image_timeout_s)
+    with TaskPool(settings.workers) as pool:
+        rows = measure(files, methods, pool, settings.device, settings.image_timeout_s)
     facts: dict[str, Any] = {
         "schema": "simnfnd-real/1",
         "name": Path(settings.real).expanduser().resolve().name,

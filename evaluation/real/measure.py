@@ -11,7 +11,6 @@ from tqdm import tqdm
 
 from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.crew import Died, Team
 from simnfnd.evaluation.methods import Method
 from simnfnd.evaluation.metrics.edges import edge_preservation
 from simnfnd.evaluation.metrics.speckle import contrast_to_noise, enl, m_index, ratio_mean
@@ -19,6 +18,7 @@ from simnfnd.evaluation.real.pictures import SIDE, File, Scene, pixel_geometry, 
 from simnfnd.evaluation.tuning import reason
 from simnfnd.evaluation.work import denoised
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.workers.tasks import TaskLost, TaskPool
 
 Figures = dict[str, float]
 
@@ -60,7 +60,7 @@ def figures_of(image: Gray, shared: Scene) -> Figures:
 
 
 def measure(
-    files: Sequence[File], methods: Sequence[Method], team: Team, device: str, timeout_s: float
+    files: Sequence[File], methods: Sequence[Method], pool: TaskPool, device: str, timeout_s: float
 ) -> list[RealRow]:
     """All methods on all pictures.  A method that fails on one loses its row.
 
@@ -74,10 +74,10 @@ def measure(
     )
     results: dict[tuple[str, int], tuple[Gray, Figures]] = {}
     with tqdm(total=len(waiting), unit="picture", desc="real pictures") as bar:
-        for task, found in team.run(_measured, waiting, lambda _: timeout_s):
+        for task, found in pool.run(_measured, waiting, lambda _: timeout_s):
             bar.update()
-            if isinstance(found, Died | str):
-                why = found.why if isinstance(found, Died) else found
+            if isinstance(found, TaskLost | str):
+                why = found.reason if isinstance(found, TaskLost) else found
                 row = rows[task.method.label]
                 row.lost = row.lost or f"{task.file.name}: {why}"
                 bar.set_postfix(lost=sum(row.lost is not None for row in rows.values()))

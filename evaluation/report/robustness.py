@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from simnfnd.evaluation.crew import Team
 from simnfnd.evaluation.journal import Journal
 from simnfnd.evaluation.methods import Method
 from simnfnd.evaluation.metrics.statistics import estimate, paired
@@ -16,6 +15,7 @@ from simnfnd.evaluation.report.content import as_dict, paired_dict
 from simnfnd.evaluation.rows import Row, measure_rows
 from simnfnd.evaluation.settings import DatasetFolder, EvaluationSettings
 from simnfnd.factory.dataset.format.manifest import load_manifest
+from simnfnd.factory.workers.tasks import TaskPool
 
 Content = dict[str, Any]
 
@@ -28,7 +28,7 @@ def robustness_of(
     methods: Sequence[Method],
     labels: Sequence[str],
     journal: Journal,
-    team: Team,
+    pool: TaskPool,
 ) -> list[Content]:
     """One entry a dataset of `robustness=[...]`: how it differs, and the rows' PSNR and gain."""
     wanted = [method for method in methods if method.label in labels]
@@ -38,7 +38,7 @@ def robustness_of(
         there = replace(settings, dataset=DatasetFolder(folder))
         items = items_of(Path(folder), settings.split, settings.limit)
         name = Path(folder).resolve().name
-        rows = measure_rows(there, items, wanted, journal, team, title=name)
+        rows = measure_rows(there, items, wanted, journal, pool, title=name)
         groups = [item.group for item in items]
         found.append(
             {

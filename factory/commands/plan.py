@@ -18,7 +18,7 @@ from simnfnd.factory.compose import compose_points
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.jobs.plan import ShardTask, plan_shards
-from simnfnd.factory.jobs.settings import available_memory_bytes
+from simnfnd.factory.workers.machine import available_memory_bytes
 
 if TYPE_CHECKING:
     from simnfnd.factory.config import FactoryConfig
@@ -191,7 +191,7 @@ def _fits(config: FactoryConfig, disk: float, render: int, noise: int) -> bool:
 
 
 def _cores() -> int:
-    from simnfnd.factory.jobs.settings import usable_cores
+    from simnfnd.factory.workers.machine import usable_cores
 
     return usable_cores()
 

@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 
 from simnfnd.evaluation import rows
-from simnfnd.evaluation.crew import Died, Team
 from simnfnd.evaluation.image_pairs import read_gray
 from simnfnd.evaluation.journal import JOURNAL_NAME, Journal
 from simnfnd.evaluation.methods import NOISY, Method, baselines_of, methods_of
@@ -31,6 +30,7 @@ from simnfnd.evaluation.work import Task, measure_task
 from simnfnd.factory.dataset.format.sample import Pair
 from simnfnd.factory.dataset.read.reader import open_shard, shard_paths
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.workers.tasks import TaskLost, TaskPool
 from tests.evaluation.evaluation_settings import evaluation, settings_for
 from tests.small_dataset import add_shard, fan_images, write_dataset, write_manifest
 
@@ -46,9 +46,9 @@ GAUSSIAN = Method("gaussian", "", {"sigma_px": 1.0})
 def measured(dataset: Path, methods: list[Method], out: Path, **changes: Any) -> list[rows.Row]:
     settings = settings_for(dataset, **changes)
     journal = Journal(out)
-    with contextlib.closing(journal), Team(settings.workers) as team:
+    with contextlib.closing(journal), TaskPool(settings.workers) as pool:
         items = items_of(dataset, settings.split, settings.limit)
-        return rows.measure_rows(settings, items, methods, journal, team)
+        return rows.measure_rows(settings, items, methods, journal, pool)
 
 
 def test_one_command_writes_the_whole_report(tmp_path: Path) -> None:
@@ -179,10 +179,10 @@ def sleeps(seconds: float) -> float:
 
 
 def test_tasks_that_take_too_long_are_given_up() -> None:
-    with Team(2) as team:
-        found = dict(team.run(sleeps, deque([0.0, 60.0]), lambda _: 3.0))
+    with TaskPool(2) as pool:
+        found = dict(pool.run(sleeps, deque([0.0, 60.0]), lambda _: 3.0))
     assert found[0.0] == 0.0
-    assert found[60.0] == Died("took longer than 3 s")
+    assert found[60.0] == TaskLost("took longer than 3 s")
 
 
 def test_float_shards_measure_like_uint8_ones(tmp_path: Path) -> None:

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from simnfnd.evaluation.crew import Team
 from simnfnd.evaluation.journal import Journal
 from simnfnd.evaluation.metrics.fidelity import psnr
 from simnfnd.evaluation.networks import costs_of, networks_of
 from simnfnd.evaluation.pictures import items_of, picture
 from simnfnd.evaluation.rows import measure_rows
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.workers.tasks import TaskPool
 from tests.evaluation.evaluation_settings import settings_for
 from tests.small_dataset import write_dataset
 
@@ -47,8 +47,8 @@ def test_networks_are_rows_with_their_costs(tmp_path: Path) -> None:
         ("other", "simnfnd_l1"),
     ]
     items = items_of(dataset, "test")
-    with closing(Journal(tmp_path / "out")) as journal, Team(1) as team:
-        rows = measure_rows(settings, items, methods, journal, team)
+    with closing(Journal(tmp_path / "out")) as journal, TaskPool(1) as pool:
+        rows = measure_rows(settings, items, methods, journal, pool)
     from simnfnd.models.denoise.command import load_denoiser
 
     pair = picture(items[1].place)
@@ -73,7 +73,7 @@ def test_a_file_that_is_no_network_loses_its_row(tmp_path: Path) -> None:
     (tmp_path / "bad.safetensors").write_bytes(b"no weights")
     dataset = write_dataset(tmp_path / "data", train=0, test=2, size=48)
     settings = settings_for(dataset, models=[str(tmp_path / "bad.safetensors")])
-    with closing(Journal(tmp_path / "out")) as journal, Team(1) as team:
+    with closing(Journal(tmp_path / "out")) as journal, TaskPool(1) as pool:
         items = items_of(dataset, "test")
-        row = measure_rows(settings, items, networks_of(settings), journal, team)[1]
+        row = measure_rows(settings, items, networks_of(settings), journal, pool)[1]
     assert "not a safetensors file" in (row.lost or "")

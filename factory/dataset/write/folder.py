@@ -81,9 +81,15 @@ def open_folder(
     """
     if directory.exists() and not directory.is_dir():
         raise FactoryError(f"dataset.dir: {directory} is a file; give a folder with dataset.dir=")
-    ours = (directory / CONFIG_NAME).exists() or (directory / MANIFEST_NAME).exists()
-    if not ours and not emptied:
-        _refuse_foreign(directory)
+    ours = _is_dataset(directory)
+    if not ours and not emptied and (foreign := _foreign_files(directory)):
+        # Another slice may have made the folder a dataset since we asked.
+        ours = _is_dataset(directory)
+        if not ours:
+            raise FactoryError(
+                f"dataset.dir: {directory} holds other files ({foreign}) and no dataset; "
+                "give an empty or new folder with dataset.dir="
+            )
     check_writable(directory, "dataset.dir")
     for folder in (directory, *(directory / split for split in SPLITS)):
         remove_stale_temporaries(folder)
@@ -93,9 +99,14 @@ def open_folder(
         manifest = Manifest(provenance.config_hash, provenance.generator, values)
     if not part:
         manifest = with_slices(directory, manifest)
-    save_manifest(directory, manifest, part)
+    # First of all files, because it tells other slices whose folder this is.
     write_atomically(directory / CONFIG_NAME, _config_text(config, provenance).encode())
+    save_manifest(directory, manifest, part)
     return manifest
+
+
+def _is_dataset(directory: Path) -> bool:
+    return any((directory / name).exists() for name in (CONFIG_NAME, MANIFEST_NAME))
 
 
 def with_slices(directory: Path, manifest: Manifest) -> Manifest:
@@ -112,16 +123,12 @@ def _passes(name: str) -> bool:
     return is_temporary(name) or name.startswith((".lock", ".claim-", WORK_NAME))
 
 
-def _refuse_foreign(directory: Path) -> None:
+def _foreign_files(directory: Path) -> str:
+    """The first names in a folder that do not come and go with runs; empty if there are none."""
     if not directory.is_dir():
-        return
+        return ""
     foreign = sorted(entry.name for entry in directory.iterdir() if not _passes(entry.name))
-    if foreign:
-        shown = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
-        raise FactoryError(
-            f"dataset.dir: {directory} holds other files ({shown}) and no dataset; "
-            "give an empty or new folder with dataset.dir="
-        )
+    return ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
 
 
 def slice_manifests(directory: Path) -> Iterator[Manifest]:
@@ -133,8 +140,8 @@ def slice_manifests(directory: Path) -> Iterator[Manifest]:
 
 
 def forget_slices(directory: Path) -> None:
-    """Remove the manifests and failures of slices, once the whole holds them."""
-    for name in (MANIFEST_NAME, ADDED_NAME, FAILURES_NAME):
+    """Remove the manifests, failures and states of slices, once the whole holds them."""
+    for name in (MANIFEST_NAME, ADDED_NAME, FAILURES_NAME, STATUS_NAME):
         for path in directory.glob(part_name(name, "*-of-*")):
             path.unlink(missing_ok=True)
 
@@ -144,7 +151,7 @@ def empty_folder(directory: Path) -> bool:
 
     Returns whether there was one.
     """
-    if not any((directory / name).exists() for name in (CONFIG_NAME, MANIFEST_NAME)):
+    if not _is_dataset(directory):
         return False
     with explain_os_errors(directory):
         for split in SPLITS:

@@ -19,7 +19,6 @@ from simnfnd.command import main
 from simnfnd.evaluation import command, tuning
 from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.baselines.base import Baseline
-from simnfnd.evaluation.crew import Team
 from simnfnd.evaluation.journal import Journal
 from simnfnd.evaluation.methods import baselines_of, methods_of
 from simnfnd.evaluation.metrics.fidelity import gmsd, psnr
@@ -30,6 +29,7 @@ from simnfnd.evaluation.report import build as builder
 from simnfnd.evaluation.rows import Row, measure_rows
 from simnfnd.factory.dataset.format.sample import Pair
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.workers.tasks import TaskPool
 from tests.evaluation.evaluation_settings import evaluation, settings_for
 from tests.project_files import ROOT
 from tests.small_dataset import add_shard, fan_images, write_dataset
@@ -39,8 +39,8 @@ def tune(dataset: Path, file: Path, *names: str, **changes: Any) -> list[str]:
     """The lines of `evaluation tune` for these baselines."""
     tuning_keys = {"file": str(file), **changes.pop("tuning", {})}
     settings = settings_for(dataset, tuning=tuning_keys, **changes)
-    with Team(settings.workers) as team:
-        return tuning.tune(settings, baselines_of(names), team)
+    with TaskPool(settings.workers) as pool:
+        return tuning.tune(settings, baselines_of(names), pool)
 
 
 def measured(dataset: Path, file: Path, *names: str, **changes: Any) -> dict[str, Row]:
@@ -48,8 +48,8 @@ def measured(dataset: Path, file: Path, *names: str, **changes: Any) -> dict[str
     settings = settings_for(dataset, **changes)
     methods = methods_of(baselines_of(names), tuning.load_tuned(file))
     items = items_of(dataset, "test")
-    with closing(Journal(file.parent / "journal")) as journal, Team(settings.workers) as team:
-        found = measure_rows(settings, items, methods, journal, team)
+    with closing(Journal(file.parent / "journal")) as journal, TaskPool(settings.workers) as pool:
+        found = measure_rows(settings, items, methods, journal, pool)
     return {row.method.label: row for row in found}
 
 

@@ -10,8 +10,8 @@ from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.jobs.plan import ShardTask
 
 
-class Attempts:
-    """The record of one shard.
+class PendingShard:
+    """A shard that is not settled yet, and what happened to it so far.
 
     A frame that was in hand at `retries` + 1 deaths is given up, and the shard goes on without
     it.  A shard whose workers die that often between frames is given up as a whole.  Every death
@@ -62,15 +62,18 @@ class Attempts:
         return in_hand is not None
 
 
-class Preparation:
-    """The record of one frame that is prepared; `waiting` are the shards that it is for."""
+class PendingFrame:
+    """A frame that is to be prepared, and what happened to it so far.
+
+    waiting: the shards that need it.
+    """
 
     def __init__(self, ref: FrameRef, retries: int) -> None:
         self.ref = ref
         self.number = 0
         self.not_before = 0.0
         self.deaths = 0
-        self.waiting: list[Attempts] = []
+        self.waiting: list[PendingShard] = []
         self._retries = retries
 
     def died(self, kind: FailureKind, reason: str) -> Failure | None:
