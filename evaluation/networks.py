@@ -15,11 +15,10 @@ from simnfnd.evaluation.pictures import Place
 from simnfnd.evaluation.settings import EvaluationSettings
 from simnfnd.factory.dataset.read.reader import open_shard
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.settings import build
 from simnfnd.models import WEIGHTS_NAME
 
 if TYPE_CHECKING:
-    from simnfnd.models.data.geometry import Geometry
+    from simnfnd.factory.sonar.geometry import FanGeometry
 
 
 def networks_of(settings: EvaluationSettings) -> list[Method]:
@@ -56,7 +55,7 @@ class Network:
 
     def __init__(self, weights: str, device: str) -> None:
         """Raises FactoryError for a file that holds no weights of a network."""
-        from simnfnd.models.denoise.command import load_denoiser
+        from simnfnd.models.denoise.denoiser import load_denoiser
 
         self._denoise = load_denoiser(weights, device)
 
@@ -66,7 +65,9 @@ class Network:
         parameter = next(self._denoise.trained.network.parameters(), None)
         return parameter is not None and parameter.is_cuda
 
-    def __call__(self, image: Gray, place: Place | None, geometry: Geometry | None = None) -> Gray:
+    def __call__(
+        self, image: Gray, place: Place | None, geometry: FanGeometry | None = None
+    ) -> Gray:
         """(H, W) float32 in 0..1 -> the same.
 
         place: where the picture is; a network that uses the geometry gets it from there, unless
@@ -89,8 +90,8 @@ def costs_of(networks: Sequence[Method]) -> dict[str, dict[str, float]]:
     """Label -> gmac (for 256x256 pixels) and parameters of each network, as docs/models.md."""
     if not networks:
         return {}
-    from simnfnd.models.cost import count_macs
-    from simnfnd.models.weights import load_weights
+    from simnfnd.models.networks.cost import count_macs
+    from simnfnd.models.networks.weights import load_weights
 
     found = {}
     for method in networks:
@@ -104,20 +105,18 @@ def costs_of(networks: Sequence[Method]) -> dict[str, dict[str, float]]:
 
 
 @lru_cache(maxsize=64)
-def geometry_of(place: Place) -> Geometry | None:
+def geometry_of(place: Place) -> FanGeometry | None:
     """Where range and bearing are in a picture of a dataset; None where nothing says so."""
-    from simnfnd.factory.sonar.settings import SonarSettings
-    from simnfnd.models.data.geometry import of_record
+    from simnfnd.factory.sonar.geometry import FanGeometry, recorded_sonar
 
     path, row = place
     if row == image_pairs.ROW:
         return None
     with open_shard(Path(path)) as file:
         try:
-            config = json.loads(file.attrs["config"])
-            sonar: SonarSettings = build(SonarSettings, config["sonar"])
-            return of_record(sonar, file["meta"][row])
-        except (KeyError, ValueError, TypeError, FactoryError):
+            sonar = recorded_sonar(json.loads(file.attrs["config"]))
+            return None if sonar is None else FanGeometry.from_record(sonar, file["meta"][row])
+        except (KeyError, ValueError, TypeError):
             return None
 
 

@@ -25,7 +25,7 @@ from simnfnd.evaluation.tuning import reason
 from simnfnd.factory.errors import FactoryError
 
 if TYPE_CHECKING:
-    from simnfnd.models.data.geometry import Geometry
+    from simnfnd.factory.sonar.geometry import FanGeometry
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def denoised(
     image: Gray,
     device: str,
     place: Place | None,
-    geometry: Geometry | None = None,
+    geometry: FanGeometry | None = None,
 ) -> Gray:
     """The method's picture without levels, (H, W) in 0..1; raises whatever the method raises.
 
