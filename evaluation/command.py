@@ -71,9 +71,9 @@ def run(config: DictConfig) -> None:
 def run_tune(config: DictConfig) -> None:
     """Tune the baselines on validation pairs."""
     settings = settings_of(config)
-    from simnfnd.evaluation import tuning
     from simnfnd.evaluation.crew import Team
-    from simnfnd.evaluation.methods import baselines_of
+    from simnfnd.evaluation.methods import tuning
+    from simnfnd.evaluation.methods.method import baselines_of
 
     with Team(settings.workers) as team:
         print("\n".join(tuning.tune(settings, baselines_of(settings.baselines), team)))

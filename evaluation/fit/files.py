@@ -9,8 +9,8 @@ from typing import Any
 
 import yaml
 
-from simnfnd.evaluation.fit.command import FitSettings
 from simnfnd.evaluation.fit.search import Result, score
+from simnfnd.evaluation.fit.settings import FitSettings
 from simnfnd.evaluation.realism.report import number, times
 from simnfnd.factory.config import plain
 from simnfnd.factory.files import explain_os_errors, write_atomically

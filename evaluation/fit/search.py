@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import TypeAdapter
 from tqdm import tqdm
 
-from simnfnd.evaluation.fit.command import FitSettings, Parameter
+from simnfnd.evaluation.fit.settings import FitSettings, Parameter
 from simnfnd.evaluation.fit.simulate import Simulation
 from simnfnd.evaluation.realism.compare import Comparison, compare, overall
 from simnfnd.evaluation.realism.distances import STATISTICS, Statistic

@@ -12,12 +12,11 @@ from tqdm import tqdm
 from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.baselines.base import Gray
 from simnfnd.evaluation.crew import Died, Team
-from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.methods.apply import denoised
+from simnfnd.evaluation.methods.method import Method, reason
 from simnfnd.evaluation.metrics.edges import edge_preservation
 from simnfnd.evaluation.metrics.speckle import contrast_to_noise, enl, m_index, ratio_mean
 from simnfnd.evaluation.real.pictures import SIDE, File, Scene, pixel_geometry, scene
-from simnfnd.evaluation.tuning import reason
-from simnfnd.evaluation.work import denoised
 from simnfnd.factory.errors import FactoryError
 
 Figures = dict[str, float]

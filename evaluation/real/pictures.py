@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.image_pairs import images_in, read_gray
+from simnfnd.evaluation.data.image_pairs import images_in, read_gray
 from simnfnd.evaluation.metrics.speckle import homogeneous_zones
 from simnfnd.evaluation.realism.geometry import Geometry, sector_mask
 from simnfnd.evaluation.realism.pictures import Source

@@ -10,12 +10,12 @@ from importlib.resources import files as resources
 from pathlib import Path
 from typing import Any
 
+from simnfnd.evaluation.methods.method import shown
 from simnfnd.evaluation.real.downstream import Segmented
 from simnfnd.evaluation.real.measure import RealRow, mean_of
 from simnfnd.evaluation.report.examples import as_data_uri
 from simnfnd.evaluation.report.markup import cell, paragraph, table
 from simnfnd.evaluation.report.names import Metric, written
-from simnfnd.evaluation.tuning import shown
 from simnfnd.factory.files import write_atomically
 
 COLUMNS = {

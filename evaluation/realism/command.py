@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 from omegaconf import DictConfig, OmegaConf
 
 from simnfnd.evaluation.app import hydra_verb
+from simnfnd.evaluation.overrides import named
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.settings import build
 
@@ -20,29 +21,6 @@ if TYPE_CHECKING:
 def realism(words: Sequence[str]) -> int:
     """`simnfnd evaluate realism REAL SIM [SIM ...] [KEY=VALUE ...]`."""
     return hydra_verb(run, "realism", named(words, "real", "sim"))
-
-
-def named(words: Sequence[str], first: str, rest: str | None = None) -> list[str]:
-    """Words without `=` as overrides: the first one of `first`, the others a list of `rest`."""
-    plain = [word for word in words if "=" not in word and not word.startswith("-")]
-    told = [word for word in words if word not in plain]
-    if plain:
-        told.append(f"{first}={_quoted(plain[0])}")
-    if plain[1:]:
-        if rest is None:
-            raise FactoryError(f"{plain[1]}: unexpected; only one folder is taken here")
-        told.append(f"{rest}={listed(plain[1:])}")
-    return told
-
-
-def listed(words: Sequence[str]) -> str:
-    """Words as a list in Hydra's grammar."""
-    return f"[{','.join(_quoted(word) for word in words)}]"
-
-
-def _quoted(word: str) -> str:
-    """A path as Hydra's grammar takes it, whatever characters it has."""
-    return "'" + word.replace("\\", "\\\\").replace("'", "\\'") + "'"
 
 
 def run(config: DictConfig) -> None:

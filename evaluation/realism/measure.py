@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
-from simnfnd.evaluation.realism import artefacts, features, texture, windows
 from simnfnd.evaluation.realism.geometry import Gray, Grid
 from simnfnd.evaluation.realism.pictures import Collection
+from simnfnd.evaluation.realism.statistics import artefacts, features, texture, windows
 
 Values = npt.NDArray[np.float64]
 

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from simnfnd.evaluation.data.pairs import Item
+from simnfnd.evaluation.measurement.rows import Row
 from simnfnd.evaluation.metrics import fidelity as metrics
-from simnfnd.evaluation.pictures import Item
 from simnfnd.evaluation.report import tables
+from simnfnd.evaluation.report.content import SCHEMA
 from simnfnd.evaluation.report.names import written_p
-from simnfnd.evaluation.rows import Row
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
 
@@ -66,6 +67,18 @@ def read_results(folder: Path) -> dict[str, Any]:
             f"{path}: damaged or of another version ({reason}); make it again"
         ) from error
     return {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}
+
+
+def read_content(folder: Path) -> dict[str, Any]:
+    """The content of a report's report.json.  FactoryError when there is none."""
+    path = folder / REPORT_NAME
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if content["schema"] != SCHEMA:
+            raise ValueError(f"schema {content['schema']!r}")
+        return content
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FactoryError(f"{path}: absent or damaged; make the report again") from error
 
 
 def write_content(folder: Path, content: Mapping[str, Any]) -> None:

@@ -9,11 +9,11 @@ from importlib.resources import files as resources
 from pathlib import Path
 from typing import Any
 
+from simnfnd.evaluation.methods.method import shown
 from simnfnd.evaluation.report import files, sections, tables
 from simnfnd.evaluation.report.examples import Example, as_data_uri
 from simnfnd.evaluation.report.markup import cell, first, head, paragraph
 from simnfnd.evaluation.report.names import METRIC_NAMES, written, written_p
-from simnfnd.evaluation.tuning import shown
 from simnfnd.factory.files import write_atomically
 
 PAGE_NAME = "report.html"

@@ -7,9 +7,9 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from simnfnd.evaluation.methods.method import shown
 from simnfnd.evaluation.report.names import METRIC_NAMES, written, written_p
 from simnfnd.evaluation.report.paper import TABLE_METRICS
-from simnfnd.evaluation.tuning import shown
 
 Content = Mapping[str, Any]
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import ndimage
 
+from simnfnd.evaluation.data.pairs import Picture
 from simnfnd.evaluation.metrics.edges import edge_preservation
 from simnfnd.evaluation.metrics.fidelity import MetricError, gmsd
 from simnfnd.evaluation.metrics.measure import sector_of
@@ -30,7 +31,6 @@ from simnfnd.evaluation.metrics.speckle import (
     zone_enl,
 )
 from simnfnd.evaluation.metrics.texture import Scene
-from simnfnd.evaluation.pictures import Picture
 from tests.evaluation.metrics.test_metrics import waves
 
 Array = npt.NDArray[Any]

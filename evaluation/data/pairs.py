@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation import image_pairs
 from simnfnd.evaluation.baselines.base import Gray
+from simnfnd.evaluation.data import image_pairs
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.evaluation.metrics.measure import sector_of
 from simnfnd.factory.dataset.format.manifest import load_manifest
 from simnfnd.factory.dataset.read.reader import Split, open_shard, shard_paths, value_range
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
+from simnfnd.factory.settings import build
+
+if TYPE_CHECKING:
+    from simnfnd.models.data.geometry import Geometry
 
 Place = tuple[str, int]
 """Shard file and row, or a noisy image file and image_pairs.ROW."""
@@ -158,3 +163,21 @@ def input_of(item: Item, looks: bool) -> Gray:
     if not looks:
         return picture(item.place).noisy
     return np.stack([picture(place).noisy for place in item.looks])
+
+
+@lru_cache(maxsize=64)
+def geometry_of(place: Place) -> Geometry | None:
+    """Where range and bearing are in a picture of a dataset; None where nothing says so."""
+    from simnfnd.factory.sonar.settings import SonarSettings
+    from simnfnd.models.data.geometry import of_record
+
+    path, row = place
+    if row == image_pairs.ROW:
+        return None
+    with open_shard(Path(path)) as file:
+        try:
+            config = json.loads(file.attrs["config"])
+            sonar: SonarSettings = build(SonarSettings, config["sonar"])
+            return of_record(sonar, file["meta"][row])
+        except (KeyError, ValueError, TypeError, FactoryError):
+            return None
