@@ -21,10 +21,9 @@ from simnfnd.factory.dataset.format.manifest import load_manifest
 from simnfnd.factory.dataset.read.reader import Split, open_shard, shard_paths, value_range
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
-from simnfnd.factory.settings import build
 
 if TYPE_CHECKING:
-    from simnfnd.models.data.geometry import Geometry
+    from simnfnd.factory.sonar.geometry import FanGeometry
 
 Place = tuple[str, int]
 """Shard file and row, or a noisy image file and image_pairs.ROW."""
@@ -166,18 +165,16 @@ def input_of(item: Item, looks: bool) -> Gray:
 
 
 @lru_cache(maxsize=64)
-def geometry_of(place: Place) -> Geometry | None:
+def geometry_of(place: Place) -> FanGeometry | None:
     """Where range and bearing are in a picture of a dataset; None where nothing says so."""
-    from simnfnd.factory.sonar.settings import SonarSettings
-    from simnfnd.models.data.geometry import of_record
+    from simnfnd.factory.sonar.geometry import FanGeometry, recorded_sonar
 
     path, row = place
     if row == image_pairs.ROW:
         return None
     with open_shard(Path(path)) as file:
         try:
-            config = json.loads(file.attrs["config"])
-            sonar: SonarSettings = build(SonarSettings, config["sonar"])
-            return of_record(sonar, file["meta"][row])
-        except (KeyError, ValueError, TypeError, FactoryError):
+            sonar = recorded_sonar(json.loads(file.attrs["config"]))
+            return None if sonar is None else FanGeometry.from_record(sonar, file["meta"][row])
+        except (KeyError, ValueError, TypeError):
             return None

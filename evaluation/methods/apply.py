@@ -13,7 +13,7 @@ from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.methods.networks import network
 
 if TYPE_CHECKING:
-    from simnfnd.models.data.geometry import Geometry
+    from simnfnd.factory.sonar.geometry import FanGeometry
 
 
 def denoised(
@@ -21,7 +21,7 @@ def denoised(
     image: Gray,
     device: str,
     place: Place | None,
-    geometry: Geometry | None = None,
+    geometry: FanGeometry | None = None,
 ) -> Gray:
     """The method's picture without levels, (H, W) in 0..1; raises whatever the method raises.
 

@@ -15,7 +15,7 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.models import WEIGHTS_NAME
 
 if TYPE_CHECKING:
-    from simnfnd.models.data.geometry import Geometry
+    from simnfnd.factory.sonar.geometry import FanGeometry
 
 
 def networks_of(settings: EvaluationSettings) -> list[Method]:
@@ -62,7 +62,9 @@ class Network:
         parameter = next(self._denoise.trained.network.parameters(), None)
         return parameter is not None and parameter.is_cuda
 
-    def __call__(self, image: Gray, place: Place | None, geometry: Geometry | None = None) -> Gray:
+    def __call__(
+        self, image: Gray, place: Place | None, geometry: FanGeometry | None = None
+    ) -> Gray:
         """(H, W) float32 in 0..1 -> the same.
 
         place: where the picture is; a network that uses the geometry gets it from there, unless

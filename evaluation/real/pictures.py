@@ -18,7 +18,7 @@ from simnfnd.evaluation.realism.geometry import Geometry, sector_mask
 from simnfnd.evaluation.realism.pictures import Source
 from simnfnd.evaluation.realism.real import GEOMETRY_FILE, open_real
 from simnfnd.factory.errors import FactoryError
-from simnfnd.models.data.geometry import Geometry as PixelGeometry
+from simnfnd.factory.sonar.geometry import FanGeometry
 
 Mask = npt.NDArray[np.bool_]
 
@@ -136,23 +136,25 @@ def scene(file: File) -> Scene:
     )
 
 
-def pixel_geometry(file: File) -> PixelGeometry | None:
+def pixel_geometry(file: File) -> FanGeometry | None:
     """The same geometry as networks and filters take it; None where nobody knows it."""
     if file.source is None:
         return None
     own = file.source.geometry
-    half = math.radians(own.hfov_deg) / 2
+    sector_rad = math.radians(own.hfov_deg)
     if own.layout == "polar":
-        rows, columns = file.read().shape
-        bearings = (np.arange(columns) + 0.5) / columns * 2 * half - half
-        # Metres may be unknown; then range 0 is taken for the first row's.
-        near = (own.range_min_m or 0.0) / (own.range_max_m or 1.0)
-        return PixelGeometry(
-            "polar", near, -half, half, azimuths_rad=tuple(bearings.tolist()), rows=rows
-        )
-    near = own.near_px / own.far_px
-    centre = own.apex_x_px, own.apex_y_px, own.far_px, own.x_scale
-    return PixelGeometry("fan", near, -half, half, *centre)
+        known = FanGeometry.polar(sector_rad, own.range_min_m, own.range_max_m)
+        return known.with_size(*file.read().shape)
+    return FanGeometry.fan(
+        sector_rad,
+        apex_x_px=own.apex_x_px,
+        apex_y_px=own.apex_y_px,
+        near_px=own.near_px,
+        far_px=own.far_px,
+        x_scale=own.x_scale,
+        range_min_m=own.range_min_m,
+        range_max_m=own.range_max_m,
+    )
 
 
 def _sector(noisy: Gray, geometry: Geometry | None) -> Mask:

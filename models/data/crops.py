@@ -15,7 +15,7 @@ from torch import distributed
 from torch.utils.data import Dataset, Sampler
 
 from simnfnd.factory.seeds import stream
-from simnfnd.models.data.geometry import Maps, mirrored
+from simnfnd.factory.sonar.geometry import Maps
 from simnfnd.models.data.pairs import Batch, Sample, Source
 from simnfnd.models.training.settings import DataSettings
 
@@ -101,13 +101,20 @@ def _crop(
     images = {name: image[window][:, ::step] for name, image in _images(sample).items()}
     if sample.geometry is not None and extras:
         maps: Maps = sample.geometry.maps(top, left, patch, patch)
-        maps = mirrored(maps) if flip else maps
+        maps = _mirrored(maps) if flip else maps
         images |= {name: maps[name] for name in extras if name in maps}
     batch = {name: torch.from_numpy(x.copy())[None, None] for name, x in images.items()}
     if "noise_level" in extras and "clean" in batch:
         difference = batch["noisy"] - batch["clean"]
         batch["noise_level"] = difference.square().mean().sqrt()[None]
     return batch
+
+
+def _mirrored(maps: Maps) -> Maps:
+    """The maps of the picture mirrored left to right: bearings change their sign."""
+    flipped = {name: values[:, ::-1] for name, values in maps.items()}
+    flipped["azimuth_rad"] = -flipped["azimuth_rad"]
+    return flipped
 
 
 def _images(sample: Sample) -> Maps:

@@ -26,8 +26,8 @@ from simnfnd.factory.generate import choose_frames, split_frames
 from simnfnd.factory.pairs import PairMaker
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.seeds import stream
+from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
-from simnfnd.models.data.geometry import of_record
 from simnfnd.models.data.pairs import PairTable, Sample, SampleRef, weakened
 from simnfnd.models.training.settings import RendersData
 
@@ -81,7 +81,7 @@ class RenderSource:
             in_unit_range(pair.noisy),
             in_unit_range(pair.clean),
             pair.shadow.astype(np.float32),
-            of_record(self._sonars[scale], pair.record),
+            FanGeometry.from_record(self._sonars[scale], pair.record),
         )
 
     def scale_of(self, index: int, visit: int) -> float:

@@ -17,7 +17,8 @@ from tqdm import tqdm
 from simnfnd.factory.dataset.read.reader import open_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import check_writable
-from simnfnd.models.data.geometry import Geometry, polar_picture, read_fans
+from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.models.data.fans import read_fans
 from simnfnd.models.denoise.files import (
     Gray,
     denoise_file,
@@ -148,7 +149,7 @@ class Denoiser:
             network.to("cuda")
 
     def __call__(
-        self, gray: Gray, geometry: Geometry | None = None, *, layout: str | None = None
+        self, gray: Gray, geometry: FanGeometry | None = None, *, layout: str | None = None
     ) -> Gray:
         """(H, W) float32 in 0..1 -> the same, denoised.
 
@@ -156,7 +157,7 @@ class Denoiser:
         near range first, and the columns span 30 degrees.
         """
         if geometry is None and layout == "polar":
-            geometry = polar_picture(*gray.shape)
+            geometry = FanGeometry.polar().with_size(*gray.shape)
         extras = self.trained.network.extras
         maps = {}
         if geometry is not None and extras:

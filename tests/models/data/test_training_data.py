@@ -25,9 +25,10 @@ from simnfnd.factory.render.pack import write_pack
 from simnfnd.factory.render.views import CachedViews
 from simnfnd.factory.settings import build
 from simnfnd.factory.sonar.fan import fan_table
+from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.data.crops import Crops, Visit, Whole
-from simnfnd.models.data.geometry import of_sonar, polar_picture, read_fans
+from simnfnd.models.data.fans import read_fans
 from simnfnd.models.data.images import list_images, read_grey
 from simnfnd.models.data.olddata import OldDataSource, with_noise
 from simnfnd.models.data.pairs import PairSource, hold_out, read_table
@@ -250,7 +251,7 @@ def test_fan_geometry_is_the_factorys(near: float) -> None:
         SonarSettings, {"hfov_deg": 60, "image": {"width_px": 90, "height_px": 70}, "beams": 64}
     )
     table = fan_table(sonar, near)
-    maps = of_sonar(sonar, near).maps(0, 0, 70, 90)
+    maps = FanGeometry.from_sonar(sonar, near, 1.0).maps(0, 0, 70, 90)
     assert np.mean((maps["sector"] > 0) != table.inside) < 0.002  # rounding at the very edge
     rows = (np.arange(sonar.range_bins) + 0.5) / sonar.range_bins * (1 - near) + near
     polar = np.repeat(rows[:, None], sonar.beams, axis=1).astype(np.float32)
@@ -263,13 +264,16 @@ def test_fan_geometry_is_the_factorys(near: float) -> None:
     np.testing.assert_allclose(
         table.bilinear(bearings)[within], maps["azimuth_rad"][within], atol=1e-4
     )
-    part = of_sonar(sonar, near).maps(10, 20, 30, 40)
+    part = FanGeometry.from_sonar(sonar, near, 1.0).maps(10, 20, 30, 40)
     for name, values in maps.items():
         np.testing.assert_array_equal(part[name], values[10:40, 20:60])
 
 
 def test_pixels_are_the_inverse_of_maps() -> None:
-    for geometry in (of_sonar(SonarSettings(), 0.2), polar_picture(256, 256)):
+    for geometry in (
+        FanGeometry.from_sonar(SonarSettings(), 0.2, 1.0),
+        FanGeometry.polar().with_size(256, 256),
+    ):
         maps = geometry.maps(0, 0, 256, 256)
         row, column = geometry.pixels(maps["range_fraction"], maps["azimuth_rad"])
         inside = maps["sector"] > 0

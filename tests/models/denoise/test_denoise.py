@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models import build_network
-from simnfnd.models.data.geometry import polar_picture
 from simnfnd.models.denoise.command import Item, denoise_image, find_items, load_denoiser, main
 from simnfnd.models.denoise.tile import starts, tiled
 from simnfnd.models.networks.network import Network
@@ -341,6 +341,6 @@ def test_geometry_reaches_the_network(tmp_path: Path, monkeypatch: pytest.Monkey
     denoise = load_denoiser(path, "cpu")
     gray = np.zeros((20, 20), np.float32)
     denoise(gray)
-    denoise(gray, polar_picture(20, 20))
+    denoise(gray, FanGeometry.polar().with_size(20, 20))
     denoise(gray, layout="polar")
     assert told == [(), ("range_fraction", "sector"), ("range_fraction", "sector")]
