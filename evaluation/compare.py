@@ -19,6 +19,7 @@ from simnfnd.evaluation.metrics.statistics import Paired, holm, paired
 from simnfnd.evaluation.report.files import read_results
 from simnfnd.evaluation.report.names import METRIC_NAMES, written, written_p
 from simnfnd.evaluation.report.tables import percent
+from simnfnd.factory import markdown
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import check_writable, write_atomically
 
@@ -119,19 +120,25 @@ def as_markdown(result: dict[str, Any]) -> str:
         "",
         _verdict(result),
         "",
-        "| metric | A minus B | 95 % interval | p (Holm) | A is better in | A |",
-        "|---|---:|:---:|---:|---:|---|",
     ]
+    rows = []
     for name, one in result["metrics"].items():
         metric = METRIC_NAMES[name]
         digits = metric.digits + 1
         low, high = written(one["low"], digits, True), written(one["high"], digits, True)
         wins = percent(one["wins"]) if metric.better else "-"
-        lines.append(
-            f"| {metric.label} | {written(one['difference'], digits, True)} | {low} .. {high} "
-            f"| {written_p(one['p_holm'])} | {wins} | {one['verdict']} |"
+        rows.append(
+            [
+                metric.label,
+                written(one["difference"], digits, True),
+                f"{low} .. {high}",
+                written_p(one["p_holm"]),
+                wins,
+                one["verdict"],
+            ]
         )
-    return "\n".join(lines)
+    head = ["metric", "A minus B", "95 % interval", "p (Holm)", "A is better in", "A"]
+    return "\n".join([*lines, markdown.table(head, rows, "lrcrrl")])
 
 
 def _entry(name: str, result: Paired, p_holm: float) -> dict[str, Any]:

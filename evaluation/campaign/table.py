@@ -19,6 +19,7 @@ import numpy.typing as npt
 from simnfnd.evaluation.campaign.trainings import Training, read_trainings
 from simnfnd.evaluation.metrics.statistics import Estimate, estimate
 from simnfnd.evaluation.report.files import read_content, read_results
+from simnfnd.factory import markdown
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
 from simnfnd.models import WEIGHTS_NAME
@@ -69,9 +70,9 @@ def main(words: Sequence[str]) -> int:
     content = table_of(read_sets(folder, trainings), costs_of(folder, trainings))
     text = json.dumps(content, indent=1) + "\n"
     write_atomically(folder / "table.json", text.encode(), key="FOLDER")
-    write_atomically(folder / "table.md", markdown(content).encode(), key="FOLDER")
+    write_atomically(folder / "table.md", as_markdown(content).encode(), key="FOLDER")
     picture(folder / "table.png", content)
-    print(markdown(content))
+    print(as_markdown(content))
     print(f"table: {folder / 'table.md'}")
     return 0
 
@@ -188,45 +189,60 @@ def _check(scores: Scores) -> dict[str, Any]:
     return {"images": len(scores.groups), "rows": rows}
 
 
-def markdown(content: Mapping[str, Any]) -> str:
+_HEAD = ("row", "seeds", "PSNR, dB", "gain, dB", "margin, dB", "SSIM", "GMSD", "shadow IoU",
+         "worse", "GMAC", "CPU ms")  # fmt: skip
+_DIGITS = {"psnr": 2, "gain_db": 2, "margin_db": 2, "ssim": 3, "gmsd": 3, "shadow_iou": 3}
+_CHECKS = ("test set", "row", "PSNR in, dB", "out", "lowest", "worse", "worst")
+
+
+def as_markdown(content: Mapping[str, Any]) -> str:
     """The table for people."""
-    parts = []
-    for name, found in content["sets"].items():
-        parts.append(
-            f"### {name}: {found['images']} pairs of {found['frames']} frames\n\n"
-            "| row | seeds | PSNR, dB | gain, dB | margin, dB | SSIM | GMSD | shadow IoU | worse | "
-            "GMAC | CPU ms |\n|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|"
-        )
-        for row, entry in found["rows"].items():
-            cost = content["costs"].get(row, {})
-            shown = [row, str(entry["seeds"])]
-            digits = {"psnr": 2, "gain_db": 2, "margin_db": 2, "ssim": 3, "gmsd": 3}
-            for metric in ("psnr", "gain_db", "margin_db", "ssim", "gmsd", "shadow_iou"):
-                shown.append(_interval(entry.get(metric), digits.get(metric, 3)))
-            shown.append(f"{entry['worse']} of {entry['images']}")
-            shown += [f"{cost['gmac']:.2f}", f"{cost['cpu_ms']:.0f}"] if cost else ["", ""]
-            parts.append(f"| {' | '.join(shown)} |")
-        best = found["best_classical"]
-        margin = f"over `{best}`, the best classical method on these very pairs, with levels"
-        parts.append(f"\nMargin: {margin if best else 'unknown, no classical method was tuned'}.\n")
+    parts = [_set_table(name, found, content["costs"]) for name, found in content["sets"].items()]
     if content["checks"]:
+        rows = [
+            [
+                name,
+                row,
+                f"{entry['psnr_noisy']:.2f}",
+                f"{entry['psnr']:.2f}",
+                f"{entry['lowest_psnr']:.2f}",
+                f"{entry['worse']} of {entry['images']}",
+                f"{entry['worst_gain_db']:+.2f}",
+            ]
+            for name, found in content["checks"].items()
+            for row, entry in found["rows"].items()
+        ]
         parts.append(
-            "### Never worse?\n\n| test set | row | PSNR in, dB | out | lowest | worse | worst |"
-            "\n|---|---|---:|---:|---:|---:|---:|"
+            f"### Never worse?\n\n{markdown.table(_CHECKS, rows, 'llr')}\n\n"
+            "An untouched image counts as 100 dB: at no noise at all, `out` counts.\n"
         )
-        for name, found in content["checks"].items():
-            for row, entry in found["rows"].items():
-                parts.append(
-                    f"| {name} | {row} | {entry['psnr_noisy']:.2f} | {entry['psnr']:.2f} | "
-                    f"{entry['lowest_psnr']:.2f} | {entry['worse']} of {entry['images']} | "
-                    f"{entry['worst_gain_db']:+.2f} |"
-                )
-        parts.append("\nAn untouched image counts as 100 dB: at no noise at all, `out` counts.\n")
     parts.append(
         "Intervals: 95 % bootstrap by frames.  Of several seeds the mean; GMAC at 256x256, CPU "
         "milliseconds of one core at 512x512.\n"
     )
     return "\n".join(parts)
+
+
+def _set_table(name: str, found: Mapping[str, Any], costs: Mapping[str, Any]) -> str:
+    rows = []
+    for row, entry in found["rows"].items():
+        cost = costs.get(row)
+        rows.append(
+            [
+                row,
+                entry["seeds"],
+                *(_interval(entry.get(metric), digits) for metric, digits in _DIGITS.items()),
+                f"{entry['worse']} of {entry['images']}",
+                *([f"{cost['gmac']:.2f}", f"{cost['cpu_ms']:.0f}"] if cost else ["", ""]),
+            ]
+        )
+    best = found["best_classical"]
+    margin = f"over `{best}`, the best classical method on these very pairs, with levels"
+    return (
+        f"### {name}: {found['images']} pairs of {found['frames']} frames\n\n"
+        f"{markdown.table(_HEAD, rows)}\n\n"
+        f"Margin: {margin if best else 'unknown, no classical method was tuned'}.\n"
+    )
 
 
 def _interval(item: Mapping[str, float] | None, digits: int) -> str:

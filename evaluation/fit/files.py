@@ -11,7 +11,8 @@ import yaml
 
 from simnfnd.evaluation.fit.search import Result, score
 from simnfnd.evaluation.fit.settings import FitSettings
-from simnfnd.evaluation.realism.report import number, times
+from simnfnd.evaluation.realism.tables import number, times
+from simnfnd.factory import markdown
 from simnfnd.factory.config import plain
 from simnfnd.factory.files import explain_os_errors, write_atomically
 
@@ -22,21 +23,19 @@ _FORMS = ("uniform", "choice", "normal")
 
 def table(result: Result) -> str:
     """Markdown: every statistic before and after, in times the baseline."""
-    lines = [
-        "| real against | real | recipe | ratio | fitted | ratio |",
-        "|---|---:|---:|---:|---:|---:|",
-    ]
-    for before, after in zip(result.before, result.after, strict=True):
-        cells = [
+    rows = [
+        (
             after.statistic.label,
             number(after.baseline.mean),
             number(before.distance["sim"].mean),
             times(before.ratio("sim")),
             number(after.distance["sim"].mean),
             times(after.ratio("sim")),
-        ]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join([*lines, "", *summary(result)])
+        )
+        for before, after in zip(result.before, result.after, strict=True)
+    ]
+    head = ("real against", "real", "recipe", "ratio", "fitted", "ratio")
+    return "\n".join([markdown.table(head, rows), "", *summary(result)])
 
 
 def summary(result: Result) -> list[str]:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from simnfnd.evaluation.realism.geometry import Grid
+from simnfnd.evaluation.realism.polar import Grid
 from simnfnd.factory.settings import STRICT
 
 # What decides the renders, the frames or where things lie: not for a search over noise.

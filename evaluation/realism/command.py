@@ -25,7 +25,7 @@ def realism(words: Sequence[str]) -> int:
 
 def run(config: DictConfig) -> None:
     """Measure, compare, print the table and write the report."""
-    from simnfnd.evaluation.realism import report
+    from simnfnd.evaluation.realism import report, tables
     from simnfnd.evaluation.realism.compare import compare
     from simnfnd.evaluation.realism.measure import measure
     from simnfnd.evaluation.realism.real import open_real
@@ -46,7 +46,7 @@ def run(config: DictConfig) -> None:
     report.write(out, settings, collections, measured, comparisons)
     for note in (note for item in collections.values() for note in item.notes):
         print(note)
-    print(report.table(comparisons))
+    print(tables.table(comparisons))
     print(f"report: {out / 'realism.html'}")
 
 

@@ -16,6 +16,7 @@ from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.evaluation.report import tables
 from simnfnd.evaluation.report.content import SCHEMA
 from simnfnd.evaluation.report.names import written_p
+from simnfnd.factory import markdown
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
 
@@ -87,7 +88,7 @@ def write_content(folder: Path, content: Mapping[str, Any]) -> None:
     rows = content["rows"]
     files = {
         REPORT_NAME: text,
-        "report.md": markdown(content),
+        "report.md": as_markdown(content),
         "leaderboard.md": tables.leaderboard(rows) + "\n",
         "leaderboard.tex": tables.latex(rows),
         "leaderboard.csv": tables.as_csv(rows),
@@ -96,7 +97,7 @@ def write_content(folder: Path, content: Mapping[str, Any]) -> None:
         write_atomically(folder / name, written.encode(), key="out")
 
 
-def markdown(content: Mapping[str, Any]) -> str:
+def as_markdown(content: Mapping[str, Any]) -> str:
     """The whole report in Markdown."""
     facts, rows = content["facts"], content["rows"]
     parts = [
@@ -185,21 +186,18 @@ def facts_of(
 
 def _robustness(entry: Mapping[str, Any]) -> str:
     how = ", ".join(f"{key} = {value}" for key, value in entry["differs"].items()) or "nothing"
-    lines = [
-        f"**{entry['dataset']}** ({entry['pairs']} pairs; differs in {how})",
-        "",
-        "| method | PSNR, dB | against noisy, dB | SSIM | GMSD |",
-        "|---|---:|---:|---:|---:|",
-    ]
+    lines: list[list[str]] = []
     for label, row in entry["rows"].items():
         if row["lost"]:
-            lines.append(f"| {label} | lost: {row['lost']} | | | |")
+            lines.append([label, f"lost: {row['lost']}", "", "", ""])
             continue
         gain = row["gain"]
         shown = "" if label == "noisy" else f"{gain['mean']:+.2f} ({tables.interval(gain, 2)})"
-        ssim, gmsd = row["ssim"]["mean"], row["gmsd"]["mean"]
-        lines.append(f"| {label} | {row['psnr']['mean']:.2f} | {shown} | {ssim:.3f} | {gmsd:.3f} |")
-    return "\n".join(lines)
+        ssim, gmsd = (f"{row[name]['mean']:.3f}" for name in ("ssim", "gmsd"))
+        lines.append([label, f"{row['psnr']['mean']:.2f}", shown, ssim, gmsd])
+    head = ["method", "PSNR, dB", "against noisy, dB", "SSIM", "GMSD"]
+    title = f"**{entry['dataset']}** ({entry['pairs']} pairs; differs in {how})"
+    return f"{title}\n\n{markdown.table(head, lines)}"
 
 
 def _arrow() -> tuple[Any, Any]:

@@ -16,7 +16,7 @@ from simnfnd.evaluation.fit import files as fit_files
 from simnfnd.evaluation.fit import search as fit_search
 from simnfnd.evaluation.fit.settings import FitSettings, flattened
 from simnfnd.evaluation.fit.simulate import Simulation
-from simnfnd.evaluation.realism.geometry import Grid
+from simnfnd.evaluation.realism.polar import Grid
 from simnfnd.factory.compose import compose_config
 from simnfnd.factory.config import from_mapping, plain
 from simnfnd.factory.distribution import parse
