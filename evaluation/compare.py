@@ -158,11 +158,11 @@ def _entry(name: str, result: Paired, p_holm: float) -> dict[str, Any]:
 
 def _verdict(result: dict[str, Any]) -> str:
     """In words; better only where the interval excludes zero and Holm's p is below 0.05."""
-    said: dict[str, list[str]] = {"better": [], "worse": []}
+    metrics: dict[str, list[str]] = {"better": [], "worse": []}
     for name, one in result["metrics"].items():
-        if one["verdict"] in said:
-            said[one["verdict"]].append(METRIC_NAMES[name].label.split(",")[0])
-    better, worse = said["better"], said["worse"]
+        if one["verdict"] in metrics:
+            metrics[one["verdict"]].append(METRIC_NAMES[name].label.split(",")[0])
+    better, worse = metrics["better"], metrics["worse"]
     if better and not worse:
         return f"A is really better than B in {', '.join(better)}, and worse in nothing."
     if worse and not better:

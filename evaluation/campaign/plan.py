@@ -64,7 +64,7 @@ def training_name(row: str, seed: int) -> str:
 
 
 def test_sets(settings: CampaignSettings) -> list[str]:
-    """Names of the test sets: the two that count, then those for the check of never worse."""
+    """Names of the test sets: the two that count, then those where no picture may get worse."""
     real = ["real"] if settings.data.flsea else []
     return ["procedural", *real, "zero", *(f"only_{effect}" for effect in EFFECTS)]
 

@@ -40,10 +40,10 @@ def table(result: Result) -> str:
 
 def summary(result: Result) -> list[str]:
     """What the fit reached, in sentences."""
-    seen, kept = result.real
-    parts = [(f"{seen} real pictures of the search", result.before, result.after)]
+    searched, held_out = result.real
+    parts = [(f"{searched} real pictures of the search", result.before, result.after)]
     if result.held_out is not None:
-        parts.append((f"{kept} real pictures kept from it", *result.held_out))
+        parts.append((f"{held_out} real pictures kept from it", *result.held_out))
     lines = []
     for what, before, after in parts:
         old, new = score(before), score(after)

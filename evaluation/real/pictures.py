@@ -28,7 +28,7 @@ _RING = 15  # around an object, pixels
 
 @dataclass(frozen=True)
 class File:
-    """A picture of the folder.  geometry: of its fan or polar picture, None where nobody knows.
+    """A picture of the folder.  geometry: of its fan or polar picture, None where it is unknown.
 
     mask: file of its class indices, None without.
     """

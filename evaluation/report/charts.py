@@ -106,9 +106,9 @@ def _drawn(one: Series, x: _Scale, y: _Scale, lines: bool) -> str:
                 f'<line class="whisker" x1="{px:.1f}" x2="{px:.1f}" y1="{y(point.low):.1f}" '
                 f'y2="{y(point.high):.1f}"/>'
             )
-        said = f"{one.name}: {point.y:.2f}" + (f" {point.label}" if point.label else "")
+        title = f"{one.name}: {point.y:.2f}" + (f" {point.label}" if point.label else "")
         parts.append(
-            f'<circle cx="{px:.1f}" cy="{py:.1f}" r="4"><title>{escape(said)}</title></circle>'
+            f'<circle cx="{px:.1f}" cy="{py:.1f}" r="4"><title>{escape(title)}</title></circle>'
         )
     return "".join([*parts, "</g>"])
 

@@ -1,4 +1,4 @@
-"""The same methods on further datasets: other noise levels, and kinds that nobody has seen."""
+"""The same methods on further datasets: other levels of noise, and kinds absent from training."""
 
 from __future__ import annotations
 
