@@ -15,8 +15,7 @@ import numpy.typing as npt
 
 from simnfnd.evaluation.baselines.base import Gray
 from simnfnd.evaluation.data import image_pairs
-from simnfnd.evaluation.metrics import fidelity as metrics
-from simnfnd.evaluation.metrics.measure import sector_of
+from simnfnd.evaluation.data.picture import Picture, sector_of
 from simnfnd.factory.dataset.format.manifest import load_manifest
 from simnfnd.factory.dataset.read.reader import Split, open_shard, shard_paths, value_range
 from simnfnd.factory.errors import FactoryError
@@ -51,20 +50,6 @@ class Item:
     def group(self) -> str:
         """What shares one clean image: the unit of the bootstrap."""
         return f"{self.location}/{self.scene}/{self.frame}"
-
-
-@dataclass(frozen=True)
-class Picture:
-    """noisy, clean: (H, W) float32 in 0..1; shadow, sector: (H, W) bool.
-
-    has_shadow: whether the truth about shadows is known; then `shadow` says it.
-    """
-
-    noisy: Gray
-    clean: Gray
-    shadow: npt.NDArray[np.bool_]
-    sector: npt.NDArray[np.bool_]
-    has_shadow: bool = True
 
 
 def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
@@ -131,7 +116,7 @@ def drawn_of(items: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
 
 @lru_cache(maxsize=16)
 def picture(place: Place) -> Picture:
-    """Read one pair.  FactoryError when it is damaged, MetricError when it is not a number."""
+    """Read one pair.  FactoryError when it is damaged or has NaN."""
     path, row = place
     if row == image_pairs.ROW:
         noisy, clean, mask = image_pairs.read_pair(Path(path))
@@ -146,7 +131,7 @@ def picture(place: Place) -> Picture:
             raise FactoryError(f"{path}: sample {row} is damaged; generate it again") from error
     for name, image in (("noisy", noisy), ("clean", clean)):
         if not np.isfinite(image).all():
-            raise metrics.MetricError(f"{path}: sample {row}: {name} has NaN or infinite pixels")
+            raise FactoryError(f"{path}: sample {row}: {name} has NaN or infinite pixels")
     shadow = shadow.astype(bool)
     scale = np.float32(full)
     return Picture(

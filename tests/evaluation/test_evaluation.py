@@ -20,6 +20,7 @@ import pytest
 from simnfnd.evaluation.crew import Died, Team
 from simnfnd.evaluation.data.image_pairs import read_gray
 from simnfnd.evaluation.data.pairs import drawn_of, items_of, picture
+from simnfnd.evaluation.data.picture import sector_of
 from simnfnd.evaluation.measurement import rows
 from simnfnd.evaluation.measurement.store import MEASURED_NAME, FigureStore
 from simnfnd.evaluation.measurement.task import Task, measure_task
@@ -210,7 +211,7 @@ def test_noiseless_pairs_have_a_stated_rule(tmp_path: Path) -> None:
 
 def test_the_sector_leaves_out_what_the_sonar_cannot_see() -> None:
     noisy, clean, shadow = fan_images(64, np.random.default_rng(1))
-    sector = measure.sector_of(noisy, clean, shadow)
+    sector = sector_of(noisy, clean, shadow)
     scores = measure.score_pair(noisy, clean, shadow, data_range=1, shadow_threshold=0.02)
     share = sector.mean()
     assert 0.2 < share < 0.8
