@@ -20,7 +20,7 @@ def main(words: Sequence[str]) -> int:
     if words[:1] == ["table"]:
         from simnfnd.evaluation.campaign import table
 
-        return table.main(words[1:])
+        return table.campaign(words[1:])
     sys.argv[1:] = words
     return run_app(run, "campaign")
 

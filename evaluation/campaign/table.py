@@ -61,7 +61,7 @@ class Scores:
         return estimate(values, self.groups, resamples=_RESAMPLES, seed=_SEED)
 
 
-def main(words: Sequence[str]) -> int:
+def campaign(words: Sequence[str]) -> int:
     """Make the table of the campaign in a folder; returns the exit code."""
     parser = argparse.ArgumentParser(prog="simnfnd campaign table", description=__doc__)
     parser.add_argument("folder", type=Path, help="`out` of `simnfnd campaign`")

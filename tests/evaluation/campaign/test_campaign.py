@@ -228,9 +228,9 @@ def test_the_table_says_gain_margin_and_what_came_out_worse(
         folder.mkdir(parents=True)
         save_weights(folder / "weights.safetensors", build_network(TINY), TINY, {})
     with pytest.raises(FactoryError, match=r"campaign\.json: absent or damaged; run `simnfnd"):
-        table.main([str(tmp_path)])
+        table.campaign([str(tmp_path)])
     write_trainings(Folders(tmp_path), [("net", 0), ("net", 1)])
-    assert table.main([str(tmp_path)]) == 0
+    assert table.campaign([str(tmp_path)]) == 0
     content = json.loads((tmp_path / "table.json").read_text(encoding="utf-8"))
     found = content["sets"]["procedural"]
     assert list(found["rows"]) == ["noisy", "median tuned + levels", "net"], "rows by record"
