@@ -19,7 +19,7 @@ from simnfnd.evaluation.baselines.convolutional import atoms, coded, reconstruct
 from simnfnd.evaluation.baselines.dtcwt_map import _map
 from simnfnd.evaluation.baselines.structural import noise_map
 from simnfnd.evaluation.data.pairs import geometry_of, items_of, picture
-from simnfnd.evaluation.measurement.task import denoised
+from simnfnd.evaluation.methods.apply import denoised
 from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.metrics.fidelity import psnr
 from simnfnd.factory.dataset.format.sample import Axis, Column, Pair

@@ -221,7 +221,7 @@ def test_the_table_says_gain_margin_and_what_came_out_worse(
         },
         networks,
     )
-    zero = {"noisy": [100] * 4, "net-s0": [40, 41, 42, 39]}
+    zero: dict[str, list[float]] = {"noisy": [100] * 4, "net-s0": [40, 41, 42, 39]}
     results(tmp_path / "reports" / "zero", zero, networks)
     for seed in (0, 1):
         folder = tmp_path / "models" / f"net-s{seed}"
