@@ -71,8 +71,8 @@ def run(config: DictConfig) -> None:
 def run_tune(config: DictConfig) -> None:
     """Tune the baselines on validation pairs."""
     settings = settings_of(config)
-    from simnfnd.evaluation import tuning
-    from simnfnd.evaluation.methods import baselines_of
+    from simnfnd.evaluation.methods import tuning
+    from simnfnd.evaluation.methods.method import baselines_of
     from simnfnd.factory.workers.tasks import TaskPool
 
     with TaskPool(settings.workers) as pool:

@@ -19,6 +19,7 @@ from simnfnd.evaluation.metrics.statistics import Paired, holm, paired
 from simnfnd.evaluation.report.files import read_results
 from simnfnd.evaluation.report.names import METRIC_NAMES, written, written_p
 from simnfnd.evaluation.report.tables import percent
+from simnfnd.factory import markdown
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import check_writable, write_atomically
 
@@ -119,19 +120,25 @@ def as_markdown(result: dict[str, Any]) -> str:
         "",
         _verdict(result),
         "",
-        "| metric | A minus B | 95 % interval | p (Holm) | A is better in | A |",
-        "|---|---:|:---:|---:|---:|---|",
     ]
+    rows = []
     for name, one in result["metrics"].items():
         metric = METRIC_NAMES[name]
         digits = metric.digits + 1
         low, high = written(one["low"], digits, True), written(one["high"], digits, True)
         wins = percent(one["wins"]) if metric.better else "-"
-        lines.append(
-            f"| {metric.label} | {written(one['difference'], digits, True)} | {low} .. {high} "
-            f"| {written_p(one['p_holm'])} | {wins} | {one['verdict']} |"
+        rows.append(
+            [
+                metric.label,
+                written(one["difference"], digits, True),
+                f"{low} .. {high}",
+                written_p(one["p_holm"]),
+                wins,
+                one["verdict"],
+            ]
         )
-    return "\n".join(lines)
+    head = ["metric", "A minus B", "95 % interval", "p (Holm)", "A is better in", "A"]
+    return "\n".join([*lines, markdown.table(head, rows, "lrcrrl")])
 
 
 def _entry(name: str, result: Paired, p_holm: float) -> dict[str, Any]:
@@ -151,11 +158,11 @@ def _entry(name: str, result: Paired, p_holm: float) -> dict[str, Any]:
 
 def _verdict(result: dict[str, Any]) -> str:
     """In words; better only where the interval excludes zero and Holm's p is below 0.05."""
-    said: dict[str, list[str]] = {"better": [], "worse": []}
+    metrics: dict[str, list[str]] = {"better": [], "worse": []}
     for name, one in result["metrics"].items():
-        if one["verdict"] in said:
-            said[one["verdict"]].append(METRIC_NAMES[name].label.split(",")[0])
-    better, worse = said["better"], said["worse"]
+        if one["verdict"] in metrics:
+            metrics[one["verdict"]].append(METRIC_NAMES[name].label.split(",")[0])
+    better, worse = metrics["better"], metrics["worse"]
     if better and not worse:
         return f"A is really better than B in {', '.join(better)}, and worse in nothing."
     if worse and not better:

@@ -1,6 +1,6 @@
 """`simnfnd campaign`: the whole training campaign; run it again to go on.
 
-`simnfnd campaign table FOLDER` shows what it found.
+`simnfnd campaign table FOLDER` makes the table of what it found.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from simnfnd.factory.settings import build
 def main(words: Sequence[str]) -> int:
     """Run the campaign, or make its table; returns the exit code."""
     if words[:1] == ["table"]:
-        from simnfnd.evaluation.campaign.table import campaign
+        from simnfnd.evaluation.campaign import table
 
-        return campaign(words[1:])
+        return table.campaign(words[1:])
     sys.argv[1:] = words
     return run_app(run, "campaign")
 

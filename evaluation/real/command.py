@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 from omegaconf import DictConfig, OmegaConf
 
 from simnfnd.evaluation.app import hydra_verb
-from simnfnd.evaluation.realism.command import named
+from simnfnd.evaluation.overrides import named
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.settings import build
 
@@ -30,12 +30,12 @@ def run(config: DictConfig) -> None:
     settings = settings_of(config)
     import numpy as np
 
-    from simnfnd.evaluation.methods import baselines_of, methods_of
-    from simnfnd.evaluation.networks import networks_at
+    from simnfnd.evaluation.methods.method import baselines_of, methods_of
+    from simnfnd.evaluation.methods.networks import networks_at
+    from simnfnd.evaluation.methods.tuning import load_tuned
     from simnfnd.evaluation.real import report
     from simnfnd.evaluation.real.measure import check_masks, measure
     from simnfnd.evaluation.real.pictures import open_folder
-    from simnfnd.evaluation.tuning import load_tuned
     from simnfnd.factory.files import check_writable
     from simnfnd.factory.workers.tasks import TaskPool
 

@@ -11,12 +11,11 @@ from tqdm import tqdm
 
 from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.methods.apply import denoised
+from simnfnd.evaluation.methods.method import Method, reason
 from simnfnd.evaluation.metrics.edges import edge_preservation
 from simnfnd.evaluation.metrics.speckle import contrast_to_noise, enl, m_index, ratio_mean
-from simnfnd.evaluation.real.pictures import SIDE, File, Scene, pixel_geometry, scene
-from simnfnd.evaluation.tuning import reason
-from simnfnd.evaluation.work import denoised
+from simnfnd.evaluation.real.pictures import SIDE, File, Scene, geometry_of, scene
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.workers.tasks import TaskLost, TaskPool
 
@@ -96,7 +95,7 @@ def _measured(task: Task) -> tuple[Gray, Figures] | str:
     if method.weights is None and REGISTRY[method.name].looks:
         return "needs several looks at a scene that stands still"
     try:
-        image = denoised(method, shared.noisy, task.device, None, pixel_geometry(task.file))
+        image = denoised(method, shared.noisy, task.device, None, geometry_of(task.file))
     except Exception as error:  # a method's own defect must not take the others along
         return reason(error)
     if method.levels is not None:

@@ -108,10 +108,10 @@ def shift_px(fixed: Gray, moved: Gray, sector: Mask) -> tuple[float, float] | No
     2008, OpenCV).
     """
     inner = cv2.erode(sector.astype(np.uint8), np.ones((9, 9), np.uint8))
-    matrix = np.eye(2, 3, dtype=np.float32)
+    start = np.eye(2, 3, dtype=np.float32)
     try:
         _, matrix = cv2.findTransformECC(
-            fixed, moved, matrix, cv2.MOTION_TRANSLATION, _ECC_STEPS, inner, 9
+            fixed, moved, start, cv2.MOTION_TRANSLATION, _ECC_STEPS, inner, 9
         )
     except cv2.error:  # it did not converge
         return None
@@ -159,8 +159,8 @@ def _small(picture: Gray, sector: Mask) -> npt.NDArray[np.float64]:
     """(_SIDE * _SIDE,) of unit length: the scene without brightness, speckle and border."""
     weight = cv2.resize(sector.astype(np.float32), (_SIDE, _SIDE), interpolation=cv2.INTER_AREA)
     small = cv2.resize(picture * sector, (_SIDE, _SIDE), interpolation=cv2.INTER_AREA)
-    wide = cv2.GaussianBlur(small, (0, 0), _BROAD)
-    wide /= np.maximum(cv2.GaussianBlur(weight, (0, 0), _BROAD), 1e-3)
+    total = np.asarray(cv2.GaussianBlur(small, (0, 0), _BROAD))
+    wide = total / np.maximum(cv2.GaussianBlur(weight, (0, 0), _BROAD), 1e-3)
     scene = np.where(weight > 0.99, cv2.GaussianBlur(small, (0, 0), 1.0) - wide, 0.0).ravel()
     scene -= scene.mean()
     return np.asarray(scene / max(float(np.linalg.norm(scene)), 1e-12), np.float64)
@@ -169,10 +169,11 @@ def _small(picture: Gray, sector: Mask) -> npt.NDArray[np.float64]:
 def _shifted(frame: Gray, shift_px: npt.NDArray[np.float64]) -> Gray:
     """The frame with its scene moved left and up by (right, down) pixels, cubic."""
     matrix = np.array([[1, 0, shift_px[0]], [0, 1, shift_px[1]]], np.float64)
-    return cv2.warpAffine(
+    shifted = cv2.warpAffine(
         frame,
         matrix,
         frame.shape[::-1],
         flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_REFLECT,
     )
+    return np.asarray(shifted, np.float32)

@@ -13,13 +13,13 @@ import numpy as np
 
 from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.image_pairs import images_in, read_gray
-from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.data.image_pairs import images_in, read_gray
+from simnfnd.evaluation.data.pairs import Item, input_of, picture
+from simnfnd.evaluation.measurement.rows import Row
+from simnfnd.evaluation.methods.apply import denoised
+from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.metrics.fidelity import finite_psnr, psnr
-from simnfnd.evaluation.pictures import Item, input_of, picture
-from simnfnd.evaluation.rows import Row
 from simnfnd.evaluation.settings import EvaluationSettings
-from simnfnd.evaluation.work import denoised
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.workers.tasks import TaskLost, TaskPool
 

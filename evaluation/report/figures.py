@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.report.content import shown_rows
 from simnfnd.evaluation.report.examples import Example, real_examples
 from simnfnd.evaluation.report.names import METRIC_NAMES, written

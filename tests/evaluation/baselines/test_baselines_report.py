@@ -16,17 +16,18 @@ import numpy as np
 import pytest
 
 from simnfnd.command import main
-from simnfnd.evaluation import command, tuning
+from simnfnd.evaluation import command
 from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.baselines.base import Baseline
-from simnfnd.evaluation.journal import Journal
-from simnfnd.evaluation.methods import baselines_of, methods_of
+from simnfnd.evaluation.data.pairs import input_of, items_of, picture
+from simnfnd.evaluation.measurement.rows import Row, measure_rows
+from simnfnd.evaluation.measurement.store import FigureStore
+from simnfnd.evaluation.methods import tuning
+from simnfnd.evaluation.methods.method import baselines_of, methods_of
 from simnfnd.evaluation.metrics.fidelity import gmsd, psnr
 from simnfnd.evaluation.metrics.levels import fit_levels
 from simnfnd.evaluation.metrics.statistics import estimate, paired
-from simnfnd.evaluation.pictures import input_of, items_of, picture
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.rows import Row, measure_rows
 from simnfnd.factory.dataset.format.sample import Pair
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.workers.tasks import TaskPool
@@ -48,8 +49,8 @@ def measured(dataset: Path, file: Path, *names: str, **changes: Any) -> dict[str
     settings = settings_for(dataset, **changes)
     methods = methods_of(baselines_of(names), tuning.load_tuned(file))
     items = items_of(dataset, "test")
-    with closing(Journal(file.parent / "journal")) as journal, TaskPool(settings.workers) as pool:
-        found = measure_rows(settings, items, methods, journal, pool)
+    with closing(FigureStore(file.parent / "store")) as store, TaskPool(settings.workers) as pool:
+        found = measure_rows(settings, items, methods, store, pool)
     return {row.method.label: row for row in found}
 
 

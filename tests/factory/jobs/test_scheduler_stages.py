@@ -10,6 +10,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -26,7 +27,7 @@ from tests.run_fake import make
 SERIAL = {"backend": "serial"}
 
 
-def staged(directory: Path, config: FakeConfig = FakeConfig(), **changes: object):  # noqa: B008
+def staged(directory: Path, config: FakeConfig = FakeConfig(), **changes: Any):  # noqa: B008
     """`make` with frames that are prepared by other workers, in a folder beside the dataset."""
     config = replace(config, prepared=config.prepared or str(directory.parent / "prepared"))
     return make(directory, config, source=GentleSource, preparer=FakePreparer, **changes)

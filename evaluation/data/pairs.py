@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation import image_pairs
 from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.metrics import fidelity as metrics
-from simnfnd.evaluation.metrics.measure import sector_of
+from simnfnd.evaluation.data import image_pairs
+from simnfnd.evaluation.data.picture import Picture, sector_of
 from simnfnd.factory.dataset.format.manifest import load_manifest
 from simnfnd.factory.dataset.read.reader import Split, open_shard, shard_paths, value_range
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
+
+if TYPE_CHECKING:
+    from simnfnd.factory.sonar.geometry import FanGeometry
 
 Place = tuple[str, int]
 """Shard file and row, or a noisy image file and image_pairs.ROW."""
@@ -47,20 +50,6 @@ class Item:
     def group(self) -> str:
         """What shares one clean image: the unit of the bootstrap."""
         return f"{self.location}/{self.scene}/{self.frame}"
-
-
-@dataclass(frozen=True)
-class Picture:
-    """noisy, clean: (H, W) float32 in 0..1; shadow, sector: (H, W) bool.
-
-    has_shadow: whether the truth about shadows is known; then `shadow` says it.
-    """
-
-    noisy: Gray
-    clean: Gray
-    shadow: npt.NDArray[np.bool_]
-    sector: npt.NDArray[np.bool_]
-    has_shadow: bool = True
 
 
 def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
@@ -127,7 +116,7 @@ def drawn_of(items: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
 
 @lru_cache(maxsize=16)
 def picture(place: Place) -> Picture:
-    """Read one pair.  FactoryError when it is damaged, MetricError when it is not a number."""
+    """Read one pair.  FactoryError when it is damaged or has NaN."""
     path, row = place
     if row == image_pairs.ROW:
         noisy, clean, mask = image_pairs.read_pair(Path(path))
@@ -142,7 +131,7 @@ def picture(place: Place) -> Picture:
             raise FactoryError(f"{path}: sample {row} is damaged; generate it again") from error
     for name, image in (("noisy", noisy), ("clean", clean)):
         if not np.isfinite(image).all():
-            raise metrics.MetricError(f"{path}: sample {row}: {name} has NaN or infinite pixels")
+            raise FactoryError(f"{path}: sample {row}: {name} has NaN or infinite pixels")
     shadow = shadow.astype(bool)
     scale = np.float32(full)
     return Picture(
@@ -158,3 +147,19 @@ def input_of(item: Item, looks: bool) -> Gray:
     if not looks:
         return picture(item.place).noisy
     return np.stack([picture(place).noisy for place in item.looks])
+
+
+@lru_cache(maxsize=64)
+def geometry_of(place: Place) -> FanGeometry | None:
+    """Where range and bearing are in a picture of a dataset; None where nothing says so."""
+    from simnfnd.factory.sonar.geometry import FanGeometry, recorded_sonar
+
+    path, row = place
+    if row == image_pairs.ROW:
+        return None
+    with open_shard(Path(path)) as file:
+        try:
+            sonar = recorded_sonar(json.loads(file.attrs["config"]))
+            return None if sonar is None else FanGeometry.from_record(sonar, file["meta"][row])
+        except (KeyError, ValueError, TypeError):
+            return None

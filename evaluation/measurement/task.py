@@ -6,26 +6,20 @@ import math
 import time
 from dataclasses import asdict, dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.journal import Figures
-from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.data.pairs import Item, input_of, picture
+from simnfnd.evaluation.measurement.store import Figures
+from simnfnd.evaluation.methods.apply import denoised
+from simnfnd.evaluation.methods.method import Method, reason
+from simnfnd.evaluation.methods.networks import network
 from simnfnd.evaluation.metrics.checks import MetricError, checked_pair
 from simnfnd.evaluation.metrics.fidelity import SSIM_SMALLEST
 from simnfnd.evaluation.metrics.measure import score_pair
 from simnfnd.evaluation.metrics.reference import Compared
 from simnfnd.evaluation.metrics.texture import Scene
-from simnfnd.evaluation.networks import geometry_of, network
-from simnfnd.evaluation.pictures import Item, Place, input_of, picture
-from simnfnd.evaluation.tuning import reason
 from simnfnd.factory.errors import FactoryError
-
-if TYPE_CHECKING:
-    from simnfnd.factory.sonar.geometry import FanGeometry
 
 
 @dataclass(frozen=True)
@@ -90,29 +84,6 @@ def filtered(
             return reason(error), [], []
         times.append(1000 * (clock() - start))
     return None, images, times
-
-
-def denoised(
-    method: Method,
-    image: Gray,
-    device: str,
-    place: Place | None,
-    geometry: FanGeometry | None = None,
-) -> Gray:
-    """The method's picture without levels, (H, W) in 0..1; raises whatever the method raises.
-
-    place: where the image is, None for one that is in no dataset.  geometry: where range and
-    bearing are, for those that can use it; by default what the dataset says.
-    """
-    if method.weights is None:
-        baseline = REGISTRY[method.name]
-        if baseline.uses_geometry and place is not None:
-            geometry = geometry or geometry_of(place)
-        return baseline(image, method.parameters, geometry)
-    result = network(method.weights, device)(image, place, geometry)
-    if result.shape != image.shape or not np.isfinite(result).all():
-        raise ValueError(f"gave {result.shape} or NaN for a picture of {image.shape}")
-    return np.clip(result, 0, 1).astype(np.float32)
 
 
 @lru_cache(maxsize=8)

@@ -1,36 +1,28 @@
-"""What has been measured already, kept on disk as it comes: an interrupted report goes on."""
+"""Figures on disk, written as they are measured: an interrupted report goes on from them."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from simnfnd.factory.files import explain_os_errors
 
 Figures = dict[str, float]
-JOURNAL_NAME = "measured.jsonl"
-
-_LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "scikit-image")
-_METRICS = (
-    "metrics/checks", "metrics/edges", "metrics/levels", "metrics/measure", "metrics/fidelity",
-    "metrics/multiscale", "metrics/reference", "metrics/speckle", "metrics/texture", "pictures",
-    "work",
-)  # fmt: skip
+MEASURED_NAME = "measured.jsonl"
 
 
-class Journal:
-    """Figures by (method, picture), appended line by line to a file.
+class FigureStore:
+    """Figures by (method key, picture key), appended line by line to a file.
 
-    A line that was cut off by a crash is left out.  A key holds everything that decides the
-    figures, so lines of another program, picture or parameter are never found again.
+    The keys cover everything that decides the figures (see `fingerprint`), so figures of other
+    code, another picture or other parameters are never found.  A line that a crash cut off is
+    ignored.
     """
 
     def __init__(self, folder: Path) -> None:
-        self._path = folder / JOURNAL_NAME
+        self._path = folder / MEASURED_NAME
         self._known: dict[tuple[str, str], Figures] = {}
         with explain_os_errors(folder, "out"):
             folder.mkdir(parents=True, exist_ok=True)
@@ -44,7 +36,7 @@ class Journal:
             self._file.write(b"\n")
 
     def get(self, method: str, picture: str) -> Figures | None:
-        """What is known of a method on a picture."""
+        """The figures of a method on a picture, None when they have not been measured."""
         return self._known.get((method, picture))
 
     def add(self, method: str, pictures: Sequence[str], figures: Sequence[Figures]) -> None:
@@ -69,21 +61,8 @@ class Journal:
         try:
             self._keep(json.loads(line))
         except (ValueError, KeyError, TypeError):
-            return  # cut off, or not ours: measured again
+            return  # cut off, or not ours: it is measured again
 
     def _keep(self, line: dict[str, Any]) -> None:
         for picture, values in zip(line["pictures"], line["figures"], strict=True):
             self._known[line["method"], picture] = dict(zip(line["names"], values, strict=True))
-
-
-def program_digest() -> str:
-    """Changes with the program of the metrics and with the libraries that they use."""
-    digest = hashlib.blake2b(digest_size=12)
-    for name in _METRICS:
-        digest.update((Path(__file__).parent / f"{name}.py").read_bytes())
-    for library in _LIBRARIES:
-        try:
-            digest.update(f"{library} {metadata.version(library)}".encode())
-        except metadata.PackageNotFoundError:
-            continue
-    return digest.hexdigest()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,6 +16,7 @@ from simnfnd.evaluation.baselines import REGISTRY, chosen
 from simnfnd.evaluation.baselines import base as base_module
 from simnfnd.evaluation.baselines.base import Baseline, Parameters
 from simnfnd.evaluation.metrics.levels import Levels
+from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
 
 FAST = ("median", "gaussian", "bilateral", "nlm", "grey_opening")
@@ -104,3 +106,19 @@ def weights_digest(path: str) -> str:
 
 def _digest(text: str) -> str:
     return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
+
+
+def reason(error: Exception) -> str:
+    """Why a method failed, in one line."""
+    text = " ".join(str(error).split())
+    return text if isinstance(error, FactoryError) else f"{type(error).__name__}: {text}"
+
+
+def shown(parameters: Parameters) -> str:
+    """Parameters in brackets, nothing for none."""
+    parts = [f"{name}={_rounded(value)}" for name, value in parameters.items()]
+    return f" ({', '.join(parts)})" if parts else ""
+
+
+def _rounded(value: float) -> str:
+    return f"{value:.3g}" if math.isfinite(value) else str(value)

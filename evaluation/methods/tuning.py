@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -20,10 +19,10 @@ from tqdm import tqdm
 
 from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.baselines.base import Baseline, Gray, Parameters
+from simnfnd.evaluation.data.pairs import Item, geometry_of, input_of, items_of, picture
+from simnfnd.evaluation.methods.method import reason, shown
 from simnfnd.evaluation.metrics.fidelity import finite_psnr, psnr
 from simnfnd.evaluation.metrics.levels import Levels, fit_levels
-from simnfnd.evaluation.networks import geometry_of
-from simnfnd.evaluation.pictures import Item, input_of, items_of, picture
 from simnfnd.evaluation.settings import EvaluationSettings
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import explain_os_errors, write_atomically
@@ -212,19 +211,3 @@ def _line(name: str, known: dict[str, Any], lost: dict[str, str]) -> str:
     edges = sorted({*entry["at_edge"], *entry["at_edge_levels"]})
     warning = f"; warning: the optimum is at the edge of the grid in {', '.join(edges)}"
     return text + (warning if edges else "")
-
-
-def reason(error: Exception) -> str:
-    """Why a method failed, in one line."""
-    text = " ".join(str(error).split())
-    return text if isinstance(error, FactoryError) else f"{type(error).__name__}: {text}"
-
-
-def shown(parameters: Parameters) -> str:
-    """Parameters in brackets, nothing for none."""
-    parts = [f"{name}={_rounded(value)}" for name, value in parameters.items()]
-    return f" ({', '.join(parts)})" if parts else ""
-
-
-def _rounded(value: float) -> str:
-    return f"{value:.3g}" if math.isfinite(value) else str(value)

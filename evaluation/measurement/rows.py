@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,13 @@ import numpy.typing as npt
 from tqdm import tqdm
 
 from simnfnd.evaluation.baselines import REGISTRY
-from simnfnd.evaluation.journal import Figures, Journal, program_digest
-from simnfnd.evaluation.methods import NOISY, Method
+from simnfnd.evaluation.data.pairs import Item, picture
+from simnfnd.evaluation.measurement.fingerprint import network_digest, program_digest
+from simnfnd.evaluation.measurement.store import Figures, FigureStore
+from simnfnd.evaluation.measurement.task import Task, measure_task
+from simnfnd.evaluation.methods.method import NOISY, Method
 from simnfnd.evaluation.metrics import fidelity as metrics
-from simnfnd.evaluation.pictures import Item, picture
 from simnfnd.evaluation.settings import EvaluationSettings
-from simnfnd.evaluation.work import Task, measure_task
 from simnfnd.factory.workers.tasks import TaskLost, TaskPool
 
 Values = npt.NDArray[np.float64]
@@ -45,16 +47,16 @@ class _Bench:
     """The state of one measurement: what is known, what is lost, what waits."""
 
     def __init__(
-        self, settings: EvaluationSettings, items: Sequence[Item], journal: Journal
+        self, settings: EvaluationSettings, items: Sequence[Item], store: FigureStore
     ) -> None:
-        self.settings, self.items, self.journal = settings, items, journal
+        self.settings, self.items, self.store = settings, items, store
         self.lost: dict[str, str] = {}  # label of a method -> why
         self.waiting: deque[Task] = deque()
         texture = "texture" if settings.texture else "plain"
         self._suffix = f"{program_digest()}-{texture}-{settings.shadow_threshold:g}"
 
     def known(self, method: Method, item: Item) -> Figures | None:
-        return self.journal.get(self._method_key(method), _picture_key(method, item))
+        return self.store.get(self._method_key(method), _picture_key(method, item))
 
     def plan(self, methods: Sequence[Method]) -> None:
         for first in range(0, len(self.items), _CHUNK):
@@ -68,7 +70,12 @@ class _Bench:
         return Task(methods, items, s.shadow_threshold, s.texture, s.device)
 
     def _method_key(self, method: Method) -> str:
-        return f"{method.key}-{self._suffix}"
+        key = f"{method.key}-{self._suffix}"
+        return f"{key}-{self._network_digest}" if method.weights else key
+
+    @cached_property
+    def _network_digest(self) -> str:
+        return network_digest(self.settings.device)
 
     def timeout_s(self, task: Task) -> float:
         """How long a worker may take for a task."""
@@ -82,7 +89,7 @@ class _Bench:
                 self._lose(method, error)
             elif method.label not in self.lost:
                 pictures = [_picture_key(method, item) for item in task.items]
-                self.journal.add(self._method_key(method), pictures, figures)
+                self.store.add(self._method_key(method), pictures, figures)
 
     def died(self, task: Task, why: str) -> list[Task]:
         """What to try again after a worker died with this task."""
@@ -125,19 +132,19 @@ def measure_rows(
     settings: EvaluationSettings,
     items: Sequence[Item],
     methods: Sequence[Method],
-    journal: Journal,
+    store: FigureStore,
     pool: TaskPool,
     *,
     title: str = "measuring",
 ) -> list[Row]:
-    """The rows of the methods, the noisy images' first; what the journal has is not done again.
+    """The rows of the methods, the noisy images' first; what the store has is not done again.
 
     A method that fails on a picture, or whose worker dies twice, loses its row, which says why.
     Raises FactoryError for a dataset that cannot be read.
     """
     every = list({method.label: method for method in (NOISY, *methods)}.values())
     picture.cache_clear()  # files may have changed since the last report of this process
-    bench = _Bench(settings, items, journal)
+    bench = _Bench(settings, items, store)
     bench.plan(every)
     total = len(every) * len(items)
     left = sum(len(task.methods) * len(task.items) for task in bench.waiting)

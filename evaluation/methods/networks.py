@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from simnfnd.evaluation import image_pairs
 from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.methods import Method
-from simnfnd.evaluation.pictures import Place
+from simnfnd.evaluation.data.pairs import Place, geometry_of
+from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.settings import EvaluationSettings
-from simnfnd.factory.dataset.read.reader import open_shard
 from simnfnd.factory.errors import FactoryError
 from simnfnd.models import WEIGHTS_NAME
 
@@ -102,22 +99,6 @@ def costs_of(networks: Sequence[Method]) -> dict[str, dict[str, float]]:
             "parameters": float(sum(weights.numel() for weights in loaded.parameters())),
         }
     return found
-
-
-@lru_cache(maxsize=64)
-def geometry_of(place: Place) -> FanGeometry | None:
-    """Where range and bearing are in a picture of a dataset; None where nothing says so."""
-    from simnfnd.factory.sonar.geometry import FanGeometry, recorded_sonar
-
-    path, row = place
-    if row == image_pairs.ROW:
-        return None
-    with open_shard(Path(path)) as file:
-        try:
-            sonar = recorded_sonar(json.loads(file.attrs["config"]))
-            return None if sonar is None else FanGeometry.from_record(sonar, file["meta"][row])
-        except (KeyError, ValueError, TypeError):
-            return None
 
 
 def _weights(path: Path, key: str) -> Path:
