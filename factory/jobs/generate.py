@@ -138,6 +138,6 @@ def _describe(
     if finished is not None and report.samples:
         write_index(directory, finished)
         if dataset.preview_pairs:
-            preview(directory, pairs=dataset.preview_pairs)
+            preview(directory, pairs=dataset.preview_pairs, trusted=True)
         write_card(directory, finished, provenance, dataset, report.failures, skipped)
         write_croissant(directory, finished, dataset)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.scenes.labels import CLASSES
+from simnfnd.factory.labels import CLASSES
 
 SCHEMA = "simnfnd/1"
 SPLITS = ("train", "test")

@@ -121,5 +121,5 @@ def faults(root: Path) -> list[str]:
 def test_an_unreadable_shard_is_named(tmp_path) -> None:
     root = write(tmp_path)
     (root / "test/shard-00000.h5").write_bytes(b"no")
-    with pytest.raises(FactoryError, match=r"test/shard-00000.h5: cannot be read"):
+    with pytest.raises(FactoryError, match=r"test/shard-00000.h5: not a readable HDF5 file"):
         describe(root)
