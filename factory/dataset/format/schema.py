@@ -23,6 +23,8 @@ from simnfnd.factory.labels import CLASSES
 SCHEMA = "simnfnd/1"
 SPLITS = ("train", "test")
 SAMPLE_DIMENSION = "sample"
+# What a dataset may be called.
+DATASET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 # Readable by every HDF5 since 1.10 (2016), and the same bytes whatever newer library writes.
 LIBRARY_VERSIONS = ("v108", "v110")
