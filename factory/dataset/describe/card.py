@@ -117,7 +117,8 @@ def _making(
         "added to the echoes before projection, so both images of a pair share one scene."
         f"{source}\n",
         f"- generator: {provenance.generator}, format {SCHEMA}",
-        f"- config hash: `{provenance.config_hash}` (settings in config.yaml and in every shard)",
+        f"- config hash: `{provenance.config_hash}` (BLAKE2b, 8 bytes, of what the shards hold as "
+        "`config`; all settings are in config.yaml)",
     ]
     if "seed" in config:
         lines.append(f"- seed: {config['seed']}")
