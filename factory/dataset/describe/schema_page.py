@@ -70,8 +70,8 @@ with h5py.File("outputs/demo/train/shard-00000.h5") as shard:
 `config` holds what decides the samples: every setting but the folders, the name, licence and
 preview of the dataset, the number of workers and the cache, and for the default `acoustics` what
 only `acoustics=field` uses; and `frames_found`, a hash of the names of the frames. config.yaml has
-all settings, so its hash is another one. In manifest.json and index.h5 of an extended dataset `config`
-also has the list `extends`, which is not hashed; that of a merged one, `merged`, is.
+all settings, so its hash is another one. In manifest.json and index.h5 of an extended dataset
+`config` also has the list `extends`, which is not hashed; the list `merged` of a merged one is.
 """
 
 _INDEX = """\
