@@ -38,5 +38,5 @@ def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") 
 
 
 def _write(source: Source, to: str, folder: Path) -> str:
-    told: str = import_module(FORMATS[to]).write(source, folder)
-    return told
+    written: str = import_module(FORMATS[to]).write(source, folder)
+    return written

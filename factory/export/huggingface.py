@@ -88,8 +88,8 @@ def _schema(source: Source) -> Any:
         text = dtype.kind == "S"
         fields.append((column.name, pyarrow.string() if text else pyarrow.from_numpy_dtype(dtype)))
         features[column.name] = {"_type": "Value", "dtype": "string" if text else str(dtype)}
-    told = json.dumps({"info": {"features": features}})
-    return pyarrow.schema(fields).with_metadata({"huggingface": told})
+    described = json.dumps({"info": {"features": features}})
+    return pyarrow.schema(fields).with_metadata({"huggingface": described})
 
 
 def _write_card(source: Source, folder: Path) -> None:

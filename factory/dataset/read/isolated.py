@@ -133,7 +133,7 @@ def _limit_memory() -> None:
     if allowed != resource.RLIM_INFINITY:
         most = min(most, allowed)
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    # A core file of a crash that was to be expected helps nobody.
+    # A core file of an expected crash is of no use.
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 

@@ -139,18 +139,18 @@ def check(root: Path, reader: IsolatedProcess, validator: IsolatedProcess) -> tu
 
     reader, validator: processes that may crash or hang instead of this one.
     """
-    said = reader.call(read_quickly, root, limit_s=30.0)
-    assert said == "read" or said.startswith("refused: ")
+    outcome = reader.call(read_quickly, root, limit_s=30.0)
+    assert outcome == "read" or outcome.startswith("refused: ")
     try:
         with mock.patch.object(validate, "_LIMIT_S", 2.0):
             report = validate.validate_with(validator, root, deep=True)
         found = "; ".join(str(finding) for finding in report.errors) or "valid"
     except FactoryError as error:
         found = f"refused: {error}"
-    for text in (said, found):
+    for text in (outcome, found):
         assert "\n" not in text
         assert len(text) < 20_000
-    return said, found
+    return outcome, found
 
 
 def mutate(root: Path, number: int) -> str:
@@ -168,11 +168,11 @@ def mutate(root: Path, number: int) -> str:
         _sources_of_index,
         _files,
     ]
-    said = kinds[number % len(kinds)](root, rng)
-    if rng.random() < 0.7 and "manifest" not in said:
+    outcome = kinds[number % len(kinds)](root, rng)
+    if rng.random() < 0.7 and "manifest" not in outcome:
         admit(root)
-        said += ", admitted"
-    return f"{number}: {said}"
+        outcome += ", admitted"
+    return f"{number}: {outcome}"
 
 
 def _any_shard(root: Path, rng: Rng) -> Path:
@@ -214,23 +214,23 @@ def _spoil(content: bytes, rng: Rng) -> tuple[bytes, str]:
 
 def _bytes_of_shard(root: Path, rng: Rng) -> str:
     path = _any_shard(root, rng)
-    content, said = _spoil(path.read_bytes(), rng)
+    content, outcome = _spoil(path.read_bytes(), rng)
     path.write_bytes(content)
-    return f"{path.name} {said}"
+    return f"{path.name} {outcome}"
 
 
 def _bytes_of_manifest(root: Path, rng: Rng) -> str:
     path = root / "manifest.json"
-    content, said = _spoil(path.read_bytes(), rng)
+    content, outcome = _spoil(path.read_bytes(), rng)
     path.write_bytes(content)
-    return f"manifest {said}"
+    return f"manifest {outcome}"
 
 
 def _bytes_of_index(root: Path, rng: Rng) -> str:
     path = root / "index.h5"
-    content, said = _spoil(path.read_bytes(), rng)
+    content, outcome = _spoil(path.read_bytes(), rng)
     path.write_bytes(content)
-    return f"index {said}"
+    return f"index {outcome}"
 
 
 _ODD_VALUES: tuple[Any, ...] = (

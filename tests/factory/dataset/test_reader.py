@@ -111,7 +111,7 @@ def test_table_and_axes_come_with_the_pictures(sound: Path) -> None:
     assert pairs.config_hash == PROVENANCE.config_hash
 
 
-# --- processes, threads, handles
+# --- processes, threads, open files
 
 
 def open_files(folder: Path) -> list[str]:

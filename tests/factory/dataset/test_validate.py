@@ -237,15 +237,15 @@ def test_mutated_datasets_get_a_clear_answer(
     answers = set()
     for number in range(first, first + 20):
         root = copy(sound, tmp_path / "mutated")
-        said = mutate(root, number)
+        outcome = mutate(root, number)
         read, found = check(root, reader, validator)
         answers.add((read == "read", found == "valid"))
-        if "admitted" not in said and ".h5" in said and "index" not in said:
-            assert found != "valid", said
+        if "admitted" not in outcome and ".h5" in outcome and "index" not in outcome:
+            assert found != "valid", outcome
     assert (False, False) in answers
 
 
-def test_what_happens_in_the_guarded_process_is_told(validator: IsolatedProcess) -> None:
+def test_what_happens_in_the_isolated_process_is_reported(validator: IsolatedProcess) -> None:
     import os
     import time
 
