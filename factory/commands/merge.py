@@ -27,12 +27,12 @@ from simnfnd.factory.dataset.format.manifest import (
 )
 from simnfnd.factory.dataset.format.schema import SPLITS, Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.read.config_file import dataset_settings
 from simnfnd.factory.dataset.read.reader import open_shard
+from simnfnd.factory.dataset.read.source import Source, open_source
 from simnfnd.factory.dataset.write.folder import open_folder
 from simnfnd.factory.dataset.write.index import write_index
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.export.notes import dataset_settings
-from simnfnd.factory.export.source import Source, open_source
 from simnfnd.factory.files import refuse_files, whole_folder
 
 # What may differ: which frames there are, how their noise is seeded, and how they are stored.
@@ -220,7 +220,7 @@ def _fill(
                     number += 1
     save_manifest(folder, merged)
     if settings.preview_pairs:
-        preview(folder, pairs=settings.preview_pairs)
+        preview(folder, pairs=settings.preview_pairs, trusted=True)
     write_index(folder, merged)
     write_card(folder, merged, provenance, settings)
     write_croissant(folder, merged, settings)

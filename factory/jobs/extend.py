@@ -16,7 +16,7 @@ from simnfnd.factory.dataset.write.folder import (
     CHOOSING,
     differences,
     forget_slices,
-    told_differences,
+    list_differences,
     with_slices,
 )
 from simnfnd.factory.errors import FactoryError
@@ -84,7 +84,7 @@ def refuse_other_settings(directory: Path, there: Manifest, provenance: Provenan
     if other:
         raise FactoryError(
             f"dataset.on_existing=extend: {directory} was made with other settings "
-            f"({told_differences(other)}); only which frames and how many variants may change, "
+            f"({list_differences(other)}); only which frames and how many variants may change, "
             "so give another folder with dataset.dir="
         )
 

@@ -15,8 +15,8 @@ import numpy as np
 import yaml
 
 from simnfnd.factory.config import FactoryConfig, from_mapping
+from simnfnd.factory.dataset.format.manifest import CONFIG_NAME
 from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
-from simnfnd.factory.dataset.write.folder import CONFIG_NAME
 from simnfnd.factory.distribution import Distribution
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import FrameRef

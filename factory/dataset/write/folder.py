@@ -13,6 +13,7 @@ import yaml
 
 from simnfnd.factory.dataset.format.manifest import (
     ADDED_NAME,
+    CONFIG_NAME,
     MANIFEST_NAME,
     PARTS,
     Manifest,
@@ -31,7 +32,6 @@ from simnfnd.factory.files import (
     write_atomically,
 )
 
-CONFIG_NAME = "config.yaml"
 CARD_NAME = "README.md"
 PREVIEW_NAME = "preview.png"
 # Journals of the workers; empty and gone after a run that ended by itself.
@@ -184,11 +184,11 @@ def _same_dataset(directory: Path, provenance: Provenance, part: str) -> Manifes
 def _difference(directory: Path, manifest: Manifest | None, provenance: Provenance) -> str:
     """One line that names the keys in which the folder's dataset differs from the asked one."""
     changes = differences(manifest.config if manifest else {}, provenance.config)
-    told = told_differences(changes) if manifest and changes else "its config hash differs"
+    listed = list_differences(changes) if manifest and changes else "its config hash differs"
     adds = manifest and changes and all(CHOOSING.fullmatch(key) for key in changes)
     extend = ", or dataset.on_existing=extend to add what it lacks" if adds else ""
     return (
-        f"dataset.dir: {directory} holds a dataset of another configuration ({told}); "
+        f"dataset.dir: {directory} holds a dataset of another configuration ({listed}); "
         f"give another folder with dataset.dir=, or the old settings to go on with it{extend}"
     )
 
@@ -196,7 +196,7 @@ def _difference(directory: Path, manifest: Manifest | None, provenance: Provenan
 def differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
     """Dotted key -> (value there, value here), of every key in which two configurations differ.
 
-    What one of them tells of earlier datasets is left out.
+    The records of earlier datasets are left out.
     """
     one, two = (
         dict(
@@ -211,8 +211,8 @@ def differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> dict[str, 
     }
 
 
-def told_differences(changes: Mapping[str, tuple[str, str]]) -> str:
-    """The first of them in a line."""
+def list_differences(changes: Mapping[str, tuple[str, str]]) -> str:
+    """The first of the differences in one line."""
     parts = [f"{key} {old} -> {new}" for key, (old, new) in changes.items()]
     more = len(parts) - _SHOWN_DIFFERENCES
     return "; ".join(parts[:_SHOWN_DIFFERENCES] + ([f"and {more} more"] if more > 0 else []))

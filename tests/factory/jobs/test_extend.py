@@ -23,8 +23,8 @@ from simnfnd.factory.dataset.format.manifest import load_manifest
 from simnfnd.factory.dataset.format.sample import Pair
 from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.read.source import open_source
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.export.source import open_source
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.jobs.earlier import Earlier
 from simnfnd.factory.jobs.extend import plan_extension

@@ -1,4 +1,4 @@
-"""A process of its own for what may crash, loop or eat all memory.
+"""A process of its own for what may crash, hang or take all memory.
 
 Started as a command, not by multiprocessing: that would import the caller's main module again,
 and a five-line script that reads a dataset has no `if __name__ == "__main__"`.
@@ -14,6 +14,7 @@ import sys
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 from simnfnd.factory.errors import FactoryError
@@ -24,13 +25,13 @@ T = TypeVar("T")
 _MEMORY_BYTES = 4 << 30
 
 
-class Guard:
+class IsolatedProcess:
     """Runs importable functions in another process, which is started again when one kills it."""
 
     def __init__(self) -> None:
         self._child: subprocess.Popen[bytes] | None = None
 
-    def __enter__(self) -> Guard:
+    def __enter__(self) -> IsolatedProcess:
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -94,7 +95,7 @@ def _start() -> subprocess.Popen[bytes]:
     # Threads of numerical libraries reserve address space, and nothing is computed there.
     environment["OMP_NUM_THREADS"] = environment["OPENBLAS_NUM_THREADS"] = "1"
     return subprocess.Popen(
-        [sys.executable, "-c", "from simnfnd.factory.dataset.check.isolated import serve; serve()"],
+        [sys.executable, "-c", "from simnfnd.factory.dataset.read.isolated import serve; serve()"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env=environment,
@@ -124,17 +125,25 @@ def _answer(requests: BinaryIO, answers: BinaryIO) -> None:
 def _limit_memory() -> None:
     import resource
 
-    import psutil
+    # Its imports count as what the process has.
+    import simnfnd.factory.dataset.read.reader  # noqa: F401
 
-    import simnfnd.factory.dataset.check.facts  # noqa: F401  (its imports count as what the process has)
-
-    most = psutil.Process().memory_info().vms + _MEMORY_BYTES
+    most = _address_space_bytes() + _MEMORY_BYTES
     _, allowed = resource.getrlimit(resource.RLIMIT_AS)
     if allowed != resource.RLIM_INFINITY:
         most = min(most, allowed)
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    # A core file of a crash that was to be expected helps nobody.
+    # A core file of an expected crash is of no use.
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _address_space_bytes() -> int:
+    """What this process has reserved; 0 where the system does not say (and knows no limit)."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+    except OSError:
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def serve() -> None:

@@ -1,11 +1,10 @@
-"""What every format is written from: the samples of a dataset, one after another."""
+"""The samples of a dataset one after another, each with its record; exports are made of them."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,10 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from simnfnd.factory.dataset.format.layout import config_of, image_axes, optional_layers
 from simnfnd.factory.dataset.format.sample import Column
-from simnfnd.factory.dataset.format.structure import image_axes, optional_names
-from simnfnd.factory.dataset.read.reader import Split, open_shard, shard_paths
+from simnfnd.factory.dataset.read.image_stack import ImageStack
+from simnfnd.factory.dataset.read.reader import Split, check_split, reading, shard_paths
 from simnfnd.factory.errors import FactoryError
 
 CORE = ("noisy", "clean", "shadow")
@@ -83,47 +83,45 @@ class Source:
         """Every sample of one split; one image of each layer is in memory at a time."""
         number = 0
         for _, path, count in (shard for shard in self.shards if shard[0] == split):
-            with open_shard(path) as file:
+            with reading(path) as file:
                 stacks = _stacks(file)
                 if {name: stack.dtype for name, stack in stacks.items()} != dict(self.layers):
                     raise FactoryError(
-                        f"{path}: its layers ({', '.join(stacks)}) are not those of the other "
+                        f"its layers ({', '.join(stacks)}) are not those of the other "
                         f"shards ({', '.join(self.layers)}); make the dataset again"
                     )
-                table = file["meta"][:]
+                table = file["meta"][()]
+                pictures = {name: ImageStack(stack) for name, stack in stacks.items()}
                 for row in range(count):
-                    images = {name: _image(stack, row, path) for name, stack in stacks.items()}
+                    images = {
+                        name: read_image(stack, name, row) for name, stack in pictures.items()
+                    }
                     yield Sample(split, number, images, _record(table[row]))
                     number += 1
 
 
 def open_source(directory: Path, split: Split) -> Source:
-    """Look at a dataset folder.  Raises FactoryError when it is none or cannot be read."""
+    """Open a dataset folder.  Raises FactoryError when it is none or cannot be read."""
     return open_shards(directory, shard_paths(directory, split))
 
 
 def open_shards(directory: Path, paths: Sequence[Path]) -> Source:
-    """Look at some shards of one dataset.  Raises FactoryError when one cannot be read."""
+    """Open some shards of one dataset that were checked.
+
+    Raises FactoryError when one cannot be read.
+    """
     shards: list[tuple[str, Path, int]] = []
     first: Source | None = None
     for path in paths:
-        with open_shard(path) as file:
+        with reading(path) as file:
             if first is None:
                 first = _describe(directory, file)
             if file["noisy"].shape[1:] != first.shape:
-                raise FactoryError(f"{path}: its images differ in size from the other shards'")
+                raise FactoryError("its images differ in size from the other shards'")
+            check_split(path, file)
             shards.append((str(file.attrs["split"]), path, file["noisy"].shape[0]))
     assert first is not None, "no shard was given"
-    return Source(
-        directory,
-        tuple(shards),
-        first.layers,
-        first.shape,
-        first.columns,
-        first.axes,
-        first.config,
-        first.config_hash,
-    )
+    return replace(first, shards=tuple(shards))
 
 
 def json_record(record: Mapping[str, Value]) -> dict[str, Value | None]:
@@ -154,7 +152,7 @@ def _describe(directory: Path, file: h5py.File) -> Source:
         (noisy.shape[1], noisy.shape[2]),
         columns,
         axes,
-        json.loads(file.attrs["config"]),
+        config_of(file),
         str(file.attrs["config_hash"]),
     )
 
@@ -162,21 +160,20 @@ def _describe(directory: Path, file: h5py.File) -> Source:
 def _stacks(file: h5py.File) -> dict[str, h5py.Dataset]:
     """The image stacks of a shard by name, the core ones first.
 
-    Only those that the schema knows and `open_shard` has checked: anything else in a stranger's
-    file could lead out of it.
+    Only those that the schema knows and `reading` has checked: anything else in a stranger's file
+    could lead out of it.
     """
-    return {name.replace("/", "_"): file[name] for name in (*CORE, *optional_names(file))}
+    return {name.replace("/", "_"): file[name] for name in (*CORE, *optional_layers(file))}
 
 
-def _image(stack: h5py.Dataset, row: int, path: Path) -> npt.NDArray[Any]:
+def read_image(stack: ImageStack, name: str, row: int) -> npt.NDArray[Any]:
+    """One (H, W) picture.  Raises FactoryError (without the file's name) when it is damaged."""
     try:
-        image: npt.NDArray[Any] = stack[row]
-    except OSError as error:
+        return stack[row]
+    except (OSError, RuntimeError, ValueError) as error:
         raise FactoryError(
-            f"{path}: {stack.name} sample {row} is damaged; run the command that made the dataset "
-            "again"
+            f"/{name} sample {row} is damaged; run the command that made the dataset again"
         ) from error
-    return image
 
 
 def _record(row: np.void) -> dict[str, Value]:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.dataset.describe import palette
-from simnfnd.factory.dataset.describe.inspection import Inspection
+from simnfnd.factory.dataset.describe.summary import DatasetSummary
 from simnfnd.factory.files import write_atomically
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _WIDE, _DPI = 4, 120
 
 
-def draw(found: Inspection, path: Path) -> Path:
+def draw(found: DatasetSummary, path: Path) -> Path:
     """Write a PNG of histograms: PSNR, SSIM, then every column whose values vary."""
     # A second to import, and only needed here.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -47,7 +47,7 @@ def draw(found: Inspection, path: Path) -> Path:
     return path
 
 
-def _varying(found: Inspection) -> list[tuple[str, npt.NDArray[np.float64]]]:
+def _varying(found: DatasetSummary) -> list[tuple[str, npt.NDArray[np.float64]]]:
     panels = []
     for column in found.source.columns:
         if np.dtype(column.dtype).kind == "S":

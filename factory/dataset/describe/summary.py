@@ -1,4 +1,4 @@
-"""What is in a dataset or in one of its files, as figures; `inspect` prints and draws them."""
+"""What is in a dataset or in one of its files, as figures: for `simnfnd inspect`."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.dataset.describe.quality import psnr_db, ssim
-from simnfnd.factory.dataset.read.reader import open_shard
-from simnfnd.factory.dataset.write.index import INDEX_NAME
+from simnfnd.factory.dataset.format.manifest import INDEX_NAME
+from simnfnd.factory.dataset.read.image_stack import ImageStack
+from simnfnd.factory.dataset.read.reader import check_in_isolation, reading
+from simnfnd.factory.dataset.read.source import Source, open_shards, open_source, read_image
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.export.source import Source, open_shards, open_source
 
 
 @dataclass(frozen=True, eq=False)
-class Inspection:
+class DatasetSummary:
     """Figures about a dataset.
 
     schema, generator: as the first shard states them.
@@ -45,7 +46,7 @@ class Inspection:
         return np.asarray(values[np.isfinite(values)])
 
 
-def inspect(path: Path, pairs: int = 200) -> Inspection:
+def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
     """Read a dataset folder, its index.h5 or one shard; `pairs` images at most are decoded.
 
     Raises FactoryError when there is nothing of the kind, or a file is damaged.
@@ -53,6 +54,7 @@ def inspect(path: Path, pairs: int = 200) -> Inspection:
     if pairs < 1:
         raise FactoryError(f"--pairs must be at least 1, got {pairs}")
     if path.is_file() and path.name != INDEX_NAME:
+        check_in_isolation((path,))
         source = open_shards(path.parent, (path,))
     elif not path.exists():
         raise FactoryError(f"{path}: no such file or folder; give a dataset or one of its shards")
@@ -63,12 +65,10 @@ def inspect(path: Path, pairs: int = 200) -> Inspection:
     schema = generator = compression = ""
     image_bytes = 0
     for split, shard, samples in source.shards:
-        with open_shard(shard) as file:
-            tables.append(file["meta"][:])
+        with reading(shard) as file:
+            tables.append(file["meta"][()])
             if tables[-1].dtype != tables[0].dtype:
-                raise FactoryError(
-                    f"{shard}: its columns differ from those of {source.shards[0][1]}"
-                )
+                raise FactoryError(f"its columns differ from those of {source.shards[0][1]}")
             image_bytes += samples * sum(
                 int(np.prod(source.shape)) * dtype.itemsize for dtype in source.layers.values()
             )
@@ -76,7 +76,7 @@ def inspect(path: Path, pairs: int = 200) -> Inspection:
             compression = compression_of(file["noisy"])
         splits += [split] * samples
     psnr, similarity = _quality(source, pairs)
-    return Inspection(
+    return DatasetSummary(
         source,
         schema,
         generator,
@@ -116,15 +116,10 @@ def _quality(source: Source, pairs: int) -> tuple[npt.NDArray[Any], npt.NDArray[
     similarity: list[float] = []
     first = 0
     for _, shard, samples in source.shards:
-        with open_shard(shard) as file:
+        with reading(shard) as file:
+            stacks = {name: ImageStack(file[name]) for name in ("noisy", "clean")}
             for row in sorted(number - first for number in chosen if 0 <= number - first < samples):
-                try:
-                    noisy, clean = file["noisy"][row], file["clean"][row]
-                except OSError as error:
-                    raise FactoryError(
-                        f"{shard}: sample {row} is damaged; run the command that made the dataset "
-                        "again"
-                    ) from error
+                noisy, clean = (read_image(stack, name, row) for name, stack in stacks.items())
                 psnr.append(psnr_db(clean, noisy))
                 similarity.append(ssim(clean, noisy))
         first += samples
