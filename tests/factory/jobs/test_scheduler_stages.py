@@ -10,6 +10,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -26,7 +27,7 @@ from tests.run_fake import make
 SERIAL = {"backend": "serial"}
 
 
-def staged(directory: Path, config: FakeConfig = FakeConfig(), **changes: object):  # noqa: B008
+def staged(directory: Path, config: FakeConfig = FakeConfig(), **changes: Any):  # noqa: B008
     """`make` with frames that are prepared by other workers, in a folder beside the dataset."""
     config = replace(config, prepared=config.prepared or str(directory.parent / "prepared"))
     return make(directory, config, source=GentleSource, preparer=FakePreparer, **changes)
@@ -206,6 +207,7 @@ def test_overwrite_never_touches_a_folder_that_is_no_dataset(tmp_path: Path) -> 
 HOLD = """
 import sys, time
 from pathlib import Path
+from typing import Any
 from simnfnd.factory.jobs.lock import Lock
 with Lock(Path(sys.argv[1]), sys.argv[2]):
     print("held", flush=True)

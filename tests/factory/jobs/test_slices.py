@@ -11,6 +11,7 @@ import pytest
 
 from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.write import folder
+from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.jobs.settings import ShardSlice
 from tests.run_fake import make
 
@@ -63,7 +64,7 @@ def test_slices_that_begin_at_once_are_all_let_in(tmp_path: Path) -> None:
 
 def test_a_folder_of_something_else_is_still_refused(tmp_path: Path) -> None:
     (tmp_path / "manifest.txt").write_text("mine")
-    with pytest.raises(folder.FactoryError, match=r"holds other files \(manifest.txt\)"):
+    with pytest.raises(FactoryError, match=r"holds other files \(manifest.txt\)"):
         open_part(tmp_path, "0-of-2")
 
 
