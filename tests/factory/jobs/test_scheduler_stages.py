@@ -207,6 +207,7 @@ def test_overwrite_never_touches_a_folder_that_is_no_dataset(tmp_path: Path) -> 
 HOLD = """
 import sys, time
 from pathlib import Path
+from typing import Any
 from simnfnd.factory.jobs.lock import Lock
 with Lock(Path(sys.argv[1]), sys.argv[2]):
     print("held", flush=True)
