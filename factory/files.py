@@ -13,8 +13,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import psutil
-
 from simnfnd.factory.errors import FactoryError
 
 _TEMPORARY = re.compile(r"\.(?P<name>.+)\.(?P<host>[^.]+)-(?P<pid>\d+)\.tmp$")
@@ -130,6 +128,9 @@ def _is_stale(path: Path, host: str, pid: int) -> bool:
     if host != _host():
         # Shared storage: another machine's process cannot be looked up, only waited for.
         return time.time() - written > _FOREIGN_HOST_STALE_S
+    # Those who only read a dataset need not have it.
+    import psutil
+
     try:
         process = psutil.Process(pid)
         # A process that started after the file was written merely got the same number; a zombie is

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from simnfnd.factory.config import FactoryConfig, digest, from_mapping, identity, plain
 from simnfnd.factory.dataset.describe.quality import seen_sector_deg
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.extras import needs_of, require
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.pairs import PairMaker
 from simnfnd.factory.render.cache import Limit
@@ -48,6 +49,7 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     from simnfnd.factory.jobs.plan import plan_shards
     from simnfnd.factory.scenes import open_reader
 
+    require(needs_of(config))
     check_views(config)
     compile_all()
     discovery = open_reader(config.scenes).discover()

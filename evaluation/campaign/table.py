@@ -6,7 +6,6 @@ report on each test set; this puts them together: table.md, table.json and table
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -19,6 +18,7 @@ import numpy.typing as npt
 
 from simnfnd.evaluation.metrics.statistics import Estimate, estimate
 from simnfnd.evaluation.report.files import read_results
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
 from simnfnd.models import WEIGHTS_NAME
@@ -68,7 +68,7 @@ class Scores:
 
 def campaign(words: Sequence[str]) -> int:
     """Make the table of the campaign in a folder; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="simnfnd campaign table", description=__doc__)
+    parser = Parser(prog="simnfnd campaign table")
     parser.add_argument("folder", type=Path, help="`out` of `simnfnd campaign`")
     folder = parser.parse_args(list(words)).folder.expanduser()
     sets = read_sets(folder)

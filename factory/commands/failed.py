@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import shlex
 import subprocess
 import sys
 from pathlib import Path
 
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.dataset.format.manifest import load_manifest
 from simnfnd.factory.dataset.write.failures import load_failures
 from simnfnd.factory.errors import FactoryError
@@ -15,7 +15,7 @@ from simnfnd.factory.errors import FactoryError
 
 def main(words: list[str]) -> int:
     """List the failures, or try them again; returns 0 when there are none (any more), else 1."""
-    parser = argparse.ArgumentParser(prog="simnfnd failed", description=__doc__)
+    parser = Parser(prog="simnfnd failed")
     parser.add_argument("dir", type=Path, help="folder of a dataset")
     parser.add_argument(
         "--rerun", action="store_true", help="try each frame by itself, in a folder DIR-retry"

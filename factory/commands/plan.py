@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from simnfnd.factory.compose import compose_points
 from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.extras import needs_of, require
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.jobs.plan import ShardTask, plan_shards
 from simnfnd.factory.jobs.settings import available_memory_bytes
@@ -76,6 +77,7 @@ def _planned(config: FactoryConfig) -> tuple[tuple[FrameRef, ...], tuple[ShardTa
     from simnfnd.factory.render.views import check_views
     from simnfnd.factory.scenes import open_reader
 
+    require(needs_of(config))
     check_views(config, touch=False)
     frames = choose_frames(open_reader(config.scenes).discover().frames, config)
     splits = split_frames(frames, config)

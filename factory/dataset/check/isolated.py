@@ -14,6 +14,7 @@ import sys
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 from simnfnd.factory.errors import FactoryError
@@ -124,17 +125,19 @@ def _answer(requests: BinaryIO, answers: BinaryIO) -> None:
 def _limit_memory() -> None:
     import resource
 
-    import psutil
-
     import simnfnd.factory.dataset.check.facts  # noqa: F401  (its imports count as what the process has)
 
-    most = psutil.Process().memory_info().vms + _MEMORY_BYTES
+    # A core file of a crash that was to be expected helps nobody.
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    try:
+        pages = int(Path("/proc/self/statm").read_bytes().split()[0])
+    except FileNotFoundError:
+        return  # no Linux; other systems take no notice of the limit
+    most = pages * resource.getpagesize() + _MEMORY_BYTES
     _, allowed = resource.getrlimit(resource.RLIMIT_AS)
     if allowed != resource.RLIM_INFINITY:
         most = min(most, allowed)
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    # A core file of a crash that was to be expected helps nobody.
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 def serve() -> None:

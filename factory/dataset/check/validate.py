@@ -11,9 +11,8 @@ from typing import TypeVar
 from simnfnd.factory.dataset.check.facts import SampleKey, ShardFacts, look_at_index, look_at_shard
 from simnfnd.factory.dataset.check.isolated import Guard
 from simnfnd.factory.dataset.format.manifest import MANIFEST_NAME, Manifest, damage, load_manifest
-from simnfnd.factory.dataset.format.schema import SPLITS
+from simnfnd.factory.dataset.format.schema import INDEX_NAME, SPLITS
 from simnfnd.factory.dataset.format.structure import inside
-from simnfnd.factory.dataset.write.index import INDEX_NAME
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import is_temporary
 

@@ -15,10 +15,9 @@ import h5py
 
 from simnfnd.factory.dataset.describe.card import PAPER
 from simnfnd.factory.dataset.format.manifest import MANIFEST_NAME, Manifest
-from simnfnd.factory.dataset.format.schema import SCHEMA, SPLITS
+from simnfnd.factory.dataset.format.schema import INDEX_NAME, SCHEMA, SPLITS
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.format.structure import optional_names
-from simnfnd.factory.dataset.write.index import INDEX_NAME
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of, write_atomically
 

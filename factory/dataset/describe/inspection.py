@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.dataset.describe.quality import psnr_db, ssim
+from simnfnd.factory.dataset.format.schema import INDEX_NAME
 from simnfnd.factory.dataset.read.reader import open_shard
-from simnfnd.factory.dataset.write.index import INDEX_NAME
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export.source import Source, open_shards, open_source
 

@@ -17,8 +17,8 @@ from simnfnd.factory.dataset.format.schema import (
     stores_grey,
 )
 from simnfnd.factory.formation.record import columns
+from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.noise import NoiseSettings
-from simnfnd.factory.scenes.labels import CLASSES
 
 _HEAD = f"""\
 # The dataset format `{SCHEMA}`

@@ -18,10 +18,12 @@ import numpy.typing as npt
 
 from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.scenes.labels import CLASSES
+from simnfnd.factory.labels import CLASSES
 
 SCHEMA = "simnfnd/1"
 SPLITS = ("train", "test")
+# All shards as one file, for those who have h5py alone.
+INDEX_NAME = "index.h5"
 SAMPLE_DIMENSION = "sample"
 
 # Readable by every HDF5 since 1.10 (2016), and the same bytes whatever newer library writes.

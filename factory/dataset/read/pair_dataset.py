@@ -18,11 +18,10 @@ from simnfnd.factory.dataset.check.facts import check_readable
 from simnfnd.factory.dataset.check.isolated import Guard
 from simnfnd.factory.dataset.format.manifest import ShardInfo, load_manifest
 from simnfnd.factory.dataset.format.sample import Axis
-from simnfnd.factory.dataset.format.schema import EFFECT_FOLDER, VALUE_RANGES, layers
+from simnfnd.factory.dataset.format.schema import EFFECT_FOLDER, INDEX_NAME, VALUE_RANGES, layers
 from simnfnd.factory.dataset.format.structure import image_axes
 from simnfnd.factory.dataset.read.open_shards import Image, OpenShards
 from simnfnd.factory.dataset.read.reader import Split, listed_shards, reading
-from simnfnd.factory.dataset.write.index import INDEX_NAME
 from simnfnd.factory.errors import FactoryError
 
 Sample = dict[str, Image]

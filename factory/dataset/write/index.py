@@ -16,6 +16,7 @@ import numpy as np
 
 from simnfnd.factory.dataset.format.manifest import Manifest, ShardInfo
 from simnfnd.factory.dataset.format.schema import (
+    INDEX_NAME,
     LIBRARY_VERSIONS,
     ROOT_ATTRIBUTES,
     SAMPLE_DIMENSION,
@@ -29,8 +30,6 @@ from simnfnd.factory.dataset.read.reader import reading
 from simnfnd.factory.dataset.write.writer import write_axis
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
-
-INDEX_NAME = "index.h5"
 
 # What every shard says in the same words; the index says it once.
 _SHARED_ATTRIBUTES = tuple(name for name in ROOT_ATTRIBUTES if name != "split")

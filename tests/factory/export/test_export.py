@@ -19,7 +19,7 @@ from PIL import Image
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export import FORMATS, export
-from simnfnd.factory.scenes.labels import CLASSES
+from simnfnd.factory.labels import CLASSES
 from tests.factory.export import export_dataset
 from tests.factory.export.export_dataset import COUNTS, write
 
