@@ -82,6 +82,7 @@ def make_pair(
     seed: int | None = None,
     variant: int = 0,
     name: str = "frame",
+    scene: str = "",
 ) -> Pair:
     """One (noisy, clean) pair of sonar pictures from an RGBD frame.
 
@@ -92,8 +93,8 @@ def make_pair(
     config: words of `simnfnd make`, for example ("experiment=physical", "sonar=didson_hf");
         those of scenes, frames, scheduler and cache change nothing here.
     seed: the same as "seed=..." among `config`.
-    variant: further numbers draw other noise over the same clean picture.
-    name: of the frame; with seed and variant it decides what is drawn.
+    variant: other numbers thin the echoes and draw the noise anew.
+    name, scene: of the frame; with seed and variant they decide what is drawn.
 
     Returns a `Pair`: noisy and clean (H', W') uint8 in 0..255 (float32 in 0..1 with
     "dataset.dtype=float32"), shadow (H', W') bool, layers, and record, with every drawn parameter.
@@ -107,7 +108,7 @@ def make_pair(
 
     settings = _config((*config, *(() if seed is None else (f"seed={seed}",))))
     require(needs_of(settings))
-    ref = FrameRef("", "", name)
+    ref = FrameRef("", scene, name)
     depth = np.asarray(depth_m, dtype=np.float32)
     frame = checked(Frame(ref, rgb, depth, Intrinsics(fx, fy, cx, cy)), bad_depth="mask")
     mount = settings.sonar.mount

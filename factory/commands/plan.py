@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.compose import compose_points
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.extras import needs_of, require
@@ -39,7 +40,11 @@ class Cost:
 
 def main(words: list[str]) -> int:
     """Print the plan; returns 0, or 1 when disk or memory will not do."""
-    points = compose_points(words)
+    parser = Parser(prog="simnfnd plan")
+    parser.add_argument("-m", "--multirun", action="store_true", help="plan a sweep")
+    parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="as for `simnfnd make`")
+    given = parser.parse_intermixed_args(words)
+    points = compose_points([*(["-m"] if given.multirun else []), *given.settings])
     config = points[0][1]
     frames, tasks = _planned(config)
     shards = {split: [t for t in tasks if t.split == split] for split in ("train", "test")}
