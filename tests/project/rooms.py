@@ -12,18 +12,19 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 from tests.project_files import PACKAGES, ROOT, modules
 
 # Modules that lie in no folder of their own, by what floor they belong to; the rest is the ground.
 UPPER = {
-    "factory": {"__main__", "compose", "config", "generate", "pairs", "sweep"},
-    "models": {"__main__", "cost", "weights_export"},
-    "evaluation": {"__main__", "app", "command", "compare", "crew", "tuning", "work"},
+    "factory": {"compiled", "compose", "config", "generate", "pairs", "sweep"},
+    "models": {"cost", "weights_export"},
+    "evaluation": {"command", "compare", "crew", "methods", "networks", "tuning", "work"},
 }
 _TARGET = re.compile(r"simnfnd(\.\w+)+(:\w+)?")
-_CODE = re.compile(r"(?:\bfrom|\bimport|-m)\s+(simnfnd(?:\.\w+)*)")
+_CODE = re.compile(r"\s*(?:from|import)\s+(simnfnd(?:\.\w+)*)")
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ def names() -> frozenset[str]:
 def room_of(name: str) -> str:
     """The room of a module: its folder below the house, `house: upper` or `house: ground`."""
     house, *rest = name.split(".")[1:] or [""]
-    if house not in UPPER:
+    if house not in UPPER or rest == ["__main__"]:
         return "conf" if house == "conf" else "simnfnd"
     if len(rest) > 1 or (rest and (ROOT / house / rest[0]).is_dir()):
         return f"{house}/{rest[0]}"
@@ -102,10 +103,11 @@ def _targets(node: ast.AST) -> Iterator[str]:
     elif isinstance(node, ast.Constant) and isinstance(node.value, str):
         if _TARGET.fullmatch(node.value) and node.value.split(":")[0] in names():
             yield node.value.split(":")[0]
-        yield from _CODE.findall(node.value)
+        if code := _CODE.match(node.value):
+            yield code[1]
     elif isinstance(node, ast.List | ast.Tuple):
         words = [e.value if isinstance(e, ast.Constant) else None for e in node.elts]
-        for option, word in zip(words, words[1:], strict=False):
+        for option, word in pairwise(words):
             if option == "-m" and word == "simnfnd":
                 yield word
     elif isinstance(node, ast.JoinedStr):
@@ -161,6 +163,6 @@ def circles(graph: Mapping[str, Iterable[str]]) -> set[frozenset[str]]:
 
 if __name__ == "__main__":
     for room, used in sorted(table(arrows()).items()):
-        print(f"    {room!r}: {' '.join(sorted(f'{one!r},' for one in used))}")
-    for group in circles(table(arrows())):
+        print(f"    {room!r}: {{{', '.join(repr(one) for one in sorted(used))}}},")
+    for group in circles(table(arrow for arrow in arrows() if arrow.source != "simnfnd.verbs")):
         print("circle:", sorted(group))
