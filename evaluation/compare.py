@@ -6,11 +6,10 @@ picture by picture: mean difference with its interval, Wilcoxon test, wins, and 
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,25 +19,16 @@ from simnfnd.evaluation.report.files import read_results
 from simnfnd.evaluation.report.names import METRIC_NAMES, written, written_p
 from simnfnd.evaluation.report.tables import percent
 from simnfnd.factory import markdown
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import check_writable, write_atomically
 
 _ALPHA = 0.05
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        """One line, like every other mistake of the user."""
-        raise FactoryError(f"compare: {message} (see `simnfnd evaluate compare --help`)")
-
-
 def main(words: Sequence[str]) -> int:
     """Print the comparison; with --out also write it as Markdown and JSON."""
-    parser = _Parser(
-        prog="simnfnd evaluate compare",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = Parser(prog="simnfnd evaluate compare")
     parser.add_argument("a", metavar="A", help="folder of a report")
     parser.add_argument("b", metavar="B", help="folder of another, or the same")
     parser.add_argument("--row-a", help="row of A (default: its best but noisy, by PSNR)")

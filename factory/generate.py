@@ -13,6 +13,7 @@ from simnfnd.factory.config import FactoryConfig, digest, from_mapping, identity
 from simnfnd.factory.dataset.describe.quality import seen_sector_deg
 from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.extras import needs_of, require
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.render.cache import Limit
@@ -47,6 +48,7 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     from simnfnd.factory.compiled import compile_all
     from simnfnd.factory.jobs.run import make_dataset
 
+    require(needs_of(config))
     check_views(config)
     compile_all()
     job = job_of(config, arguments)

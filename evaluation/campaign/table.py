@@ -6,7 +6,6 @@ this puts the reports together: table.md, table.json and table.png.
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -20,6 +19,7 @@ from simnfnd.evaluation.campaign.trainings import Training, read_trainings
 from simnfnd.evaluation.metrics.statistics import Estimate, estimate
 from simnfnd.evaluation.report.files import read_content, read_results
 from simnfnd.factory import markdown
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
 from simnfnd.models import WEIGHTS_NAME
@@ -63,7 +63,7 @@ class Scores:
 
 def campaign(words: Sequence[str]) -> int:
     """Make the table of the campaign in a folder; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="simnfnd campaign table", description=__doc__)
+    parser = Parser(prog="simnfnd campaign table")
     parser.add_argument("folder", type=Path, help="`out` of `simnfnd campaign`")
     folder = parser.parse_args(list(words)).folder.expanduser()
     trainings = read_trainings(folder)

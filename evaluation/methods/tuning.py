@@ -96,7 +96,7 @@ def validation_items(settings: EvaluationSettings) -> list[Item]:
         from simnfnd.models.data.pairs import hold_out, read_table, spread
     except ImportError as error:
         raise FactoryError(
-            'tune shares the validation split of models: pip install "simnfnd[models]"'
+            'tune shares the validation split of models: pip install "simnfnd[train]"'
         ) from error
     root, tuning = Path(settings.dataset.dir), settings.tuning
     _, held = hold_out(read_table(root, "train").samples, tuning.validation, settings.seed)

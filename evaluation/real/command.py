@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from simnfnd.evaluation.app import hydra_verb
 from simnfnd.evaluation.overrides import named
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.extras import Need, require
 from simnfnd.factory.settings import build
 
 if TYPE_CHECKING:
@@ -28,6 +29,9 @@ def real(words: Sequence[str]) -> int:
 def run(config: DictConfig) -> None:
     """Measure, print the table and write the report."""
     settings = settings_of(config)
+    for key, given in (("models=", settings.models), ("downstream=true", settings.downstream)):
+        if given:
+            require(Need(key, module) for module in ("torch", "safetensors"))
     import numpy as np
 
     from simnfnd.evaluation.methods.method import baselines_of, methods_of

@@ -205,5 +205,5 @@ def _arrow() -> tuple[Any, Any]:
         import pyarrow
         import pyarrow.parquet as parquet
     except ImportError as error:
-        raise FactoryError('the report needs pyarrow: pip install "simnfnd[evaluation]"') from error
+        raise FactoryError('the report needs pyarrow: pip install "simnfnd[report]"') from error
     return pyarrow, parquet

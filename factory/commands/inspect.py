@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.dataset.describe.summary import DatasetSummary, summarize
 from simnfnd.factory.dataset.read.config_file import dataset_settings
 
@@ -18,7 +18,7 @@ _BINS = 10
 
 def main(words: list[str]) -> None:
     """Print (and draw) what `words` ask for."""
-    parser = argparse.ArgumentParser(prog="simnfnd inspect", description=__doc__)
+    parser = Parser(prog="simnfnd inspect")
     parser.add_argument("path", type=Path, help="folder of a dataset, index.h5 or a shard")
     parser.add_argument("--pairs", type=int, default=200, help="most pairs to measure (200)")
     parser.add_argument("--png", type=Path, help="draw the histograms into this file, too")

@@ -5,7 +5,6 @@ The shards are copied as they are, so their checksums stay what they were.
 
 from __future__ import annotations
 
-import argparse
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -14,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.dataset.describe.card import write_card
 from simnfnd.factory.dataset.describe.croissant import write_croissant
 from simnfnd.factory.dataset.describe.preview import preview
@@ -43,7 +43,7 @@ _SHOWN_DIFFERENCES = 4
 
 def main(words: list[str]) -> None:
     """Merge what `words` name."""
-    parser = argparse.ArgumentParser(prog="simnfnd merge", description=__doc__)
+    parser = Parser(prog="simnfnd merge")
     parser.add_argument("dirs", nargs="+", type=Path, metavar="DIR", help="folders of datasets")
     parser.add_argument("--out", required=True, type=Path, help="new or empty folder to fill")
     parser.add_argument("--name", help="of the merged dataset (default: merged)")

@@ -50,7 +50,7 @@ class DaskBackend:
         except ImportError as error:
             raise FactoryError(
                 "scheduler.backend=dask needs the package distributed: "
-                "pip install 'simnfnd[dask]', or choose scheduler=local"
+                "pip install 'simnfnd[cluster]', or choose scheduler=local"
             ) from error
         self._distributed: Any = distributed
         self._cluster: Any = None

@@ -8,7 +8,6 @@ import math
 import subprocess
 import sys
 from contextlib import closing
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ import numpy as np
 import pytest
 
 from simnfnd.command import main
-from simnfnd.evaluation import command
 from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.baselines.base import Baseline
 from simnfnd.evaluation.data.pairs import input_of, items_of, picture
@@ -293,13 +291,6 @@ def test_bad_settings_are_one_line(
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
-
-
-@pytest.mark.parametrize("verb", command.VERBS)
-def test_every_verb_is_told_and_exists(verb: str) -> None:
-    assert f"simnfnd evaluate {verb}" in (command.__doc__ or "")
-    module, function = command.VERBS[verb].split(":")
-    assert callable(getattr(import_module(module), function))
 
 
 def test_bad_files_are_named(dataset: Path, tmp_path: Path) -> None:
