@@ -16,7 +16,6 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from simnfnd.command import VERBS
 from simnfnd.evaluation.campaign.plan import Folders, Step, data_steps, report_steps, training_steps
 from simnfnd.evaluation.campaign.processes import Processes, Programs
 from simnfnd.evaluation.campaign.settings import CampaignSettings, RowSettings
@@ -25,6 +24,7 @@ from simnfnd.factory.files import check_writable, sha256_of, write_atomically
 from simnfnd.factory.jobs.lock import Lock
 from simnfnd.factory.workers.signals import Interrupted, stop_signals
 from simnfnd.models import WEIGHTS_NAME
+from simnfnd.verbs import VERBS
 
 _CLEAR_CPU_S, _CLEAR = 4.0, 0.3
 _SOME_FAILED = 1

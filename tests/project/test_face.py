@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -77,7 +78,7 @@ def test_importing_costs_nothing() -> None:
 # --- make_pair ----------------------------------------------------------------------------------
 
 H, W = 96, 152
-PLACE = {"fx": 120.0, "fy": 120.0, "cx": 76.0, "cy": 48.0}
+PLACE: dict[str, Any] = {"fx": 120.0, "fy": 120.0, "cx": 76.0, "cy": 48.0}
 
 
 def frame() -> tuple[np.ndarray, np.ndarray]:
@@ -97,10 +98,11 @@ def test_a_pair_of_a_frame_in_memory() -> None:
     assert pair.noisy.dtype == pair.clean.dtype == np.uint8
     assert pair.clean.max() > 100
     assert (pair.noisy != pair.clean).any()
-    assert pair.record["noise.background.density"] > 0
+    assert float(pair.record["noise.background.density"]) > 0
     again = simnfnd.make_pair(rgb, depth_m, **PLACE)
     np.testing.assert_array_equal(again.noisy, pair.noisy)
-    for other in ({"variant": 1}, {"seed": 7}, {"name": "another"}):
+    others: list[dict[str, Any]] = [{"variant": 1}, {"seed": 7}, {"name": "another"}]
+    for other in others:
         assert (simnfnd.make_pair(rgb, depth_m, **PLACE, **other).noisy != pair.noisy).any()
 
 
@@ -182,18 +184,19 @@ def test_a_stack_is_its_pictures_one_by_one() -> None:
 
 
 def test_pictures_and_weights_that_will_not_do(monkeypatch) -> None:
-    for picture, said in (
+    pictures: list[tuple[np.ndarray, str]] = [
         (np.zeros(5), "expected"),
         (np.zeros((4, 4), np.int64), "int64"),
         (np.full((4, 4), np.nan), r"0\.\.1"),
         (np.full((4, 4), 2.0), r"0\.\.1"),
-    ):
+    ]
+    for picture, said in pictures:
         with pytest.raises(ValueError, match=said):
             simnfnd.denoise(picture)
     with pytest.raises(simnfnd.FactoryError, match="nowhere"):
         simnfnd.denoise(np.zeros((8, 8)), weights="nowhere")
     with pytest.raises(ValueError, match="'fan': expected 'polar'"):
-        simnfnd.denoise(np.zeros((8, 8)), geometry="fan")
+        simnfnd.denoise(np.zeros((8, 8)), geometry="fan")  # type: ignore[arg-type]
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(simnfnd.FactoryError, match=r"simnfnd\.denoise needs torch.*\[train\]"):
         simnfnd.denoise(np.zeros((8, 8)))
