@@ -83,7 +83,8 @@ def arrows_in(name: str, source: str) -> Iterator[Arrow]:
         imported = isinstance(node, ast.Import | ast.ImportFrom)
         for target in _targets(node):
             if (found := _known(target)) != name:
-                yield Arrow(name, node.lineno, found, imported and id(node) not in inside)
+                line = node.lineno if isinstance(node, ast.stmt | ast.expr) else 0
+                yield Arrow(name, line, found, imported and id(node) not in inside)
 
 
 def _silent(part: ast.AST) -> Iterator[ast.AST]:

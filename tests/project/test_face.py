@@ -102,7 +102,8 @@ def test_a_pair_of_a_frame_in_memory() -> None:
     assert float(pair.record["noise.background.density"]) > 0
     again = simnfnd.make_pair(rgb, depth_m, **PLACE)
     np.testing.assert_array_equal(again.noisy, pair.noisy)
-    for other in ({"variant": 1}, {"seed": 7}, {"name": "another"}):
+    others: list[dict[str, Any]] = [{"variant": 1}, {"seed": 7}, {"name": "another"}]
+    for other in others:
         assert (simnfnd.make_pair(rgb, depth_m, **PLACE, **other).noisy != pair.noisy).any()
 
 
@@ -184,12 +185,13 @@ def test_a_stack_is_its_pictures_one_by_one() -> None:
 
 
 def test_pictures_and_weights_that_will_not_do(monkeypatch) -> None:
-    for picture, said in (
+    pictures: list[tuple[np.ndarray, str]] = [
         (np.zeros(5), "expected"),
         (np.zeros((4, 4), np.int64), "int64"),
         (np.full((4, 4), np.nan), r"0\.\.1"),
         (np.full((4, 4), 2.0), r"0\.\.1"),
-    ):
+    ]
+    for picture, said in pictures:
         with pytest.raises(ValueError, match=said):
             simnfnd.denoise(picture)
     with pytest.raises(simnfnd.FactoryError, match="nowhere"):
