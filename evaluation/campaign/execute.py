@@ -32,7 +32,6 @@ from simnfnd.factory.files import check_writable, sha256_of, write_atomically
 from simnfnd.factory.jobs.lock import Lock
 from simnfnd.factory.workers.signals import Interrupted, stop_signals
 from simnfnd.models import WEIGHTS_NAME
-from simnfnd.verbs import VERBS
 
 _CLEAR_CPU_S, _CLEAR = 4.0, 0.3
 _SOME_FAILED = 1
