@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import simnfnd
@@ -166,11 +165,7 @@ def test_frames_and_words_that_will_not_do(monkeypatch) -> None:
 @pytest.mark.parametrize("shape", [(40, 48), (2, 40, 48)])
 def test_a_picture_comes_back_in_its_own_form(dtype: type, shape: tuple[int, ...]) -> None:
     full = 1 if np.dtype(dtype).kind == "f" else np.iinfo(dtype).max
-<<<<<<< HEAD
-    picture: npt.NDArray[Any] = (np.random.default_rng(0).random(shape) * full).astype(dtype)
-=======
     picture: np.ndarray = (np.random.default_rng(0).random(shape) * full).astype(dtype)
->>>>>>> cli
     before = picture.copy()
     result = simnfnd.denoise(picture, always=True)
     assert result.shape == shape
