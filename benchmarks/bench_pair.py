@@ -23,7 +23,7 @@ from benchmarks.shared import (
     quiet,
     write_pair,
 )
-from simnfnd.factory.compose import compose_config
+from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.scenes import open_reader
 
@@ -137,7 +137,7 @@ def warm(words: list[str], repeats: int, count: int) -> Spent:
 
 def prepare(words: list[str]) -> None:
     """Leave the frame's render in the cache, as a worker that renders does."""
-    from simnfnd.factory.render.views import ViewMaker
+    from simnfnd.factory.renders.views import ViewMaker
 
     config = compose_config(words)
     ViewMaker(config).prepare(open_reader(config.scenes).discover().frames[0])

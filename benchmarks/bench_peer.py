@@ -22,7 +22,7 @@ import yaml
 from benchmarks.bench_pair import PICTURES, cold
 from benchmarks.report import Cell, Options, Section, Table
 from benchmarks.shared import Command, frame_words, in_own_process, run_command
-from simnfnd.factory.compose import compose_config
+from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.render.cloud import back_project, surface_triangles
 from simnfnd.factory.scenes import open_reader

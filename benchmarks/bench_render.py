@@ -17,8 +17,8 @@ from benchmarks.shared import in_own_process, quiet
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.render import RenderSettings, open_renderer
+from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.scenes.seabed import SeabedReader, SeabedSettings
-from simnfnd.factory.sonar.mount import Mount
 
 REPEATS = 5
 SETTINGS = (

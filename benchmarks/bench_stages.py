@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.report import Options, Section, Table
 from benchmarks.shared import cpu_seconds, frame_words, write_pair
 from simnfnd.factory import pairs, seeds
-from simnfnd.factory.compose import compose_config
+from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.formation import resample
 from simnfnd.factory.formation.clouds import effect_clouds, noisy_cloud
 from simnfnd.factory.noise.draws import StreamNames, draw

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, cast
 from omegaconf import DictConfig, OmegaConf
 
 from simnfnd.evaluation.app import hydra_verb
+from simnfnd.factory.cli.extras import Need, require
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.extras import Need, require
 from simnfnd.factory.settings import build
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ from simnfnd.evaluation.metrics.statistics import Paired, holm, paired
 from simnfnd.evaluation.report.files import read_results
 from simnfnd.evaluation.report.names import METRIC_NAMES, written, written_p
 from simnfnd.evaluation.report.tables import percent
-from simnfnd.factory import markdown
 from simnfnd.factory.cli import Parser
+from simnfnd.factory.dataset.describe import markdown
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import check_writable, write_atomically
 

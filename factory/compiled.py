@@ -7,28 +7,12 @@ the order that the source says (no fastmath), so the result is the same on every
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-
-# Every module that declares some.
-LOOPS = (
-    "simnfnd.factory.formation.field.cell_loops",
-    "simnfnd.factory.formation.field.kernels",
-    "simnfnd.factory.formation.field.placing",
-    "simnfnd.factory.formation.field.world_loops",
-    "simnfnd.factory.render.albedo",
-    "simnfnd.factory.render.joints",
-    "simnfnd.factory.render.planes",
-    "simnfnd.factory.render.shading",
-    "simnfnd.factory.sonar.echo_loops",
-    "simnfnd.factory.sonar.number_loops",
-    "simnfnd.factory.sonar.picture_loops",
-)
 
 
 def compiled(*signatures: str) -> Callable[[Function], Function]:
@@ -52,9 +36,3 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
         return result
 
     return decorate
-
-
-def compile_all() -> None:
-    """Compile what is not on disk yet: once, before many workers would do it at once."""
-    for name in LOOPS:
-        importlib.import_module(name)

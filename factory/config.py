@@ -6,23 +6,27 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import field, replace
-from typing import Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from pydantic import Field, TypeAdapter, model_validator
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.formation.field.settings import AcousticsSettings
 from simnfnd.factory.formation.resample import ResampleSettings
 from simnfnd.factory.jobs.settings import SchedulerSettings, ShardSlice
 from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings, blocks
 from simnfnd.factory.render.base import RenderSettings
-from simnfnd.factory.render.cache import CacheSettings
+from simnfnd.factory.renders.cache import CacheSettings
 from simnfnd.factory.scenes import Scenes
 from simnfnd.factory.scenes.seabed.reader import SeabedSettings, seeing
 from simnfnd.factory.settings import STRICT, build
 from simnfnd.factory.sonar.acoustics import WaterSettings
 from simnfnd.factory.sonar.settings import SonarSettings
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
 
 # Recordings whose frames can carry labels: a pack has those that went into it.
 _LABELLED = ("seabed", "pack")
@@ -158,3 +162,17 @@ def digest(values: Mapping[str, Any]) -> str:
     """Hash of a configuration: 16 hexadecimal digits of blake2b over its sorted JSON."""
     text = json.dumps(values, sort_keys=True, separators=(",", ":"))
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
+
+
+def composed_values(composed: DictConfig) -> dict[str, Any]:
+    """The plain values of a composed configuration.  Raises FactoryError when one is missing."""
+    from omegaconf import OmegaConf
+    from omegaconf.errors import MissingMandatoryValue
+
+    try:
+        values = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
+    except MissingMandatoryValue as error:
+        key = error.full_key
+        raise FactoryError(f"{key}: a value is required; give {key}=...") from error
+    assert isinstance(values, dict)
+    return {str(key): value for key, value in values.items() if key != "experiment"}

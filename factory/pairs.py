@@ -24,7 +24,7 @@ from simnfnd.factory.formation.registry import FORMATIONS
 from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.record import columns, image_axes, record
-from simnfnd.factory.render.views import Views, open_views
+from simnfnd.factory.renders.views import Views, open_views
 from simnfnd.factory.sonar import polar, surface, transfer
 from simnfnd.factory.sonar.fan import lay_out, lay_out_nearest
 from simnfnd.factory.sonar.window import Window

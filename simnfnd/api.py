@@ -43,7 +43,7 @@ def denoise(
     Raises ValueError for another shape or dtype, NaN, and floats outside 0..1; FactoryError for
     weights that are not there, a missing GPU, and where the extra `train` is not installed.
     """
-    from simnfnd.factory.extras import Need, require
+    from simnfnd.factory.cli.extras import Need, require
 
     require(Need("simnfnd.denoise", module) for module in ("torch", "safetensors"))
     from simnfnd.models.denoise.files import denoise_image
@@ -101,7 +101,7 @@ def make_pair(
     Raises FrameError when the frame has no usable depth or the sonar would see nothing of it, and
     FactoryError for wrong words and modules that are not installed.
     """
-    from simnfnd.factory.extras import needs_of, require
+    from simnfnd.factory.cli.extras import needs_of, require
     from simnfnd.factory.frame import Frame, FrameRef, Intrinsics, checked
     from simnfnd.factory.pairs import PairMaker
     from simnfnd.factory.render.view import view_of
@@ -119,7 +119,7 @@ def make_pair(
 
 
 class _OneView:
-    """A render in memory; a `simnfnd.factory.render.views.Views`."""
+    """A render in memory; a `simnfnd.factory.renders.views.Views`."""
 
     def __init__(self, view: View) -> None:
         self._view = view
@@ -133,7 +133,7 @@ class _OneView:
 
 @lru_cache(maxsize=8)
 def _config(words: tuple[str, ...]) -> FactoryConfig:
-    from simnfnd.factory.compose import compose_config
+    from simnfnd.factory.cli.compose import compose_config
 
     # The frame is at hand, so where recordings are does not matter.
     return compose_config(words, {"kind": "csv_list", "root": ".", "intrinsics": [1, 1, 0, 0]})

@@ -127,7 +127,7 @@ def head(name: str, verb: Verb) -> str:
     if verb.verbs:
         lines += ["", "Verbs of its own:", *_own_verbs(name, verb)]
     if verb.needs:
-        from simnfnd.factory.extras import EXTRAS, install_command
+        from simnfnd.factory.cli.extras import EXTRAS, install_command
 
         lines += ["", f"Needs {install_command(*(EXTRAS[module] for module in verb.needs))}"]
     return "\n".join(lines)
@@ -139,7 +139,7 @@ def _own_verbs(name: str, verb: Verb) -> Iterator[str]:
 
 def _check_installed(name: str, verb: Verb) -> None:
     """Raise FactoryError when a module that the verb needs is not installed."""
-    from simnfnd.factory.extras import Need, require
+    from simnfnd.factory.cli.extras import Need, require
 
     require(Need(f"simnfnd {name}", module) for module in verb.needs)
 

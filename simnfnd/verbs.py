@@ -17,7 +17,7 @@ class Verb:
     target: "module:function"; the function gets the other words and may return an exit code.
     examples: commands that `simnfnd VERB --help` begins with.
     before: words put before those of the user.
-    needs: modules without which it can do nothing, each of an extra (`simnfnd.factory.extras`).
+    needs: modules without which it can do nothing, each of an extra (`simnfnd.factory.cli.extras`).
     hydra: its words are overrides of a Hydra configuration, KEY=VALUE.
     places: how many words that are no KEY=VALUE a Hydra verb takes; None: any number.
     verbs: verbs of its own.

@@ -18,8 +18,8 @@ import numpy.typing as npt
 from simnfnd.evaluation.campaign.trainings import Training, read_trainings
 from simnfnd.evaluation.metrics.statistics import Estimate, estimate
 from simnfnd.evaluation.report.files import read_content, read_results
-from simnfnd.factory import markdown
 from simnfnd.factory.cli import Parser
+from simnfnd.factory.dataset.describe import markdown
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
 from simnfnd.models import WEIGHTS_NAME

@@ -12,8 +12,8 @@ import yaml
 from simnfnd.evaluation.fit.search import Result, score
 from simnfnd.evaluation.fit.settings import FitSettings
 from simnfnd.evaluation.realism.tables import number, times
-from simnfnd.factory import markdown
 from simnfnd.factory.config import plain
+from simnfnd.factory.dataset.describe import markdown
 from simnfnd.factory.files import explain_os_errors, write_atomically
 
 # What the recipe's renders, frames and files are is not part of a profile.

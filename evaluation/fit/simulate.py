@@ -9,14 +9,14 @@ import numpy as np
 
 from simnfnd.evaluation.realism.measure import Measured, joined, measure_picture
 from simnfnd.evaluation.realism.polar import Grid, to_polar
-from simnfnd.factory.compose import compose_config
+from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig, from_mapping, plain
 from simnfnd.factory.dataset.format.sample import Pair
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.pairs import PairMaker
 from simnfnd.factory.render.view import View
-from simnfnd.factory.render.views import open_views
+from simnfnd.factory.renders.views import open_views
 from simnfnd.factory.sonar.geometry import FanGeometry
 
 
@@ -25,8 +25,8 @@ class Simulation:
 
     def __init__(self, recipe: tuple[str, ...], frames: int, grid: Grid) -> None:
         """Raises FactoryError when the recipe is wrong or no frame of it is rendered."""
-        from simnfnd.factory.generate import choose_frames
         from simnfnd.factory.scenes import open_reader
+        from simnfnd.factory.selection import choose_frames
 
         self.config = compose_config(recipe)
         self.grid = grid
@@ -88,7 +88,7 @@ def _usable(maker: PairMaker, ref: FrameRef) -> bool:
 
 
 class _Kept:
-    """Renders in memory; a `simnfnd.factory.render.views.Views`."""
+    """Renders in memory; a `simnfnd.factory.renders.views.Views`."""
 
     def __init__(self, views: dict[FrameRef, View]) -> None:
         self._views = views

@@ -14,7 +14,7 @@ _MEASURING = (
     "simnfnd.evaluation.metrics",
     "simnfnd.evaluation.measurement.task",
     "simnfnd.evaluation.methods.apply",
-    "simnfnd.factory.similarity",
+    "simnfnd.factory.dataset.describe.similarity",
 )
 # What turns files into pictures, and says where range and bearing are in them.
 _READING = ("simnfnd.evaluation.data", "simnfnd.factory.dataset.read", "simnfnd.factory.sonar")

@@ -17,7 +17,7 @@ from simnfnd.evaluation.metrics.checks import Mask as Mask
 from simnfnd.evaluation.metrics.checks import MetricError as MetricError
 from simnfnd.evaluation.metrics.checks import checked_mask, checked_pair
 from simnfnd.evaluation.metrics.reference import Reference, mean_of_blocks
-from simnfnd.factory.similarity import RADIUS_PX, inner
+from simnfnd.factory.dataset.describe.similarity import RADIUS_PX, inner
 
 PSNR_CAP_DB = 100.0
 """What a pair of identical images (infinite PSNR) counts as in a mean; see `finite_psnr`."""

@@ -10,8 +10,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from simnfnd.evaluation.app import hydra_verb
 from simnfnd.evaluation.overrides import named
+from simnfnd.factory.cli.extras import Need, require
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.extras import Need, require
 from simnfnd.factory.settings import build
 
 if TYPE_CHECKING:

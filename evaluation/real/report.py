@@ -14,7 +14,7 @@ from simnfnd.evaluation.real.measure import RealRow, mean_of
 from simnfnd.evaluation.report.examples import as_data_uri
 from simnfnd.evaluation.report.names import Metric, written
 from simnfnd.evaluation.report.pages import own_file, render
-from simnfnd.factory import markdown
+from simnfnd.factory.dataset.describe import markdown
 from simnfnd.factory.files import write_atomically
 
 COLUMNS = {

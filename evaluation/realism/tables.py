@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 from simnfnd.evaluation.realism.compare import Comparison, overall
-from simnfnd.factory import markdown
+from simnfnd.factory.dataset.describe import markdown
 
 _OVERALL = {
     "geometric_mean_ratio": "mean ratio",

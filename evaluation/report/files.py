@@ -16,7 +16,7 @@ from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.evaluation.report import tables
 from simnfnd.evaluation.report.content import SCHEMA
 from simnfnd.evaluation.report.names import written_p
-from simnfnd.factory import markdown
+from simnfnd.factory.dataset.describe import markdown
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
 

@@ -10,7 +10,7 @@ from typing import Any
 from simnfnd.evaluation.methods.method import shown
 from simnfnd.evaluation.report.names import METRIC_NAMES, written, written_p
 from simnfnd.evaluation.report.paper import TABLE_METRICS
-from simnfnd.factory import markdown
+from simnfnd.factory.dataset.describe import markdown
 
 Content = Mapping[str, Any]
 

@@ -6,9 +6,9 @@ import time
 from pathlib import Path
 
 from simnfnd.factory.cli import Parser
-from simnfnd.factory.compose import compose_config
+from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.render.cache import Cache
+from simnfnd.factory.renders.cache import Cache
 
 _EPILOG = (
     "KEY=VALUE words are those of `simnfnd make`; cache.dir is the one that matters to stats, "
@@ -58,11 +58,11 @@ def _verify(cache: Cache) -> int:
 
 
 def _pack(overrides: list[str], out: Path | None, small: bool) -> int:
-    from simnfnd.factory.generate import choose_frames
     from simnfnd.factory.render.pack import write_pack
     from simnfnd.factory.render.view import FINE, SMALL
-    from simnfnd.factory.render.views import CachedViews
+    from simnfnd.factory.renders.views import CachedViews
     from simnfnd.factory.scenes import open_reader
+    from simnfnd.factory.selection import choose_frames
 
     if out is None:
         raise FactoryError("cache pack: which file? give --out FILE")

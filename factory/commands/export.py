@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from simnfnd.factory.cli import Parser
+from simnfnd.factory.cli.extras import Need, require
 from simnfnd.factory.dataset.format.schema import SPLITS
 from simnfnd.factory.export import FORMATS, export
-from simnfnd.factory.extras import Need, require
 
 # Format -> the module of the export extra that writes it.
 _NEEDS = {"webdataset": "webdataset", "huggingface": "pyarrow"}

@@ -52,7 +52,7 @@ def main(words: list[str]) -> int:
 
 def _rerun(directory: Path, failed: list[str], settings: list[str]) -> int:
     """Make the failed frames once more.  Nothing that the dataset's files say is executed."""
-    from simnfnd.factory.generate import run
+    from simnfnd.factory.cli.generate import run
 
     frames = tuple(dict.fromkeys(failed))
     retry = Path(f"{directory}-retry")
@@ -92,7 +92,7 @@ def _stored(directory: Path, settings: list[str]) -> FactoryConfig:
     A dataset may come from a stranger, so it does not choose where renders are written or which
     cluster is connected to.
     """
-    from simnfnd.factory.compose import compose_config
+    from simnfnd.factory.cli.compose import compose_config
     from simnfnd.factory.config import from_mapping
 
     path = directory / CONFIG_NAME

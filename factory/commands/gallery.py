@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from simnfnd.factory.cli import Parser
+from simnfnd.factory.cli.extras import needs_of, require
 from simnfnd.factory.config import FactoryConfig, from_mapping
 from simnfnd.factory.dataset.describe.quality import psnr_db
 from simnfnd.factory.distribution import Distribution, number
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.extras import needs_of, require
 from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.gallery import figures
 from simnfnd.factory.gallery.figures import Figure, Panel
@@ -128,9 +128,9 @@ def _end(distribution: Distribution, quantile: float) -> float:
 
 
 def _views(config: FactoryConfig) -> Iterator[View]:
-    from simnfnd.factory.generate import choose_frames
     from simnfnd.factory.render import open_renderer
     from simnfnd.factory.scenes import open_reader
+    from simnfnd.factory.selection import choose_frames
 
     reader = open_reader(config.scenes)
     found = choose_frames(reader.discover().frames, config)

@@ -14,8 +14,8 @@ def main(words: Sequence[str]) -> int:
         os.environ.setdefault(name, "1")
 
     from simnfnd.factory.cli import run_app
+    from simnfnd.factory.cli.generate import generate
     from simnfnd.factory.distribution import as_override
-    from simnfnd.factory.generate import generate
 
     # Hydra's parser refuses a flag between overrides; people write it where they like.
     flags = [word for word in words if word in ("-m", "--multirun")]

@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.cli import Parser
-from simnfnd.factory.compose import compose_config
+from simnfnd.factory.cli.compose import compose_config
+from simnfnd.factory.cli.extras import needs_of, require
 from simnfnd.factory.distribution import as_override
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.extras import needs_of, require
 from simnfnd.factory.gallery import figures
 from simnfnd.factory.gallery.figures import Figure, Panel
 from simnfnd.factory.gallery.statistics import table
@@ -93,9 +93,9 @@ def pictures(out: Path, settings: Iterable[str] = ()) -> list[Path]:
 
 
 def _first_frame(config: FactoryConfig) -> tuple[Frame, Rendered]:
-    from simnfnd.factory.generate import choose_frames
     from simnfnd.factory.render import open_renderer
     from simnfnd.factory.scenes import open_reader
+    from simnfnd.factory.selection import choose_frames
 
     reader = open_reader(config.scenes)
     frame = reader.load(choose_frames(reader.discover().frames, config)[0])

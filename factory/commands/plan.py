@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simnfnd.factory.cli import Parser
-from simnfnd.factory.compose import compose_points
+from simnfnd.factory.cli.compose import compose_points
+from simnfnd.factory.cli.extras import needs_of, require
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.extras import needs_of, require
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.jobs.plan import ShardTask, plan_shards
 from simnfnd.factory.workers.machine import available_memory_bytes
@@ -78,9 +78,9 @@ def main(words: list[str]) -> int:
 
 
 def _planned(config: FactoryConfig) -> tuple[tuple[FrameRef, ...], tuple[ShardTask, ...]]:
-    from simnfnd.factory.generate import choose_frames, split_frames
-    from simnfnd.factory.render.views import check_views
+    from simnfnd.factory.renders.views import check_views
     from simnfnd.factory.scenes import open_reader
+    from simnfnd.factory.selection import choose_frames, split_frames
 
     require(needs_of(config))
     check_views(config, touch=False)
@@ -103,9 +103,9 @@ def _added(
     from simnfnd.factory.config import digest, identity
     from simnfnd.factory.dataset.format.manifest import load_manifest
     from simnfnd.factory.dataset.format.schema import Provenance
-    from simnfnd.factory.generate import frames_digest
     from simnfnd.factory.jobs.earlier import read_earlier
     from simnfnd.factory.jobs.extend import plan_extension, refuse_other_settings
+    from simnfnd.factory.selection import frames_digest
 
     values = {**identity(config), "frames_found": frames_digest(frames)}
     directory = config.dataset.directory(digest(values))
@@ -130,7 +130,7 @@ def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
     from simnfnd.factory.dataset.write.writer import write_shard
     from simnfnd.factory.pairs import pair_maker
     from simnfnd.factory.render.view import encode
-    from simnfnd.factory.render.views import ViewMaker, with_cache
+    from simnfnd.factory.renders.views import ViewMaker, with_cache
 
     chosen = [frames[k * len(frames) // _PROBED] for k in range(min(_PROBED, len(frames)))]
     with tempfile.TemporaryDirectory() as folder:
@@ -172,7 +172,7 @@ def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
 
 def _kept(config: FactoryConfig, frames: Sequence[FrameRef]) -> int:
     """Frames whose render is at hand."""
-    from simnfnd.factory.render.views import open_views
+    from simnfnd.factory.renders.views import open_views
 
     if not config.cache.enabled and config.scenes.kind != "pack":
         return 0

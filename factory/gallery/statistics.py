@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.compose import compose_config
+from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.distribution import Distribution
 from simnfnd.factory.formation.field.received import received
 from simnfnd.factory.formation.field.scene import FieldScene

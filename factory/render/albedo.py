@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.compiled import compiled
-from simnfnd.factory.render.joints import READ
+from simnfnd.factory.render.cloud.joints import READ
 
 MEAN_ALBEDO = 0.5
 

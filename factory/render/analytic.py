@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.render.base import Rendered, RenderSettings
+from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.surface import pixels_of
-from simnfnd.factory.sonar.mount import Mount
 
 
 class AnalyticRenderer:

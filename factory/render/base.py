@@ -11,8 +11,8 @@ from pydantic import BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.frame import Frame
+from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.settings import STRICT
-from simnfnd.factory.sonar.mount import Mount
 
 
 def _stride(value: Any) -> Any:

@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.render.base import Rendered, RenderSettings
+from simnfnd.factory.render.cloud.mesh import SHADOW_BIAS, surface_mesh
 from simnfnd.factory.render.libraries import missing
-from simnfnd.factory.render.mesh import SHADOW_BIAS, surface_mesh
+from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.surface import Surface, pixels_of
-from simnfnd.factory.sonar.mount import Mount
 
 
 class EmbreeRenderer:

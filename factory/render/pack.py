@@ -17,8 +17,8 @@ from simnfnd.factory import __version__
 from simnfnd.factory.errors import FactoryError, NotRendered
 from simnfnd.factory.files import explain_os_errors
 from simnfnd.factory.frame import FrameRef
+from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.view import FINE, Precision, View, decode, encode
-from simnfnd.factory.sonar.mount import Mount
 
 _SCHEMA = "simnfnd-pack 2"
 _CONTENTS = "pack.json"
@@ -109,7 +109,7 @@ def read_contents(path: Path) -> Contents:
 
 
 class PackViews:
-    """Renders in a pack; a `simnfnd.factory.render.views.Views`."""
+    """Renders in a pack; a `simnfnd.factory.renders.views.Views`."""
 
     def __init__(self, root: str, mount: Mount) -> None:
         """Raises FactoryError when the pack was made for another mount of the sonar."""
@@ -122,11 +122,11 @@ class PackViews:
             )
 
     def holds(self, ref: FrameRef) -> bool:
-        """See `simnfnd.factory.render.views.Views`."""
+        """See `simnfnd.factory.renders.views.Views`."""
         return ref in self._contents.members
 
     def view(self, ref: FrameRef) -> View:
-        """See `simnfnd.factory.render.views.Views`."""
+        """See `simnfnd.factory.renders.views.Views`."""
         if ref not in self._contents.members:
             raise NotRendered(ref.name)
         try:

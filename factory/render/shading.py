@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.compiled import compiled
-from simnfnd.factory.render.joints import DOWN, READ, RIGHT, Bits, Doubles, Floats
+from simnfnd.factory.render.cloud.joints import DOWN, READ, RIGHT, Bits, Doubles, Floats
 
 _ZERO = np.float32(0)
 

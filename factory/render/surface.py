@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.frame import Frame, Intrinsics
-from simnfnd.factory.render import joints as edges
 from simnfnd.factory.render import shading
 from simnfnd.factory.render.albedo import albedo
 from simnfnd.factory.render.base import RenderSettings
+from simnfnd.factory.render.cloud import joints as edges
 
 # Traced and closed-form light differ by rounding; a ratio of anything fainter tells nothing.
 _FAINTEST = 1e-12
@@ -40,7 +40,7 @@ class Pixels:
     """A frame at full resolution: which pixels are surface, and how strongly each scatters.
 
     depth_m, albedo: (H, W) float32.  mask: (H, W) bool.  joints: (H, W) uint8, see
-    `simnfnd.factory.render.joints`.
+    `simnfnd.factory.render.cloud.joints`.
     edge_ratio: see `RenderSettings`.  stride: every how-manieth row and column is traced.
     """
 

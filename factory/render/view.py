@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
 from simnfnd.factory.render.base import Rendered
-from simnfnd.factory.sonar.mount import Mount
+from simnfnd.factory.render.mount import Mount
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -114,7 +114,7 @@ def view_of(frame: Frame, rendered: Rendered, mount: Mount) -> View:
 
 def encode(view: View, precision: Precision = FINE) -> bytes:
     """The view as bytes; `decode(encode(view))` is the view itself when it was rounded alike."""
-    from simnfnd.factory.render.planes import pack  # loads numba
+    from simnfnd.factory.render.cloud.planes import pack  # loads numba
 
     lit = view.radiance > 0
     radiance = _block_mean(view.radiance, lit, precision.block)
@@ -201,7 +201,7 @@ def _values(
     parts: list[bytes], shape: tuple[int, int], precision: Precision
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Depth and radiance of each pixel, (H, W) float32."""
-    from simnfnd.factory.render.planes import unpack  # loads numba
+    from simnfnd.factory.render.cloud.planes import unpack  # loads numba
 
     block = precision.block
     depth_m = unpack(parts[0], shape, _table(_NEAREST_M, precision.depth_step))

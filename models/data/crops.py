@@ -17,7 +17,7 @@ from torch.utils.data import Dataset, Sampler
 from simnfnd.factory.seeds import stream
 from simnfnd.factory.sonar.geometry import Maps
 from simnfnd.models.data.pairs import Batch, Sample, Source
-from simnfnd.models.training.settings import DataSettings
+from simnfnd.models.settings import DataSettings
 
 
 class Visit(NamedTuple):

@@ -20,16 +20,16 @@ from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
 from simnfnd.factory.distribution import Distribution
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.generate import choose_frames, split_frames
 from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.factory.pairs import PairMaker
-from simnfnd.factory.render.views import open_views
+from simnfnd.factory.renders.views import open_views
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.seeds import stream
+from simnfnd.factory.selection import choose_frames, split_frames
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.data.pairs import PairTable, Sample, SampleRef, weakened
-from simnfnd.models.training.settings import RendersData
+from simnfnd.models.settings import RendersData
 
 _AMOUNTS = ("alpha", "density", "strength")
 """Parameters that are 0 where an effect is absent: these a weaker noise scales."""

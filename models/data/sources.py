@@ -12,7 +12,7 @@ from simnfnd.factory.files import sha256_of
 from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.models.data.images import NoisySource, list_images, smallest_side
 from simnfnd.models.data.pairs import PairSource, SampleRef, Source, hold_out, read_table, spread
-from simnfnd.models.training.settings import (
+from simnfnd.models.settings import (
     DataSettings,
     ModelsSettings,
     OldData,
@@ -79,7 +79,7 @@ def _noise(words: tuple[str, ...]) -> NoiseSettings:
     """The noise of `simnfnd make` with these words."""
     from hydra.core.global_hydra import GlobalHydra
 
-    from simnfnd.factory.compose import compose_config
+    from simnfnd.factory.cli.compose import compose_config
 
     # Hydra composes one configuration at a time, and that of this training is the one at present.
     state = GlobalHydra.get_state()

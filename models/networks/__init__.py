@@ -1,0 +1,60 @@
+"""Networks: one file each, one registry, and the contract that all keep.
+
+A network is one file beside this one with a settings class and a torch module, and one line in
+`NETWORKS`.  What training, denoising and the losses rely on:
+
+- `build_network(config)` makes it from the `model` group, with fresh weights.
+- `forward(x)` maps (N, C, H, W) float in 0..1 to the same shape, for any H and W (it pads itself).
+  C is 1 or 3 for any network: three channels are denoised alike, one by one, where the network
+  was not built for three (`channels` of its settings).
+- `extras`, a class attribute, names its optional inputs; each is a keyword of `forward` and of
+  `with_heads` that may be left out or None where it is unknown: `range_fraction` (N, 1, H, W),
+  slant range of a pixel over range_max; `azimuth_rad` (N, 1, H, W), positive to the right; `sector`
+  (N, 1, H, W), 1 inside the insonified sector and 0 outside.  Batches hold them under these names.
+- A network with `has_heads = True` predicts more: where `forward` returns the image alone,
+  `with_heads(x, ...)` returns (image, shadow_logits, gain_db): logits (N, 1, H, W) of shadow, and
+  (N,) the expected gain of PSNR.
+- A loss is `loss(prediction, clean, batch)`; the batch holds `noisy`, `clean`, `shadow`
+  (N, 1, H, W) float, 1 in shadow, where it is known, `shadow_logits` and `gain_db` from a
+  network with heads, and `progress`, a scalar, the fraction of the training that is done.
+- A network with `adversarial = True` is trained against a discriminator
+  (`simnfnd.models.training.adversarial`), any other by `simnfnd.models.training.module`; both
+  denoise alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.settings import build
+
+if TYPE_CHECKING:
+    from simnfnd.models.networks.network import Network
+
+NETWORKS = {
+    "dae": ("simnfnd.models.networks.dae", "DAESettings", "DAE"),
+    "nafnet": ("simnfnd.models.networks.nafnet", "NAFNetSettings", "NAFNet"),
+    "restormer": ("simnfnd.models.networks.restormer", "RestormerSettings", "Restormer"),
+    "sid_tgan": ("simnfnd.models.networks.sid_tgan", "SIDTGANSettings", "SIDTGAN"),
+    "sonarnet": ("simnfnd.models.networks.sonarnet", "SonarNetSettings", "SonarNet"),
+    "unet": ("simnfnd.models.networks.unet", "UNetSettings", "UNet"),
+}
+"""kind -> module, settings class, network class; torch is imported only when one is built."""
+
+
+def build_network(config: Mapping[str, Any]) -> Network:
+    """The network that the `model` group of the configuration describes, with fresh weights.
+
+    Raises FactoryError for an unknown kind or key.
+    """
+    kind = config.get("kind")
+    if kind not in NETWORKS:
+        raise FactoryError(f"model.kind: {kind!r} is none of {', '.join(sorted(NETWORKS))}")
+    module_name, settings_name, network_name = NETWORKS[kind]
+    module = import_module(module_name)
+    settings: Any = build(getattr(module, settings_name), config, "model")
+    network: Network = getattr(module, network_name)(settings)
+    return network

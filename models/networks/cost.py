@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.models import NETWORKS, build_network
+from simnfnd.models.networks import NETWORKS, build_network
 from simnfnd.models.networks.network import Network
 
 _REPEATS = 3

@@ -15,7 +15,7 @@ from torch import nn
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
-from simnfnd.models import build_network
+from simnfnd.models.networks import build_network
 from simnfnd.models.networks.network import Network
 
 FORMAT = "simnfnd-denoiser/1"

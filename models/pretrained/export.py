@@ -102,7 +102,7 @@ def export(
     """
     import torch  # slow; mistakes on the command line are reported before
 
-    from simnfnd.models import build_network
+    from simnfnd.models.networks import build_network
     from simnfnd.models.networks.cost import count_macs
     from simnfnd.models.networks.weights import load_weights, save_weights
 

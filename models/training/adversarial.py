@@ -19,8 +19,8 @@ from simnfnd.models.data.pairs import Batch
 from simnfnd.models.losses.base import Loss
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.sid_tgan import SIDTGAN, Discriminator
+from simnfnd.models.settings import TrainSettings
 from simnfnd.models.training.module import DenoisingModule, learning_rate_factor
-from simnfnd.models.training.settings import TrainSettings
 
 
 class AdversarialModule(DenoisingModule):

@@ -28,7 +28,7 @@ def run(config: DictConfig) -> None:
             "dataset: give the folder that `simnfnd make` made, dataset=DIR "
             "(or `simnfnd denoise --help` to use trained weights)"
         )
-    from simnfnd.models.training.settings import ModelsSettings
+    from simnfnd.models.settings import ModelsSettings
 
     container = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     values = cast(dict[str, Any], container)

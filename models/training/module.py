@@ -17,8 +17,8 @@ from simnfnd.models.data.pairs import Batch
 from simnfnd.models.losses.base import Loss
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.weights import channels_last
+from simnfnd.models.settings import TrainSettings
 from simnfnd.models.training.quality import psnr_db, shadow_iou, ssim
-from simnfnd.models.training.settings import TrainSettings
 
 Row = dict[str, float | int]
 

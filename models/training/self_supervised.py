@@ -25,8 +25,8 @@ from simnfnd.factory.seeds import stream
 from simnfnd.models.data.pairs import Batch
 from simnfnd.models.losses.base import Loss
 from simnfnd.models.networks.network import Network
+from simnfnd.models.settings import SelfSupervisedData, TrainSettings
 from simnfnd.models.training.module import DenoisingModule
-from simnfnd.models.training.settings import SelfSupervisedData, TrainSettings
 
 _VALIDATION = -1
 _NEIGHBOURS = ((0, 1), (0, 2), (1, 3), (2, 3))

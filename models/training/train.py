@@ -17,7 +17,7 @@ from torch.utils.data import DataLoader
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import check_writable, sha256_of, write_atomically
-from simnfnd.models import WEIGHTS_NAME, build_network
+from simnfnd.models import WEIGHTS_NAME
 from simnfnd.models.data.crops import (
     Crops,
     VisitSampler,
@@ -28,13 +28,14 @@ from simnfnd.models.data.crops import (
 from simnfnd.models.data.pairs import Batch
 from simnfnd.models.data.sources import Data, open_data
 from simnfnd.models.losses import build_loss
+from simnfnd.models.networks import build_network
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.weights import load_weights
 from simnfnd.models.pretrained import find_weights
+from simnfnd.models.settings import ModelsSettings, RendersData, SelfSupervisedData
 from simnfnd.models.training.module import DenoisingModule, Row
 from simnfnd.models.training.samples import write_samples
 from simnfnd.models.training.self_supervised import SelfSupervisedModule
-from simnfnd.models.training.settings import ModelsSettings, RendersData, SelfSupervisedData
 from simnfnd.models.training.validation import (
     CHECKPOINT_NAME,
     ValidationCallback,

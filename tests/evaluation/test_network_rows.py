@@ -26,7 +26,7 @@ def weights(path: Path, seed: int) -> Path:
     """The weights of a small untrained network."""
     import torch
 
-    from simnfnd.models import build_network
+    from simnfnd.models.networks import build_network
     from simnfnd.models.networks.weights import save_weights
 
     config = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 1, "decoder": [1]}

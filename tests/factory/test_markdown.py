@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from simnfnd.factory import markdown
+from simnfnd.factory.dataset.describe import markdown
 
 
 def test_a_table_is_what_markdown_expects() -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from simnfnd.command import main, overview, unknown
-from simnfnd.factory.extras import EXTRAS
+from simnfnd.factory.cli.extras import EXTRAS
 from simnfnd.verbs import VERBS, Verb
 from tests.project_files import project
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from simnfnd.factory.scenes.seabed.casting import Hits
 from simnfnd.factory.scenes.seabed.fields import Floats, dot, smoothstep, tiles, unwrap
-from simnfnd.factory.scenes.seabed.meshes import Colour
+from simnfnd.factory.scenes.seabed.objects.meshes import Colour
 from simnfnd.factory.scenes.seabed.terrain import Terrain
 
 

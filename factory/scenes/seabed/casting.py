@@ -12,7 +12,7 @@ import numpy.typing as npt
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import Intrinsics
 from simnfnd.factory.scenes.seabed.fields import Arrays, Floats
-from simnfnd.factory.scenes.seabed.meshes import Indices, Mesh, vertex_normals
+from simnfnd.factory.scenes.seabed.objects.meshes import Indices, Mesh, vertex_normals
 from simnfnd.factory.scenes.seabed.terrain import GroundMesh
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from simnfnd.factory.scenes.seabed.fields import (
     tiles,
     wrapped,
 )
-from simnfnd.factory.scenes.seabed.meshes import Indices, grid_triangles
+from simnfnd.factory.scenes.seabed.objects.meshes import Indices, grid_triangles
 
 FAR_M = 36.0  # the ground ends here; water hides it long before
 

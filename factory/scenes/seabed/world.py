@@ -24,14 +24,14 @@ from simnfnd.factory.scenes.seabed.casting import (
 )
 from simnfnd.factory.scenes.seabed.fields import WORLD_SEED, Floats
 from simnfnd.factory.scenes.seabed.gaps import MOST_LOST, measured
-from simnfnd.factory.scenes.seabed.kinds import KINDS
-from simnfnd.factory.scenes.seabed.meshes import grid_triangles, join, mesh
 from simnfnd.factory.scenes.seabed.names import PlaceName
+from simnfnd.factory.scenes.seabed.objects.kinds import KINDS
+from simnfnd.factory.scenes.seabed.objects.meshes import grid_triangles, join, mesh
+from simnfnd.factory.scenes.seabed.objects.site import Item, Site, furnish
 from simnfnd.factory.scenes.seabed.optics import Optics, camera
 from simnfnd.factory.scenes.seabed.path import Path, draw_loop, draw_path
 from simnfnd.factory.scenes.seabed.photo import photograph
 from simnfnd.factory.scenes.seabed.places import PLACES, draw_terrain
-from simnfnd.factory.scenes.seabed.site import Item, Site, furnish
 from simnfnd.factory.scenes.seabed.terrain import FAR_M, Terrain, view_mesh
 from simnfnd.factory.scenes.seabed.water import Water, draw_water
 from simnfnd.factory.seeds import stream

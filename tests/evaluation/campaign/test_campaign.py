@@ -22,7 +22,7 @@ from simnfnd.evaluation.report.content import SCHEMA as REPORT_SCHEMA
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.jobs.lock import Lock
 from simnfnd.factory.settings import build
-from simnfnd.models import build_network
+from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
 from tests.evaluation.campaign.campaign_programs import ROWS, TINY, Programs, settings
 
@@ -30,7 +30,7 @@ LENGTH = ("train.steps=", "train.check_every=")
 
 
 def test_every_row_of_the_configuration_is_one_that_models_accepts(tmp_path: Path) -> None:
-    from simnfnd.models.training.settings import ModelsSettings
+    from simnfnd.models.settings import ModelsSettings
 
     chosen = settings(tmp_path, "data.flsea=x", "data.mdd=y")
     for row in chosen.rows:

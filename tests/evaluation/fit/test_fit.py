@@ -17,11 +17,11 @@ from simnfnd.evaluation.fit import search as fit_search
 from simnfnd.evaluation.fit.settings import FitSettings, flattened
 from simnfnd.evaluation.fit.simulate import Simulation
 from simnfnd.evaluation.realism.polar import Grid
-from simnfnd.factory.compose import compose_config
+from simnfnd.factory.cli.compose import compose_config
+from simnfnd.factory.cli.generate import run as generate
 from simnfnd.factory.config import from_mapping, plain
 from simnfnd.factory.distribution import parse
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.generate import run as generate
 from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.settings import build
 from tests.project_files import ROOT

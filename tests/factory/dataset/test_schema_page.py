@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 
 from simnfnd.factory.config import digest
-from simnfnd.factory.dataset.describe.schema_page import markdown
 from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.format_page import markdown
 from tests.factory.dataset.hostile import whole
 from tests.fake_source import FakeConfig, FakeSource, refs
 from tests.project import readme_steps
@@ -19,9 +19,7 @@ from tests.project_files import ROOT
 
 def test_the_format_is_documented_as_it_is() -> None:
     text = (ROOT / "docs" / "dataset.md").read_text(encoding="utf-8")
-    assert text == markdown(), (
-        "run `python -m simnfnd.factory.dataset.describe.schema_page > docs/dataset.md`"
-    )
+    assert text == markdown(), "run `python -m simnfnd.factory.format_page > docs/dataset.md`"
 
 
 def test_a_stranger_can_compute_the_config_hash(tmp_path: Path) -> None:

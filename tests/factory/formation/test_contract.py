@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory import pairs
-from simnfnd.factory.compose import compose_config
+from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.errors import NotRendered
 from simnfnd.factory.formation.registry import FORMATIONS

@@ -11,7 +11,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simnfnd.factory.compose import compose_config
+from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import digest, identity
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.formation.field import beams as matrices

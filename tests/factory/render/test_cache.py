@@ -22,12 +22,12 @@ from simnfnd.factory.errors import FactoryError, NotRendered
 from simnfnd.factory.frame import FrameRef, Intrinsics
 from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.render.base import Rendered
-from simnfnd.factory.render.cache import Cache, CacheSettings, Limit
-from simnfnd.factory.render.key import FrameKeys
+from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.pack import PackViews, read_contents, write_pack
 from simnfnd.factory.render.view import FINE, SMALL, View, decode, encode, view_of
-from simnfnd.factory.render.views import CachedViews, ViewMaker
-from simnfnd.factory.sonar.mount import Mount
+from simnfnd.factory.renders.cache import Cache, CacheSettings, Limit
+from simnfnd.factory.renders.key import FrameKeys
+from simnfnd.factory.renders.views import CachedViews, ViewMaker
 from tests.factory.jobs.test_scheduler import shard_bytes
 from tests.frames import ground_and_post, plain_render
 from tests.project_files import ROOT
@@ -140,7 +140,7 @@ def test_anything_else_is_no_view(cut: int, content: bytes) -> None:
 @given(codes=arrays(np.uint16, array_shapes(min_dims=2, max_dims=2, max_side=9)))
 def test_planes_are_folded_second_differences(codes: np.ndarray[Any, Any]) -> None:
     """The compiled loops against the same steps in numpy."""
-    from simnfnd.factory.render import planes
+    from simnfnd.factory.render.cloud import planes
 
     down = np.diff(codes, axis=0, prepend=np.uint16(0))
     step = np.diff(down, axis=1, prepend=np.uint16(0)).view(np.int16)

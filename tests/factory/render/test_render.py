@@ -22,9 +22,9 @@ from simnfnd.factory.frame import Frame, Intrinsics
 from simnfnd.factory.render import Rendered, Renderer, RenderSettings, check_renderer, open_renderer
 from simnfnd.factory.render.albedo import albedo, linear_luminance
 from simnfnd.factory.render.cloud import back_project, normals, surface_mask
-from simnfnd.factory.render.mesh import surface_mesh
+from simnfnd.factory.render.cloud.mesh import surface_mesh
+from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.settings import build
-from simnfnd.factory.sonar.mount import Mount
 from tests.project_files import ROOT
 from tests.render_scenes import FLSEA, flsea_frame, frame_of, plane_depth, rays, yard
 

@@ -14,11 +14,12 @@ from simnfnd.factory import pairs
 from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import Frame, Intrinsics
-from simnfnd.factory.render import Rendered, RenderSettings, check_renderer, cloud, joints
+from simnfnd.factory.render import Rendered, RenderSettings, check_renderer, cloud
 from simnfnd.factory.render.albedo import albedo, linear_luminance
+from simnfnd.factory.render.cloud import joints
+from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.surface import Pixels, Surface, pixels_of, shade
 from simnfnd.factory.settings import build
-from simnfnd.factory.sonar.mount import Mount
 from tests.factory.render.test_render import ABOVE, HERE, LEFT, digest, relative_error, render
 from tests.render_scenes import FLSEA, flsea_frame, frame_of, plane_depth, rays, yard
 
@@ -179,7 +180,7 @@ FINE = [
 
 
 def _config() -> FactoryConfig:
-    from simnfnd.factory.compose import compose_config
+    from simnfnd.factory.cli.compose import compose_config
 
     return compose_config(FINE)
 

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from simnfnd.factory.compose import compose_config
+from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig, digest, identity
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import Frame, FrameRef

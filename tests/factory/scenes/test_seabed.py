@@ -19,8 +19,8 @@ from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.scenes.seabed import CLASSES, SeabedReader, SeabedSettings
 from simnfnd.factory.scenes.seabed.fields import lookup, tiles, waves
-from simnfnd.factory.scenes.seabed.meshes import Mesh, box, lathe, rock, sphere, tube
 from simnfnd.factory.scenes.seabed.names import PLACE_NAMES
+from simnfnd.factory.scenes.seabed.objects.meshes import Mesh, box, lathe, rock, sphere, tube
 from simnfnd.factory.scenes.seabed.world import build_world, choose_pose
 from simnfnd.factory.settings import build
 from tests.project_files import ROOT

@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.settings import build
 from simnfnd.factory.sonar import polar, transfer
 from simnfnd.factory.sonar.echoes import from_xyz, in_plane
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
-from simnfnd.factory.sonar.mount import Mount
 from simnfnd.factory.sonar.settings import SonarSettings, TransferSettings
 from simnfnd.factory.sonar.surface import Extent
 from simnfnd.factory.sonar.window import Window

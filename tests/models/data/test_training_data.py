@@ -15,15 +15,15 @@ import torch
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from simnfnd.factory.compose import compose_config
+from simnfnd.factory.cli.compose import compose_config
+from simnfnd.factory.cli.generate import run
 from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.generate import run
 from simnfnd.factory.noise.draws import Draws, StreamNames, draw
 from simnfnd.factory.noise.registry import POINT_EFFECTS, NoiseSettings
 from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.render.pack import write_pack
-from simnfnd.factory.render.views import CachedViews
+from simnfnd.factory.renders.views import CachedViews
 from simnfnd.factory.settings import build
 from simnfnd.factory.sonar.fan import fan_table
 from simnfnd.factory.sonar.geometry import FanGeometry
@@ -35,9 +35,9 @@ from simnfnd.models.data.olddata import OldDataSource, with_noise
 from simnfnd.models.data.pairs import PairSource, hold_out, read_table
 from simnfnd.models.data.renders import RenderSource, open_renders, resized
 from simnfnd.models.data.sources import open_data
+from simnfnd.models.settings import DATA, ModelsSettings, RendersData
 from simnfnd.models.training.module import DenoisingModule
 from simnfnd.models.training.self_supervised import mask_blind_spots, neighbour_pairs, select_pixels
-from simnfnd.models.training.settings import DATA, ModelsSettings, RendersData
 from simnfnd.models.training.train import train
 from tests.project_files import ROOT
 from tests.small_dataset import fan_images

@@ -18,12 +18,12 @@ from scipy import ndimage
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models import build_network
 from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.denoise.files import denoise_image
 from simnfnd.models.denoise.inputs import Item, find_items
 from simnfnd.models.denoise.tile import starts, tiled
+from simnfnd.models.networks import build_network
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.weights import load_weights, save_weights
 from tests.small_dataset import fan_images, write_dataset, write_manifest

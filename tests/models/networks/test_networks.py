@@ -16,8 +16,7 @@ from torch import Tensor
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
-from simnfnd.models import NETWORKS, build_network
-from simnfnd.models.networks import cost
+from simnfnd.models.networks import NETWORKS, build_network, cost
 from simnfnd.models.networks.cost import count_macs, example, measure
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.polar import polar_grid

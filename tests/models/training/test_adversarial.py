@@ -16,8 +16,8 @@ from safetensors import safe_open
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.settings import build
 from simnfnd.models.networks.sid_tgan import Discriminator, SIDTGANSettings
+from simnfnd.models.settings import ModelsSettings
 from simnfnd.models.training.adversarial import AdversarialModule, dissimilarity, gram, hinge, style
-from simnfnd.models.training.settings import ModelsSettings
 from simnfnd.models.training.train import train
 from tests.small_dataset import write_dataset
 

@@ -25,7 +25,7 @@ from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
 from simnfnd.factory.settings import build
-from simnfnd.models import WEIGHTS_NAME, build_network
+from simnfnd.models import WEIGHTS_NAME
 from simnfnd.models.data.crops import Crops, Visit, VisitSampler, concatenate, interval_sizes
 from simnfnd.models.data.pairs import (
     PairReader,
@@ -36,10 +36,11 @@ from simnfnd.models.data.pairs import (
     spread,
 )
 from simnfnd.models.losses import build_loss
+from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
+from simnfnd.models.settings import DATA, ModelsSettings
 from simnfnd.models.training import quality
 from simnfnd.models.training.module import DenoisingModule, learning_rate_factor
-from simnfnd.models.training.settings import DATA, ModelsSettings
 from simnfnd.models.training.train import train
 from simnfnd.models.training.validation import is_stopped, read_checkpoint
 from tests.project_files import ROOT

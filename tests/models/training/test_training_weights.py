@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.models import build_network, pretrained
+from simnfnd.models import pretrained
+from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.pretrained.export import export, main
 

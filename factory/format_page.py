@@ -1,6 +1,6 @@
 """docs/dataset.md, written from the schema.
 
-`python -m simnfnd.factory.dataset.describe.schema_page > docs/dataset.md` makes it anew.
+`python -m simnfnd.factory.format_page > docs/dataset.md` makes it anew.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _HEAD = f"""\
 # The dataset format `{SCHEMA}`
 
 *Written from `factory/dataset/format/schema.py` by
-`python -m simnfnd.factory.dataset.describe.schema_page`; change it there.*
+`python -m simnfnd.factory.format_page`; change it there.*
 
 ```text
 <dataset>/

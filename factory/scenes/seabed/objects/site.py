@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.labels import CLASSES
-from simnfnd.factory.scenes.seabed import nature, works
 from simnfnd.factory.scenes.seabed.fields import WORLD_SEED
-from simnfnd.factory.scenes.seabed.kinds import KINDS
-from simnfnd.factory.scenes.seabed.meshes import Mesh, rotation
+from simnfnd.factory.scenes.seabed.objects import nature, works
+from simnfnd.factory.scenes.seabed.objects.kinds import KINDS
+from simnfnd.factory.scenes.seabed.objects.meshes import Mesh, rotation
 from simnfnd.factory.scenes.seabed.path import Loop
 from simnfnd.factory.scenes.seabed.places import Place, draw
 from simnfnd.factory.scenes.seabed.terrain import Terrain

@@ -37,9 +37,8 @@ def compose_points(
     from omegaconf.errors import OmegaConfBaseException
 
     from simnfnd.factory.cli import config_line
-    from simnfnd.factory.config import from_mapping
+    from simnfnd.factory.config import composed_values, from_mapping
     from simnfnd.factory.distribution import as_override
-    from simnfnd.factory.generate import composed_values
 
     sweep = any(word in ("-m", "--multirun") for word in words)
     overrides = [as_override(word) for word in words if not word.startswith("-")]

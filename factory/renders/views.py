@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Protocol
 from simnfnd.factory.dataset.format.sample import Prepared
 from simnfnd.factory.errors import FrameError, NotRendered
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.render.cache import Cache
-from simnfnd.factory.render.key import FrameKeys
 from simnfnd.factory.render.view import View, view_of
+from simnfnd.factory.renders.cache import Cache
+from simnfnd.factory.renders.key import FrameKeys
 
 if TYPE_CHECKING:
     from simnfnd.factory.config import FactoryConfig

@@ -10,10 +10,18 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.scenes.seabed.debris import PAINTS, RUST, STEEL, pick, tire
 from simnfnd.factory.scenes.seabed.fields import Floats, smoothstep
-from simnfnd.factory.scenes.seabed.meshes import Mesh, box, join, mesh, rotation, rough, tube
-from simnfnd.factory.scenes.seabed.structures import CONCRETE, tinted
+from simnfnd.factory.scenes.seabed.objects.debris import PAINTS, RUST, STEEL, pick, tire
+from simnfnd.factory.scenes.seabed.objects.meshes import (
+    Mesh,
+    box,
+    join,
+    mesh,
+    rotation,
+    rough,
+    tube,
+)
+from simnfnd.factory.scenes.seabed.objects.structures import CONCRETE, tinted
 
 Points = npt.NDArray[np.float64]
 GroundHeight = Callable[[Points, Points], Floats]

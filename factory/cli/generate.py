@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-import fnmatch
-import hashlib
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from simnfnd.factory.config import FactoryConfig, digest, from_mapping, identity, plain
+from simnfnd.factory.cli.extras import needs_of, require
+from simnfnd.factory.config import (
+    FactoryConfig,
+    composed_values,
+    digest,
+    from_mapping,
+    identity,
+    plain,
+)
 from simnfnd.factory.dataset.describe.quality import seen_sector_deg
 from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.extras import needs_of, require
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.pairs import pair_maker
-from simnfnd.factory.render.cache import Limit
-from simnfnd.factory.render.views import ViewMaker, check_views, with_cache
+from simnfnd.factory.renders.cache import Limit
+from simnfnd.factory.renders.views import ViewMaker, check_views, with_cache
+from simnfnd.factory.selection import choose_frames, frames_digest, split_frames
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -32,7 +38,7 @@ def generate(composed: DictConfig) -> int:
     0: every frame became pairs.  1: some frames failed (listed in failed.jsonl), the rest is there.
     Raises FactoryError when nothing can be made.
     """
-    from simnfnd.factory.sweep import note_result
+    from simnfnd.factory.cli.sweep import note_result
 
     config = from_mapping(composed_values(composed))
     report, directory = run(config, arguments=sys.argv[1:])
@@ -45,8 +51,8 @@ def generate(composed: DictConfig) -> int:
 
 def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     """Discover, plan and make one dataset.  `arguments` are the words that would make it again."""
-    from simnfnd.factory.compiled import compile_all
     from simnfnd.factory.jobs.run import make_dataset
+    from simnfnd.factory.loops import compile_all
 
     require(needs_of(config))
     check_views(config)
@@ -118,83 +124,6 @@ def _report_sector(directory: Path, config: FactoryConfig) -> None:
             f"sonar: the camera saw {narrowest:.0f} to {widest:.0f} of {config.sonar.hfov_deg:g} "
             "degrees; the rest is masked (azimuth_min_deg and azimuth_max_deg in /meta)"
         )
-
-
-def choose_frames(found: tuple[FrameRef, ...], config: FactoryConfig) -> tuple[FrameRef, ...]:
-    """The frames that stride, limit and `only` leave, in order.
-
-    Raises FactoryError when none is left or a name in `frames.only` is unknown.
-    """
-    settings = config.frames
-    by_scene: dict[tuple[str, str], list[FrameRef]] = {}
-    for ref in found:
-        by_scene.setdefault((ref.location, ref.scene), []).append(ref)
-    chosen = [
-        ref for refs in by_scene.values() for ref in refs[:: settings.stride][: settings.limit]
-    ]
-    if settings.only is not None:
-        unknown = set(settings.only) - {ref.name for ref in found}
-        if unknown:
-            raise FactoryError(f"frames.only: no frame named {sorted(unknown)[0]}")
-        chosen = [ref for ref in found if ref.name in settings.only]
-    if not chosen:
-        raise FactoryError(
-            "frames: no frame is left; check frames.stride, frames.limit, frames.only"
-        )
-    return tuple(chosen)
-
-
-def split_frames(
-    frames: tuple[FrameRef, ...], config: FactoryConfig
-) -> dict[str, tuple[FrameRef, ...]]:
-    """Train and test frames; a scene is in one of them, never in both.
-
-    Raises FactoryError when a name in split.test matches no scene of a whole data set.
-    """
-    scenes = sorted({(ref.location, ref.scene) for ref in frames})
-    if config.split.test:
-        testing = {
-            scene
-            for scene in scenes
-            if any(
-                fnmatch.fnmatch(name, pattern)
-                for pattern in config.split.test
-                for name in (scene[1], "/".join(scene))
-            )
-        }
-    else:
-        # By a hash of the name: a scene that is added later moves few others, and no order matters.
-        ranked = sorted(
-            scenes, key=lambda scene: hashlib.blake2b("/".join(scene).encode()).digest()
-        )
-        count = round(config.split.test_fraction * len(scenes))
-        if config.split.test_fraction > 0 and len(scenes) > 1:
-            count = max(count, 1)
-        testing = set(ranked[:count])
-    return {
-        "train": tuple(ref for ref in frames if (ref.location, ref.scene) not in testing),
-        "test": tuple(ref for ref in frames if (ref.location, ref.scene) in testing),
-    }
-
-
-def frames_digest(frames: tuple[FrameRef, ...]) -> str:
-    """Hash of the names of the frames: a download that has grown makes another dataset."""
-    names = "\n".join(ref.name for ref in frames)
-    return hashlib.blake2b(names.encode(), digest_size=8).hexdigest()
-
-
-def composed_values(composed: DictConfig) -> dict[str, Any]:
-    """The plain values of a composed configuration.  Raises FactoryError when one is missing."""
-    from omegaconf import OmegaConf
-    from omegaconf.errors import MissingMandatoryValue
-
-    try:
-        values = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
-    except MissingMandatoryValue as error:
-        key = error.full_key
-        raise FactoryError(f"{key}: a value is required; give {key}=...") from error
-    assert isinstance(values, dict)
-    return {str(key): value for key, value in values.items() if key != "experiment"}
 
 
 def _rerun_command(ref: FrameRef, arguments: list[str], directory: Path) -> str:

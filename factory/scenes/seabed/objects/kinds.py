@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simnfnd.factory.scenes.seabed import debris, nature, structures
-from simnfnd.factory.scenes.seabed.meshes import Mesh
+from simnfnd.factory.scenes.seabed.objects import debris, nature, structures
+from simnfnd.factory.scenes.seabed.objects.meshes import Mesh
 
 
 @dataclass(frozen=True)

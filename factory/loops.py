@@ -1,0 +1,25 @@
+"""Every module with compiled loops, so that a run can compile them before its workers start."""
+
+from __future__ import annotations
+
+import importlib
+
+LOOPS = (
+    "simnfnd.factory.formation.field.cell_loops",
+    "simnfnd.factory.formation.field.kernels",
+    "simnfnd.factory.formation.field.placing",
+    "simnfnd.factory.formation.field.world_loops",
+    "simnfnd.factory.render.albedo",
+    "simnfnd.factory.render.cloud.joints",
+    "simnfnd.factory.render.cloud.planes",
+    "simnfnd.factory.render.shading",
+    "simnfnd.factory.sonar.echo_loops",
+    "simnfnd.factory.sonar.number_loops",
+    "simnfnd.factory.sonar.picture_loops",
+)
+
+
+def compile_all() -> None:
+    """Compile what is not on disk yet: once, before many workers would do it at once."""
+    for name in LOOPS:
+        importlib.import_module(name)
