@@ -129,7 +129,7 @@ def shares(
     from simnfnd.factory.formation.field import cell_loops
 
     made = np.empty(len(names), np.float32)
-    table = np.zeros((1 << len(names).bit_length(), 2), np.uint32)
+    table = np.zeros((1 << (1 + len(names).bit_length()), 2), np.uint32)
     cell_loops.count(names, places, ends, table, made)
     return made
 
@@ -153,7 +153,7 @@ def scatterers(
     from simnfnd.factory.formation.field.signal import bin_centres_m
 
     across, down = _directions(frame)
-    tangents, first_beam = _beam_table(sonar)
+    edges, first_beam = _beam_table(sonar)
     size = sonar.range_bins * sonar.beams
     power, owner = np.zeros(size, np.float32), np.full(size, -1, np.int32)
     in_beam = np.zeros(size, np.bool_)
@@ -175,9 +175,9 @@ def scatterers(
         window.projection == "top_view",
         window.range_min_m,
         sonar.range_bins / window.range_span_m,
-        tangents,
+        edges,
         first_beam,
-        _BEAM_STEPS / float(tangents[-1] - tangents[0]),
+        _BEAM_STEPS / float(edges[-1] - edges[0]),
         _pattern(sonar, patterned),
         power,
         in_beam,
@@ -269,12 +269,12 @@ def _pattern(sonar: SonarSettings, patterned: bool) -> Floats:
 
 @lru_cache(maxsize=8)
 def _beam_table(sonar: SonarSettings) -> tuple[Floats, npt.NDArray[np.int32]]:
-    """Tangents of the beams' edges, and the beam at each of equal steps of the tangent."""
+    """Sines of the beams' edges, and the beam at each of equal steps of the sine."""
     centres = sonar.beam_centres_rad()
     half = min(np.deg2rad(sonar.hfov_deg) / 2, np.deg2rad(89.9))
-    edges = np.concatenate([[-half], (centres[1:] + centres[:-1]) / 2, [half]])
-    tangents = np.tan(np.clip(edges, -half, half)).astype(np.float32)
-    steps = np.linspace(tangents[0], tangents[-1], _BEAM_STEPS + 1)[:-1]
-    # One step back, for float32 may put a tangent into the step before its own.
-    first = np.searchsorted(tangents, steps - (steps[1] - steps[0]), side="right") - 1
-    return tangents, np.clip(first, 0, sonar.beams - 1).astype(np.int32)
+    between = (centres[1:] + centres[:-1]) / 2
+    edges = np.sin(np.concatenate([[-half], between, [half]])).astype(np.float32)
+    steps = np.linspace(edges[0], edges[-1], _BEAM_STEPS + 1)[:-1]
+    # One step back, for float32 may put a sine into the step before its own.
+    first = np.searchsorted(edges, steps - (steps[1] - steps[0]), side="right") - 1
+    return edges, np.clip(first, 0, sonar.beams - 1).astype(np.int32)

@@ -12,6 +12,8 @@ The average of L looks is gamma-distributed, L being its shape.
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from pydantic.dataclasses import dataclass
 
@@ -19,28 +21,40 @@ from simnfnd.factory.distribution import Positive, number
 from simnfnd.factory.formation.field.signal import Ping, Signal, gaussian_table
 from simnfnd.factory.settings import STRICT
 
+# Edge of a world cell over what the device tells apart; power is then within 0.15 dB.
+_CELL = 0.3
+
 
 @dataclass(frozen=True, config=STRICT)
 class SpeckleSettings:
     """Keys of `noise.speckle`.
 
     looks: independent fields whose intensities are averaged (rounded); 1 is Rayleigh speckle.
-    scatterer_m: edge of a world cell, metres; well below the resolution.  Smaller than the camera's
-        pixels it loses its hold on the scene when the camera moves.
+    scatterer_m: edge of a world cell, metres, or auto: 0.3 of a range bin or of the resolution
+        c / 2B, whichever is shorter.  A cell that reaches over several of them loses power and
+        makes neighbouring bins alike.  Cells smaller than the camera's pixels lose their hold on
+        the scene when the camera moves.
     """
 
     enabled: bool = True
     looks: Positive = number(1)
-    scatterer_m: Positive = number(0.01)
+    scatterer_m: Literal["auto"] | Positive = "auto"
 
 
 def speckle(
-    signal: Signal, ping: Ping, rng: np.random.Generator, *, looks: float, scatterer_m: float
+    signal: Signal,
+    ping: Ping,
+    rng: np.random.Generator,
+    *,
+    looks: float,
+    scatterer_m: float | Literal["auto"],
 ) -> Signal:
     """The scatterers' complex field instead of the mean power of the echoes."""
     from simnfnd.factory.formation.field import cell_loops
 
     scene, amplitude = ping.scatterers, np.sqrt(ping.scatterers.loss)
+    if isinstance(scatterer_m, str):
+        scatterer_m = _CELL * min(ping.bin_m, ping.resolution_m)
     cells = scene.world_cells(scatterer_m)
     drawn = np.empty((len(cells.names), 2), np.float32)
     field = np.empty((max(round(looks), 1), 2, *ping.shape), np.float32)
