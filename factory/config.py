@@ -15,8 +15,7 @@ from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.formation.field.settings import AcousticsSettings
 from simnfnd.factory.formation.resample import ResampleSettings
 from simnfnd.factory.jobs.settings import SchedulerSettings, ShardSlice
-from simnfnd.factory.noise import EFFECTS, NoiseSettings
-from simnfnd.factory.noise.physical import blocks
+from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings, blocks
 from simnfnd.factory.render.base import RenderSettings
 from simnfnd.factory.render.cache import CacheSettings
 from simnfnd.factory.scenes import Scenes
@@ -86,11 +85,12 @@ class FactoryConfig:
 
     @model_validator(mode="after")
     def _formation(self) -> Self:
-        on = [name for name, block in blocks(self.noise).items() if block.enabled]
-        moving = [n for n in EFFECTS if EFFECTS[n].moves and getattr(self.noise, n).enabled]
-        if self.acoustics.formation == "points" and on:
+        enabled = [name for name, block in blocks(self.noise).items() if block.enabled]
+        on_field = [name for name in enabled if EFFECTS[name].stage != "points"]
+        moving = [name for name in enabled if EFFECTS[name].moves]
+        if self.acoustics.formation == "points" and on_field:
             raise ValueError(
-                f"noise.{on[0]} acts on the complex field; set acoustics=field, or "
+                f"noise.{on_field[0]} acts on the complex field; set acoustics=field, or "
                 "leave it out (noise=simnfnd)"
             )
         if self.acoustics.formation == "field" and moving:

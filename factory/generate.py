@@ -13,7 +13,7 @@ from simnfnd.factory.config import FactoryConfig, digest, from_mapping, identity
 from simnfnd.factory.dataset.describe.quality import seen_sector_deg
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.pairs import PairMaker
+from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.render.cache import Limit
 from simnfnd.factory.render.views import ViewMaker, check_views, with_cache
 
@@ -65,7 +65,7 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     report = generate_dataset(
         directory,
         plan_shards(splits, *how),
-        source=PairMaker,
+        source=pair_maker,
         preparer=None if config.scenes.kind == "pack" else ViewMaker,
         config=working,
         config_dict=plain(config),

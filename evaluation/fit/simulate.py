@@ -17,6 +17,7 @@ from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.pairs import PairMaker
 from simnfnd.factory.render.view import View
+from simnfnd.factory.render.views import open_views
 
 
 class Simulation:
@@ -30,7 +31,7 @@ class Simulation:
         self.config = compose_config(recipe)
         self.grid = grid
         self._plain = plain(self.config)
-        views = PairMaker(self.config).views
+        views = open_views(self.config)
         found = choose_frames(open_reader(self.config.scenes).discover().frames, self.config)
         there = [ref for ref in found if views.holds(ref)]
         if len(there) < min(8, len(found)):
@@ -41,10 +42,10 @@ class Simulation:
         count = min(frames, len(there))
         spread = [there[number * len(there) // count] for number in range(count)]
         self._kept = _Kept({ref: views.view(ref) for ref in spread})
-        maker = self._maker(self.config)
+        maker = PairMaker(self.config, self._kept)
         self.refs = [ref for ref in spread if _usable(maker, ref)]
         if not self.refs:
-            raise FactoryError("recipe: the sonar hears nothing in any of its frames; see sonar.*")
+            raise FactoryError("recipe: the sonar sees nothing in any of its frames; see sonar.*")
 
     def configured(self, values: Mapping[str, Any]) -> FactoryConfig:
         """The recipe's configuration with some keys set.  Raises FactoryError for a bad key."""
@@ -65,14 +66,9 @@ class Simulation:
     def measured(self, values: Mapping[str, Any]) -> Measured:
         """The numbers of the pictures that these values make."""
         config = self.configured(values)
-        maker = self._maker(config)
+        maker = PairMaker(config, self._kept)
         pairs = (maker.pairs(ref, (0,))[0] for ref in self.refs)
         return joined([self._measure(pair, config) for pair in pairs])
-
-    def _maker(self, config: FactoryConfig) -> PairMaker:
-        maker = PairMaker(config)
-        maker.views = self._kept
-        return maker
 
     def _measure(self, pair: Pair, config: FactoryConfig) -> Measured:
         row, sonar = pair.record, config.sonar

@@ -12,7 +12,6 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from simnfnd.factory import noise
 from simnfnd.factory.config import FactoryConfig, from_mapping
 from simnfnd.factory.dataset.describe.quality import psnr_db
 from simnfnd.factory.distribution import Distribution, number
@@ -20,9 +19,10 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.gallery import figures
 from simnfnd.factory.gallery.figures import Figure, Panel
-from simnfnd.factory.noise import NoiseSettings
-from simnfnd.factory.pairs import Scene, make_pair, observe
+from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings
+from simnfnd.factory.pairs import ObservedFrame, make_pair, observe
 from simnfnd.factory.render.base import Rendered
+from simnfnd.factory.sonar.surface import insonified
 
 # The paper's view from above, drawn larger than data sets need.
 _PICTURE = (
@@ -51,7 +51,7 @@ class View:
 
     frame: Frame
     rendered: Rendered
-    scene: Scene
+    observed: ObservedFrame
 
 
 def main(words: list[str]) -> None:
@@ -139,7 +139,7 @@ def _views(config: FactoryConfig) -> Iterator[View]:
     for ref in list(first.values())[:_MOST_SCENES]:
         frame = reader.load(ref)
         rendered = renderer.render(frame, config.sonar.mount)
-        yield View(frame, rendered, observe(frame, rendered, config.sonar))
+        yield View(frame, rendered, observe(frame, rendered, config))
 
 
 def _figures(views: list[View], config: FactoryConfig) -> Iterator[Figure]:
@@ -165,7 +165,7 @@ def _figures(views: list[View], config: FactoryConfig) -> Iterator[Figure]:
         [
             [
                 figures.radiance("rendered", view.rendered),
-                figures.from_above("view from above", view.scene),
+                _from_above(view, config),
             ]
             for view in views[:2]
         ],
@@ -258,16 +258,21 @@ def _at(config: FactoryConfig, rate: float) -> FactoryConfig:
     return replace(config, resample=replace(config.resample, rate=number(rate)))
 
 
+def _from_above(view: View, config: FactoryConfig) -> Panel:
+    found = insonified(view.frame, view.rendered, view.observed.window, config.sonar)
+    return figures.from_above("view from above", found.echoes)
+
+
 def _clean(view: View, config: FactoryConfig, name: str) -> Panel:
-    return figures.sonar(name, make_pair(view.scene, 0, config).clean)
+    return figures.sonar(name, make_pair(view.observed, 0, config).clean)
 
 
 def _noisy(view: View, config: FactoryConfig, name: str) -> Panel:
     """A noisy picture, with the figure of how noisy it is."""
-    pair = make_pair(view.scene, 0, config)
+    pair = make_pair(view.observed, 0, config)
     return figures.sonar(f"{name}   {psnr_db(pair.clean, pair.noisy):.1f} dB", pair.noisy)
 
 
 def _word(effect: str) -> str:
-    assert effect in noise.EFFECTS
+    assert effect in EFFECTS
     return effect.replace("_", " ")

@@ -19,11 +19,11 @@ import numpy.typing as npt
 from simnfnd.factory.compose import compose_config
 from simnfnd.factory.distribution import as_override
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.formation.field.pairs import field_scene, make_field_pair
 from simnfnd.factory.gallery import figures
 from simnfnd.factory.gallery.figures import Figure, Panel
 from simnfnd.factory.gallery.statistics import table
-from simnfnd.factory.noise import physical
+from simnfnd.factory.noise.registry import FIELD_EFFECTS
+from simnfnd.factory.pairs import make_pair, observe
 
 if TYPE_CHECKING:
     from simnfnd.factory.config import FactoryConfig
@@ -124,7 +124,7 @@ def _effects(words: list[str], frame: Frame, rendered: Rendered) -> Figure:
     pair = _pair(compose_config([*words, *strong]), frame, rendered)
     alone = [
         figures.sonar(name.replace("_", " "), pair.layers[f"layers/{name}"])
-        for name in physical.FIELD_EFFECTS
+        for name in FIELD_EFFECTS
         if f"layers/{name}" in pair.layers
     ]
     usual = _pair(compose_config(words), frame, rendered)
@@ -144,7 +144,7 @@ def _effects(words: list[str], frame: Frame, rendered: Rendered) -> Figure:
 
 
 def _pair(config: FactoryConfig, frame: Frame, rendered: Rendered) -> Pair:
-    return make_field_pair(field_scene(frame, rendered, config), 0, config)
+    return make_pair(observe(frame, rendered, config), 0, config)
 
 
 def _square(image: Picture) -> Picture:

@@ -121,7 +121,7 @@ def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
     """
     from simnfnd.factory.dataset.format.schema import Provenance
     from simnfnd.factory.dataset.write.writer import write_shard
-    from simnfnd.factory.pairs import PairMaker
+    from simnfnd.factory.pairs import pair_maker
     from simnfnd.factory.render.view import encode
     from simnfnd.factory.render.views import ViewMaker, with_cache
 
@@ -131,7 +131,7 @@ def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
             replace(config, cache=replace(config.cache, enabled=False)), Path(folder)
         )
         packed = config.scenes.kind == "pack"
-        maker, pairs = None if packed else ViewMaker(config), PairMaker(config)
+        maker, pairs = None if packed else ViewMaker(config), pair_maker(config)
         render_s, pair_s, made, sizes, problem = [], [], [], [], ""
         for ref in [chosen[0], *chosen]:
             try:

@@ -16,8 +16,8 @@ from simnfnd.factory.dataset.format.schema import (
     layers,
     stores_grey,
 )
-from simnfnd.factory.formation.record import columns
-from simnfnd.factory.noise import NoiseSettings
+from simnfnd.factory.noise.registry import NoiseSettings
+from simnfnd.factory.record import columns
 from simnfnd.factory.scenes.labels import CLASSES
 
 _HEAD = f"""\

@@ -11,19 +11,21 @@ import pytest
 
 from simnfnd.factory.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
-from simnfnd.factory.formation.field.pairs import FieldScene, field_scene, received
+from simnfnd.factory.formation.field.received import received
 from simnfnd.factory.formation.field.scatterers import scatterers
 from simnfnd.factory.formation.field.signal import Ping, Signal, beamform_power
 from simnfnd.factory.frame import Frame
-from simnfnd.factory.noise import physical
-from simnfnd.factory.noise.physical.receiver import receiver
-from simnfnd.factory.noise.physical.volume import volume
+from simnfnd.factory.noise.draws import DrawnEffect
+from simnfnd.factory.noise.field.receiver import receiver
+from simnfnd.factory.noise.field.speckle import SPECKLE
+from simnfnd.factory.noise.field.volume import volume
+from simnfnd.factory.pairs import observe
 from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.sonar import array
 from simnfnd.factory.sonar.acoustics import thermal_noise_db
 from simnfnd.factory.sonar.array import Taper
 from simnfnd.factory.sonar.window import Window
-from tests.constant_field import constant_field
+from tests.constant_field import constant_field, ping_of
 from tests.project_files import ROOT
 
 DEVICES = sorted(path.stem for path in (ROOT / "conf/sonar").glob("*.yaml"))
@@ -46,8 +48,8 @@ def ground() -> tuple[Frame, Rendered]:
     return replace(frame, depth_m=frame.depth_m * np.float32(0.55)), rendered
 
 
-def listened(settings: FactoryConfig) -> FieldScene:
-    return field_scene(*ground(), settings)
+def listened(settings: FactoryConfig) -> Ping:
+    return ping_of(observe(*ground(), settings))
 
 
 def lit(ping: Ping) -> tuple[slice, slice]:
@@ -78,16 +80,20 @@ def intensity(field: np.ndarray) -> np.ndarray:
 def test_speckle_has_the_power_and_the_grain_that_the_device_gives_it(recipe):
     """Mean intensity within 0.2 dB of the expected; bins as alike as the pulse makes them."""
     settings = composed(recipe)
-    made = listened(settings)
-    ping, inner = made.ping, lit(made.ping)
+    ping = listened(settings)
+    inner = lit(ping)
     expected = (beamform_power(ping.scatterers.power, ping) * ping.gain[:, None])[inner]
-    block = physical.draw(settings.noise, 0, made.ref, 0, False)["speckle"]
+    assert settings.noise.speckle is not None
+    cell_m = settings.noise.speckle.scatterer_m.values[0]
     power, products, squares = [], [], []
     for seed in range(4):
-        drawn = {"speckle": {**block, "looks": 8.0}}
-        rngs = {"speckle": np.random.default_rng(seed)}
-        power.append(received(ping, drawn, rngs)[inner] ** 2 / expected)
-        single = received(ping, {"speckle": {**block, "looks": 1.0}}, rngs)[inner] ** 2 / expected
+        many, one = (
+            received(ping, [DrawnEffect("speckle", SPECKLE, parameters, seed, (looks,))])
+            for looks in (8, 1)
+            for parameters in [{"looks": looks, "scatterer_m": cell_m}]
+        )
+        power.append(many[inner] ** 2 / expected)
+        single = one[inner] ** 2 / expected
         products.append(((single[1:] - 1) * (single[:-1] - 1)).mean())
         squares.append(((single - 1) ** 2).mean())
     assert decibels(np.mean(power)) == pytest.approx(0, abs=0.2)
@@ -98,7 +104,7 @@ def test_speckle_has_the_power_and_the_grain_that_the_device_gives_it(recipe):
 
 def signal_to_noise_db(settings: FactoryConfig) -> float:
     """Of the receiver's noise, its level as drawn in the middle."""
-    ping = listened(settings).ping
+    ping = listened(settings)
     echo = beamform_power(ping.scatterers.power, ping)[lit(ping)].mean()
     silence = np.zeros((1, 2, *ping.shape), np.float32)
     noise = intensity(receiver(silence, ping, rng(), level_db=0, grain="sample"))[lit(ping)]
@@ -120,7 +126,7 @@ def test_signal_to_noise_does_not_depend_on_the_sampling(device):
 def test_noise_and_haze_are_those_of_the_closed_forms(device):
     """Both over the echo of a surface of known backscatter, in what pulse and beam hold of each."""
     settings = composed(f"sonar={device}")
-    ping, sonar = listened(settings).ping, settings.sonar
+    ping, sonar = listened(settings), settings.sonar
     rows, beams = lit(ping)
     device_, water = sonar.array, settings.water
     across, upright = device_.horizontal.window, device_.vertical.window

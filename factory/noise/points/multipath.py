@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import Fraction, NonNegative, number
+from simnfnd.factory.distribution import Fraction, NonNegative, choice, uniform
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 from simnfnd.factory.sonar import polar
 from simnfnd.factory.sonar.echoes import Echoes, in_plane
@@ -22,7 +23,7 @@ _CELLS = (64, 48)
 
 
 @dataclass(frozen=True, config=STRICT)
-class MultipathSettings:
+class MultipathSettings(EffectSettings):
     """Keys of `noise.multipath`.
 
     count: number of ghost clusters (rounded).
@@ -33,13 +34,12 @@ class MultipathSettings:
     strength: strongest ghost point; 1 alone fills a bin to full scale.
     """
 
-    enabled: bool = True
-    count: NonNegative = number(2)
-    density: NonNegative = number(0.02)
-    quantile: Fraction = number(0.9)
-    delay: NonNegative = number(0.03)
-    spread: NonNegative = number(0.02)
-    strength: NonNegative = number(0.3)
+    count: NonNegative = parameter(choice(1, 2, 3), "1")
+    density: NonNegative = parameter(uniform(0.005, 0.04), "1")
+    quantile: Fraction = parameter(0.9, "1")
+    delay: NonNegative = parameter(uniform(0.01, 0.06), "1")
+    spread: NonNegative = parameter(uniform(0.01, 0.03), "1")
+    strength: NonNegative = parameter(uniform(0.1, 0.6), "1")
 
 
 def multipath(
@@ -84,3 +84,6 @@ def _top_view_density(scene: Echoes, window: Window) -> npt.NDArray[np.float64]:
     """Insonified points per top-view cell, normalised to a maximum of 1; shape `_CELLS`."""
     counts = polar.density(scene, window, *_CELLS).astype(np.float64)
     return np.asarray(counts / max(counts.max(), 1.0))
+
+
+MULTIPATH = Effect(MultipathSettings, multipath, "points")

@@ -1,27 +1,21 @@
-"""The words of a sample: one table row that says how it was made, and the axes of the pictures."""
+"""The record of a sample: the table row that says how it was made; and the axes of the pictures."""
 
 from __future__ import annotations
-
-from collections.abc import Sized
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from simnfnd.factory import seeds
 from simnfnd.factory.dataset.format.sample import Axis, Column
+from simnfnd.factory.formation.contract import Sample
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.noise import Drawn, NoiseSettings, parameter_names
-from simnfnd.factory.noise.physical import parameters as field_parameters
-from simnfnd.factory.sonar.echoes import Echoes
+from simnfnd.factory.noise import draws as drawn
+from simnfnd.factory.noise.draws import Draws
+from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.factory.sonar.fan import pixel_size
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.factory.sonar.window import Window
 
-if TYPE_CHECKING:
-    from simnfnd.factory.config import FactoryConfig
-
 _NAME = "S96"
-_UNITS = {"sigma_deg": "deg"}
 
 _WHAT = (
     Column("location", _NAME, "", "area of the recording"),
@@ -37,7 +31,7 @@ _WINDOW = (
     Column("azimuth_max_deg", "f8", "deg", "right edge of the sector that the camera saw"),
     Column("metres_per_pixel", "f8", "m", "edge of a fan pixel, or length of a range bin"),
 )
-_CLOUD = (
+_SCENE = (
     Column("resample.rate", "f8", "1", "fraction of the scene points kept"),
     Column("points.scene", "i8", "1", "scene points in the pictures"),
     Column("full_scale", "f8", "1", "echo level shown as grey value 1"),
@@ -46,36 +40,20 @@ _CLOUD = (
 
 def columns(noise: NoiseSettings) -> tuple[Column, ...]:
     """Columns of the sample table: a parameter that was not drawn (effect off) is NaN or empty."""
-    parameters = tuple(
-        Column(f"noise.{effect}.{name}", "S16" if kind is str else "f8", _UNITS.get(name, "1"))
-        for effect, name, kind in parameter_names(noise)
-    )
-    effects = dict.fromkeys(effect for effect, _, _ in parameter_names(noise))
-    counts = tuple(
-        Column(f"points.{effect}", "i8", "1", f"points that {effect} added or moved")
-        for effect in effects
-    )
-    of_field = tuple(
-        Column(f"noise.{effect}.{name}", "S16" if kind is str else "f8", unit)
-        for effect, name, kind, unit in field_parameters(noise)
-    )
-    return _WHAT + _WINDOW + _CLOUD + counts + parameters + of_field
+    return _WHAT + _WINDOW + _SCENE + drawn.columns(noise)
 
 
 def record(
     ref: FrameRef,
     variant: int,
-    config: FactoryConfig,
     window: Window,
-    rate: float,
-    drawn: dict[str, Drawn],
-    kept: Sized,
-    layers: dict[str, Echoes],
-    full_scale: float,
+    sonar: SonarSettings,
+    sample: Sample,
+    draws: Draws,
 ) -> dict[str, float | int | str]:
     """The row of one sample."""
     key = seeds.spawn_key(ref.location, ref.scene, ref.frame, variant)
-    row: dict[str, float | int | str] = {
+    return {
         "location": ref.location,
         "scene": ref.scene,
         "frame": ref.frame,
@@ -85,19 +63,12 @@ def record(
         "range_max_m": window.range_max_m,
         "azimuth_min_deg": float(np.rad2deg(window.azimuth_min_rad)),
         "azimuth_max_deg": float(np.rad2deg(window.azimuth_max_rad)),
-        "metres_per_pixel": metres_per_pixel(window, config.sonar),
-        "resample.rate": rate,
-        "points.scene": len(kept),
-        "full_scale": full_scale,
+        "metres_per_pixel": metres_per_pixel(window, sonar),
+        "resample.rate": sample.rate,
+        "points.scene": sample.points,
+        "full_scale": sample.full_scale,
+        **draws.row(sample.added),
     }
-    for effect, name, kind in parameter_names(config.noise):
-        missing: float | str = "" if kind is str else float("nan")
-        row[f"noise.{effect}.{name}"] = drawn.get(effect, {}).get(name, missing)
-        row[f"points.{effect}"] = len(layers[effect]) if effect in layers else 0
-    for effect, name, kind, _ in field_parameters(config.noise):
-        missing = "" if kind is str else float("nan")
-        row[f"noise.{effect}.{name}"] = drawn.get(effect, {}).get(name, missing)
-    return row
 
 
 def metres_per_pixel(window: Window, sonar: SonarSettings) -> float:

@@ -17,22 +17,22 @@ import numpy as np
 import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import NonNegative, number
+from simnfnd.factory.distribution import NonNegative, uniform
+from simnfnd.factory.noise.effect import Effect, EffectSettings, option, parameter
 from simnfnd.factory.settings import STRICT
 from simnfnd.factory.sonar.echoes import Echoes, from_xyz
 from simnfnd.factory.sonar.window import Window
 
 
 @dataclass(frozen=True, config=STRICT)
-class RangeSpreadingSettings:
+class RangeSpreadingSettings(EffectSettings):
     """Keys of `noise.range_spreading`.
 
     alpha: standard deviation of the spreading as a fraction of the range.
     """
 
-    enabled: bool = True
-    mode: Literal["paper", "radial", "exponential"] = "radial"
-    alpha: NonNegative = number(0.02)
+    mode: Literal["paper", "radial", "exponential"] = option("radial")
+    alpha: NonNegative = parameter(uniform(0.003, 0.032), "1")
 
 
 def range_spreading(
@@ -72,3 +72,6 @@ def _as_printed(scene: Echoes, rng: np.random.Generator, alpha: float) -> Echoes
     offset = np.abs(rng.standard_normal((len(scene), 3))) * (alpha * scene.range_m[:, None])
     forward, right, down = offset.T
     return from_xyz(scene.xyz_m() + np.stack([forward, -right, -down], axis=1), scene.strength)
+
+
+RANGE_SPREADING = Effect(RangeSpreadingSettings, range_spreading, "points", moves=True)

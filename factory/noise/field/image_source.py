@@ -12,26 +12,27 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber, NonNegative, number
-from simnfnd.factory.formation.field.signal import Ping, Signal, vertical_table
+from simnfnd.factory.distribution import AnyNumber, NonNegative
+from simnfnd.factory.formation.field.signal import Ping, Signal
+from simnfnd.factory.formation.field.tables import vertical_table
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)
-class SurfaceMultipathSettings:
+class SurfaceMultipathSettings(EffectSettings):
     """Keys of `noise.surface_multipath`; the plane is water.depth_m above the sonar.
 
     loss_db: lost at each reflection, dB; a calm surface 1, a rough one at high frequency 10.
     tilt_deg: how far the sonar looks down, so that the plane lies level.
     """
 
-    enabled: bool = True
-    loss_db: NonNegative = number(6)
-    tilt_deg: AnyNumber = number(0)
+    loss_db: NonNegative = parameter(6, "dB")
+    tilt_deg: AnyNumber = parameter(0, "deg")
 
 
 @dataclass(frozen=True, config=STRICT)
-class BottomMultipathSettings:
+class BottomMultipathSettings(EffectSettings):
     """Keys of `noise.bottom_multipath`.
 
     altitude_m: height of the sonar above a level bottom, metres.
@@ -39,10 +40,9 @@ class BottomMultipathSettings:
     tilt_deg: how far the sonar looks down.
     """
 
-    enabled: bool = True
-    altitude_m: NonNegative = number(2)
-    loss_db: NonNegative = number(12)
-    tilt_deg: AnyNumber = number(0)
+    altitude_m: NonNegative = parameter(2, "m")
+    loss_db: NonNegative = parameter(12, "dB")
+    tilt_deg: AnyNumber = parameter(0, "deg")
 
 
 def surface_multipath(
@@ -96,3 +96,7 @@ def _with_images(
         field.reshape(planes),
     )
     return Signal(power if power.size else signal.power, field)
+
+
+SURFACE_MULTIPATH = Effect(SurfaceMultipathSettings, surface_multipath, "echo")
+BOTTOM_MULTIPATH = Effect(BottomMultipathSettings, bottom_multipath, "echo")

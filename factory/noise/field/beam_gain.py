@@ -8,23 +8,23 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber, NonNegative, number
+from simnfnd.factory.distribution import AnyNumber, NonNegative
 from simnfnd.factory.formation.field.signal import Floats, Ping
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)
-class BeamGainSettings:
+class BeamGainSettings(EffectSettings):
     """Keys of `noise.beam_gain`.
 
     sigma_db: standard deviation of the gains, dB.
     dead: number of dead beams (rounded).  dead_db: their gain, dB.
     """
 
-    enabled: bool = True
-    sigma_db: NonNegative = number(0.5)
-    dead: NonNegative = number(0)
-    dead_db: AnyNumber = number(-40)
+    sigma_db: NonNegative = parameter(0.5, "dB")
+    dead: NonNegative = parameter(0, "1")
+    dead_db: AnyNumber = parameter(-40, "dB")
 
 
 def beam_gain(
@@ -42,3 +42,6 @@ def beam_gain(
     gain_db[rng.permutation(beams)[: round(dead)]] = dead_db
     field *= (10 ** (gain_db / 20)).astype(np.float32)
     return field
+
+
+BEAM_GAIN = Effect(BeamGainSettings, beam_gain, "picture", "recording")

@@ -13,24 +13,24 @@ from functools import lru_cache
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import Positive, number
+from simnfnd.factory.distribution import Positive
 from simnfnd.factory.formation.field.signal import Floats, Ping, gaussian_table
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 
 _STEPS, _REACH = 1024, 5.5
 
 
 @dataclass(frozen=True, config=STRICT)
-class TextureSettings:
+class TextureSettings(EffectSettings):
     """Keys of `noise.texture`.
 
     shape: nu of the K distribution; 0.5 is very spiky, above 20 it is nearly Rayleigh.
     patch_m: size of the patches on the ground, metres.
     """
 
-    enabled: bool = True
-    shape: Positive = number(5)
-    patch_m: Positive = number(0.2)
+    shape: Positive = parameter(5, "1")
+    patch_m: Positive = parameter(0.2, "m")
 
 
 def texture(
@@ -64,3 +64,6 @@ def _quantiles(shape: float) -> Floats:
 
     normal = np.linspace(-_REACH, _REACH, _STEPS)
     return np.asarray(special.gammaincinv(shape, special.ndtr(normal)) / shape, np.float32)
+
+
+TEXTURE = Effect(TextureSettings, texture, "beam", "world")

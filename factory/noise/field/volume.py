@@ -1,7 +1,8 @@
 """Volume reverberation: the water's own scatterers, a haze behind and before everything.
 
 A bin at range r has the volume r^2 theta phi dr; its echo is s_v V / r^4 without absorption, with
-theta the bin's bearings and phi the integral of the two-way vertical pattern (Urick 1983, ch. 8).  The scatterers drift, so every frame has a haze of its own.
+theta the bin's bearings and phi the integral of the two-way vertical pattern (Urick 1983, ch. 8).
+The scatterers drift, so every frame has a haze of its own.
 """
 
 from __future__ import annotations
@@ -9,21 +10,22 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber, number
-from simnfnd.factory.formation.field.signal import Floats, Ping, Signal, add_white_noise
+from simnfnd.factory.distribution import AnyNumber
+from simnfnd.factory.formation.contract import Floats
+from simnfnd.factory.formation.field.signal import Ping, Signal, add_white_noise
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 from simnfnd.factory.sonar import array
 
 
 @dataclass(frozen=True, config=STRICT)
-class VolumeSettings:
+class VolumeSettings(EffectSettings):
     """Keys of `noise.volume`.
 
     strength_db: volume scattering strength, dB re 1/m; clear water -70, a harbour -45.
     """
 
-    enabled: bool = True
-    strength_db: AnyNumber = number(-60)
+    strength_db: AnyNumber = parameter(-60, "dB")
 
 
 def volume(signal: Signal, ping: Ping, rng: np.random.Generator, *, strength_db: float) -> Signal:
@@ -41,3 +43,6 @@ def haze(ping: Ping, strength_db: float) -> tuple[Floats, Floats]:
     along = 10 ** (strength_db / 10) * upright_rad * ping.bin_m / range_m**2 * ping.scatterers.loss
     across_rad = np.gradient(sonar.beam_centres_rad())
     return along.astype(np.float32), across_rad.astype(np.float32)
+
+
+VOLUME = Effect(VolumeSettings, volume, "echo")

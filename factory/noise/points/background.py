@@ -9,23 +9,23 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import NonNegative, number
+from simnfnd.factory.distribution import NonNegative, uniform
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 from simnfnd.factory.sonar.echoes import Echoes, in_plane
 from simnfnd.factory.sonar.window import Window
 
 
 @dataclass(frozen=True, config=STRICT)
-class BackgroundSettings:
+class BackgroundSettings(EffectSettings):
     """Keys of `noise.background`.
 
     density: number of noise points as a fraction of the resampled scene points.
     strength: strongest noise point; 1 alone fills a bin to full scale.
     """
 
-    enabled: bool = True
-    density: NonNegative = number(0.03)
-    strength: NonNegative = number(0.2)
+    density: NonNegative = parameter(uniform(0.002, 0.05), "1")
+    strength: NonNegative = parameter(uniform(0.05, 0.35), "1")
 
 
 def background(
@@ -43,3 +43,6 @@ def background(
         count, dtype=np.float32
     )
     return in_plane(range_m, azimuth_rad, strength * rng.random(count, dtype=np.float32))
+
+
+BACKGROUND = Effect(BackgroundSettings, background, "points")

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber, Positive, number
+from simnfnd.factory.distribution import AnyNumber, Positive
 from simnfnd.factory.formation.field.signal import Floats, Ping
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)
-class CrosstalkSettings:
+class CrosstalkSettings(EffectSettings):
     """Keys of `noise.crosstalk`.
 
     level_db: of the leak below the channel it comes from, dB (negative).
@@ -19,9 +20,8 @@ class CrosstalkSettings:
         several pings leak among those of one ping.
     """
 
-    enabled: bool = True
-    level_db: AnyNumber = number(-35)
-    spacing_beams: Positive = number(1)
+    level_db: AnyNumber = parameter(-35, "dB")
+    spacing_beams: Positive = parameter(1, "1")
 
 
 def crosstalk(
@@ -37,3 +37,6 @@ def crosstalk(
 
     kernels.beside(field, max(round(spacing_beams), 1), 10 ** (level_db / 20))
     return field
+
+
+CROSSTALK = Effect(CrosstalkSettings, crosstalk, "beam")

@@ -12,13 +12,12 @@ The average of L looks is gamma-distributed, L being its shape.
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import Positive, number
+from simnfnd.factory.distribution import NonNegative, Positive
 from simnfnd.factory.formation.field.signal import Ping, Signal, gaussian_table
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 
 # Edge of a world cell over what the device tells apart; power is then within 0.15 dB.
@@ -26,36 +25,28 @@ _CELL = 0.3
 
 
 @dataclass(frozen=True, config=STRICT)
-class SpeckleSettings:
+class SpeckleSettings(EffectSettings):
     """Keys of `noise.speckle`.
 
     looks: independent fields whose intensities are averaged (rounded); 1 is Rayleigh speckle.
-    scatterer_m: edge of a world cell, metres, or auto: 0.3 of a range bin or of the resolution
+    scatterer_m: edge of a world cell, metres; 0 takes 0.3 of a range bin or of the resolution
         c / 2B, whichever is shorter.  A cell that reaches over several of them loses power and
         makes neighbouring bins alike.  Cells smaller than the camera's pixels lose their hold on
         the scene when the camera moves.
     """
 
-    enabled: bool = True
-    looks: Positive = number(1)
-    scatterer_m: Literal["auto"] | Positive = "auto"
+    looks: Positive = parameter(1, "1")
+    scatterer_m: NonNegative = parameter(0, "m")
 
 
 def speckle(
-    signal: Signal,
-    ping: Ping,
-    rng: np.random.Generator,
-    *,
-    looks: float,
-    scatterer_m: float | Literal["auto"],
+    signal: Signal, ping: Ping, rng: np.random.Generator, *, looks: float, scatterer_m: float
 ) -> Signal:
     """The scatterers' complex field instead of the mean power of the echoes."""
     from simnfnd.factory.formation.field import cell_loops
 
     scene, amplitude = ping.scatterers, np.sqrt(ping.scatterers.loss)
-    if isinstance(scatterer_m, str):
-        scatterer_m = _CELL * min(ping.bin_m, ping.resolution_m)
-    cells = scene.world_cells(scatterer_m)
+    cells = scene.world_cells(scatterer_m or _CELL * min(ping.bin_m, ping.resolution_m))
     drawn = np.empty((len(cells.names), 2), np.float32)
     field = np.empty((max(round(looks), 1), 2, *ping.shape), np.float32)
     for look in field:
@@ -65,3 +56,6 @@ def speckle(
         cell_loops.scatter(scene.bins, cells.runs, scene.powers, drawn, bins)
         cell_loops.into_planes(bins, amplitude, look)
     return Signal(np.zeros_like(signal.power), field)
+
+
+SPECKLE = Effect(SpeckleSettings, speckle, "echo", "world")

@@ -8,8 +8,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber, NonNegative, Positive, number
+from simnfnd.factory.distribution import AnyNumber, NonNegative, Positive
 from simnfnd.factory.formation.field.signal import Floats, Ping
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 
 # Weaker than this against full scale it is not computed, dB.
@@ -17,20 +18,19 @@ _FAINTEST_DB = -90
 
 
 @dataclass(frozen=True, config=STRICT)
-class RingDownSettings:
+class RingDownSettings(EffectSettings):
     """Keys of `noise.ring_down`: the transducer goes on swinging after the pulse.
 
     level_db: at range 0 against full scale, dB.
     decay_db_per_m: how fast it dies, dB per metre of range.
     """
 
-    enabled: bool = True
-    level_db: AnyNumber = number(0)
-    decay_db_per_m: Positive = number(40)
+    level_db: AnyNumber = parameter(0, "dB")
+    decay_db_per_m: Positive = parameter(40, "dB/m")
 
 
 @dataclass(frozen=True, config=STRICT)
-class CombLinesSettings:
+class CombLinesSettings(EffectSettings):
     """Keys of `noise.comb_lines`: echoes within the housing, lines at equal distances.
 
     level_db: of the first line against full scale, dB.
@@ -38,11 +38,10 @@ class CombLinesSettings:
     uneven_db: standard deviation of a line's level from beam to beam, dB.
     """
 
-    enabled: bool = True
-    level_db: AnyNumber = number(-10)
-    spacing_m: Positive = number(0.1)
-    decay_db: NonNegative = number(3)
-    uneven_db: NonNegative = number(3)
+    level_db: AnyNumber = parameter(-10, "dB")
+    spacing_m: Positive = parameter(0.1, "m")
+    decay_db: NonNegative = parameter(3, "dB")
+    uneven_db: NonNegative = parameter(3, "dB")
 
 
 def ring_down(
@@ -89,3 +88,7 @@ def comb_lines(
         field[:, 0, row] += line * np.float32(np.cos(phase[number_ - 1]))
         field[:, 1, row] += line * np.float32(np.sin(phase[number_ - 1]))
     return field
+
+
+RING_DOWN = Effect(RingDownSettings, ring_down, "picture")
+COMB_LINES = Effect(CombLinesSettings, comb_lines, "picture")

@@ -9,14 +9,15 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import NonNegative, number
+from simnfnd.factory.distribution import NonNegative
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 from simnfnd.factory.sonar.echoes import Echoes, in_plane
 from simnfnd.factory.sonar.window import Window
 
 
 @dataclass(frozen=True, config=STRICT)
-class RangeArcSettings:
+class RangeArcSettings(EffectSettings):
     """Keys of `noise.range_arc`.
 
     count: number of arcs (rounded).
@@ -25,11 +26,10 @@ class RangeArcSettings:
     strength: strongest arc point; 1 alone fills a bin to full scale.
     """
 
-    enabled: bool = True
-    count: NonNegative = number(0)
-    density: NonNegative = number(0.02)
-    sigma: NonNegative = number(0.003)
-    strength: NonNegative = number(0.5)
+    count: NonNegative = parameter(0, "1")
+    density: NonNegative = parameter(0.02, "1")
+    sigma: NonNegative = parameter(0.003, "1")
+    strength: NonNegative = parameter(0.5, "1")
 
 
 def range_arc(
@@ -56,3 +56,6 @@ def range_arc(
     range_m = centre_m[member] + sigma * window.range_span_m * rng.standard_normal(points)
     azimuth_rad = window.azimuth_min_rad + window.azimuth_span_rad * rng.random(points)
     return in_plane(range_m, azimuth_rad, strength * rng.random(points))
+
+
+RANGE_ARC = Effect(RangeArcSettings, range_arc, "points")

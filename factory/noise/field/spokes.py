@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber, NonNegative, number
+from simnfnd.factory.distribution import AnyNumber, NonNegative
 from simnfnd.factory.formation.field.signal import Floats, Ping
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 
 # Beyond so many widths a spoke is not there.
@@ -14,7 +15,7 @@ _REACH = 4
 
 
 @dataclass(frozen=True, config=STRICT)
-class SpokesSettings:
+class SpokesSettings(EffectSettings):
     """Keys of `noise.spokes`.
 
     count: number of spokes (rounded).
@@ -22,10 +23,9 @@ class SpokesSettings:
     width_beams: its width, one standard deviation, beams.
     """
 
-    enabled: bool = True
-    count: NonNegative = number(1)
-    level_db: AnyNumber = number(-25)
-    width_beams: NonNegative = number(0.7)
+    count: NonNegative = parameter(1, "1")
+    level_db: AnyNumber = parameter(-25, "dB")
+    width_beams: NonNegative = parameter(0.7, "1")
 
 
 def spokes(
@@ -49,3 +49,6 @@ def spokes(
         noise = rng.standard_normal((*field.shape[:2], rows, last - first), dtype=np.float32)
         field[..., first:last] += noise * amplitude.astype(np.float32)
     return field
+
+
+SPOKES = Effect(SpokesSettings, spokes, "picture")

@@ -5,22 +5,22 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber, number
+from simnfnd.factory.distribution import AnyNumber
 from simnfnd.factory.formation.field.signal import Floats, Ping
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)
-class TvgErrorSettings:
+class TvgErrorSettings(EffectSettings):
     """Keys of `noise.tvg_error`; the gain is right in the middle of the range window.
 
     db_per_decade: too much (or, negative, too little) gain for each tenfold range, dB.
     db_per_m: the same for each metre, dB/m.
     """
 
-    enabled: bool = True
-    db_per_decade: AnyNumber = number(0)
-    db_per_m: AnyNumber = number(0)
+    db_per_decade: AnyNumber = parameter(0, "dB")
+    db_per_m: AnyNumber = parameter(0, "dB/m")
 
 
 def tvg_error(
@@ -32,3 +32,6 @@ def tvg_error(
     error_db = db_per_decade * np.log10(range_m / middle_m) + db_per_m * (range_m - middle_m)
     field *= (10 ** (error_db / 20)).astype(np.float32)[:, None]
     return field
+
+
+TVG_ERROR = Effect(TvgErrorSettings, tvg_error, "picture")

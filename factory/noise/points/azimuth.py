@@ -8,14 +8,15 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import NonNegative, number
+from simnfnd.factory.distribution import NonNegative, choice, uniform
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 from simnfnd.factory.sonar.echoes import Echoes, in_plane
 from simnfnd.factory.sonar.window import Window
 
 
 @dataclass(frozen=True, config=STRICT)
-class AzimuthSettings:
+class AzimuthSettings(EffectSettings):
     """Keys of `noise.azimuth`.
 
     count: number of spokes (rounded).
@@ -24,11 +25,10 @@ class AzimuthSettings:
     strength: strongest spoke point; 1 alone fills a bin to full scale.
     """
 
-    enabled: bool = True
-    count: NonNegative = number(2)
-    density: NonNegative = number(0.01)
-    sigma_deg: NonNegative = number(0.3)
-    strength: NonNegative = number(0.3)
+    count: NonNegative = parameter(choice(1, 2), "1")
+    density: NonNegative = parameter(uniform(0.003, 0.02), "1")
+    sigma_deg: NonNegative = parameter(uniform(0.1, 0.4), "deg")
+    strength: NonNegative = parameter(uniform(0.1, 0.6), "1")
 
 
 def azimuth(
@@ -49,3 +49,6 @@ def azimuth(
     azimuth_rad = bearing_rad[member] + np.deg2rad(sigma_deg) * rng.standard_normal(points)
     range_m = window.range_min_m + window.range_span_m * rng.random(points)
     return in_plane(range_m, azimuth_rad, strength * rng.random(points))
+
+
+AZIMUTH = Effect(AzimuthSettings, azimuth, "points")

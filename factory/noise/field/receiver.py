@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber, number
+from simnfnd.factory.distribution import AnyNumber
 from simnfnd.factory.formation.field.signal import (
     Floats,
     Ping,
@@ -20,11 +20,12 @@ from simnfnd.factory.formation.field.signal import (
     beamform,
     white_noise,
 )
+from simnfnd.factory.noise.effect import Effect, EffectSettings, option, parameter
 from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)
-class ReceiverSettings:
+class ReceiverSettings(EffectSettings):
     """Keys of `noise.receiver`.
 
     level_db: above the thermal noise of the sea in the device's band and beam, dB.
@@ -32,9 +33,8 @@ class ReceiverSettings:
         beamformer and the pulse compression, with the grain of speckle).
     """
 
-    enabled: bool = True
-    level_db: AnyNumber = number(10)
-    grain: Literal["sample", "beam"] = "sample"
+    level_db: AnyNumber = parameter(10, "dB")
+    grain: Literal["sample", "beam"] = option("sample")
 
 
 def receiver(
@@ -50,3 +50,6 @@ def receiver(
         return noise
     add_white_noise(field, rng, np.ones(ping.shape[0], np.float32), across)
     return field
+
+
+RECEIVER = Effect(ReceiverSettings, receiver, "beam")

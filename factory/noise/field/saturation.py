@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber, number
+from simnfnd.factory.distribution import AnyNumber
 from simnfnd.factory.formation.field.signal import Floats, Ping
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)
-class SaturationSettings:
+class SaturationSettings(EffectSettings):
     """Keys of `noise.saturation`.
 
     level_db: largest amplitude against the strongest expected echo of the frame, before
         time-varying gain, dB.
     """
 
-    enabled: bool = True
-    level_db: AnyNumber = number(3)
+    level_db: AnyNumber = parameter(3, "dB")
 
 
 def saturation(field: Floats, ping: Ping, rng: np.random.Generator, *, level_db: float) -> Floats:
@@ -29,3 +29,6 @@ def saturation(field: Floats, ping: Ping, rng: np.random.Generator, *, level_db:
     limit = (ping.strongest * 10 ** (level_db / 10) * ping.gain).astype(np.float32)
     kernels.saturate(field, limit)
     return field
+
+
+SATURATION = Effect(SaturationSettings, saturation, "picture")

@@ -9,20 +9,20 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber, number
+from simnfnd.factory.distribution import AnyNumber
 from simnfnd.factory.formation.field.signal import Floats, Ping
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)
-class SidelobeArcsSettings:
+class SidelobeArcsSettings(EffectSettings):
     """Keys of `noise.sidelobe_arcs`.
 
     level_db: of the leak below the strongest return of the row, dB (negative).
     """
 
-    enabled: bool = True
-    level_db: AnyNumber = number(-30)
+    level_db: AnyNumber = parameter(-30, "dB")
 
 
 def sidelobe_arcs(
@@ -38,3 +38,6 @@ def sidelobe_arcs(
     arcs = np.stack([leak * np.cos(phase), leak * np.sin(phase)], axis=1)
     field += arcs[..., None]
     return field
+
+
+SIDELOBE_ARCS = Effect(SidelobeArcsSettings, sidelobe_arcs, "beam")
