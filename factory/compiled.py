@@ -18,6 +18,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 # Every module that declares some.
 LOOPS = (
     "simnfnd.factory.formation.field.cell_loops",
+    "simnfnd.factory.formation.field.display_loops",
     "simnfnd.factory.formation.field.kernels",
     "simnfnd.factory.formation.field.placing",
     "simnfnd.factory.formation.field.world_loops",

@@ -194,6 +194,7 @@ def vertical_pattern(sine: Floats, vfov_deg: float, array: ArraySettings) -> Flo
     return np.asarray(response(sine * length, array.vertical) ** 4)
 
 
+@lru_cache(maxsize=32)
 def vertical_width_rad(vfov_deg: float, array: ArraySettings) -> float:
     """Equivalent two-way width of the vertical beam, radians: its pattern's integral."""
     sine = np.linspace(-1, 1, 4097)

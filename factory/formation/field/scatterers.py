@@ -25,13 +25,12 @@ from simnfnd.factory.frame import Frame
 from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.sonar.acoustics import WaterSettings
 from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.factory.sonar.surface import mount_weight
 from simnfnd.factory.sonar.window import Window
 
 Floats = npt.NDArray[np.float32]
 
 _BEAM_STEPS = 16_384
-# Beyond this a surface is seen edge on and its area is not known.
-_GRAZING_COSINE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,25 +232,7 @@ def _factor(frame: Frame, sonar: SonarSettings, acoustics: AcousticsSettings) ->
     """(H, W): what the render lacks for other exponents than 2 or a sonar elsewhere, or (0, 0)."""
     if acoustics.lambert_exponent == 2 and sonar.mount.colocated:
         return np.empty((0, 0), np.float32)
-    return _area_and_exponent(frame, sonar, acoustics)
-
-
-def _area_and_exponent(frame: Frame, sonar: SonarSettings, acoustics: AcousticsSettings) -> Floats:
-    """(H, W) cos_sonar^(n - 1) / cos_camera * (r_camera / r_sonar)^2; see the top of this file."""
-    from simnfnd.factory.render.cloud import back_project, normals
-
-    points_m = back_project(frame.depth_m, frame.intrinsics)
-    # Frames of a cache have lost what was no surface, so every neighbour here may be joined.
-    normal = normals(points_m, 0.1)
-    camera_m2 = np.maximum(np.einsum("hwc,hwc->hw", points_m, points_m), np.float32(1e-12))
-    cosine_camera = -np.einsum("hwc,hwc->hw", normal, points_m) / np.sqrt(camera_m2)
-    to_sonar_m = sonar.mount.position_camera_m().astype(np.float32) - points_m
-    sonar_m2 = np.maximum(np.einsum("hwc,hwc->hw", to_sonar_m, to_sonar_m), np.float32(1e-12))
-    cosine = np.einsum("hwc,hwc->hw", normal, to_sonar_m) / np.sqrt(sonar_m2)
-    cosine_camera = np.maximum(cosine_camera, np.float32(_GRAZING_COSINE))
-    cosine = np.maximum(cosine, np.float32(_GRAZING_COSINE))
-    exponent = np.float32(acoustics.lambert_exponent - 1)
-    return np.asarray(cosine**exponent / cosine_camera * (camera_m2 / sonar_m2), np.float32)
+    return mount_weight(frame, sonar.mount, acoustics.lambert_exponent)
 
 
 def _pattern(sonar: SonarSettings, patterned: bool) -> Floats:

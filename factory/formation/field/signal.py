@@ -91,10 +91,14 @@ class Receiver:
         and its beam hold.  Dividing the noise by their ratio keeps the signal to noise, whatever
         the sampling.
         """
-        sine = np.gradient(np.sin(self.sonar.beam_centres_rad()))
         pulse_m = array.pulse_length_m(self.sonar.array, self.water.sound_speed_m_s())
-        share = self.bin_m / pulse_m * sine / array.beam_width_sine(self.sonar.array)
-        return np.asarray(share, np.float32)
+        return self.beam_share * np.float32(self.bin_m / pulse_m)
+
+    @cached_property
+    def beam_share(self) -> Floats:
+        """(beams,) distance to the next beam over the width of a beam."""
+        sine = np.gradient(np.sin(self.sonar.beam_centres_rad()))
+        return np.asarray(sine / array.beam_width_sine(self.sonar.array), np.float32)
 
     @property
     def thermal_noise(self) -> float:
@@ -112,12 +116,14 @@ class Ping(Receiver):
     gain: (range_bins,) float32, time-varying gain on intensity.
     full_scale: intensity, after that gain, which the picture shows as grey value 1.
     strongest: the largest expected intensity of the frame, before that gain.
+    expected: (range_bins, beams) float32, expected intensity without noise, before that gain.
     """
 
     scatterers: Scatterers
     gain: Floats
     full_scale: float
     strongest: float
+    expected: Floats
 
 
 def beamform(field: Floats, receiver: Receiver) -> Floats:

@@ -13,6 +13,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.distribution import AnyNumber
+from simnfnd.factory.formation.field.expected import Expected
 from simnfnd.factory.formation.field.signal import (
     Floats,
     Ping,
@@ -52,4 +53,12 @@ def receiver(
     return field
 
 
-RECEIVER = Effect(ReceiverSettings, receiver, "beam")
+def expect_receiver(
+    expected: Expected, ping: Ping, rng: np.random.Generator, *, level_db: float, grain: str
+) -> None:
+    """The floor that the noise gives the picture."""
+    floor = ping.thermal_noise * 10 ** (level_db / 10) * ping.noise_share
+    expected.noise += floor.astype(np.float32)
+
+
+RECEIVER = Effect(ReceiverSettings, receiver, "beam", systematic=True, expected=expect_receiver)

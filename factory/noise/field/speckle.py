@@ -16,6 +16,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.distribution import NonNegative, Positive
+from simnfnd.factory.formation.field.expected import Expected
 from simnfnd.factory.formation.field.signal import Ping, Signal, gaussian_table
 from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
@@ -58,4 +59,13 @@ def speckle(
     return Signal(np.zeros_like(signal.power), field)
 
 
-SPECKLE = Effect(SpeckleSettings, speckle, "echo", "world")
+def expect_speckle(
+    expected: Expected, ping: Ping, rng: np.random.Generator, *, looks: float, scatterer_m: float
+) -> None:
+    """The echoes fluctuate."""
+    expected.echo += expected.steady
+    expected.steady[:] = 0
+    expected.looks = max(round(looks), 1)
+
+
+SPECKLE = Effect(SpeckleSettings, speckle, "echo", "world", expected=expect_speckle)

@@ -12,6 +12,7 @@ from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.distribution import AnyNumber
 from simnfnd.factory.formation.contract import Floats
+from simnfnd.factory.formation.field.expected import Expected
 from simnfnd.factory.formation.field.signal import Ping, Signal, add_white_noise
 from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
@@ -45,4 +46,12 @@ def haze(ping: Ping, strength_db: float) -> tuple[Floats, Floats]:
     return along.astype(np.float32), across_rad.astype(np.float32)
 
 
-VOLUME = Effect(VolumeSettings, volume, "echo")
+def expect_volume(
+    expected: Expected, ping: Ping, rng: np.random.Generator, *, strength_db: float
+) -> None:
+    """The haze's intensity, which the point-spread leaves as it is."""
+    along, across = haze(ping, strength_db)
+    expected.echo += along[:, None] * across
+
+
+VOLUME = Effect(VolumeSettings, volume, "echo", systematic=True, expected=expect_volume)
