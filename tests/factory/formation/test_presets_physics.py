@@ -223,3 +223,16 @@ def test_beams_of_a_line_array_are_cones(azimuth_deg, elevation_deg):
     golden = np.rad2deg(np.arcsin(point[0] / np.linalg.norm(point)))
     beam = int(made.bins[0]) % settings.sonar.beams
     assert np.rad2deg(settings.sonar.beam_centres_rad())[beam] == pytest.approx(golden, abs=0.13)
+
+
+def test_beam_tables_are_those_of_recordings() -> None:
+    """ARIS beams as the maker measured them; Oculus beams in equal steps of the sine."""
+    aris = composed("sonar=aris_3000").sonar.beam_azimuths_deg
+    assert aris is not None
+    assert (aris[0], aris[-1], len(aris)) == (-15.0156, 15.0068, 128)
+    narrow = composed("sonar=aris_1800_hf").sonar.beam_azimuths_deg
+    assert narrow is not None
+    spacing = np.diff(narrow)
+    assert spacing.min() < 0.25 < 0.34 < spacing.max()  # the lens spreads them in the middle
+    oculus = composed("sonar=oculus_m1200d_hf").sonar.beam_centres_rad()
+    np.testing.assert_allclose(np.diff(np.sin(oculus)), 1 / 511, atol=2.5e-4)

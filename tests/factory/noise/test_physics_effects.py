@@ -29,7 +29,7 @@ from simnfnd.factory.pairs import ObservedFrame, make_pair, observe
 from simnfnd.factory.record import columns
 from simnfnd.factory.sonar.acoustics import thermal_noise_db
 from simnfnd.factory.sonar.array import directivity_db
-from tests.constant_field import config, constant_field, observed, ping_of, scene_of
+from tests.constant_field import config, constant_field, observed, ping_of
 
 EVERY: dict[str, dict[str, Any]] = {name: {} for name in FIELD_EFFECTS}
 
@@ -231,6 +231,17 @@ def test_spokes_are_bearings() -> None:
     columns_ = loud.mean(axis=0)
     assert decibels(columns_.max() / of.full_scale) == pytest.approx(-20, abs=1.5)
     assert 4 <= (columns_ > 0).sum() <= 20
+
+
+def test_regular_spokes_are_equally_far_apart() -> None:
+    of = ping()
+    loud = intensity(
+        spokes(silence(of), of, rng(), count=4, level_db=-20, width_beams=0.3, spacing="regular")
+    ).mean(axis=0)
+    centres = np.sort(np.flatnonzero(loud > loud.max() / 4) + 0.5)
+    groups = np.split(centres, np.flatnonzero(np.diff(centres) > 4) + 1)
+    steps = np.diff([group.mean() for group in groups])
+    np.testing.assert_allclose(steps, of.sonar.beams / 4, atol=1)
 
 
 def test_ring_down_dies_with_range() -> None:
