@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from typing import Annotated, Any, Self
 
 from pydantic import Field, TypeAdapter, model_validator
@@ -19,6 +19,7 @@ from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings, blocks
 from simnfnd.factory.render.base import RenderSettings
 from simnfnd.factory.render.cache import CacheSettings
 from simnfnd.factory.scenes import Scenes
+from simnfnd.factory.scenes.seabed.reader import SeabedSettings, seeing
 from simnfnd.factory.settings import STRICT, build
 from simnfnd.factory.sonar.acoustics import WaterSettings
 from simnfnd.factory.sonar.settings import SonarSettings
@@ -122,6 +123,9 @@ def from_mapping(values: Mapping[str, Any]) -> FactoryConfig:
     Raises FactoryError with one line that names every bad key.
     """
     config: FactoryConfig = build(FactoryConfig, values)
+    if isinstance(config.scenes, SeabedSettings):
+        sonar = config.sonar
+        config = replace(config, scenes=seeing(config.scenes, sonar.hfov_deg, sonar.vfov_deg))
     return config
 
 
@@ -139,6 +143,10 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
     """
     values = plain(config)
     values["scenes"].pop("root", None)
+    if values["scenes"].get("hfov_deg") is None:
+        # The view that all datasets had before there was another keeps their names.
+        values["scenes"].pop("hfov_deg", None)
+        values["scenes"].pop("vfov_deg", None)
     for key in ("dir", "on_existing", "name", "preview_pairs", "licence"):
         values["dataset"].pop(key, None)
     if config.acoustics.formation == "points":

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from simnfnd.factory.errors import FactoryError
 
 if TYPE_CHECKING:
-    from simnfnd.models.data.geometry import Geometry
+    from simnfnd.factory.sonar.geometry import FanGeometry
 
 Gray = npt.NDArray[np.float32]
 """(H, W) in 0..1, 0 = no echo; for methods of several looks (T, H, W)."""
@@ -104,7 +104,7 @@ class Baseline:
         self,
         image: npt.NDArray[Any],
         parameters: Mapping[str, Number],
-        geometry: Geometry | None = None,
+        geometry: FanGeometry | None = None,
     ) -> Gray:
         """The denoised picture, (H, W) float32 clipped to 0..1.
 

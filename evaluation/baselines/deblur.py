@@ -14,14 +14,14 @@ from scipy import ndimage
 from simnfnd.evaluation.baselines.base import Gray
 
 if TYPE_CHECKING:
-    from simnfnd.models.data.geometry import Geometry
+    from simnfnd.factory.sonar.geometry import FanGeometry
 
 Maps = tuple[Gray, Gray]
 """Columns and rows to look up, as OpenCV's remap takes them."""
 
 
 def richardson_lucy_range(
-    image: Gray, sigma_px: float, iterations: int, geometry: Geometry | None = None
+    image: Gray, sigma_px: float, iterations: int, geometry: FanGeometry | None = None
 ) -> Gray:
     """Richardson (1972) and Lucy (1974) with a Gaussian point-spread along range.
 
@@ -62,7 +62,7 @@ def _along_columns(image: Gray, sigma_px: float, iterations: int) -> Gray:
 
 @lru_cache(maxsize=4)
 def _fan_maps(
-    geometry: Geometry, shape: tuple[int, int]
+    geometry: FanGeometry, shape: tuple[int, int]
 ) -> tuple[Maps, Maps, npt.NDArray[np.bool_]]:
     """Where the polar picture looks in the fan, where the fan looks in it, and the sector."""
     first, last = geometry.azimuth_min_rad, geometry.azimuth_max_rad

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.evaluation.realism.geometry import Grid, to_polar
 from simnfnd.evaluation.realism.measure import Measured, joined, measure_picture
-from simnfnd.evaluation.realism.simulated import picture_geometry
+from simnfnd.evaluation.realism.polar import Grid, to_polar
 from simnfnd.factory.compose import compose_config
 from simnfnd.factory.config import FactoryConfig, from_mapping, plain
 from simnfnd.factory.dataset.format.sample import Pair
@@ -18,6 +17,7 @@ from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.pairs import PairMaker
 from simnfnd.factory.render.view import View
 from simnfnd.factory.render.views import open_views
+from simnfnd.factory.sonar.geometry import FanGeometry
 
 
 class Simulation:
@@ -71,19 +71,11 @@ class Simulation:
         return joined([self._measure(pair, config) for pair in pairs])
 
     def _measure(self, pair: Pair, config: FactoryConfig) -> Measured:
-        row, sonar = pair.record, config.sonar
-        near_m, far_m, left, right = (
-            float(row[name])
-            for name in ("range_min_m", "range_max_m", "azimuth_min_deg", "azimuth_max_deg")
-        )
         picture = pair.noisy
         full = 255.0 if picture.dtype == np.uint8 else 1.0
-        shape = (picture.shape[0], picture.shape[1])
-        geometry = picture_geometry(
-            sonar.image.layout, shape, sonar.hfov_deg, (near_m, far_m), (left, right)
-        )
+        geometry = FanGeometry.from_record(config.sonar, pair.record)
         grey = np.asarray(picture, np.float32) / np.float32(full)
-        return measure_picture(to_polar(grey, geometry, self.grid), geometry.span_m)
+        return measure_picture(to_polar(grey, geometry, self.grid), geometry.range_span_m)
 
 
 def _usable(maker: PairMaker, ref: FrameRef) -> bool:

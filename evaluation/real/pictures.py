@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -12,13 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.image_pairs import images_in, read_gray
+from simnfnd.evaluation.data.image_pairs import images_in, read_gray
 from simnfnd.evaluation.metrics.speckle import homogeneous_zones
-from simnfnd.evaluation.realism.geometry import Geometry, sector_mask
 from simnfnd.evaluation.realism.pictures import Source
 from simnfnd.evaluation.realism.real import GEOMETRY_FILE, open_real
 from simnfnd.factory.errors import FactoryError
-from simnfnd.models.data.geometry import Geometry as PixelGeometry
+from simnfnd.factory.sonar.geometry import FanGeometry
 
 Mask = npt.NDArray[np.bool_]
 
@@ -30,7 +28,7 @@ _RING = 15  # around an object, pixels
 
 @dataclass(frozen=True)
 class File:
-    """A picture of the folder.  geometry: of its fan or polar picture, None where nobody knows.
+    """A picture of the folder.  geometry: of its fan or polar picture, None where it is unknown.
 
     mask: file of its class indices, None without.
     """
@@ -136,30 +134,17 @@ def scene(file: File) -> Scene:
     )
 
 
-def pixel_geometry(file: File) -> PixelGeometry | None:
-    """The same geometry as networks and filters take it; None where nobody knows it."""
+def geometry_of(file: File) -> FanGeometry | None:
+    """Where range and bearing are in a picture; None where it is unknown."""
     if file.source is None:
         return None
-    own = file.source.geometry
-    half = math.radians(own.hfov_deg) / 2
-    if own.layout == "polar":
-        rows, columns = file.read().shape
-        bearings = (np.arange(columns) + 0.5) / columns * 2 * half - half
-        # Metres may be unknown; then range 0 is taken for the first row's.
-        near = (own.range_min_m or 0.0) / (own.range_max_m or 1.0)
-        return PixelGeometry(
-            "polar", near, -half, half, azimuths_rad=tuple(bearings.tolist()), rows=rows
-        )
-    near = own.near_px / own.far_px
-    centre = own.apex_x_px, own.apex_y_px, own.far_px, own.x_scale
-    return PixelGeometry("fan", near, -half, half, *centre)
+    rows, columns = file.read().shape
+    return file.source.geometry.with_size(rows, columns)
 
 
-def _sector(noisy: Gray, geometry: Geometry | None) -> Mask:
-    if geometry is not None and geometry.layout == "fan":
-        return sector_mask(geometry, (noisy.shape[0], noisy.shape[1]))
+def _sector(noisy: Gray, geometry: FanGeometry | None) -> Mask:
     if geometry is not None:
-        return np.ones(noisy.shape, dtype=bool)
+        return geometry.sector_mask(noisy.shape[0], noisy.shape[1])
     # A dark picture has black pixels inside, too: its outline is what counts.
     lit = noisy > 0
     across = np.maximum.accumulate(lit, axis=1) & np.maximum.accumulate(lit[:, ::-1], 1)[:, ::-1]

@@ -6,16 +6,17 @@ another sonar: `simnfnd gallery scenes=flsea scenes.root=DIR`.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.config import FactoryConfig, from_mapping
 from simnfnd.factory.dataset.describe.quality import psnr_db
 from simnfnd.factory.distribution import Distribution, number
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.extras import needs_of, require
 from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.gallery import figures
 from simnfnd.factory.gallery.figures import Figure, Panel
@@ -56,7 +57,7 @@ class View:
 
 def main(words: list[str]) -> None:
     """Draw the figures that `words` ask for."""
-    parser = argparse.ArgumentParser(prog="simnfnd gallery", description=__doc__)
+    parser = Parser(prog="simnfnd gallery")
     parser.add_argument("--out", type=Path, default=Path("outputs/gallery"), help="folder to fill")
     parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="as for making a dataset")
     given = parser.parse_args(words)
@@ -70,6 +71,7 @@ def gallery(out: Path, settings: Iterable[str] = ()) -> list[Path]:
     Raises FactoryError for a bad setting or when no frame can be used.
     """
     config = compose(settings)
+    require(needs_of(config))
     views = list(_views(config))
     return [figures.save(figure, out) for figure in _figures(views, config)]
 

@@ -7,7 +7,6 @@ those of other simulators.  Words KEY=VALUE go to the configuration of the pictu
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterable, Iterator
 from importlib import resources
 from pathlib import Path
@@ -16,9 +15,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.compose import compose_config
 from simnfnd.factory.distribution import as_override
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.extras import needs_of, require
 from simnfnd.factory.gallery import figures
 from simnfnd.factory.gallery.figures import Figure, Panel
 from simnfnd.factory.gallery.statistics import table
@@ -57,7 +58,7 @@ _STRONG = (
 
 def main(words: list[str]) -> None:
     """Draw and print what `words` ask for."""
-    parser = argparse.ArgumentParser(prog="simnfnd physics", description=__doc__)
+    parser = Parser(prog="simnfnd physics")
     parser.add_argument("--out", type=Path, default=Path("outputs/physics"), help="folder to fill")
     parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="as for making a dataset")
     given = parser.parse_args(words)
@@ -83,6 +84,7 @@ def pictures(out: Path, settings: Iterable[str] = ()) -> list[Path]:
     config = compose_config(words)
     if config.acoustics.formation != "field":
         raise FactoryError("physics: acoustics.formation must be field")
+    require(needs_of(config))
     frame, rendered = _first_frame(config)
     return [
         figures.save(_presets(words, frame, rendered), out),

@@ -69,7 +69,7 @@ def _voxel_cloud(
         import open3d  # 1 s to import, and absent on boxes that only make pairs from a cache
     except ImportError as error:
         raise FactoryError(
-            "resample.kind=voxel needs Open3D; `pip install open3d-cpu` or use resample=random"
+            'resample.kind=voxel needs Open3D: pip install "simnfnd[open3d]", or resample=random'
         ) from error
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points_m))
     if strength is not None:

@@ -16,8 +16,9 @@ from simnfnd.factory.formation.clouds import effect_clouds, noisy_cloud
 from simnfnd.factory.noise.draws import Draws, StreamNames, draw
 from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.factory.sonar.echoes import Echoes, in_plane
+from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.window import Window
-from simnfnd.models.data.geometry import Geometry, polar_picture, read_fans
+from simnfnd.models.data.fans import read_fans
 from simnfnd.models.data.images import read_grey
 from simnfnd.models.data.pairs import Image, Sample, SampleRef, weakened
 
@@ -41,13 +42,13 @@ class OldDataSource:
         weaker: float,
         seed: int,
     ) -> None:
-        """geometry: `polar`, or a CSV table (`simnfnd.models.data.geometry.read_fans`).
+        """geometry: `polar`, or a CSV table (`simnfnd.models.data.fans.read_fans`).
 
         Raises FactoryError when an image is not in the table.
         """
         self.samples, self.settings, self.looks = samples, settings, looks
         self.weaker, self.seed = weaker, seed
-        self.fans: Mapping[str, Geometry] = {} if geometry == "polar" else read_fans(geometry)
+        self.fans: Mapping[str, FanGeometry] = {} if geometry == "polar" else read_fans(geometry)
         unknown = [s.frame for s in samples if self.fans and s.frame not in self.fans]
         if unknown:
             raise FactoryError(
@@ -62,7 +63,7 @@ class OldDataSource:
         """See `Source`."""
         ref = self.samples[index]
         clean = read_grey(ref.path)
-        geometry = self.fans[ref.frame] if self.fans else polar_picture(*clean.shape)
+        geometry = self.fans.get(ref.frame, FanGeometry.polar()).with_size(*clean.shape)
         sector = geometry.maps(0, 0, *clean.shape)["sector"]
         clean = clean * sector
         number = "validation" if visit is None else visit
@@ -76,7 +77,7 @@ class OldDataSource:
         return Sample(noisy, clean, shadow.astype(np.float32), geometry)
 
 
-def with_noise(clean: Image, geometry: Geometry, draws: Draws, looks: int) -> Image:
+def with_noise(clean: Image, geometry: FanGeometry, draws: Draws, looks: int) -> Image:
     """A picture (H, W) in 0..1 with the drawn effects on it, clipped to 0..1.
 
     Every pixel that is not black is `looks` echoes, which range spreading moves along their bearing
@@ -104,7 +105,7 @@ def with_noise(clean: Image, geometry: Geometry, draws: Draws, looks: int) -> Im
     return np.clip(picture * maps["sector"], 0, 1).astype(np.float32)
 
 
-def _gathered(echoes: Echoes, geometry: Geometry, shape: tuple[int, ...]) -> Image:
+def _gathered(echoes: Echoes, geometry: FanGeometry, shape: tuple[int, ...]) -> Image:
     """Sum of the echoes' strengths in each pixel; those outside the picture are lost."""
     height, width = shape
     fraction = echoes.range_m / np.float32(_FAR_M)

@@ -20,9 +20,8 @@ from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
 from simnfnd.factory.dataset.read.reader import Split, open_shard
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.seeds import stream
-from simnfnd.factory.settings import build
+from simnfnd.factory.sonar.geometry import FanGeometry, recorded_sonar
 from simnfnd.factory.sonar.settings import SonarSettings
-from simnfnd.models.data.geometry import Geometry, of_sonar
 
 Image = npt.NDArray[np.float32]
 
@@ -35,14 +34,14 @@ known), and the extras that `models` describes."""
 class Sample:
     """One training image.
 
-    noisy, clean: (H, W) float32 in 0..1; clean None where nobody knows it.
+    noisy, clean: (H, W) float32 in 0..1; clean None where it is unknown.
     shadow: (H, W) float32, 1 in shadow, or None.  geometry: where range and bearing are, or None.
     """
 
     noisy: Image
     clean: Image | None = None
     shadow: Image | None = None
-    geometry: Geometry | None = None
+    geometry: FanGeometry | None = None
 
 
 class Source(Protocol):
@@ -63,14 +62,14 @@ class Source(Protocol):
 class SampleRef:
     """One pair of a dataset: where it is and which scene and frame it shows.
 
-    window: (range_min / range_max, first and last seen azimuth in radians), where it is known.
+    window: (range_min_m, range_max_m, azimuth_min_rad, azimuth_max_rad), where it is known.
     """
 
     path: Path
     row: int
     scene: str
     frame: str
-    window: tuple[float, float, float] | None = None
+    window: tuple[float, float, float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -86,11 +85,7 @@ class PairTable:
     @property
     def sonar(self) -> SonarSettings | None:
         """The device of the pictures; None for a dataset of another program."""
-        try:
-            sonar: SonarSettings = build(SonarSettings, self.config["sonar"])
-            return sonar
-        except (KeyError, TypeError, FactoryError):
-            return None
+        return recorded_sonar(self.config)
 
 
 def read_table(dataset: str | Path, split: Split) -> PairTable:
@@ -116,12 +111,12 @@ def read_table(dataset: str | Path, split: Split) -> PairTable:
         return PairTable(samples, *pairs.shape, pairs.config_hash, config)
 
 
-def _window(meta: np.void) -> tuple[float, float, float] | None:
+def _window(meta: np.void) -> tuple[float, float, float, float] | None:
     names = ("range_min_m", "range_max_m", "azimuth_min_deg", "azimuth_max_deg")
     if not set(names) <= set(meta.dtype.names or ()):
         return None
     near, far, low, high = (float(meta[name]) for name in names)
-    return near / far, math.radians(low), math.radians(high)
+    return near, far, math.radians(low), math.radians(high)
 
 
 def _text(value: bytes) -> str:
@@ -161,7 +156,7 @@ def spread(samples: tuple[SampleRef, ...], limit: int | None) -> tuple[SampleRef
     return tuple(samples[index * len(samples) // limit] for index in range(limit))
 
 
-class Shards:
+class PairReader:
     """Reads pairs, in any process."""
 
     def __init__(self) -> None:
@@ -195,7 +190,7 @@ class PairSource:
         seed: int = 0,
     ) -> None:
         self.samples, self.sonar, self.weaker, self.seed = tuple(samples), sonar, weaker, seed
-        self._shards = Shards()
+        self._shards = PairReader()
 
     def __len__(self) -> int:
         return len(self.samples)
@@ -210,7 +205,7 @@ class PairSource:
                 noisy = clean + np.float32(strength) * (noisy - clean)
         geometry = None
         if self.sonar is not None and ref.window is not None:
-            geometry = of_sonar(self.sonar, *ref.window)
+            geometry = FanGeometry.from_sonar(self.sonar, *ref.window)
         return Sample(noisy, clean, shadow, geometry)
 
 

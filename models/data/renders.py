@@ -15,8 +15,8 @@ import numpy as np
 import yaml
 
 from simnfnd.factory.config import FactoryConfig, from_mapping
+from simnfnd.factory.dataset.format.manifest import CONFIG_NAME
 from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
-from simnfnd.factory.dataset.write.folder import CONFIG_NAME
 from simnfnd.factory.distribution import Distribution
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import FrameRef
@@ -26,8 +26,8 @@ from simnfnd.factory.pairs import PairMaker
 from simnfnd.factory.render.views import open_views
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.seeds import stream
+from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
-from simnfnd.models.data.geometry import of_record
 from simnfnd.models.data.pairs import PairTable, Sample, SampleRef, weakened
 from simnfnd.models.training.settings import RendersData
 
@@ -80,7 +80,7 @@ class RenderSource:
             in_unit_range(pair.noisy),
             in_unit_range(pair.clean),
             pair.shadow.astype(np.float32),
-            of_record(self._sonars[scale], pair.record),
+            FanGeometry.from_record(self._sonars[scale], pair.record),
         )
 
     def scale_of(self, index: int, visit: int) -> float:

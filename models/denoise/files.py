@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +15,14 @@ import numpy.typing as npt
 from simnfnd.factory.dataset.read.reader import open_shard, value_range
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import write_atomically
-from simnfnd.factory.settings import build
-from simnfnd.factory.sonar.settings import SonarSettings
-from simnfnd.models.data.geometry import Geometry, of_record
+from simnfnd.factory.sonar.geometry import FanGeometry, recorded_sonar
 from simnfnd.models.data.images import FULL_SCALE, decode
 from simnfnd.models.denoise.inputs import Item
 
 SCHEMA = "simnfnd-denoised/1"
 
 Gray = npt.NDArray[np.float32]
-Denoise = Callable[[Gray, Geometry | None], Gray]
+Denoise = Callable[[Gray, FanGeometry | None], Gray]
 """(H, W) float32 in 0..1, and where range and bearing are, if known -> the same, denoised."""
 Tick = Callable[[], object]
 """Called after every picture."""
@@ -33,7 +31,7 @@ _COMPARED = 4
 
 
 def denoise_image(
-    image: npt.NDArray[Any], denoise: Denoise, geometry: Geometry | None = None
+    image: npt.NDArray[Any], denoise: Denoise, geometry: FanGeometry | None = None
 ) -> npt.NDArray[Any]:
     """Denoise (H, W) or (H, W, C) uint8, uint16 or float32 (0..1); same shape and dtype out.
 
@@ -64,7 +62,13 @@ def denoise_image(
 
 
 def denoise_file(
-    item: Item, out: Path, denoise: Denoise, geometry: Geometry | None, *, compare: bool, tick: Tick
+    item: Item,
+    out: Path,
+    denoise: Denoise,
+    geometry: FanGeometry | None,
+    *,
+    compare: bool,
+    tick: Tick,
 ) -> None:
     """Denoise one image file into `out`.  FrameError when it cannot be read."""
     try:
@@ -81,7 +85,13 @@ def denoise_file(
 
 
 def denoise_video(
-    item: Item, out: Path, denoise: Denoise, geometry: Geometry | None, *, compare: bool, tick: Tick
+    item: Item,
+    out: Path,
+    denoise: Denoise,
+    geometry: FanGeometry | None,
+    *,
+    compare: bool,
+    tick: Tick,
 ) -> None:
     """Denoise the frames of a video into PNG files of a folder of its name.
 
@@ -170,15 +180,16 @@ def denoise_shard(
         _write_compared(out, item.relative, shown)
 
 
-def _geometry_of(shard: h5py.File) -> Callable[[int], Geometry | None]:
+def _geometry_of(shard: h5py.File) -> Callable[[int], FanGeometry | None]:
     """Row -> where range and bearing are, if the shard says so."""
     try:
-        config: Mapping[str, Any] = json.loads(shard.attrs["config"])
-        sonar: SonarSettings = build(SonarSettings, config["sonar"])
-        of_record(sonar, shard["meta"][0])
-    except (KeyError, TypeError, ValueError, IndexError, FactoryError):
+        sonar = recorded_sonar(json.loads(shard.attrs["config"]))
+        if sonar is None:
+            return lambda row: None
+        FanGeometry.from_record(sonar, shard["meta"][0])
+    except (KeyError, TypeError, ValueError, IndexError):
         return lambda row: None
-    return lambda row: of_record(sonar, shard["meta"][row])
+    return lambda row: FanGeometry.from_record(sonar, shard["meta"][row])
 
 
 def _write_image(path: Path, image: npt.NDArray[Any]) -> None:

@@ -18,18 +18,17 @@ from simnfnd.evaluation.baselines.bm3d import _all_blocks
 from simnfnd.evaluation.baselines.convolutional import atoms, coded, reconstructed
 from simnfnd.evaluation.baselines.dtcwt_map import _map
 from simnfnd.evaluation.baselines.structural import noise_map
-from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.data.pairs import geometry_of, items_of, picture
+from simnfnd.evaluation.methods.apply import denoised
+from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.metrics.fidelity import psnr
-from simnfnd.evaluation.networks import geometry_of
-from simnfnd.evaluation.pictures import items_of, picture
-from simnfnd.evaluation.work import denoised
 from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
 from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
+from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
-from simnfnd.models.data.geometry import Geometry, of_sonar
 from tests.evaluation.baselines.test_baselines import noisy_scene, run, scene
 
 Array = npt.NDArray[Any]
@@ -195,16 +194,18 @@ def test_richardson_lucy_follows_range_across_a_fan() -> None:
     sonar, near, sharp, soft = blurred_fan(2.0)
     baseline = REGISTRY["richardson_lucy"]
     parameters = {"sigma_px": 2.0, "iterations": 10}
-    along = baseline(soft, parameters, of_sonar(sonar, near))
+    along = baseline(soft, parameters, FanGeometry.from_sonar(sonar, near, 1.0))
     down = baseline(soft, parameters)
     before, after, columns = (np.abs(one - sharp).mean() for one in (soft, along, down))
     assert after < 0.7 * before
     assert columns > before, "range is not down the columns: there it does harm"
     # Nothing outside of the sector, and nothing lost by the way there and back.
     assert not along[~fan_table(sonar, near).inside].any()
-    same = baseline(soft, {"sigma_px": 0.01, "iterations": 1}, of_sonar(sonar, near))
+    same = baseline(
+        soft, {"sigma_px": 0.01, "iterations": 1}, FanGeometry.from_sonar(sonar, near, 1.0)
+    )
     np.testing.assert_allclose(same, soft, atol=1e-5)
-    polar = Geometry("polar", near, -1, 1, rows=150)
+    polar = FanGeometry("polar", near, 2, -1, 1, range_bins=150)
     np.testing.assert_array_equal(baseline(soft, parameters, polar), down)
 
 
@@ -238,7 +239,7 @@ def test_the_report_tells_methods_where_range_is(tmp_path: Path) -> None:
     (item,) = items_of(tmp_path, "test")
     known = geometry_of(item.place)
     assert known is not None
-    assert known.far_px == pytest.approx(of_sonar(sonar, near).far_px)
+    assert known.far_px == pytest.approx(FanGeometry.from_sonar(sonar, near, 1.0).far_px)
     method = Method("richardson_lucy", "", {"sigma_px": 2.0, "iterations": 30})
     noisy = picture(item.place).noisy
     baseline = REGISTRY["richardson_lucy"]

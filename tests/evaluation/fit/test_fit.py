@@ -14,9 +14,9 @@ from PIL import Image
 from simnfnd.command import main
 from simnfnd.evaluation.fit import files as fit_files
 from simnfnd.evaluation.fit import search as fit_search
-from simnfnd.evaluation.fit.command import FitSettings, flattened
+from simnfnd.evaluation.fit.settings import FitSettings, flattened
 from simnfnd.evaluation.fit.simulate import Simulation
-from simnfnd.evaluation.realism.geometry import Grid
+from simnfnd.evaluation.realism.polar import Grid
 from simnfnd.factory.compose import compose_config
 from simnfnd.factory.config import from_mapping, plain
 from simnfnd.factory.distribution import parse

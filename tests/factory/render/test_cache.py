@@ -315,17 +315,17 @@ def test_from_command_line_to_pack_and_back(
     out = tmp_path / "out"
     words = [*WORDS, cache, f"dataset.dir={out}", "scheduler.shard_size=2"]
     assert run(monkeypatch, "plan", *words) == 0
-    told = capfd.readouterr().out
-    assert "train: 2 pairs in 1 shards" in told
-    assert "renders: 0 of 4 are in the cache" in told
+    stated = capfd.readouterr().out
+    assert "train: 2 pairs in 1 shards" in stated
+    assert "renders: 0 of 4 are in the cache" in stated
     assert sorted(os.listdir(tmp_path)) == [], "a plan wrote something"
     assert run(monkeypatch, *words) == 0
     assert run(monkeypatch, "plan", *words) == 0
     assert "renders: 4 of 4 are in the cache" in capfd.readouterr().out
     assert run(monkeypatch, "status", str(out), "--verify") == 0
-    told = capfd.readouterr().out
-    assert "last run: finished; 4 of 4 pairs" in told
-    assert "4 rendered, 0 from the cache" in told
+    stated = capfd.readouterr().out
+    assert "last run: finished; 4 of 4 pairs" in stated
+    assert "4 rendered, 0 from the cache" in stated
     assert run(monkeypatch, "failed", str(out)) == 0
 
     # A bit flips in one entry: verify says so, and a run renders that frame anew.
@@ -396,9 +396,9 @@ def test_failed_frames_are_told_and_can_be_tried_again(
     assert run(monkeypatch, *words) == 1
     capfd.readouterr()
     assert run(monkeypatch, "failed", str(out)) == 1
-    told = capfd.readouterr().out
-    assert "list/bad" in told
-    assert "frames.only=[list/bad]" in told
+    stated = capfd.readouterr().out
+    assert "list/bad" in stated
+    assert "frames.only=[list/bad]" in stated
     cv2.imwrite(str(folder / "bad_d.png"), depth)
     assert run(monkeypatch, "failed", str(out), "--rerun") == 0
     assert "1 of 1 frames work now" in capfd.readouterr().out

@@ -1,0 +1,237 @@
+"""Where range and bearing lie in a sonar picture, simulated or real.
+
+Needs numpy alone, so that datasets, networks, reports and readers of recordings all share it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.settings import build
+from simnfnd.factory.sonar.fan import pixel_size
+from simnfnd.factory.sonar.settings import SonarSettings
+
+Maps = dict[str, npt.NDArray[np.float32]]
+"""`range_fraction` (range over range_max), `azimuth_rad` (positive to the right), `sector` (1 where
+the sonar measured, else 0); each (H, W) float32."""
+
+_UNKNOWN_SECTOR_DEG = 30.0
+
+
+@dataclass(frozen=True)
+class FanGeometry:
+    """Range and bearing of every pixel of one picture.
+
+    layout: fan (far range on top, apex at or below the lower edge) or polar (a row a range bin,
+        near range first; a column a beam, left to right).
+    near_fraction: range_min over range_max.
+    sector_rad: width of the device's whole sector, which is symmetric about straight ahead.
+    azimuth_min_rad, azimuth_max_rad: the part of it that holds data, radians.
+    range_min_m, range_max_m: the range window in metres, None where it is unknown.
+    fan: apex_x_px, apex_y_px, the centre of the arcs, in pixels from the centre of the top left
+        pixel; far_px, the radius of range_max along y; x_scale, pixels along x for the distance of
+        one along y (0.8 where the picture is squeezed to 0.8 of its width).
+    polar: range_bins, the number of rows; beam_azimuths_rad, the bearing of each column in
+        ascending order, evenly spaced or not.  Both are empty where the size is not known yet
+        (`with_size` fills them in).
+    """
+
+    layout: Literal["fan", "polar"]
+    near_fraction: float
+    sector_rad: float
+    azimuth_min_rad: float
+    azimuth_max_rad: float
+    range_min_m: float | None = None
+    range_max_m: float | None = None
+    apex_x_px: float = 0.0
+    apex_y_px: float = 0.0
+    far_px: float = 1.0
+    x_scale: float = 1.0
+    range_bins: int = 0
+    beam_azimuths_rad: tuple[float, ...] = ()
+
+    @classmethod
+    def from_sonar(
+        cls,
+        sonar: SonarSettings,
+        range_min_m: float,
+        range_max_m: float,
+        azimuth_min_rad: float = -math.pi,
+        azimuth_max_rad: float = math.pi,
+    ) -> FanGeometry:
+        """The factory's picture of a range window by a device (see `simnfnd.factory.sonar.fan`).
+
+        azimuth_min_rad, azimuth_max_rad: the part of the sector that the camera saw.
+        """
+        half = math.radians(sonar.hfov_deg) / 2
+        near_fraction = range_min_m / range_max_m
+        geometry = cls(
+            sonar.image.layout,
+            near_fraction,
+            2 * half,
+            max(azimuth_min_rad, -half),
+            min(azimuth_max_rad, half),
+            range_min_m,
+            range_max_m,
+        )
+        if geometry.layout == "polar":
+            bearings = tuple(float(value) for value in sonar.beam_centres_rad())
+            return replace(geometry, range_bins=sonar.range_bins, beam_azimuths_rad=bearings)
+        pixel = pixel_size(sonar, near_fraction)
+        return replace(
+            geometry,
+            apex_x_px=sonar.image.width_px / 2 - 0.5,
+            apex_y_px=1 / pixel - 0.5,
+            far_px=1 / pixel,
+        )
+
+    @classmethod
+    def from_record(cls, sonar: SonarSettings, record: Mapping[str, Any] | np.void) -> FanGeometry:
+        """The picture of one row of a dataset's /meta.
+
+        Raises KeyError or ValueError for a row without its window.
+        """
+        return cls.from_sonar(
+            sonar,
+            float(record["range_min_m"]),
+            float(record["range_max_m"]),
+            math.radians(float(record["azimuth_min_deg"])),
+            math.radians(float(record["azimuth_max_deg"])),
+        )
+
+    @classmethod
+    def fan(
+        cls,
+        sector_rad: float,
+        *,
+        apex_x_px: float,
+        apex_y_px: float,
+        near_px: float,
+        far_px: float,
+        x_scale: float = 1.0,
+        range_min_m: float | None = None,
+        range_max_m: float | None = None,
+    ) -> FanGeometry:
+        """A fan picture measured in pixels, its whole sector with data.
+
+        near_px, far_px: radii of range_min and range_max along y.
+        """
+        half = sector_rad / 2
+        return cls(
+            "fan",
+            near_px / far_px,
+            sector_rad,
+            -half,
+            half,
+            range_min_m,
+            range_max_m,
+            apex_x_px,
+            apex_y_px,
+            far_px,
+            x_scale,
+        )
+
+    @classmethod
+    def polar(
+        cls,
+        sector_rad: float = math.radians(_UNKNOWN_SECTOR_DEG),
+        range_min_m: float | None = None,
+        range_max_m: float | None = None,
+    ) -> FanGeometry:
+        """A polar picture whose rows and columns divide its window and its sector evenly.
+
+        Where the window is unknown the first row is taken to begin at range 0.  `with_size` says
+        how many rows and columns there are.
+        """
+        half = sector_rad / 2
+        near_fraction = 0.0
+        if range_min_m is not None and range_max_m is not None:
+            near_fraction = range_min_m / range_max_m
+        return cls("polar", near_fraction, sector_rad, -half, half, range_min_m, range_max_m)
+
+    def with_size(self, rows: int, columns: int) -> FanGeometry:
+        """The geometry for a picture of this size; another one only where polar sizes were open."""
+        if self.layout == "fan" or self.beam_azimuths_rad:
+            return self
+        step = (np.arange(columns) + 0.5) / columns
+        bearings = tuple((step * self.sector_rad - self.sector_rad / 2).tolist())
+        return replace(self, range_bins=rows, beam_azimuths_rad=bearings)
+
+    @property
+    def near_px(self) -> float:
+        """Radius of range_min in a fan picture, pixels along y."""
+        return self.near_fraction * self.far_px
+
+    @property
+    def range_span_m(self) -> float | None:
+        """Length of the range window in metres, None where it is unknown."""
+        if self.range_min_m is None or self.range_max_m is None:
+            return None
+        return self.range_max_m - self.range_min_m
+
+    @property
+    def data_fraction(self) -> tuple[float, float]:
+        """First and last bearing with data, as fractions of the sector from its left edge."""
+        first, last = (
+            limit / self.sector_rad + 0.5 for limit in (self.azimuth_min_rad, self.azimuth_max_rad)
+        )
+        return max(0.0, first), min(1.0, last)
+
+    def maps(self, top: int, left: int, height: int, width: int) -> Maps:
+        """The maps of a window of the picture."""
+        row = np.arange(top, top + height, dtype=np.float32)[:, None]
+        column = np.arange(left, left + width, dtype=np.float32)[None]
+        if self.layout == "fan":
+            ahead = np.float32(self.apex_y_px) - row
+            right = (column - np.float32(self.apex_x_px)) / np.float32(self.x_scale)
+            range_fraction = np.hypot(ahead, right) / np.float32(self.far_px)
+            azimuth = np.arctan2(right, ahead)
+        else:
+            step = (row + np.float32(0.5)) / np.float32(self.range_bins)
+            range_fraction = self.near_fraction + (1 - self.near_fraction) * step
+            range_fraction = np.broadcast_to(range_fraction, (height, width))
+            bearing = np.asarray(self.beam_azimuths_rad[left : left + width], np.float32)
+            azimuth = np.broadcast_to(bearing[None], (height, width))
+        sector = (range_fraction >= self.near_fraction) & (range_fraction <= 1)
+        sector &= (azimuth >= self.azimuth_min_rad) & (azimuth <= self.azimuth_max_rad)
+        found = {"range_fraction": range_fraction, "azimuth_rad": azimuth, "sector": sector}
+        return {name: np.ascontiguousarray(values, np.float32) for name, values in found.items()}
+
+    def sector_mask(self, height: int, width: int) -> npt.NDArray[np.bool_]:
+        """(H, W) bool: the pixels whose centres lie in the whole sector, with data or not."""
+        if self.layout == "polar":
+            return np.ones((height, width), dtype=bool)
+        ahead = self.apex_y_px - np.arange(height, dtype=np.float64)[:, None]
+        right = (np.arange(width, dtype=np.float64)[None] - self.apex_x_px) / self.x_scale
+        radius = np.hypot(ahead, right)
+        inside = (radius >= self.near_px) & (radius <= self.far_px)
+        return np.asarray(inside & (np.abs(np.arctan2(right, ahead)) <= self.sector_rad / 2))
+
+    def pixels(
+        self, range_fraction: npt.NDArray[np.floating], azimuth_rad: npt.NDArray[np.floating]
+    ) -> tuple[npt.NDArray[np.floating], npt.NDArray[np.floating]]:
+        """(row, column) of points, in pixels; the inverse of `maps`."""
+        if self.layout == "fan":
+            radius_px = range_fraction * self.far_px
+            row = self.apex_y_px - radius_px * np.cos(azimuth_rad)
+            return row, self.apex_x_px + radius_px * np.sin(azimuth_rad) * self.x_scale
+        step = (range_fraction - self.near_fraction) / (1 - self.near_fraction)
+        bearings = np.asarray(self.beam_azimuths_rad)
+        column = np.interp(azimuth_rad, bearings, np.arange(len(bearings)))
+        return step * self.range_bins - 0.5, column
+
+
+def recorded_sonar(config: Mapping[str, Any]) -> SonarSettings | None:
+    """The device in a dataset's configuration; None where another program wrote it."""
+    try:
+        sonar: SonarSettings = build(SonarSettings, config["sonar"])
+    except (KeyError, TypeError, FactoryError):
+        return None
+    return sonar

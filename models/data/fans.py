@@ -1,0 +1,51 @@
+"""The table of fans that `data.geometry` and `--geometry` name."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.sonar.geometry import FanGeometry
+
+_MDD_SQUEEZE = {"A": 1.0, "B": 0.8}
+
+
+def read_fans(path: str | Path) -> dict[str, FanGeometry]:
+    """File name -> geometry of a fan, from a CSV table.
+
+    Columns: `file`; `apex_x`, `apex_y` (pixels); `edge_slope` (columns a row along the sector's
+    edge); `top_row`, `bottom_row` (first and last row with echoes); and, where a pixel is not as
+    wide as high, `squeeze` (its height over its width; MDD's own table has the letter of
+    one of its two geometries in `config` instead).  Raises FactoryError.
+    """
+    try:
+        with Path(path).expanduser().open(newline="", encoding="utf-8") as file:
+            return {row["file"]: _fan(row) for row in csv.DictReader(file)}
+    except OSError as error:
+        raise FactoryError(f"geometry={path}: cannot be read ({error.strerror})") from error
+    except (KeyError, ValueError, TypeError, UnicodeDecodeError) as error:
+        raise FactoryError(
+            f"geometry={path}: not a table of fans ({' '.join(str(error).split())}); it needs the "
+            "columns file, apex_x, apex_y, edge_slope, top_row, bottom_row"
+        ) from error
+
+
+def _fan(row: Mapping[str, str]) -> FanGeometry:
+    squeeze = float(row.get("squeeze") or _MDD_SQUEEZE.get(row.get("config", ""), 1.0))
+    half = math.atan(float(row["edge_slope"]) / squeeze)
+    apex_y = float(row["apex_y"])
+    far, near = apex_y - float(row["top_row"]), apex_y - float(row["bottom_row"])
+    if not far > near > 0:
+        raise ValueError(f"{row['file']}: apex_y must lie below bottom_row, and that below top_row")
+    return FanGeometry.fan(
+        2 * half,
+        apex_x_px=float(row["apex_x"]),
+        apex_y_px=apex_y,
+        # The last row that has echoes is where the near arc meets the edges of the sector.
+        near_px=near / math.cos(half),
+        far_px=far,
+        x_scale=squeeze,
+    )
