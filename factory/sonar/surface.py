@@ -70,11 +70,14 @@ class LitSurface:
     def insonified(self) -> Insonified:
         """Its echoes; found once, when something first asks for them."""
         found = insonified(self.frame, self.rendered, self.window, self.sonar)
-        if not self.conical:
-            return found
         echoes = found.echoes
-        bearing = np.arcsin(np.sin(echoes.azimuth_rad) * np.cos(echoes.elevation_rad))
-        return found._replace(echoes=replace(echoes, azimuth_rad=bearing))
+        if not self.sonar.mount.colocated:
+            weight = mount_weight(self.frame, self.sonar.mount, 2).reshape(-1)
+            echoes = replace(echoes, strength=echoes.strength * weight[found.pixel])
+        if self.conical:
+            bearing = np.arcsin(np.sin(echoes.azimuth_rad) * np.cos(echoes.elevation_rad))
+            echoes = replace(echoes, azimuth_rad=bearing)
+        return found._replace(echoes=echoes)
 
 
 def extent(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Extent:
@@ -109,9 +112,6 @@ def insonified(
     placed = (np.float32(half_vfov_rad), *polar.grid(window, sonar), gain_power)
     count = echo_loops.insonified(*(*_pixels(frame, rendered, sonar), *placed, *made, pixel, hit))
     echoes = Echoes(*(values[:count] for values in made))
-    if not sonar.mount.colocated:
-        weight = mount_weight(frame, sonar.mount, 2).reshape(-1)
-        echoes = replace(echoes, strength=echoes.strength * weight[pixel[:count]])
     in_bins = hit[:-1].reshape(sonar.range_bins, sonar.beams)
     return Insonified(echoes, pixel[:count], in_bins)
 
