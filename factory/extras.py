@@ -25,6 +25,7 @@ EXTRAS = {
     "optuna": "report",
     "pyarrow": "report",
     "skimage": "report",
+    "jinja2": "report",
     "distributed": "cluster",
     "webdataset": "export",
     "hdf5plugin": "zstd",
