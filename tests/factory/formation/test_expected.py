@@ -97,7 +97,7 @@ def test_what_does_not_fluctuate_is_shown_as_it_is() -> None:
 
 
 def test_restored_has_no_systematic_effect_and_mean_log_has_them() -> None:
-    made = {}
+    made: dict[tuple[str, int], Any] = {}
     for target in ("mean_log", "restored"):
         for effect in ({}, {"receiver": {"level_db": 30}, "tvg_error": {"db_per_decade": -40}}):
             settings = config(

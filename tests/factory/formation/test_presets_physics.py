@@ -117,8 +117,9 @@ def test_signal_to_noise_does_not_depend_on_the_sampling(device):
     beams, bins = base.sonar.beams, base.sonar.range_bins
     plain = replace(base, sonar=replace(base.sonar, beam_azimuths_deg=None))
     level_db = signal_to_noise_db(plain)
-    for more in ({"range_bins": 2 * bins}, {"beams": 2 * beams}, {"range_bins": bins // 2}):
-        finer = replace(plain, sonar=replace(plain.sonar, **more))
+    for more_bins, more_beams in ((2 * bins, beams), (bins, 2 * beams), (bins // 2, beams)):
+        sonar = replace(plain.sonar, range_bins=more_bins, beams=more_beams)
+        finer = replace(plain, sonar=sonar)
         assert signal_to_noise_db(finer) == pytest.approx(level_db, abs=0.2)
 
 
