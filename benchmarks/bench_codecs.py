@@ -28,7 +28,7 @@ def measure(options: Options) -> Section:
     """A row for each codec; the factory's own pairs, a shard of all of them."""
     config = picture_config()
     pairs = list(islice(procedural_pairs(config), options.amount(30, 3)))
-    axes, names = image_axes(config.sonar), columns(config.noise)
+    axes, names = image_axes(config.sonar), columns(config.noise, config.acoustics.formation)
     found: dict[str, tuple[float, float, float, float]] = {}
     for codec, settings in CODECS.items():
         with tempfile.TemporaryDirectory() as folder:

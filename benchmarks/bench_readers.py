@@ -95,7 +95,7 @@ def _dataset(
             f"train/shard-{shard:05d}.h5",
             (pairs[(shard + number) % len(pairs)] for number in range(per_shard)),
             image_axes(config.sonar),
-            columns(config.noise),
+            columns(config.noise, config.acoustics.formation),
             PROVENANCE,
             DatasetSettings(compression=compression),
         )

@@ -98,6 +98,12 @@ class FactoryConfig:
                 f"noise.{on_field[0]} acts on the complex field; set acoustics=field, or "
                 "leave it out (noise=simnfnd)"
             )
+        if self.acoustics.formation == "field" and self.render.bounces:
+            raise ValueError(
+                "render.bounces adds the brightness of echoes of echoes without their delay; with "
+                "acoustics.formation=field set render.bounces=0 (noise.bottom_multipath and "
+                "noise.surface_multipath have the delay)"
+            )
         if self.acoustics.formation == "field" and moving:
             raise ValueError(
                 f"noise.{moving[0]} moves points, and acoustics.formation=field has none; "

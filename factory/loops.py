@@ -6,6 +6,7 @@ import importlib
 
 LOOPS = (
     "simnfnd.factory.formation.field.cell_loops",
+    "simnfnd.factory.formation.field.display_loops",
     "simnfnd.factory.formation.field.kernels",
     "simnfnd.factory.formation.field.placing",
     "simnfnd.factory.formation.field.world_loops",

@@ -28,7 +28,7 @@ from simnfnd.factory.renders.views import Views, open_views
 from simnfnd.factory.sonar import polar, surface, transfer
 from simnfnd.factory.sonar.fan import lay_out, lay_out_nearest
 from simnfnd.factory.sonar.window import Window
-from simnfnd.factory.sonar.window_fit import fit_window
+from simnfnd.factory.sonar.window_fit import conical, fit_window
 from simnfnd.factory.workers.memory import keep_freed_memory
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class PairMaker:
 
     def columns(self) -> tuple[Column, ...]:
         """Columns of the sample table."""
-        return columns(self.config.noise)
+        return columns(self.config.noise, self.config.acoustics.formation)
 
     def pairs(
         self, ref: FrameRef, variants: tuple[int, ...], noise: NoiseSettings | None = None
@@ -102,7 +102,10 @@ def observe(frame: Frame, rendered: Rendered, config: FactoryConfig) -> Observed
         window = fit_window(surface.extent(frame, rendered, sonar), sonar)
     except FrameError as error:
         raise FrameError(f"{frame.ref.name}: {error}") from error
-    lit = surface.LitSurface(frame, rendered, window, sonar)
+    cones = config.acoustics.formation == "field"
+    if cones:
+        window = conical(window, sonar)
+    lit = surface.LitSurface(frame, rendered, window, sonar, cones)
     scene = FORMATIONS[config.acoustics.formation](lit, config)
     shadow = ~polar.covered(scene.filled) & polar.seen_beams(window, sonar)
     behind = truth.pictures(config.dataset.layers, lit)
@@ -133,6 +136,14 @@ def make_pair(observed: ObservedFrame, variant: int, config: FactoryConfig) -> P
         noisy=picture(sample.noisy(draws.names)),
         clean=picture(sample.clean),
         shadow=observed.shadow,
-        record=record(observed.ref, variant, observed.window, config.sonar, sample, draws),
+        record=record(
+            observed.ref,
+            variant,
+            observed.window,
+            config.sonar,
+            sample,
+            draws,
+            config.acoustics.formation,
+        ),
         layers=layers,
     )

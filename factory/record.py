@@ -36,11 +36,22 @@ _SCENE = (
     Column("points.scene", "i8", "1", "scene points in the pictures"),
     Column("full_scale", "f8", "1", "echo level shown as grey value 1"),
 )
+_TARGET = Column(
+    "clean_full_scale",
+    "f8",
+    "1",
+    "level shown as grey value 1 in the clean picture, in the unit of its target: echo intensity; "
+    "radiometric: backscatter",
+)
 
 
-def columns(noise: NoiseSettings) -> tuple[Column, ...]:
-    """Columns of the sample table: a parameter that was not drawn (effect off) is NaN or empty."""
-    return _WHAT + _WINDOW + _SCENE + drawn.columns(noise)
+def columns(noise: NoiseSettings, formation: str = "points") -> tuple[Column, ...]:
+    """Columns of the sample table: a parameter that was not drawn (effect off) is NaN or empty.
+
+    formation: acoustics.formation; pictures of points have one scale for clean and noisy.
+    """
+    target = (_TARGET,) if formation == "field" else ()
+    return _WHAT + _WINDOW + _SCENE + target + drawn.columns(noise)
 
 
 def record(
@@ -50,6 +61,7 @@ def record(
     sonar: SonarSettings,
     sample: Sample,
     draws: Draws,
+    formation: str = "points",
 ) -> dict[str, float | int | str]:
     """The row of one sample."""
     key = seeds.spawn_key(ref.location, ref.scene, ref.frame, variant)
@@ -67,6 +79,7 @@ def record(
         "resample.rate": sample.rate,
         "points.scene": sample.points,
         "full_scale": sample.full_scale,
+        **({"clean_full_scale": sample.clean_full_scale} if formation == "field" else {}),
         **draws.row(sample.added),
     }
 

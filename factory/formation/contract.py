@@ -38,6 +38,13 @@ class DrawnEffect(Protocol):
     def moves(self) -> bool:
         """Of stage points: whether it displaces the scene's echoes; the others add some."""
 
+    @property
+    def systematic(self) -> bool:
+        """Whether it is there in every picture of a scene; the others average out."""
+
+    def expect(self, expected: Any, context: Any) -> None:
+        """Change expected intensities as it does on average; equal calls do the same."""
+
     def apply(self, subject: Any, context: Any) -> Any:
         """What it makes of `subject`; equal calls give equal results."""
 
@@ -83,7 +90,11 @@ class Sample(Protocol):
 
     @property
     def full_scale(self) -> float:
-        """Level that the noisy picture shows as grey value 1."""
+        """Echo intensity, after time-varying gain, that the noisy picture shows as grey value 1."""
+
+    @property
+    def clean_full_scale(self) -> float:
+        """The same of the clean picture, in the unit of its target."""
 
     @property
     def clean(self) -> Floats:

@@ -64,7 +64,7 @@ class PointScene:
             movable,
             voxel_size_m,
             clean_level,
-            transfer.full_scale(clean_level, config.sonar.transfer),
+            transfer.full_scale(clean_level, config.sonar.transfer, "intensity"),
             effect_clouds(effects, kept, movable, self.window),
         )
 
@@ -93,9 +93,14 @@ class PointSample:
         return {cloud.name: len(cloud.echoes) for cloud in self.clouds}
 
     @property
+    def clean_full_scale(self) -> float:
+        """See `contract.Sample`."""
+        return self.full_scale
+
+    @property
     def clean(self) -> Floats:
         """See `contract.Sample`."""
-        return transfer.grey(self.clean_level, self.full_scale, self.sonar.transfer)
+        return transfer.grey(self.clean_level, self.full_scale, self.sonar.transfer, "intensity")
 
     def noisy(self, effects: Collection[str]) -> Floats:
         """See `contract.Sample`."""
@@ -104,7 +109,7 @@ class PointSample:
         if self.voxel_size_m is not None:
             echoes = [resample.voxel(join(*echoes), self.voxel_size_m)]
         level = _image_level(echoes, self.window, self.sonar)
-        return transfer.grey(level, self.full_scale, self.sonar.transfer)
+        return transfer.grey(level, self.full_scale, self.sonar.transfer, "intensity")
 
 
 def observe(surface: LitSurface, config: FactoryConfig) -> PointScene:

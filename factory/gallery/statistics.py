@@ -89,7 +89,7 @@ def profiles() -> Iterator[tuple[str, Statistics]]:
     ]
     yield "`experiment=simnfnd`, median of 16 pictures", Statistics(*middle)
     off = [f"noise.{name}.enabled=false" for name in FIELD_EFFECTS]
-    grain = ["noise.speckle.enabled=true", "noise.speckle.scatterer_m=0.004"]
+    grain = ["noise.speckle.enabled=true"]
     yield "`experiment=physical`, speckle alone", _of(_field([*off, *grain]))
     k = [*off, *grain, "noise.texture={enabled: true, shape: 5, patch_m: 0.005}"]
     yield "`experiment=physical`, speckle and texture of nu = 5", _of(_field(k))

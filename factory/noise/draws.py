@@ -73,6 +73,16 @@ class DrawnEffect:
         """See `Effect`."""
         return self.effect.moves
 
+    @property
+    def systematic(self) -> bool:
+        """See `Effect`."""
+        return self.effect.systematic
+
+    def expect(self, expected: Any, context: Any) -> None:
+        """Change expected intensities as the effect does on average.  See `Effect`."""
+        if self.effect.expected is not None:
+            self.effect.expected(expected, context, self.stream(), **self.parameters)
+
     def stream(self) -> np.random.Generator:
         """Its random stream, from the beginning."""
         return seeds.stream(self.seed, "noise", self.name, *self.stream_names)

@@ -61,6 +61,11 @@ class Effect:
     scope: what shares one draw and one random stream: a sample; all frames of a recording (the
         device's own effects); or "world", a recording whose frames have poses, else a sample.
     moves: of stage points, displaces the scene's own echoes; the others add echoes to them.
+    systematic: it is there in every picture of a scene and device, and target mean_log keeps it;
+        the others are random and average out.
+    expected: of the field's effects, what it does on average: changes a `field.expected.Expected`
+        in place, `(expected, ping, rng, **parameters)`, with the random stream of `function`.
+        None: nothing.
     """
 
     settings: type[EffectSettings]
@@ -68,6 +73,8 @@ class Effect:
     stage: Stage
     scope: Scope = "sample"
     moves: bool = False
+    systematic: bool = False
+    expected: Callable[..., None] | None = None
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:

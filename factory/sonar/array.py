@@ -2,7 +2,10 @@
 
 A tapered aperture and a tapered spectrum have the same response, the Fourier transform of the
 taper.  Its argument is 1 at the first null of the untapered one: (L / lambda) sin(theta) for an
-array of length L, range / (c / 2B) for a pulse of bandwidth B.
+array of length L, range / (c / 2B) for an unshaded pulse of bandwidth B.
+
+`equivalent_width` of a taper is the integral of its squared response: what it receives of echoes
+that are the same everywhere, over its peak.
 """
 
 from __future__ import annotations
@@ -22,7 +25,10 @@ from simnfnd.factory.settings import STRICT
 Floats = npt.NDArray[np.float64]
 WindowName = Literal["uniform", "hann", "hamming", "taylor", "chebyshev"]
 
+# Fewest elements of an array.  N of them repeat their response N nulls away (grating lobes), so
+# there are more where a sector reaches further than half of that.
 _ELEMENTS = 256
+_CHUNK = 4096
 _STEPS = 128
 _DECIBELS_KEPT = 60.0
 
@@ -43,7 +49,9 @@ class Taper:
 class ArraySettings:
     """Keys of `sonar.array`: what the device resolves; for acoustics.formation=field alone.
 
-    bandwidth_khz: of the pulse; range resolution is c / 2B (B = 30 kHz resolves 2.5 cm).
+    bandwidth_khz: of the pulse; range resolution is c / 2B (B = 30 kHz resolves 2.5 cm).  A shaded
+        spectrum is so much wider that the pulse's -3 dB width is that of the unshaded one, 0.886
+        times the resolution.
     beamwidth_deg: -3 dB width of a receive beam straight ahead, one way; the vertical one is
         sonar.vfov_deg.
     source_level_db: dB re 1 uPa at 1 m; decides how far echoes stand above the receiver's noise.
@@ -59,21 +67,21 @@ class ArraySettings:
 
 
 @lru_cache(maxsize=32)
-def weights(taper: Taper) -> Floats:
-    """(256,) shading of the elements, sum 1."""
+def weights(taper: Taper, elements: int = _ELEMENTS) -> Floats:
+    """(elements,) shading of the elements, sum 1."""
     from scipy.signal import windows  # 0.3 s to import
 
     if taper.window == "uniform":
-        shading = np.ones(_ELEMENTS)
+        shading = np.ones(elements)
     elif taper.window == "taylor":
-        shading = windows.taylor(_ELEMENTS, nbar=8, sll=taper.sidelobe_db, norm=True)
+        shading = windows.taylor(elements, nbar=8, sll=taper.sidelobe_db, norm=True)
     elif taper.window == "chebyshev":
         with warnings.catch_warnings():
             # Warns that it is no window for spectra, which this is not.
             warnings.simplefilter("ignore", UserWarning)
-            shading = windows.chebwin(_ELEMENTS, taper.sidelobe_db)
+            shading = windows.chebwin(elements, taper.sidelobe_db)
     else:
-        shading = windows.get_window(taper.window, _ELEMENTS, fftbins=False)
+        shading = windows.get_window(taper.window, elements, fftbins=False)
     return np.asarray(shading / shading.sum())
 
 
@@ -82,12 +90,25 @@ def response(argument: npt.ArrayLike, taper: Taper) -> Floats:
 
     Any shape.  For the uniform window it is the normalised sinc (Urick 1983, ch. 3).
     """
-    position = (np.arange(_ELEMENTS) + 0.5) / _ELEMENTS - 0.5
     given = np.abs(np.asarray(argument, np.float64))
+    elements = _ELEMENTS
+    while elements < 2 * given.max(initial=0):
+        elements *= 2
     # The elements are symmetric, so half of them tell all.
-    half = slice(_ELEMENTS // 2, None)
-    phase = 2 * np.pi * given[..., None] * position[half]
-    return np.asarray(np.cos(phase) @ (2 * weights(taper)[half]))
+    half = slice(elements // 2, None)
+    position = ((np.arange(elements) + 0.5) / elements - 0.5)[half]
+    shading = 2 * weights(taper, elements)[half]
+    found = np.empty(given.size)
+    for first in range(0, given.size, _CHUNK):
+        some = given.reshape(-1)[first : first + _CHUNK, None]
+        found[first : first + _CHUNK] = np.cos(2 * np.pi * some * position) @ shading
+    return found.reshape(given.shape)
+
+
+@lru_cache(maxsize=32)
+def equivalent_width(taper: Taper) -> float:
+    """Integral of the squared response over its argument; 1 for the uniform window (Parseval)."""
+    return float(_ELEMENTS * (weights(taper) ** 2).sum())
 
 
 @lru_cache(maxsize=32)
@@ -130,9 +151,9 @@ def range_kernel(bin_m: float, array: ArraySettings, speed_m_s: float) -> npt.ND
     bin_m: length of a range bin.  Left out: what lies 60 dB below the peak.  A single 1 when the
     bins are far longer than the pulse.
     """
-    resolution_m = range_resolution_m(array, speed_m_s)
-    reach = max(int(np.ceil(6 * resolution_m / bin_m)), 1)
-    amplitude = response(np.arange(-reach, reach + 1) * bin_m / resolution_m, array.pulse)
+    null_m = _pulse_scale_m(array, speed_m_s)
+    reach = max(int(np.ceil(6 * null_m / bin_m)), 1)
+    amplitude = response(np.arange(-reach, reach + 1) * bin_m / null_m, array.pulse)
     kept = np.flatnonzero(np.abs(amplitude) >= 10 ** (-_DECIBELS_KEPT / 20))
     # Taps at nulls lie within the kernel; only its ends are cut.
     amplitude = amplitude[kept[0] : kept[-1] + 1]
@@ -144,6 +165,26 @@ def range_resolution_m(array: ArraySettings, speed_m_s: float) -> float:
     return speed_m_s / (2 * 1000 * array.bandwidth_khz)
 
 
+def pulse_length_m(array: ArraySettings, speed_m_s: float) -> float:
+    """Equivalent length of the compressed pulse along range, metres."""
+    return _pulse_scale_m(array, speed_m_s) * equivalent_width(array.pulse)
+
+
+def _pulse_scale_m(array: ArraySettings, speed_m_s: float) -> float:
+    """Range at which the argument of the pulse's response is 1, metres.
+
+    At this scale the -3 dB width is that of an unshaded pulse of the same bandwidth.
+    """
+    wider = half_power(Taper(window="uniform")) / half_power(array.pulse)
+    return range_resolution_m(array, speed_m_s) * wider
+
+
+def beam_width_sine(array: ArraySettings) -> float:
+    """Equivalent width of a receive beam, one way, in sines of the bearing."""
+    length = aperture_wavelengths(array.beamwidth_deg, array.horizontal)
+    return equivalent_width(array.horizontal) / length
+
+
 def vertical_pattern(sine: Floats, vfov_deg: float, array: ArraySettings) -> Floats:
     """Two-way intensity pattern at the sine of the elevation; 1 straight ahead, 1/4 at vfov / 2.
 
@@ -153,7 +194,14 @@ def vertical_pattern(sine: Floats, vfov_deg: float, array: ArraySettings) -> Flo
     return np.asarray(response(sine * length, array.vertical) ** 4)
 
 
+@lru_cache(maxsize=32)
+def vertical_width_rad(vfov_deg: float, array: ArraySettings) -> float:
+    """Equivalent two-way width of the vertical beam, radians: its pattern's integral."""
+    sine = np.linspace(-1, 1, 4097)
+    return float(np.trapz(vertical_pattern(sine, vfov_deg, array), sine))
+
+
 def directivity_db(array: ArraySettings, vfov_deg: float) -> float:
-    """Receive directivity index of one beam, dB: 4 pi over its solid angle."""
-    solid_angle = np.deg2rad(array.beamwidth_deg) * 2 * np.sin(np.deg2rad(vfov_deg) / 2)
-    return float(10 * np.log10(4 * np.pi / solid_angle))
+    """Receive directivity index of one beam, dB: 4 pi over its equivalent solid angle."""
+    upright = equivalent_width(array.vertical) / aperture_wavelengths(vfov_deg, array.vertical)
+    return float(10 * np.log10(4 * np.pi / (beam_width_sine(array) * min(upright, 2))))

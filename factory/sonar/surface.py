@@ -5,7 +5,7 @@ A pixel's point is P = z K^-1 (u, v, 1)^T (Yang et al. 2024, Eq. 2), seen from t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -16,8 +16,12 @@ from simnfnd.factory.frame import Frame
 from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.sonar import polar
 from simnfnd.factory.sonar.echoes import Echoes
+from simnfnd.factory.sonar.mount import Mount
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.factory.sonar.window import Window
+
+# Beyond this a surface is seen edge on and its area is not known.
+_GRAZING_COSINE = 0.05
 
 Pixels = npt.NDArray[np.int32]
 
@@ -50,17 +54,30 @@ class Insonified(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LitSurface:
-    """A rendered frame behind a window of the sonar."""
+    """A rendered frame behind a window of the sonar.
+
+    conical: whether the sonar's beams are cones about a line of elements, not vertical planes;
+        azimuths of echoes are then bearings, sin(bearing) = sin(azimuth) cos(elevation).
+    """
 
     frame: Frame
     rendered: Rendered
     window: Window
     sonar: SonarSettings
+    conical: bool = False
 
     @cached_property
     def insonified(self) -> Insonified:
         """Its echoes; found once, when something first asks for them."""
-        return insonified(self.frame, self.rendered, self.window, self.sonar)
+        found = insonified(self.frame, self.rendered, self.window, self.sonar)
+        echoes = found.echoes
+        if not self.sonar.mount.colocated:
+            weight = mount_weight(self.frame, self.sonar.mount, 2).reshape(-1)
+            echoes = replace(echoes, strength=echoes.strength * weight[found.pixel])
+        if self.conical:
+            bearing = np.arcsin(np.sin(echoes.azimuth_rad) * np.cos(echoes.elevation_rad))
+            echoes = replace(echoes, azimuth_rad=bearing)
+        return found._replace(echoes=echoes)
 
 
 def extent(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Extent:
@@ -97,6 +114,29 @@ def insonified(
     echoes = Echoes(*(values[:count] for values in made))
     in_bins = hit[:-1].reshape(sonar.range_bins, sonar.beams)
     return Insonified(echoes, pixel[:count], in_bins)
+
+
+def mount_weight(frame: Frame, mount: Mount, exponent: float) -> npt.NDArray[np.float32]:
+    """(H, W) float32: what the render times a pixel's solid angle lacks of the sonar's echo.
+
+    The render is albedo cos_s / r_s^2 with the sonar's incidence and range, a pixel sees the area
+    r_c^2 dO / cos_c with the camera's, and backscatter by cos_s^n leaves cos_s^n / r_s^4 of it:
+    cos_s^(n - 1) / cos_c (r_c / r_s)^2.
+    """
+    from simnfnd.factory.render.cloud import back_project, normals
+
+    points_m = back_project(frame.depth_m, frame.intrinsics)
+    # Frames of a cache have lost what was no surface, so every neighbour here may be joined.
+    normal = normals(points_m, 0.1)
+    camera_m2 = np.maximum(np.einsum("hwc,hwc->hw", points_m, points_m), np.float32(1e-12))
+    cosine_camera = -np.einsum("hwc,hwc->hw", normal, points_m) / np.sqrt(camera_m2)
+    to_sonar_m = mount.position_camera_m().astype(np.float32) - points_m
+    sonar_m2 = np.maximum(np.einsum("hwc,hwc->hw", to_sonar_m, to_sonar_m), np.float32(1e-12))
+    cosine = np.einsum("hwc,hwc->hw", normal, to_sonar_m) / np.sqrt(sonar_m2)
+    cosine_camera = np.maximum(cosine_camera, np.float32(_GRAZING_COSINE))
+    cosine = np.maximum(cosine, np.float32(_GRAZING_COSINE))
+    power = np.float32(exponent - 1)
+    return np.asarray(cosine**power / cosine_camera * (camera_m2 / sonar_m2), np.float32)
 
 
 def _pixels(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> tuple[Any, ...]:

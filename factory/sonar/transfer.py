@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.sonar.quantile import quantiles
 from simnfnd.factory.sonar.settings import TransferSettings
 
+# What a level is: decibels are 20 log10 of an amplitude, 10 log10 of an intensity.
+Quantity = Literal["amplitude", "intensity"]
+_DECIBELS = {"amplitude": 20, "intensity": 10}
 
-def full_scale(clean: npt.NDArray[np.floating], transfer: TransferSettings) -> float:
+
+def full_scale(
+    clean: npt.NDArray[np.floating], transfer: TransferSettings, quantity: Quantity = "amplitude"
+) -> float:
     """The echo level that becomes grey value 1, from the clean polar image.
 
     `transfer.percentile` of its echoing bins maps to grey value `transfer.reference`.
@@ -20,21 +28,27 @@ def full_scale(clean: npt.NDArray[np.floating], transfer: TransferSettings) -> f
         return 1.0
     (level,) = quantiles(levels, (transfer.percentile / 100,), skip=silent)
     if transfer.kind == "log":
-        return level * 10 ** ((1 - transfer.reference) * transfer.dynamic_range_db / 20)
+        headroom_db = (1 - transfer.reference) * transfer.dynamic_range_db
+        return level * 10 ** (headroom_db / _DECIBELS[quantity])
     return level / transfer.reference ** (1 / transfer.exponent if transfer.kind == "power" else 1)
 
 
 def grey(
-    level: npt.NDArray[np.floating], full_scale_level: float, transfer: TransferSettings
+    level: npt.NDArray[np.floating],
+    full_scale_level: float,
+    transfer: TransferSettings,
+    quantity: Quantity = "amplitude",
 ) -> npt.NDArray[np.float32]:
     """Grey values in [0, 1], float32, same shape.
 
-    log: y = clip((20 log10(A / A_ref) + DR) / DR, 0, 1) with DR = dynamic_range_db.
+    log: y = clip((20 log10(A / A_ref) + DR) / DR, 0, 1) with DR = dynamic_range_db; 10 log10 of
+    intensities, which the paper's points add up.
     """
     relative = np.asarray(level, dtype=np.float32) / np.float32(full_scale_level)
     if transfer.kind == "log":
-        floor = 10 ** (-transfer.dynamic_range_db / 20)
-        decibel = 20 * np.log10(np.maximum(relative, floor))
+        per_decade = _DECIBELS[quantity]
+        floor = 10 ** (-transfer.dynamic_range_db / per_decade)
+        decibel = per_decade * np.log10(np.maximum(relative, floor))
         relative = 1 + decibel / transfer.dynamic_range_db
     elif transfer.kind == "power":
         relative = relative**transfer.exponent

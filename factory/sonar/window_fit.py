@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from simnfnd.factory.errors import FrameError
 from simnfnd.factory.sonar.quantile import quantiles
@@ -33,3 +34,21 @@ def fit_window(surface: Extent, sonar: SonarSettings) -> Window:
         steps = math.floor(_NEAR_STEPS * 0.95 * low / far)
         near = max(near, min(steps, _NEAR_STEPS - 1) / _NEAR_STEPS * far)
     return Window(sonar.projection, near, far, surface.azimuth_min_rad, surface.azimuth_max_rad)
+
+
+def conical(window: Window, sonar: SonarSettings) -> Window:
+    """The same window for beams that are cones: bearings that the camera saw at all elevations.
+
+    An edge of the camera's view at azimuth a is at bearing arcsin(sin a cos e) for elevation e.  An
+    edge of the device's own sector stays, for the camera sees beyond it.
+    """
+    half_rad = math.radians(sonar.hfov_deg) / 2
+    narrower = math.cos(math.radians(sonar.vfov_deg) / 2)
+
+    def bearing(azimuth_rad: float) -> float:
+        if abs(azimuth_rad) >= 0.999 * half_rad:
+            return azimuth_rad
+        return math.asin(math.sin(azimuth_rad) * narrower)
+
+    edges = bearing(window.azimuth_min_rad), bearing(window.azimuth_max_rad)
+    return replace(window, azimuth_min_rad=edges[0], azimuth_max_rad=edges[1])

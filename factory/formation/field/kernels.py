@@ -167,11 +167,11 @@ def out_of_modes(modes: Floats, even: Floats, odd: Floats, out: Floats) -> None:
         _unfold(alike, unlike, row, pairs, out)
 
 
-@compiled("void(uint32, float32[:, ::1], float32[::1], float32[:, :, ::1])")
-def add_white(key: int, table: Floats, amplitude: Floats, planes: Floats) -> None:
-    """Add complex circular noise of these amplitudes a row, a function of the key and the place.
+@compiled("void(uint32, float32[:, ::1], float32[::1], float32[::1], float32[:, :, ::1])")
+def add_white(key: int, table: Floats, along: Floats, across: Floats, planes: Floats) -> None:
+    """Add complex circular noise, a function of the key and the place.
 
-    planes: (2, rows, beams).
+    along, across: its amplitude is their product, (rows,) and (beams,).  planes: (2, rows, beams).
     """
     rows, beams = planes.shape[1:]
     drawn = np.empty(beams, np.uint32)
@@ -180,10 +180,11 @@ def add_white(key: int, table: Floats, amplitude: Floats, planes: Floats) -> Non
         for beam in range(beams):
             place = np.uint32(first + np.uint32(beam))
             drawn[beam] = mixed(np.uint32(mixed(place) ^ key)) >> _16
-        real, imaginary, level = planes[0, row], planes[1, row], amplitude[row]
+        real, imaginary, level = planes[0, row], planes[1, row], along[row]
         for beam in range(beams):
-            real[beam] += level * table[drawn[beam], 0]
-            imaginary[beam] += level * table[drawn[beam], 1]
+            amplitude = level * across[beam]
+            real[beam] += amplitude * table[drawn[beam], 0]
+            imaginary[beam] += amplitude * table[drawn[beam], 1]
 
 
 @compiled("void(float32[:, :, :, ::1], float32[:, ::1])")

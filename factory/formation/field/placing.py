@@ -23,12 +23,14 @@ def directions(
     down: float,
     rotation: Floats,
     position_m: Floats,
-    tangent: Floats,
+    bearing: Floats,
     sine: Floats,
 ) -> None:
-    """Tangent of the azimuth and sine of the elevation of a row of pixels.
+    """Sines of the bearing and of the elevation of a row of pixels.
 
-    What lies behind the sonar has a tangent beyond every sector, and NaN without depth.
+    A line of elements tells apart the angles to itself alone, so its beams are cones:
+    sin(bearing) = sin(azimuth) cos(elevation).  What lies behind the sonar has a bearing beyond
+    every sector, and NaN without depth.
     """
     # Local names: the compiler then knows that what it writes changes none of them.
     a0, a1, a2 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
@@ -41,8 +43,9 @@ def directions(
         x = a0 * x_ + a1 * y_ + a2 * z_
         y = b0 * x_ + b1 * y_ + b2 * z_
         up = c0 * x_ + c1 * y_ + c2 * z_
-        tangent[column] = -y / x if x > 0 else np.float32(np.inf)
-        sine[column] = up / np.sqrt(x * x + y * y + up * up)
+        per_range = np.float32(1) / np.sqrt(x * x + y * y + up * up)
+        bearing[column] = -y * per_range if x > 0 else np.float32(np.inf)
+        sine[column] = up * per_range
 
 
 @compiled()
@@ -105,7 +108,7 @@ def far_ends(
 @compiled()
 def heard(
     value: Floats,
-    tangent: Floats,
+    bearing: Floats,
     start: Floats,
     end: Floats,
     low: float,
@@ -118,7 +121,7 @@ def heard(
     zero, beyond, count = np.float32(0), np.float32(rows), np.uint32(0)
     for column in range(value.shape[0]):
         near, far = min(start[column], end[column]), max(start[column], end[column])
-        inside = (value[column] > zero) & (low <= tangent[column]) & (tangent[column] < high)
+        inside = (value[column] > zero) & (low <= bearing[column]) & (bearing[column] < high)
         lit[column] = np.uint8(inside & (far >= zero) & (near < beyond))
     for column in range(value.shape[0]):
         columns[count] = column
@@ -147,7 +150,7 @@ def place(
     ground_range: bool,
     near_m: float,
     bins_per_m: float,
-    tangents: Floats,
+    edges: Floats,
     first_beam: npt.NDArray[np.int32],
     beam_scale: float,
     pattern: Floats,
@@ -171,7 +174,7 @@ def place(
     the last of those beyond, too.
     factor: (H, W) multiplies the radiance, or (0, 0).
     across, down: (u - cx) / fx, (v - cy) / fy.  rotation, position_m: sonar axes from camera axes.
-    tangents: (beams + 1,) tangents of the beams' edges; first_beam, beam_scale: a table that says
+    edges: (beams + 1,) sines of the beams' edges; first_beam, beam_scale: a table that says
     where in it to begin.  pattern: vertical intensity pattern at equal steps of sin(elevation) from
     -1 to 1.
     power, owner: (bins,) out, summed power and last pixel of a bin (-1: none).  in_beam: (bins,)
@@ -180,13 +183,13 @@ def place(
     below, 0 to 1.  row_end: (H,) out, how many scatterers there are up to the end of each row.
     """
     height, width = depth_m.shape
-    beams = tangents.shape[0] - 1
+    beams = edges.shape[0] - 1
     rows = power.shape[0] // beams
     steps = pattern.shape[0] - 1
-    low, high = tangents[0], tangents[beams]
+    low, high = edges[0], edges[beams]
     half_steps, one, tiny = np.float32(0.5 * steps), np.float32(1), np.float32(1e-6)
     # A row at a time: first what a processor does for many pixels at once, then the rest.
-    tangent_of, bin_row_of = np.empty((2, width), np.float32), np.empty((2, width), np.float32)
+    bearing_of, bin_row_of = np.empty((2, width), np.float32), np.empty((2, width), np.float32)
     sine_of, value_of = np.empty((2, width), np.float32), np.empty((2, width), np.float32)
     end_of, columns = np.empty(width, np.float32), np.empty(width, np.uint32)
     lit, last_label = np.empty(width, np.uint8), np.uint32(reflectivity.shape[0] - 1)
@@ -197,7 +200,7 @@ def place(
         if row < height:
             directions(
                 depth_m[row], across, down[row], rotation, position_m,
-                tangent_of[now], sine_of[now],
+                bearing_of[now], sine_of[now],
             )  # fmt: skip
             strengths(
                 depth_m[row], radiance[row], across, down[row], position_m, ground_up, near_m,
@@ -206,7 +209,7 @@ def place(
         if row == 0:
             continue
         above = row - 1
-        tangents_, starts = tangent_of[before], bin_row_of[before]
+        bearings, starts = bearing_of[before], bin_row_of[before]
         sines, values = sine_of[before], value_of[before]
         if row < height:
             far_ends(
@@ -215,15 +218,15 @@ def place(
             )  # fmt: skip
         else:
             end_of[:] = starts
-        kept = heard(values, tangents_, starts, end_of, low, high, rows, lit, columns)
+        kept = heard(values, bearings, starts, end_of, low, high, rows, lit, columns)
         for at in range(kept):
             column = columns[at]
-            value, tangent = values[column], tangents_[column]
+            value, bearing = values[column], bearings[column]
             start, end = starts[column], end_of[column]
             near, far = min(start, end), max(start, end)
-            guess = min(int((tangent - low) * beam_scale), first_beam.shape[0] - 1)
+            guess = min(int((bearing - low) * beam_scale), first_beam.shape[0] - 1)
             beam = first_beam[np.uint32(guess)]
-            while tangent >= tangents[np.uint32(beam + 1)]:
+            while bearing >= edges[np.uint32(beam + 1)]:
                 beam += 1
             sine = (sines[column] + one) * half_steps
             central = abs(sines[column]) <= widest_sine

@@ -25,13 +25,12 @@ from simnfnd.factory.frame import Frame
 from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.sonar.acoustics import WaterSettings
 from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.factory.sonar.surface import mount_weight
 from simnfnd.factory.sonar.window import Window
 
 Floats = npt.NDArray[np.float32]
 
 _BEAM_STEPS = 16_384
-# Beyond this a surface is seen edge on and its area is not known.
-_GRAZING_COSINE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +127,7 @@ def shares(
     from simnfnd.factory.formation.field import cell_loops
 
     made = np.empty(len(names), np.float32)
-    table = np.zeros((1 << len(names).bit_length(), 2), np.uint32)
+    table = np.zeros((1 << (1 + len(names).bit_length()), 2), np.uint32)
     cell_loops.count(names, places, ends, table, made)
     return made
 
@@ -151,7 +150,7 @@ def scatterers(
     from simnfnd.factory.formation.field import placing
 
     across, down = _directions(frame)
-    tangents, first_beam = _beam_table(sonar)
+    edges, first_beam = _beam_table(sonar)
     size = sonar.range_bins * sonar.beams
     power, owner = np.zeros(size, np.float32), np.full(size, -1, np.int32)
     in_beam = np.zeros(size, np.bool_)
@@ -173,9 +172,9 @@ def scatterers(
         window.projection == "top_view",
         window.range_min_m,
         sonar.range_bins / window.range_span_m,
-        tangents,
+        edges,
         first_beam,
-        _BEAM_STEPS / float(tangents[-1] - tangents[0]),
+        _BEAM_STEPS / float(edges[-1] - edges[0]),
         _pattern(sonar, patterned),
         power,
         in_beam,
@@ -233,25 +232,7 @@ def _factor(frame: Frame, sonar: SonarSettings, acoustics: AcousticsSettings) ->
     """(H, W): what the render lacks for other exponents than 2 or a sonar elsewhere, or (0, 0)."""
     if acoustics.lambert_exponent == 2 and sonar.mount.colocated:
         return np.empty((0, 0), np.float32)
-    return _area_and_exponent(frame, sonar, acoustics)
-
-
-def _area_and_exponent(frame: Frame, sonar: SonarSettings, acoustics: AcousticsSettings) -> Floats:
-    """(H, W) cos_sonar^(n - 1) / cos_camera * (r_camera / r_sonar)^2; see the top of this file."""
-    from simnfnd.factory.render.cloud import back_project, normals
-
-    points_m = back_project(frame.depth_m, frame.intrinsics)
-    # Frames of a cache have lost what was no surface, so every neighbour here may be joined.
-    normal = normals(points_m, 0.1)
-    camera_m2 = np.maximum(np.einsum("hwc,hwc->hw", points_m, points_m), np.float32(1e-12))
-    cosine_camera = -np.einsum("hwc,hwc->hw", normal, points_m) / np.sqrt(camera_m2)
-    to_sonar_m = sonar.mount.position_camera_m().astype(np.float32) - points_m
-    sonar_m2 = np.maximum(np.einsum("hwc,hwc->hw", to_sonar_m, to_sonar_m), np.float32(1e-12))
-    cosine = np.einsum("hwc,hwc->hw", normal, to_sonar_m) / np.sqrt(sonar_m2)
-    cosine_camera = np.maximum(cosine_camera, np.float32(_GRAZING_COSINE))
-    cosine = np.maximum(cosine, np.float32(_GRAZING_COSINE))
-    exponent = np.float32(acoustics.lambert_exponent - 1)
-    return np.asarray(cosine**exponent / cosine_camera * (camera_m2 / sonar_m2), np.float32)
+    return mount_weight(frame, sonar.mount, acoustics.lambert_exponent)
 
 
 def _pattern(sonar: SonarSettings, patterned: bool) -> Floats:
@@ -264,12 +245,12 @@ def _pattern(sonar: SonarSettings, patterned: bool) -> Floats:
 
 @lru_cache(maxsize=8)
 def _beam_table(sonar: SonarSettings) -> tuple[Floats, npt.NDArray[np.int32]]:
-    """Tangents of the beams' edges, and the beam at each of equal steps of the tangent."""
+    """Sines of the beams' edges, and the beam at each of equal steps of the sine."""
     centres = sonar.beam_centres_rad()
     half = min(np.deg2rad(sonar.hfov_deg) / 2, np.deg2rad(89.9))
-    edges = np.concatenate([[-half], (centres[1:] + centres[:-1]) / 2, [half]])
-    tangents = np.tan(np.clip(edges, -half, half)).astype(np.float32)
-    steps = np.linspace(tangents[0], tangents[-1], _BEAM_STEPS + 1)[:-1]
-    # One step back, for float32 may put a tangent into the step before its own.
-    first = np.searchsorted(tangents, steps - (steps[1] - steps[0]), side="right") - 1
-    return tangents, np.clip(first, 0, sonar.beams - 1).astype(np.int32)
+    between = (centres[1:] + centres[:-1]) / 2
+    edges = np.sin(np.concatenate([[-half], between, [half]])).astype(np.float32)
+    steps = np.linspace(edges[0], edges[-1], _BEAM_STEPS + 1)[:-1]
+    # One step back, for float32 may put a sine into the step before its own.
+    first = np.searchsorted(edges, steps - (steps[1] - steps[0]), side="right") - 1
+    return edges, np.clip(first, 0, sonar.beams - 1).astype(np.int32)

@@ -19,11 +19,12 @@ import numpy.typing as npt
 
 from simnfnd.factory.formation.clouds import EffectCloud, effect_clouds
 from simnfnd.factory.formation.contract import DrawnEffect, Floats
+from simnfnd.factory.formation.field.expected import display, expected
 from simnfnd.factory.formation.field.received import received
 from simnfnd.factory.formation.field.scatterers import scatterers
 from simnfnd.factory.formation.field.settings import AcousticsSettings
 from simnfnd.factory.formation.field.signal import Ping, Receiver, beamform_power
-from simnfnd.factory.formation.field.targets import clean_picture
+from simnfnd.factory.formation.field.targets import Target, target
 from simnfnd.factory.sonar import polar, transfer
 from simnfnd.factory.sonar.surface import LitSurface
 
@@ -35,12 +36,12 @@ if TYPE_CHECKING:
 class FieldScene:
     """A frame as the device receives it; a `contract.Scene`.
 
-    clean: (range_bins, beams) float32 grey values of the clean picture.
+    target: what its clean pictures are, where noise has no part in it.
     """
 
     surface: LitSurface
     ping: Ping
-    clean: Floats
+    target: Target | None
 
     @property
     def filled(self) -> npt.NDArray[np.bool_]:
@@ -51,7 +52,7 @@ class FieldScene:
         self, variant: int, effects: Sequence[DrawnEffect], config: FactoryConfig
     ) -> FieldSample:
         """See `contract.Scene`."""
-        return FieldSample(self, effects)
+        return FieldSample(self, effects, config.acoustics.target)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +61,7 @@ class FieldSample:
 
     scene: FieldScene
     effects: Sequence[DrawnEffect]
+    target: str
 
     @property
     def rate(self) -> float:
@@ -73,13 +75,23 @@ class FieldSample:
 
     @property
     def full_scale(self) -> float:
-        """See `contract.Sample`; an intensity."""
+        """See `contract.Sample`."""
         return self.scene.ping.full_scale
+
+    @property
+    def clean_full_scale(self) -> float:
+        """See `contract.Sample`."""
+        return self.full_scale if self.scene.target is None else self.scene.target.full_scale
 
     @property
     def clean(self) -> Floats:
         """See `contract.Sample`."""
-        return self.scene.clean
+        ping = self.scene.ping
+        if self.scene.target is not None:
+            return self.scene.target.grey
+        state = expected(ping, self.effects, systematic=self.target == "mean_log")
+        grey = display(state, ping.full_scale, ping.sonar.transfer)
+        return polar.where_seen(grey, ping.window, ping.sonar)
 
     @cached_property
     def clouds(self) -> tuple[EffectCloud, ...]:
@@ -126,8 +138,8 @@ def observe(surface: LitSurface, config: FactoryConfig) -> FieldScene:
         power, gain, found.power, polar.seen_beams(window, sonar), amplitude, echoing
     )
     full_scale = transfer.full_scale(echoing, sonar.transfer)
-    ping = Ping(window, sonar, water, found, gain, full_scale**2, float(strongest))
-    return FieldScene(surface, ping, clean_picture(surface, config, amplitude, full_scale))
+    ping = Ping(window, sonar, water, found, gain, full_scale**2, float(strongest), power)
+    return FieldScene(surface, ping, target(surface, config, amplitude, full_scale))
 
 
 def time_varying_gain(receiver: Receiver, acoustics: AcousticsSettings) -> Floats:

@@ -24,8 +24,10 @@ class AcousticsSettings:
 
     formation: points (the paper's, every echo a point) or field (sonar equation and complex field;
         the keys below, `water` and `sonar.array` count for it alone).
-    target: what the clean picture is: mean_field (expected picture without noise, point-spread
-        kept), geometry (the paper's T) or radiometric (backscatter per area, no losses, no blur).
+    target: what the clean picture is: mean_log (the expected displayed picture: random noise
+        averaged, systematic effects kept), restored (the same without the systematic ones),
+        mean_field (the root of the expected intensity, without noise), geometry (the paper's T) or
+        radiometric (backscatter per area, no losses, no blur).
     lambert_exponent: backscatter falls as cos(incidence) to this power, in intensity; 2 is Lambert.
     reflectivity_db: backscatter coefficient of each object class at normal incidence, dB, for an
         albedo of 1; classes that are not named, and frames without labels, are Background.
@@ -34,7 +36,7 @@ class AcousticsSettings:
     """
 
     formation: Literal["points", "field"] = "points"
-    target: Literal["mean_field", "geometry", "radiometric"] = "mean_field"
+    target: Literal["mean_log", "restored", "mean_field", "geometry", "radiometric"] = "mean_log"
     lambert_exponent: Annotated[float, Field(ge=0, le=8)] = 2.0
     reflectivity_db: dict[str, Decibel] = field(default_factory=_default_reflectivity)
     tvg_log: Annotated[float, Field(ge=0, le=80)] = 30.0

@@ -57,6 +57,11 @@ class Receiver:
         """Length of a range bin, metres."""
         return self.window.range_span_m / self.sonar.range_bins
 
+    @property
+    def resolution_m(self) -> float:
+        """Range resolution c / 2B, metres."""
+        return array.range_resolution_m(self.sonar.array, self.water.sound_speed_m_s())
+
     @cached_property
     def range_m(self) -> Floats:
         """(range_bins,) centres of the range bins, metres."""
@@ -77,6 +82,24 @@ class Receiver:
         """See `simnfnd.factory.sonar.array.range_kernel`."""
         return array.range_kernel(self.bin_m, self.sonar.array, self.water.sound_speed_m_s())
 
+    @cached_property
+    def noise_share(self) -> Floats:
+        """(beams,) what noise of intensity 1 in a beam and pulse is in a bin of this field.
+
+        The point-spread leaves the sum of the echoes as it is, so an echo that is the same
+        everywhere is as strong as what a bin holds of it.  A device receives of it what its pulse
+        and its beam hold.  Dividing the noise by their ratio keeps the signal to noise, whatever
+        the sampling.
+        """
+        pulse_m = array.pulse_length_m(self.sonar.array, self.water.sound_speed_m_s())
+        return self.beam_share * np.float32(self.bin_m / pulse_m)
+
+    @cached_property
+    def beam_share(self) -> Floats:
+        """(beams,) distance to the next beam over the width of a beam."""
+        sine = np.gradient(np.sin(self.sonar.beam_centres_rad()))
+        return np.asarray(sine / array.beam_width_sine(self.sonar.array), np.float32)
+
     @property
     def thermal_noise(self) -> float:
         """Intensity of the sea's thermal noise in one beam, over the source level (Mellen)."""
@@ -93,12 +116,14 @@ class Ping(Receiver):
     gain: (range_bins,) float32, time-varying gain on intensity.
     full_scale: intensity, after that gain, which the picture shows as grey value 1.
     strongest: the largest expected intensity of the frame, before that gain.
+    expected: (range_bins, beams) float32, expected intensity without noise, before that gain.
     """
 
     scatterers: Scatterers
     gain: Floats
     full_scale: float
     strongest: float
+    expected: Floats
 
 
 def beamform(field: Floats, receiver: Receiver) -> Floats:
@@ -150,12 +175,19 @@ def white_noise(rng: np.random.Generator, looks: int, shape: tuple[int, int]) ->
     return noise
 
 
-def add_white_noise(field: Floats, rng: np.random.Generator, amplitude: Floats) -> None:
-    """Add such noise, times (range_bins,) float32 amplitudes, to a field in place."""
+def add_white_noise(
+    field: Floats, rng: np.random.Generator, along: Floats, across: Floats | None = None
+) -> None:
+    """Add such noise to a field in place, times amplitudes of the rows and of the beams.
+
+    along: (range_bins,) float32; across: (beams,) float32, all 1 where left out.
+    """
     from simnfnd.factory.formation.field import kernels
 
+    if across is None:
+        across = np.ones(field.shape[-1], np.float32)
     for look in field:
-        kernels.add_white(int(rng.integers(2**32)), gaussian_table(), amplitude, look)
+        kernels.add_white(int(rng.integers(2**32)), gaussian_table(), along, across, look)
 
 
 @lru_cache(maxsize=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,25 +17,41 @@ if TYPE_CHECKING:
     from simnfnd.factory.config import FactoryConfig
 
 
-def clean_picture(
+@dataclass(frozen=True, eq=False)
+class Target:
+    """The clean picture of all samples of a frame.
+
+    grey: (range_bins, beams) float32 grey values; 0 in beams without data.
+    full_scale: the intensity (of the points' echoes, or the backscatter) shown as grey value 1.
+    """
+
+    grey: Floats
+    full_scale: float
+
+
+def target(
     surface: LitSurface, config: FactoryConfig, amplitude: Floats, full_scale: float
-) -> Floats:
-    """(range_bins, beams) float32 grey values of the clean picture; 0 in beams without data.
+) -> Target | None:
+    """The target that `acoustics.target` asks for; None where it depends on the noise.
 
     amplitude: (range_bins, beams) float32, expected after time-varying gain.
     full_scale: the amplitude that the noisy picture shows as grey value 1.
     """
-    window, sonar, target = surface.window, config.sonar, config.acoustics.target
-    if target == "mean_field":
-        level, scale = amplitude, full_scale
+    window, sonar, name = surface.window, config.sonar, config.acoustics.target
+    if name in ("mean_log", "restored"):
+        return None
+    if name == "mean_field":
+        grey, intensity = transfer.grey(amplitude, full_scale, sonar.transfer), full_scale**2
+    elif name == "geometry":
+        points = polar.accumulate(surface.insonified.echoes, window, sonar)
+        level = polar.spread_points(points, sonar)
+        intensity = transfer.full_scale(level, sonar.transfer, "intensity")
+        grey = transfer.grey(level, intensity, sonar.transfer, "intensity")
     else:
-        if target == "geometry":
-            points = polar.accumulate(surface.insonified.echoes, window, sonar)
-            level = polar.spread_points(points, sonar)
-        else:
-            level = np.sqrt(backscatter(surface, config))
+        level = np.sqrt(backscatter(surface, config))
         scale = transfer.full_scale(level, sonar.transfer)
-    return polar.where_seen(transfer.grey(level, scale, sonar.transfer), window, sonar)
+        grey, intensity = transfer.grey(level, scale, sonar.transfer), scale**2
+    return Target(polar.where_seen(grey, window, sonar), intensity)
 
 
 def backscatter(surface: LitSurface, config: FactoryConfig) -> Floats:

@@ -6,9 +6,11 @@ They are the device's, so all frames of a recording have the same ones.
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.distribution import AnyNumber, NonNegative
+from simnfnd.factory.formation.field.expected import Expected
 from simnfnd.factory.formation.field.signal import Floats, Ping
 from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
@@ -37,11 +39,38 @@ def beam_gain(
     dead_db: float,
 ) -> Floats:
     """The field under the gains of its beams."""
-    beams = ping.sonar.beams
-    gain_db = sigma_db * rng.standard_normal(beams)
-    gain_db[rng.permutation(beams)[: round(dead)]] = dead_db
+    gain_db = _gain_db(ping.sonar.beams, rng, sigma_db, dead, dead_db)
     field *= (10 ** (gain_db / 20)).astype(np.float32)
     return field
 
 
-BEAM_GAIN = Effect(BeamGainSettings, beam_gain, "picture", "recording")
+def expect_beam_gain(
+    expected: Expected,
+    ping: Ping,
+    rng: np.random.Generator,
+    *,
+    sigma_db: float,
+    dead: float,
+    dead_db: float,
+) -> None:
+    """The intensities under the same gains."""
+    expected.scale(10 ** (_gain_db(ping.sonar.beams, rng, sigma_db, dead, dead_db) / 10))
+
+
+def _gain_db(
+    beams: int, rng: np.random.Generator, sigma_db: float, dead: float, dead_db: float
+) -> npt.NDArray[np.float64]:
+    """(beams,) dB."""
+    gain_db = sigma_db * rng.standard_normal(beams)
+    gain_db[rng.permutation(beams)[: round(dead)]] = dead_db
+    return gain_db
+
+
+BEAM_GAIN = Effect(
+    BeamGainSettings,
+    beam_gain,
+    "picture",
+    "recording",
+    systematic=True,
+    expected=expect_beam_gain,
+)

@@ -6,6 +6,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.distribution import AnyNumber, Positive
+from simnfnd.factory.formation.field.expected import Expected
 from simnfnd.factory.formation.field.signal import Floats, Ping
 from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
@@ -39,4 +40,36 @@ def crosstalk(
     return field
 
 
-CROSSTALK = Effect(CrosstalkSettings, crosstalk, "beam")
+def expect_crosstalk(
+    expected: Expected,
+    ping: Ping,
+    rng: np.random.Generator,
+    *,
+    level_db: float,
+    spacing_beams: float,
+) -> None:
+    """Intensities of the leaks, and what they add in phase: beams that overlap are alike."""
+    from simnfnd.factory.formation.field import display_loops  # loads numba
+
+    leak, step = 10 ** (level_db / 20), max(round(spacing_beams), 1)
+    alike = _alike(ping, step)
+    for plane, correlation in (
+        (expected.echo, alike),
+        (expected.noise, 0.0),
+        (expected.steady, 1.0),
+        (expected.textured, alike),
+    ):
+        if plane.any():
+            display_loops.leaked(plane, step, leak, correlation)
+
+
+def _alike(ping: Ping, step: int) -> float:
+    """Correlation of the field in two beams that are so many apart, in the middle."""
+    middle = ping.sonar.beams // 2
+    if middle + step >= ping.sonar.beams:
+        return 0.0
+    one, other = (ping.mixing[:, beam].astype(np.float64) for beam in (middle, middle + step))
+    return float(one @ other / np.sqrt((one @ one) * (other @ other)))
+
+
+CROSSTALK = Effect(CrosstalkSettings, crosstalk, "beam", systematic=True, expected=expect_crosstalk)

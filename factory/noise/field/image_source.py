@@ -13,6 +13,8 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.distribution import AnyNumber, NonNegative
+from simnfnd.factory.formation.contract import Floats
+from simnfnd.factory.formation.field.expected import Expected
 from simnfnd.factory.formation.field.signal import Ping, Signal
 from simnfnd.factory.formation.field.tables import vertical_table
 from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
@@ -73,7 +75,9 @@ def _with_images(
 
     scene, mount, tilt_rad = ping.scatterers, ping.sonar.mount, np.deg2rad(tilt_deg)
     bins = signal.power.size
-    field, planes = signal.field.copy(), (-1, bins)
+    if not (signal.power.any() or signal.field.size):
+        return signal
+    field, planes = signal.field.copy(), (2 * signal.looks, bins)
     # With speckle there is none; what is there is the frame's, and no effect may change it.
     power = signal.power.copy() if signal.power.any() else np.empty(0, np.float32)
     world_loops.mirror(
@@ -98,5 +102,37 @@ def _with_images(
     return Signal(power if power.size else signal.power, field)
 
 
-SURFACE_MULTIPATH = Effect(SurfaceMultipathSettings, surface_multipath, "echo")
-BOTTOM_MULTIPATH = Effect(BottomMultipathSettings, bottom_multipath, "echo")
+def expect_surface_multipath(
+    expected: Expected, ping: Ping, rng: np.random.Generator, **parameters: float
+) -> None:
+    """The intensity of the ghosts; each is as wide as what it mirrors."""
+    for plane in (expected.echo, expected.steady):
+        plane[:] = surface_multipath(_unspeckled(plane), ping, rng, **parameters).power
+
+
+def expect_bottom_multipath(
+    expected: Expected, ping: Ping, rng: np.random.Generator, **parameters: float
+) -> None:
+    """The intensity of the ghosts; each is as wide as what it mirrors."""
+    for plane in (expected.echo, expected.steady):
+        plane[:] = bottom_multipath(_unspeckled(plane), ping, rng, **parameters).power
+
+
+def _unspeckled(power: Floats) -> Signal:
+    return Signal(power, np.empty((0, 2, *power.shape), np.float32))
+
+
+SURFACE_MULTIPATH = Effect(
+    SurfaceMultipathSettings,
+    surface_multipath,
+    "echo",
+    systematic=True,
+    expected=expect_surface_multipath,
+)
+BOTTOM_MULTIPATH = Effect(
+    BottomMultipathSettings,
+    bottom_multipath,
+    "echo",
+    systematic=True,
+    expected=expect_bottom_multipath,
+)

@@ -5,10 +5,13 @@ Both count from the sonar, so a range window that begins beyond them shows neith
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.distribution import AnyNumber, NonNegative, Positive
+from simnfnd.factory.formation.field.expected import Expected
 from simnfnd.factory.formation.field.signal import Floats, Ping
 from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
@@ -74,21 +77,65 @@ def comb_lines(
     uneven_db: float,
 ) -> Floats:
     """The field with the lines, each one range bin thick."""
-    beams = ping.sonar.beams
-    lines = min(int((level_db - _FAINTEST_DB) / max(decay_db, 0.1)) + 1, 200)
-    numbers = np.arange(1, max(lines, 0) + 1)
-    rows = np.floor((numbers * spacing_m - ping.window.range_min_m) / ping.bin_m).astype(int)
-    uneven = rng.standard_normal((len(numbers), beams))
-    phase = 2 * np.pi * rng.random(len(numbers))
-    for number_, row in zip(numbers, rows, strict=True):
-        if not 0 <= row < ping.shape[0]:
-            continue
-        line_db = level_db - decay_db * (number_ - 1) + uneven_db * uneven[number_ - 1]
-        line = (np.sqrt(ping.full_scale) * 10 ** (line_db / 20)).astype(np.float32)
-        field[:, 0, row] += line * np.float32(np.cos(phase[number_ - 1]))
-        field[:, 1, row] += line * np.float32(np.sin(phase[number_ - 1]))
+    for row, line, phase in _lines(ping, rng, level_db, spacing_m, decay_db, uneven_db):
+        field[:, 0, row] += line * np.float32(np.cos(phase))
+        field[:, 1, row] += line * np.float32(np.sin(phase))
     return field
 
 
-RING_DOWN = Effect(RingDownSettings, ring_down, "picture")
-COMB_LINES = Effect(CombLinesSettings, comb_lines, "picture")
+def _lines(
+    ping: Ping,
+    rng: np.random.Generator,
+    level_db: float,
+    spacing_m: float,
+    decay_db: float,
+    uneven_db: float,
+) -> Iterator[tuple[int, Floats, float]]:
+    """The row, the (beams,) amplitudes and the phase of each line in the window."""
+    lines = min(int((level_db - _FAINTEST_DB) / max(decay_db, 0.1)) + 1, 200)
+    numbers = np.arange(1, max(lines, 0) + 1)
+    rows = np.floor((numbers * spacing_m - ping.window.range_min_m) / ping.bin_m).astype(int)
+    uneven = rng.standard_normal((len(numbers), ping.sonar.beams))
+    phase = 2 * np.pi * rng.random(len(numbers))
+    for index, row in enumerate(rows):
+        if 0 <= row < ping.shape[0]:
+            line_db = level_db - decay_db * index + uneven_db * uneven[index]
+            line = (np.sqrt(ping.full_scale) * 10 ** (line_db / 20)).astype(np.float32)
+            yield int(row), line, phase[index]
+
+
+def expect_ring_down(
+    expected: Expected,
+    ping: Ping,
+    rng: np.random.Generator,
+    *,
+    level_db: float,
+    decay_db_per_m: float,
+) -> None:
+    """The intensity of the ring-down."""
+    relative_db = level_db - decay_db_per_m * ping.range_m
+    loud = np.where(relative_db > _FAINTEST_DB, ping.full_scale * 10 ** (relative_db / 10), 0)
+    expected.noise += loud.astype(np.float32)[:, None]
+
+
+def expect_comb_lines(
+    expected: Expected,
+    ping: Ping,
+    rng: np.random.Generator,
+    *,
+    level_db: float,
+    spacing_m: float,
+    decay_db: float,
+    uneven_db: float,
+) -> None:
+    """The intensity of the same lines."""
+    for row, line, _ in _lines(ping, rng, level_db, spacing_m, decay_db, uneven_db):
+        expected.steady[row] += line * line
+
+
+RING_DOWN = Effect(
+    RingDownSettings, ring_down, "picture", systematic=True, expected=expect_ring_down
+)
+COMB_LINES = Effect(
+    CombLinesSettings, comb_lines, "picture", systematic=True, expected=expect_comb_lines
+)

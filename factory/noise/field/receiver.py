@@ -1,7 +1,8 @@
 """Receiver noise: the sea's thermal noise (Mellen 1952) and what the electronics add.
 
 Complex Gaussian, so Rayleigh in amplitude, and equally strong at all ranges; time-varying gain,
-which comes after, makes it grow with range.
+which comes after, makes it grow with range.  How far echoes stand above it does not depend on how
+finely the device samples range and bearing (`Ping.noise_share`).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.distribution import AnyNumber
+from simnfnd.factory.formation.field.expected import Expected
 from simnfnd.factory.formation.field.signal import (
     Floats,
     Ping,
@@ -40,14 +42,23 @@ def receiver(
     field: Floats, ping: Ping, rng: np.random.Generator, *, level_db: float, grain: str
 ) -> Floats:
     """The field with the receiver's noise."""
-    amplitude = np.float32(np.sqrt(ping.thermal_noise * 10 ** (level_db / 10)))
+    amplitude = np.sqrt(ping.thermal_noise * 10 ** (level_db / 10) * ping.noise_share)
+    across = amplitude.astype(np.float32)
     if grain == "beam":
         noise = beamform(white_noise(rng, field.shape[0], ping.shape), ping)
-        noise *= amplitude
+        noise *= across
         noise += field
         return noise
-    add_white_noise(field, rng, np.full(ping.shape[0], amplitude))
+    add_white_noise(field, rng, np.ones(ping.shape[0], np.float32), across)
     return field
 
 
-RECEIVER = Effect(ReceiverSettings, receiver, "beam")
+def expect_receiver(
+    expected: Expected, ping: Ping, rng: np.random.Generator, *, level_db: float, grain: str
+) -> None:
+    """The floor that the noise gives the picture."""
+    floor = ping.thermal_noise * 10 ** (level_db / 10) * ping.noise_share
+    expected.noise += floor.astype(np.float32)
+
+
+RECEIVER = Effect(ReceiverSettings, receiver, "beam", systematic=True, expected=expect_receiver)

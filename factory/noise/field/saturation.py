@@ -6,6 +6,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.distribution import AnyNumber
+from simnfnd.factory.formation.field.expected import Expected
 from simnfnd.factory.formation.field.signal import Floats, Ping
 from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
@@ -26,9 +27,25 @@ def saturation(field: Floats, ping: Ping, rng: np.random.Generator, *, level_db:
     """The field, no amplitude above the limit."""
     from simnfnd.factory.formation.field import kernels  # loads numba
 
-    limit = (ping.strongest * 10 ** (level_db / 10) * ping.gain).astype(np.float32)
-    kernels.saturate(field, limit)
+    kernels.saturate(field, _limit(ping, level_db))
     return field
 
 
-SATURATION = Effect(SaturationSettings, saturation, "picture")
+def expect_saturation(
+    expected: Expected, ping: Ping, rng: np.random.Generator, *, level_db: float
+) -> None:
+    """No expected intensity above the limit; single values above it are not taken from the mean."""
+    limit = _limit(ping, level_db)[:, None]
+    total = expected.total()
+    if (total > limit).any():
+        expected.scale(np.minimum(limit / np.maximum(total, 1e-37), 1))
+
+
+def _limit(ping: Ping, level_db: float) -> Floats:
+    """(range_bins,) largest intensity after time-varying gain."""
+    return np.asarray(ping.strongest * 10 ** (level_db / 10) * ping.gain, np.float32)
+
+
+SATURATION = Effect(
+    SaturationSettings, saturation, "picture", systematic=True, expected=expect_saturation
+)

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.distribution import AnyNumber
+from simnfnd.factory.formation.field.expected import Expected
 from simnfnd.factory.formation.field.signal import Floats, Ping
 from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
@@ -40,4 +41,30 @@ def sidelobe_arcs(
     return field
 
 
-SIDELOBE_ARCS = Effect(SidelobeArcsSettings, sidelobe_arcs, "beam")
+def expect_sidelobe_arcs(
+    expected: Expected, ping: Ping, rng: np.random.Generator, *, level_db: float
+) -> None:
+    """The leak of each row, which has one phase in all beams.
+
+    The strongest of n independent exponential values is 1 + 1/2 + ... + 1/n of their mean; a row
+    has as many as its intensity is spread over, in steps of what the device resolves.
+    """
+    total = expected.total()
+    strongest = total.max(axis=1)
+    beams_wide = max(float(1 / np.median(ping.beam_share)), 1)
+    independent = total.sum(axis=1) / np.maximum(strongest, 1e-37) / beams_wide
+    count = np.maximum(independent, 1)
+    # Harmonic numbers less 1, within 0.1.
+    more = np.log(count) - 0.423 * (1 - np.exp(1 - count))
+    fluctuating = 1 - expected.steady.max(axis=1) / np.maximum(strongest, 1e-37)
+    leak = strongest * (1 + more * np.clip(fluctuating, 0, 1))
+    expected.steady += (leak * 10 ** (level_db / 10)).astype(np.float32)[:, None]
+
+
+SIDELOBE_ARCS = Effect(
+    SidelobeArcsSettings,
+    sidelobe_arcs,
+    "beam",
+    systematic=True,
+    expected=expect_sidelobe_arcs,
+)

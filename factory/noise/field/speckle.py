@@ -15,10 +15,14 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import Positive
+from simnfnd.factory.distribution import NonNegative, Positive
+from simnfnd.factory.formation.field.expected import Expected
 from simnfnd.factory.formation.field.signal import Ping, Signal, gaussian_table
 from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
+
+# Edge of a world cell over what the device tells apart; power is then within 0.15 dB.
+_CELL = 0.3
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -26,12 +30,14 @@ class SpeckleSettings(EffectSettings):
     """Keys of `noise.speckle`.
 
     looks: independent fields whose intensities are averaged (rounded); 1 is Rayleigh speckle.
-    scatterer_m: edge of a world cell, metres; well below the resolution.  Smaller than the camera's
-        pixels it loses its hold on the scene when the camera moves.
+    scatterer_m: edge of a world cell, metres; 0 takes 0.3 of a range bin or of the resolution
+        c / 2B, whichever is shorter.  A cell that reaches over several of them loses power and
+        makes neighbouring bins alike.  Cells smaller than the camera's pixels lose their hold on
+        the scene when the camera moves.
     """
 
     looks: Positive = parameter(1, "1")
-    scatterer_m: Positive = parameter(0.01, "m")
+    scatterer_m: NonNegative = parameter(0, "m")
 
 
 def speckle(
@@ -41,7 +47,7 @@ def speckle(
     from simnfnd.factory.formation.field import cell_loops
 
     scene, amplitude = ping.scatterers, np.sqrt(ping.scatterers.loss)
-    cells = scene.world_cells(scatterer_m)
+    cells = scene.world_cells(scatterer_m or _CELL * min(ping.bin_m, ping.resolution_m))
     drawn = np.empty((len(cells.names), 2), np.float32)
     field = np.empty((max(round(looks), 1), 2, *ping.shape), np.float32)
     for look in field:
@@ -53,4 +59,13 @@ def speckle(
     return Signal(np.zeros_like(signal.power), field)
 
 
-SPECKLE = Effect(SpeckleSettings, speckle, "echo", "world")
+def expect_speckle(
+    expected: Expected, ping: Ping, rng: np.random.Generator, *, looks: float, scatterer_m: float
+) -> None:
+    """The echoes fluctuate."""
+    expected.echo += expected.steady
+    expected.steady[:] = 0
+    expected.looks = max(round(looks), 1)
+
+
+SPECKLE = Effect(SpeckleSettings, speckle, "echo", "world", expected=expect_speckle)

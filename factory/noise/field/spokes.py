@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.distribution import AnyNumber, NonNegative
 from simnfnd.factory.formation.field.signal import Floats, Ping
-from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
+from simnfnd.factory.noise.effect import Effect, EffectSettings, option, parameter
 from simnfnd.factory.settings import STRICT
 
 # Beyond so many widths a spoke is not there.
@@ -19,6 +21,8 @@ class SpokesSettings(EffectSettings):
     """Keys of `noise.spokes`.
 
     count: number of spokes (rounded).
+    spacing: random bearings, or regular: equally many beams apart, from a random first one, as of
+        a neighbour whose pings and the device's beams step together.
     level_db: of a spoke's noise against full scale, dB (negative).
     width_beams: its width, one standard deviation, beams.
     """
@@ -26,6 +30,7 @@ class SpokesSettings(EffectSettings):
     count: NonNegative = parameter(1, "1")
     level_db: AnyNumber = parameter(-25, "dB")
     width_beams: NonNegative = parameter(0.7, "1")
+    spacing: Literal["random", "regular"] = option("random")
 
 
 def spokes(
@@ -36,12 +41,16 @@ def spokes(
     count: float,
     level_db: float,
     width_beams: float,
+    spacing: str = "random",
 ) -> Floats:
-    """The field with noise added around random bearings."""
+    """The field with noise added around the bearings of the spokes."""
     rows, beams = ping.shape
-    width = max(width_beams, 0.1)
-    for _ in range(round(count)):
+    width, first_at = max(width_beams, 0.1), 0.0
+    for number in range(round(count)):
         centre = rng.random() * beams
+        if spacing == "regular":
+            first_at = centre if number == 0 else first_at
+            centre = (first_at + number * beams / round(count)) % beams
         first = max(int(centre - _REACH * width), 0)
         last = min(int(centre + _REACH * width) + 1, beams)
         away = (np.arange(first, last) + 0.5 - centre) / width

@@ -14,6 +14,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.distribution import Positive
+from simnfnd.factory.formation.field.expected import Expected
 from simnfnd.factory.formation.field.signal import Floats, Ping, gaussian_table
 from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
@@ -66,4 +67,13 @@ def _quantiles(shape: float) -> Floats:
     return np.asarray(special.gammaincinv(shape, special.ndtr(normal)) / shape, np.float32)
 
 
-TEXTURE = Effect(TextureSettings, texture, "beam", "world")
+def expect_texture(
+    expected: Expected, ping: Ping, rng: np.random.Generator, *, shape: float, patch_m: float
+) -> None:
+    """What is in the bins that a surface fills varies."""
+    expected.shape = shape
+    total = (expected.echo + expected.steady).reshape(-1)
+    expected.textured.reshape(-1)[ping.scatterers.filled] = total[ping.scatterers.filled]
+
+
+TEXTURE = Effect(TextureSettings, texture, "beam", "world", expected=expect_texture)

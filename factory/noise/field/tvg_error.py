@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.distribution import AnyNumber
+from simnfnd.factory.formation.field.expected import Expected
 from simnfnd.factory.formation.field.signal import Floats, Ping
 from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
@@ -27,11 +29,32 @@ def tvg_error(
     field: Floats, ping: Ping, rng: np.random.Generator, *, db_per_decade: float, db_per_m: float
 ) -> Floats:
     """The field under the wrong gain."""
-    range_m = np.maximum(ping.range_m.astype(np.float64), ping.bin_m)
-    middle_m = (ping.window.range_min_m + ping.window.range_max_m) / 2
-    error_db = db_per_decade * np.log10(range_m / middle_m) + db_per_m * (range_m - middle_m)
+    error_db = _error_db(ping, db_per_decade, db_per_m)
     field *= (10 ** (error_db / 20)).astype(np.float32)[:, None]
     return field
 
 
-TVG_ERROR = Effect(TvgErrorSettings, tvg_error, "picture")
+def expect_tvg_error(
+    expected: Expected,
+    ping: Ping,
+    rng: np.random.Generator,
+    *,
+    db_per_decade: float,
+    db_per_m: float,
+) -> None:
+    """The intensities under the wrong gain."""
+    expected.scale(10 ** (_error_db(ping, db_per_decade, db_per_m) / 10)[:, None])
+
+
+def _error_db(ping: Ping, db_per_decade: float, db_per_m: float) -> npt.NDArray[np.float64]:
+    """(range_bins,) dB."""
+    range_m = np.maximum(ping.range_m.astype(np.float64), ping.bin_m)
+    middle_m = (ping.window.range_min_m + ping.window.range_max_m) / 2
+    return np.asarray(
+        db_per_decade * np.log10(range_m / middle_m) + db_per_m * (range_m - middle_m)
+    )
+
+
+TVG_ERROR = Effect(
+    TvgErrorSettings, tvg_error, "picture", systematic=True, expected=expect_tvg_error
+)

@@ -1,7 +1,8 @@
 """Volume reverberation: the water's own scatterers, a haze behind and before everything.
 
-A bin at range r has the volume r^2 theta phi dr; its echo is s_v V / r^4 without absorption
-(Urick 1983, ch. 8).  The scatterers drift, so every frame has a haze of its own.
+A bin at range r has the volume r^2 theta phi dr; its echo is s_v V / r^4 without absorption, with
+theta the bin's bearings and phi the integral of the two-way vertical pattern (Urick 1983, ch. 8).
+The scatterers drift, so every frame has a haze of its own.
 """
 
 from __future__ import annotations
@@ -10,9 +11,12 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.distribution import AnyNumber
+from simnfnd.factory.formation.contract import Floats
+from simnfnd.factory.formation.field.expected import Expected
 from simnfnd.factory.formation.field.signal import Ping, Signal, add_white_noise
 from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
+from simnfnd.factory.sonar import array
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -27,14 +31,27 @@ class VolumeSettings(EffectSettings):
 
 def volume(signal: Signal, ping: Ping, rng: np.random.Generator, *, strength_db: float) -> Signal:
     """Haze added to the field, with the grain that the device gives to every echo."""
-    sonar = ping.sonar
-    across_rad = np.deg2rad(sonar.hfov_deg) / sonar.beams
-    upright_rad = np.deg2rad(sonar.vfov_deg)
-    range_m = np.maximum(ping.range_m, ping.bin_m)
-    level = 10 ** (strength_db / 10) * across_rad * upright_rad * ping.bin_m / range_m**2
-    amplitude = np.sqrt(level * ping.scatterers.loss).astype(np.float32)
-    add_white_noise(signal.field, rng, amplitude)
+    along, across = haze(ping, strength_db)
+    add_white_noise(signal.field, rng, np.sqrt(along), np.sqrt(across))
     return signal
 
 
-VOLUME = Effect(VolumeSettings, volume, "echo")
+def haze(ping: Ping, strength_db: float) -> tuple[Floats, Floats]:
+    """Expected intensity of the haze in each bin: (range_bins,) times (beams,) float32."""
+    sonar = ping.sonar
+    upright_rad = array.vertical_width_rad(sonar.vfov_deg, sonar.array)
+    range_m = np.maximum(ping.range_m, ping.bin_m)
+    along = 10 ** (strength_db / 10) * upright_rad * ping.bin_m / range_m**2 * ping.scatterers.loss
+    across_rad = np.gradient(sonar.beam_centres_rad())
+    return along.astype(np.float32), across_rad.astype(np.float32)
+
+
+def expect_volume(
+    expected: Expected, ping: Ping, rng: np.random.Generator, *, strength_db: float
+) -> None:
+    """The haze's intensity, which the point-spread leaves as it is."""
+    along, across = haze(ping, strength_db)
+    expected.echo += along[:, None] * across
+
+
+VOLUME = Effect(VolumeSettings, volume, "echo", systematic=True, expected=expect_volume)

@@ -35,7 +35,7 @@ def test_statistics_of_what_is_no_speckle() -> None:
 
 
 def test_it_draws_devices_and_effects(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert len(physics.devices()) == 11
+    assert len(physics.devices()) == 16
     monkeypatch.setattr(physics, "devices", lambda: ["camera_matched", "aris_explorer_3000"])
     paths = physics.pictures(tmp_path, SMALL)
     assert [path.name for path in paths] == ["presets.png", "physical-effects.png"]
