@@ -26,6 +26,7 @@ LOOPS = (
     "simnfnd.factory.render.planes",
     "simnfnd.factory.render.shading",
     "simnfnd.factory.sonar.echo_loops",
+    "simnfnd.factory.sonar.fan_loops",
     "simnfnd.factory.sonar.number_loops",
     "simnfnd.factory.sonar.picture_loops",
 )
