@@ -55,7 +55,7 @@ class Network:
 
     def __init__(self, weights: str, device: str) -> None:
         """Raises FactoryError for a file that holds no weights of a network."""
-        from simnfnd.models.denoise.command import load_denoiser
+        from simnfnd.models.denoise.denoiser import load_denoiser
 
         self._denoise = load_denoiser(weights, device)
 
@@ -90,8 +90,8 @@ def costs_of(networks: Sequence[Method]) -> dict[str, dict[str, float]]:
     """Label -> gmac (for 256x256 pixels) and parameters of each network, as docs/models.md."""
     if not networks:
         return {}
-    from simnfnd.models.cost import count_macs
-    from simnfnd.models.weights import load_weights
+    from simnfnd.models.networks.cost import count_macs
+    from simnfnd.models.networks.weights import load_weights
 
     found = {}
     for method in networks:

@@ -1,25 +1,25 @@
 """Denoisers: networks, losses, training on the factory's pairs, and denoising of any image.
 
-A network is one file with a settings class and a torch module, and one line in `NETWORKS`.  What
-training, denoising and the losses may rely on:
+A network is one file in `models/networks` with a settings class and a torch module, and one line in
+`NETWORKS`.  What training, denoising and the losses rely on:
 
 - `build_network(config)` makes it from the `model` group, with fresh weights.
 - `forward(x)` maps (N, C, H, W) float in 0..1 to the same shape, for any H and W (it pads itself).
   C is 1 or 3 for any network: three channels are denoised alike, one by one, where the network
   was not built for three (`channels` of its settings).
-- `extras`, a class attribute, names what else it can use; each is a keyword of `forward`, and of
-  `with_heads`, that may be left out (None: not known): `range_fraction` (N, 1, H, W), slant range
-  of a pixel over range_max; `azimuth_rad` (N, 1, H, W), positive to the right; `sector`
-  (N, 1, H, W), 1 inside the insonified sector and 0 outside; `noise_level` (N,), root mean square
-  of noisy - clean.  Batches hold them under the same names.
-- A network with `has_heads = True` can tell more: `with_heads(x, ...)` returns (image,
-  shadow_logits, gain_db) where `forward` returns the image alone: logits (N, 1, H, W) of shadow,
-  and (N,) the gain of PSNR that it expects.
+- `extras`, a class attribute, names its optional inputs; each is a keyword of `forward` and of
+  `with_heads` that may be left out or None where it is unknown: `range_fraction` (N, 1, H, W),
+  slant range of a pixel over range_max; `azimuth_rad` (N, 1, H, W), positive to the right; `sector`
+  (N, 1, H, W), 1 inside the insonified sector and 0 outside.  Batches hold them under these names.
+- A network with `has_heads = True` predicts more: where `forward` returns the image alone,
+  `with_heads(x, ...)` returns (image, shadow_logits, gain_db): logits (N, 1, H, W) of shadow, and
+  (N,) the expected gain of PSNR.
 - A loss is `loss(prediction, clean, batch)`; the batch holds `noisy`, `clean`, `shadow`
   (N, 1, H, W) float, 1 in shadow, where it is known, `shadow_logits` and `gain_db` from a
-  network with heads, and `progress`, a scalar, the share of the training that is done.
-- A network with `adversarial = True` is trained by `training.adversarial` against a discriminator,
-  any other by `simnfnd.models.training.module`; denoising with either is the same.
+  network with heads, and `progress`, a scalar, the fraction of the training that is done.
+- A network with `adversarial = True` is trained against a discriminator
+  (`simnfnd.models.training.adversarial`), any other by `simnfnd.models.training.module`; both
+  denoise alike.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from simnfnd.models.networks.network import Network
 
 WEIGHTS_NAME = "weights.safetensors"
-"""What a training leaves its weights in; here, where naming it does not load torch."""
+"""The weights file of a training; named here, where importing it does not load torch."""
 
 NETWORKS = {
     "dae": ("simnfnd.models.networks.dae", "DAESettings", "DAE"),

@@ -63,7 +63,7 @@ VERBS: dict[str, Verb] = {
     "denoise": Verb(_DENOISE, "images, folders, datasets and videos",
                     "simnfnd.models.denoise.command:main"),
     "export-weights": Verb(_DENOISE, "trained weights in 16 bits, with a model card",
-                           "simnfnd.models.weights_export:main"),
+                           "simnfnd.models.pretrained.export:main"),
     "evaluate": Verb(_JUDGE, "the report on a dataset; or tune, compare, real, realism, fit",
                      "simnfnd.evaluation.command:main"),
     "campaign": Verb(_JUDGE, "train and compare many networks; `campaign table` shows the result",

@@ -116,8 +116,8 @@ def scores_of(columns: Mapping[str, Any]) -> Scores:
 
 def costs_of(folder: Path, sets: Mapping[str, Scores]) -> dict[str, dict[str, float]]:
     """Row -> parameters, GMAC at 256x256 and CPU ms of one core at 512x512, measured here."""
-    from simnfnd.models.cost import measure
-    from simnfnd.models.weights import load_weights
+    from simnfnd.models.networks.cost import measure
+    from simnfnd.models.networks.weights import load_weights
 
     found = {}
     for row, labels in _all_rows(sets).items():

@@ -1,7 +1,7 @@
-"""What a step learns from: which images, in what order, and which crops of them.
+"""Training crops: which images, in what order, and which parts of them.
 
 Every crop is a pure function of the seed and of the number of its visit in the whole training, so
-it does not matter which process makes it, or whether training was interrupted before.
+neither the process that makes it nor an interruption of the training matters.
 """
 
 from __future__ import annotations
@@ -64,25 +64,23 @@ class Crops(Dataset[Batch]):
             left = int(rng.integers(width - visit.patch + 1))
             flip = self.flip and rng.random() < 0.5
             parts.append(_crop(sample, top, left, visit.patch, flip, self.extras))
-        return join(parts)
+        return concatenate(parts)
 
 
-class Whole(Dataset[Batch]):
-    """Whole images as batches of one, for validation, some of them."""
+class WholeImages(Dataset[Batch]):
+    """Whole images as batches of one, for validation."""
 
     def __init__(self, source: Source, extras: Sequence[str] = ()) -> None:
-        self.source = source
-        # The level of the noise is nothing that a user could tell.
-        self.extras = tuple(name for name in extras if name != "noise_level")
+        self.source, self.extras = source, tuple(extras)
 
     def __len__(self) -> int:
         return len(self.source)
 
     def __getitem__(self, index: int) -> Batch:
-        return whole(self.source.sample(index, None), self.extras)
+        return whole_image_batch(self.source.sample(index, None), self.extras)
 
 
-def whole(sample: Sample, extras: Sequence[str] = ()) -> Batch:
+def whole_image_batch(sample: Sample, extras: Sequence[str] = ()) -> Batch:
     """A sample as a batch of one."""
     images = _images(sample)
     if sample.geometry is not None and extras:
@@ -103,11 +101,7 @@ def _crop(
         maps: Maps = sample.geometry.maps(top, left, patch, patch)
         maps = _mirrored(maps) if flip else maps
         images |= {name: maps[name] for name in extras if name in maps}
-    batch = {name: torch.from_numpy(x.copy())[None, None] for name, x in images.items()}
-    if "noise_level" in extras and "clean" in batch:
-        difference = batch["noisy"] - batch["clean"]
-        batch["noise_level"] = difference.square().mean().sqrt()[None]
-    return batch
+    return {name: torch.from_numpy(x.copy())[None, None] for name, x in images.items()}
 
 
 def _mirrored(maps: Maps) -> Maps:
@@ -122,23 +116,23 @@ def _images(sample: Sample) -> Maps:
     return {name: image for name, image in images.items() if image is not None}
 
 
-def join(batches: Sequence[Batch]) -> Batch:
+def concatenate(batches: Sequence[Batch]) -> Batch:
     """One batch of several, in order."""
     return {name: torch.cat([batch[name] for batch in batches]) for name in batches[0]}
 
 
-class Visits(Sampler[list[Visit]]):
+class VisitSampler(Sampler[list[Visit]]):
     """The visits of each step of one check interval; a batch sampler.
 
     All images are visited once, in random order, before any is visited again.  `data.stages` holds
-    for whole intervals.  With several devices each takes its part of every step.
+    for whole intervals.  Several devices share every step.
     """
 
     def __init__(self, images: int, data: DataSettings, intervals: int, steps: int, seed: int):
         """images: how many there are.  steps: of one interval."""
         self.images, self.steps, self.crops, self.seed = images, steps, data.crops, seed
         self.sizes = interval_sizes(data, intervals)
-        # Lightning tells the sampler of a batch sampler which interval it is.
+        # Lightning calls `set_epoch` of a batch sampler's sampler.
         self.sampler = self
         self._interval = 0
 
@@ -153,7 +147,7 @@ class Visits(Sampler[list[Visit]]):
         before = sum(batch for _, batch in self.sizes[: self._interval])
         patch, batch = self.sizes[self._interval]
         number = before * self.steps // self.crops
-        rank, ranks = _place()
+        rank, ranks = _rank()
         round_, order = -1, np.empty(0, dtype=np.int64)
         for _ in range(self.steps):
             visits = []
@@ -177,8 +171,8 @@ def interval_sizes(data: DataSettings, intervals: int) -> list[tuple[int, int]]:
     return sizes + [(data.patch, data.batch)] * (intervals - len(sizes))
 
 
-def _place() -> tuple[int, int]:
-    """(number of this process, how many there are) of a training on several devices."""
+def _rank() -> tuple[int, int]:
+    """(index of this process, number of processes) of a training on several devices."""
     if distributed.is_available() and distributed.is_initialized():
         return distributed.get_rank(), distributed.get_world_size()
     return 0, 1

@@ -156,7 +156,7 @@ def spread(samples: tuple[SampleRef, ...], limit: int | None) -> tuple[SampleRef
     return tuple(samples[index * len(samples) // limit] for index in range(limit))
 
 
-class Shards:
+class PairReader:
     """Reads pairs, in any process."""
 
     def __init__(self) -> None:
@@ -190,7 +190,7 @@ class PairSource:
         seed: int = 0,
     ) -> None:
         self.samples, self.sonar, self.weaker, self.seed = tuple(samples), sonar, weaker, seed
-        self._shards = Shards()
+        self._shards = PairReader()
 
     def __len__(self) -> int:
         return len(self.samples)

@@ -1,4 +1,4 @@
-"""What all denoising networks share: any image size, one or three channels, and what they use."""
+"""What all denoising networks share: any image size, one or three channels, optional inputs."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 
-class Seen(NamedTuple):
-    """What a network with heads says of N pictures.
+class NetworkOutput(NamedTuple):
+    """What a network with heads returns for N pictures.
 
     image: (N, C, H, W).  shadow_logits: (N, 1, H, W), positive where it sees shadow.
-    gain_db: (N,), by how much it expects the PSNR of `image` to be above that of what it was given.
+    gain_db: (N,), the gain of PSNR that it expects of `image` over its input, dB.
     """
 
     image: Tensor
@@ -26,7 +26,7 @@ class Network(nn.Module):
     """Base of the networks in `models.NETWORKS`; the docstring of `models` is the contract.
 
     A network sets `channels` (1 or 3, what it was built for) and `stride` (sizes must divide by
-    it) and implements `restore`, or `restore_and_tell` if it has heads.
+    it) and implements `restore`, or `restore_with_heads` if it has heads.
     """
 
     extras: ClassVar[tuple[str, ...]] = ()
@@ -39,10 +39,10 @@ class Network(nn.Module):
 
     def restore(self, noisy: Tensor, **extras: Tensor) -> Tensor:
         """(N, channels, H, W) -> the same; H and W divide by `stride`; extras as given."""
-        return self.restore_and_tell(noisy, **extras).image
+        return self.restore_with_heads(noisy, **extras).image
 
-    def restore_and_tell(self, noisy: Tensor, **extras: Tensor) -> Seen:
-        """Like `restore`, with what the heads say."""
+    def restore_with_heads(self, noisy: Tensor, **extras: Tensor) -> NetworkOutput:
+        """Like `restore`, with the output of the heads."""
         raise NotImplementedError
 
     def forward(self, noisy: Tensor, **extras: Tensor | None) -> Tensor:
@@ -53,30 +53,30 @@ class Network(nn.Module):
         image, known = self._prepared(noisy, extras)
         return self._restored(self.restore(image, **known), noisy)
 
-    def with_heads(self, noisy: Tensor, **extras: Tensor | None) -> Seen:
-        """The image of `forward`, and what the heads say of it.
+    def with_heads(self, noisy: Tensor, **extras: Tensor | None) -> NetworkOutput:
+        """The image of `forward`, with the output of the heads.
 
         Raises ValueError and TypeError as `forward` does, and TypeError without heads.
         """
         if not self.has_heads:
-            raise TypeError(f"{type(self).__name__} has no heads for shadow and for gain")
+            raise TypeError(f"{type(self).__name__} has no heads for shadow and gain")
         image, known = self._prepared(noisy, extras)
-        seen = self.restore_and_tell(image, **known)
+        output = self.restore_with_heads(image, **known)
         height, width = noisy.shape[-2:]
-        logits = seen.shadow_logits[..., :height, :width].reshape(len(noisy), -1, height, width)
-        return Seen(
-            self._restored(seen.image, noisy),
+        logits = output.shadow_logits[..., :height, :width].reshape(len(noisy), -1, height, width)
+        return NetworkOutput(
+            self._restored(output.image, noisy),
             logits.mean(dim=1, keepdim=True),
-            seen.gain_db.reshape(len(noisy), -1).mean(dim=1),
+            output.gain_db.reshape(len(noisy), -1).mean(dim=1),
         )
 
     @property
     def least_gain_db(self) -> float | None:
-        """A picture on which it expects to gain less comes back as it was; None: none does."""
+        """Pictures with a smaller expected gain of PSNR are returned unchanged; None: never."""
         return None
 
-    def leave_none(self) -> None:
-        """Denoise every picture from now on, also those that are better left as they came."""
+    def disable_gain_limit(self) -> None:
+        """Denoise every picture from now on, whatever the expected gain."""
 
     def _prepared(
         self, noisy: Tensor, extras: dict[str, Tensor | None]
@@ -108,7 +108,7 @@ class Network(nn.Module):
 def padded(x: Tensor, stride: int) -> Tensor:
     """(N, C, H, W) lengthened at right and bottom until H and W divide by `stride`.
 
-    The last column and the last row go on.
+    The last row and column are repeated.
     """
     height, width = x.shape[-2:]
     pad = (0, -width % stride, 0, -height % stride)

@@ -1,16 +1,16 @@
 """SonarNet, a light network of this project, built around what a sonar picture is.
 
-- It works on the polar grid: where the geometry of a fan picture is known, it looks at the picture
-  by range and bearing, and its answer is brought back to the fan's pixels (`networks.polar`).  The
-  noisy picture itself is never resampled, so no detail is lost.
-- It is told range, bearing and the insonified sector of every cell.
-- A second head says where shadow is (no echo at all); the picture is multiplied by one minus that.
-- A third (`networks.verdict`) says how much better the picture became; where hardly anything is
-  wrong with a picture that is little or less than nothing, and then it is left as it came.  In
-  training nothing is.
+- It works on a polar grid: where the geometry of a fan picture is known, the picture is resampled
+  to range and bearing, and the network's correction is resampled back to the fan's pixels
+  (`networks.polar`).  The noisy picture itself is never resampled, so no detail is lost.
+- Range, bearing and the insonified sector of every cell are inputs.
+- A second head predicts shadow (no echo at all); the picture is multiplied by one minus that.
+- A third (`networks.gain_head`) predicts the gain of PSNR.  Where that is too small, because hardly
+  anything is wrong with a picture, the picture is returned unchanged; never in training.
 - Plain 3x3 convolutions from half resolution down: they are what a CPU does fastest.
 
-Without geometry it works on the picture as it is; in training it is not told now and then.
+Without geometry it works on the picture as it is; in training the geometry is withheld now and then
+(`forget`).
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from simnfnd.factory.settings import STRICT
-from simnfnd.models.networks.network import Network, Seen, down_and_up, padded
+from simnfnd.models.networks.gain_head import GainHead
+from simnfnd.models.networks.network import Network, NetworkOutput, down_and_up, padded
 from simnfnd.models.networks.polar import polar_grid
 from simnfnd.models.networks.unet import residual_blocks
-from simnfnd.models.networks.verdict import Verdict
 
 # Logit of shadow before anything is learned, and outside the sector.
 _FIRST, _OUTSIDE = -2.0, -10.0
@@ -41,14 +41,14 @@ class SonarNetSettings:
 
     widths: channels at half resolution and at each coarser one.
     blocks: residual blocks at each of these; but for the coarsest, again on the way up.
-    polar: whether fan pictures of known geometry are worked on in polar form.
-    mask: whether the second head gates the picture with the shadow that it sees.
-    least_gain_db: a picture is given back as it came unless the third head expects this gain of
-    PSNR; null: never.  May be changed in trained weights (`simnfnd export-weights --set
+    polar: whether fan pictures of known geometry are processed on a polar grid.
+    mask: whether the second head gates the picture with the shadow that it predicts.
+    least_gain_db: a picture is returned unchanged unless the third head expects this gain of PSNR;
+    null: never.  May be changed in trained weights (`simnfnd export-weights --set
     least_gain_db=...`).
-    mirror: whether it looks at the mirrored picture as well and takes the mean of both answers, for
-    twice the work; not in training, so trained weights may change it.
-    forget: part of the training steps in which the network is not told the geometry.
+    mirror: whether it also denoises the mirrored picture and averages both results, for twice the
+    work; not in training, so trained weights may change it.
+    forget: part of the training steps in which the network gets no geometry.
     channels: of the images; 1, so that colours are denoised one by one.
     """
 
@@ -71,13 +71,13 @@ class SonarNetSettings:
 
 
 class SonarNet(Network):
-    """Predicts what to add to the noisy picture, and where it shows shadow."""
+    """Predicts what to add to the noisy picture, where it shows shadow, and the gain of PSNR."""
 
     extras: ClassVar[tuple[str, ...]] = ("range_fraction", "azimuth_rad", "sector")
     has_heads: ClassVar[bool] = True
 
     def __init__(self, settings: SonarNetSettings) -> None:
-        # Padding is left to the polar grid's own size.
+        # Padding happens on the polar grid, which has a size of its own.
         super().__init__(settings.channels, stride=1)
         self.settings = settings
         widths, blocks = settings.widths, settings.blocks
@@ -96,49 +96,50 @@ class SonarNet(Network):
         assert self.outro.bias is not None
         nn.init.constant_(self.outro.bias[:4], 0.0)
         nn.init.constant_(self.outro.bias[4:], _FIRST)
-        self.verdict = Verdict(widths[0])
+        # Weights files and `train.parts` know the gain head by this name.
+        self.verdict = GainHead(widths[0])
 
-    def restore_and_tell(self, noisy: Tensor, **extras: Tensor) -> Seen:
+    def restore_with_heads(self, noisy: Tensor, **extras: Tensor) -> NetworkOutput:
         """Picture (N, 1, H, W), logits (N, 1, H, W) of shadow, (N,) gain in dB, for any H and W.
 
         Geometry counts only where `range_fraction` and `azimuth_rad` are both there; without
         `sector` everything is insonified.
         """
-        seen = self._looked(noisy, extras)
+        output = self._single_pass(noisy, extras)
         if self.training:
-            return seen
+            return output
         if self.settings.mirror:
-            turned = {name: plane.flip(-1) for name, plane in extras.items()}
-            if "azimuth_rad" in turned:
-                turned["azimuth_rad"] = -turned["azimuth_rad"]
-            image, shadow, gain_db = self._looked(noisy.flip(-1), turned)
-            seen = Seen(
-                (seen.image + image.flip(-1)) / 2,
-                (seen.shadow_logits + shadow.flip(-1)) / 2,
-                (seen.gain_db + gain_db) / 2,
+            mirrored = {name: plane.flip(-1) for name, plane in extras.items()}
+            if "azimuth_rad" in mirrored:
+                mirrored["azimuth_rad"] = -mirrored["azimuth_rad"]
+            image, shadow, gain_db = self._single_pass(noisy.flip(-1), mirrored)
+            output = NetworkOutput(
+                (output.image + image.flip(-1)) / 2,
+                (output.shadow_logits + shadow.flip(-1)) / 2,
+                (output.gain_db + gain_db) / 2,
             )
         if self.least_gain_db is None:
-            return seen
-        left = (seen.gain_db < self.least_gain_db)[:, None, None, None]
-        return seen._replace(image=torch.where(left, noisy, seen.image))
+            return output
+        unchanged = (output.gain_db < self.least_gain_db)[:, None, None, None]
+        return output._replace(image=torch.where(unchanged, noisy, output.image))
 
     @property
     def least_gain_db(self) -> float | None:
         """See `Network`."""
         return self.settings.least_gain_db
 
-    def leave_none(self) -> None:
-        """See `Network`: no gain is too little."""
+    def disable_gain_limit(self) -> None:
+        """See `Network`."""
         self.settings = replace(self.settings, least_gain_db=None)
 
-    def _looked(self, noisy: Tensor, extras: Mapping[str, Tensor]) -> Seen:
-        """What it makes of the picture, worse or not."""
-        told = "range_fraction" in extras and "azimuth_rad" in extras
-        if self.training and told and self.settings.forget:
-            told = bool(torch.rand(()) >= self.settings.forget)
-        if not told:
+    def _single_pass(self, noisy: Tensor, extras: Mapping[str, Tensor]) -> NetworkOutput:
+        """The network's output for the picture, whatever the expected gain."""
+        has_geometry = "range_fraction" in extras and "azimuth_rad" in extras
+        if self.training and has_geometry and self.settings.forget:
+            has_geometry = bool(torch.rand(()) >= self.settings.forget)
+        if not has_geometry:
             change, logits, gain_db = self._core(noisy, *_unknown(noisy))
-            return Seen(self._gated(noisy + change, logits), logits, gain_db)
+            return NetworkOutput(self._gated(noisy + change, logits), logits, gain_db)
         range_fraction, azimuth_rad = extras["range_fraction"], extras["azimuth_rad"]
         sector = extras.get("sector", torch.ones_like(noisy))
         grid = polar_grid(range_fraction, azimuth_rad, sector) if self.settings.polar else None
@@ -146,43 +147,40 @@ class SonarNet(Network):
             maps = _known(range_fraction, azimuth_rad, sector)
             change, logits, gain_db = self._core(noisy, *maps)
         else:
-            seen = grid.polar(torch.cat([noisy, sector], dim=1))
-            maps = _known(grid.range_fraction, grid.azimuth_rad, seen[:, 1:])
-            *cells, gain_db = self._core(seen[:, :1], *maps)
+            polar = grid.polar(torch.cat([noisy, sector], dim=1))
+            maps = _known(grid.range_fraction, grid.azimuth_rad, polar[:, 1:])
+            *cells, gain_db = self._core(polar[:, :1], *maps)
             change, logits = grid.fan(torch.cat(cells, dim=1)).chunk(2, dim=1)
         # Outside the sector there is nothing to denoise and no shadow.
         inside = sector > 0
         change = change.masked_fill(~inside, 0.0)
         image = self._gated(noisy + change, logits)
         image = torch.where(inside, image, noisy)
-        return Seen(image, logits.masked_fill(~inside, _OUTSIDE), gain_db)
+        return NetworkOutput(image, logits.masked_fill(~inside, _OUTSIDE), gain_db)
 
     def _gated(self, image: Tensor, logits: Tensor) -> Tensor:
         return image * torch.sigmoid(-logits) if self.settings.mask else image
 
     def _core(self, *planes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """What to add, and logits of shadow, on the grid of the planes, (N, 1, H, W) each.
-
-        The third is the gain to expect, (N,) dB.
-        """
+        """What to add and logits of shadow, (N, 1, H, W) as the planes; expected gain, (N,) dB."""
         height, width = planes[0].shape[-2:]
         x = torch.cat([padded(plane, self.core_stride) for plane in planes], dim=1)
         x = self.intro(functional.pixel_unshuffle(x, 2))
         x = down_and_up(x, self.encoders, self.downs, self.middle, self.ups, self.decoders)
         heads = functional.pixel_shuffle(self.outro(x), 2)[..., :height, :width]
         noisy, change, logits = planes[0], heads[:, :1], heads[:, 1:]
-        # Of the planes the last is the sector's complement, or -1 where nobody knows it.
+        # The last plane is the sector's complement, or -1 where it is unknown.
         sector = 1 - planes[-1].clamp_min(0)
-        made = self._gated(noisy + change, logits)
-        return change, logits, self.verdict(x, noisy, made - noisy, sector)
+        denoised = self._gated(noisy + change, logits)
+        return change, logits, self.verdict(x, noisy, denoised - noisy, sector)
 
 
 def _known(range_fraction: Tensor, azimuth_rad: Tensor, sector: Tensor) -> tuple[Tensor, ...]:
-    """The maps as the first layer gets them: around zero, so that they do not drown the picture."""
+    """The maps as the first layer gets them, centred: otherwise they drown the picture."""
     return 2 * range_fraction - 1, azimuth_rad, 1 - sector
 
 
 def _unknown(noisy: Tensor) -> tuple[Tensor, ...]:
-    """The same where nobody knows them; no place has the last of these."""
+    """The same for unknown geometry; the last value occurs in no known one."""
     nothing = torch.zeros_like(noisy)
     return nothing, nothing, nothing - 1

@@ -1,6 +1,7 @@
 """Training against a discriminator.
 
-By turns it learns to tell denoised from clean images, and the network to denoise so that it cannot.
+In turns, the discriminator learns to tell denoised from clean images, and the network to denoise so
+that it cannot.
 The terms are those that the abstract of SID-TGAN names (see `simnfnd.models.networks.sid_tgan`).
 """
 
@@ -18,11 +19,11 @@ from simnfnd.models.data.pairs import Batch
 from simnfnd.models.losses import Loss
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.sid_tgan import SIDTGAN, Discriminator
-from simnfnd.models.training.module import Training, rate_factor
+from simnfnd.models.training.module import DenoisingModule, learning_rate_factor
 from simnfnd.models.training.settings import TrainSettings
 
 
-class Adversarial(Training):
+class AdversarialModule(DenoisingModule):
     """A generator and its discriminator; what is averaged, measured and saved is the generator.
 
     Lightning leaves the order of the updates to this module, so it also clips the gradients and
@@ -36,10 +37,10 @@ class Adversarial(Training):
         assert isinstance(network, SIDTGAN)
         self.automatic_optimization = False
         self.discriminator = Discriminator(network.settings)
-        self.chosen = network.settings
+        self.term_weights = network.settings
 
     def on_fit_start(self) -> None:
-        """FactoryError where the two turns of a step could not be kept apart."""
+        """Raises FactoryError where the two turns of a step cannot be kept apart."""
         if self.trainer.world_size > 1:
             raise FactoryError("devices: adversarial training runs on one device; use devices=1")
         if self.settings.precision == "16-mixed":
@@ -48,7 +49,7 @@ class Adversarial(Training):
             )
 
     def configure_optimizers(self) -> Any:
-        """One AdamW each, with the learning rates of `Training`."""
+        """One AdamW each, with the learning rates of `DenoisingModule`."""
         chosen = self.settings
         optimizers, rates = [], []
         for module in (self.network, self.discriminator):
@@ -62,7 +63,7 @@ class Adversarial(Training):
             optimizers.append(optimizer)
             rates.append(
                 torch.optim.lr_scheduler.LambdaLR(
-                    optimizer, lambda step: rate_factor(step, chosen.warmup, chosen.steps)
+                    optimizer, lambda step: learning_rate_factor(step, chosen.warmup, chosen.steps)
                 )
             )
         return optimizers, rates
@@ -80,20 +81,20 @@ class Adversarial(Training):
         self.discriminator.requires_grad_(True)
         true, _, _ = self.discriminator(noisy, clean)
         false, _, _ = self.discriminator(noisy, denoised.detach())
-        judging = self.checked(hinge(true, false), index)
-        # Its bare optimizer: Lightning counts steps by those of wrapped ones, and one is enough.
-        self._update(critic.optimizer, self.discriminator, judging)
+        critic_loss = self.require_finite(hinge(true, false), index)
+        # The bare optimizer: Lightning counts the steps of wrapped ones, and one count is enough.
+        self._update(critic.optimizer, self.discriminator, critic_loss)
 
         self.discriminator.requires_grad_(False)
         content = self.loss(prediction, batch["clean"], batch)
-        judged, local, everywhere = self.discriminator(noisy, denoised)
+        judged, local, overall = self.discriminator(noisy, denoised)
         with torch.no_grad():
-            _, true_local, true_everywhere = self.discriminator(noisy, clean)
-        total = self.checked(
+            _, true_local, true_overall = self.discriminator(noisy, clean)
+        total = self.require_finite(
             content
-            + self.chosen.style * style(local, true_local)
-            + self.chosen.similarity * dissimilarity(everywhere, true_everywhere)
-            - self.chosen.adversarial * judged.mean(),
+            + self.term_weights.style * style(local, true_local)
+            + self.term_weights.similarity * dissimilarity(overall, true_overall)
+            - self.term_weights.adversarial * judged.mean(),
             index,
         )
         self._update(generator, self.network, total)
@@ -109,14 +110,14 @@ class Adversarial(Training):
 
 
 def hinge(true: Tensor, false: Tensor) -> Tensor:
-    """Scalar: how badly the judgements tell true from false (Lim, Ye 2017); 0 beyond +1 and -1."""
+    """Scalar hinge loss of the judgements (Lim, Ye 2017); 0 beyond +1 for true and -1 for false."""
     return functional.relu(1 - true).mean() + functional.relu(1 + false).mean()
 
 
 def style(features: list[Tensor], wanted: list[Tensor]) -> Tensor:
-    """Scalar: distance of the textures of two images, whatever lies where.
+    """Scalar: distance of the textures of two images, wherever things lie.
 
-    A texture is how the (N, C, H, W) features of a layer go together over the image, their Gram
+    A texture is the correlation of the (N, C, H, W) features of a layer over the image, their Gram
     matrix (Gatys et al. 2016); mean absolute difference, mean over the layers.
     """
     parts = [(gram(a) - gram(b)).abs().mean() for a, b in zip(features, wanted, strict=True)]

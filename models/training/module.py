@@ -1,4 +1,4 @@
-"""The Lightning side of training: a network, the running average of its weights, and one step."""
+"""The Lightning module: a network, the running average of its weights, and a training step."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from simnfnd.factory.seeds import stream
 from simnfnd.models.data.pairs import Batch
 from simnfnd.models.losses import Loss
 from simnfnd.models.networks.network import Network
+from simnfnd.models.networks.weights import channels_last
 from simnfnd.models.training.quality import psnr_db, shadow_iou, ssim
 from simnfnd.models.training.settings import TrainSettings
-from simnfnd.models.weights import channels_last
 
 Row = dict[str, float | int]
 
 
-class Training(LightningModule):
+class DenoisingModule(LightningModule):
     """A network, the running average of its weights, and how a step is made.
 
-    The average is what validation measures and what is saved for use.
+    The average is what is validated and saved.
 
     figures: what a validation measures, in the order of metrics.csv.
     """
@@ -47,7 +47,7 @@ class Training(LightningModule):
 
     @staticmethod
     def score(row: Mapping[str, float | int]) -> float:
-        """What is better the larger it is, of a row of metrics."""
+        """The figure of a row of metrics that decides which weights are kept; larger is better."""
         return row["psnr"]
 
     @property
@@ -56,27 +56,27 @@ class Training(LightningModule):
         return self.current_epoch * self.settings.check_every
 
     def on_train_epoch_start(self) -> None:
-        """Give networks and losses that draw at random the same draws after resuming."""
+        """Restart torch's random numbers, so that a resumed training draws the same."""
         draw = stream(self.seed, "torch", self.current_epoch).integers(2**62)
         torch.manual_seed(int(draw))
 
     def training_step(self, batch: Batch, index: int) -> Tensor:
         """The loss of one batch of crops; FactoryError when it is not a number."""
-        return self.checked(self.objective(batch, index), index)
+        return self.require_finite(self.compute_loss(batch, index), index)
 
-    def objective(self, batch: Batch, index: int) -> Tensor:
-        """What is made small.  index: of the step in its interval."""
+    def compute_loss(self, batch: Batch, index: int) -> Tensor:
+        """The loss of one batch.  index: of the step in its interval."""
         extras = known_extras(self.network, batch)
         batch = {**batch, "progress": torch.tensor((self.step + index) / self.settings.steps)}
         if self.network.has_heads:
-            seen = self.network.with_heads(batch["noisy"], **extras)
-            prediction = seen.image
-            batch |= {"shadow_logits": seen.shadow_logits, "gain_db": seen.gain_db}
+            output = self.network.with_heads(batch["noisy"], **extras)
+            prediction = output.image
+            batch |= {"shadow_logits": output.shadow_logits, "gain_db": output.gain_db}
         else:
             prediction = self.network(batch["noisy"], **extras)
         return self.loss(prediction, batch["clean"], batch)
 
-    def checked(self, loss: Tensor, index: int) -> Tensor:
+    def require_finite(self, loss: Tensor, index: int) -> Tensor:
         """The loss itself; FactoryError when it is not a number."""
         if not torch.isfinite(loss):
             raise FactoryError(
@@ -86,14 +86,14 @@ class Training(LightningModule):
         return loss
 
     def on_train_batch_end(self, outputs: Any, batch: Any, batch_idx: int) -> None:
-        """Let the average follow the weights."""
+        """Update the running average."""
         self.average.update_parameters(self.network)
 
     def validation_step(self, batch: Batch, index: int) -> None:
         """Quality of a whole validation image before and after denoising."""
         noisy, clean = batch["noisy"], batch["clean"]
         denoised = self.average(noisy, **known_extras(self.network, batch)).float().clamp(0, 1)
-        self.note(
+        self.log_means(
             {
                 "psnr_noisy": psnr_db(noisy, clean),
                 "psnr": psnr_db(denoised, clean),
@@ -105,8 +105,8 @@ class Training(LightningModule):
             len(noisy),
         )
 
-    def note(self, values: Mapping[str, Tensor], count: int) -> None:
-        """Average figures of one validation batch into those of the interval."""
+    def log_means(self, values: Mapping[str, Tensor], count: int) -> None:
+        """Add the figures of a validation batch of `count` images to the interval's means."""
         self.log_dict(
             {name: value.mean() for name, value in values.items()},
             on_epoch=True,
@@ -115,7 +115,7 @@ class Training(LightningModule):
         )
 
     def configure_optimizers(self) -> Any:
-        """AdamW with a linear warm-up and a cosine fall to zero, counted in steps."""
+        """AdamW with a linear warm-up and a cosine decay to zero, counted in steps."""
         chosen = self.settings
         optimizer = torch.optim.AdamW(
             [weights for weights in self.network.parameters() if weights.requires_grad],
@@ -124,17 +124,17 @@ class Training(LightningModule):
             weight_decay=chosen.weight_decay,
         )
         rate = torch.optim.lr_scheduler.LambdaLR(
-            optimizer, lambda step: rate_factor(step, chosen.warmup, chosen.steps)
+            optimizer, lambda step: learning_rate_factor(step, chosen.warmup, chosen.steps)
         )
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": rate, "interval": "step"}}
 
 
 def known_extras(network: Network, batch: Batch) -> dict[str, Tensor]:
-    """Of what the network can use beside the image, what the batch has."""
+    """The optional inputs of the network that the batch holds."""
     return {name: batch[name] for name in network.extras if name in batch}
 
 
-def rate_factor(step: int, warmup: int, steps: int) -> float:
+def learning_rate_factor(step: int, warmup: int, steps: int) -> float:
     """Share of the full learning rate at a step: linear warm-up, then a cosine to zero."""
     if step < warmup:
         return (step + 1) / (warmup + 1)
@@ -143,7 +143,7 @@ def rate_factor(step: int, warmup: int, steps: int) -> float:
 
 
 def _running_average(decay: float) -> Any:
-    """Exponential average of parameters; short at first, when the weights still travel far."""
+    """Exponential average of parameters; short at first, when weights change fast."""
 
     @torch.no_grad()
     def update(average: list[Tensor], current: list[Tensor], count: Tensor | int) -> None:

@@ -1,4 +1,4 @@
-"""Pictures of what a network does."""
+"""Denoising of single images, and pictures of the results."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ _GAP = 4
 
 def denoise_batch(network: nn.Module, batch: Batch) -> npt.NDArray[np.float32]:
     """(H, W) float32 in 0..1: the image of a batch of one, denoised and clipped."""
-    return denoise_and_tell(network, batch)[0]
+    return denoise_with_gain(network, batch)[0]
 
 
-def denoise_and_tell(
+def denoise_with_gain(
     network: nn.Module, batch: Batch
 ) -> tuple[npt.NDArray[np.float32], float | None]:
-    """As `denoise_batch`, and the gain of PSNR in dB that the network expects, if it has a head."""
+    """As `denoise_batch`, and the expected gain of PSNR in dB, None without a gain head."""
     device = next(network.parameters()).device
     known = {n: batch[n].to(device) for n in getattr(network, "extras", ()) if n in batch}
     noisy, gain_db = batch["noisy"].to(device), None
     with torch.inference_mode():
         if isinstance(network, Network) and network.has_heads:
-            seen = network.with_heads(noisy, **known)
-            result, gain_db = seen.image, float(seen.gain_db[0])
+            output = network.with_heads(noisy, **known)
+            result, gain_db = output.image, float(output.gain_db[0])
         else:
             result = network(noisy, **known)
         result = result.float().clamp(0, 1)

@@ -18,24 +18,30 @@ from torch.utils.data import DataLoader
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import check_writable, sha256_of, write_atomically
 from simnfnd.models import WEIGHTS_NAME, build_network
-from simnfnd.models.data.crops import Crops, Visits, Whole, join, whole
+from simnfnd.models.data.crops import (
+    Crops,
+    VisitSampler,
+    WholeImages,
+    concatenate,
+    whole_image_batch,
+)
 from simnfnd.models.data.pairs import Batch
 from simnfnd.models.data.sources import Data, open_data
 from simnfnd.models.losses import build_loss
 from simnfnd.models.networks.network import Network
+from simnfnd.models.networks.weights import load_weights
 from simnfnd.models.pretrained import find_weights
-from simnfnd.models.training.module import Row, Training
+from simnfnd.models.training.module import DenoisingModule, Row
 from simnfnd.models.training.samples import write_samples
-from simnfnd.models.training.self_supervised import SelfSupervised
+from simnfnd.models.training.self_supervised import SelfSupervisedModule
 from simnfnd.models.training.settings import ModelsSettings, RendersData, SelfSupervisedData
 from simnfnd.models.training.validation import (
     CHECKPOINT_NAME,
-    Checks,
+    ValidationCallback,
     best_row,
     is_stopped,
     read_checkpoint,
 )
-from simnfnd.models.weights import load_weights
 
 _SHOWN = 4
 
@@ -59,9 +65,9 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
     module = _module(settings)
     extras = module.network.extras
     count = len(data.validation)
-    picked = [i * count // min(_SHOWN, count) for i in range(min(_SHOWN, count))]
-    shown = [whole(data.validation.sample(i, None), extras) for i in picked]
-    checks = Checks(
+    shown_indices = [i * count // min(_SHOWN, count) for i in range(min(_SHOWN, count))]
+    shown = [whole_image_batch(data.validation.sample(i, None), extras) for i in shown_indices]
+    callback = ValidationCallback(
         out,
         settings.model,
         recipe,
@@ -73,20 +79,20 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
     finished = rows and rows[-1]["step"] == settings.train.steps
     if finished or is_stopped(rows, module, settings.train.patience):
         print(f"{out} holds this training already, finished; resume=false trains it afresh")
-        checks.rows = rows
+        callback.rows = rows
     else:
         text = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True)
         write_atomically(out / "config.yaml", text.encode())
-        _fit(module, checks, checkpoint, settings, accelerator, data)
+        _fit(module, callback, checkpoint, settings, accelerator, data)
     if not is_main_process():
-        return best_row(checks.rows, module)
+        return best_row(callback.rows, module)
     network = load_weights(out / WEIGHTS_NAME).network
-    write_samples(out / "samples.png", network, shown, [data.labels[i] for i in picked])
-    return best_row(checks.rows, module)
+    write_samples(out / "samples.png", network, shown, [data.labels[i] for i in shown_indices])
+    return best_row(callback.rows, module)
 
 
 def is_main_process() -> bool:
-    """Whether this is the process that tells and writes; Lightning starts one more a device."""
+    """Whether this process prints and writes; Lightning starts one process a device."""
     return os.environ.get("LOCAL_RANK", "0") == "0"
 
 
@@ -95,13 +101,13 @@ def output_folder(settings: ModelsSettings) -> Path:
     return Path(settings.out or Path("outputs", "models", settings.name)).expanduser()
 
 
-def _module(settings: ModelsSettings) -> Training:
+def _module(settings: ModelsSettings) -> DenoisingModule:
     """The network as training begins, and the way to train it."""
     network: Network = build_network(settings.model)
     if settings.start is not None:
-        _begin_from(network, settings)
+        _load_start(network, settings)
     if settings.train.parts is not None:
-        _freeze_but(network, settings.train.parts)
+        _freeze_all_but(network, settings.train.parts)
     loss = build_loss(settings.loss)
     if isinstance(settings.data, SelfSupervisedData):
         if network.adversarial:
@@ -109,15 +115,15 @@ def _module(settings: ModelsSettings) -> Training:
                 f"model.kind={settings.model['kind']}: is trained against clean images; "
                 "data=self_supervised has none"
             )
-        return SelfSupervised(network, loss, settings.train, settings.seed, settings.data)
+        return SelfSupervisedModule(network, loss, settings.train, settings.seed, settings.data)
     if network.adversarial:
-        from simnfnd.models.training.adversarial import Adversarial
+        from simnfnd.models.training.adversarial import AdversarialModule
 
-        return Adversarial(network, loss, settings.train, settings.seed)
-    return Training(network, loss, settings.train, settings.seed)
+        return AdversarialModule(network, loss, settings.train, settings.seed)
+    return DenoisingModule(network, loss, settings.train, settings.seed)
 
 
-def _begin_from(network: Network, settings: ModelsSettings) -> None:
+def _load_start(network: Network, settings: ModelsSettings) -> None:
     assert settings.start is not None
     trained = load_weights(find_weights(settings.start))
     if trained.model["kind"] == settings.model["kind"]:
@@ -132,7 +138,7 @@ def _begin_from(network: Network, settings: ModelsSettings) -> None:
     )
 
 
-def _freeze_but(network: Network, parts: Sequence[str]) -> None:
+def _freeze_all_but(network: Network, parts: Sequence[str]) -> None:
     known = [name for name, _ in network.named_modules() if name]
     for part in parts:
         if part not in known:
@@ -145,8 +151,8 @@ def _freeze_but(network: Network, parts: Sequence[str]) -> None:
 
 
 def _fit(
-    module: Training,
-    checks: Checks,
+    module: DenoisingModule,
+    callback: ValidationCallback,
     checkpoint: Path | None,
     settings: ModelsSettings,
     accelerator: str,
@@ -166,8 +172,8 @@ def _fit(
             precision=chosen.precision,
             max_epochs=chosen.steps // chosen.check_every,
             gradient_clip_val=chosen.clip if module.automatic_optimization else None,
-            callbacks=[checks],
-            default_root_dir=str(checks.out),
+            callbacks=[callback],
+            default_root_dir=str(callback.out),
             logger=False,
             num_sanity_val_steps=0,
             deterministic="warn",
@@ -215,7 +221,7 @@ def _loaders(
         seed=settings.seed,
         extras=network.extras,
     )
-    visits = Visits(
+    visits = VisitSampler(
         len(data.learning),
         kind,
         chosen.steps // chosen.check_every,
@@ -223,9 +229,9 @@ def _loaders(
         settings.seed,
     )
     return (
-        DataLoader(crops, batch_sampler=visits, collate_fn=join, **shared),
+        DataLoader(crops, batch_sampler=visits, collate_fn=concatenate, **shared),
         # One at a time: whole images of any size fit, and the figures are means of images.
-        DataLoader(Whole(data.validation, network.extras), None),
+        DataLoader(WholeImages(data.validation, network.extras), None),
     )
 
 

@@ -1,4 +1,4 @@
-"""After every interval of steps: a row of metrics, pictures, the best weights, a checkpoint."""
+"""The callback after every interval of steps: metrics, pictures, best weights, checkpoint."""
 
 from __future__ import annotations
 
@@ -21,22 +21,24 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
 from simnfnd.models import WEIGHTS_NAME
 from simnfnd.models.data.pairs import Batch
-from simnfnd.models.training.module import Row, Training
+from simnfnd.models.networks.weights import save_weights
+from simnfnd.models.training.module import DenoisingModule, Row
 from simnfnd.models.training.samples import contact_sheet, write_grey
-from simnfnd.models.weights import save_weights
 
 CHECKPOINT_NAME = "checkpoint.ckpt"
 METRICS_NAME = "metrics.csv"
 SAMPLES_FOLDER = "samples"
 TENSORBOARD_FOLDER = "tensorboard"
+# Existing checkpoints have this key.
+_STATE_KEY = "Checks"
 
 
-class Checks(Checkpoint):
-    """The callback that measures, saves and shows.
+class ValidationCallback(Checkpoint):
+    """Saves and shows what every validation finds.
 
-    recipe: goes into the checkpoint, so that another training is not continued by mistake.
-    shown: validation images to draw at every check.  patience: intervals without anything better
-    after which training stops.  tensorboard: write curves and pictures for it, too.
+    recipe: kept in the checkpoint, so that another training is not continued by mistake.
+    shown: validation images to draw each time.  patience: intervals without improvement after
+    which training stops.  tensorboard: also write its curves and pictures.
     """
 
     def __init__(
@@ -58,8 +60,8 @@ class Checks(Checkpoint):
         self._started = 0.0
 
     def on_train_start(self, trainer: Trainer, module: LightningModule) -> None:
-        """Show how far training is."""
-        assert isinstance(module, Training)
+        """Open the progress bar and TensorBoard."""
+        assert isinstance(module, DenoisingModule)
         self._started = time.monotonic()
         if not trainer.is_global_zero:
             return
@@ -82,8 +84,8 @@ class Checks(Checkpoint):
             self._bar.update()
 
     def on_train_epoch_end(self, trainer: Trainer, module: LightningModule) -> None:
-        """Write what this interval has brought."""
-        assert isinstance(module, Training)
+        """Write the results of the interval."""
+        assert isinstance(module, DenoisingModule)
         row = self._row(trainer, module)
         self._losses.clear()
         self.rows.append(row)
@@ -94,10 +96,10 @@ class Checks(Checkpoint):
             write_metrics(self.out / METRICS_NAME, self.rows)
             self._show(module, row)
         trainer.should_stop = is_stopped(self.rows, module, self.patience)
-        # Last: whatever is killed before this line is done again, with the same result.
+        # Last: an interval that is killed before this line is repeated with the same result.
         save_checkpoint(trainer, self.out / CHECKPOINT_NAME)
 
-    def _row(self, trainer: Trainer, module: Training) -> Row:
+    def _row(self, trainer: Trainer, module: DenoisingModule) -> Row:
         measured = {name: float(trainer.callback_metrics[name]) for name in module.figures}
         step = module.step + module.settings.check_every
         if not all(math.isfinite(value) for value in measured.values()):
@@ -113,13 +115,13 @@ class Checks(Checkpoint):
         row["seconds"] = round(time.monotonic() - self._started, 1)
         return row
 
-    def _show(self, module: Training, row: Row) -> None:
+    def _show(self, module: DenoisingModule, row: Row) -> None:
         """The row on the terminal and for TensorBoard, and the pictures."""
         if self._bar is not None:
-            told = {"loss": f"{row['loss']:.4f}"}
+            shown = {"loss": f"{row['loss']:.4f}"}
             if "psnr" in row:
-                told["psnr"] = f"{row['psnr']:.2f} ({row['gain_db']:+.2f} dB)"
-            self._bar.set_postfix(told)
+                shown["psnr"] = f"{row['psnr']:.2f} ({row['gain_db']:+.2f} dB)"
+            self._bar.set_postfix(shown)
         sheet = None
         if self.shown:
             sheet = contact_sheet(module.average.module, self.shown)
@@ -141,7 +143,7 @@ class Checks(Checkpoint):
     def on_exception(
         self, trainer: Trainer, module: LightningModule, exception: BaseException
     ) -> None:
-        """Leave the terminal tidy for the one line that says what went wrong."""
+        """Leave the terminal tidy for the error message."""
         self._close()
 
     def _close(self) -> None:
@@ -149,6 +151,11 @@ class Checks(Checkpoint):
             self._bar.close()
         if self._board is not None:
             self._board.close()
+
+    @property
+    def state_key(self) -> str:
+        """Where a checkpoint holds the state."""
+        return _STATE_KEY
 
     def state_dict(self) -> dict[str, Any]:
         """What resuming needs, as JSON: a checkpoint is loaded without running code of it."""
@@ -159,15 +166,15 @@ class Checks(Checkpoint):
         self.rows = json.loads(state["rows"])
 
 
-def best_row(rows: Sequence[Row], module: Training | type[Training]) -> Row:
+def best_row(rows: Sequence[Row], module: DenoisingModule | type[DenoisingModule]) -> Row:
     """The row of the weights that are kept; of equal ones the first."""
     return max(rows, key=module.score)
 
 
 def is_stopped(
-    rows: Sequence[Row], module: Training | type[Training], patience: int | None
+    rows: Sequence[Row], module: DenoisingModule | type[DenoisingModule], patience: int | None
 ) -> bool:
-    """Whether the last `patience` rows brought nothing better than what was there before."""
+    """Whether none of the last `patience` rows is better than the best before them."""
     if patience is None or len(rows) <= patience:
         return False
     best = max(module.score(row) for row in rows[:-patience])
@@ -186,7 +193,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     """The recipe and the rows of a checkpoint.  Raises FactoryError when it is damaged."""
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-        state = content["callbacks"][Checks.__qualname__]
+        state = content["callbacks"][_STATE_KEY]
         return {name: json.loads(state[name]) for name in ("recipe", "rows")}
     except Exception as error:
         # torch reports a damaged file with a dozen exception types.

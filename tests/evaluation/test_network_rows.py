@@ -23,7 +23,7 @@ def weights(path: Path, seed: int) -> Path:
     import torch
 
     from simnfnd.models import build_network
-    from simnfnd.models.weights import save_weights
+    from simnfnd.models.networks.weights import save_weights
 
     config = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 1, "decoder": [1]}
     torch.manual_seed(seed)
@@ -49,7 +49,7 @@ def test_networks_are_rows_with_their_costs(tmp_path: Path) -> None:
     items = items_of(dataset, "test")
     with closing(Journal(tmp_path / "out")) as journal, Team(1) as team:
         rows = measure_rows(settings, items, methods, journal, team)
-    from simnfnd.models.denoise.command import load_denoiser
+    from simnfnd.models.denoise.denoiser import load_denoiser
 
     pair = picture(items[1].place)
     expected = psnr(pair.clean, load_denoiser(first)(pair.noisy).clip(0, 1), data_range=1.0)

@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 from simnfnd.evaluation.campaign.settings import CampaignSettings
 from simnfnd.factory.settings import build
 from simnfnd.models import build_network
-from simnfnd.models.weights import save_weights
+from simnfnd.models.networks.weights import save_weights
 
 TINY = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 0, "decoder": [1]}
 ROWS = (

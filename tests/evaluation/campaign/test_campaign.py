@@ -20,7 +20,7 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.jobs.lock import Lock
 from simnfnd.factory.settings import build
 from simnfnd.models import build_network
-from simnfnd.models.weights import save_weights
+from simnfnd.models.networks.weights import save_weights
 from tests.evaluation.campaign.campaign_programs import ROWS, TINY, Programs, settings
 
 LENGTH = ("train.steps=", "train.check_every=")

@@ -78,11 +78,11 @@ def test_pixels_squeezed_across_count_in_the_bearing() -> None:
     geometry = FanGeometry.fan(
         math.radians(30), apex_x_px=50, apex_y_px=120, near_px=20, far_px=100, x_scale=0.8
     )
-    row, column = geometry.pixels(np.float64(1.0), np.float64(math.radians(15)))
-    assert float(column) == pytest.approx(50 + 0.8 * 100 * math.sin(math.radians(15)))
-    assert float(row) == pytest.approx(120 - 100 * math.cos(math.radians(15)))
-    assert geometry.sector_mask(120, 101)[int(row) + 2, int(column) - 1]
-    assert not geometry.sector_mask(120, 101)[int(row) + 2, int(column) + 2]
+    row, column = geometry.pixels(np.ones(1), np.full(1, math.radians(15)))
+    assert column[0] == pytest.approx(50 + 0.8 * 100 * math.sin(math.radians(15)))
+    assert row[0] == pytest.approx(120 - 100 * math.cos(math.radians(15)))
+    assert geometry.sector_mask(120, 101)[int(row[0]) + 2, int(column[0]) - 1]
+    assert not geometry.sector_mask(120, 101)[int(row[0]) + 2, int(column[0]) + 2]
     assert geometry.with_size(1, 1) is geometry
 
 

@@ -27,15 +27,15 @@ from simnfnd.factory.settings import build
 from simnfnd.factory.sonar.fan import fan_table
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
-from simnfnd.models.data.crops import Crops, Visit, Whole
+from simnfnd.models.data.crops import Crops, Visit, WholeImages
 from simnfnd.models.data.fans import read_fans
 from simnfnd.models.data.images import list_images, read_grey
 from simnfnd.models.data.olddata import OldDataSource, with_noise
 from simnfnd.models.data.pairs import PairSource, hold_out, read_table
 from simnfnd.models.data.renders import RenderSource, open_renders, resized
 from simnfnd.models.data.sources import open_data
-from simnfnd.models.training.module import Training
-from simnfnd.models.training.self_supervised import blinded, neighbours, picked
+from simnfnd.models.training.module import DenoisingModule
+from simnfnd.models.training.self_supervised import mask_blind_spots, neighbour_pairs, select_pixels
 from simnfnd.models.training.settings import DATA, ModelsSettings, RendersData
 from simnfnd.models.training.train import train
 from tests.project_files import ROOT
@@ -164,17 +164,17 @@ def test_training_on_renders_broken_off_ends_with_the_same_bytes(
     )
     monkeypatch.setattr("simnfnd.models.training.train.write_samples", _no_picture)
     train(*composed(*words, f"out='{tmp_path / 'whole'}'"))
-    step = Training.training_step
+    step = DenoisingModule.training_step
     calls: list[int] = []
 
-    def breaks_down(self: Training, batch: Any, index: int) -> Any:
+    def breaks_down(self: DenoisingModule, batch: Any, index: int) -> Any:
         calls.append(len(batch["noisy"]))
         if len(calls) == 4:
             raise OSError("the power went")
         return step(self, batch, index)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Training, "training_step", breaks_down)
+        patch.setattr(DenoisingModule, "training_step", breaks_down)
         with pytest.raises(OSError, match="power"):
             train(*composed(*words, f"out='{tmp_path / 'broken'}'"))
     assert calls == [8, 8, 4, 4]
@@ -285,22 +285,19 @@ def test_pixels_are_the_inverse_of_maps() -> None:
 def test_crops_carry_the_maps_of_their_window(rendered: tuple[Path, Path]) -> None:
     table = read_table(rendered[0], "train")
     source = PairSource(table.samples, table.sonar)
-    extras = ("range_fraction", "azimuth_rad", "sector", "noise_level")
+    extras = ("range_fraction", "azimuth_rad", "sector")
     geometry = source.sample(0, None).geometry
     assert geometry is not None
     maps = geometry.maps(0, 0, 40, 48)
     assert (maps["sector"][source.sample(0, None).noisy > 0] > 0).mean() > 0.97
     crops = Crops(source, crops=6, flip=True, seed=1, extras=extras)
     batch = crops[Visit(0, 0, 0, 24)]
-    assert {name: tuple(batch[name].shape) for name in extras[:3]} == dict.fromkeys(
-        extras[:3], (6, 1, 24, 24)
+    assert {name: tuple(batch[name].shape) for name in extras} == dict.fromkeys(
+        extras, (6, 1, 24, 24)
     )
-    level = (batch["noisy"] - batch["clean"]).square().mean(dim=(1, 2, 3)).sqrt()
-    torch.testing.assert_close(batch["noise_level"], level)
     rising = batch["azimuth_rad"].diff(dim=-1)
     assert (rising > 0).all(), "a mirrored picture has its bearings from left to right, too"
-    whole = Whole(source, extras)[0]
-    assert "noise_level" not in whole
+    whole = WholeImages(source, extras)[0]
     assert whole["sector"].shape == (1, 1, 40, 48)
 
 
@@ -415,8 +412,8 @@ def test_fans_of_mdd_hold_its_echoes() -> None:
 
 def test_neighbours_are_two_pixels_that_touch() -> None:
     image = torch.arange(2 * 7 * 8, dtype=torch.float32).reshape(2, 1, 7, 8)
-    first, second = neighbours(image.shape, np.random.default_rng(0))
-    one, other = picked(image, first), picked(image, second)
+    first, second = neighbour_pairs(image.shape, np.random.default_rng(0))
+    one, other = select_pixels(image, first), select_pixels(image, second)
     assert one.shape == (2, 1, 3, 4)
     assert set((one - other).abs().unique().tolist()) == {1.0, 8.0}
     rows = one[0, 0] // 8
@@ -426,7 +423,7 @@ def test_neighbours_are_two_pixels_that_touch() -> None:
 @pytest.mark.parametrize("radius", [0, 2])
 def test_blind_spots_see_nothing_of_their_surroundings(radius: int) -> None:
     image = torch.rand(1, 1, 40, 40)
-    hidden, chosen = blinded(image, np.random.default_rng(4), 0.01, radius)
+    hidden, chosen = mask_blind_spots(image, np.random.default_rng(4), 0.01, radius)
     places = torch.nonzero(chosen[0, 0]).tolist()
     assert places
     other = image.clone()
@@ -437,7 +434,7 @@ def test_blind_spots_see_nothing_of_their_surroundings(radius: int) -> None:
             max(0, column - radius) : column + radius + 1,
         ]
         other[near] = 7.0
-    again, _ = blinded(other, np.random.default_rng(4), 0.01, radius)
+    again, _ = mask_blind_spots(other, np.random.default_rng(4), 0.01, radius)
     for row, column in places:
         assert again[0, 0, row, column] != 7.0 or len(places) > 1
     assert (hidden != image).float().mean() < 0.6
@@ -466,7 +463,7 @@ def test_neighbor2neighbor_denoises_without_a_clean_image(
         *("model.width=8", "data.patch=48"),
     )
     train(*composed(*words))
-    from simnfnd.models.denoise.command import load_denoiser
+    from simnfnd.models.denoise.denoiser import load_denoiser
 
     denoise = load_denoiser(tmp_path / "out" / "weights.safetensors", "cpu")
     noisy, clean = speckled(64, 99)

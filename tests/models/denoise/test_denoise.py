@@ -19,10 +19,13 @@ from scipy import ndimage
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models import build_network
-from simnfnd.models.denoise.command import Item, denoise_image, find_items, load_denoiser, main
+from simnfnd.models.denoise.command import main
+from simnfnd.models.denoise.denoiser import load_denoiser
+from simnfnd.models.denoise.files import denoise_image
+from simnfnd.models.denoise.inputs import Item, find_items
 from simnfnd.models.denoise.tile import starts, tiled
 from simnfnd.models.networks.network import Network
-from simnfnd.models.weights import load_weights, save_weights
+from simnfnd.models.networks.weights import load_weights, save_weights
 from tests.small_dataset import fan_images, write_dataset, write_manifest
 
 TINY = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 0, "decoder": [1]}
@@ -147,9 +150,9 @@ def test_nobody_is_told_of_pictures_that_a_network_cannot_give_back(
     weights: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     denoise = load_denoiser(weights)
-    monkeypatch.setattr(denoise, "_one", lambda gray, maps: (gray, None))
+    monkeypatch.setattr(denoise, "_denoise_tile", lambda gray, maps: (gray, None))
     denoise(np.zeros((8, 8), np.float32))
-    assert (denoise.seen, denoise.left) == (1, 0)
+    assert (denoise.pictures, denoise.unchanged) == (1, 0)
 
 
 @pytest.mark.parametrize(("right_db", "left"), [(6.5, 0), (5.0, 1)])
@@ -162,11 +165,13 @@ def test_a_large_picture_is_denoised_as_a_whole_or_not_at_all(
     gray = np.full((32, 64), 0.5, np.float32)
     gray[:, 32:] = 0.75
     monkeypatch.setattr(
-        denoise, "_one", lambda part, maps: (part / 2, right_db if part[0, 0] > 0.6 else 1.0)
+        denoise,
+        "_denoise_tile",
+        lambda part, maps: (part / 2, right_db if part[0, 0] > 0.6 else 1.0),
     )
     result = denoise(gray)
     assert np.array_equal(result, gray if left else gray / 2)
-    assert (denoise.seen, denoise.left) == (1, left)
+    assert (denoise.pictures, denoise.unchanged) == (1, left)
 
 
 def test_shards_become_denoised_shards(weights: Path, tmp_path: Path) -> None:
@@ -322,25 +327,25 @@ def test_large_pictures_are_denoised_in_tiles(weights: Path) -> None:
 
 
 def test_geometry_reaches_the_network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[tuple[str, ...]] = []
+    received: list[tuple[str, ...]] = []
 
-    class Told(Network):
-        extras = ("range_fraction", "sector", "noise_level")
+    class Recorder(Network):
+        extras = ("range_fraction", "sector")
 
         def __init__(self) -> None:
             super().__init__(channels=1, stride=1)
             self.scale = torch.nn.Parameter(torch.ones(()))
 
         def restore(self, noisy: torch.Tensor, **extras: torch.Tensor) -> torch.Tensor:
-            told.append(tuple(extras))
+            received.append(tuple(extras))
             return noisy * self.scale
 
-    monkeypatch.setattr("simnfnd.models.weights.build_network", lambda model: Told())
+    monkeypatch.setattr("simnfnd.models.networks.weights.build_network", lambda model: Recorder())
     path = tmp_path / "weights.safetensors"
-    save_weights(path, Told(), {"kind": "told"}, {})
+    save_weights(path, Recorder(), {"kind": "recorder"}, {})
     denoise = load_denoiser(path, "cpu")
     gray = np.zeros((20, 20), np.float32)
     denoise(gray)
     denoise(gray, FanGeometry.polar().with_size(20, 20))
     denoise(gray, layout="polar")
-    assert told == [(), ("range_fraction", "sector"), ("range_fraction", "sector")]
+    assert received == [(), ("range_fraction", "sector"), ("range_fraction", "sector")]

@@ -16,13 +16,14 @@ from torch import Tensor
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
-from simnfnd.models import NETWORKS, build_network, cost
-from simnfnd.models.cost import count_macs, example, measure
+from simnfnd.models import NETWORKS, build_network
+from simnfnd.models.networks import cost
+from simnfnd.models.networks.cost import count_macs, example, measure
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.polar import polar_grid
 from simnfnd.models.networks.restormer import ChannelAttention
 from simnfnd.models.networks.sonarnet import SonarNet
-from simnfnd.models.weights import load_weights, save_weights
+from simnfnd.models.networks.weights import load_weights, save_weights
 from tests.project_files import ROOT
 
 TINY: dict[str, dict[str, Any]] = {

@@ -16,7 +16,7 @@ from safetensors import safe_open
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.settings import build
 from simnfnd.models.networks.sid_tgan import Discriminator, SIDTGANSettings
-from simnfnd.models.training.adversarial import Adversarial, dissimilarity, gram, hinge, style
+from simnfnd.models.training.adversarial import AdversarialModule, dissimilarity, gram, hinge, style
 from simnfnd.models.training.settings import ModelsSettings
 from simnfnd.models.training.train import train
 from tests.small_dataset import write_dataset
@@ -90,15 +90,15 @@ def test_both_learn_and_only_the_generator_is_kept(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before: dict[str, torch.Tensor] = {}
-    modules: list[Adversarial] = []
-    start = Adversarial.on_fit_start
+    modules: list[AdversarialModule] = []
+    start = AdversarialModule.on_fit_start
 
-    def remember(module: Adversarial) -> None:
+    def remember(module: AdversarialModule) -> None:
         modules.append(module)
         before.update({name: x.detach().clone() for name, x in module.named_parameters()})
         start(module)
 
-    monkeypatch.setattr(Adversarial, "on_fit_start", remember)
+    monkeypatch.setattr(AdversarialModule, "on_fit_start", remember)
     row = train_small(dataset, tmp_path)
     assert row["step"] in (3, 6)
     (module,) = modules
@@ -117,15 +117,15 @@ def test_an_interrupted_training_ends_with_the_same_weights(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     train_small(dataset, tmp_path / "whole")
-    step = Adversarial.training_step
+    step = AdversarialModule.training_step
 
-    def stop(module: Adversarial, batch: Any, index: int) -> torch.Tensor:
+    def stop(module: AdversarialModule, batch: Any, index: int) -> torch.Tensor:
         if module.current_epoch == 1 and index == 1:
             raise FactoryError("pulled the plug")
         return step(module, batch, index)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Adversarial, "training_step", stop)
+        patch.setattr(AdversarialModule, "training_step", stop)
         with pytest.raises(FactoryError, match="pulled the plug"):
             train_small(dataset, tmp_path / "cut")
     train_small(dataset, tmp_path / "cut")

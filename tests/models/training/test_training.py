@@ -26,15 +26,22 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
 from simnfnd.factory.settings import build
 from simnfnd.models import WEIGHTS_NAME, build_network
-from simnfnd.models.data.crops import Crops, Visit, Visits, interval_sizes, join
-from simnfnd.models.data.pairs import PairSource, SampleRef, Shards, hold_out, read_table, spread
+from simnfnd.models.data.crops import Crops, Visit, VisitSampler, concatenate, interval_sizes
+from simnfnd.models.data.pairs import (
+    PairReader,
+    PairSource,
+    SampleRef,
+    hold_out,
+    read_table,
+    spread,
+)
 from simnfnd.models.losses import build_loss
+from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.training import quality
-from simnfnd.models.training.module import Training, rate_factor
+from simnfnd.models.training.module import DenoisingModule, learning_rate_factor
 from simnfnd.models.training.settings import DATA, ModelsSettings
 from simnfnd.models.training.train import train
 from simnfnd.models.training.validation import is_stopped, read_checkpoint
-from simnfnd.models.weights import load_weights, save_weights
 from tests.project_files import ROOT
 from tests.small_dataset import fan_images, write_dataset
 
@@ -153,7 +160,7 @@ def test_quality_agrees_with_the_evaluation() -> None:
 
 
 def test_learning_rate_climbs_and_falls() -> None:
-    factors = [rate_factor(step, 10, 100) for step in range(101)]
+    factors = [learning_rate_factor(step, 10, 100) for step in range(101)]
     assert factors[0] == pytest.approx(1 / 11)
     assert factors[10] == 1 == max(factors)
     assert factors[55] == pytest.approx(0.5)
@@ -189,7 +196,7 @@ def test_spread_keeps_the_ends_of_a_long_list() -> None:
 
 def visits(images: int, data: Any, steps: int = 5, intervals: int = 7) -> list[list[Visit]]:
     """All steps of a training."""
-    sampler = Visits(images, data, intervals, steps, seed=1)
+    sampler = VisitSampler(images, data, intervals, steps, seed=1)
     found = []
     for interval in range(intervals):
         sampler.set_epoch(interval)
@@ -230,7 +237,7 @@ def test_devices_share_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
     alone = visits(7, data)
     parts = []
     for rank in range(3):
-        monkeypatch.setattr("simnfnd.models.data.crops._place", lambda rank=rank: (rank, 3))
+        monkeypatch.setattr("simnfnd.models.data.crops._rank", lambda rank=rank: (rank, 3))
         parts.append(visits(7, data))
     for step, *shares in zip(alone, *parts, strict=True):
         assert sorted(visit for share in shares for visit in share) == sorted(step)
@@ -241,7 +248,7 @@ def test_crops_are_windows_of_the_images_mirrored_at_most(dataset: Path) -> None
     table = read_table(dataset, "train")
     samples = table.samples
     crops = Crops(PairSource(samples, None), crops=4, flip=True, seed=0)
-    images = Shards().layers(samples[3])
+    images = PairReader().layers(samples[3])
     windows, mirrored = set(), set()
     for number in range(10):
         batch = crops[Visit(number, 3, 0, 20)]
@@ -270,7 +277,7 @@ def test_crops_are_windows_of_the_images_mirrored_at_most(dataset: Path) -> None
 def test_some_visits_show_weaker_noise_down_to_none(dataset: Path) -> None:
     samples = read_table(dataset, "train").samples
     source = PairSource(samples, None, weaker=0.5, seed=0)
-    noisy, clean, _ = Shards().layers(samples[0])
+    noisy, clean, _ = PairReader().layers(samples[0])
     factors = []
     for visit in range(60):
         seen = source.sample(0, visit).noisy
@@ -289,8 +296,8 @@ def test_reading_processes_change_nothing(dataset: Path) -> None:
     def batches(workers: int) -> list[torch.Tensor]:
         loader = DataLoader(
             Crops(PairSource(samples, None, weaker=0.5), flip=True, seed=0),
-            batch_sampler=Visits(len(samples), data, 1, 3, seed=0),
-            collate_fn=join,
+            batch_sampler=VisitSampler(len(samples), data, 1, 3, seed=0),
+            collate_fn=concatenate,
             num_workers=workers,
             multiprocessing_context="spawn" if workers else None,
         )
@@ -321,7 +328,7 @@ def test_training_learns_to_denoise(trained: Path, dataset: Path) -> None:
     # And on scenes that were neither trained nor validated on.
     network = load_weights(trained / "weights.safetensors").network
     for sample in read_table(dataset, "test").samples:
-        noisy, clean = Shards().pair(sample)
+        noisy, clean = PairReader().pair(sample)
         with torch.inference_mode():
             denoised = network(torch.from_numpy(noisy)[None, None])[0, 0].clamp(0, 1).numpy()
         before = metrics.psnr(clean, noisy, data_range=1)
@@ -341,7 +348,7 @@ def test_same_seed_same_weights_and_a_breakdown_changes_nothing(
     trained: Path, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Stopped in the middle of the second interval, training ends with the very same bytes."""
-    step, crop = Training.training_step, Crops.__getitem__
+    step, crop = DenoisingModule.training_step, Crops.__getitem__
     calls: list[int] = []
     drawn: list[int] = []
 
@@ -349,14 +356,14 @@ def test_same_seed_same_weights_and_a_breakdown_changes_nothing(
         drawn.append(visit.number)
         return crop(self, visit)
 
-    def breaks_down(self: Training, batch: Any, index: int) -> Any:
+    def breaks_down(self: DenoisingModule, batch: Any, index: int) -> Any:
         calls.append(index)
         if len(calls) == 47:
             raise OSError("the power went")
         return step(self, batch, index)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Training, "training_step", breaks_down)
+        patch.setattr(DenoisingModule, "training_step", breaks_down)
         with pytest.raises(OSError, match="power"):
             train_small(dataset, tmp_path)
     assert len((tmp_path / "metrics.csv").read_text(encoding="utf-8").splitlines()) == 2
@@ -396,7 +403,7 @@ def test_killed_training_continues(trained: Path, dataset: Path, tmp_path: Path)
 def test_finished_training_is_not_done_again(
     trained: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(Training, "training_step", None)
+    monkeypatch.setattr(DenoisingModule, "training_step", None)
     before = (trained / "weights.safetensors").stat().st_mtime_ns
     best = train_small(dataset, trained)
     assert best["gain_db"] > 3
@@ -431,11 +438,11 @@ def test_training_begins_from_given_weights(trained: Path, dataset: Path, tmp_pa
 
 def test_training_stops_when_nothing_gets_better() -> None:
     rows = [{"psnr": value} for value in (20.0, 22.0, 21.9, 22.0)]
-    assert not is_stopped(rows, Training, None)
-    assert not is_stopped(rows, Training, 3)
-    assert is_stopped(rows, Training, 2)
-    assert not is_stopped(rows[:2], Training, 2)
-    assert not is_stopped([*rows, {"psnr": 22.1}], Training, 2)
+    assert not is_stopped(rows, DenoisingModule, None)
+    assert not is_stopped(rows, DenoisingModule, 3)
+    assert is_stopped(rows, DenoisingModule, 2)
+    assert not is_stopped(rows[:2], DenoisingModule, 2)
+    assert not is_stopped([*rows, {"psnr": 22.1}], DenoisingModule, 2)
 
 
 def validate_ever_worse(monkeypatch: pytest.MonkeyPatch) -> list[int]:

@@ -9,8 +9,8 @@ import torch
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.models import build_network, pretrained
-from simnfnd.models.weights import load_weights, save_weights
-from simnfnd.models.weights_export import export, main
+from simnfnd.models.networks.weights import load_weights, save_weights
+from simnfnd.models.pretrained.export import export, main
 
 TINY = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 0, "decoder": [1]}
 FACTS = {

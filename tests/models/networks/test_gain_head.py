@@ -1,4 +1,4 @@
-"""The verdict on a denoised picture: what it is told, and that it learns what was gained."""
+"""The gain head: its inputs, and that it learns what was gained."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter1d
 
-from simnfnd.models.networks.verdict import Verdict, _facts
+from simnfnd.models.networks.gain_head import GainHead, _statistics
 
 SECTOR = torch.zeros(1, 1, 32, 32)
 SECTOR[..., 4:] = 1
@@ -21,7 +21,7 @@ def test_facts_are_those_of_the_sector() -> None:
     noisy = picture() * SECTOR
     noisy[..., :8, 4:] = 0
     change = torch.full_like(noisy, 0.1)
-    facts = _facts(noisy, change, SECTOR)
+    facts = _statistics(noisy, change, SECTOR)
     assert facts.shape == (1, 5)
     power = noisy[..., 4:].square().mean().log10().item()
     assert facts[0, 0].item() == pytest.approx(-2, abs=1e-5)
@@ -29,9 +29,9 @@ def test_facts_are_those_of_the_sector() -> None:
     assert facts[0, 4].item() == pytest.approx(0.25, abs=1e-6)
     # What lies outside changes nothing.
     outside = noisy + (1 - SECTOR)
-    torch.testing.assert_close(_facts(outside, change, SECTOR), facts)
+    torch.testing.assert_close(_statistics(outside, change, SECTOR), facts)
     # White noise differs as much along range as along bearing.
-    assert _facts(picture(), change, torch.ones_like(SECTOR))[0, 3].abs() < 0.03
+    assert _statistics(picture(), change, torch.ones_like(SECTOR))[0, 3].abs() < 0.03
 
 
 def test_a_blur_along_range_is_told_from_one_along_bearing() -> None:
@@ -41,43 +41,43 @@ def test_a_blur_along_range_is_told_from_one_along_bearing() -> None:
         axis: torch.from_numpy(gaussian_filter1d(noisy.numpy(), 1.0, axis=axis)) for axis in (2, 3)
     }
     sharp, by_range, by_bearing = (
-        _facts(x, change, whole)[0, 3].item() for x in (noisy, along[2], along[3])
+        _statistics(x, change, whole)[0, 3].item() for x in (noisy, along[2], along[3])
     )
     assert by_range < sharp - 0.5
     assert by_bearing > sharp + 0.5
-    assert _facts(noisy, change, whole)[0, 0].item() == pytest.approx(-7)
+    assert _statistics(noisy, change, whole)[0, 0].item() == pytest.approx(-7)
 
 
-def test_left_and_right_are_alike_to_the_facts() -> None:
+def test_left_and_right_are_alike_to_the_statistics() -> None:
     noisy, change = picture(1), picture(2) - 0.5
     turned = [x.flip(-1) for x in (noisy, change, SECTOR)]
-    torch.testing.assert_close(_facts(*turned), _facts(noisy, change, SECTOR))
+    torch.testing.assert_close(_statistics(*turned), _statistics(noisy, change, SECTOR))
 
 
 @pytest.mark.parametrize("size", [(32, 32), (29, 31), (1, 1), (2, 6)])
 def test_any_size_gets_a_verdict_and_at_first_the_same(size: tuple[int, int]) -> None:
     height, width = size
-    verdict = Verdict(3)
+    head = GainHead(3)
     half = torch.rand(2, 3, -(-height // 8) * 4, -(-width // 8) * 4)
     planes = [torch.rand(2, 1, height, width) for _ in range(2)]
-    gains_db = verdict(half, *planes, torch.ones(2, 1, height, width))
+    gains_db = head(half, *planes, torch.ones(2, 1, height, width))
     assert gains_db.tolist() == [3.0, 3.0]
 
 
 def test_it_learns_which_pictures_are_blurred_along_range() -> None:
     torch.manual_seed(0)
-    verdict, features = Verdict(2), torch.zeros(8, 2, 16, 16)
+    head, features = GainHead(2), torch.zeros(8, 2, 16, 16)
     noisy = torch.cat([picture(seed) for seed in range(8)])
     noisy[:4] = torch.from_numpy(gaussian_filter1d(noisy[:4].numpy(), 1.0, axis=2))
-    told = (features, noisy, torch.zeros_like(noisy), SECTOR.expand(8, -1, -1, -1))
+    inputs = (features, noisy, torch.zeros_like(noisy), SECTOR.expand(8, -1, -1, -1))
     wanted = torch.tensor([6.0] * 4 + [-2.0] * 4)
-    optimizer = torch.optim.AdamW(verdict.parameters(), lr=0.01)
+    optimizer = torch.optim.AdamW(head.parameters(), lr=0.01)
     for _ in range(80):
         optimizer.zero_grad()
-        torch.nn.functional.smooth_l1_loss(verdict(*told), wanted).backward()
+        torch.nn.functional.smooth_l1_loss(head(*inputs), wanted).backward()
         optimizer.step()
-    assert (verdict(*told) - wanted).abs().max() < 1
+    assert (head(*inputs) - wanted).abs().max() < 1
     # Neither the picture nor the features are made better for its sake.
     given = [features.requires_grad_(), torch.zeros_like(noisy, requires_grad=True)]
-    verdict(given[0], noisy, given[1], told[3]).sum().backward()
+    head(given[0], noisy, given[1], inputs[3]).sum().backward()
     assert [x.grad for x in given] == [None, None]

@@ -1,4 +1,4 @@
-"""How much better a denoised picture is than it was before, told without knowing the truth."""
+"""Prediction of the gain of PSNR by denoising, without the clean picture."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ from torch.nn import functional
 from simnfnd.models.networks.network import padded
 
 _FIRST_DB = 3.0
-"""What every picture is held to gain before anything is learned."""
+"""The gain predicted before anything is learned."""
 _DARK = 1 / 512
-"""A cell below this got nothing at all: half a grey value of 8 bits."""
+"""A cell below this holds no echo: half a grey value of 8 bits."""
 _CENTRE = 1.5
-"""Brings logarithms of grey values from _DARK to 1 around zero."""
+"""Centres the logarithms of grey values between _DARK and 1."""
 _LEAST = 1e-7
-"""Added to mean squares of grey values (70 dB), so that there is a logarithm of nothing."""
-_FACTS = 5
+"""Added to mean squares of grey values (70 dB), so that 0 has a logarithm."""
+_STATISTICS = 5
 
 
-class Verdict(nn.Module):
-    """Looks at a picture, at what a network changed in it and at the network's last features.
+class GainHead(nn.Module):
+    """Predicts the gain from a picture, the network's change of it and its last features.
 
-    features: channels of these.  width: of its own.
-    It also sees the logarithm of the picture, in which a blur looks the same in bright places and
-    in dim ones, and weighs every place before it takes the mean (gated attention, Ilse et al., ICML
-    2018): most of a sonar picture is shadow, and says nothing.  What is wrong anywhere is wrong, so
-    maxima count, too.  Some facts tell at once what many layers would have to find out: how much
-    was changed, how much gets no echo at all (noise fills shadow), and whether neighbours along
-    range are more alike than those along bearing (range spreading, the strongest of the effects,
-    blurs along range alone).
+    features: channels of the last features.  width: channels of the head itself.
+    It also gets the logarithm of the picture, in which a blur looks the same in bright and in dim
+    places, and pools with a weight for every place (gated attention, Ilse et al., ICML 2018),
+    because most of a sonar picture is shadow and carries no information; maxima are pooled as well,
+    because a single defect matters.  Some statistics give at once what many layers would have to
+    find out: how much was changed, how much of the sector has no echo at all (noise fills shadow),
+    and whether neighbours along range are more alike than those along bearing (range spreading, the
+    strongest of the effects, blurs along range alone).
 
-    The network learns nothing from it, so it does no harm to the pictures.
+    No gradient goes back into the network, so the head cannot harm the pictures.
     """
 
     def __init__(self, features: int, width: int = 32) -> None:
@@ -39,7 +39,7 @@ class Verdict(nn.Module):
         self.near = nn.Conv2d(features + 4 * 3, width, 3, stride=2, padding=1)
         self.far = nn.Conv2d(width, width, 3, padding=1)
         self.weight = nn.Conv2d(width, width, 1)
-        self.mixed = nn.Linear(3 * width + _FACTS, width)
+        self.mixed = nn.Linear(3 * width + _STATISTICS, width)
         self.gain = nn.Linear(width, 1)
         nn.init.zeros_(self.gain.weight)
         nn.init.constant_(self.gain.bias, _FIRST_DB)
@@ -47,32 +47,32 @@ class Verdict(nn.Module):
     def forward(self, features: Tensor, noisy: Tensor, change: Tensor, sector: Tensor) -> Tensor:
         """(N, F, h, w) at half resolution, three times (N, 1, H, W) -> (N,) gain of PSNR, dB.
 
-        h and w may be those of the pictures padded to a multiple of what they are.
-        sector: 1 where it is insonified, else 0.
+        h and w may be half the size of the pictures after padding.
+        sector: 1 where insonified, else 0.
         """
         features, noisy, change = features.detach(), noisy.detach(), change.detach()
         height, width = (2 * size for size in features.shape[-2:])
-        room = (0, width - noisy.shape[-1], 0, height - noisy.shape[-2])
+        padding = (0, width - noisy.shape[-1], 0, height - noisy.shape[-2])
         logarithm = torch.log10(noisy.clamp_min(0) + _DARK) + _CENTRE
-        planes = functional.pad(torch.cat([noisy, change, logarithm], dim=1), room)
+        planes = functional.pad(torch.cat([noisy, change, logarithm], dim=1), padding)
         planes = functional.pixel_unshuffle(planes, 2)
         x = functional.relu(self.near(torch.cat([features, planes], dim=1)))
         x = functional.relu(self.far(x))
-        inside = functional.avg_pool2d(padded(functional.pad(sector, room), 4), 4)
+        inside = functional.avg_pool2d(padded(functional.pad(sector, padding), 4), 4)
         weight = torch.sigmoid(self.weight(x)).float() * inside
         x = x.float() * inside
-        seen = [
+        pooled = [
             (weight * x).sum(dim=(2, 3)) / weight.sum(dim=(2, 3)).clamp_min(1e-3),
             x.sum(dim=(2, 3)) / inside.sum(dim=(2, 3)).clamp_min(1),
             x.amax(dim=(2, 3)),
-            _facts(noisy, change, sector),
+            _statistics(noisy, change, sector),
         ]
-        gain: Tensor = self.gain(functional.relu(self.mixed(torch.cat(seen, dim=1))))
+        gain: Tensor = self.gain(functional.relu(self.mixed(torch.cat(pooled, dim=1))))
         return gain[:, 0].float()
 
 
-def _facts(noisy: Tensor, change: Tensor, sector: Tensor) -> Tensor:
-    """(N, 1, H, W) each -> (N, 5), in powers of ten but for the part that is dark."""
+def _statistics(noisy: Tensor, change: Tensor, sector: Tensor) -> Tensor:
+    """(N, 1, H, W) each -> (N, 5): four decimal logarithms and the dark fraction."""
     noisy, change = noisy.float(), change.float()
     area = sector.sum(dim=(1, 2, 3)).clamp_min(1)
 
@@ -96,7 +96,7 @@ def _facts(noisy: Tensor, change: Tensor, sector: Tensor) -> Tensor:
 
 
 def _step(x: Tensor, sector: Tensor, dim: int) -> Tensor:
-    """Difference to the next along a dimension where both are insonified, and 0 elsewhere."""
+    """Difference to the next pixel along a dimension where both are insonified, else 0."""
     both = ((sector > 0) & (sector.roll(-1, dim) > 0)).to(x.dtype)
     both.narrow(dim, x.shape[dim] - 1, 1).zero_()
     return (x.roll(-1, dim) - x) * both

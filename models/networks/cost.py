@@ -1,6 +1,6 @@
 """What a network costs: parameters, multiply-accumulates and time of one core.
 
-`python -m simnfnd.models.cost` measures every network of conf/model.
+`python -m simnfnd.models.networks.cost` measures every network of conf/model.
 """
 
 from __future__ import annotations
@@ -102,7 +102,6 @@ def example(network: Network, size_px: int) -> tuple[Tensor, dict[str, Tensor]]:
         "range_fraction": range_fraction[None, None],
         "azimuth_rad": azimuth_rad[None, None],
         "sector": sector.float()[None, None],
-        "noise_level": torch.full((1,), 0.1),
     }
     device = next(network.parameters()).device
     return image.to(device), {name: known[name].to(device) for name in network.extras}

@@ -33,6 +33,8 @@ A denoiser for forward-looking sonar pictures, made by `simnfnd train` of SimNFN
 
 ## Trained on
 
+{history}
+
 {recipe}
 
 ## Figures
@@ -44,6 +46,15 @@ A denoiser for forward-looking sonar pictures, made by `simnfnd train` of SimNFN
 {limits}
 """
 
+_ONE_TRAINING = "The table describes the training that wrote these weights."
+_LAST_STAGE = (
+    "**The table describes the last stage of training alone.** It began from other weights, which "
+    "the key `start` names by their hash; their own trainings are not in this file."
+)
+_SELECTION = (
+    "How the recipe was chosen is not recorded either: figures on pictures that had a part in "
+    "choosing it, test pictures included, are optimistic."
+)
 _LIMITS = (
     "Trained on simulated noise: a picture whose noise, geometry or grey scale differs from what "
     "is described above may come out worse than it went in.  It learned what a sonar picture of "
@@ -95,11 +106,11 @@ def export(
     words.  changes: of the network's settings.  Raises FactoryError when the weights cannot be
     read, hold what 16 bits cannot, are too large to ship, or do not fit the changed network.
     """
-    import torch  # seconds; mistakes on the command line are told at once
+    import torch  # slow; mistakes on the command line are reported before
 
     from simnfnd.models import build_network
-    from simnfnd.models.cost import count_macs
-    from simnfnd.models.weights import load_weights, save_weights
+    from simnfnd.models.networks.cost import count_macs
+    from simnfnd.models.networks.weights import load_weights, save_weights
 
     trained = load_weights(weights)
     for name, tensor in trained.network.state_dict().items():
@@ -133,6 +144,7 @@ def export(
         size_mb=out.stat().st_size / 1e6,
         seed=facts.get("seed", "unknown"),
         step=validation.get("step", "unknown"),
+        history=f"{_LAST_STAGE if 'start' in facts else _ONE_TRAINING} {_SELECTION}",
         recipe=_table(
             {
                 key: value
