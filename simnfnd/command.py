@@ -56,6 +56,8 @@ VERBS: dict[str, Verb] = {
                     f"{_COMMANDS}.gallery:main"),
     "physics": Verb(_LOOK, "devices and effects of the physical profile",
                     f"{_COMMANDS}.physics:main"),
+    "geometry": Verb(_LOOK, "where range and bearing lie in fan pictures",
+                     f"{_COMMANDS}.geometry:main"),
     "merge": Verb(_PASS, "several datasets into one", f"{_COMMANDS}.merge:main"),
     "export": Verb(_PASS, "a dataset as WebDataset, Hugging Face, PNG, MDD or sonar messages",
                    f"{_COMMANDS}.export:main"),
