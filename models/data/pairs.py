@@ -34,7 +34,7 @@ known), and the extras that `models` describes."""
 class Sample:
     """One training image.
 
-    noisy, clean: (H, W) float32 in 0..1; clean None where nobody knows it.
+    noisy, clean: (H, W) float32 in 0..1; clean None where it is unknown.
     shadow: (H, W) float32, 1 in shadow, or None.  geometry: where range and bearing are, or None.
     """
 

@@ -1,4 +1,4 @@
-"""Fan pictures seen on the sonar's own grid, range by bearing, and back, inside a network.
+"""Fan pictures resampled to the sonar's own grid, range by bearing, and back, inside a network.
 
 In a fan picture range and bearing lie differently at every pixel; on the polar grid the blur along
 range is vertical everywhere and echoes of one ping lie side by side.

@@ -25,7 +25,7 @@ _KEY = "simnfnd"
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """A network ready to denoise, the `model` configuration and what is told of its training."""
+    """A network ready to denoise, the `model` configuration and the facts of its training."""
 
     network: Network
     model: Mapping[str, Any]

@@ -16,7 +16,7 @@ from torch.optim import Optimizer
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.models.data.pairs import Batch
-from simnfnd.models.losses import Loss
+from simnfnd.models.losses.base import Loss
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.sid_tgan import SIDTGAN, Discriminator
 from simnfnd.models.training.module import DenoisingModule, learning_rate_factor

@@ -14,7 +14,7 @@ from torch.optim.swa_utils import AveragedModel
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.seeds import stream
 from simnfnd.models.data.pairs import Batch
-from simnfnd.models.losses import Loss
+from simnfnd.models.losses.base import Loss
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.weights import channels_last
 from simnfnd.models.training.quality import psnr_db, shadow_iou, ssim

@@ -47,7 +47,7 @@ def shadow_iou(image: Tensor, batch: dict[str, Tensor], threshold: float = 0.02)
     """
     truth = batch["shadow"] > 0.5
     sector = truth | (batch["clean"] > 0) | (batch["noisy"] > 0)
-    seen = (image <= threshold) & sector
-    both = (truth & seen).sum(dim=(1, 2, 3)).float()
-    either = (truth | seen).sum(dim=(1, 2, 3)).float()
+    dark = (image <= threshold) & sector
+    both = (truth & dark).sum(dim=(1, 2, 3)).float()
+    either = (truth | dark).sum(dim=(1, 2, 3)).float()
     return torch.where(either > 0, both / either.clamp_min(1), torch.ones_like(both))

@@ -23,7 +23,7 @@ from torch.nn import functional
 
 from simnfnd.factory.seeds import stream
 from simnfnd.models.data.pairs import Batch
-from simnfnd.models.losses import Loss
+from simnfnd.models.losses.base import Loss
 from simnfnd.models.networks.network import Network
 from simnfnd.models.training.module import DenoisingModule
 from simnfnd.models.training.settings import SelfSupervisedData, TrainSettings

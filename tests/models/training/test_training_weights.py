@@ -59,6 +59,17 @@ def test_exported_weights_are_half_the_size_and_denoise_the_same(
     assert out.read_bytes() == first
     card = out.with_suffix(".md").read_text(encoding="utf-8")
     assert "17.60 -> 24.10 dB" in card
+    assert "last stage" not in card
+    assert "How the recipe was chosen is not recorded" in card
+
+
+def test_the_card_of_a_later_stage_says_that_its_recipe_is_not_all(tmp_path: Path) -> None:
+    path, out = tmp_path / "weights.safetensors", tmp_path / "later.safetensors"
+    save_weights(path, build_network(TINY), TINY, {**FACTS, "start": "0123456789abcdef"})
+    export(path, out)
+    card = out.with_suffix(".md").read_text(encoding="utf-8")
+    assert "the last stage of training alone" in card
+    assert "How the recipe was chosen is not recorded" in card
 
 
 def test_what_cannot_ship_is_refused(weights: Path, tmp_path: Path) -> None:
