@@ -66,7 +66,8 @@ def _of_input(path: Path, out: Path) -> Iterator[Item]:
     if path.is_file():
         if path.suffix.lower() not in SUFFIXES:
             raise FactoryError(
-                f"{path}: neither an image nor a shard nor a video or recording ({', '.join(SUFFIXES)})"
+                f"{path}: neither an image nor a shard nor a video or recording "
+                f"({', '.join(SUFFIXES)})"
             )
         yield Item(path, Path(path.name))
     elif not path.is_dir():
