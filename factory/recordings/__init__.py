@@ -21,7 +21,6 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "ddf": (f"{_ROOM}.ddf:DdfFile", (".ddf",)),
     "oculus": (f"{_ROOM}.oculus:OculusFile", (".raw", ".oculus")),
     "video": (f"{_ROOM}.video:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
-    "rosbag": (f"{_ROOM}.rosbag:BagFile", (".bag", ".mcap", ".db3")),
     "pictures": (
         f"{_ROOM}.pictures:Pictures",
         (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"),
@@ -33,7 +32,7 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
 def kind_of(path: Path) -> str | None:
     """The kind of recording that a file's name says; `pictures` for a folder; None for others."""
     if path.is_dir():
-        return "rosbag" if (path / "metadata.yaml").is_file() else "pictures"
+        return "pictures"
     for kind, (_, suffixes) in READERS.items():
         if path.suffix.lower() in suffixes:
             return kind
