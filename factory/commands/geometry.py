@@ -109,4 +109,4 @@ def draw(picture: Samples, fan: FanGeometry) -> Samples:
     # OpenCV counts in sixteenths of a pixel here.
     points = np.rint(np.stack([column, row], axis=1) * 16).astype(np.int32)
     cv2.polylines(canvas, [points], False, _GREEN, 1, cv2.LINE_AA, shift=4)
-    return canvas
+    return np.asarray(canvas)

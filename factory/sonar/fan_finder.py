@@ -108,19 +108,6 @@ def _bytes(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
         return picture
     full = float(np.iinfo(picture.dtype).max) if picture.dtype.kind in "iu" else 1.0
     # A level that is not zero stays one.
-    return np.asarray(np.ceil(np.clip(picture / full, 0, 1) * 255), np.uint8)
-
-
-def _bytes(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    """(H, W) uint8; colours become their largest."""
-    if picture.ndim == 3:
-        picture = picture[..., :3].max(axis=2)
-    if picture.ndim != 2:
-        raise ValueError(f"picture has shape {picture.shape}; expected (H, W) or (H, W, colours)")
-    if picture.dtype == np.uint8:
-        return picture
-    full = float(np.iinfo(picture.dtype).max) if picture.dtype.kind in "iu" else 1.0
-    # A level that is not zero stays one.
     return np.asarray(np.ceil(np.clip(np.nan_to_num(picture / full), 0, 1) * 255), np.uint8)
 
 
@@ -165,14 +152,10 @@ def _confidence(lit: npt.NDArray[np.bool_], fan: FanGeometry) -> float:
     away = np.maximum(np.linspace(0.004, 0.02, 5), np.arange(2, 7) / fan.far_px)
     ranges = np.linspace(fan.near_fraction + 0.03, 0.97, count)[:, None]
     bearings = np.linspace(fan.azimuth_min_rad, fan.azimuth_max_rad, count + 8)[4:-4, None]
-    parts = [
-        (fan.azimuth_min_rad, -1.0, ranges),
-        (fan.azimuth_max_rad, 1.0, ranges),
-    ]
     seen = []
-    for edge_rad, side, along in parts:
-        inner = _lit_share(lit, fan, along + 0 * away, edge_rad - side * away / along)
-        outer = _lit_share(lit, fan, along + 0 * away, edge_rad + side * away / along)
+    for edge_rad, side in ((fan.azimuth_min_rad, -1.0), (fan.azimuth_max_rad, 1.0)):
+        inner = _lit_share(lit, fan, ranges, edge_rad - side * away / ranges)
+        outer = _lit_share(lit, fan, ranges, edge_rad + side * away / ranges)
         seen.append(_seen(inner, outer))
     inner = _lit_share(lit, fan, 1 - away, bearings)
     outer = _lit_share(lit, fan, 1 + away, bearings)
@@ -187,11 +170,15 @@ def _seen(inner: Numbers, outer: Numbers) -> npt.NDArray[np.bool_]:
 
 
 def _lit_share(
-    lit: npt.NDArray[np.bool_], fan: FanGeometry, ranges: Numbers, bearings: Numbers
+    lit: npt.NDArray[np.bool_],
+    fan: FanGeometry,
+    ranges: npt.NDArray[Any],
+    bearings: npt.NDArray[Any],
 ) -> Numbers:
     """(_PIECES,) share of lit pixels of each piece of the outline, NaN outside the picture."""
     height, width = lit.shape
     row, column = (np.rint(place).astype(int) for place in fan.pixels(ranges, bearings))
+    row, column = np.broadcast_arrays(row, column)
     there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
     hit = there & lit[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
     counts = there.reshape(_PIECES, -1).sum(axis=1)

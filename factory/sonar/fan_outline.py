@@ -24,7 +24,10 @@ _MOST_SQUEEZE = 2.0
 
 
 def fit_sector(lit: npt.NDArray[np.bool_]) -> Numbers | None:
-    """The sector that best separates lit from black, as `fan_loops.column_limits` takes it."""
+    """The sector that best separates lit from black pixels, None where there is none.
+
+    lit: (H, W).  The numbers are those of `_sector`, as `fan_loops` takes them.
+    """
     from simnfnd.factory.sonar import fan_loops  # loads numba
 
     guess = _first_guess(lit)
@@ -32,11 +35,15 @@ def fit_sector(lit: npt.NDArray[np.bool_]) -> Numbers | None:
         return None
     outline, rows, cell = guess
     above = fan_loops.lit_above(lit)
-    for size_px in (cell, 1.0):
-        objective = _objective(above, outline, rows)
-        if objective is None:
-            return None
-        outline = objective.improve(outline, size_px, squeezed=False)
+    coarse = _objective(above, outline, rows)
+    if coarse is None:
+        return None
+    outline = coarse.improve(outline, cell, squeezed=False)
+    # Now that the shares inside and outside are known better.
+    objective = _objective(above, outline, rows)
+    if objective is None:
+        return None
+    outline = objective.improve(outline, 1.0, squeezed=False)
     squeezed = objective.improve(outline, 0.5, squeezed=True)
     # Pixels are square unless the arcs say plainly that they are not.
     if objective.cost(squeezed) < objective.cost(outline) - _PLAINLY:

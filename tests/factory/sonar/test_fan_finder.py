@@ -18,6 +18,7 @@ from tests.factory.sonar.fan_pictures import Grey, fan, preset
 from tests.project_files import ROOT
 
 DATA = ROOT.parent / "shared" / "data"
+WHITE = (255,)
 PRESETS = sorted(path.stem for path in (ROOT / "conf" / "sonar").glob("*.yaml"))
 
 
@@ -57,8 +58,8 @@ def test_fans_of_our_devices(name: str) -> None:
 def test_a_squeezed_fan(squeeze: float) -> None:
     grey, true = fan(preset("aris_explorer_3000", 600, 600), 0.3, False)
     width = round(600 * squeeze)
-    grey = cv2.resize(grey, (width, 600), interpolation=cv2.INTER_NEAREST)
-    found = find_fan(np.asarray(grey))
+    narrow = cv2.resize(grey, (width, 600), interpolation=cv2.INTER_NEAREST)
+    found = find_fan(np.asarray(narrow))
     assert found is not None
     assert found.geometry.x_scale == pytest.approx(squeeze, rel=0.02)
     assert found.geometry.apex_y_px == pytest.approx(true.apex_y_px, abs=2.5)
@@ -77,7 +78,7 @@ def test_what_happens_to_pictures_on_their_way() -> None:
         assert done
         check(find_fan(np.asarray(cv2.imdecode(content, cv2.IMREAD_GRAYSCALE))), true)
     text = cv2.copyMakeBorder(grey, 40, 40, 30, 50, cv2.BORDER_CONSTANT)
-    cv2.putText(text, "2013-06-14 12:00:01", (3, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.4, 255)
+    cv2.putText(text, "2013-06-14 12:00:01", (3, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.4, WHITE)
     found = find_fan(np.asarray(text))
     assert found is not None
     assert found.geometry.apex_x_px == pytest.approx(true.apex_x_px + 30, abs=2)
@@ -109,10 +110,10 @@ def no_fans() -> dict[str, npt.NDArray[Any]]:
     for name in ("letterbox", "disc", "ellipse", "triangle", "polar", "upside down", "specks"):
         made[name] = np.zeros((300, 400), np.uint8)
     made["letterbox"][50:250, 60:340] = noise[50:250, 60:340]
-    cv2.circle(made["disc"], (200, 150), 120, 200, -1)
-    cv2.ellipse(made["ellipse"], (200, 150), (160, 90), 0, 0, 360, 200, -1)
+    cv2.circle(made["disc"], (200, 150), 120, WHITE, -1)
+    cv2.ellipse(made["ellipse"], (200, 150), (160, 90), 0, 0, 360, WHITE, -1)
     corners = np.array([(50, 50), (350, 50), (200, 150)])
-    cv2.fillPoly(made["triangle"], [corners], 200)
+    cv2.fillPoly(made["triangle"], [corners], WHITE)
     made["polar"][80:] = noise[80:]
     made["upside down"] = fan(preset("didson_hf", 300, 500), 0.2, False)[0][::-1].copy()
     made["specks"][rng.random((300, 400)) < 0.01] = 200
