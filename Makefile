@@ -33,7 +33,7 @@ $(stamp): pyproject.toml constraints.txt
 	@$(python) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' \
 		|| { echo "error: $(VENV) is not Python 3.11; remove it and run make setup again" >&2; exit 2; }
 	$(python) -m pip install --disable-pip-version-check --quiet $(PIP_ARGS) \
-		-c constraints.txt -e '.[models,evaluation,zstd,dask,slurm,export,dev]'
+		-c constraints.txt -e '.[all,dev]'
 	@$(MAKE) --no-print-directory names
 	@touch $@
 

@@ -13,7 +13,7 @@ from collections import Counter
 from pathlib import Path
 
 from benchmarks.report import Options, Section, Table
-from simnfnd.factory.dataset.check.isolated import Guard
+from simnfnd.factory.dataset.read.isolated import IsolatedProcess
 from tests.factory.dataset.hostile import check, copy, mutate, whole
 
 MUTATIONS = 1200
@@ -24,7 +24,11 @@ def measure(options: Options) -> Section:
     counts: Counter[tuple[str, str]] = Counter()
     slowest_s, bad = 0.0, []
     mutations = options.amount(MUTATIONS, 3)
-    with tempfile.TemporaryDirectory() as folder, Guard() as reader, Guard() as validator:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        IsolatedProcess() as reader,
+        IsolatedProcess() as validator,
+    ):
         sound = whole(Path(folder) / "sound")
         for number in range(mutations):
             root = copy(sound, Path(folder) / "mutated")

@@ -98,17 +98,17 @@ def literal(words: list[str], repeats: int) -> Spent:
 def cold(words: list[str], repeats: int) -> Spent:
     """Render, pair, shard of one."""
     from simnfnd.factory import pairs
-    from simnfnd.factory.pairs import PairMaker
+    from simnfnd.factory.pairs import pair_maker
     from simnfnd.factory.render import open_renderer
 
     config = compose_config(words)
-    frame, renderer, maker = _frame(config), open_renderer(config.render), PairMaker(config)
+    frame, renderer, maker = _frame(config), open_renderer(config.render), pair_maker(config)
     axes, columns = maker.axes(), maker.columns()
     with tempfile.TemporaryDirectory() as folder:
 
         def one() -> None:
             rendered = renderer.render(frame, config.sonar.mount)
-            scene = pairs.observe(frame, rendered, config.sonar)
+            scene = pairs.observe(frame, rendered, config)
             write_pair(pairs.make_pair(scene, 0, config), axes, columns, Path(folder))
 
         return clock(one, repeats)
@@ -117,7 +117,7 @@ def cold(words: list[str], repeats: int) -> Spent:
 def warm(words: list[str], repeats: int, count: int) -> Spent:
     """From the cached render: read and decode it, observe, make the pair, write it in a shard."""
     from simnfnd.factory.dataset.write.writer import write_shard
-    from simnfnd.factory.pairs import PairMaker
+    from simnfnd.factory.pairs import pair_maker
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -128,8 +128,8 @@ def warm(words: list[str], repeats: int, count: int) -> Spent:
 
         def shard() -> None:
             # A source of its own each time: whatever it keeps of a frame, every frame is new to it.
-            made = (PairMaker(config).pairs(ref, (number,))[0] for number in range(count))
-            axes, columns = PairMaker(config).axes(), PairMaker(config).columns()
+            made = (pair_maker(config).pairs(ref, (number,))[0] for number in range(count))
+            axes, columns = pair_maker(config).axes(), pair_maker(config).columns()
             write_shard(folder, "train/warm.h5", made, axes, columns, PROVENANCE, config.dataset)
 
         return clock(shard, repeats, count)
@@ -147,14 +147,14 @@ def further(words: list[str], repeats: int, count: int) -> Spent:
     """Other noise on a frame whose echoes are at hand, written in a shard."""
     from simnfnd.factory import pairs
     from simnfnd.factory.dataset.write.writer import write_shard
-    from simnfnd.factory.pairs import PairMaker
+    from simnfnd.factory.pairs import pair_maker
     from simnfnd.factory.render import open_renderer
 
     config = compose_config([*words, "render=analytic"])
-    frame, maker = _frame(config), PairMaker(config)
+    frame, maker = _frame(config), pair_maker(config)
     axes, columns = maker.axes(), maker.columns()
     rendered = open_renderer(config.render).render(frame, config.sonar.mount)
-    scene = pairs.observe(frame, rendered, config.sonar)
+    scene = pairs.observe(frame, rendered, config)
     with tempfile.TemporaryDirectory() as folder:
 
         def shard() -> None:

@@ -26,8 +26,8 @@ from simnfnd.factory.dataset.format.sample import Pair
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.index import write_index
 from simnfnd.factory.dataset.write.writer import write_shard
-from simnfnd.factory.formation.record import columns, image_axes
 from simnfnd.factory.pairs import make_pair, observe
+from simnfnd.factory.record import columns, image_axes
 
 SHARDS, PER_SHARD, ROUNDS = 4, 60, 7
 Compression = Literal["gzip", "zstd", "none"]
@@ -77,7 +77,7 @@ def procedural_pairs(config: FactoryConfig) -> Iterator[Pair]:
     reader, renderer = open_reader(config.scenes), open_renderer(config.render)
     for ref in reader.discover().frames[::6][:6]:
         frame = reader.load(ref)
-        scene = observe(frame, renderer.render(frame, config.sonar.mount), config.sonar)
+        scene = observe(frame, renderer.render(frame, config.sonar.mount), config)
         yield from (make_pair(scene, variant, config) for variant in range(5))
 
 

@@ -247,10 +247,10 @@ def _task_row(shards: int) -> tuple[Cell, ...]:
 def run_shards(shards: int, backend: str) -> tuple[float, float]:
     """Wall seconds of the run loop over so many shards, and CPU seconds of its own process."""
     from simnfnd.factory.dataset.write.folder import open_folder
+    from simnfnd.factory.jobs.job import Job
     from simnfnd.factory.jobs.lock import Lock
-    from simnfnd.factory.jobs.run import run
+    from simnfnd.factory.jobs.run import make_shards
     from simnfnd.factory.jobs.settings import SchedulerSettings
-    from simnfnd.factory.jobs.worker import Recipe
     from tests.fake_source import FakeConfig, FakeSource, refs, rerun
 
     tasks = plan_shards({"train": refs(shards)}, 1, 1)
@@ -258,15 +258,26 @@ def run_shards(shards: int, backend: str) -> tuple[float, float]:
         backend=backend,  # type: ignore[arg-type]
         workers=2,
         recycle_frames=10**6,
+        frame_timeout_s=60.0,
     )
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name, "dataset")
         provenance = Provenance({}, "0" * 16, "benchmark")
         with Lock(folder) as lock:
             manifest = open_folder(folder, {}, provenance)
-            recipe = Recipe(folder, FakeSource, FakeConfig(), provenance, DatasetSettings(), 60.0)
+            job = Job(
+                folder,
+                tasks,
+                FakeSource,
+                FakeConfig(),
+                provenance,
+                config_values={},
+                dataset=DatasetSettings(),
+                scheduler=settings,
+                rerun_command=rerun,
+            )
             begun, cpu = time.monotonic(), time.process_time()
-            report = run(tasks, recipe, manifest, settings, rerun, lock)
+            report = make_shards(job, manifest, lock)
             spent = time.monotonic() - begun, time.process_time() - cpu
         assert report.shards == shards
     return spent

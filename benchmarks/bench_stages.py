@@ -18,17 +18,21 @@ import numpy as np
 
 from benchmarks.report import Options, Section, Table
 from benchmarks.shared import cpu_seconds, frame_words, write_pair
-from simnfnd.factory import noise, pairs, seeds
+from simnfnd.factory import pairs, seeds
 from simnfnd.factory.compose import compose_config
 from simnfnd.factory.formation import resample
-from simnfnd.factory.formation.record import columns as sample_columns
-from simnfnd.factory.formation.record import image_axes
+from simnfnd.factory.formation.clouds import effect_clouds, noisy_cloud
+from simnfnd.factory.noise.draws import StreamNames, draw
+from simnfnd.factory.record import columns as sample_columns
+from simnfnd.factory.record import image_axes
 from simnfnd.factory.render import open_renderer
 from simnfnd.factory.render.cloud import back_project
 from simnfnd.factory.render.view import decode, encode, view_of
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.sonar import polar, transfer
+from simnfnd.factory.sonar.echoes import join
 from simnfnd.factory.sonar.fan import fan_table
+from simnfnd.factory.sonar.surface import insonified
 
 REPEATS = 9
 
@@ -47,17 +51,18 @@ def _table(folder: Path, options: Options) -> Table:
     ref = reader.discover().frames[0]
     frame = reader.load(ref)
     rendered = renderer.render(frame, sonar.mount)
-    scene = pairs.observe(frame, rendered, sonar)
-    window, names = scene.window, ("seabed", "seabed-0000", "0000", 0)
-    kept = resample.random_subset(scene.echoes, 0.6, seeds.stream(0, "thin"))
-    drawn = noise.draw(config.noise, config.seed, *names)
-    made = noise.layers(kept, kept, window, drawn, config.seed, *names)
-    cloud = noise.combine(kept, made, 1.0)
+    observed = pairs.observe(frame, rendered, config)
+    window, names = observed.window, StreamNames.of(frame.ref, 0, has_pose=True)
+    echoes = insonified(frame, rendered, window, sonar).echoes
+    kept = resample.random_subset(echoes, 0.6, seeds.stream(0, "thin"))
+    draws = draw(config.noise, config.seed, names)
+    made = effect_clouds(draws.effects, kept, kept, window)
+    cloud = join(*noisy_cloud(kept, made, 1.0))
     level = polar.accumulate(cloud, window, sonar)
     full_scale = transfer.full_scale(level, sonar.transfer)
     grey = transfer.grey(level, full_scale, sonar.transfer)
     table = fan_table(sonar, window.near_fraction)
-    pair = pairs.make_pair(scene, 0, config)
+    pair = pairs.make_pair(observed, 0, config)
 
     view = view_of(frame, rendered, sonar.mount)
     packed, axes, columns = encode(view), image_axes(sonar), sample_columns(config.noise)
@@ -68,30 +73,27 @@ def _table(folder: Path, options: Options) -> Table:
         "back-project": lambda: back_project(frame.depth_m, frame.intrinsics),
         "cached render: encode": lambda: encode(view),
         "cached render: decode": lambda: decode(packed),
-        "observe: pixels to echoes, window, shadow": lambda: pairs.observe(frame, rendered, sonar),
+        "observe: pixels to echoes, window, shadow": lambda: pairs.observe(frame, rendered, config),
         "resample (random, 0.6)": lambda: resample.random_subset(
-            scene.echoes, 0.6, seeds.stream(0, "thin")
+            echoes, 0.6, seeds.stream(0, "thin")
         ),
     }
-    for effect in drawn:
-        alone = {effect: drawn[effect]}
-        stages[f"noise: {effect}"] = partial(
-            noise.layers, kept, kept, window, alone, config.seed, *names
-        )
+    for effect in draws.effects:
+        stages[f"noise: {effect.name}"] = partial(effect_clouds, (effect,), kept, kept, window)
     stages |= {
-        "join the layers": lambda: noise.combine(kept, made, full_scale),
+        "join the layers": lambda: join(*noisy_cloud(kept, made, full_scale)),
         "accumulate in bins": lambda: polar.accumulate(cloud, window, sonar),
         "point-spread": lambda: polar.spread_points(level, sonar),
         "grey values": lambda: transfer.grey(level, full_scale, sonar.transfer),
         "fan, bilinear": lambda: table.bilinear(grey),
         "shard of one pair, gzip-1": lambda: write_pair(pair, axes, columns, folder),
-        "**make_pair, all of it**": lambda: pairs.make_pair(scene, 0, config),
+        "**make_pair, all of it**": lambda: pairs.make_pair(observed, 0, config),
     }
     plain = cpu_seconds(lambda: np.stack([cloud.range_m, cloud.azimuth_rad]).copy(), repeats)
     rows = tuple(
         (name, spent / plain, 1000 * spent)
         for name, spent in ((name, cpu_seconds(one, repeats)) for name, one in stages.items())
     )
-    note = f"{len(scene.echoes)} echoes, {len(cloud)} points in the noisy cloud."
+    note = f"{len(echoes)} echoes, {len(cloud)} points in the noisy cloud."
     columns_ = ("stage", "times one plain pass", "CPU ms")
     return Table(columns_, rows, note=note, bars="CPU ms")

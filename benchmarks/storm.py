@@ -15,10 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.memory import workers_of
+from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.failures import load_failures
-from simnfnd.factory.jobs.generate import generate_dataset
+from simnfnd.factory.jobs.job import Job
 from simnfnd.factory.jobs.plan import plan_shards
+from simnfnd.factory.jobs.run import make_dataset
 from simnfnd.factory.jobs.settings import SchedulerSettings
 from tests.fake_source import FakeConfig, FakePreparer, GentleSource, refs, rerun
 
@@ -45,15 +47,14 @@ class Outcome:
 def make(directory: Path, backend: str, config: FakeConfig, shards: int) -> None:
     """The run: `shards` shards, two kinds of workers."""
     frames = refs(shards * FRAMES_PER_SHARD)
-    generate_dataset(
+    job = Job(
         directory,
         plan_shards({"train": frames}, 1, FRAMES_PER_SHARD),
         source=GentleSource,
         preparer=FakePreparer,
         config=config,
-        config_dict={},
-        identity={"seed": 0},
-        config_hash="5707145707145707",
+        provenance=Provenance({"seed": 0}, "5707145707145707", "simnfnd storm"),
+        config_values={},
         dataset=DatasetSettings(preview_pairs=0),
         scheduler=SchedulerSettings(
             backend=backend,  # type: ignore[arg-type]
@@ -63,9 +64,9 @@ def make(directory: Path, backend: str, config: FakeConfig, shards: int) -> None
             backoff_s=0.05,
             frame_timeout_s=3.0,
         ),
-        skipped={},
         rerun_command=rerun,
     )
+    make_dataset(job)
 
 
 def storm(

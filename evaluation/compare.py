@@ -6,11 +6,10 @@ picture by picture: mean difference with its interval, Wilcoxon test, wins, and 
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,25 +18,17 @@ from simnfnd.evaluation.metrics.statistics import Paired, holm, paired
 from simnfnd.evaluation.report.files import read_results
 from simnfnd.evaluation.report.names import METRIC_NAMES, written, written_p
 from simnfnd.evaluation.report.tables import percent
+from simnfnd.factory import markdown
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import check_writable, write_atomically
 
 _ALPHA = 0.05
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        """One line, like every other mistake of the user."""
-        raise FactoryError(f"compare: {message} (see `simnfnd evaluate compare --help`)")
-
-
 def main(words: Sequence[str]) -> int:
     """Print the comparison; with --out also write it as Markdown and JSON."""
-    parser = _Parser(
-        prog="simnfnd evaluate compare",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = Parser(prog="simnfnd evaluate compare")
     parser.add_argument("a", metavar="A", help="folder of a report")
     parser.add_argument("b", metavar="B", help="folder of another, or the same")
     parser.add_argument("--row-a", help="row of A (default: its best but noisy, by PSNR)")
@@ -119,19 +110,25 @@ def as_markdown(result: dict[str, Any]) -> str:
         "",
         _verdict(result),
         "",
-        "| metric | A minus B | 95 % interval | p (Holm) | A is better in | A |",
-        "|---|---:|:---:|---:|---:|---|",
     ]
+    rows = []
     for name, one in result["metrics"].items():
         metric = METRIC_NAMES[name]
         digits = metric.digits + 1
         low, high = written(one["low"], digits, True), written(one["high"], digits, True)
         wins = percent(one["wins"]) if metric.better else "-"
-        lines.append(
-            f"| {metric.label} | {written(one['difference'], digits, True)} | {low} .. {high} "
-            f"| {written_p(one['p_holm'])} | {wins} | {one['verdict']} |"
+        rows.append(
+            [
+                metric.label,
+                written(one["difference"], digits, True),
+                f"{low} .. {high}",
+                written_p(one["p_holm"]),
+                wins,
+                one["verdict"],
+            ]
         )
-    return "\n".join(lines)
+    head = ["metric", "A minus B", "95 % interval", "p (Holm)", "A is better in", "A"]
+    return "\n".join([*lines, markdown.table(head, rows, "lrcrrl")])
 
 
 def _entry(name: str, result: Paired, p_holm: float) -> dict[str, Any]:
@@ -151,11 +148,11 @@ def _entry(name: str, result: Paired, p_holm: float) -> dict[str, Any]:
 
 def _verdict(result: dict[str, Any]) -> str:
     """In words; better only where the interval excludes zero and Holm's p is below 0.05."""
-    said: dict[str, list[str]] = {"better": [], "worse": []}
+    metrics: dict[str, list[str]] = {"better": [], "worse": []}
     for name, one in result["metrics"].items():
-        if one["verdict"] in said:
-            said[one["verdict"]].append(METRIC_NAMES[name].label.split(",")[0])
-    better, worse = said["better"], said["worse"]
+        if one["verdict"] in metrics:
+            metrics[one["verdict"]].append(METRIC_NAMES[name].label.split(",")[0])
+    better, worse = metrics["better"], metrics["worse"]
     if better and not worse:
         return f"A is really better than B in {', '.join(better)}, and worse in nothing."
     if worse and not better:

@@ -8,11 +8,9 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.settings import STRICT, union_tags
+from simnfnd.factory.settings import STRICT
 
 Count = Annotated[int, Field(ge=1)]
-
-union_tags("literal['auto']", "constrained-int")
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -7,7 +7,7 @@ import sys
 
 from torch.utils.data import DataLoader
 
-from simnfnd.factory.dataset import PairDataset
+from simnfnd import PairDataset
 
 
 def main() -> None:

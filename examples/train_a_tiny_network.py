@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from simnfnd.factory.dataset import PairDataset
+from simnfnd import PairDataset
 
 steps = int(sys.argv[2]) if len(sys.argv) > 2 else 200
 torch.manual_seed(0)

@@ -1,18 +1,28 @@
-"""What the three command-line programs share: Hydra in, one clear line and an exit code out."""
+"""What the verbs of `simnfnd` share: words in, one clear line and an exit code out."""
 
 from __future__ import annotations
 
+import argparse
 import os
 import signal
 import sys
 from collections.abc import Callable
-from typing import Any
-
-from omegaconf import DictConfig
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from simnfnd.factory.errors import FactoryError
 
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
 EXIT_BAD_INPUT = 2
+
+
+class Parser(argparse.ArgumentParser):
+    """For verbs with options: `simnfnd VERB` as `prog`, and mistakes as one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise FactoryError, like every other mistake of the user."""
+        raise FactoryError(f"{self.prog}: {message} (see `{self.prog} --help`)")
 
 
 def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
@@ -33,14 +43,14 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
     debug = any(argument.replace(" ", "") in ("debug=true", "debug=True") for argument in sys.argv)
     codes: list[int] = []
 
-    def guarded(config: DictConfig) -> int:
+    def point(config: DictConfig) -> int:
         code = guard(lambda: task(config), debug=debug)
         codes.append(code)
         return code
 
     def start() -> None:
         hydra.main(version_base="1.3", config_path="pkg://simnfnd.conf", config_name=config_name)(
-            guarded
+            point
         )()
 
     def everything() -> int:

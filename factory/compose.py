@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from simnfnd.factory.errors import FactoryError
 
@@ -11,14 +11,23 @@ if TYPE_CHECKING:
     from simnfnd.factory.config import FactoryConfig
 
 
-def compose_config(words: Sequence[str]) -> FactoryConfig:
-    """The configuration of `simnfnd make WORDS`.  Raises FactoryError for a bad word."""
-    ((_, config),) = compose_points([word for word in words if word not in ("-m", "--multirun")])
+def compose_config(words: Sequence[str], scenes: Mapping[str, Any] | None = None) -> FactoryConfig:
+    """The configuration of `simnfnd make WORDS`.  Raises FactoryError for a bad word.
+
+    scenes: values of the group `scenes`, instead of those that the words mean.
+    """
+    single = [word for word in words if word not in ("-m", "--multirun")]
+    ((_, config),) = compose_points(single, scenes)
     return config
 
 
-def compose_points(words: Sequence[str]) -> list[tuple[tuple[str, ...], FactoryConfig]]:
-    """The points of a sweep (one without `-m`): what distinguishes each, and its configuration."""
+def compose_points(
+    words: Sequence[str], scenes: Mapping[str, Any] | None = None
+) -> list[tuple[tuple[str, ...], FactoryConfig]]:
+    """The points of a sweep (one without `-m`): what distinguishes each, and its configuration.
+
+    Raises FactoryError for a bad word.
+    """
     # Hydra brings antlr and plugins; those who only look at a folder must not pay for it.
     from hydra import compose, initialize_config_module
     from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -58,9 +67,13 @@ def compose_points(words: Sequence[str]) -> list[tuple[tuple[str, ...], FactoryC
                     chosen.append(axis[rest % len(axis)])
                     rest //= len(axis)
                 chosen.reverse()
-                config = from_mapping(composed_values(compose("factory", overrides=chosen)))
-                told = tuple(word for word, axis in zip(chosen, axes, strict=True) if len(axis) > 1)
-                points.append((told, config))
+                composed = compose("factory", overrides=chosen)
+                if scenes is not None:
+                    OmegaConf.set_struct(composed, False)
+                    composed.scenes = dict(scenes)
+                config = from_mapping(composed_values(composed))
+                differs = [word for word, axis in zip(chosen, axes, strict=True) if len(axis) > 1]
+                points.append((tuple(differs), config))
             return points
     except (HydraException, OmegaConfBaseException) as error:
         raise FactoryError(config_line(error)) from error

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from typing import Annotated, Any, Self
 
 from pydantic import Field, TypeAdapter, model_validator
@@ -15,11 +15,11 @@ from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.formation.field.settings import AcousticsSettings
 from simnfnd.factory.formation.resample import ResampleSettings
 from simnfnd.factory.jobs.settings import SchedulerSettings, ShardSlice
-from simnfnd.factory.noise import EFFECTS, NoiseSettings
-from simnfnd.factory.noise.physical import blocks
+from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings, blocks
 from simnfnd.factory.render.base import RenderSettings
 from simnfnd.factory.render.cache import CacheSettings
 from simnfnd.factory.scenes import Scenes
+from simnfnd.factory.scenes.seabed.reader import SeabedSettings, seeing
 from simnfnd.factory.settings import STRICT, build
 from simnfnd.factory.sonar.acoustics import WaterSettings
 from simnfnd.factory.sonar.settings import SonarSettings
@@ -86,11 +86,12 @@ class FactoryConfig:
 
     @model_validator(mode="after")
     def _formation(self) -> Self:
-        on = [name for name, block in blocks(self.noise).items() if block.enabled]
-        moving = [n for n in EFFECTS if EFFECTS[n].moves and getattr(self.noise, n).enabled]
-        if self.acoustics.formation == "points" and on:
+        enabled = [name for name, block in blocks(self.noise).items() if block.enabled]
+        on_field = [name for name in enabled if EFFECTS[name].stage != "points"]
+        moving = [name for name in enabled if EFFECTS[name].moves]
+        if self.acoustics.formation == "points" and on_field:
             raise ValueError(
-                f"noise.{on[0]} acts on the complex field; set acoustics=field, or "
+                f"noise.{on_field[0]} acts on the complex field; set acoustics=field, or "
                 "leave it out (noise=simnfnd)"
             )
         if self.acoustics.formation == "field" and moving:
@@ -116,6 +117,9 @@ def from_mapping(values: Mapping[str, Any]) -> FactoryConfig:
     Raises FactoryError with one line that names every bad key.
     """
     config: FactoryConfig = build(FactoryConfig, values)
+    if isinstance(config.scenes, SeabedSettings):
+        sonar = config.sonar
+        config = replace(config, scenes=seeing(config.scenes, sonar.hfov_deg, sonar.vfov_deg))
     return config
 
 
@@ -133,6 +137,10 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
     """
     values = plain(config)
     values["scenes"].pop("root", None)
+    if values["scenes"].get("hfov_deg") is None:
+        # The view that all datasets had before there was another keeps their names.
+        values["scenes"].pop("hfov_deg", None)
+        values["scenes"].pop("vfov_deg", None)
     for key in ("dir", "on_existing", "name", "preview_pairs", "licence"):
         values["dataset"].pop(key, None)
     if config.acoustics.formation == "points":

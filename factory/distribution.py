@@ -121,6 +121,16 @@ def number(value: float) -> Distribution:
     return Distribution("number", (float(value),))
 
 
+def uniform(low: float, high: float) -> Distribution:
+    """Any number from `low` to `high`; for defaults."""
+    return Distribution("uniform", (float(low), float(high)))
+
+
+def choice(*values: float) -> Distribution:
+    """One of `values`; for defaults."""
+    return Distribution("choice", tuple(map(float, values)))
+
+
 def as_override(word: str) -> str:
     """A command-line override whose distribution replaces the configured one.
 

@@ -13,8 +13,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import psutil
-
 from simnfnd.factory.errors import FactoryError
 
 _TEMPORARY = re.compile(r"\.(?P<name>.+)\.(?P<host>[^.]+)-(?P<pid>\d+)\.tmp$")
@@ -130,10 +128,12 @@ def _is_stale(path: Path, host: str, pid: int) -> bool:
     if host != _host():
         # Shared storage: another machine's process cannot be looked up, only waited for.
         return time.time() - written > _FOREIGN_HOST_STALE_S
+    import psutil  # only needed here, and readers of datasets have numpy and h5py alone
+
     try:
         process = psutil.Process(pid)
         # A process that started after the file was written merely got the same number; a zombie is
-        # dead, only nobody has asked after it yet.
+        # dead, and its parent has not collected it yet.
         late = process.create_time() > written + 1.0
         return late or process.status() == psutil.STATUS_ZOMBIE
     except psutil.NoSuchProcess:

@@ -11,16 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 from simnfnd.factory.config import FactoryConfig, digest, from_mapping, identity, plain
 from simnfnd.factory.dataset.describe.quality import seen_sector_deg
+from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.extras import needs_of, require
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.pairs import PairMaker
+from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.render.cache import Limit
 from simnfnd.factory.render.views import ViewMaker, check_views, with_cache
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from simnfnd.factory.jobs.run import RunReport
+    from simnfnd.factory.jobs.job import Job
+    from simnfnd.factory.jobs.ledger import RunReport
 
 
 def generate(composed: DictConfig) -> int:
@@ -43,13 +46,40 @@ def generate(composed: DictConfig) -> int:
 def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     """Discover, plan and make one dataset.  `arguments` are the words that would make it again."""
     from simnfnd.factory.compiled import compile_all
+    from simnfnd.factory.jobs.run import make_dataset
+
+    require(needs_of(config))
+    check_views(config)
+    compile_all()
+    job = job_of(config, arguments)
+    report = make_dataset(job)
+    if job.shard.part:
+        print(
+            f"slice {job.shard.index} of {job.shard.count} is done; when all are, "
+            "the same command without shard.index and shard.count completes the dataset"
+        )
+        return report, job.directory
+    if not report.samples:
+        first = report.failures[0].reason
+        raise FactoryError(
+            f"no frame could be used: {len(report.failures)} of {len(report.failures)} failed, "
+            f"the first because: {first}"
+        )
+    _report_sector(job.directory, config)
+    return report, job.directory
+
+
+def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
+    """The frames that there are, planned as shards, and how they are made.
+
+    Prints what the recordings lack.  Raises FactoryError when no frame is left.
+    """
+    from simnfnd.factory import __version__
     from simnfnd.factory.jobs.extend import plan_extension
-    from simnfnd.factory.jobs.generate import generate_dataset, work_name
+    from simnfnd.factory.jobs.job import Job, work_folder
     from simnfnd.factory.jobs.plan import plan_shards
     from simnfnd.factory.scenes import open_reader
 
-    check_views(config)
-    compile_all()
     discovery = open_reader(config.scenes).discover()
     for note in discovery.notes:
         print(f"scenes: {note}")
@@ -61,41 +91,26 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     config_hash = digest(values)
     directory = config.dataset.directory(config_hash)
     how = (config.frames.variants, config.scheduler.shard_size, config.dataset.limits)
-    working = with_cache(config, directory / work_name(config.shard))
-    report = generate_dataset(
+    working = with_cache(config, work_folder(directory, config.shard))
+    return Job(
         directory,
         plan_shards(splits, *how),
-        source=PairMaker,
+        source=pair_maker,
         preparer=None if config.scenes.kind == "pack" else ViewMaker,
         config=working,
-        config_dict=plain(config),
-        identity=values,
-        config_hash=config_hash,
+        provenance=Provenance(values, config_hash, f"simnfnd {__version__}"),
+        config_values=plain(config),
         dataset=config.dataset,
         scheduler=config.scheduler,
-        skipped=discovery.skipped,
-        rerun_command=lambda ref: _rerun_command(ref, arguments, directory),
         shard=config.shard,
-        keep_cache_within=Limit(working.cache),
-        extended=lambda earlier: plan_extension(splits, *how, earlier),
+        rerun_command=lambda ref: _rerun_command(ref, arguments, directory),
+        skipped=discovery.skipped,
+        on_prepared=Limit(working.cache),
+        extension=lambda earlier: plan_extension(splits, *how, earlier),
     )
-    if config.shard.count > 1:
-        print(
-            f"slice {config.shard.index} of {config.shard.count} is done; when all are, "
-            "the same command without shard.index and shard.count completes the dataset"
-        )
-        return report, directory
-    if not report.samples:
-        first = report.failures[0].reason
-        raise FactoryError(
-            f"no frame could be used: {len(report.failures)} of {len(report.failures)} failed, "
-            f"the first because: {first}"
-        )
-    _say_sector(directory, config)
-    return report, directory
 
 
-def _say_sector(directory: Path, config: FactoryConfig) -> None:
+def _report_sector(directory: Path, config: FactoryConfig) -> None:
     """Tell the user when the camera saw less than the sonar's sector."""
     narrowest, widest = seen_sector_deg(directory)
     if narrowest < 0.98 * config.sonar.hfov_deg:

@@ -28,14 +28,13 @@ def build(kind: type[T] | Any, values: Mapping[str, Any], prefix: str = "") -> T
         result: T = TypeAdapter(kind).validate_python(dict(values))
         return result
     except ValidationError as error:
-        raise FactoryError(_one_line(error, prefix)) from error
+        raise FactoryError(_one_line(error, values, prefix)) from error
 
 
-def _one_line(error: ValidationError, prefix: str) -> str:
+def _one_line(error: ValidationError, values: Mapping[str, Any], prefix: str) -> str:
     parts = []
     for item in error.errors():
-        # Tags of discriminated unions and validator names are steps of pydantic's own, not keys.
-        key = ".".join(str(step) for step in item["loc"] if not _is_internal(step))
+        key = ".".join(_keys(item["loc"], values, absent=item["type"] == "missing"))
         name = ".".join(part for part in (prefix, key) if part) or "config"
         if item["type"] == "unexpected_keyword_argument":
             parts.append(f"{name}: unknown key")
@@ -49,14 +48,17 @@ def _one_line(error: ValidationError, prefix: str) -> str:
     return "; ".join(dict.fromkeys(parts))
 
 
-def _is_internal(step: int | str) -> bool:
-    return isinstance(step, str) and (step.startswith("function-") or step in _UNION_TAGS)
+def _keys(steps: tuple[int | str, ...], values: Any, *, absent: bool) -> list[str]:
+    """The steps that are keys (or positions) of the given values.
 
-
-# Filled by rooms whose settings are chosen by a `kind` key.
-_UNION_TAGS: set[str] = set()
-
-
-def union_tags(*tags: str) -> None:
-    """Tell the error text which names are tags of a `kind` union and not keys of the config."""
-    _UNION_TAGS.update(tags)
+    The others name the choice of a union or a validator.  absent: the last step is a missing key.
+    """
+    keys = []
+    for step in steps:
+        known = isinstance(values, Mapping) and step in values
+        if isinstance(values, list | tuple) and isinstance(step, int):
+            known = step < len(values)
+        if known:
+            values = values[step]
+            keys.append(str(step))
+    return [*keys, str(steps[-1])] if absent else keys

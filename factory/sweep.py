@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from simnfnd.factory.config import FactoryConfig
-    from simnfnd.factory.jobs.run import RunReport
+    from simnfnd.factory.jobs.ledger import RunReport
 
 _RESULT = "result.json"
 
@@ -69,12 +69,12 @@ class SweepTable(Callback):
         if not rows:
             return
         names = list(dict.fromkeys(key for row in rows for key in row))
-        # Words that all points share say nothing in a table of differences.
-        told = {"pairs", "failed", "noisy_psnr_db", "exit_code", "dataset"}
+        # Settings that all points have in common say nothing in a table of differences.
+        always = {"pairs", "failed", "noisy_psnr_db", "exit_code", "dataset"}
         names = [
             name
             for name in names
-            if name in told or len({str(row.get(name)) for row in rows}) > 1 or len(rows) == 1
+            if name in always or len({str(row.get(name)) for row in rows}) > 1 or len(rows) == 1
         ]
         with (folder / "sweep.csv").open("w", newline="") as file:
             writer = csv.DictWriter(file, names, extrasaction="ignore")

@@ -1,6 +1,10 @@
 """SimNFND: pairs (noisy, clean) of forward-looking sonar pictures, and denoisers made of them.
 
-    from simnfnd import PairDataset
+    from simnfnd import PairDataset, denoise, make_pair
+
+PairDataset reads a dataset (numpy and h5py are enough), `denoise` takes a picture in memory,
+`make_pair` makes a pair of an RGBD frame in memory.  What a caller can mend is a FactoryError, one
+line; a frame that cannot be used is a FrameError.
 
 Each name is imported when it is first used, so `import simnfnd` costs nothing.
 """
@@ -11,21 +15,37 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from simnfnd.api import denoise, make_pair
     from simnfnd.factory import __version__
     from simnfnd.factory.dataset import PairDataset
+    from simnfnd.factory.dataset.format.sample import Pair
+    from simnfnd.factory.errors import FactoryError, FrameError
 
-__all__ = ["PairDataset", "__version__"]
+__all__ = [
+    "FactoryError",
+    "FrameError",
+    "Pair",
+    "PairDataset",
+    "__version__",
+    "denoise",
+    "make_pair",
+]
 
-_WHERE = {
+_MODULES = {
+    "FactoryError": "simnfnd.factory.errors",
+    "FrameError": "simnfnd.factory.errors",
+    "Pair": "simnfnd.factory.dataset.format.sample",
     "PairDataset": "simnfnd.factory.dataset",
     "__version__": "simnfnd.factory",
+    "denoise": "simnfnd.api",
+    "make_pair": "simnfnd.api",
 }
 
 
 def __getattr__(name: str) -> object:
-    if name not in _WHERE:
+    if name not in _MODULES:
         raise AttributeError(f"module 'simnfnd' has no attribute {name!r}")
-    return getattr(import_module(_WHERE[name]), name)
+    return getattr(import_module(_MODULES[name]), name)
 
 
 def __dir__() -> list[str]:

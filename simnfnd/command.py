@@ -1,105 +1,109 @@
-"""The verbs of `simnfnd`, and how one is found and run.
-
-Nothing heavy is imported before the verb is known: `simnfnd --help` must answer at once.
-"""
+"""`simnfnd VERB ...`: finds the verb, says what is wrong with the words, and runs it."""
 
 from __future__ import annotations
 
 import difflib
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 
+from simnfnd.verbs import VERBS, Verb
 
-@dataclass(frozen=True)
-class Verb:
-    """One word of the command line.
-
-    group, line: where and how `simnfnd --help` lists it.
-    target: "module:function"; the function gets the other words and may return an exit code.
-    before: words put before those of the user.
-    """
-
-    group: str
-    line: str
-    target: str
-    before: tuple[str, ...] = ()
-
-
-_MAKE, _LOOK, _PASS, _DENOISE, _JUDGE = (
-    "Make datasets",
-    "Look at datasets",
-    "Pass datasets on",
-    "Denoise",
-    "Judge",
-)
-_COMMANDS = "simnfnd.factory.commands"
-
-VERBS: dict[str, Verb] = {
-    "demo": Verb(_MAKE, "a small dataset from nothing, with a preview of it",
-                 f"{_COMMANDS}.make:main", ("experiment=demo",)),
-    "make": Verb(_MAKE, "a dataset as the configuration says; -m for a sweep",
-                 f"{_COMMANDS}.make:main"),
-    "plan": Verb(_MAKE, "what `make` would make and what it would cost",
-                 f"{_COMMANDS}.plan:main"),
-    "cache": Verb(_MAKE, "the renders that are kept on disk: stats, verify, clear, pack",
-                  f"{_COMMANDS}.cache:main"),
-    "status": Verb(_LOOK, "how far a dataset is, and who works on it",
-                   f"{_COMMANDS}.status:main"),
-    "failed": Verb(_LOOK, "the frames that gave no sample, and why",
-                   f"{_COMMANDS}.failed:main"),
-    "preview": Verb(_LOOK, "contact sheet of a dataset", f"{_COMMANDS}.preview:main"),
-    "inspect": Verb(_LOOK, "what is in a dataset or shard", f"{_COMMANDS}.inspect:main"),
-    "validate": Verb(_LOOK, "is a dataset whole and consistent", f"{_COMMANDS}.validate:main"),
-    "gallery": Verb(_LOOK, "the paper's figures, from procedural scenes",
-                    f"{_COMMANDS}.gallery:main"),
-    "physics": Verb(_LOOK, "devices and effects of the physical profile",
-                    f"{_COMMANDS}.physics:main"),
-    "geometry": Verb(_LOOK, "where range and bearing lie in fan pictures",
-                     f"{_COMMANDS}.geometry:main"),
-    "merge": Verb(_PASS, "several datasets into one", f"{_COMMANDS}.merge:main"),
-    "export": Verb(_PASS, "a dataset as WebDataset, Hugging Face, PNG, MDD or sonar messages",
-                   f"{_COMMANDS}.export:main"),
-    "train": Verb(_DENOISE, "a denoiser on a dataset", "simnfnd.models.training.command:main"),
-    "denoise": Verb(_DENOISE, "images, folders, datasets and videos",
-                    "simnfnd.models.denoise.command:main"),
-    "export-weights": Verb(_DENOISE, "trained weights in 16 bits, with a model card",
-                           "simnfnd.models.pretrained.export:main"),
-    "evaluate": Verb(_JUDGE, "the report on a dataset; or tune, compare, real, realism, fit",
-                     "simnfnd.evaluation.command:main"),
-    "campaign": Verb(_JUDGE, "train and compare many networks; `campaign table` shows the result",
-                     "simnfnd.evaluation.campaign.command:main"),
-}  # fmt: skip
+_HELP = ("-h", "--help")
+# Hydra prints something with these and does nothing.
+_SHOW = (*_HELP, "--cfg", "-c", "--info", "-i", "--hydra-help", "--shell-completion", "-sc")
+# Options of Hydra whose next word is their value.
+_WITH_VALUE = (
+    "--cfg", "-c", "--package", "-p", "--config-path", "-cp", "--config-name", "-cn",
+    "--config-dir", "-cd", "--experimental-rerun", "--info", "-i",
+)  # fmt: skip
 
 
 def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
     """Run the verb that `words` (default: the command line) begin with; returns the exit code.
 
-    default: the verb that is meant where the first word is none.
+    default: the verb that is meant where the first word is a setting or one of its own verbs.
     0, 1 (some frames failed), 2 (bad input) or 130/143 (interrupted).
     """
-    from simnfnd.factory.cli import guard, say_error
+    given = list(sys.argv[1:] if words is None else words)
+    if "--version" in given[:2]:
+        return _print(f"simnfnd {_version()}")
+    if default is not None and (
+        not given or _is_option(given[0]) or given[0] in VERBS[default].verbs
+    ):
+        given.insert(0, default)
+    if not given or given[0] in (*_HELP, "help"):
+        return _print(overview())
+    from simnfnd.factory.cli import guard
     from simnfnd.factory.errors import FactoryError
 
-    given = list(sys.argv[1:] if words is None else words)
-    if default is not None and (not given or given[0] not in VERBS):
-        given.insert(0, default)
-    if not given or given[0] in ("-h", "--help", "help"):
-        print(overview())
-        return 0
-    if given[0] == "--version":
-        from simnfnd.factory import __version__
+    def run() -> int | None:
+        name, verb, rest = find(given)
+        if problem := wrong_word(name, verb, rest):
+            raise FactoryError(problem)
+        if any(word in _HELP for word in rest):
+            print(f"{head(name, verb)}\n", flush=True)
+        elif not any(word.split("=")[0] in _SHOW for word in rest):
+            _check_installed(name, verb)
+        module, function = verb.target.split(":")
+        code: int | None = getattr(import_module(module), function)([*verb.before, *rest])
+        return code
 
-        print(f"simnfnd {__version__}")
-        return 0
-    verb = VERBS.get(given[0])
+    return guard(run, debug="debug=true" in given)
+
+
+def find(words: Sequence[str]) -> tuple[str, Verb, list[str]]:
+    """The verb (or verb of a verb) that `words` begin with: its name, itself, the other words.
+
+    Raises FactoryError, one line, for a word that is none.
+    """
+    from simnfnd.factory.errors import FactoryError
+
+    name, rest = words[0], list(words[1:])
+    verb = VERBS.get(name)
     if verb is None:
-        return say_error(FactoryError(unknown(given[0])))
-    module, function = verb.target.split(":")
-    rest = [*verb.before, *given[1:]]
-    debug = "debug=true" in rest
-    return guard(lambda: getattr(import_module(module), function)(rest), debug=debug)
+        raise FactoryError(unknown(name, VERBS))
+    if verb.verbs and rest and not _is_option(rest[0]):
+        if rest[0] not in verb.verbs:
+            raise FactoryError(unknown(rest[0], verb.verbs, f"{name} "))
+        return f"{name} {rest[0]}", verb.verbs[rest[0]], rest[1:]
+    return name, verb, rest
+
+
+def unknown(word: str, verbs: Mapping[str, Verb], prefix: str = "") -> str:
+    """The one line for a word that is no verb."""
+    if "=" in word:
+        return f"{word}: a setting needs a verb before it; did you mean `simnfnd make {word}`?"
+    # With the verbs of verbs: people leave `evaluate` out.
+    known = {own: f"{name} {own}" for name, verb in verbs.items() for own in verb.verbs}
+    known |= {name: name for name in verbs}
+    close = [word] if word in known else difflib.get_close_matches(word, known, n=3, cutoff=0.5)
+    near = [known[name] for name in close]
+    hint = (
+        f"did you mean `simnfnd {prefix}{f'` or `simnfnd {prefix}'.join(near)}`?"
+        if near
+        else f"`simnfnd {prefix}--help` lists them"
+    )
+    return f"{word}: no such verb; {hint}"
+
+
+def wrong_word(name: str, verb: Verb, words: Sequence[str]) -> str | None:
+    """What is wrong with the words of a Hydra verb, before its grammar says so at length."""
+    if not verb.hydra:
+        return None
+    places, value = 0, False
+    for word in words:
+        if value or word == "--":
+            if word == "--":
+                return None
+            value = False
+        elif word in _WITH_VALUE:
+            value = True
+        elif not _is_option(word):
+            places += 1
+            if verb.places is not None and places > verb.places:
+                return f"{word}: not KEY=VALUE; see `simnfnd {name} --help`"
+    return None
 
 
 def overview() -> str:
@@ -107,18 +111,50 @@ def overview() -> str:
     lines = ["simnfnd VERB ...: sonar pictures with a known truth, and denoisers made of them", ""]
     for group in dict.fromkeys(verb.group for verb in VERBS.values()):
         lines.append(f"{group}:")
-        lines += [
-            f"  {name:<15} {verb.line}" for name, verb in VERBS.items() if verb.group == group
-        ]
+        for name, verb in VERBS.items():
+            if verb.group == group:
+                lines.append(f"  {name:<17} {verb.line}")
+                lines += _own_verbs(name, verb)
         lines.append("")
     lines.append("`simnfnd VERB --help` tells more about one; `simnfnd --version` the version.")
     return "\n".join(lines)
 
 
-def unknown(word: str) -> str:
-    """The one line for a word that is no verb."""
-    if "=" in word:
-        return f"{word}: a setting needs a verb before it; did you mean `simnfnd make {word}`?"
-    near = difflib.get_close_matches(word, VERBS, n=3, cutoff=0.5)
-    hint = f"did you mean {' or '.join(near)}?" if near else "see `simnfnd --help`"
-    return f"{word}: no such verb; {hint}"
+def head(name: str, verb: Verb) -> str:
+    """What `simnfnd VERB --help` begins with; the options or configuration groups follow."""
+    lines = [f"simnfnd {name}: {verb.line}", "", "Examples:"]
+    lines += [f"  {example}" for example in verb.examples]
+    if verb.verbs:
+        lines += ["", "Verbs of its own:", *_own_verbs(name, verb)]
+    if verb.needs:
+        from simnfnd.factory.extras import EXTRAS, install_command
+
+        lines += ["", f"Needs {install_command(*(EXTRAS[module] for module in verb.needs))}"]
+    return "\n".join(lines)
+
+
+def _own_verbs(name: str, verb: Verb) -> Iterator[str]:
+    return (f"  {f'{name} {own}':<17} {one.line}" for own, one in verb.verbs.items())
+
+
+def _check_installed(name: str, verb: Verb) -> None:
+    """Raise FactoryError when a module that the verb needs is not installed."""
+    from simnfnd.factory.extras import Need, require
+
+    require(Need(f"simnfnd {name}", module) for module in verb.needs)
+
+
+def _is_option(word: str) -> bool:
+    """KEY=VALUE, `~KEY` or an option: not the name of a verb or place."""
+    return "=" in word or word.startswith(("-", "~", "+"))
+
+
+def _version() -> str:
+    from simnfnd.factory import __version__
+
+    return __version__
+
+
+def _print(text: str) -> int:
+    print(text)
+    return 0

@@ -8,12 +8,23 @@ from typing import Any
 import numpy as np
 
 from simnfnd.factory.config import FactoryConfig, from_mapping
-from simnfnd.factory.formation.field.pairs import FieldScene, field_scene
+from simnfnd.factory.formation.field.scene import FieldScene
+from simnfnd.factory.formation.field.signal import Ping
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.gallery.statistics import FAR_M, NEAR_M, constant_field
+from simnfnd.factory.pairs import ObservedFrame, observe
 from simnfnd.factory.render.base import Rendered
 
-__all__ = ["FAR_M", "NEAR_M", "config", "constant_field", "heard", "slope"]
+__all__ = [
+    "FAR_M",
+    "NEAR_M",
+    "config",
+    "constant_field",
+    "observed",
+    "ping_of",
+    "scene_of",
+    "slope",
+]
 
 
 def config(**keys: Any) -> FactoryConfig:
@@ -39,10 +50,21 @@ def config(**keys: Any) -> FactoryConfig:
     )
 
 
-def heard(settings: FactoryConfig, **frame: Any) -> FieldScene:
-    """The constant field as the device of `settings` hears it."""
+def observed(settings: FactoryConfig, **frame: Any) -> ObservedFrame:
+    """The constant field as the device of `settings` observes it."""
     made, rendered = constant_field(**frame)
-    return field_scene(made, rendered, settings)
+    return observe(made, rendered, settings)
+
+
+def scene_of(made: ObservedFrame) -> FieldScene:
+    """Its scene."""
+    assert isinstance(made.scene, FieldScene)
+    return made.scene
+
+
+def ping_of(made: ObservedFrame) -> Ping:
+    """Its ping."""
+    return scene_of(made).ping
 
 
 def slope(pose_m: tuple[float, float, float], name: str = "0") -> tuple[Frame, Rendered]:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
+from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.jobs.generate import generate_dataset
+from simnfnd.factory.jobs.job import Job
+from simnfnd.factory.jobs.ledger import RunReport
 from simnfnd.factory.jobs.plan import plan_shards
-from simnfnd.factory.jobs.run import RunReport
+from simnfnd.factory.jobs.run import make_dataset
 from simnfnd.factory.jobs.settings import SchedulerSettings
 from simnfnd.factory.workers.signals import Interrupted
 from tests.fake_source import FakeConfig, FakeSource, refs, rerun
@@ -16,39 +19,46 @@ from tests.fake_source import FakeConfig, FakeSource, refs, rerun
 IDENTITY = {"seed": 0, "noise": {"background": {"density": {"uniform": [0.1, 0.5]}}}}
 
 
-def make(directory: Path, config: FakeConfig = FakeConfig(), **changes: object) -> RunReport:  # noqa: B008
-    """A dataset of 12 train and 4 test frames, two variants each, in shards of 8 samples."""
-    given: dict[str, object] = {
-        "source": FakeSource,
-        "identity": IDENTITY,
-        "config_hash": "c0ffee0123456789",
-        "dataset": DatasetSettings(preview_pairs=0),
-        "workers": 2,
-        "retries": 1,
-        "frame_timeout_s": 60.0,
-        "recycle_frames": 200,
-        **changes,
-    }
-    scheduler = SchedulerSettings(
-        workers=given.pop("workers"),  # type: ignore[arg-type]
-        retries=given.pop("retries"),  # type: ignore[arg-type]
-        frame_timeout_s=given.pop("frame_timeout_s"),  # type: ignore[arg-type]
-        recycle_frames=given.pop("recycle_frames"),  # type: ignore[arg-type]
+def make(
+    directory: Path,
+    config: FakeConfig = FakeConfig(),  # noqa: B008
+    *,
+    config_hash: str = "c0ffee0123456789",
+    workers: int = 2,
+    retries: int = 1,
+    frame_timeout_s: float = 60.0,
+    recycle_frames: int = 200,
+    scheduler: dict[str, Any] | None = None,
+    **changes: Any,
+) -> RunReport:
+    """A dataset of 12 train and 4 test frames, two variants each, in shards of 8 samples.
+
+    changes: fields of `Job`.
+    """
+    settings = SchedulerSettings(
+        workers=workers,
+        retries=retries,
+        frame_timeout_s=frame_timeout_s,
+        recycle_frames=recycle_frames,
         shard_size=8,
         backoff_s=0.05,
-        **given.pop("scheduler", {}),
+        **(scheduler or {}),
     )
     frames = {"train": refs(12), "test": refs(4, "beta")}
-    return generate_dataset(
-        directory,
-        plan_shards(frames, variants=2, shard_size=8),
-        config=config,
-        config_dict={**IDENTITY, "scheduler": {"workers": scheduler.workers}},
-        scheduler=scheduler,
-        skipped={"no depth": 3},
-        rerun_command=rerun,
-        **given,  # type: ignore[arg-type]
-    )
+    fields: dict[str, Any] = {
+        "directory": directory,
+        "tasks": plan_shards(frames, variants=2, shard_size=8),
+        "source": FakeSource,
+        "config": config,
+        "provenance": Provenance(IDENTITY, config_hash, "simnfnd test"),
+        "config_values": {**IDENTITY, "scheduler": {"workers": workers}},
+        "dataset": DatasetSettings(preview_pairs=0),
+        "scheduler": settings,
+        "rerun_command": rerun,
+        "skipped": {"no depth": 3},
+        **changes,
+    }
+    return make_dataset(Job(**fields))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,4 @@
-"""`simnfnd campaign`: the whole training campaign; run it again to go on.
-
-`simnfnd campaign table FOLDER` shows what it found.
-"""
+"""`simnfnd campaign`: the whole training campaign; run it again to go on."""
 
 from __future__ import annotations
 
@@ -16,11 +13,7 @@ from simnfnd.factory.settings import build
 
 
 def main(words: Sequence[str]) -> int:
-    """Run the campaign, or make its table; returns the exit code."""
-    if words[:1] == ["table"]:
-        from simnfnd.evaluation.campaign.table import campaign
-
-        return campaign(words[1:])
+    """Run the campaign; returns the exit code."""
     sys.argv[1:] = words
     return run_app(run, "campaign")
 

@@ -16,10 +16,17 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from simnfnd.command import VERBS
-from simnfnd.evaluation.campaign.plan import Folders, Step, data_steps, report_steps, training_steps
+from simnfnd.evaluation.campaign.plan import (
+    Folders,
+    Step,
+    data_steps,
+    report_steps,
+    training_name,
+    training_steps,
+)
 from simnfnd.evaluation.campaign.processes import Processes, Programs
 from simnfnd.evaluation.campaign.settings import CampaignSettings, RowSettings
+from simnfnd.evaluation.campaign.trainings import write_trainings
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import check_writable, sha256_of, write_atomically
 from simnfnd.factory.jobs.lock import Lock
@@ -28,17 +35,17 @@ from simnfnd.models import WEIGHTS_NAME
 
 _CLEAR_CPU_S, _CLEAR = 4.0, 0.3
 _SOME_FAILED = 1
-"""Exit code of a program that did its work, but for some frames or files."""
+"""Exit code of a command that did its work, but for some frames or files."""
 
 
 class Campaign:
-    """One campaign in its folder.  run: how programs are run; as processes unless given.
+    """One campaign in its folder.  run: how commands are run; as processes unless given.
 
     failed: names of the steps that failed, in the order of the plan.
     """
 
     def __init__(self, settings: CampaignSettings, run: Programs | None = None) -> None:
-        self.settings, self.program = settings, run or Processes()
+        self.settings, self._run = settings, run or Processes()
         self.folders = Folders(Path(settings.out))
         self.failed: list[str] = []
         self._ending = threading.Event()
@@ -48,7 +55,7 @@ class Campaign:
         """Do what is left of it; 1 when a step failed, and the others were done.
 
         Raises FactoryError when another campaign is at work in the folder, and KeyboardInterrupt
-        when it or one of its programs was interrupted; then none of them runs any more.
+        when it or one of its commands was interrupted; then none of them runs any more.
         """
         check_writable(self.folders.out, "out")
         with ExitStack() as stack:
@@ -66,7 +73,8 @@ class Campaign:
         self._do_all([*data_steps(self.settings), *training_steps(self.settings)])
         trained = self.trained()
         if trained:
-            self._do_all(list(report_steps(self.settings, trained)))
+            write_trainings(self.folders, trained)
+            self._do_all(list(report_steps(self.settings, self._weights(trained))))
         if self.failed:
             print(f"campaign: failed: {', '.join(self.failed)}; run again to try them again")
         print(f"campaign: {self.folders.out}")
@@ -75,20 +83,24 @@ class Campaign:
     def show(self) -> None:
         """Print what is planned, and what is done."""
         steps = [*data_steps(self.settings), *training_steps(self.settings)]
-        steps += report_steps(self.settings, self.trained())
+        steps += report_steps(self.settings, self._weights(self.trained()))
         for step in steps:
             state = "done" if self._record(step.name).get("code") == 0 else "to do"
-            print(f"{state:5}  {step.name}: {_verb(step)} {shlex.join(step.words)}")
+            print(f"{state:5}  {step.name}: simnfnd {step.verb} {shlex.join(step.words)}")
 
-    def trained(self) -> list[str]:
-        """Folders of the trainings that are finished, in the order of the plan."""
-        names = [(row.name, seed) for row in self.settings.rows for seed in row.seeds]
+    def trained(self) -> list[tuple[str, int]]:
+        """(row, seed) of the trainings that are finished, in the order of the plan."""
         return [
-            str(self.folders.model(row, seed))
-            for row, seed in names
-            if self._record(f"train-{row}-s{seed}").get("code") == 0
-            and (self.folders.model(row, seed) / WEIGHTS_NAME).is_file()
+            (row.name, seed)
+            for row in self.settings.rows
+            for seed in row.seeds
+            if self._record(training_name(row.name, seed)).get("code") == 0
+            and (self.folders.model(row.name, seed) / WEIGHTS_NAME).is_file()
         ]
+
+    def _weights(self, trained: Sequence[tuple[str, int]]) -> list[str]:
+        """The folders that hold their weights."""
+        return [str(self.folders.model(row, seed)) for row, seed in trained]
 
     def _do_all(self, steps: Sequence[Step]) -> None:
         patterns = self.settings.only
@@ -115,9 +127,9 @@ class Campaign:
             except BaseException as error:
                 self._ending.set()
                 pool.shutdown(wait=False, cancel_futures=True)
-                # A terminal sends Ctrl-C to the programs, too.
+                # A terminal sends Ctrl-C to the commands, too.
                 ctrl_c = isinstance(error, Interrupted) and error.exit_code == 128 + signal.SIGINT
-                self.program.stop(told=ctrl_c)
+                self._run.stop(signalled=ctrl_c)
                 raise
         self.failed += [
             step.name for (_, step), one in zip(group, begun, strict=True) if not one.result()
@@ -130,7 +142,7 @@ class Campaign:
         try:
             return self._do_step(number, step)
         except BaseException:
-            # Here, for this thread would take the next step before the main one hears of it.
+            # Set here: this thread would take its next step before the main one learns of it.
             self._ending.set()
             raise
 
@@ -139,20 +151,20 @@ class Campaign:
         try:
             words = (*step.words, *self._length(step))
         except FactoryError as error:
-            _say(f"{step.name}: {error}", error=True)
+            _log(f"{step.name}: {error}", error=True)
             return False
-        told = {"words": list(words), "inputs": self._inputs(step)}
+        asked = {"words": list(words), "inputs": self._inputs(step)}
         record = self._record(step.name)
-        if record.get("code") == 0 and {name: record.get(name) for name in told} == told:
+        if record.get("code") == 0 and {name: record.get(name) for name in asked} == asked:
             return True
-        _say(f"{number} {step.name}")
-        # A training that was finished, but of other words or from other weights, is done anew.
-        anew = ("resume=false",) if step.row is not None and record.get("code") == 0 else ()
-        code, cpu_s, wall_s = self._timed(step.program, (*words, *anew))
-        if step.program == "factory" and code == _SOME_FAILED:
-            # Frames that cannot be used are listed by the factory; the dataset is there.
+        _log(f"{number} {step.name}")
+        # A finished training with other words, or from other weights, starts afresh.
+        afresh = ("resume=false",) if step.row is not None and record.get("code") == 0 else ()
+        code, cpu_s, wall_s = self._timed(step.verb, (*words, *afresh))
+        if step.verb in ("make", "cache") and code == _SOME_FAILED:
+            # `simnfnd make` lists the frames that cannot be used; the dataset is there.
             code = 0
-        self._keep(step.name, {**told, "code": code, "cpu_s": cpu_s, "wall_s": wall_s})
+        self._keep(step.name, {**asked, "code": code, "cpu_s": cpu_s, "wall_s": wall_s})
         if code > 128 or code < 0:
             raise KeyboardInterrupt
         return code == 0
@@ -188,7 +200,7 @@ class Campaign:
             return float(known["cpu_s_per_step"])
         base = self._short(step, 1)
         count = self.settings.pace_steps
-        # Coming and going costs more than a few steps do, and varies: only a clear rise tells.
+        # Starting and ending costs more than a few steps and varies: only a clear rise counts.
         while (rise := self._short(step, 1 + count) - base) < max(_CLEAR_CPU_S, _CLEAR * base):
             count *= 2
         pace = rise / (5 * count)
@@ -204,19 +216,19 @@ class Campaign:
             *("data.validation_limit=1", "tensorboard=false", "pictures=0"),
             *(f"train.steps={5 * every}", f"train.check_every={every}"),
         )
-        code, cpu_s, _ = self._timed(step.program, words)
+        code, cpu_s, _ = self._timed(step.verb, words)
         if code > 128 or code < 0:
             raise KeyboardInterrupt
         if code:
             raise FactoryError(f"rows: {step.row.name} cannot be trained, see above")
         return cpu_s
 
-    def _timed(self, program: str, words: Sequence[str]) -> tuple[int, float, float]:
-        """(exit code, CPU seconds of the program and its workers, seconds)."""
+    def _timed(self, verb: str, words: Sequence[str]) -> tuple[int, float, float]:
+        """(exit code, CPU seconds of the command and its workers, seconds)."""
         if self._ending.is_set():
             raise KeyboardInterrupt
         start = time.monotonic()
-        code, cpu_s = self.program(program, words, self.settings.threads)
+        code, cpu_s = self._run(verb, words, self.settings.threads)
         return code, round(cpu_s, 2), round(time.monotonic() - start, 1)
 
     def _inputs(self, step: Step) -> dict[str, str]:
@@ -228,7 +240,7 @@ class Campaign:
         if step.start is not None and step.start.is_file():
             files = [step.start]
         elif step.name.startswith(("report-", "table")):
-            files = [Path(folder) / WEIGHTS_NAME for folder in self.trained()]
+            files = [Path(folder) / WEIGHTS_NAME for folder in self._weights(self.trained())]
         if step.name == "table":
             files += sorted(self.folders.out.glob("reports/*/results.parquet"))
         return {str(file.relative_to(self.folders.out)): sha256_of(file)[:16] for file in files}
@@ -249,12 +261,6 @@ class Campaign:
         return self.folders.out / "steps" / f"{name}.json"
 
 
-def _say(text: str, *, error: bool = False) -> None:
-    """A line in one piece, whatever other threads print."""
+def _log(text: str, *, error: bool = False) -> None:
+    """Print a line in one piece, whatever other threads print."""
     print(f"campaign: {text}\n", end="", file=sys.stderr if error else sys.stdout, flush=True)
-
-
-def _verb(step: Step) -> str:
-    """How a person would begin the step's command."""
-    default = {"factory": "make", "models": "train", "evaluation": "evaluate"}[step.program]
-    return "simnfnd" if step.words[0] in VERBS else f"simnfnd {default}"

@@ -18,13 +18,13 @@ _ALL_TEST = "split.test=['*']"
 class Step:
     """One command.
 
-    name: unique, and the name of its record.  program: `factory`, `models` or `evaluation`.
+    name: unique, and the name of its record.  verb: the first word of `simnfnd`.  words: the rest.
     row: of a training, whose number of steps comes from its budget; else None.
     start: weights from which a training goes on.
     """
 
     name: str
-    program: str
+    verb: str
     words: tuple[str, ...]
     row: RowSettings | None = None
     start: Path | None = None
@@ -58,8 +58,13 @@ class Folders:
         return self.out / "tuned.json"
 
 
+def training_name(row: str, seed: int) -> str:
+    """The name of the step that trains a row with a seed."""
+    return f"train-{row}-s{seed}"
+
+
 def test_sets(settings: CampaignSettings) -> list[str]:
-    """Names of the test sets: the two that count, then those for the check of never worse."""
+    """Names of the test sets: the two that count, then those where no picture may get worse."""
     real = ["real"] if settings.data.flsea else []
     return ["procedural", *real, "zero", *(f"only_{effect}" for effect in EFFECTS)]
 
@@ -71,7 +76,7 @@ def data_steps(settings: CampaignSettings) -> Iterator[Step]:
 
     def dataset(name: str, *words: str) -> Step:
         words = (*data.words, *words, f"dataset.dir='{folders.data(name)}'", cache)
-        return Step(f"data-{name}", "factory", words)
+        return Step(f"data-{name}", "make", words)
 
     def places(chosen: Places) -> tuple[str, ...]:
         return (
@@ -92,8 +97,8 @@ def data_steps(settings: CampaignSettings) -> Iterator[Step]:
         yield step
         if data.pack is not None:
             small = ("--small",) if data.pack == "small" else ()
-            words = ("cache", "pack", *step.words, "--out", str(folders.pack(name)), *small)
-            yield Step(f"pack-{name}", "factory", words)
+            words = ("pack", *step.words, "--out", str(folders.pack(name)), *small)
+            yield Step(f"pack-{name}", "cache", words)
     yield dataset("procedural", *places(data.test), *test)
     if data.flsea:
         real = (f"scenes.root='{data.flsea}'", f"frames.variants={data.variants}")
@@ -104,7 +109,7 @@ def data_steps(settings: CampaignSettings) -> Iterator[Step]:
         yield dataset(f"only_{effect}", *places(data.checks), *test, *off)
     tune = ("tune", f"dataset.dir='{folders.data('train')}'", f"tuning.file='{folders.tuned}'")
     methods = f"baselines=[{','.join(settings.baselines)}]"
-    yield Step("tune", "evaluation", (*tune, methods))
+    yield Step("tune", "evaluate", (*tune, methods))
 
 
 def training_steps(settings: CampaignSettings) -> Iterator[Step]:
@@ -137,7 +142,7 @@ def training_steps(settings: CampaignSettings) -> Iterator[Step]:
                 source = (*source, f"start='{start}'")
             out = f"out='{folders.model(row.name, seed)}'"
             words = (*source, *settings.words, *row.words, f"seed={seed}", out)
-            yield Step(f"train-{row.name}-s{seed}", "models", words, row, start)
+            yield Step(training_name(row.name, seed), "train", words, row, start)
 
 
 def report_steps(settings: CampaignSettings, trained: list[str]) -> Iterator[Step]:
@@ -156,5 +161,5 @@ def report_steps(settings: CampaignSettings, trained: list[str]) -> Iterator[Ste
             f"out='{folders.report(name)}'",
             *settings.evaluation,
         )
-        yield Step(f"report-{name}", "evaluation", words)
-    yield Step("table", "evaluation", ("campaign", "table", str(folders.out)))
+        yield Step(f"report-{name}", "evaluate", words)
+    yield Step("table", "campaign", ("table", str(folders.out)))

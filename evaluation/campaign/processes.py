@@ -1,4 +1,4 @@
-"""The programs of a campaign as processes: what each cost, and all of them stopped at once."""
+"""The commands of a campaign as processes: what each cost, and all of them stopped at once."""
 
 from __future__ import annotations
 
@@ -14,37 +14,38 @@ _PATIENCE_S = 20.0
 
 
 class Programs(Protocol):
-    """How a campaign runs programs; its methods are called from several threads."""
+    """How a campaign runs its commands; the methods are called from several threads."""
 
-    def __call__(self, program: str, words: Sequence[str], threads: int) -> tuple[int, float]:
-        """Run a program to its end: (exit code, negative for a signal; CPU seconds).
+    def __call__(self, verb: str, words: Sequence[str], threads: int) -> tuple[int, float]:
+        """Run `simnfnd VERB WORDS` to its end: (exit code, negative for a signal; CPU seconds).
 
         KeyboardInterrupt once `stop` was called.
         """
 
-    def stop(self, *, told: bool) -> None:
-        """End what runs, and begin nothing more.  told: it was told already, by Ctrl-C."""
-
-
-_MODULES = {name: f"simnfnd.{name}" for name in ("factory", "models", "evaluation")}
+    def stop(self, *, signalled: bool) -> None:
+        """End what runs, and begin nothing more.  signalled: Ctrl-C has reached it already."""
 
 
 class Processes:
-    """Each program is `python -m program words` in a process of its own; see Programs."""
+    """Each command is `python -m simnfnd VERB WORDS` in a process of its own; see Programs.
 
-    def __init__(self) -> None:
+    module: what is run instead of simnfnd.
+    """
+
+    def __init__(self, module: str = "simnfnd") -> None:
+        self._module = module
         self._changed = threading.Condition()
         self._running: set[int] = set()
         self._stopped = False
 
-    def __call__(self, program: str, words: Sequence[str], threads: int) -> tuple[int, float]:
+    def __call__(self, verb: str, words: Sequence[str], threads: int) -> tuple[int, float]:
         """As Programs says; the CPU seconds are of the process and of those it waited for."""
         environment = {**os.environ, "OMP_NUM_THREADS": str(threads)}
         with self._changed:
             if self._stopped:
                 raise KeyboardInterrupt
             child = subprocess.Popen(
-                [sys.executable, "-m", _MODULES.get(program, program), *words], env=environment
+                [sys.executable, "-m", self._module, verb, *words], env=environment
             )
             self._running.add(child.pid)
         # Left unreaped until the lock is held: `stop` never signals a number that is another's.
@@ -56,11 +57,11 @@ class Processes:
             self._changed.notify_all()
         return child.returncode, used.ru_utime + used.ru_stime
 
-    def stop(self, *, told: bool) -> None:
+    def stop(self, *, signalled: bool) -> None:
         """As Programs says; a process that does not listen is killed."""
         with self._changed:
             self._stopped = True
-            if told and self._ended():
+            if signalled and self._ended():
                 # A second signal would cut short the tidying up that the first one began.
                 return
             for number in (signal.SIGTERM, signal.SIGKILL):

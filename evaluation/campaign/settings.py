@@ -98,17 +98,17 @@ class CampaignSettings:
 
     def __post_init__(self) -> None:
         known: dict[str, RowSettings] = {}
-        seen = set()
+        seeds: set[tuple[str, int]] = set()
         for row in self.rows:
-            told = replace(row, seeds=(0,))
-            if known.setdefault(row.name, told) != told:
+            recipe = replace(row, seeds=(0,))
+            if known.setdefault(row.name, recipe) != recipe:
                 raise ValueError(f"rows: {row.name} is there twice with other words or budget")
             if row.places != "train" and getattr(self.data, row.places) is None:
                 raise ValueError(f"rows: {row.name} needs data.{row.places}")
             for seed in row.seeds:
-                if (row.name, seed) in seen:
+                if (row.name, seed) in seeds:
                     raise ValueError(f"rows: {row.name} has seed {seed} twice")
-                seen.add((row.name, seed))
+                seeds.add((row.name, seed))
         for row in self.rows:
             self.depth(row)
 

@@ -1,14 +1,12 @@
 """`simnfnd campaign table FOLDER`: the cost-quality table of a campaign.
 
-The campaign (`simnfnd campaign`) has trained networks, several seeds of some, and made a
-report on each test set; this puts them together: table.md, table.json and table.png.
+`simnfnd campaign` trains networks, some with several seeds, and makes a report on each test set;
+this puts the reports together: table.md, table.json and table.png.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,8 +15,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from simnfnd.evaluation.campaign.trainings import Training, read_trainings
 from simnfnd.evaluation.metrics.statistics import Estimate, estimate
-from simnfnd.evaluation.report.files import read_results
+from simnfnd.evaluation.report.files import read_content, read_results
+from simnfnd.factory import markdown
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
 from simnfnd.models import WEIGHTS_NAME
@@ -27,8 +28,6 @@ QUALITY = ("psnr", "ssim", "gmsd", "shadow_iou")
 COUNTING = ("procedural", "real")
 """The test sets of the table; all others are checks of never worse."""
 _RESAMPLES, _SEED = 2000, 0
-_ROW = re.compile(r"^(?P<row>.+)-s(?P<seed>\d+)$")
-_LEVELS = re.compile(r"\+ levels$")
 
 Values = npt.NDArray[np.float64]
 
@@ -38,19 +37,14 @@ class Scores:
     """The figures of one test set.
 
     groups: (N,) the frame of each image.  values: label of a method -> metric -> (N,) figures.
+    rows: row of the campaign -> the labels of its seeds.
+    classical: labels of the classical methods with levels.
     """
 
     groups: tuple[str, ...]
     values: Mapping[str, Mapping[str, Values]]
-
-    def rows(self) -> dict[str, list[str]]:
-        """Row of the campaign -> the labels of its seeds."""
-        found: dict[str, list[str]] = {}
-        for label in self.values:
-            match = _ROW.match(label)
-            if match:
-                found.setdefault(match["row"], []).append(label)
-        return found
+    rows: Mapping[str, Sequence[str]]
+    classical: Sequence[str]
 
     def mean_of(self, labels: Sequence[str], metric: str) -> Values:
         """(N,) mean over the seeds of a row."""
@@ -58,34 +52,35 @@ class Scores:
 
     def best_classical(self) -> str | None:
         """The label of the best classical method with levels, by mean PSNR on this very set."""
-        known = [label for label in self.values if _LEVELS.search(label)]
-        return max(known, key=lambda label: float(self.values[label]["psnr"].mean()), default=None)
+        return max(
+            self.classical, key=lambda label: float(self.values[label]["psnr"].mean()), default=None
+        )
 
-    def about(self, values: Values) -> Estimate:
+    def estimate(self, values: Values) -> Estimate:
         """Mean with its 95 % interval, by frames."""
         return estimate(values, self.groups, resamples=_RESAMPLES, seed=_SEED)
 
 
 def campaign(words: Sequence[str]) -> int:
     """Make the table of the campaign in a folder; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="simnfnd campaign table", description=__doc__)
+    parser = Parser(prog="simnfnd campaign table")
     parser.add_argument("folder", type=Path, help="`out` of `simnfnd campaign`")
     folder = parser.parse_args(list(words)).folder.expanduser()
-    sets = read_sets(folder)
-    content = table_of(sets, costs_of(folder, sets))
+    trainings = read_trainings(folder)
+    content = table_of(read_sets(folder, trainings), costs_of(folder, trainings))
     text = json.dumps(content, indent=1) + "\n"
     write_atomically(folder / "table.json", text.encode(), key="FOLDER")
-    write_atomically(folder / "table.md", markdown(content).encode(), key="FOLDER")
+    write_atomically(folder / "table.md", as_markdown(content).encode(), key="FOLDER")
     picture(folder / "table.png", content)
-    print(markdown(content))
+    print(as_markdown(content))
     print(f"table: {folder / 'table.md'}")
     return 0
 
 
-def read_sets(folder: Path) -> dict[str, Scores]:
+def read_sets(folder: Path, trainings: Sequence[Training]) -> dict[str, Scores]:
     """Name -> figures of the test sets that have a report.  FactoryError when none has."""
     found = {
-        path.name: scores_of(read_results(path))
+        path.name: scores_of(read_results(path), read_content(path), trainings)
         for path in sorted((folder / "reports").glob("*"))
         if (path / "results.parquet").is_file()
     }
@@ -96,8 +91,10 @@ def read_sets(folder: Path) -> dict[str, Scores]:
     return found
 
 
-def scores_of(columns: Mapping[str, Any]) -> Scores:
-    """The lines of a results.parquet, by method."""
+def scores_of(
+    columns: Mapping[str, Any], content: Mapping[str, Any], trainings: Sequence[Training]
+) -> Scores:
+    """The figures of one report.  columns: of results.parquet.  content: of report.json."""
     methods = np.asarray(columns["method"])
     labels = list(dict.fromkeys(methods.tolist()))
     metrics = [
@@ -111,24 +108,30 @@ def scores_of(columns: Mapping[str, Any]) -> Scores:
         label: {name: np.asarray(columns[name], float)[methods == label] for name in metrics}
         for label in labels
     }
-    return Scores(tuple("/".join(map(str, place)) for place in places), values)
+    rows: dict[str, list[str]] = {}
+    for one in trainings:
+        if one.label in values:
+            rows.setdefault(one.row, []).append(one.label)
+    classical = [
+        row["label"]
+        for row in content["rows"]
+        if row["kind"] == "baseline" and row["levels"] and row["label"] in values
+    ]
+    groups = tuple("/".join(map(str, place)) for place in places)
+    return Scores(groups, values, rows, classical)
 
 
-def costs_of(folder: Path, sets: Mapping[str, Scores]) -> dict[str, dict[str, float]]:
+def costs_of(folder: Path, trainings: Sequence[Training]) -> dict[str, dict[str, float]]:
     """Row -> parameters, GMAC at 256x256 and CPU ms of one core at 512x512, measured here."""
     from simnfnd.models.networks.cost import measure
     from simnfnd.models.networks.weights import load_weights
 
-    found = {}
-    for row, labels in _all_rows(sets).items():
-        path = folder / "models" / labels[0] / WEIGHTS_NAME
-        if path.is_file():
-            found[row] = asdict(measure(load_weights(path).network))
+    found: dict[str, dict[str, float]] = {}
+    for one in trainings:
+        path = folder / one.folder / WEIGHTS_NAME
+        if one.row not in found and path.is_file():
+            found[one.row] = asdict(measure(load_weights(path).network))
     return found
-
-
-def _all_rows(sets: Mapping[str, Scores]) -> dict[str, list[str]]:
-    return {row: labels for scores in sets.values() for row, labels in scores.rows().items()}
 
 
 def table_of(
@@ -147,23 +150,23 @@ def table_of(
 def _quality(scores: Scores) -> dict[str, Any]:
     noisy, best = scores.values["noisy"], scores.best_classical()
     rows: dict[str, Any] = {}
-    chosen = {"noisy": ["noisy"], **({best: [best]} if best else {}), **scores.rows()}
+    chosen = {"noisy": ["noisy"], **({best: [best]} if best else {}), **scores.rows}
     for row, labels in chosen.items():
         means = {name: scores.mean_of(labels, name) for name in QUALITY if name in noisy}
         each = [float(scores.values[label]["psnr"].mean()) for label in labels]
-        entry = {name: asdict(scores.about(values)) for name, values in means.items()}
-        entry["gain_db"] = asdict(scores.about(means["psnr"] - noisy["psnr"]))
+        entry = {name: asdict(scores.estimate(values)) for name, values in means.items()}
+        entry["gain_db"] = asdict(scores.estimate(means["psnr"] - noisy["psnr"]))
         if best:
             margin = means["psnr"] - scores.values[best]["psnr"]
-            entry["margin_db"] = asdict(scores.about(margin))
-        lost = [scores.values[label]["psnr"] - noisy["psnr"] for label in labels]
+            entry["margin_db"] = asdict(scores.estimate(margin))
+        gains = [scores.values[label]["psnr"] - noisy["psnr"] for label in labels]
         rows[row] = {
             **entry,
             "seeds": len(labels),
             "seed_spread_db": max(each) - min(each),
-            "worse": int(np.sum(np.array(lost) < 0)),
-            "images": int(np.size(lost)),
-            "worst_gain_db": float(np.min(lost)),
+            "worse": int(np.sum(np.array(gains) < 0)),
+            "images": int(np.size(gains)),
+            "worst_gain_db": float(np.min(gains)),
         }
     frames = len(set(scores.groups))
     return {"images": len(scores.groups), "frames": frames, "best_classical": best, "rows": rows}
@@ -173,7 +176,7 @@ def _check(scores: Scores) -> dict[str, Any]:
     """PSNR in and out, and how many images came out worse, of every row."""
     noisy = scores.values["noisy"]["psnr"]
     rows = {}
-    for row, labels in scores.rows().items():
+    for row, labels in scores.rows.items():
         out = np.array([scores.values[label]["psnr"] for label in labels])
         rows[row] = {
             "psnr": float(out.mean()),
@@ -186,45 +189,60 @@ def _check(scores: Scores) -> dict[str, Any]:
     return {"images": len(scores.groups), "rows": rows}
 
 
-def markdown(content: Mapping[str, Any]) -> str:
+_HEAD = ("row", "seeds", "PSNR, dB", "gain, dB", "margin, dB", "SSIM", "GMSD", "shadow IoU",
+         "worse", "GMAC", "CPU ms")  # fmt: skip
+_DIGITS = {"psnr": 2, "gain_db": 2, "margin_db": 2, "ssim": 3, "gmsd": 3, "shadow_iou": 3}
+_CHECKS = ("test set", "row", "PSNR in, dB", "out", "lowest", "worse", "worst")
+
+
+def as_markdown(content: Mapping[str, Any]) -> str:
     """The table for people."""
-    parts = []
-    for name, found in content["sets"].items():
-        parts.append(
-            f"### {name}: {found['images']} pairs of {found['frames']} frames\n\n"
-            "| row | seeds | PSNR, dB | gain, dB | margin, dB | SSIM | GMSD | shadow IoU | worse | "
-            "GMAC | CPU ms |\n|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|"
-        )
-        for row, entry in found["rows"].items():
-            cost = content["costs"].get(row, {})
-            shown = [row, str(entry["seeds"])]
-            digits = {"psnr": 2, "gain_db": 2, "margin_db": 2, "ssim": 3, "gmsd": 3}
-            for metric in ("psnr", "gain_db", "margin_db", "ssim", "gmsd", "shadow_iou"):
-                shown.append(_interval(entry.get(metric), digits.get(metric, 3)))
-            shown.append(f"{entry['worse']} of {entry['images']}")
-            shown += [f"{cost['gmac']:.2f}", f"{cost['cpu_ms']:.0f}"] if cost else ["", ""]
-            parts.append(f"| {' | '.join(shown)} |")
-        best = found["best_classical"]
-        told = f"over `{best}`, the best classical method on these very pairs, with levels"
-        parts.append(f"\nMargin: {told if best else 'unknown, no classical method was tuned'}.\n")
+    parts = [_set_table(name, found, content["costs"]) for name, found in content["sets"].items()]
     if content["checks"]:
+        rows = [
+            [
+                name,
+                row,
+                f"{entry['psnr_noisy']:.2f}",
+                f"{entry['psnr']:.2f}",
+                f"{entry['lowest_psnr']:.2f}",
+                f"{entry['worse']} of {entry['images']}",
+                f"{entry['worst_gain_db']:+.2f}",
+            ]
+            for name, found in content["checks"].items()
+            for row, entry in found["rows"].items()
+        ]
         parts.append(
-            "### Never worse?\n\n| test set | row | PSNR in, dB | out | lowest | worse | worst |"
-            "\n|---|---|---:|---:|---:|---:|---:|"
+            f"### Never worse?\n\n{markdown.table(_CHECKS, rows, 'llr')}\n\n"
+            "An untouched image counts as 100 dB: at no noise at all, `out` counts.\n"
         )
-        for name, found in content["checks"].items():
-            for row, entry in found["rows"].items():
-                parts.append(
-                    f"| {name} | {row} | {entry['psnr_noisy']:.2f} | {entry['psnr']:.2f} | "
-                    f"{entry['lowest_psnr']:.2f} | {entry['worse']} of {entry['images']} | "
-                    f"{entry['worst_gain_db']:+.2f} |"
-                )
-        parts.append("\nAn untouched image counts as 100 dB: at no noise at all, `out` counts.\n")
     parts.append(
         "Intervals: 95 % bootstrap by frames.  Of several seeds the mean; GMAC at 256x256, CPU "
         "milliseconds of one core at 512x512.\n"
     )
     return "\n".join(parts)
+
+
+def _set_table(name: str, found: Mapping[str, Any], costs: Mapping[str, Any]) -> str:
+    rows = []
+    for row, entry in found["rows"].items():
+        cost = costs.get(row)
+        rows.append(
+            [
+                row,
+                entry["seeds"],
+                *(_interval(entry.get(metric), digits) for metric, digits in _DIGITS.items()),
+                f"{entry['worse']} of {entry['images']}",
+                *([f"{cost['gmac']:.2f}", f"{cost['cpu_ms']:.0f}"] if cost else ["", ""]),
+            ]
+        )
+    best = found["best_classical"]
+    margin = f"over `{best}`, the best classical method on these very pairs, with levels"
+    return (
+        f"### {name}: {found['images']} pairs of {found['frames']} frames\n\n"
+        f"{markdown.table(_HEAD, rows)}\n\n"
+        f"Margin: {margin if best else 'unknown, no classical method was tuned'}.\n"
+    )
 
 
 def _interval(item: Mapping[str, float] | None, digits: int) -> str:

@@ -9,9 +9,10 @@ from typing import Any
 
 import yaml
 
-from simnfnd.evaluation.fit.command import FitSettings
 from simnfnd.evaluation.fit.search import Result, score
-from simnfnd.evaluation.realism.report import number, times
+from simnfnd.evaluation.fit.settings import FitSettings
+from simnfnd.evaluation.realism.tables import number, times
+from simnfnd.factory import markdown
 from simnfnd.factory.config import plain
 from simnfnd.factory.files import explain_os_errors, write_atomically
 
@@ -22,29 +23,27 @@ _FORMS = ("uniform", "choice", "normal")
 
 def table(result: Result) -> str:
     """Markdown: every statistic before and after, in times the baseline."""
-    lines = [
-        "| real against | real | recipe | ratio | fitted | ratio |",
-        "|---|---:|---:|---:|---:|---:|",
-    ]
-    for before, after in zip(result.before, result.after, strict=True):
-        cells = [
+    rows = [
+        (
             after.statistic.label,
             number(after.baseline.mean),
             number(before.distance["sim"].mean),
             times(before.ratio("sim")),
             number(after.distance["sim"].mean),
             times(after.ratio("sim")),
-        ]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join([*lines, "", *summary(result)])
+        )
+        for before, after in zip(result.before, result.after, strict=True)
+    ]
+    head = ("real against", "real", "recipe", "ratio", "fitted", "ratio")
+    return "\n".join([markdown.table(head, rows), "", *summary(result)])
 
 
 def summary(result: Result) -> list[str]:
     """What the fit reached, in sentences."""
-    seen, kept = result.real
-    parts = [(f"{seen} real pictures of the search", result.before, result.after)]
+    searched, held_out = result.real
+    parts = [(f"{searched} real pictures of the search", result.before, result.after)]
     if result.held_out is not None:
-        parts.append((f"{kept} real pictures kept from it", *result.held_out))
+        parts.append((f"{held_out} real pictures kept from it", *result.held_out))
     lines = []
     for what, before, after in parts:
         old, new = score(before), score(after)

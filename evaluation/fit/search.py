@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import TypeAdapter
 from tqdm import tqdm
 
-from simnfnd.evaluation.fit.command import FitSettings, Parameter
+from simnfnd.evaluation.fit.settings import FitSettings, Parameter
 from simnfnd.evaluation.fit.simulate import Simulation
 from simnfnd.evaluation.realism.compare import Comparison, compare, overall
 from simnfnd.evaluation.realism.distances import STATISTICS, Statistic
@@ -68,7 +68,7 @@ def search(settings: FitSettings) -> Result:
     for key, parameter in settings.parameters.items():
         simulation.current(key)
         simulation.configured({key: written(parameter, *_middle(parameter))})
-    seen, kept = _parts(open_real(settings.real), settings)
+    searched, held = _parts(open_real(settings.real), settings)
     study = _study(settings)
     base = simulation.measured({})
 
@@ -92,7 +92,7 @@ def search(settings: FitSettings) -> Result:
             study.sampler = _sampler(settings, done)
             trial = study.ask()
             made = simulation.measured(_values(settings.parameters, trial))
-            study.tell(trial, _score(judge(seen, made, settings.resamples)))
+            study.tell(trial, _score(judge(searched, made, settings.resamples)))
             done += 1
             bar.update()
             bar.set_postfix(best=f"{study.best_value:.2f}")
@@ -100,17 +100,17 @@ def search(settings: FitSettings) -> Result:
     values = _values(settings.parameters, optuna.trial.FixedTrial(best.params))
     made = simulation.measured(values)
     held_out = None
-    if kept is not None:
-        held_out = (judge(kept, base, 100), judge(kept, made, 100))
+    if held is not None:
+        held_out = (judge(held, base, 100), judge(held, made, 100))
     return Result(
         values,
         simulation.configured(values),
         done,
         best.number,
-        judge(seen, base, 100),
-        judge(seen, made, 100),
+        judge(searched, base, 100),
+        judge(searched, made, 100),
         held_out,
-        (len(seen), 0 if kept is None else len(kept)),
+        (len(searched), 0 if held is None else len(held)),
         len(simulation.refs),
     )
 
@@ -137,7 +137,7 @@ def _chosen(names: tuple[str, ...] | None) -> Sequence[Statistic]:
 
 
 def _parts(real: Any, settings: FitSettings) -> tuple[Measured, Measured | None]:
-    """The real pictures of the search, and those kept from it: every other block of neighbours."""
+    """The real pictures of the search and those held out: alternate blocks of neighbours."""
     every = measure(real, settings.grid)
     if not settings.hold_out:
         return every, None
@@ -156,9 +156,10 @@ def _study(settings: FitSettings) -> optuna.Study:
 
     folder = settings.folder
     values = TypeAdapter(FitSettings).dump_python(settings, mode="json")
-    # More trials go on with the same search; where it is kept does not matter to it.
-    told = {k: v for k, v in values.items() if k not in ("trials", "out", "name", "debug")}
-    digest = hashlib.blake2b(json.dumps(told, sort_keys=True).encode(), digest_size=8).hexdigest()
+    # More trials continue the same search, wherever it is kept.
+    identity = {k: v for k, v in values.items() if k not in ("trials", "out", "name", "debug")}
+    text = json.dumps(identity, sort_keys=True)
+    digest = hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
     with explain_os_errors(folder, "out"):
         folder.mkdir(parents=True, exist_ok=True)
     journal = folder / "study.journal"
@@ -206,18 +207,18 @@ def _start(parameters: Mapping[str, Parameter], simulation: Simulation) -> dict[
     """What the recipe says, as far as the limits allow: the first trial."""
     start: dict[str, Any] = {}
     for key, parameter in parameters.items():
-        said = simulation.current(key)
-        if isinstance(said, dict):
-            kind, numbers = next(iter(said.items()))
-            said = numbers[0] if kind == "normal" else (min(numbers) + max(numbers)) / 2
+        current = simulation.current(key)
+        if isinstance(current, dict):
+            kind, numbers = next(iter(current.items()))
+            current = numbers[0] if kind == "normal" else (min(numbers) + max(numbers)) / 2
         if parameter.choices is not None:
-            if said in parameter.choices:
-                start[key] = said
+            if current in parameter.choices:
+                start[key] = current
             continue
         assert parameter.low is not None
         assert parameter.high is not None
-        if isinstance(said, int | float) and not isinstance(said, bool):
-            start[key] = min(max(float(said), parameter.low), parameter.high)
+        if isinstance(current, int | float) and not isinstance(current, bool):
+            start[key] = min(max(float(current), parameter.low), parameter.high)
             low, high = parameter.spreads
             if high > low:
                 start[key + _SPREAD] = low

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.evaluation.realism.geometry import Grid, to_polar
 from simnfnd.evaluation.realism.measure import Measured, joined, measure_picture
-from simnfnd.evaluation.realism.simulated import picture_geometry
+from simnfnd.evaluation.realism.polar import Grid, to_polar
 from simnfnd.factory.compose import compose_config
 from simnfnd.factory.config import FactoryConfig, from_mapping, plain
 from simnfnd.factory.dataset.format.sample import Pair
@@ -17,6 +16,8 @@ from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.pairs import PairMaker
 from simnfnd.factory.render.view import View
+from simnfnd.factory.render.views import open_views
+from simnfnd.factory.sonar.geometry import FanGeometry
 
 
 class Simulation:
@@ -30,7 +31,7 @@ class Simulation:
         self.config = compose_config(recipe)
         self.grid = grid
         self._plain = plain(self.config)
-        views = PairMaker(self.config).views
+        views = open_views(self.config)
         found = choose_frames(open_reader(self.config.scenes).discover().frames, self.config)
         there = [ref for ref in found if views.holds(ref)]
         if len(there) < min(8, len(found)):
@@ -41,10 +42,10 @@ class Simulation:
         count = min(frames, len(there))
         spread = [there[number * len(there) // count] for number in range(count)]
         self._kept = _Kept({ref: views.view(ref) for ref in spread})
-        maker = self._maker(self.config)
+        maker = PairMaker(self.config, self._kept)
         self.refs = [ref for ref in spread if _usable(maker, ref)]
         if not self.refs:
-            raise FactoryError("recipe: the sonar hears nothing in any of its frames; see sonar.*")
+            raise FactoryError("recipe: the sonar sees nothing in any of its frames; see sonar.*")
 
     def configured(self, values: Mapping[str, Any]) -> FactoryConfig:
         """The recipe's configuration with some keys set.  Raises FactoryError for a bad key."""
@@ -65,29 +66,16 @@ class Simulation:
     def measured(self, values: Mapping[str, Any]) -> Measured:
         """The numbers of the pictures that these values make."""
         config = self.configured(values)
-        maker = self._maker(config)
+        maker = PairMaker(config, self._kept)
         pairs = (maker.pairs(ref, (0,))[0] for ref in self.refs)
         return joined([self._measure(pair, config) for pair in pairs])
 
-    def _maker(self, config: FactoryConfig) -> PairMaker:
-        maker = PairMaker(config)
-        maker.views = self._kept
-        return maker
-
     def _measure(self, pair: Pair, config: FactoryConfig) -> Measured:
-        row, sonar = pair.record, config.sonar
-        near_m, far_m, left, right = (
-            float(row[name])
-            for name in ("range_min_m", "range_max_m", "azimuth_min_deg", "azimuth_max_deg")
-        )
         picture = pair.noisy
         full = 255.0 if picture.dtype == np.uint8 else 1.0
-        shape = (picture.shape[0], picture.shape[1])
-        geometry = picture_geometry(
-            sonar.image.layout, shape, sonar.hfov_deg, (near_m, far_m), (left, right)
-        )
+        geometry = FanGeometry.from_record(config.sonar, pair.record)
         grey = np.asarray(picture, np.float32) / np.float32(full)
-        return measure_picture(to_polar(grey, geometry, self.grid), geometry.span_m)
+        return measure_picture(to_polar(grey, geometry, self.grid), geometry.range_span_m)
 
 
 def _usable(maker: PairMaker, ref: FrameRef) -> bool:

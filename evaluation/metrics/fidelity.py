@@ -16,7 +16,8 @@ from simnfnd.evaluation.metrics.checks import Image as Image
 from simnfnd.evaluation.metrics.checks import Mask as Mask
 from simnfnd.evaluation.metrics.checks import MetricError as MetricError
 from simnfnd.evaluation.metrics.checks import checked_mask, checked_pair
-from simnfnd.evaluation.metrics.reference import RADIUS_PX, Reference, mean_of_blocks
+from simnfnd.evaluation.metrics.reference import Reference, mean_of_blocks
+from simnfnd.factory.similarity import RADIUS_PX, inner
 
 PSNR_CAP_DB = 100.0
 """What a pair of identical images (infinite PSNR) counts as in a mean; see `finite_psnr`."""
@@ -63,13 +64,12 @@ def ssim(reference: Image, image: Image, *, data_range: float, mask: Mask | None
 
 def mean_ssim(similarity: npt.NDArray[np.float64], mask: Mask | None = None) -> float:
     """The SSIM of an `ssim_map`, over `mask` when one is given."""
-    inner = (slice(RADIUS_PX, -RADIUS_PX),) * 2
     if mask is None:
-        return float(similarity[inner].mean())
-    chosen = checked_mask(mask, similarity)[inner]
+        return float(inner(similarity).mean())
+    chosen = inner(checked_mask(mask, similarity))
     if not chosen.any():
         raise MetricError("mask has no pixel further than 5 from the border; SSIM is undefined")
-    return float(similarity[inner][chosen].mean())
+    return float(inner(similarity)[chosen].mean())
 
 
 def gms_map(
@@ -127,11 +127,11 @@ def shadow_iou(
     image = np.asarray(image)
     if shadow.shape != image.shape:
         raise MetricError(f"shadow is {shadow.shape} but the image is {image.shape}")
-    truth, seen = shadow.astype(bool), image <= threshold
+    truth, dark = shadow.astype(bool), image <= threshold
     if sector is not None:
-        truth, seen = truth & sector, seen & sector
-    union = int((truth | seen).sum())
-    return 1.0 if union == 0 else int((truth & seen).sum()) / union
+        truth, dark = truth & sector, dark & sector
+    union = int((truth | dark).sum())
+    return 1.0 if union == 0 else int((truth & dark).sum()) / union
 
 
 def shadow_residual(shadow: Mask, image: Image, *, data_range: float) -> float:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from simnfnd.evaluation.data.picture import sector_of
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.evaluation.metrics.checks import checked_pair
 from simnfnd.evaluation.metrics.reference import Compared, Reference
@@ -27,14 +28,6 @@ class Quality:
 
 
 METRICS = tuple(item.name for item in fields(Quality))
-
-
-def sector_of(noisy: metrics.Image, clean: metrics.Image, shadow: metrics.Mask) -> metrics.Mask:
-    """(H, W) bool: the pixels where the sonar could have measured anything.
-
-    The shadow mask is confined to the sector, and every other pixel of it carries an echo.
-    """
-    return np.asarray(shadow | (clean > 0) | (noisy > 0))
 
 
 def score_pair(

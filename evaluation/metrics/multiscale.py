@@ -1,9 +1,10 @@
-"""MS-SSIM: structural similarity seen from five distances."""
+"""MS-SSIM: structural similarity at five scales."""
 
 from __future__ import annotations
 
 from simnfnd.evaluation.metrics.checks import Image, checked_pair
-from simnfnd.evaluation.metrics.reference import RADIUS_PX, Compared, Reference
+from simnfnd.evaluation.metrics.reference import Compared, Reference
+from simnfnd.factory.similarity import inner
 
 WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
 """Exponents of the five scales, the finest first (Wang et al. 2003, section 3.2)."""
@@ -33,6 +34,6 @@ def ms_ssim_of(compared: Compared) -> float:
         luminance, structure = compared.terms
         last = scale == len(WEIGHTS) - 1
         terms = luminance * structure if last else structure
-        mean = float(terms[RADIUS_PX:-RADIUS_PX, RADIUS_PX:-RADIUS_PX].mean())
+        mean = float(inner(terms).mean())
         product *= max(mean, 0.0) ** weight
     return product

@@ -12,16 +12,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-Values = npt.NDArray[np.float64]
+from simnfnd.factory.similarity import SsimReference
 
-SIGMA_PX = 1.5
-RADIUS_PX = 5
-"""Of the Gaussian window of SSIM, which scikit-image cuts at 3.5 sigma."""
+Values = npt.NDArray[np.float64]
 
 GMSD_C = 170.0
 """Of Xue et al. 2014, for gray values 0..255."""
 
-_K1, _K2 = 0.01, 0.03
 _STEP, _THIRD = np.array([1.0, 0.0, -1.0]), np.full(3, 1 / 3)
 
 
@@ -31,23 +28,11 @@ class Reference:
     def __init__(self, image: Values, data_range: float) -> None:
         self.image = image
         self.data_range = data_range
-        self._c1, self._c2 = (_K1 * data_range) ** 2, (_K2 * data_range) ** 2
+        self._ssim = SsimReference(image, data_range)
 
     def terms(self, image: Values) -> tuple[Values, Values]:
-        """(H, W) luminance and contrast-structure terms of SSIM (Wang et al. 2004).
-
-        Gaussian window, population covariance, mirrored borders.
-        """
-        mean = window(image)
-        variance = window(image * image)
-        squared = mean * mean
-        variance -= squared
-        cross = window(self.image * image)
-        product = self._mean * mean
-        cross -= product
-        luminance = (2 * product + self._c1) / (self._mean_squared + squared + self._c1)
-        structure = (2 * cross + self._c2) / (self._variance + variance + self._c2)
-        return luminance, structure
+        """(H, W) luminance and contrast-structure terms of SSIM (Wang et al. 2004)."""
+        return self._ssim.terms(image)
 
     def ssim_map(self, image: Values) -> Values:
         """(H, W) local structural similarity."""
@@ -68,18 +53,6 @@ class Reference:
     def halved(self) -> Reference:
         """The next scale of MS-SSIM."""
         return Reference(halved(self.image), self.data_range)
-
-    @cached_property
-    def _mean(self) -> Values:
-        return window(self.image)
-
-    @cached_property
-    def _mean_squared(self) -> Values:
-        return np.asarray(self._mean * self._mean)
-
-    @cached_property
-    def _variance(self) -> Values:
-        return np.asarray(window(self.image * self.image) - self._mean_squared)
 
     @cached_property
     def _pooled_gradients(self) -> tuple[Values, Values]:
@@ -116,13 +89,6 @@ class Compared:
     def halved(self) -> Compared:
         """The next scale of MS-SSIM."""
         return Compared(self.reference.halved, halved(self.image))
-
-
-def window(values: Values) -> Values:
-    """(H, W) means under the Gaussian window, borders mirrored."""
-    size = (2 * RADIUS_PX + 1,) * 2
-    blurred = cv2.GaussianBlur(values, size, SIGMA_PX, borderType=cv2.BORDER_REFLECT)
-    return np.asarray(blurred, dtype=np.float64)
 
 
 def halved(values: Values) -> Values:

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from simnfnd.evaluation.data.picture import Picture
 from simnfnd.evaluation.metrics.checks import MetricError
 from simnfnd.evaluation.metrics.edges import Edges
 from simnfnd.evaluation.metrics.fidelity import deviation
@@ -23,7 +24,6 @@ from simnfnd.evaluation.metrics.speckle import (
     ratio_of,
     zone_enl,
 )
-from simnfnd.evaluation.pictures import Picture
 
 
 @dataclass(frozen=True)

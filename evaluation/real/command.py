@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, cast
 from omegaconf import DictConfig, OmegaConf
 
 from simnfnd.evaluation.app import hydra_verb
-from simnfnd.evaluation.realism.command import named
+from simnfnd.evaluation.overrides import named
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.extras import Need, require
 from simnfnd.factory.settings import build
 
 if TYPE_CHECKING:
@@ -28,16 +29,19 @@ def real(words: Sequence[str]) -> int:
 def run(config: DictConfig) -> None:
     """Measure, print the table and write the report."""
     settings = settings_of(config)
+    for key, given in (("models=", settings.models), ("downstream=true", settings.downstream)):
+        if given:
+            require(Need(key, module) for module in ("torch", "safetensors"))
     import numpy as np
 
-    from simnfnd.evaluation.crew import Team
-    from simnfnd.evaluation.methods import baselines_of, methods_of
-    from simnfnd.evaluation.networks import networks_at
+    from simnfnd.evaluation.methods.method import baselines_of, methods_of
+    from simnfnd.evaluation.methods.networks import networks_at
+    from simnfnd.evaluation.methods.tuning import load_tuned
     from simnfnd.evaluation.real import report
     from simnfnd.evaluation.real.measure import check_masks, measure
     from simnfnd.evaluation.real.pictures import open_folder
-    from simnfnd.evaluation.tuning import load_tuned
     from simnfnd.factory.files import check_writable
+    from simnfnd.factory.workers.tasks import TaskPool
 
     if settings.tuned is not None and not Path(settings.tuned).is_file():
         raise FactoryError(f"tuned={settings.tuned}: no such file; `evaluation tune` writes one")
@@ -51,8 +55,8 @@ def run(config: DictConfig) -> None:
         check_masks(files)
     out = settings.folder
     check_writable(out, "out")
-    with Team(settings.workers) as team:
-        rows = measure(files, methods, team, settings.device, settings.image_timeout_s)
+    with TaskPool(settings.workers) as pool:
+        rows = measure(files, methods, pool, settings.device, settings.image_timeout_s)
     facts: dict[str, Any] = {
         "schema": "simnfnd-real/1",
         "name": Path(settings.real).expanduser().resolve().name,

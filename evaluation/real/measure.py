@@ -11,14 +11,13 @@ from tqdm import tqdm
 
 from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.crew import Died, Team
-from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.methods.apply import denoised
+from simnfnd.evaluation.methods.method import Method, reason
 from simnfnd.evaluation.metrics.edges import edge_preservation
 from simnfnd.evaluation.metrics.speckle import contrast_to_noise, enl, m_index, ratio_mean
-from simnfnd.evaluation.real.pictures import SIDE, File, Scene, pixel_geometry, scene
-from simnfnd.evaluation.tuning import reason
-from simnfnd.evaluation.work import denoised
+from simnfnd.evaluation.real.pictures import SIDE, File, Scene, geometry_of, scene
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.workers.tasks import TaskLost, TaskPool
 
 Figures = dict[str, float]
 
@@ -60,7 +59,7 @@ def figures_of(image: Gray, shared: Scene) -> Figures:
 
 
 def measure(
-    files: Sequence[File], methods: Sequence[Method], team: Team, device: str, timeout_s: float
+    files: Sequence[File], methods: Sequence[Method], pool: TaskPool, device: str, timeout_s: float
 ) -> list[RealRow]:
     """All methods on all pictures.  A method that fails on one loses its row.
 
@@ -74,10 +73,10 @@ def measure(
     )
     results: dict[tuple[str, int], tuple[Gray, Figures]] = {}
     with tqdm(total=len(waiting), unit="picture", desc="real pictures") as bar:
-        for task, found in team.run(_measured, waiting, lambda _: timeout_s):
+        for task, found in pool.run(_measured, waiting, lambda _: timeout_s):
             bar.update()
-            if isinstance(found, Died | str):
-                why = found.why if isinstance(found, Died) else found
+            if isinstance(found, TaskLost | str):
+                why = found.reason if isinstance(found, TaskLost) else found
                 row = rows[task.method.label]
                 row.lost = row.lost or f"{task.file.name}: {why}"
                 bar.set_postfix(lost=sum(row.lost is not None for row in rows.values()))
@@ -96,7 +95,7 @@ def _measured(task: Task) -> tuple[Gray, Figures] | str:
     if method.weights is None and REGISTRY[method.name].looks:
         return "needs several looks at a scene that stands still"
     try:
-        image = denoised(method, shared.noisy, task.device, None, pixel_geometry(task.file))
+        image = denoised(method, shared.noisy, task.device, None, geometry_of(task.file))
     except Exception as error:  # a method's own defect must not take the others along
         return reason(error)
     if method.levels is not None:

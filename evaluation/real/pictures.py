@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -12,9 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.image_pairs import images_in, read_gray
+from simnfnd.evaluation.data.image_pairs import images_in, read_gray
 from simnfnd.evaluation.metrics.speckle import homogeneous_zones
-from simnfnd.evaluation.realism.geometry import Geometry, sector_mask
 from simnfnd.evaluation.realism.pictures import Source
 from simnfnd.evaluation.realism.real import GEOMETRY_FILE, open_real
 from simnfnd.factory.errors import FactoryError
@@ -30,7 +28,7 @@ _RING = 15  # around an object, pixels
 
 @dataclass(frozen=True)
 class File:
-    """A picture of the folder.  geometry: of its fan or polar picture, None where nobody knows.
+    """A picture of the folder.  geometry: of its fan or polar picture, None where it is unknown.
 
     mask: file of its class indices, None without.
     """
@@ -136,32 +134,17 @@ def scene(file: File) -> Scene:
     )
 
 
-def pixel_geometry(file: File) -> FanGeometry | None:
-    """The same geometry as networks and filters take it; None where nobody knows it."""
+def geometry_of(file: File) -> FanGeometry | None:
+    """Where range and bearing are in a picture; None where it is unknown."""
     if file.source is None:
         return None
-    own = file.source.geometry
-    sector_rad = math.radians(own.hfov_deg)
-    if own.layout == "polar":
-        known = FanGeometry.polar(sector_rad, own.range_min_m, own.range_max_m)
-        return known.with_size(*file.read().shape)
-    return FanGeometry.fan(
-        sector_rad,
-        apex_x_px=own.apex_x_px,
-        apex_y_px=own.apex_y_px,
-        near_px=own.near_px,
-        far_px=own.far_px,
-        x_scale=own.x_scale,
-        range_min_m=own.range_min_m,
-        range_max_m=own.range_max_m,
-    )
+    rows, columns = file.read().shape
+    return file.source.geometry.with_size(rows, columns)
 
 
-def _sector(noisy: Gray, geometry: Geometry | None) -> Mask:
-    if geometry is not None and geometry.layout == "fan":
-        return sector_mask(geometry, (noisy.shape[0], noisy.shape[1]))
+def _sector(noisy: Gray, geometry: FanGeometry | None) -> Mask:
     if geometry is not None:
-        return np.ones(noisy.shape, dtype=bool)
+        return geometry.sector_mask(noisy.shape[0], noisy.shape[1])
     # A dark picture has black pixels inside, too: its outline is what counts.
     lit = noisy > 0
     across = np.maximum.accumulate(lit, axis=1) & np.maximum.accumulate(lit[:, ::-1], 1)[:, ::-1]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 from omegaconf import DictConfig, OmegaConf
 
 from simnfnd.evaluation.app import hydra_verb
+from simnfnd.evaluation.overrides import named
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.settings import build
 
@@ -22,32 +23,9 @@ def realism(words: Sequence[str]) -> int:
     return hydra_verb(run, "realism", named(words, "real", "sim"))
 
 
-def named(words: Sequence[str], first: str, rest: str | None = None) -> list[str]:
-    """Words without `=` as overrides: the first one of `first`, the others a list of `rest`."""
-    plain = [word for word in words if "=" not in word and not word.startswith("-")]
-    told = [word for word in words if word not in plain]
-    if plain:
-        told.append(f"{first}={_quoted(plain[0])}")
-    if plain[1:]:
-        if rest is None:
-            raise FactoryError(f"{plain[1]}: unexpected; only one folder is taken here")
-        told.append(f"{rest}={listed(plain[1:])}")
-    return told
-
-
-def listed(words: Sequence[str]) -> str:
-    """Words as a list in Hydra's grammar."""
-    return f"[{','.join(_quoted(word) for word in words)}]"
-
-
-def _quoted(word: str) -> str:
-    """A path as Hydra's grammar takes it, whatever characters it has."""
-    return "'" + word.replace("\\", "\\\\").replace("'", "\\'") + "'"
-
-
 def run(config: DictConfig) -> None:
     """Measure, compare, print the table and write the report."""
-    from simnfnd.evaluation.realism import report
+    from simnfnd.evaluation.realism import report, tables
     from simnfnd.evaluation.realism.compare import compare
     from simnfnd.evaluation.realism.measure import measure
     from simnfnd.evaluation.realism.real import open_real
@@ -68,7 +46,7 @@ def run(config: DictConfig) -> None:
     report.write(out, settings, collections, measured, comparisons)
     for note in (note for item in collections.values() for note in item.notes):
         print(note)
-    print(report.table(comparisons))
+    print(tables.table(comparisons))
     print(f"report: {out / 'realism.html'}")
 
 

@@ -64,7 +64,7 @@ def compare(
     as there are in A: baseline d(A, B), distance d(A, S).  All sets have one size, so a simulation
     that is no different has the baseline as its distance, however few pictures there are.  Half of
     each set without replacement: the spread of the resamples is that of the whole sets' figures
-    (McCarthy 1969), which is the interval told.  Raises FactoryError for too few pictures.
+    (McCarthy 1969), which is the interval given.  Raises FactoryError for too few pictures.
     """
     size = half_size(real, simulated)
     found = {
@@ -86,11 +86,11 @@ def compare(
                 found[statistic.name, name][turn] = distance
     result = []
     for statistic in statistics:
-        told = {name: _interval(found[statistic.name, name]) for name in ("", *simulated)}
-        if any(np.isfinite(interval.mean) for interval in told.values()) and np.isfinite(
-            told[""].mean
+        intervals = {name: _interval(found[statistic.name, name]) for name in ("", *simulated)}
+        if any(np.isfinite(interval.mean) for interval in intervals.values()) and np.isfinite(
+            intervals[""].mean
         ):
-            result.append(Comparison(statistic, told.pop(""), told))
+            result.append(Comparison(statistic, intervals.pop(""), intervals))
     return result
 
 

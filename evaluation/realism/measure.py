@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
-from simnfnd.evaluation.realism import artefacts, features, texture, windows
-from simnfnd.evaluation.realism.geometry import Gray, Grid
 from simnfnd.evaluation.realism.pictures import Collection
+from simnfnd.evaluation.realism.polar import Gray, Grid
+from simnfnd.evaluation.realism.statistics import artefacts, features, texture, windows
 
 Values = npt.NDArray[np.float64]
 
@@ -104,5 +104,5 @@ def measure(collection: Collection, grid: Grid) -> Measured:
     """The numbers of every picture of a collection.  Raises FactoryError when one is unreadable."""
     sources: Iterable = tqdm(collection.sources, desc=collection.name, unit="picture")
     return joined(
-        [measure_picture(source.polar(grid), source.geometry.span_m) for source in sources]
+        [measure_picture(source.polar(grid), source.geometry.range_span_m) for source in sources]
     )

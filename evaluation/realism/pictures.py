@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from simnfnd.evaluation.realism.geometry import Geometry, Gray, Grid, to_polar
+from simnfnd.evaluation.realism.polar import Gray, Grid, to_polar
+from simnfnd.factory.sonar.geometry import FanGeometry
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class Source:
     """
 
     name: str
-    geometry: Geometry
+    geometry: FanGeometry
     read: Callable[[], Gray]
 
     def polar(self, grid: Grid) -> Gray:

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.evaluation.realism.compare import Comparison
-from simnfnd.evaluation.realism.geometry import Gray
 from simnfnd.evaluation.realism.measure import Measured
+from simnfnd.evaluation.realism.polar import Gray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

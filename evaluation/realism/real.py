@@ -9,27 +9,36 @@ from __future__ import annotations
 
 import csv
 import math
-from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.realism.geometry import Geometry, Gray, sector_mask
 from simnfnd.evaluation.realism.pictures import Collection, Source, label_of
+from simnfnd.evaluation.realism.polar import Gray
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.sonar.geometry import FanGeometry
 
 GEOMETRY_FILE = "geometry.csv"
 _SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
-_COLUMNS = tuple(item.name for item in fields(Geometry) if item.name != "seen")
 _FAN = ("apex_x_px", "apex_y_px", "near_px", "far_px")
+_METRES = ("range_min_m", "range_max_m")
+_COLUMNS = ("layout", "hfov_deg", *_FAN, "x_scale", *_METRES)
 
 MDD_SHAPE = (480, 320)
 MDD_GEOMETRIES = {
-    "A": Geometry("fan", 29.4, 159.3, 602.5, 139.5, 575.5),
-    "B": Geometry("fan", 29.6, 159.3, 748.5, 291.5, 718.5, x_scale=0.8),
+    "A": FanGeometry.fan(
+        math.radians(29.4), apex_x_px=159.3, apex_y_px=602.5, near_px=139.5, far_px=575.5
+    ),
+    "B": FanGeometry.fan(
+        math.radians(29.6),
+        apex_x_px=159.3,
+        apex_y_px=748.5,
+        near_px=291.5,
+        far_px=718.5,
+        x_scale=0.8,
+    ),
 }
 """The two fans that the pictures of the Marine Debris Dataset mix; metres are not published.
 
@@ -93,8 +102,8 @@ def _mdd(root: Path, paths: list[Path]) -> Collection:
             )
         counts[name] += 1
         sources.append(Source(path.name, MDD_GEOMETRIES[name], partial(read_gray, path)))
-    told = ", ".join(f"{count} of geometry {name}" for name, count in counts.items() if count)
-    return Collection(label_of(root), tuple(sources), (f"Marine Debris Dataset: {told}",))
+    mix = ", ".join(f"{count} of geometry {name}" for name, count in counts.items() if count)
+    return Collection(label_of(root), tuple(sources), (f"Marine Debris Dataset: {mix}",))
 
 
 def mdd_geometry(picture: npt.NDArray[np.floating]) -> str | None:
@@ -109,14 +118,14 @@ def mdd_geometry(picture: npt.NDArray[np.floating]) -> str | None:
     across = np.maximum.accumulate(lit, axis=1) & np.maximum.accumulate(lit[:, ::-1], 1)[:, ::-1]
     agreement = {}
     for name, geometry in MDD_GEOMETRIES.items():
-        sector = sector_mask(geometry, MDD_SHAPE)
+        sector = geometry.sector_mask(*MDD_SHAPE)
         agreement[name] = float((across & sector).sum() / max((across | sector).sum(), 1))
     best = max(agreement, key=lambda name: agreement[name])
     return best if agreement[best] >= _SAME else None
 
 
 def _with_table(table: Path, paths: list[Path]) -> tuple[Source, ...]:
-    lines: dict[str, Geometry] = {}
+    lines: dict[str, FanGeometry] = {}
     try:
         with table.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
@@ -140,7 +149,7 @@ def _with_table(table: Path, paths: list[Path]) -> tuple[Source, ...]:
     return tuple(sources)
 
 
-def _geometry(row: dict[str, str], where: str) -> Geometry:
+def _geometry(row: dict[str, str], where: str) -> FanGeometry:
     values: dict[str, float] = {}
     for name in _COLUMNS:
         text = (row.get(name) or "").strip()
@@ -159,12 +168,17 @@ def _geometry(row: dict[str, str], where: str) -> Geometry:
     missing = [name for name in needed if name not in values]
     if missing:
         raise FactoryError(f"{where}: {missing[0]} is missing; a {layout} needs {list(needed)}")
-    kind: Literal["fan", "polar"] = "fan" if layout == "fan" else "polar"
-    geometry = replace(Geometry(kind, 1.0), **values)  # type: ignore[arg-type]
-    if not 0 < geometry.hfov_deg <= 180:
-        raise FactoryError(f"{where}: hfov_deg must lie in (0, 180], got {geometry.hfov_deg:g}")
-    if layout == "fan" and not (0 <= geometry.near_px < geometry.far_px and geometry.x_scale > 0):
+    hfov_deg = values["hfov_deg"]
+    if not 0 < hfov_deg <= 180:
+        raise FactoryError(f"{where}: hfov_deg must lie in (0, 180], got {hfov_deg:g}")
+    metres = {name: values[name] for name in _METRES if name in values}
+    if len(metres) == 2 and not 0 <= metres["range_min_m"] < metres["range_max_m"]:
+        raise FactoryError(f"{where}: needs 0 <= range_min_m < range_max_m")
+    sector_rad = math.radians(hfov_deg)
+    if layout == "polar":
+        return FanGeometry.polar(sector_rad, **metres)
+    x_scale = values.get("x_scale", 1.0)
+    if not (0 <= values["near_px"] < values["far_px"] and x_scale > 0):
         raise FactoryError(f"{where}: needs 0 <= near_px < far_px and x_scale > 0")
-    if geometry.span_m is not None and geometry.span_m <= 0:
-        raise FactoryError(f"{where}: range_max_m must be larger than range_min_m")
-    return geometry
+    fan = {name: values[name] for name in _FAN}
+    return FanGeometry.fan(sector_rad, **fan, x_scale=x_scale, **metres)

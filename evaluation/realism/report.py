@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import html
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -15,53 +14,9 @@ from simnfnd.evaluation.realism.measure import Measured
 from simnfnd.evaluation.realism.pictures import Collection
 from simnfnd.evaluation.realism.plots import draw_all
 from simnfnd.evaluation.realism.settings import RealismSettings
+from simnfnd.evaluation.realism.tables import number, sums, table, times
+from simnfnd.evaluation.report.pages import render
 from simnfnd.factory.errors import FactoryError
-
-
-def table(comparisons: Sequence[Comparison]) -> str:
-    """Markdown: the baseline, every simulation's distance, and how many times the baseline."""
-    names = list(comparisons[0].distance)
-    head = ["real against", "unit", "real", *(cell for name in names for cell in (name, "ratio"))]
-    lines = [_line(head), "|---|---|---:|" + "---:|---:|" * len(names)]
-    for item in comparisons:
-        cells = [item.statistic.label, item.statistic.unit, number(item.baseline.mean)]
-        for name in names:
-            cells += [number(item.distance[name].mean), times(item.ratio(name))]
-        lines.append(_line(cells))
-    sums = {name: overall(comparisons, name) for name in names}
-    for key, label in _OVERALL.items():
-        cells = [f"**{label}**", "", ""]
-        for name in names:
-            cells += ["", _summary(key, sums[name][key])]
-        lines.append(_line(cells))
-    return "\n".join(lines)
-
-
-_OVERALL = {
-    "geometric_mean_ratio": "mean ratio",
-    "median_ratio": "median ratio",
-    "within_2": "within 2 times",
-}
-
-
-def _summary(key: str, value: float) -> str:
-    return f"{value:.0%}" if key == "within_2" and math.isfinite(value) else times(value)
-
-
-def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
-
-
-def number(value: float) -> str:
-    """Three digits, or a dash where there is no figure."""
-    return f"{value:.3g}" if math.isfinite(value) else "-"
-
-
-def times(value: float) -> str:
-    """A ratio as people read it."""
-    if not math.isfinite(value):
-        return "-"
-    return f"{value:.1f}" if value < 100 else f"{value:.0f}"
 
 
 def write(
@@ -157,21 +112,6 @@ def _markdown(facts: Mapping[str, Any], comparisons: Sequence[Comparison]) -> st
     )
 
 
-_STYLE = """
-:root { color-scheme: light dark; --paper: #fff; --ink: #1a1a1a; --muted: #666; --line: #ddd;
-  --good: #0f7a50; }
-@media (prefers-color-scheme: dark) {
-  :root { --paper: #16181c; --ink: #ececec; --muted: #a5a5a5; --line: #3a3d44; --good: #4fd0a0; } }
-body { background: var(--paper); color: var(--ink); font: 15px/1.5 system-ui, sans-serif;
-  max-width: 75rem; margin: 2rem auto; padding: 0 1rem; }
-p, li { max-width: 50rem; } .muted, td small { color: var(--muted); }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .25rem .7rem; border-bottom: 1px solid var(--line); text-align: right; }
-th:first-child, td:first-child { text-align: left; } thead th { vertical-align: bottom; }
-td.near { color: var(--good); font-weight: 600; } tfoot td { font-weight: 600; }
-img { max-width: 100%; height: auto; } h2 { margin-top: 2rem; }
-"""
 _TITLES = {
     "ratios": "Distance over baseline",
     "distributions": "What lies behind it",
@@ -184,51 +124,24 @@ def _page(
 ) -> str:
     """One file with everything in it: it can be sent by mail."""
     names = list(comparisons[0].distance)
-    escaped = [html.escape(name) for name in names]
-    head = "".join(f"<th>{name}</th><th>ratio</th>" for name in escaped)
-    rows = []
-    for item in comparisons:
-        cells = [
-            f'<td title="{html.escape(item.statistic.what)}">{html.escape(item.statistic.label)} '
-            f"<small>{html.escape(item.statistic.unit)}</small></td>",
-            f"<td>{_with_interval(item.baseline)}</td>",
-        ]
-        for name in names:
-            ratio = item.ratio(name)
-            near = ' class="near"' if ratio <= 2 else ""
-            cells.append(f"<td>{_with_interval(item.distance[name])}</td>")
-            cells.append(f"<td{near}>{times(ratio)}</td>")
-        rows.append(f"<tr>{''.join(cells)}</tr>")
-    sums = {name: overall(comparisons, name) for name in names}
-    feet = [
-        f"<tr><td>{label}</td><td></td>"
-        + "".join(f"<td></td><td>{_summary(key, sums[name][key])}</td>" for name in names)
-        + "</tr>"
-        for key, label in _OVERALL.items()
-    ]
-    images = "".join(
-        f"<h2>{_TITLES[name]}</h2><picture>"
-        f'<source media="(prefers-color-scheme: dark)" srcset="{_inline(out, name + "-dark")}">'
-        f'<img alt="{_TITLES[name]}" src="{_inline(out, name)}"></picture>'
-        for name in plots
+    return render(
+        "realism.html",
+        {"number": number, "times": times},
+        title=f"Simulated against real: {facts['real']}",
+        facts=facts,
+        names=names,
+        comparisons=comparisons,
+        sums=sums(comparisons),
+        explanation=_explanation(facts),
+        plots=[
+            {
+                "title": _TITLES[name],
+                "light": _inline(out, name),
+                "dark": _inline(out, f"{name}-dark"),
+            }
+            for name in plots
+        ],
     )
-    notes = "".join(f"<li>{html.escape(note)}</li>" for note in facts["notes"])
-    title = f"Simulated against real: {html.escape(str(facts['real']))}"
-    return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<style>{_STYLE}</style></head><body><h1>{title}</h1><ul>{notes}</ul>"
-        f'<div class="scroll"><table><thead><tr><th>distance of real to</th><th>real</th>{head}'
-        f"</tr></thead><tbody>{''.join(rows)}</tbody><tfoot>{''.join(feet)}</tfoot></table></div>"
-        f'<p class="muted">{html.escape(_explanation(facts))} Ratios up to 2 are green.</p>'
-        f"{images}</body></html>\n"
-    )
-
-
-def _with_interval(interval: Interval) -> str:
-    if not math.isfinite(interval.mean):
-        return "-"
-    return f"{number(interval.mean)} <small>{number(interval.low)}..{number(interval.high)}</small>"
 
 
 def _inline(out: Path, name: str) -> str:

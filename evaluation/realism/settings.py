@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from simnfnd.evaluation.realism.geometry import Grid
+from simnfnd.evaluation.realism.polar import Grid
 from simnfnd.factory.settings import STRICT
 
 

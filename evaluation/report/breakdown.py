@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from simnfnd.evaluation.data.pairs import Item
+from simnfnd.evaluation.measurement.rows import Row
 from simnfnd.evaluation.metrics.statistics import estimate
-from simnfnd.evaluation.pictures import Item
 from simnfnd.evaluation.report.content import as_dict
-from simnfnd.evaluation.rows import Row
 from simnfnd.evaluation.settings import EvaluationSettings
 
 _MOST_PLACES = 12

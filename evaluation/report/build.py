@@ -7,22 +7,22 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from simnfnd.evaluation import tuning
-from simnfnd.evaluation.crew import Team
-from simnfnd.evaluation.journal import Journal
-from simnfnd.evaluation.methods import NOISY, baselines_of, methods_of
-from simnfnd.evaluation.networks import costs_of, networks_of
-from simnfnd.evaluation.pictures import Item, drawn_of, items_of, picture
+from simnfnd.evaluation.data.pairs import Item, drawn_of, items_of, picture
+from simnfnd.evaluation.measurement.rows import Row, measure_rows
+from simnfnd.evaluation.measurement.store import FigureStore
+from simnfnd.evaluation.methods import tuning
+from simnfnd.evaluation.methods.method import NOISY, baselines_of, methods_of
+from simnfnd.evaluation.methods.networks import costs_of, networks_of
 from simnfnd.evaluation.report import figures, files, page, tables
 from simnfnd.evaluation.report.breakdown import breakdown_of
 from simnfnd.evaluation.report.content import content_of, shown_rows
 from simnfnd.evaluation.report.examples import examples_of
 from simnfnd.evaluation.report.robustness import flat_config, robustness_of
-from simnfnd.evaluation.rows import Row, measure_rows
 from simnfnd.evaluation.settings import EvaluationSettings
 from simnfnd.factory.dataset.read.reader import open_shard
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import check_writable
+from simnfnd.factory.workers.tasks import TaskPool
 
 
 def build(settings: EvaluationSettings) -> dict[str, Any]:
@@ -36,26 +36,26 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
     networks = networks_of(settings)
     items = items_of(Path(settings.dataset.dir), settings.split, settings.limit)
     check_writable(out, "out")
-    journal = Journal(out)
-    with Team(settings.workers) as team, contextlib.closing(journal):
-        for line in _tuned(settings, baselines, team):
+    store = FigureStore(out)
+    with TaskPool(settings.workers) as pool, contextlib.closing(store):
+        for line in _tuned(settings, baselines, pool):
             print(line)
         tuned = tuning.load_tuned(settings.tuned_file)
         methods = [*methods_of(baselines, tuned), *networks]
-        rows = measure_rows(settings, items, methods, journal, team)
+        rows = measure_rows(settings, items, methods, store, pool)
         content = _content(settings, items, rows, tuned)
         labels = shown_rows(content["rows"], settings.page.methods)
         drawn = drawn_of(items)
         files.write_results(out / files.RESULTS_NAME, rows, items, drawn)
         content["breakdown"] = breakdown_of(rows, items, drawn, labels, settings)
-        content["robustness"] = robustness_of(settings, methods, labels, journal, team)
+        content["robustness"] = robustness_of(settings, methods, labels, store, pool)
         content["config"] = flat_config(Path(settings.dataset.dir))
         files.write_content(out, content)
         shown = [row.method for row in rows if row.method.label in labels and row.method != NOISY]
         shown.sort(key=lambda method: labels.index(method.label))
-        examples = examples_of(settings, items, rows[0], shown, team)
+        examples = examples_of(settings, items, rows[0], shown, pool)
         page.write(out / page.PAGE_NAME, content, examples)
-        pictures = figures.write(settings, content, examples, shown, team)
+        pictures = figures.write(settings, content, examples, shown, pool)
     print(f"\n{tables.leaderboard(content['rows'])}\n\n{files.verdict(content)}")
     for line in [*content["ordering"], *content["ordering_3"]]:
         print(line)
@@ -63,11 +63,11 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
     return content
 
 
-def _tuned(settings: EvaluationSettings, baselines: Sequence[Any], team: Team) -> list[str]:
+def _tuned(settings: EvaluationSettings, baselines: Sequence[Any], pool: TaskPool) -> list[str]:
     if not (settings.tuning.auto and baselines):
         return []
     try:
-        return tuning.tune(settings, baselines, team)
+        return tuning.tune(settings, baselines, pool)
     except FactoryError as error:
         # Without pairs to tune on there are still the rows by default.
         return [f"not tuned: {error}"]

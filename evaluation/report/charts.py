@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
+from markupsafe import Markup
+
 WIDTH, HEIGHT = 680, 320
 _LEFT, _RIGHT, _TOP, _BOTTOM = 56, 16, 14, 46
 SERIES = 10
@@ -69,14 +71,14 @@ def chart(
     title: str,
     lines: bool,
     log_x: bool = False,
-) -> str:
+) -> Markup:
     """The SVG of some series, with a legend below; lines: join the points of a series.
 
     title: what a screen reader says.
     """
     points = [point for one in series for point in one.points]
     if not points:
-        return ""
+        return Markup("")
     x = _scale([p.x for p in points], _LEFT + 14, WIDTH - _RIGHT - 14, log_x)
     ends = [v for p in points for v in (p.y, p.low, p.high) if v is not None]
     y = _scale(ends, HEIGHT - _BOTTOM, _TOP, False)
@@ -89,7 +91,7 @@ def chart(
         _legend(series),
         "</figure>",
     ]
-    return "".join(parts)
+    return Markup("".join(parts))
 
 
 def _drawn(one: Series, x: _Scale, y: _Scale, lines: bool) -> str:
@@ -104,9 +106,9 @@ def _drawn(one: Series, x: _Scale, y: _Scale, lines: bool) -> str:
                 f'<line class="whisker" x1="{px:.1f}" x2="{px:.1f}" y1="{y(point.low):.1f}" '
                 f'y2="{y(point.high):.1f}"/>'
             )
-        said = f"{one.name}: {point.y:.2f}" + (f" {point.label}" if point.label else "")
+        title = f"{one.name}: {point.y:.2f}" + (f" {point.label}" if point.label else "")
         parts.append(
-            f'<circle cx="{px:.1f}" cy="{py:.1f}" r="4"><title>{escape(said)}</title></circle>'
+            f'<circle cx="{px:.1f}" cy="{py:.1f}" r="4"><title>{escape(title)}</title></circle>'
         )
     return "".join([*parts, "</g>"])
 

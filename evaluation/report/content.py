@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from simnfnd.evaluation.baselines import REGISTRY
+from simnfnd.evaluation.data.pairs import Item
+from simnfnd.evaluation.measurement.rows import Row
 from simnfnd.evaluation.metrics.statistics import Estimate, Paired, estimate, holm, paired
-from simnfnd.evaluation.pictures import Item
 from simnfnd.evaluation.report import paper
 from simnfnd.evaluation.report.names import METRIC_NAMES
-from simnfnd.evaluation.rows import Row
 from simnfnd.evaluation.settings import EvaluationSettings
 
 SCHEMA = "simnfnd-report/1"

@@ -13,15 +13,15 @@ import numpy as np
 
 from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.crew import Died, Team
-from simnfnd.evaluation.image_pairs import images_in, read_gray
-from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.data.image_pairs import images_in, read_gray
+from simnfnd.evaluation.data.pairs import Item, input_of, picture
+from simnfnd.evaluation.measurement.rows import Row
+from simnfnd.evaluation.methods.apply import denoised
+from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.metrics.fidelity import finite_psnr, psnr
-from simnfnd.evaluation.pictures import Item, input_of, picture
-from simnfnd.evaluation.rows import Row
 from simnfnd.evaluation.settings import EvaluationSettings
-from simnfnd.evaluation.work import denoised
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.workers.tasks import TaskLost, TaskPool
 
 
 @dataclass(frozen=True)
@@ -50,14 +50,14 @@ def examples_of(
     items: Sequence[Item],
     noisy: Row,
     methods: Sequence[Method],
-    team: Team,
+    pool: TaskPool,
 ) -> list[Example]:
     """Pairs from the worst to the best by the PSNR of the noisy image, evenly between."""
     count = min(settings.page.examples, len(items))
     ranked = np.argsort(noisy.values["psnr"], kind="stable")
     places = np.unique(np.linspace(0, len(items) - 1, count).round().astype(int)) if count else []
     chosen = [items[int(ranked[place])] for place in places]
-    made = _made(settings, methods, team, [(item, "") for item in chosen])
+    made = _made(settings, methods, pool, [(item, "") for item in chosen])
     examples = []
     for item, images in zip(chosen, made, strict=True):
         pair = picture(item.place)
@@ -73,7 +73,7 @@ def examples_of(
 
 
 def real_examples(
-    settings: EvaluationSettings, methods: Sequence[Method], team: Team
+    settings: EvaluationSettings, methods: Sequence[Method], pool: TaskPool
 ) -> list[Example]:
     """The images of `real=[...]`, at most `page.examples` of each folder, evenly over its names.
 
@@ -94,7 +94,7 @@ def real_examples(
         else:
             raise FactoryError(f"real: {path}: no such file or folder")
     noisy = [read_gray(file) for file in files]
-    made = _made(settings, methods, team, [(None, str(file)) for file in files])
+    made = _made(settings, methods, pool, [(None, str(file)) for file in files])
     return [
         Example(file.stem, {"noisy": image, **images})
         for file, image, images in zip(files, noisy, made, strict=True)
@@ -111,7 +111,7 @@ def as_data_uri(image: Gray) -> str:
 def _made(
     settings: EvaluationSettings,
     methods: Sequence[Method],
-    team: Team,
+    pool: TaskPool,
     sources: Sequence[tuple[Item | None, str]],
 ) -> list[dict[str, Gray]]:
     """What the methods make of each source; a method that fails on one is left out there."""
@@ -121,8 +121,8 @@ def _made(
         for method in methods
     )
     found: dict[tuple[int, str], Gray] = {}
-    for task, image in team.run(_show, waiting, lambda _: settings.image_timeout_s):
-        if image is not None and not isinstance(image, Died):
+    for task, image in pool.run(_show, waiting, lambda _: settings.image_timeout_s):
+        if image is not None and not isinstance(image, TaskLost):
             found[task.number, task.method.label] = image
     return [
         {m.label: found[number, m.label] for m in methods if (number, m.label) in found}

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from simnfnd.evaluation.crew import Team
-from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.report.content import shown_rows
 from simnfnd.evaluation.report.examples import Example, real_examples
 from simnfnd.evaluation.report.names import METRIC_NAMES, written
 from simnfnd.evaluation.settings import EvaluationSettings
 from simnfnd.factory.files import write_atomically
+from simnfnd.factory.workers.tasks import TaskPool
 
 _ROWS = 40
 
@@ -23,7 +23,7 @@ def write(
     content: Mapping[str, Any],
     examples: Sequence[Example],
     methods: Sequence[Method],
-    team: Team,
+    pool: TaskPool,
 ) -> list[str]:
     """Write leaderboard.png, figure16.png and, with real images, figure15.png and figure17.png.
 
@@ -36,7 +36,7 @@ def write(
         made.append("figure16.png")
         _save(out / "figure16.png", sheet(examples))
     if settings.real:
-        real = real_examples(settings, methods, team)
+        real = real_examples(settings, methods, pool)
         made.append("figure15.png")
         _save(out / "figure15.png", sheet(real))
         networks = [method.label for method in methods if method.weights]

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from simnfnd.evaluation.data.pairs import Item
+from simnfnd.evaluation.measurement.rows import Row
 from simnfnd.evaluation.metrics import fidelity as metrics
-from simnfnd.evaluation.pictures import Item
 from simnfnd.evaluation.report import tables
+from simnfnd.evaluation.report.content import SCHEMA
 from simnfnd.evaluation.report.names import written_p
-from simnfnd.evaluation.rows import Row
+from simnfnd.factory import markdown
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
 
@@ -68,13 +70,25 @@ def read_results(folder: Path) -> dict[str, Any]:
     return {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}
 
 
+def read_content(folder: Path) -> dict[str, Any]:
+    """The content of a report's report.json.  FactoryError when there is none."""
+    path = folder / REPORT_NAME
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if content["schema"] != SCHEMA:
+            raise ValueError(f"schema {content['schema']!r}")
+        return content
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FactoryError(f"{path}: absent or damaged; make the report again") from error
+
+
 def write_content(folder: Path, content: Mapping[str, Any]) -> None:
     """report.json, report.md, leaderboard.md, .tex and .csv."""
     text = json.dumps(content, indent=1, allow_nan=False) + "\n"
     rows = content["rows"]
     files = {
         REPORT_NAME: text,
-        "report.md": markdown(content),
+        "report.md": as_markdown(content),
         "leaderboard.md": tables.leaderboard(rows) + "\n",
         "leaderboard.tex": tables.latex(rows),
         "leaderboard.csv": tables.as_csv(rows),
@@ -83,7 +97,7 @@ def write_content(folder: Path, content: Mapping[str, Any]) -> None:
         write_atomically(folder / name, written.encode(), key="out")
 
 
-def markdown(content: Mapping[str, Any]) -> str:
+def as_markdown(content: Mapping[str, Any]) -> str:
     """The whole report in Markdown."""
     facts, rows = content["facts"], content["rows"]
     parts = [
@@ -172,21 +186,18 @@ def facts_of(
 
 def _robustness(entry: Mapping[str, Any]) -> str:
     how = ", ".join(f"{key} = {value}" for key, value in entry["differs"].items()) or "nothing"
-    lines = [
-        f"**{entry['dataset']}** ({entry['pairs']} pairs; differs in {how})",
-        "",
-        "| method | PSNR, dB | against noisy, dB | SSIM | GMSD |",
-        "|---|---:|---:|---:|---:|",
-    ]
+    lines: list[list[str]] = []
     for label, row in entry["rows"].items():
         if row["lost"]:
-            lines.append(f"| {label} | lost: {row['lost']} | | | |")
+            lines.append([label, f"lost: {row['lost']}", "", "", ""])
             continue
         gain = row["gain"]
         shown = "" if label == "noisy" else f"{gain['mean']:+.2f} ({tables.interval(gain, 2)})"
-        ssim, gmsd = row["ssim"]["mean"], row["gmsd"]["mean"]
-        lines.append(f"| {label} | {row['psnr']['mean']:.2f} | {shown} | {ssim:.3f} | {gmsd:.3f} |")
-    return "\n".join(lines)
+        ssim, gmsd = (f"{row[name]['mean']:.3f}" for name in ("ssim", "gmsd"))
+        lines.append([label, f"{row['psnr']['mean']:.2f}", shown, ssim, gmsd])
+    head = ["method", "PSNR, dB", "against noisy, dB", "SSIM", "GMSD"]
+    title = f"**{entry['dataset']}** ({entry['pairs']} pairs; differs in {how})"
+    return f"{title}\n\n{markdown.table(head, lines)}"
 
 
 def _arrow() -> tuple[Any, Any]:
@@ -194,5 +205,5 @@ def _arrow() -> tuple[Any, Any]:
         import pyarrow
         import pyarrow.parquet as parquet
     except ImportError as error:
-        raise FactoryError('the report needs pyarrow: pip install "simnfnd[evaluation]"') from error
+        raise FactoryError('the report needs pyarrow: pip install "simnfnd[report]"') from error
     return pyarrow, parquet

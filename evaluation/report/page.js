@@ -57,7 +57,7 @@
   const stage = $(".stage");
   const layers = { before: $(".layer.first"), after: $(".layer.second") };
   const choose = { pair: $("#pair"), before: $("#before"), after: $("#after"), map: $("#map") };
-  const slider = $("#slider"), divider = $(".divider"), said = $("#said");
+  const slider = $("#slider"), divider = $(".divider"), caption = $("#caption");
   const view = { zoom: 1, x: 0, y: 0 };
   const decoded = new Map();
 
@@ -169,7 +169,7 @@
   }
 
   function update() {
-    said.textContent = MEANING[choose.map.value];
+    caption.textContent = MEANING[choose.map.value];
     return Promise.all([paint("before"), paint("after")]);
   }
 

@@ -1,4 +1,4 @@
-"""The same methods on further datasets: other noise levels, and kinds that nobody has seen."""
+"""The same methods on further datasets: other levels of noise, and kinds absent from training."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from simnfnd.evaluation.crew import Team
-from simnfnd.evaluation.journal import Journal
-from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.data.pairs import items_of
+from simnfnd.evaluation.measurement.rows import Row, measure_rows
+from simnfnd.evaluation.measurement.store import FigureStore
+from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.metrics.statistics import estimate, paired
-from simnfnd.evaluation.pictures import items_of
 from simnfnd.evaluation.report.content import as_dict, paired_dict
-from simnfnd.evaluation.rows import Row, measure_rows
 from simnfnd.evaluation.settings import DatasetFolder, EvaluationSettings
 from simnfnd.factory.dataset.format.manifest import load_manifest
+from simnfnd.factory.workers.tasks import TaskPool
 
 Content = dict[str, Any]
 
@@ -27,8 +27,8 @@ def robustness_of(
     settings: EvaluationSettings,
     methods: Sequence[Method],
     labels: Sequence[str],
-    journal: Journal,
-    team: Team,
+    store: FigureStore,
+    pool: TaskPool,
 ) -> list[Content]:
     """One entry a dataset of `robustness=[...]`: how it differs, and the rows' PSNR and gain."""
     wanted = [method for method in methods if method.label in labels]
@@ -38,7 +38,7 @@ def robustness_of(
         there = replace(settings, dataset=DatasetFolder(folder))
         items = items_of(Path(folder), settings.split, settings.limit)
         name = Path(folder).resolve().name
-        rows = measure_rows(there, items, wanted, journal, team, title=name)
+        rows = measure_rows(there, items, wanted, store, pool, title=name)
         groups = [item.group for item in items]
         found.append(
             {

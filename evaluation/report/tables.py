@@ -7,9 +7,10 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from simnfnd.evaluation.methods.method import shown
 from simnfnd.evaluation.report.names import METRIC_NAMES, written, written_p
 from simnfnd.evaluation.report.paper import TABLE_METRICS
-from simnfnd.evaluation.tuning import shown
+from simnfnd.factory import markdown
 
 Content = Mapping[str, Any]
 
@@ -23,11 +24,11 @@ def leaderboard(rows: Sequence[Content]) -> str:
     names = [name for name in _SHORT if _has(rows, name)]
     head = ["method", "PSNR, dB", "95 % interval", "against noisy, dB", "p (Holm)", "wins"]
     head += [METRIC_NAMES[name].label for name in names] + ["ms", "GMAC"]
-    lines = [_line(head), "|---|" + "---:|" * (len(head) - 1)]
+    lines: list[list[str]] = []
     for row in rows:
         title = f"{row['label']}{shown(row['parameters'])}"
         if row["lost"] is not None:
-            lines.append(_line([title, f"lost: {row['lost']}", *[""] * (len(head) - 2)]))
+            lines.append([title, f"lost: {row['lost']}", *[""] * (len(head) - 2)])
             continue
         psnr, gain = row["metrics"]["psnr"], row["against_noisy"].get("psnr")
         cells = [title, written(psnr["mean"], 2), interval(psnr, 2)]
@@ -39,56 +40,45 @@ def leaderboard(rows: Sequence[Content]) -> str:
             cells += [written_p(gain["p_holm"]), percent(gain["wins"])]
         cells += [written(row["metrics"][n]["mean"], METRIC_NAMES[n].digits) for n in names]
         cells += [written(row["milliseconds"], 1), written(row["gmac"], 2) if row["gmac"] else ""]
-        lines.append(_line(cells))
-    return "\n".join(lines)
+        lines.append(cells)
+    return markdown.table(head, lines)
 
 
 def more_metrics(rows: Sequence[Content]) -> str:
     """Markdown: the means of the metrics that the leaderboard leaves out."""
     names = [name for name in _MORE if _has(rows, name)]
     lines = [
-        _line(["method", *(METRIC_NAMES[name].label for name in names)]),
-        "|---|" + "---:|" * len(names),
-    ]
-    lines += [
-        _line(
-            [
-                row["label"],
-                *(written(row["metrics"][n]["mean"], METRIC_NAMES[n].digits) for n in names),
-            ]
-        )
+        [row["label"], *(written(row["metrics"][n]["mean"], METRIC_NAMES[n].digits) for n in names)]
         for row in rows
         if row["lost"] is None
     ]
-    return "\n".join(lines)
+    return markdown.table(["method", *(METRIC_NAMES[name].label for name in names)], lines)
 
 
 def beside_paper(table: Sequence[Content]) -> str:
     """Markdown: PSNR, SSIM and GMSD of the paper and ours."""
     lines = [
-        "| row | paper PSNR / SSIM / GMSD | ours | which row here |",
-        "|---|---:|---:|---|",
+        [
+            line["title"],
+            _three(line["paper"]),
+            "-" if line["ours"] is None else _three(line["ours"]),
+            line["row"] or "not given",
+        ]
+        for line in table
     ]
-    for line in table:
-        ours = "-" if line["ours"] is None else _three(line["ours"])
-        lines.append(
-            _line([line["title"], _three(line["paper"]), ours, line["row"] or "not given"])
-        )
-    return "\n".join(lines)
+    head = ["row", "paper PSNR / SSIM / GMSD", "ours", "which row here"]
+    return markdown.table(head, lines, "lrrl")
 
 
 def breakdown(entry: Content) -> str:
     """Markdown: mean PSNR of the rows in each bin of a factor."""
     bins = entry["bins"]
+    head = [entry["factor"], *(f"{one['label']} ({one['pairs']})" for one in bins)]
     lines = [
-        _line([entry["factor"], *(f"{one['label']} ({one['pairs']})" for one in bins)]),
-        "|---|" + "---:|" * len(bins),
-    ]
-    lines += [
-        _line([label, *(written(one["mean"], 2) for one in values)])
+        [label, *(written(one["mean"], 2) for one in values)]
         for label, values in entry["rows"].items()
     ]
-    return "\n".join(lines)
+    return markdown.table(head, lines)
 
 
 def latex(rows: Sequence[Content]) -> str:
@@ -158,10 +148,6 @@ def _has(rows: Sequence[Content], name: str) -> bool:
 def _three(figures: Content) -> str:
     psnr, ssim, gmsd = (figures[name] for name in TABLE_METRICS)
     return f"{psnr:.2f} / {ssim:.3f} / {gmsd:.3f}"
-
-
-def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(str(cell).replace("|", "/") for cell in cells) + " |"
 
 
 def _escaped(text: str) -> str:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import time
 from pathlib import Path
 
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.compose import compose_config
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.render.cache import Cache
@@ -18,7 +18,7 @@ _EPILOG = (
 
 def main(words: list[str]) -> int:
     """Do what `words` ask for; returns the exit code (1: verify found damage)."""
-    parser = argparse.ArgumentParser(prog="simnfnd cache", epilog=_EPILOG)
+    parser = Parser(prog="simnfnd cache", epilog=_EPILOG)
     parser.add_argument("action", choices=("stats", "verify", "pack", "clear"))
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE")
     parser.add_argument("--out", type=Path, help="pack: file to write, for example views.pack")

@@ -2,48 +2,117 @@
 
 from __future__ import annotations
 
-import argparse
-import shlex
-import subprocess
-import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from simnfnd.factory.dataset.format.manifest import load_manifest
-from simnfnd.factory.dataset.write.failures import load_failures
+import yaml
+
+from simnfnd.factory.cli import Parser
+from simnfnd.factory.dataset.format.manifest import CONFIG_NAME, load_manifest
+from simnfnd.factory.dataset.write.failures import FAILURES_NAME, load_failures
 from simnfnd.factory.errors import FactoryError
+
+if TYPE_CHECKING:
+    from simnfnd.factory.config import FactoryConfig
 
 
 def main(words: list[str]) -> int:
     """List the failures, or try them again; returns 0 when there are none (any more), else 1."""
-    parser = argparse.ArgumentParser(prog="simnfnd failed", description=__doc__)
+    parser = Parser(prog="simnfnd failed")
     parser.add_argument("dir", type=Path, help="folder of a dataset")
     parser.add_argument(
-        "--rerun", action="store_true", help="try each frame by itself, in a folder DIR-retry"
+        "settings",
+        nargs="*",
+        metavar="KEY=VALUE",
+        help="with --rerun: words of `simnfnd make` for scheduler and cache",
     )
-    given = parser.parse_args(words)
+    parser.add_argument(
+        "--rerun",
+        action="store_true",
+        help="try the frames again, with the configuration in the dataset, in a folder DIR-retry",
+    )
+    given = parser.parse_intermixed_args(words)
+    if given.settings and not given.rerun:
+        raise FactoryError(f"{given.settings[0]}: settings are for --rerun")
     failures = load_failures(given.dir)
     if load_manifest(given.dir) is None and not failures:
         raise FactoryError(f"{given.dir}: no dataset here (no manifest.json)")
     if not failures:
         print(f"{given.dir}: no frame failed")
         return 0
-    if not given.rerun:
-        for item in failures:
-            print(f"{item['kind']}: {item['reason']}\n  {item['command']}")
-        print(f"{len(failures)} frames failed; running the dataset's command again tries them, too")
-        return 1
-    cured = sum(_works(item) for item in failures)
-    print(f"{cured} of {len(failures)} frames work now", end="")
+    if given.rerun:
+        return _rerun(given.dir, [item["frame"] for item in failures], given.settings)
+    for item in failures:
+        print(_printable(f"{item['kind']}: {item['reason']}"))
+        print(_printable(f"  {item['command']}"))
+    print(f"{len(failures)} frames failed; running the dataset's command again tries them, too")
+    return 1
+
+
+def _rerun(directory: Path, failed: list[str], settings: list[str]) -> int:
+    """Make the failed frames once more.  Nothing that the dataset's files say is executed."""
+    from simnfnd.factory.generate import run
+
+    frames = tuple(dict.fromkeys(failed))
+    retry = Path(f"{directory}-retry")
+    config = _stored(directory, settings)
+    config = replace(
+        config,
+        frames=replace(config.frames, only=frames),
+        dataset=replace(
+            config.dataset,
+            dir=str(retry),
+            on_existing="overwrite",
+            preview_pairs=0,
+            max_train=None,
+            max_test=None,
+        ),
+    )
+    if load_manifest(retry) is not None:
+        (retry / FAILURES_NAME).unlink(missing_ok=True)
+    try:
+        run(config, arguments=settings)
+    except FactoryError:
+        # A run in which every frame failed ends like this, too, and has listed them.
+        if not load_failures(retry):
+            raise
+    reasons = {item["frame"]: item["reason"] for item in load_failures(retry)}
+    for frame in frames:
+        print(_printable(f"{frame}: {reasons.get(frame, 'works')}"))
+    cured = sum(frame not in reasons for frame in frames)
+    print(f"{cured} of {len(frames)} frames work now", end="")
     print("; run the dataset's command again to take them in" if cured else "")
-    return 0 if cured == len(failures) else 1
+    return 0 if cured == len(frames) else 1
 
 
-def _works(item: dict[str, str]) -> bool:
-    """Run the command of one failure, in this environment."""
-    words = shlex.split(item["command"])
-    command = [sys.executable, "-m", *words, "dataset.on_existing=overwrite"]
-    done = subprocess.run(command, check=False, capture_output=True, text=True)
-    worked = done.returncode == 0
-    last = (done.stderr.strip().splitlines() or [""])[-1]
-    print(f"{item['frame']}: {'works' if worked else last}")
-    return worked
+def _stored(directory: Path, settings: list[str]) -> FactoryConfig:
+    """What config.yaml says of the samples; scheduler and cache are those of `settings`.
+
+    A dataset may come from a stranger, so it does not choose where renders are written or which
+    cluster is connected to.
+    """
+    from simnfnd.factory.compose import compose_config
+    from simnfnd.factory.config import from_mapping
+
+    path = directory / CONFIG_NAME
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = " ".join(str(error).split())[:120]
+        raise FactoryError(f"{path}: cannot be read ({reason}); restore it to rerun") from error
+    if not isinstance(values, dict):
+        raise FactoryError(f"{path}: not a configuration; restore it to rerun")
+    try:
+        config = from_mapping(values)
+    except FactoryError as error:
+        raise FactoryError(f"{path}: {error}") from error
+    here = compose_config(settings)
+    return replace(
+        config, scheduler=here.scheduler, cache=here.cache, shard=here.shard, debug=here.debug
+    )
+
+
+def _printable(text: str) -> str:
+    """Without what a terminal would obey."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)

@@ -6,23 +6,24 @@ another sonar: `simnfnd gallery scenes=flsea scenes.root=DIR`.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from simnfnd.factory import noise
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.config import FactoryConfig, from_mapping
 from simnfnd.factory.dataset.describe.quality import psnr_db
 from simnfnd.factory.distribution import Distribution, number
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.extras import needs_of, require
 from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.gallery import figures
 from simnfnd.factory.gallery.figures import Figure, Panel
-from simnfnd.factory.noise import NoiseSettings
-from simnfnd.factory.pairs import Scene, make_pair, observe
+from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings
+from simnfnd.factory.pairs import ObservedFrame, make_pair, observe
 from simnfnd.factory.render.base import Rendered
+from simnfnd.factory.sonar.surface import insonified
 
 # The paper's view from above, drawn larger than data sets need.
 _PICTURE = (
@@ -51,12 +52,12 @@ class View:
 
     frame: Frame
     rendered: Rendered
-    scene: Scene
+    observed: ObservedFrame
 
 
 def main(words: list[str]) -> None:
     """Draw the figures that `words` ask for."""
-    parser = argparse.ArgumentParser(prog="simnfnd gallery", description=__doc__)
+    parser = Parser(prog="simnfnd gallery")
     parser.add_argument("--out", type=Path, default=Path("outputs/gallery"), help="folder to fill")
     parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="as for making a dataset")
     given = parser.parse_args(words)
@@ -70,6 +71,7 @@ def gallery(out: Path, settings: Iterable[str] = ()) -> list[Path]:
     Raises FactoryError for a bad setting or when no frame can be used.
     """
     config = compose(settings)
+    require(needs_of(config))
     views = list(_views(config))
     return [figures.save(figure, out) for figure in _figures(views, config)]
 
@@ -139,7 +141,7 @@ def _views(config: FactoryConfig) -> Iterator[View]:
     for ref in list(first.values())[:_MOST_SCENES]:
         frame = reader.load(ref)
         rendered = renderer.render(frame, config.sonar.mount)
-        yield View(frame, rendered, observe(frame, rendered, config.sonar))
+        yield View(frame, rendered, observe(frame, rendered, config))
 
 
 def _figures(views: list[View], config: FactoryConfig) -> Iterator[Figure]:
@@ -165,7 +167,7 @@ def _figures(views: list[View], config: FactoryConfig) -> Iterator[Figure]:
         [
             [
                 figures.radiance("rendered", view.rendered),
-                figures.from_above("view from above", view.scene),
+                _from_above(view, config),
             ]
             for view in views[:2]
         ],
@@ -258,16 +260,21 @@ def _at(config: FactoryConfig, rate: float) -> FactoryConfig:
     return replace(config, resample=replace(config.resample, rate=number(rate)))
 
 
+def _from_above(view: View, config: FactoryConfig) -> Panel:
+    found = insonified(view.frame, view.rendered, view.observed.window, config.sonar)
+    return figures.from_above("view from above", found.echoes)
+
+
 def _clean(view: View, config: FactoryConfig, name: str) -> Panel:
-    return figures.sonar(name, make_pair(view.scene, 0, config).clean)
+    return figures.sonar(name, make_pair(view.observed, 0, config).clean)
 
 
 def _noisy(view: View, config: FactoryConfig, name: str) -> Panel:
     """A noisy picture, with the figure of how noisy it is."""
-    pair = make_pair(view.scene, 0, config)
+    pair = make_pair(view.observed, 0, config)
     return figures.sonar(f"{name}   {psnr_db(pair.clean, pair.noisy):.1f} dB", pair.noisy)
 
 
 def _word(effect: str) -> str:
-    assert effect in noise.EFFECTS
+    assert effect in EFFECTS
     return effect.replace("_", " ")

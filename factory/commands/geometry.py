@@ -5,7 +5,6 @@ Prints a table (CSV) that `simnfnd denoise --geometry` and `data.geometry` of a 
 
 from __future__ import annotations
 
-import argparse
 import csv
 import math
 import sys
@@ -15,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import check_writable, write_atomically
 from simnfnd.factory.recordings import kind_of, open_recording
@@ -32,7 +32,7 @@ _GREEN = (0, 255, 0)
 
 def main(words: list[str]) -> int:
     """Print the table, and draw what was found; 1 when no picture has a fan."""
-    parser = argparse.ArgumentParser(prog="simnfnd geometry", description=__doc__)
+    parser = Parser(prog="simnfnd geometry")
     parser.add_argument(
         "pictures", nargs="+", type=Path, help="pictures, folders of them, or videos (first frame)"
     )

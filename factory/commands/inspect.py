@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.describe.inspection import Inspection, inspect
-from simnfnd.factory.export.notes import dataset_settings
+from simnfnd.factory.cli import Parser
+from simnfnd.factory.dataset.describe.summary import DatasetSummary, summarize
+from simnfnd.factory.dataset.read.config_file import dataset_settings
 
 _BAR = 40
 _BINS = 10
@@ -18,20 +18,20 @@ _BINS = 10
 
 def main(words: list[str]) -> None:
     """Print (and draw) what `words` ask for."""
-    parser = argparse.ArgumentParser(prog="simnfnd inspect", description=__doc__)
+    parser = Parser(prog="simnfnd inspect")
     parser.add_argument("path", type=Path, help="folder of a dataset, index.h5 or a shard")
     parser.add_argument("--pairs", type=int, default=200, help="most pairs to measure (200)")
     parser.add_argument("--png", type=Path, help="draw the histograms into this file, too")
     given = parser.parse_args(words)
-    found = inspect(given.path, given.pairs)
+    found = summarize(given.path, given.pairs)
     print("\n".join(report(found, str(given.path))))
     if given.png is not None:
-        from simnfnd.factory.dataset.describe.inspect_figure import draw
+        from simnfnd.factory.dataset.describe.summary_figure import draw
 
         print(f"\nfigure: {draw(found, given.png)}")
 
 
-def report(found: Inspection, name: str) -> Iterator[str]:
+def report(found: DatasetSummary, name: str) -> Iterator[str]:
     """The lines that `inspect` prints."""
     source = found.source
     counts = ", ".join(f"{count} {split}" for split, count in source.splits.items())
@@ -60,7 +60,7 @@ def report(found: Inspection, name: str) -> Iterator[str]:
     yield from _histogram("SSIM", found.ssim)
 
 
-def _scenes(found: Inspection) -> list[tuple[str, ...]]:
+def _scenes(found: DatasetSummary) -> list[tuple[str, ...]]:
     counts: dict[tuple[str, ...], int] = {}
     for split, row in zip(found.splits, found.table, strict=True):
         key = (str(split), row["location"].decode() or "-", row["scene"].decode())
@@ -68,7 +68,7 @@ def _scenes(found: Inspection) -> list[tuple[str, ...]]:
     return [(*key, str(count)) for key, count in counts.items()]
 
 
-def _columns(found: Inspection) -> list[tuple[str, ...]]:
+def _columns(found: DatasetSummary) -> list[tuple[str, ...]]:
     """One line a column: what was drawn lies between lowest and highest."""
     lines: list[tuple[str, ...]] = []
     for column in found.source.columns:

@@ -5,7 +5,6 @@ The shards are copied as they are, so their checksums stay what they were.
 
 from __future__ import annotations
 
-import argparse
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -14,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.dataset.describe.card import write_card
 from simnfnd.factory.dataset.describe.croissant import write_croissant
 from simnfnd.factory.dataset.describe.preview import preview
@@ -27,12 +27,12 @@ from simnfnd.factory.dataset.format.manifest import (
 )
 from simnfnd.factory.dataset.format.schema import SPLITS, Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.read.config_file import dataset_settings
 from simnfnd.factory.dataset.read.reader import open_shard
+from simnfnd.factory.dataset.read.source import Source, open_source
 from simnfnd.factory.dataset.write.folder import open_folder
 from simnfnd.factory.dataset.write.index import write_index
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.export.notes import dataset_settings
-from simnfnd.factory.export.source import Source, open_source
 from simnfnd.factory.files import refuse_files, whole_folder
 
 # What may differ: which frames there are, how their noise is seeded, and how they are stored.
@@ -43,7 +43,7 @@ _SHOWN_DIFFERENCES = 4
 
 def main(words: list[str]) -> None:
     """Merge what `words` name."""
-    parser = argparse.ArgumentParser(prog="simnfnd merge", description=__doc__)
+    parser = Parser(prog="simnfnd merge")
     parser.add_argument("dirs", nargs="+", type=Path, metavar="DIR", help="folders of datasets")
     parser.add_argument("--out", required=True, type=Path, help="new or empty folder to fill")
     parser.add_argument("--name", help="of the merged dataset (default: merged)")
@@ -220,7 +220,7 @@ def _fill(
                     number += 1
     save_manifest(folder, merged)
     if settings.preview_pairs:
-        preview(folder, pairs=settings.preview_pairs)
+        preview(folder, pairs=settings.preview_pairs, trusted=True)
     write_index(folder, merged)
     write_card(folder, merged, provenance, settings)
     write_croissant(folder, merged, settings)

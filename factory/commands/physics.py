@@ -7,7 +7,6 @@ those of other simulators.  Words KEY=VALUE go to the configuration of the pictu
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterable, Iterator
 from importlib import resources
 from pathlib import Path
@@ -16,14 +15,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.compose import compose_config
 from simnfnd.factory.distribution import as_override
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.formation.field.pairs import field_scene, make_field_pair
+from simnfnd.factory.extras import needs_of, require
 from simnfnd.factory.gallery import figures
 from simnfnd.factory.gallery.figures import Figure, Panel
 from simnfnd.factory.gallery.statistics import table
-from simnfnd.factory.noise import physical
+from simnfnd.factory.noise.registry import FIELD_EFFECTS
+from simnfnd.factory.pairs import make_pair, observe
 
 if TYPE_CHECKING:
     from simnfnd.factory.config import FactoryConfig
@@ -57,7 +58,7 @@ _STRONG = (
 
 def main(words: list[str]) -> None:
     """Draw and print what `words` ask for."""
-    parser = argparse.ArgumentParser(prog="simnfnd physics", description=__doc__)
+    parser = Parser(prog="simnfnd physics")
     parser.add_argument("--out", type=Path, default=Path("outputs/physics"), help="folder to fill")
     parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="as for making a dataset")
     given = parser.parse_args(words)
@@ -83,6 +84,7 @@ def pictures(out: Path, settings: Iterable[str] = ()) -> list[Path]:
     config = compose_config(words)
     if config.acoustics.formation != "field":
         raise FactoryError("physics: acoustics.formation must be field")
+    require(needs_of(config))
     frame, rendered = _first_frame(config)
     return [
         figures.save(_presets(words, frame, rendered), out),
@@ -124,7 +126,7 @@ def _effects(words: list[str], frame: Frame, rendered: Rendered) -> Figure:
     pair = _pair(compose_config([*words, *strong]), frame, rendered)
     alone = [
         figures.sonar(name.replace("_", " "), pair.layers[f"layers/{name}"])
-        for name in physical.FIELD_EFFECTS
+        for name in FIELD_EFFECTS
         if f"layers/{name}" in pair.layers
     ]
     usual = _pair(compose_config(words), frame, rendered)
@@ -144,7 +146,7 @@ def _effects(words: list[str], frame: Frame, rendered: Rendered) -> Figure:
 
 
 def _pair(config: FactoryConfig, frame: Frame, rendered: Rendered) -> Pair:
-    return make_field_pair(field_scene(frame, rendered, config), 0, config)
+    return make_pair(observe(frame, rendered, config), 0, config)
 
 
 def _square(image: Picture) -> Picture:

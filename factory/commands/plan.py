@@ -14,11 +14,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.compose import compose_points
 from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.extras import needs_of, require
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.jobs.plan import ShardTask, plan_shards
-from simnfnd.factory.jobs.settings import available_memory_bytes
+from simnfnd.factory.workers.machine import available_memory_bytes
 
 if TYPE_CHECKING:
     from simnfnd.factory.config import FactoryConfig
@@ -38,7 +40,11 @@ class Cost:
 
 def main(words: list[str]) -> int:
     """Print the plan; returns 0, or 1 when disk or memory will not do."""
-    points = compose_points(words)
+    parser = Parser(prog="simnfnd plan")
+    parser.add_argument("-m", "--multirun", action="store_true", help="plan a sweep")
+    parser.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="as for `simnfnd make`")
+    given = parser.parse_intermixed_args(words)
+    points = compose_points([*(["-m"] if given.multirun else []), *given.settings])
     config = points[0][1]
     frames, tasks = _planned(config)
     shards = {split: [t for t in tasks if t.split == split] for split in ("train", "test")}
@@ -76,6 +82,7 @@ def _planned(config: FactoryConfig) -> tuple[tuple[FrameRef, ...], tuple[ShardTa
     from simnfnd.factory.render.views import check_views
     from simnfnd.factory.scenes import open_reader
 
+    require(needs_of(config))
     check_views(config, touch=False)
     frames = choose_frames(open_reader(config.scenes).discover().frames, config)
     splits = split_frames(frames, config)
@@ -121,7 +128,7 @@ def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
     """
     from simnfnd.factory.dataset.format.schema import Provenance
     from simnfnd.factory.dataset.write.writer import write_shard
-    from simnfnd.factory.pairs import PairMaker
+    from simnfnd.factory.pairs import pair_maker
     from simnfnd.factory.render.view import encode
     from simnfnd.factory.render.views import ViewMaker, with_cache
 
@@ -131,7 +138,7 @@ def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
             replace(config, cache=replace(config.cache, enabled=False)), Path(folder)
         )
         packed = config.scenes.kind == "pack"
-        maker, pairs = None if packed else ViewMaker(config), PairMaker(config)
+        maker, pairs = None if packed else ViewMaker(config), pair_maker(config)
         render_s, pair_s, made, sizes, problem = [], [], [], [], ""
         for ref in [chosen[0], *chosen]:
             try:
@@ -191,7 +198,7 @@ def _fits(config: FactoryConfig, disk: float, render: int, noise: int) -> bool:
 
 
 def _cores() -> int:
-    from simnfnd.factory.jobs.settings import usable_cores
+    from simnfnd.factory.workers.machine import usable_cores
 
     return usable_cores()
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.dataset.format.manifest import damage, load_manifest
 from simnfnd.factory.dataset.format.schema import SPLITS
 from simnfnd.factory.dataset.write.failures import load_failures
@@ -19,7 +19,7 @@ from simnfnd.factory.jobs.lock import owner_of
 
 def main(words: list[str]) -> int:
     """Print the state of a dataset; returns 0, or 1 when a shard is damaged."""
-    parser = argparse.ArgumentParser(prog="simnfnd status", description=__doc__)
+    parser = Parser(prog="simnfnd status")
     parser.add_argument("dir", type=Path, help="folder of a dataset")
     parser.add_argument("--verify", action="store_true", help="read every shard, too")
     given = parser.parse_args(words)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.dataset.check.validate import validate
 
 
 def main(words: list[str]) -> int:
     """Print what is wrong with the dataset; 0 when nothing is, else 1."""
-    parser = argparse.ArgumentParser(prog="simnfnd validate", description=__doc__)
+    parser = Parser(prog="simnfnd validate")
     parser.add_argument("dir", type=Path, help="folder of a dataset")
     parser.add_argument("--deep", action="store_true", help="read every picture, too")
     given = parser.parse_args(words)

@@ -6,8 +6,8 @@ from importlib import import_module
 from pathlib import Path
 
 from simnfnd.factory.dataset.read.reader import Split
+from simnfnd.factory.dataset.read.source import Source, open_source
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.export.source import Source, open_source
 from simnfnd.factory.files import refuse_files, whole_folder
 
 # --to -> module with `write(source, folder) -> str`, which fills an empty folder and returns one
@@ -38,5 +38,5 @@ def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") 
 
 
 def _write(source: Source, to: str, folder: Path) -> str:
-    told: str = import_module(FORMATS[to]).write(source, folder)
-    return told
+    written: str = import_module(FORMATS[to]).write(source, folder)
+    return written

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from simnfnd.factory.dataset.describe.card import hub_fields
+from simnfnd.factory.dataset.read.config_file import dataset_settings
+from simnfnd.factory.dataset.read.source import Sample, Source
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.export.notes import dataset_settings
 from simnfnd.factory.export.pictures import is_picture, png
-from simnfnd.factory.export.source import Sample, Source
 
 SAMPLES_PER_FILE = 1000
 # The hub reads whole row groups to show one row.
@@ -88,8 +88,8 @@ def _schema(source: Source) -> Any:
         text = dtype.kind == "S"
         fields.append((column.name, pyarrow.string() if text else pyarrow.from_numpy_dtype(dtype)))
         features[column.name] = {"_type": "Value", "dtype": "string" if text else str(dtype)}
-    told = json.dumps({"info": {"features": features}})
-    return pyarrow.schema(fields).with_metadata({"huggingface": told})
+    described = json.dumps({"info": {"features": features}})
+    return pyarrow.schema(fields).with_metadata({"huggingface": described})
 
 
 def _write_card(source: Source, folder: Path) -> None:

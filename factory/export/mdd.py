@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from simnfnd.factory.dataset.format.schema import stored_image
+from simnfnd.factory.dataset.read.source import Source
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export.notes import write_notes
 from simnfnd.factory.export.pictures import png
-from simnfnd.factory.export.source import Source
-from simnfnd.factory.scenes.labels import CLASSES
+from simnfnd.factory.labels import CLASSES
 
 # Background and the eleven objects of MDD, in its order.
 MDD_CLASSES = CLASSES[:12]

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import yaml
-
-from simnfnd.factory.dataset.write.folder import CONFIG_NAME
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.export.source import Source
+from simnfnd.factory.dataset.read.config_file import dataset_settings
+from simnfnd.factory.dataset.read.source import Source
 
 
 def write_notes(source: Source, folder: Path, reading: str) -> None:
@@ -28,17 +25,3 @@ def write_notes(source: Source, folder: Path, reading: str) -> None:
         "them.\n"
     )
     (folder / "README.md").write_text(text, encoding="utf-8")
-
-
-def dataset_settings(directory: Path) -> dict[str, object]:
-    """The `dataset` block of config.yaml; empty when there is none."""
-    path = directory / CONFIG_NAME
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return {}
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())[:120]
-        raise FactoryError(f"{path}: cannot be read ({reason}); restore or delete it") from error
-    block = values.get("dataset") if isinstance(values, dict) else None
-    return block if isinstance(block, dict) else {}

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from simnfnd.factory.dataset.read.source import Source, json_record
 from simnfnd.factory.export.notes import write_notes
 from simnfnd.factory.export.pictures import is_picture, png, sixteen_bit
-from simnfnd.factory.export.source import Source, json_record
 
 
 def write(source: Source, folder: Path) -> str:
@@ -38,8 +38,10 @@ def write(source: Source, folder: Path) -> str:
                 rows.writerow([picture, *json_record(sample.record).values()])
     write_notes(source, folder, _NOTES)
     left_out = [name for name in source.layers if name not in drawn]
-    told = f"{sum(source.splits.values())} samples as PNG ({', '.join(drawn)})"
-    return told + (f"; left out, as no PNG holds them: {', '.join(left_out)}" if left_out else "")
+    written = f"{sum(source.splits.values())} samples as PNG ({', '.join(drawn)})"
+    if left_out:
+        written += f"; left out, as no PNG holds them: {', '.join(left_out)}"
+    return written
 
 
 _NOTES = """\

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from simnfnd.factory.dataset.read.source import Sample, Source, json_record
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export.notes import write_notes
-from simnfnd.factory.export.source import Sample, Source, json_record
 
 # SonarImageData.DTYPE_*.
 _MESSAGE_DTYPES = {"uint8": 0, "float32": 8}
@@ -63,13 +63,13 @@ def ranges_m(source: Source, sample: Sample) -> npt.NDArray[np.float32]:
 
 
 def _message(source: Source, sample: Sample) -> dict[str, Any]:
-    sonar = source.config.get("sonar", {})
+    projection, frequency_khz = _sonar(source)
     beams = source.shape[1]
     return {
         # A simulated ping has no time; 0 is ROS's "not set".
         "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "sonar"},
         "ping_info": {
-            "frequency": _HERTZ_PER_KHZ * float(sonar.get("frequency_khz", 0.0)),
+            "frequency": _HERTZ_PER_KHZ * frequency_khz,
             # Ranges are metres from the start: no sound speed was ever needed (0: unavailable).
             "sound_speed": 0.0,
             "tx_beamwidths": [],
@@ -80,9 +80,25 @@ def _message(source: Source, sample: Sample) -> dict[str, Any]:
             "dtype": _MESSAGE_DTYPES[source.dtype],
             "beam_count": beams,
         },
-        "projection": sonar.get("projection", "slant_range"),
+        "projection": projection,
         "record": json_record(sample.record),
     }
+
+
+def _sonar(source: Source) -> tuple[str, float]:
+    """(projection, frequency in kHz or 0) as the shards' settings say."""
+    sonar = source.config.get("sonar", {})
+    if isinstance(sonar, dict):
+        projection, frequency_khz = (
+            sonar.get("projection", "slant_range"),
+            sonar.get("frequency_khz", 0.0),
+        )
+        if isinstance(projection, str) and isinstance(frequency_khz, int | float):
+            return projection, float(frequency_khz)
+    raise FactoryError(
+        f"--to sonar_message: {source.directory}: attribute config has no usable sonar settings; "
+        "make the dataset again"
+    )
 
 
 _NOTES = """\

@@ -12,43 +12,36 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.errors import FrameError
-from simnfnd.factory.frame import Frame
 from simnfnd.factory.sonar import polar
 from simnfnd.factory.sonar.echoes import Echoes
 from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.factory.sonar.surface import LitSurface
 from simnfnd.factory.sonar.window import Window
 
 Picture = npt.NDArray[np.generic]
 
 
-def pictures(
-    asked: Sequence[str],
-    frame: Frame,
-    echoes: Echoes,
-    pixel: npt.NDArray[np.int32],
-    window: Window,
-    sonar: SonarSettings,
-) -> dict[str, Picture]:
-    """(range_bins, beams) pictures of the asked layers, by the names of `format.schema`.
+def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture]:
+    """(range_bins, beams) pictures of the requested layers, by the names of `format.schema`.
 
-    asked: of range, elevation, valid_azimuth, segmentation (which brings instance); other names
-        are left to others.
-    echoes: every insonified surface point, none outside the window.  pixel: (N,) flat camera pixel
-        of each.
-    Raises FrameError when labels are asked of a frame that has none.
+    requested: of range, elevation, valid_azimuth, segmentation (which brings instance); other names
+        are ignored.
+    Raises FrameError when labels are requested of a frame that has none.
     """
+    frame, sonar = surface.frame, surface.sonar
     made: dict[str, Picture] = {}
-    if "valid_azimuth" in asked:
-        beams = polar.seen_beams(window, sonar)
+    if "valid_azimuth" in requested:
+        beams = polar.seen_beams(surface.window, sonar)
         made["valid_azimuth"] = np.repeat(beams[None], sonar.range_bins, axis=0)
-    if not {"range", "elevation", "segmentation"}.intersection(asked):
+    if not {"range", "elevation", "segmentation"}.intersection(requested):
         return made
-    strongest = _strongest(echoes, window, sonar)
-    if "range" in asked:
+    echoes, pixel, _ = surface.insonified
+    strongest = _strongest(echoes, surface.window, sonar)
+    if "range" in requested:
         made["range"] = _lookup(echoes.range_m, strongest, np.nan)
-    if "elevation" in asked:
+    if "elevation" in requested:
         made["elevation"] = _lookup(echoes.elevation_rad, strongest, np.nan)
-    if "segmentation" in asked:
+    if "segmentation" in requested:
         if frame.segmentation is None or frame.instance is None:
             raise FrameError(
                 f"{frame.ref.name}: has no labels; leave segmentation out of dataset.layers"

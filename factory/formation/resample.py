@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import PositiveFraction, number
+from simnfnd.factory.distribution import PositiveFraction, uniform
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.settings import STRICT
 from simnfnd.factory.sonar.echoes import Echoes, from_xyz
@@ -26,7 +26,7 @@ class ResampleSettings:
     """Keys of the `resample` group.  rate: fraction of the points kept, in (0, 1]."""
 
     kind: Literal["random", "voxel"] = "random"
-    rate: PositiveFraction = number(0.5)
+    rate: PositiveFraction = uniform(0.35, 0.9)
 
 
 def random_subset(echoes: Echoes, rate: float, rng: np.random.Generator) -> Echoes:
@@ -69,7 +69,7 @@ def _voxel_cloud(
         import open3d  # 1 s to import, and absent on boxes that only make pairs from a cache
     except ImportError as error:
         raise FactoryError(
-            "resample.kind=voxel needs Open3D; `pip install open3d-cpu` or use resample=random"
+            'resample.kind=voxel needs Open3D: pip install "simnfnd[open3d]", or resample=random'
         ) from error
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points_m))
     if strength is not None:

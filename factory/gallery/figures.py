@@ -14,8 +14,8 @@ import numpy.typing as npt
 from simnfnd.factory.dataset.describe import palette
 from simnfnd.factory.files import explain_os_errors, write_atomically
 from simnfnd.factory.frame import Frame
-from simnfnd.factory.pairs import Scene
 from simnfnd.factory.render.base import Rendered
+from simnfnd.factory.sonar.echoes import Echoes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -77,9 +77,8 @@ def sonar(name: str, picture: npt.NDArray[np.generic]) -> Panel:
     return Panel(name, picture.astype(np.float32) / scale)
 
 
-def from_above(name: str, scene: Scene) -> Panel:
+def from_above(name: str, echoes: Echoes) -> Panel:
     """Mean echo strength (after time-varying gain) of the cloud per cell of the floor plan."""
-    echoes = scene.echoes
     ground_m = echoes.ground_range_m()
     right_m = ground_m * np.sin(echoes.azimuth_rad)
     ahead_m = ground_m * np.cos(echoes.azimuth_rad)

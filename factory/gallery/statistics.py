@@ -14,10 +14,12 @@ import numpy.typing as npt
 
 from simnfnd.factory.compose import compose_config
 from simnfnd.factory.distribution import Distribution
-from simnfnd.factory.formation.field.pairs import field_scene, received
+from simnfnd.factory.formation.field.received import received
+from simnfnd.factory.formation.field.scene import FieldScene
 from simnfnd.factory.formation.field.signal import beamform_power
 from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
-from simnfnd.factory.noise import physical
+from simnfnd.factory.noise.draws import StreamNames, draw
+from simnfnd.factory.noise.registry import FIELD_EFFECTS
 from simnfnd.factory.pairs import make_pair, observe
 from simnfnd.factory.render.base import Rendered
 
@@ -86,7 +88,7 @@ def profiles() -> Iterator[tuple[str, Statistics]]:
         float(np.median([getattr(one, item.name) for one in singly])) for item in fields(Statistics)
     ]
     yield "`experiment=simnfnd`, median of 16 pictures", Statistics(*middle)
-    off = [f"noise.{name}.enabled=false" for name in physical.FIELD_EFFECTS]
+    off = [f"noise.{name}.enabled=false" for name in FIELD_EFFECTS]
     grain = ["noise.speckle.enabled=true", "noise.speckle.scatterer_m=0.004"]
     yield "`experiment=physical`, speckle alone", _of(_field([*off, *grain]))
     k = [*off, *grain, "noise.texture={enabled: true, shape: 5, patch_m: 0.005}"]
@@ -147,9 +149,9 @@ def _points() -> list[npt.NDArray[np.float32]]:
     }
     config = replace(config, noise=replace(config.noise, **weaker))
     frame, rendered = constant_field()
-    scene = observe(frame, rendered, config.sonar)
+    observed = observe(frame, rendered, config)
     return [
-        np.asarray(make_pair(scene, variant, config).noisy, np.float32)
+        np.asarray(make_pair(observed, variant, config).noisy, np.float32)
         for variant in range(2 * _VARIANTS)
     ]
 
@@ -162,12 +164,13 @@ def _field(words: list[str]) -> list[npt.NDArray[np.float32]]:
     """Received amplitudes of the physical profile over their expectation."""
     config = compose_config(["experiment=physical", *_DEVICE, *words])
     frame, rendered = constant_field()
-    made = field_scene(frame, rendered, config)
-    ping, ref = made.ping, made.ref
+    scene = observe(frame, rendered, config).scene
+    assert isinstance(scene, FieldScene)
+    ping = scene.ping
     expected = np.sqrt(beamform_power(ping.scatterers.power, ping) * ping.gain[:, None])
     found = []
     for variant in range(_VARIANTS):
-        drawn = physical.draw(config.noise, config.seed, ref, variant, posed=False)
-        rngs = {n: physical.stream(n, config.seed, ref, variant, posed=False) for n in drawn}
-        found.append(received(ping, drawn, rngs) / expected)
+        names = StreamNames.of(frame.ref, variant, has_pose=False)
+        draws = draw(config.noise, config.seed, names)
+        found.append(received(ping, draws.effects) / expected)
     return found

@@ -1,6 +1,6 @@
 """The shards that an extended dataset began with: which samples each has, and what it states.
 
-extended.json keeps that, because a shard that is damaged can no longer tell.
+extended.json keeps that, because a damaged shard cannot be asked.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from simnfnd.factory.dataset.write.folder import EXTENDED_NAME
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.jobs.plan import Item, ShardTask
+from simnfnd.factory.jobs.plan import FrameVariants, ShardTask
 
 _PATH = re.compile(rf"({'|'.join(SPLITS)})/shard-(\d{{5,}})\.h5")
-# What a part of `extends` says beside the settings in which it differs.
+# Keys of a part of `extends` beside the settings in which it differs.
 _ABOUT = ("config_hash", "samples")
 
 
 @dataclass(frozen=True)
 class Earlier:
-    """A shard that was there before.
+    """A shard that was made before the extension.
 
     items: (frame, variants) in the order of its rows; the frames have no `paths`.
     config_hash: of the settings that it was made with.
     """
 
     path: str
-    items: tuple[Item, ...]
+    items: tuple[FrameVariants, ...]
     config_hash: str
 
     def __post_init__(self) -> None:
@@ -45,13 +45,13 @@ class Earlier:
 
     @property
     def task(self) -> ShardTask:
-        """What would make it, but for the paths of its frames."""
+        """The task that makes it, except for the paths of its frames."""
         split, number = _PATH.fullmatch(self.path).groups()  # type: ignore[union-attr]
         return ShardTask(split, int(number), self.items)
 
 
 def read_earlier(directory: Path, info: ShardInfo, config_hash: str) -> Earlier:
-    """Ask a whole shard for its samples.  Raises FactoryError when it cannot be read."""
+    """Read which samples an undamaged shard has.  Raises FactoryError when it cannot be read."""
     if not _PATH.fullmatch(info.path):
         raise FactoryError(f"{directory / info.path}: not named like a shard of a run")
     with reading(directory / info.path) as file:
@@ -88,7 +88,7 @@ def save_earlier(directory: Path, earlier: Iterable[Earlier], config_hash: str) 
 
 
 def _load(directory: Path, config_hash: str) -> list[Earlier]:
-    """What extended.json says; nothing when it is damaged, absent or of another extension."""
+    """The shards in extended.json; none when it is damaged, absent or of another extension."""
     try:
         document = json.loads((directory / EXTENDED_NAME).read_bytes())
         if (document["schema"], document["config_hash"]) != (SCHEMA, config_hash):
@@ -108,7 +108,7 @@ def _load(directory: Path, config_hash: str) -> list[Earlier]:
         return []
 
 
-def _grouped(rows: Sequence[tuple[Any, ...]]) -> tuple[Item, ...]:
+def _grouped(rows: Sequence[tuple[Any, ...]]) -> tuple[FrameVariants, ...]:
     """Rows (location, scene, frame, variant) as frames with their variants."""
     return tuple(
         (FrameRef(*name), tuple(row[3] for row in group))

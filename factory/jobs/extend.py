@@ -1,7 +1,7 @@
-"""`dataset.on_existing=extend`: more samples for a dataset that is there, and none of it touched.
+"""`dataset.on_existing=extend`: more samples for an existing dataset, whose shards stay untouched.
 
-What was there keeps its shards, their bytes and what they state.  The samples that it lacks go into
-shards after them, which state the new configuration.
+Existing shards keep their bytes and the configuration that they state.  The samples that are
+lacking go into shards after them, which state the new configuration.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from simnfnd.factory.dataset.write.folder import (
     CHOOSING,
     differences,
     forget_slices,
-    told_differences,
+    list_differences,
     with_slices,
 )
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.jobs.earlier import Earlier, parts, read_earlier, save_earlier
-from simnfnd.factory.jobs.plan import Item, ShardTask, refuse_doubles
+from simnfnd.factory.jobs.plan import FrameVariants, ShardTask, refuse_doubles
 
 Plan = Callable[[Sequence[Earlier]], tuple[ShardTask, ...]]
 
@@ -30,12 +30,12 @@ Plan = Callable[[Sequence[Earlier]], tuple[ShardTask, ...]]
 def begin_extension(directory: Path, provenance: Provenance, plan: Plan) -> tuple[str, ...]:
     """Make the dataset in `directory` one of `provenance` that extends what is there.
 
-    plan: earlier shards -> all shards; asked before anything is written, because it refuses what
-        would not only add.
+    plan: earlier shards -> all shards; called before anything is written, because it raises
+        unless samples are only added.
     Returns a line about each shard that was damaged: its samples go into new shards.
     Nothing is done to a folder without a dataset, or whose dataset is of `provenance` already.
 
-    Raises FactoryError when a key differs that decides the samples that are there.
+    Raises FactoryError when a key differs that the existing samples depend on.
     """
     there = load_manifest(directory)
     if there is None or there.config_hash == provenance.config_hash:
@@ -80,11 +80,11 @@ def refuse_other_settings(directory: Path, there: Manifest, provenance: Provenan
             f"{provenance.generator}; give another folder with dataset.dir="
         )
     changes = differences(there.config, provenance.config)
-    other = {key: told for key, told in changes.items() if not CHOOSING.fullmatch(key)}
+    other = {key: values for key, values in changes.items() if not CHOOSING.fullmatch(key)}
     if other:
         raise FactoryError(
             f"dataset.on_existing=extend: {directory} was made with other settings "
-            f"({told_differences(other)}); only which frames and how many variants may change, "
+            f"({list_differences(other)}); only which frames and how many variants may change, "
             "so give another folder with dataset.dir="
         )
 
@@ -164,11 +164,11 @@ def _refuse_other(
         )
 
 
-def _spread(items: Sequence[Item], room: int) -> list[Item]:
+def _spread(items: Sequence[FrameVariants], room: int) -> list[FrameVariants]:
     """As many samples as there is room for, of frames from all over the list, in its order."""
     # Numbers with their bits reversed: every part of that order is spread evenly.
     width = max(1, (len(items) - 1).bit_length())
-    chosen: dict[int, Item] = {}
+    chosen: dict[int, FrameVariants] = {}
     for reversed_ in range(1 << width):
         index = int(f"{reversed_:0{width}b}"[::-1], 2)
         if room <= 0:
@@ -180,9 +180,9 @@ def _spread(items: Sequence[Item], room: int) -> list[Item]:
     return [chosen[index] for index in sorted(chosen)]
 
 
-def _packed(items: Sequence[Item], shard_size: int) -> Iterator[tuple[Item, ...]]:
+def _packed(items: Sequence[FrameVariants], shard_size: int) -> Iterator[tuple[FrameVariants, ...]]:
     """Items in shards of at most `shard_size` samples; a frame is parted only when it must be."""
-    shard: list[Item] = []
+    shard: list[FrameVariants] = []
     filled = 0
     for ref, numbers in items:
         if filled + len(numbers) > shard_size and shard:

@@ -1,8 +1,8 @@
-"""What a worker tells while it makes a shard, in a file that outlives it.
+"""How far a worker is with a shard, in a file that outlives the worker.
 
 One short line an event, written at once with one system call: a worker may be killed at any moment
-without hurting anybody, and the parent still learns how far it came and which frame it had in
-hand.  No locks and no queues, so the same works for any number of processes and over shared disks.
+without damage, and the parent still learns how far it came and which frame it had in
+hand.  No locks and no queues, so it works for any number of processes and over shared disks.
 When a worker crashes or hangs, the interpreter adds its traceback to the same file.
 """
 
@@ -20,13 +20,13 @@ from pathlib import Path
 from simnfnd.factory.files import explain_os_errors
 
 _START, _DONE, _FAILED = "start", "done", "failed"
-# All that is not such a line is the interpreter's last words, or was cut off.
+# Any other line is the interpreter's traceback, or was cut off.
 _LINE = re.compile(r"(start|done|failed)((?: [0-9]{1,9})+)", re.ASCII)
 _TIMEOUT_MARK = "Timeout ("
 
 
 @dataclass(frozen=True)
-class Progress:
+class AttemptState:
     """State of one attempt at a shard.
 
     samples: made so far.  failed: frames that failed so far.
@@ -42,7 +42,7 @@ class Progress:
     timed_out: bool = False
 
 
-class Journal:
+class AttemptJournal:
     """The writing side, in the worker."""
 
     def __init__(self, path: Path, descriptor: int, frame_timeout_s: float) -> None:
@@ -85,7 +85,7 @@ class Journal:
 
 
 @contextmanager
-def open_journal(path: Path, frame_timeout_s: float) -> Iterator[Journal]:
+def open_journal(path: Path, frame_timeout_s: float) -> Iterator[AttemptJournal]:
     """Open a new journal at `path` for the time of one attempt."""
     with explain_os_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -94,19 +94,19 @@ def open_journal(path: Path, frame_timeout_s: float) -> Iterator[Journal]:
     try:
         if crash_reports:
             faulthandler.enable(file=descriptor)
-        yield Journal(path, descriptor, frame_timeout_s)
+        yield AttemptJournal(path, descriptor, frame_timeout_s)
     finally:
         if crash_reports:
             faulthandler.disable()
         os.close(descriptor)
 
 
-def read_journal(path: Path) -> Progress:
-    """The progress told by the journal at `path`; nothing when there is none yet."""
+def read_journal(path: Path) -> AttemptState:
+    """The state that the journal at `path` records; the initial one when there is none yet."""
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError:
-        return Progress()
+        return AttemptState()
     samples, failed, in_hand, begun = 0, 0, None, False
     for line in text.split("\n")[:-1]:
         match = _LINE.fullmatch(line)
@@ -119,4 +119,4 @@ def read_journal(path: Path) -> Progress:
             in_hand, samples = None, samples + values[-1]
         elif event == _FAILED:
             in_hand, failed = None, failed + 1
-    return Progress(samples, failed, in_hand, begun, _TIMEOUT_MARK in text)
+    return AttemptState(samples, failed, in_hand, begun, _TIMEOUT_MARK in text)

@@ -1,7 +1,8 @@
-"""One run a folder: a lock file that tells whose it is, and that the dead do not hold.
+"""One run at a time in a folder: a lock file that names its owner and ends with it.
 
 On the same machine the owner is looked up by process number and start time.  Another machine's
-process cannot be, so an owner touches its lock now and then and is dead when it has not for long.
+process cannot be, so an owner touches its lock now and then, and counts as dead when it has not
+done so for ten minutes.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _SILENT_S = 600.0
 
 
 class Lock:
-    """`with Lock(folder):` the folder is ours.  Raises FactoryError when another run has it.
+    """`with Lock(folder):` no other run writes there.  Raises FactoryError when one does.
 
     part: of a run that makes a slice of the dataset; other slices may run beside it.
     """
@@ -39,12 +40,12 @@ class Lock:
         content = json.dumps(_myself()).encode()
         with explain_os_errors(self.path.parent):
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            # Written aside and linked: nobody ever reads half a lock.
+            # Written aside and linked: no reader ever sees half a lock.
             aside = self.path.with_name(f".claim-{socket.gethostname()}-{os.getpid()}.tmp")
             aside.write_bytes(content)
             try:
                 while not self._taken(aside):
-                    self._free_from_the_dead()
+                    self._remove_if_dead()
             finally:
                 aside.unlink(missing_ok=True)
         self._held, self._beaten = True, time.monotonic()
@@ -60,14 +61,14 @@ class Lock:
         self.path.unlink(missing_ok=True)
 
     def beat(self) -> None:
-        """Show that we are alive; cheap enough to be called often."""
+        """Touch the lock so that it stays valid; cheap enough to be called often."""
         if self._held and time.monotonic() - self._beaten > _BEAT_S:
             self._beaten = time.monotonic()
             with suppress(OSError):
                 os.utime(self.path)
 
     def _refuse_overlap(self) -> None:
-        """The whole and a slice of it do not go together."""
+        """The whole and a slice of it must not run at once."""
         whole = self.path.name == LOCK_NAME
         for path in sorted(self.path.parent.glob(f"{LOCK_NAME}*")):
             if path != self.path and (whole or path.name == LOCK_NAME):
@@ -94,7 +95,7 @@ class Lock:
                 return False
         return True
 
-    def _free_from_the_dead(self) -> None:
+    def _remove_if_dead(self) -> None:
         try:
             content = self.path.read_bytes()
         except FileNotFoundError:
@@ -102,18 +103,18 @@ class Lock:
         owner, silent_s = _read(self.path)
         if _alive(owner, silent_s):
             raise self._refused(owner)
-        # Of two that find the owner dead, the slower one must not bury the lock of the faster.
-        grave = self.path.with_name(f".dead-{socket.gethostname()}-{os.getpid()}.tmp")
+        # Of two that find the owner dead, the slower one must not remove the lock of the faster.
+        moved = self.path.with_name(f".dead-{socket.gethostname()}-{os.getpid()}.tmp")
         with suppress(FileNotFoundError):
-            os.rename(self.path, grave)
-            if grave.read_bytes() != content:
+            os.rename(self.path, moved)
+            if moved.read_bytes() != content:
                 with suppress(FileExistsError):
-                    os.link(grave, self.path)
-            grave.unlink()
+                    os.link(moved, self.path)
+            moved.unlink()
 
 
 def owner_of(folder: Path) -> dict[str, Any] | None:
-    """Who runs on this folder now, or None."""
+    """The process that works in this folder now (host, pid, started), or None."""
     for path in sorted(folder.glob(f"{LOCK_NAME}*")):
         owner, silent_s = _read(path)
         if _alive(owner, silent_s):
@@ -122,7 +123,7 @@ def owner_of(folder: Path) -> dict[str, Any] | None:
 
 
 def _read(path: Path) -> tuple[dict[str, Any], float]:
-    """Who holds a lock, and how long ago that was last shown; nobody when it is gone."""
+    """The owner of a lock and the seconds since it was touched; without a pid when unreadable."""
     try:
         silent_s = time.time() - path.stat().st_mtime
         owner = json.loads(path.read_text(encoding="utf-8"))

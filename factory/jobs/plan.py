@@ -12,19 +12,19 @@ from simnfnd.factory.dataset.format.schema import SPLITS
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
 
-Item = tuple[FrameRef, tuple[int, ...]]
+FrameVariants = tuple[FrameRef, tuple[int, ...]]
 
 
 @dataclass(frozen=True)
 class ShardTask:
-    """One shard to make: small enough to be sent anywhere.
+    """One shard to make; small enough to be sent to any worker.
 
     items: (frame, variants of it to make), in the order of the samples.
     """
 
     split: str
     index: int
-    items: tuple[Item, ...]
+    items: tuple[FrameVariants, ...]
 
     @property
     def path(self) -> str:
@@ -38,7 +38,7 @@ class ShardTask:
 
     @cached_property
     def digest(self) -> str:
-        """Stands for which frames and variants the shard holds, wherever their files are."""
+        """Hash of the frames and variants that the shard holds, wherever their files are."""
         content = [(ref.location, ref.scene, ref.frame, variants) for ref, variants in self.items]
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
@@ -74,7 +74,7 @@ def plan_shards(
     return tuple(tasks)
 
 
-def _limited(refs: Sequence[FrameRef], variants: int, limit: int | None) -> list[Item]:
+def _limited(refs: Sequence[FrameRef], variants: int, limit: int | None) -> list[FrameVariants]:
     everything = tuple(range(variants))
     if limit is None or limit >= len(refs) * variants:
         return [(ref, everything) for ref in refs]
@@ -85,7 +85,9 @@ def _limited(refs: Sequence[FrameRef], variants: int, limit: int | None) -> list
     return items
 
 
-def _cut(items: Sequence[Item], variants: int, shard_size: int) -> Iterator[Sequence[Item]]:
+def _cut(
+    items: Sequence[FrameVariants], variants: int, shard_size: int
+) -> Iterator[Sequence[FrameVariants]]:
     if variants > shard_size:
         for ref, numbers in items:
             for start in range(0, len(numbers), shard_size):

@@ -1,4 +1,4 @@
-"""What the user sees while it runs: a bar, and status.json for those who look from elsewhere."""
+"""How far a run is: a bar on stderr, and status.json for other processes."""
 
 from __future__ import annotations
 
@@ -18,22 +18,24 @@ from simnfnd.factory.dataset.format.manifest import part_name
 from simnfnd.factory.dataset.write.folder import STATUS_NAME
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
+from simnfnd.factory.jobs.job import Job
 from simnfnd.factory.jobs.journal import read_journal
 from simnfnd.factory.jobs.settings import Crew
 
 _EVERY_S = 1.0
 
 
-class Progress:
-    """Counts, told on stderr and in `directory`/status.json.
+class ProgressBar:
+    """Counts, shown on stderr and written to status.json.
 
+    total: planned samples.  settled: of them, those that need no work any more.
     settled_samples: planned samples of the shards that are settled (made, kept or given up).
     """
 
-    def __init__(self, directory: Path, total: int, settled: int, crew: Crew, part: str) -> None:
+    def __init__(self, job: Job, crew: Crew, total: int, settled: int) -> None:
         self.settled_samples = settled
         self.frames_total = 0
-        self._path = directory / part_name(STATUS_NAME, part)
+        self._path = job.directory / part_name(STATUS_NAME, job.shard.part)
         self._total, self._first = total, settled
         self._workers = {"render": crew.render, "noise": crew.noise}
         self._frames = {"rendered": 0, "from_cache": 0, "failed": 0}
@@ -50,18 +52,18 @@ class Progress:
         )
 
     def prepared(self, hit: bool, failed: bool) -> None:
-        """One frame more was seen by a render worker."""
+        """Count one frame that a render worker is done with."""
         self._frames["failed" if failed else "from_cache" if hit else "rendered"] += 1
 
     def show(self, journals: Sequence[Path], failed: int) -> None:
-        """Tell how far it is; cheap enough to be called several times a second."""
-        told = [read_journal(journal) for journal in journals]
-        samples = self.settled_samples + sum(progress.samples for progress in told)
-        self._failed = failed + sum(progress.failed for progress in told)
+        """Show how far it is; cheap enough to be called several times a second."""
+        states = [read_journal(journal) for journal in journals]
+        samples = self.settled_samples + sum(state.samples for state in states)
+        self._failed = failed + sum(state.failed for state in states)
         parts = []
         if self.frames_total:
-            seen = sum(self._frames.values())
-            parts.append(f"frames {seen}/{self.frames_total}")
+            done = sum(self._frames.values())
+            parts.append(f"frames {done}/{self.frames_total}")
             if self._frames["from_cache"]:
                 parts.append(f"{self._frames['from_cache']} from cache")
         if self._failed:
@@ -95,7 +97,7 @@ class Progress:
             "failed": self._failed,
             "workers": self._workers,
         }
-        # A disk that is full is told by those who write what matters.
+        # Whoever writes what matters reports a full disk.
         with suppress(FactoryError, OSError):
             text = json.dumps(document, indent=1) + "\n"
             write_atomically(self._path, text.encode(), durable=False)

@@ -23,7 +23,7 @@ class Resumed:
     """Where a run starts.
 
     manifest: the shards that are whole and planned the same.
-    todo: tasks to make, or to look at again because they lack frames.
+    todo: tasks to make, or to try again because they lack frames.
     lacking: path of such a shard -> names of the frames it lacks.
     notes: one line about each shard that was found damaged.
     """

@@ -1,23 +1,22 @@
-"""The `scheduler` group: how the work is spread over processes.  Nothing here changes a pixel."""
+"""The `scheduler` group: how the work is spread over processes.  No pixel depends on it."""
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass as plain_dataclass
-from pathlib import Path
 from typing import Annotated, Literal, Self
 
-import psutil
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.settings import STRICT
+from simnfnd.factory.workers.contract import BackendName, Pool, WorkerSettings
+from simnfnd.factory.workers.machine import available_memory_bytes, usable_cores
 
 MAX_AUTO_WORKERS = 48
-# The rest of the memory is for the files that the system keeps at hand, and for everybody else.
+# The rest is for the system's file cache and for other programs.
 _MEMORY_SHARE = 0.8
 
-Kind = Literal["render", "noise"]
+RENDER, NOISE = "render", "noise"
 
 
 @plain_dataclass(frozen=True)
@@ -36,12 +35,6 @@ class Crew:
         """All workers."""
         return self.render + self.noise
 
-    def kinds(self) -> list[Kind]:
-        """The kind of each worker."""
-        render: Kind = "render"
-        noise: Kind = "noise"
-        return [render] * self.render + [noise] * self.noise
-
 
 @dataclass(frozen=True, config=STRICT)
 class ShardSlice:
@@ -55,6 +48,11 @@ class ShardSlice:
         if self.index >= self.count:
             raise ValueError(f"index must be 0 to count - 1 = {self.count - 1}, got {self.index}")
         return self
+
+    @property
+    def part(self) -> str:
+        """What the slice's own files are named after, such as 0-of-4; empty for the whole."""
+        return f"{self.index}-of-{self.count}" if self.count > 1 else ""
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -75,7 +73,7 @@ class SchedulerSettings:
     memory_per_worker_gb, memory_per_renderer_gb: what auto counts for one of either kind.
     """
 
-    backend: Literal["local", "serial", "dask"] = "local"
+    backend: BackendName = "local"
     address: str | None = None
     workers: Annotated[int, Field(ge=1, le=1024)] | Literal["auto"] = "auto"
     render_workers: Annotated[int, Field(ge=1, le=1024)] | Literal["auto"] = "auto"
@@ -116,21 +114,16 @@ class SchedulerSettings:
         render = min(render, total, frames)
         return Crew(render, total - render)
 
-
-def usable_cores() -> int:
-    """Cores that this process may run on."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def available_memory_bytes() -> int:
-    """Memory that can be had without swapping, under a container's limit when there is one."""
-    available = int(psutil.virtual_memory().available)
-    control_group = Path("/sys/fs/cgroup")
-    try:
-        limit = int((control_group / "memory.max").read_text())
-        used = int((control_group / "memory.current").read_text())
-    except (OSError, ValueError):
-        return available
-    return min(available, max(0, limit - used))
+    def worker_settings(self, crew: Crew, frames_per_shard: int) -> WorkerSettings:
+        """The processes of `crew`, for shards of at most so many frames."""
+        shards_per_worker = max(1, self.recycle_frames // frames_per_shard)
+        return WorkerSettings(
+            pools=(
+                Pool(RENDER, crew.render, (NOISE,), self.recycle_frames),
+                Pool(NOISE, crew.noise, (), shards_per_worker),
+            ),
+            backend=self.backend,
+            threads=self.threads,
+            start_all=self.start_all,
+            address=self.address,
+        )

@@ -11,50 +11,23 @@ from typing import Any, TypeVar
 
 from simnfnd.factory.dataset.format.manifest import ShardInfo
 from simnfnd.factory.dataset.format.sample import Axis, Column, Pair, PairSource, Preparer
-from simnfnd.factory.dataset.format.schema import Provenance, check_pair
-from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.format.schema import check_pair
 from simnfnd.factory.dataset.write.failures import Failure, FailureKind
-from simnfnd.factory.dataset.write.folder import WORK_NAME
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError, NotRendered
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.jobs.journal import Journal, open_journal
-from simnfnd.factory.jobs.plan import Item, ShardTask
+from simnfnd.factory.jobs.job import Recipe
+from simnfnd.factory.jobs.journal import AttemptJournal, open_journal
+from simnfnd.factory.jobs.plan import FrameVariants, ShardTask
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """How every shard of a dataset is made; the same for all tasks of a run.
-
-    source: builds the pair source from `config`; an importable function or class, because each
-        worker process calls it for itself.
-    preparer: likewise builds what prepares the frames, in the workers that render; None when
-        nothing is to be prepared.
-    work: name of the folder of this run's own files, below the dataset's.
-    """
-
-    directory: Path
-    source: Callable[[Any], PairSource]
-    config: Any
-    provenance: Provenance
-    dataset: DatasetSettings
-    frame_timeout_s: float
-    preparer: Callable[[Any], Preparer] | None = None
-    work: str = WORK_NAME
-
-    @property
-    def work_folder(self) -> Path:
-        """Where workers tell their progress, and leave what only this run needs."""
-        return self.directory / self.work
-
-
-@dataclass(frozen=True)
-class ShardJob:
+class ShardAttempt:
     """One attempt at one shard.
 
-    journal: file that the worker tells its progress in.
+    journal: file in which the worker records how far it is.
     given_up: frames that killed their workers; recorded as failures without another try.
     lacking: frames that the finished shard on disk lacks.  While all of them still fail, that
         shard is good as it is and kept.
@@ -69,7 +42,7 @@ class ShardJob:
 
 @dataclass(frozen=True)
 class ShardResult:
-    """What came of a job: `info` is None when no frame gave a sample, or when `kept`.
+    """The outcome of a `ShardAttempt`: `info` is None when no frame gave a sample, or when `kept`.
 
     missing: frames that have to be prepared first; then there is nothing else.
     """
@@ -81,7 +54,7 @@ class ShardResult:
 
 
 @dataclass(frozen=True)
-class PrepareJob:
+class FrameAttempt:
     """One attempt at preparing one frame."""
 
     ref: FrameRef
@@ -90,8 +63,11 @@ class PrepareJob:
 
 
 @dataclass(frozen=True)
-class PrepareResult:
-    """What came of it.  hit: nothing had to be done.  bytes: that were added to the cache."""
+class FrameResult:
+    """The outcome of a `FrameAttempt`.
+
+    hit: nothing had to be done.  bytes: added to the cache.
+    """
 
     failure: Failure | None
     hit: bool = False
@@ -102,22 +78,22 @@ class PrepareResult:
 _built: dict[str, tuple[tuple[Any, ...], Any]] = {}
 
 
-def run_job(pickled: bytes) -> ShardResult:
-    """`make_shard` as a pool calls it: job in and errors out survive any transport.
+def run_shard(pickled: bytes) -> ShardResult:
+    """`make_shard` as a worker calls it: attempt in and errors out survive any transport.
 
-    The job comes pickled, so that a source that cannot be imported is an error of this call and
-    not the death of a worker that could not read its task.  Errors are raised as plain
+    The attempt comes pickled, so that a source that cannot be imported is an error of this call and
+    not the death of a worker that could not unpickle its task.  Errors are raised as plain
     FactoryError or RuntimeError (with the traceback as text), which every process can unpickle.
     """
-    return _carried(make_shard, pickled)
+    return _call_pickled(make_shard, pickled)
 
 
-def run_prepare(pickled: bytes) -> PrepareResult:
-    """`prepare_frame` as a pool calls it; see `run_job`."""
-    return _carried(prepare_frame, pickled)
+def run_frame(pickled: bytes) -> FrameResult:
+    """`prepare_frame` as a worker calls it; see `run_shard`."""
+    return _call_pickled(prepare_frame, pickled)
 
 
-def _carried(function: Callable[[Any], T], pickled: bytes) -> T:
+def _call_pickled(function: Callable[[Any], T], pickled: bytes) -> T:
     try:
         return function(pickle.loads(pickled))
     except FactoryError as error:
@@ -126,54 +102,59 @@ def _carried(function: Callable[[Any], T], pickled: bytes) -> T:
         raise RuntimeError(traceback.format_exc()) from None
 
 
-def prepare_frame(job: PrepareJob) -> PrepareResult:
-    """Prepare the job's frame, or tell why it cannot be.
+def prepare_frame(attempt: FrameAttempt) -> FrameResult:
+    """Prepare the attempt's frame, or say why it cannot be.
 
     Raises FactoryError for what no other frame can do better: a missing renderer, a full disk.
     """
-    recipe, ref = job.recipe, job.ref
+    recipe, ref = attempt.recipe, attempt.ref
     assert recipe.preparer is not None
-    with open_journal(job.journal, recipe.frame_timeout_s) as journal:
+    with open_journal(attempt.journal, recipe.frame_timeout_s) as journal:
         with journal.watched():
             preparer: Preparer = _build(recipe.preparer, recipe)
         journal.start(0)
         try:
             with journal.watched():
                 made = preparer.prepare(ref)
-            return PrepareResult(None, made.hit, made.bytes)
+            return FrameResult(None, made.hit, made.bytes)
         except FrameError as error:
-            return PrepareResult(Failure(ref, "frame", _one_line(str(error)), ""))
+            return FrameResult(Failure(ref, "frame", _one_line(str(error)), ""))
         except FactoryError:
             raise
         except Exception as error:
-            return PrepareResult(Failure(ref, "error", _defect(ref, error), ""))
+            return FrameResult(Failure(ref, "error", _defect(ref, error), ""))
 
 
-def make_shard(job: ShardJob) -> ShardResult:
-    """Make the job's shard; a frame that fails is recorded and the rest goes on.
+def make_shard(attempt: ShardAttempt) -> ShardResult:
+    """Make the attempt's shard; a frame that fails is recorded and the rest goes on.
 
     Raises FactoryError for what no other frame can do better: a missing renderer, a full disk.
     """
-    recipe = job.recipe
-    with open_journal(job.journal, recipe.frame_timeout_s) as journal:
+    recipe = attempt.recipe
+    with open_journal(attempt.journal, recipe.frame_timeout_s) as journal:
         with journal.watched():
             source: PairSource = _build(recipe.source, recipe)
-            frames = _Frames(job, source, journal, source.axes(), source.columns())
-        lacking = [item for item in enumerate(job.task.items) if item[1][0].name in job.lacking]
+            frames = _Frames(attempt, source, journal, source.axes(), source.columns())
+        lacking = [
+            item for item in enumerate(attempt.task.items) if item[1][0].name in attempt.lacking
+        ]
         try:
-            return _made(job, source, frames, lacking)
+            return _made(attempt, source, frames, lacking)
         except NotRendered as error:
-            gone = tuple(ref for ref, _ in job.task.items if ref.name == error.frame)
+            gone = tuple(ref for ref, _ in attempt.task.items if ref.name == error.frame)
             return ShardResult(None, (), missing=gone)
 
 
 def _made(
-    job: ShardJob, source: PairSource, frames: _Frames, lacking: list[tuple[int, Item]]
+    attempt: ShardAttempt,
+    source: PairSource,
+    frames: _Frames,
+    lacking: list[tuple[int, FrameVariants]],
 ) -> ShardResult:
-    recipe = job.recipe
-    given_up = {failure.ref.name for failure in job.given_up}
+    recipe = attempt.recipe
+    given_up = {failure.ref.name for failure in attempt.given_up}
 
-    def missing(items: Iterable[Item]) -> ShardResult | None:
+    def missing(items: Iterable[FrameVariants]) -> ShardResult | None:
         gone = [ref for ref, _ in items if ref.name not in given_up and not source.ready(ref)]
         return ShardResult(None, (), missing=tuple(gone)) if gone else None
 
@@ -183,11 +164,11 @@ def _made(
         failures = [frames.attempt(index, item)[1] for index, item in lacking]
         if all(failures):
             return ShardResult(None, tuple(f for f in failures if f), kept=True)
-    if result := missing(job.task.items):
+    if result := missing(attempt.task.items):
         return result
     info = write_shard(
         recipe.directory,
-        job.task.path,
+        attempt.task.path,
         frames.pairs(),
         frames.axes,
         frames.columns,
@@ -198,7 +179,7 @@ def _made(
         failed = tuple(failure.ref.name for failure in frames.failures)
         info = replace(
             info,
-            plan=job.task.digest,
+            plan=attempt.task.digest,
             failed=failed,
             config_hash=recipe.provenance.config_hash,
         )
@@ -206,7 +187,7 @@ def _made(
 
 
 def _build(maker: Callable[[Any], T], recipe: Recipe) -> T:
-    """The source or preparer of this process, built at its first job."""
+    """The source or preparer of this process, built at its first task."""
     key = (maker, recipe.provenance.config_hash, recipe.config)
     name = f"{maker.__module__}.{maker.__qualname__}"
     if name not in _built or _built[name][0] != key:
@@ -217,24 +198,24 @@ def _build(maker: Callable[[Any], T], recipe: Recipe) -> T:
 
 
 class _Frames:
-    """Goes through the frames of one job, telling the journal."""
+    """Goes through the frames of one attempt and records each in the journal."""
 
     def __init__(
         self,
-        job: ShardJob,
+        attempt: ShardAttempt,
         source: PairSource,
-        journal: Journal,
+        journal: AttemptJournal,
         axes: tuple[Axis, Axis],
         columns: tuple[Column, ...],
     ) -> None:
         self.axes, self.columns = axes, columns
         self.failures: list[Failure] = []
-        self._job, self._source, self._journal = job, source, journal
-        self._given_up = {failure.ref.name: failure for failure in job.given_up}
+        self._attempt, self._source, self._journal = attempt, source, journal
+        self._given_up = {failure.ref.name: failure for failure in attempt.given_up}
 
     def pairs(self) -> Iterator[Pair]:
         """The pairs of all frames in order; frames without go to `failures`."""
-        for index, item in enumerate(self._job.task.items):
+        for index, item in enumerate(self._attempt.task.items):
             pairs, failure = self.attempt(index, item)
             if failure:
                 self.failures.append(failure)
@@ -243,7 +224,7 @@ class _Frames:
                 self._journal.done(index, len(pairs))
             yield from pairs
 
-    def attempt(self, index: int, item: Item) -> tuple[list[Pair], Failure | None]:
+    def attempt(self, index: int, item: FrameVariants) -> tuple[list[Pair], Failure | None]:
         """The checked pairs of one frame, or what kept it from giving them."""
         ref, variants = item
         if ref.name in self._given_up:
@@ -266,7 +247,7 @@ class _Frames:
             return [], self._failure(ref, "error", _defect(ref, error))
 
     def _failure(self, ref: FrameRef, kind: FailureKind, reason: str) -> Failure:
-        return Failure(ref, kind, _one_line(reason), self._job.task.path)
+        return Failure(ref, kind, _one_line(reason), self._attempt.task.path)
 
 
 def _defect(ref: FrameRef, error: Exception) -> str:

@@ -37,8 +37,8 @@ class EmbreeRenderer:
             if pixels.stride == 1:
                 radiance[shadow] = 0
             else:
-                heard = np.where(shadow, 0, radiance[pixels.traced, pixels.traced])
-                radiance = pixels.apply(radiance, heard, surface.mask)
+                returned = np.where(shadow, 0, radiance[pixels.traced, pixels.traced])
+                radiance = pixels.apply(radiance, returned, surface.mask)
         return Rendered(radiance, pixels.mask)
 
     def _shadow(

@@ -21,7 +21,7 @@ from simnfnd.factory.sonar.mount import Mount
 # Which frames are chosen changes none of them.
 _NOT_PIXELS = ("root", "locations", "first_location", "frames_per_location", "scenes")
 # All code between the files of a recording and the rendered pixels.
-_CODE = ("compiled.py", "frame.py", "render", "scenes", "sonar/mount.py")
+_CODE = ("compiled.py", "frame.py", "labels.py", "render", "scenes", "sonar/mount.py")
 _LIBRARY = {"cycles": "bpy", "embree": "open3d-cpu", "analytic": "numpy"}
 
 

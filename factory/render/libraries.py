@@ -9,12 +9,12 @@ from simnfnd.factory.errors import FactoryError
 MODULE = {"cycles": "bpy", "embree": "open3d"}
 
 _INSTALL = {
-    "cycles": "pip install bpy==5.0.1 (Python 3.11)",
-    "embree": "pip install open3d-cpu (Linux) or open3d",
+    "cycles": 'pip install "simnfnd[blender]" (Python 3.11)',
+    "embree": 'pip install "simnfnd[open3d]"',
 }
 _OTHERS = {
-    "cycles": "render=embree or render=analytic",
-    "embree": "render=cycles or render=analytic",
+    "cycles": "render=analytic or render=embree",
+    "embree": "render=analytic or render=cycles",
 }
 
 

@@ -14,7 +14,6 @@ from simnfnd.factory.scenes.pack import PackSettings
 from simnfnd.factory.scenes.redwood import RedwoodSettings
 from simnfnd.factory.scenes.seabed import SeabedSettings
 from simnfnd.factory.scenes.tum import TumSettings
-from simnfnd.factory.settings import union_tags
 
 __all__ = ["Discovery", "Reader", "SceneSettings", "Scenes", "open_reader"]
 
@@ -33,7 +32,6 @@ _READERS = {
     "pack": ("simnfnd.factory.scenes.pack", "PackReader"),
     "seabed": ("simnfnd.factory.scenes.seabed", "SeabedReader"),
 }
-union_tags(*_READERS)
 
 
 def open_reader(settings: Scenes) -> Reader:

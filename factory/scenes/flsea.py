@@ -24,7 +24,7 @@ from simnfnd.factory.scenes.base import Discovery, SceneSettings
 from simnfnd.factory.scenes.calibration import read_kalibr, scaled
 from simnfnd.factory.scenes.images import read_depth, read_rgb
 from simnfnd.factory.scenes.rgbd import finished_frame
-from simnfnd.factory.scenes.roots import Root, root_folder, visible_files
+from simnfnd.factory.scenes.roots import Root, listing, root_folder, visible_files
 from simnfnd.factory.settings import STRICT
 
 # Scene -> location, all twelve.
@@ -160,8 +160,9 @@ def _scene_folder(root: Path, scene: str) -> Path | None:
         starts.append(root)
     for start in starts:
         for folder in (start, start / scene):
-            if (folder / "imgs").is_dir():
-                return folder
+            with listing(folder):
+                if (folder / "imgs").is_dir():
+                    return folder
     return None
 
 

@@ -64,7 +64,7 @@ class RedwoodReader:
             frames += _recording_frames(folder, skipped)
             trajectory = folder / "trajectory.log"
             if trajectory.is_file():
-                redwood_poses(trajectory)  # a damaged file is told now, not at every frame
+                redwood_poses(trajectory)  # report a damaged file now, not at every frame
             else:
                 notes.append(f"{folder_name(folder)}: no trajectory.log, frames have no pose")
         if not frames:

@@ -71,7 +71,7 @@ class TumReader:
         skipped: Counter[str] = Counter()
         notes: list[str] = []
         for folder in recordings(root, _is_recording):
-            self._camera(folder_name(folder))  # an unknown camera is told now, not at every frame
+            self._camera(folder_name(folder))  # report an unknown camera now, not at every frame
             found, images, depths = self._associated(folder)
             frames += found
             skipped["image without a depth map close in time"] += images - len(found)

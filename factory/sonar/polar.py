@@ -141,3 +141,9 @@ def seen_beams(window: Window, sonar: SonarSettings) -> npt.NDArray[np.bool_]:
     return np.asarray(
         (centres + half > window.azimuth_min_rad) & (centres - half < window.azimuth_max_rad)
     )
+
+
+def where_seen(picture: Polar, window: Window, sonar: SonarSettings) -> Polar:
+    """The (range_bins, beams) picture, 0 in beams that the camera did not see."""
+    seen = seen_beams(window, sonar)
+    return picture if seen.all() else np.where(seen, picture, np.float32(0))

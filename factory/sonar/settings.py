@@ -72,7 +72,7 @@ class TransferSettings:
     kind: Literal["linear", "power", "log"] = "linear"
     percentile: Annotated[float, Field(gt=0, le=100)] = 90.0
     reference: Annotated[float, Field(gt=0, le=1)] = 1.0
-    exponent: Positive = 1.0
+    exponent: Positive = 0.5
     dynamic_range_db: Positive = 40.0
 
 

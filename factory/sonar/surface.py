@@ -6,7 +6,8 @@ A pixel's point is P = z K^-1 (u, v, 1)^T (Yang et al. 2024, Eq. 2), seen from t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +35,34 @@ class Extent:
     azimuth_max_rad: float
 
 
+class Insonified(NamedTuple):
+    """The lit surface inside a window.
+
+    echoes: strength = radiance * range ** (tvg_db_per_decade / 10), in the order of the pixels.
+    pixel: (N,) int32 flat camera pixel of each.
+    hit: (range_bins, beams) bool, the bins that hold one.
+    """
+
+    echoes: Echoes
+    pixel: Pixels
+    hit: npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class LitSurface:
+    """A rendered frame behind a window of the sonar."""
+
+    frame: Frame
+    rendered: Rendered
+    window: Window
+    sonar: SonarSettings
+
+    @cached_property
+    def insonified(self) -> Insonified:
+        """Its echoes; found once, when something first asks for them."""
+        return insonified(self.frame, self.rendered, self.window, self.sonar)
+
+
 def extent(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Extent:
     """What the window of a picture is fitted to."""
     from simnfnd.factory.sonar import echo_loops  # loads numba
@@ -54,13 +83,8 @@ def extent(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Extent:
 
 def insonified(
     frame: Frame, rendered: Rendered, window: Window, sonar: SonarSettings
-) -> tuple[Echoes, Pixels, npt.NDArray[np.bool_]]:
-    """The lit surface inside the window, with time-varying gain.
-
-    Returns its echoes, strength = radiance * range ** (tvg_db_per_decade / 10), in the order of the
-    pixels; the (N,) int32 flat camera pixel of each; and the (range_bins, beams) bool bins that
-    hold one.
-    """
+) -> Insonified:
+    """The lit surface inside the window, with time-varying gain."""
     from simnfnd.factory.sonar import echo_loops  # loads numba
 
     pixels = frame.depth_m.size + 1
@@ -71,7 +95,8 @@ def insonified(
     placed = (np.float32(half_vfov_rad), *polar.grid(window, sonar), gain_power)
     count = echo_loops.insonified(*(*_pixels(frame, rendered, sonar), *placed, *made, pixel, hit))
     echoes = Echoes(*(values[:count] for values in made))
-    return echoes, pixel[:count], hit[:-1].reshape(sonar.range_bins, sonar.beams)
+    in_bins = hit[:-1].reshape(sonar.range_bins, sonar.beams)
+    return Insonified(echoes, pixel[:count], in_bins)
 
 
 def _pixels(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> tuple[Any, ...]:

@@ -48,8 +48,3 @@ class Window:
     def range_fraction(self, echoes: Echoes) -> npt.NDArray[np.float32]:
         """(N,) position in the range window: 0 at range_min_m, 1 at range_max_m."""
         return np.asarray((self.range_of(echoes) - self.range_min_m) / self.range_span_m)
-
-    def azimuth_fraction(self, echoes: Echoes) -> npt.NDArray[np.float32]:
-        """(N,) position in the seen sector: 0 at its left edge, 1 at its right."""
-        span = max(self.azimuth_span_rad, 1e-9)
-        return np.asarray((echoes.azimuth_rad - self.azimuth_min_rad) / span)

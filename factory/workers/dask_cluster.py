@@ -1,8 +1,9 @@
 """Workers of a Dask cluster: one on this machine, or any that a scheduler's address leads to.
 
-Each worker has one thread and a nanny that replaces it when it dies.  Retries stay in our run loop:
-a death is told at once (`allowed-failures` 0 on clusters started here; docs/cluster.md tells how to
-set it for others).  Render tasks go only to workers with the resource `render`.
+Each worker has one thread and a nanny that replaces it when it dies.  Dask retries nothing itself:
+a death is reported at once (`allowed-failures` 0 on clusters started here; docs/cluster.md says how
+to set it for others).  Tasks of a pool that not every worker serves go only to workers with a
+resource of the pool's name.
 """
 
 from __future__ import annotations
@@ -11,38 +12,37 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.jobs.settings import Crew, Kind, SchedulerSettings
+from simnfnd.factory.workers.contract import Pool, WorkerSettings
 from simnfnd.factory.workers.local import THREAD_VARIABLES
 
 T = TypeVar("T")
 
-RESOURCE = "render"
 _LOGGING = "DASK_LOGGING__DISTRIBUTED"
 _CONNECT_S = 20.0
 _STOP_S = 4.0
-_LOOK_S = 2.0
+_REVIVE_EVERY_S = 2.0
 _STARTS = 5
 
 
 @dataclass(eq=False)
 class _Task:
-    kind: Kind
+    pool: str
     future: Future[Any]
-    there: Any
+    remote: Any
     deadline: float
 
 
 class DaskBackend:
-    """A `simnfnd.factory.workers.backend.Backend` over `distributed.Client`."""
+    """A `contract.Backend` over `distributed.Client`."""
 
-    def __init__(self, settings: SchedulerSettings, crew: Crew) -> None:
+    def __init__(self, settings: WorkerSettings) -> None:
         """Connect, or start a cluster.  Raises FactoryError when neither works."""
         try:
             import dask
@@ -50,12 +50,12 @@ class DaskBackend:
         except ImportError as error:
             raise FactoryError(
                 "scheduler.backend=dask needs the package distributed: "
-                "pip install 'simnfnd[dask]', or choose scheduler=local"
+                "pip install 'simnfnd[cluster]', or choose scheduler=local"
             ) from error
         self._distributed: Any = distributed
         self._cluster: Any = None
         self._specs: dict[int, Any] = {}
-        self._looked = 0.0
+        self._revived = 0.0
         self._tasks: dict[Future[Any], _Task] = {}
         self._lock = threading.Lock()
         self._settings: Any = dask.config.set({"distributed.scheduler.allowed-failures": 0})
@@ -66,13 +66,14 @@ class DaskBackend:
         address = settings.address
         try:
             if address is None:
-                self._cluster = _start_cluster(distributed, crew, settings.threads)
+                self._cluster = _start_cluster(distributed, settings)
                 self._specs = dict(self._cluster.worker_spec)
                 address = self._cluster.scheduler_address
             self._client: Any = self._distributed.Client(
                 address, timeout=_CONNECT_S, set_as_default=False
             )
-            self._workers = self._count(crew)
+            self._restricted = _restricted(settings.pools)
+            self._total, self._serving = self._count(settings)
         except (TimeoutError, OSError, ValueError) as error:
             self.stop()
             raise FactoryError(
@@ -80,53 +81,57 @@ class DaskBackend:
                 "check the address, or start one (docs/cluster.md)"
             ) from error
 
-    def _count(self, crew: Crew) -> dict[Kind, int]:
-        """How many workers can take a task of either kind."""
+    def _count(self, settings: WorkerSettings) -> tuple[int, dict[str, int]]:
+        """How many workers there are, and of them for each pool that not all of them serve."""
         if self._cluster is not None:
-            self._client.wait_for_workers(crew.total, timeout=120)
-        told = self._client.scheduler_info(n_workers=-1)["workers"].values()
-        render = sum(RESOURCE in worker.get("resources", {}) for worker in told)
-        if not told:
+            self._client.wait_for_workers(settings.total, timeout=120)
+        found = self._client.scheduler_info(n_workers=-1)["workers"].values()
+        if not found:
             raise ValueError("it has no workers")
-        if crew.render and not render:
-            raise ValueError(f"no worker was started with --resources {RESOURCE}=1")
-        return {"render": render, "noise": len(told)}
+        serving = {
+            name: sum(name in worker.get("resources", {}) for worker in found)
+            for name in self._restricted
+        }
+        for pool in settings.pools:
+            if pool.workers and serving.get(pool.name) == 0:
+                raise ValueError(f"no worker was started with --resources {pool.name}=1")
+        return len(found), serving
 
-    def free(self, kind: Kind) -> bool:
-        """Whether fewer tasks fly than there are workers for them."""
+    def free(self, pool: str) -> bool:
+        """Whether fewer tasks are under way than there are workers for them."""
         with self._lock:
-            flying = [task.kind for task in self._tasks.values()]
-        if len(flying) >= self._workers["noise"]:
+            running = [task.pool for task in self._tasks.values()]
+        if len(running) >= self._total:
             return False
-        return kind == "noise" or flying.count("render") < self._workers["render"]
+        return pool not in self._restricted or running.count(pool) < self._serving[pool]
 
     def submit(
-        self, function: Callable[..., T], argument: Any, timeout_s: float, kind: Kind
+        self, function: Callable[..., T], argument: Any, timeout_s: float, pool: str
     ) -> Future[T]:
         """Send `function(argument)` to a worker."""
-        there = self._client.submit(
+        remote = self._client.submit(
             function,
             argument,
             pure=False,
             retries=0,
-            resources={RESOURCE: 1} if kind == "render" else None,
+            resources={pool: 1} if pool in self._restricted else None,
         )
         future: Future[T] = Future()
-        task = _Task(kind, future, there, time.monotonic() + timeout_s)
+        task = _Task(pool, future, remote, time.monotonic() + timeout_s)
         with self._lock:
             self._tasks[future] = task
-        there.add_done_callback(lambda _: self._done(task))
+        remote.add_done_callback(lambda _: self._done(task))
         return future
 
     def _done(self, task: _Task) -> None:
         with self._lock:
             if self._tasks.pop(task.future, None) is None:
                 return
-        status = task.there.status
+        status = task.remote.status
         if status == "finished":
-            task.future.set_result(task.there.result())
+            task.future.set_result(task.remote.result())
         else:
-            error = task.there.exception() if status == "error" else None
+            error = task.remote.exception() if status == "error" else None
             task.future.set_exception(error or _Lost("its task was lost"))
 
     def why_died(self, error: BaseException) -> str | None:
@@ -141,10 +146,10 @@ class DaskBackend:
         return f"its Dask worker was lost ({error})" if isinstance(error, lost) else None
 
     def poll(self) -> None:
-        """End what is too late: Dask cannot stop a function, so its worker is restarted."""
+        """End tasks that are too late: Dask cannot stop a function, so its worker is restarted."""
         now = time.monotonic()
-        if self._cluster is not None and now - self._looked > _LOOK_S:
-            self._looked = now
+        if self._cluster is not None and now - self._revived > _REVIVE_EVERY_S:
+            self._revived = now
             self._revive()
         with self._lock:
             late = [task for task in self._tasks.values() if now > task.deadline]
@@ -155,7 +160,7 @@ class DaskBackend:
                 where = [
                     worker
                     for worker, keys in self._client.processing().items()
-                    if task.there.key in keys
+                    if task.remote.key in keys
                 ]
                 self._client.restart_workers(where, timeout=30, raise_for_error=False)
             task.future.set_exception(TimeoutError())
@@ -196,19 +201,28 @@ class DaskBackend:
 
 
 class _Lost(Exception):
-    """A task came to no end of its own."""
+    """A task ended without a result of its own."""
 
 
-def _start_cluster(distributed: Any, crew: Crew, threads: int) -> Any:
-    """A scheduler and the crew's workers as processes of this machine."""
-    env = dict.fromkeys(THREAD_VARIABLES, str(threads))
+def _restricted(pools: Sequence[Pool]) -> frozenset[str]:
+    """Names of the pools that some workers do not serve."""
+    return frozenset(
+        pool.name for pool in pools if not all(other.takes(pool.name) for other in pools)
+    )
 
-    def spec(kind: Kind) -> dict[str, Any]:
+
+def _start_cluster(distributed: Any, settings: WorkerSettings) -> Any:
+    """A scheduler and the workers of all pools as processes of this machine."""
+    env = dict.fromkeys(THREAD_VARIABLES, str(settings.threads))
+    restricted = _restricted(settings.pools)
+    workers = [pool for pool in settings.pools for _ in range(pool.workers)]
+
+    def spec(pool: Pool) -> dict[str, Any]:
         options = {
             "nthreads": 1,
             "env": env,
             "memory_limit": 0,
-            "resources": {RESOURCE: 1} if kind == "render" else {},
+            "resources": {name: 1 for name in restricted if pool.takes(name)},
             "preload": ["simnfnd.factory.workers.dask_preload"],
             "dashboard": False,
         }
@@ -217,7 +231,7 @@ def _start_cluster(distributed: Any, crew: Crew, threads: int) -> Any:
     for last in (False,) * (_STARTS - 1) + (True,):
         try:
             return distributed.SpecCluster(
-                workers={number: spec(kind) for number, kind in enumerate(crew.kinds())},
+                workers={number: spec(pool) for number, pool in enumerate(workers)},
                 scheduler={
                     "cls": distributed.Scheduler,
                     "options": {"dashboard": False, "host": "127.0.0.1", "port": 0},

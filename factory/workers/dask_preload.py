@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import signal
-from contextlib import suppress
 from typing import Any
+
+from simnfnd.factory.workers.start import start_worker_process
 
 
 def dask_setup(worker: Any) -> None:
-    """Leave Ctrl-C, which goes to every process of a terminal, to the process that was started."""
-    with suppress(ValueError):  # not in the main thread: nothing would be delivered here
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Called by Dask in the new worker process."""
+    start_worker_process()

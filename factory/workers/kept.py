@@ -1,34 +1,32 @@
-"""Workers kept from one point of a sweep to the next, which spares their start.
+"""Workers kept from one run to the next (the points of a sweep), which spares their start.
 
-Nothing is kept unless somebody asked for it (`keep_workers`), and only workers of this machine that
-wait for work.  A worker builds its source anew when the configuration of a task is another one, so
-the same workers serve any number of datasets.
+Nothing is kept unless `keep_workers` was called, and only idle workers of this machine.  The same
+workers can serve any number of runs, because every task brings all that it needs.
 """
 
 from __future__ import annotations
 
 import atexit
-from collections.abc import Mapping
+from collections.abc import Iterator
+from contextlib import contextmanager
 
-from simnfnd.factory.jobs.settings import Crew, Kind, SchedulerSettings
-from simnfnd.factory.workers.backend import Backend, open_backend
-
-_Key = tuple[SchedulerSettings, Crew, tuple[tuple[Kind, int], ...]]
+from simnfnd.factory.workers.backends import open_backend
+from simnfnd.factory.workers.contract import Backend, WorkerSettings
 
 
 class _Keeper:
     """What is kept: one backend at most, and what it was opened with."""
 
     def __init__(self) -> None:
-        self.asked = False
-        self.held: tuple[_Key, Backend] | None = None
+        self.keeping = False
+        self.kept: tuple[WorkerSettings, Backend] | None = None
 
-    def take(self, key: _Key) -> Backend | None:
-        """The kept backend, if it is of this kind; one of another kind is stopped."""
-        held, self.held = self.held, None
-        if held is None or held[0] == key:
-            return held and held[1]
-        held[1].stop()
+    def take(self, settings: WorkerSettings) -> Backend | None:
+        """The kept backend if it has these settings; one with others is stopped."""
+        kept, self.kept = self.kept, None
+        if kept is None or kept[0] == settings:
+            return kept and kept[1]
+        kept[1].stop()
         return None
 
 
@@ -37,39 +35,35 @@ _keeper = _Keeper()
 
 def keep_workers() -> None:
     """From now on, keep the workers of a run that ended well for the next."""
-    if not _keeper.asked:
+    if not _keeper.keeping:
         # For sweeps that end in an error; before multiprocessing's own, which would wait for them.
         atexit.register(release_workers)
-    _keeper.asked = True
+    _keeper.keeping = True
 
 
 def release_workers() -> None:
     """Stop what is kept, and keep no more."""
-    _keeper.asked = False
+    _keeper.keeping = False
     atexit.unregister(release_workers)
-    held, _keeper.held = _keeper.held, None
-    if held is not None:
-        held[1].stop()
+    kept, _keeper.kept = _keeper.kept, None
+    if kept is not None:
+        kept[1].stop()
 
 
-def lease(settings: SchedulerSettings, crew: Crew, tasks_per_worker: Mapping[Kind, int]) -> Backend:
-    """The workers that the last run left, where they are the right ones, or new ones.
+@contextmanager
+def leased(settings: WorkerSettings) -> Iterator[Backend]:
+    """The workers that the last run left if they have these settings, otherwise new ones.
 
+    When the block ends well they are kept if `keep_workers` was called; else they are stopped.
     Raises FactoryError as `open_backend` does.
     """
-    found = _keeper.take(_key(settings, crew, tasks_per_worker))
-    return found or open_backend(settings, crew, tasks_per_worker)
-
-
-def give_back(
-    backend: Backend, settings: SchedulerSettings, crew: Crew, tasks_per_worker: Mapping[Kind, int]
-) -> None:
-    """After a run that ended well: keep the workers if that was asked for, else stop them."""
-    if _keeper.asked and settings.backend == "local":
-        _keeper.held = (_key(settings, crew, tasks_per_worker), backend)
+    backend = _keeper.take(settings) or open_backend(settings)
+    try:
+        yield backend
+    except BaseException:
+        backend.stop()
+        raise
+    if _keeper.keeping and settings.backend == "local":
+        _keeper.kept = (settings, backend)
     else:
         backend.stop()
-
-
-def _key(settings: SchedulerSettings, crew: Crew, tasks_per_worker: Mapping[Kind, int]) -> _Key:
-    return settings, crew, tuple(sorted(tasks_per_worker.items()))

@@ -7,7 +7,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -17,7 +17,8 @@ from typing import Any, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
 
-from simnfnd.factory.jobs.settings import Crew, Kind
+from simnfnd.factory.workers.contract import Pool, WorkerSettings
+from simnfnd.factory.workers.start import start_worker_process
 
 T = TypeVar("T")
 
@@ -54,12 +55,11 @@ class _Slot:
     the wrong moment, or while it has no task, breaks the pool for all.  Alone, it breaks its own.
     """
 
-    def __init__(self, kind: Kind, tasks_per_worker: int) -> None:
-        self.kind = kind
+    def __init__(self, pool: Pool) -> None:
+        self.pool = pool
         self.context = _RememberingContext()
         self.future: Future[Any] | None = None
-        self._tasks_per_worker = tasks_per_worker
-        self._pool: Any = None
+        self._process: Any = None
 
     @property
     def free(self) -> bool:
@@ -67,66 +67,64 @@ class _Slot:
 
     def submit(self, function: Callable[..., T], argument: Any, timeout_s: float) -> Future[T]:
         self.start()
-        future: Future[T] = self._pool.schedule(function, args=[argument], timeout=timeout_s)
+        future: Future[T] = self._process.schedule(function, args=[argument], timeout=timeout_s)
         self.future = future
         return future
 
     def start(self) -> None:
-        if self._pool is None or not self._pool.active:
+        if self._process is None or not self._process.active:
             self.stop()
             self.join()
-            self._pool = self._new_pool()
+            self._process = self._new_process()
 
     def stop(self) -> None:
-        if self._pool is not None:
-            self._pool.stop()
+        if self._process is not None:
+            self._process.stop()
 
     def join(self) -> None:
-        if self._pool is not None:
-            self._pool.join()
+        if self._process is not None:
+            self._process.join()
 
-    def _new_pool(self) -> Any:
-        pool = ProcessPool(
+    def _new_process(self) -> Any:
+        process = ProcessPool(
             max_workers=1,
-            max_tasks=self._tasks_per_worker,
+            max_tasks=self.pool.tasks_per_worker,
             initializer=_start_worker,
             context=self.context,
         )
         with _interrupts_held():
             # Asking starts the pool's threads and worker, which inherit that Ctrl-C is held: it
             # goes to the whole process group, and only the parent may answer it.
-            assert pool.active
-        return pool
+            assert process.active
+        return process
 
 
 class LocalBackend:
-    """Worker processes on this machine; a `simnfnd.factory.workers.backend.Backend`.
+    """Worker processes on this machine; a `contract.Backend`.
 
     Start method spawn, because a process that has rendered does not survive a fork.  Whatever
     kills a worker costs the task it had in hand, and nothing else.
     """
 
-    def __init__(
-        self, crew: Crew, tasks_per_worker: Mapping[Kind, int], threads: int, start_all: bool
-    ) -> None:
+    def __init__(self, settings: WorkerSettings) -> None:
         # Read when a library is loaded, so set before a worker exists; recycled ones read it too.
         self._saved = {name: os.environ.get(name) for name in THREAD_VARIABLES}
-        os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
-        self._slots = [_Slot(kind, tasks_per_worker[kind]) for kind in crew.kinds()]
-        if start_all:
+        os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(settings.threads)))
+        self._slots = [_Slot(pool) for pool in settings.pools for _ in range(pool.workers)]
+        if settings.start_all:
             for slot in self._slots:
                 slot.start()
 
-    def free(self, kind: Kind) -> bool:
-        """Whether a worker waits for a task of this kind."""
-        return any(slot.free and kind in ("noise", slot.kind) for slot in self._slots)
+    def free(self, pool: str) -> bool:
+        """Whether a worker waits for a task of this pool."""
+        return any(slot.free and slot.pool.takes(pool) for slot in self._slots)
 
     def submit(
-        self, function: Callable[..., T], argument: Any, timeout_s: float, kind: Kind
+        self, function: Callable[..., T], argument: Any, timeout_s: float, pool: str
     ) -> Future[T]:
         """Run `function(argument)` in a free worker; it is killed when it takes longer."""
-        fit = (slot for slot in self._slots if slot.free and kind in ("noise", slot.kind))
-        slot = min(fit, key=lambda slot: slot.kind != kind)
+        fit = (slot for slot in self._slots if slot.free and slot.pool.takes(pool))
+        slot = min(fit, key=lambda slot: slot.pool.name != pool)
         # To the end of the line, so that all get their share of the work.
         self._slots.remove(slot)
         self._slots.append(slot)
@@ -142,13 +140,13 @@ class LocalBackend:
         return "its worker process died" if isinstance(error, BrokenProcessPool) else None
 
     def stop(self) -> None:
-        """Kill the workers now.  Shards are written whole or not at all, so nothing is lost."""
+        """Kill the workers now; files are whole or absent if tasks write them atomically."""
         for slot in self._slots:
             slot.stop()
         joiner = threading.Thread(target=self._join, daemon=True)
         joiner.start()
         deadline = time.monotonic() + _STOP_S
-        # A pool may be starting a worker at this very moment, so look until all is quiet.  The
+        # A pool may be starting a worker at this very moment, so repeat until none is left.  The
         # threads of pools are daemons and hold nothing of ours, should they not notice in time.
         while (self._kill_workers() or joiner.is_alive()) and time.monotonic() < deadline:
             joiner.join(0.02)
@@ -172,12 +170,12 @@ class LocalBackend:
 
 
 def _start_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    start_worker_process()
     threading.Thread(target=_exit_with_parent, daemon=True).start()
 
 
 def _exit_with_parent() -> None:
-    """A killed parent cannot stop its workers, so they look after themselves."""
+    """A killed parent cannot stop its workers, so they watch for its end themselves."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -25,10 +25,10 @@ class Interrupted(KeyboardInterrupt):
 def stop_signals() -> Iterator[None]:
     """Within the block the first SIGINT or SIGTERM raises Interrupted; a second ends it all.
 
-    Stopping takes about a second.  Who cannot wait asks again: the workers notice that we are gone,
-    and what we leave behind the next run removes.  Both signals of one keypress (a shell's and a
-    terminal's) count as one.  In a thread that is not the
-    main one, where Python delivers no signals, nothing is changed.
+    Stopping takes about a second.  After a second signal workers notice that their parent is gone,
+    and the next run removes what is left behind.  Both signals of one keypress (a shell's and a
+    terminal's) count as one.  In a thread that is not the main one, where Python delivers no
+    signals, nothing is changed.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -11,8 +11,10 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import ndimage
 
-from simnfnd.factory import noise
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.formation.clouds import effect_clouds, noisy_cloud
+from simnfnd.factory.noise.draws import Draws, StreamNames, draw
+from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.factory.sonar.echoes import Echoes, in_plane
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.window import Window
@@ -34,7 +36,7 @@ class OldDataSource:
         self,
         samples: tuple[SampleRef, ...],
         geometry: str,
-        settings: noise.NoiseSettings,
+        settings: NoiseSettings,
         *,
         looks: int,
         weaker: float,
@@ -65,10 +67,9 @@ class OldDataSource:
         sector = geometry.maps(0, 0, *clean.shape)["sector"]
         clean = clean * sector
         number = "validation" if visit is None else visit
-        drawn = noise.draw(self.settings, self.seed, ref.scene, ref.frame, number)
-        noisy = with_noise(
-            clean, geometry, drawn, self.looks, self.seed, ref.scene, ref.frame, number
-        )
+        names = StreamNames.single(ref.scene, ref.frame, number)
+        draws = draw(self.settings, self.seed, names)
+        noisy = with_noise(clean, geometry, draws, self.looks)
         if visit is not None:
             strength = np.float32(weakened(self.weaker, self.seed, index, visit))
             noisy = clean + strength * (noisy - clean)
@@ -76,14 +77,7 @@ class OldDataSource:
         return Sample(noisy, clean, shadow.astype(np.float32), geometry)
 
 
-def with_noise(
-    clean: Image,
-    geometry: FanGeometry,
-    drawn: dict[str, noise.Drawn],
-    looks: int,
-    seed: int,
-    *names: str | int,
-) -> Image:
+def with_noise(clean: Image, geometry: FanGeometry, draws: Draws, looks: int) -> Image:
     """A picture (H, W) in 0..1 with the drawn effects on it, clipped to 0..1.
 
     Every pixel that is not black is `looks` echoes, which range spreading moves along their bearing
@@ -103,10 +97,8 @@ def with_noise(
         geometry.azimuth_min_rad,
         geometry.azimuth_max_rad,
     )
-    made = noise.layers(scene, scene, window, drawn, seed, *names)
-    moved = {name: echoes for name, echoes in made.items() if noise.EFFECTS[name].moves}
-    picture = _gathered(noise.combine(scene, moved, 1.0), geometry, clean.shape)
-    added = [echoes for name, echoes in made.items() if name not in moved]
+    moved, *added = noisy_cloud(scene, effect_clouds(draws.effects, scene, scene, window), 1.0)
+    picture = _gathered(moved, geometry, clean.shape)
     for echoes in added:
         points = _gathered(echoes, geometry, clean.shape)
         picture += ndimage.gaussian_filter(points, _SPREAD_PX, mode="constant", truncate=3.0)

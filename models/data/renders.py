@@ -6,7 +6,6 @@ code as the dataset's own, so a network never sees the same noise twice.
 
 from __future__ import annotations
 
-import copy
 import hashlib
 from dataclasses import fields, replace
 from pathlib import Path
@@ -15,15 +14,16 @@ from typing import Any
 import numpy as np
 import yaml
 
-from simnfnd.factory import noise
 from simnfnd.factory.config import FactoryConfig, from_mapping
+from simnfnd.factory.dataset.format.manifest import CONFIG_NAME
 from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
-from simnfnd.factory.dataset.write.folder import CONFIG_NAME
 from simnfnd.factory.distribution import Distribution
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.generate import choose_frames, split_frames
+from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.factory.pairs import PairMaker
+from simnfnd.factory.render.views import open_views
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.seeds import stream
 from simnfnd.factory.sonar.geometry import FanGeometry
@@ -67,14 +67,13 @@ class RenderSource:
         """See `Source`."""
         scale = 1.0 if visit is None else self.scale_of(index, visit)
         if scale not in self._makers:
-            self._makers[scale] = PairMaker(replace(self.config, sonar=self._sonars[scale]))
+            config = replace(self.config, sonar=self._sonars[scale])
+            self._makers[scale] = PairMaker(config, open_views(config))
         ref = self.frames[index]
         number = 0 if visit is None else visit
-        maker = copy.copy(self._makers[scale])
-        if visit is not None:
-            maker.config = replace(maker.config, noise=self.noise_of(index, visit))
+        noise = None if visit is None else self.noise_of(index, visit)
         try:
-            pair = maker.pairs(ref, (number,))[0]
+            pair = self._makers[scale].pairs(ref, (number,), noise)[0]
         except FrameError as error:
             raise FactoryError(f"data=renders: {error}; leave the frame out") from error
         return Sample(
@@ -88,7 +87,7 @@ class RenderSource:
         """Size of the picture of a visit, as a multiple of the dataset's: any of `scales`."""
         return self.scales[stream(self.seed, "scale", index, visit).integers(len(self.scales))]
 
-    def noise_of(self, index: int, visit: int) -> noise.NoiseSettings:
+    def noise_of(self, index: int, visit: int) -> NoiseSettings:
         """The noise of a visit: as configured, or with less of all effects, or some effects off.
 
         An effect that has no amount to make less of is left out in as many visits instead.
@@ -168,8 +167,8 @@ def open_renders(
         )
     else:
         training = tuple(ref for ref in training if f"{ref.location}/{ref.scene}" not in held)
-    maker = PairMaker(config)
-    ready = tuple(ref for ref in training if maker.ready(ref))
+    views = open_views(config)
+    ready = tuple(ref for ref in training if views.holds(ref))
     if not ready:
         raise FactoryError(
             f"data=renders: none of the {len(training)} training frames of {dataset} has its "

@@ -9,7 +9,7 @@ from typing import Any
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
-from simnfnd.factory.noise import NoiseSettings
+from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.models.data.images import NoisySource, list_images, smallest_side
 from simnfnd.models.data.pairs import PairSource, SampleRef, Source, hold_out, read_table, spread
 from simnfnd.models.training.settings import (

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
 
 from tqdm import tqdm
 
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.dataset.read.reader import open_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import check_writable
@@ -25,15 +24,9 @@ from simnfnd.models.denoise.geometries import FIND, Geometries
 from simnfnd.models.denoise.inputs import Item, find_items
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        """One line, like every other mistake of the user."""
-        raise FactoryError(f"denoise: {message} (see `simnfnd denoise --help`)")
-
-
 def main(arguments: Sequence[str]) -> int:
     """`simnfnd denoise IN... --out DIR`; 1 when some files were skipped."""
-    parser = _Parser(prog="simnfnd denoise", description=__doc__)
+    parser = Parser(prog="simnfnd denoise")
     parser.add_argument(
         "inputs", nargs="+", metavar="IN", help="image, folder, shard, video, .aris, .ddf, .raw"
     )

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import yaml
 
 from simnfnd.factory import __version__
+from simnfnd.factory.cli import Parser
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import check_writable, write_atomically
 
@@ -63,15 +63,9 @@ _LIMITS = (
 )
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        """One line, like every other mistake of the user."""
-        raise FactoryError(f"export-weights: {message}")
-
-
 def main(arguments: Sequence[str]) -> int:
     """Write the 16-bit weights and, beside them, a model card of their name."""
-    parser = _Parser(prog="simnfnd export-weights", description=__doc__)
+    parser = Parser(prog="simnfnd export-weights")
     parser.add_argument("weights", help="weights.safetensors of a training")
     parser.add_argument("--out", required=True, help="file to write, NAME.safetensors")
     parser.add_argument(

@@ -9,15 +9,13 @@ from pydantic import BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.settings import STRICT, build, union_tags
+from simnfnd.factory.settings import STRICT, build
 
 Count = Annotated[int, Field(ge=1)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Patch = Annotated[int, Field(ge=8)]
 Scale = Annotated[float, Field(gt=0, le=16)]
-
-union_tags("literal['auto']", "constrained-int")
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -17,26 +17,27 @@ import h5py
 import numpy as np
 import pytest
 
-from simnfnd.evaluation import rows
-from simnfnd.evaluation.crew import Died, Team
-from simnfnd.evaluation.image_pairs import read_gray
-from simnfnd.evaluation.journal import JOURNAL_NAME, Journal
-from simnfnd.evaluation.methods import NOISY, Method, baselines_of, methods_of
+from simnfnd.evaluation.data.image_pairs import read_gray
+from simnfnd.evaluation.data.pairs import drawn_of, items_of, picture
+from simnfnd.evaluation.data.picture import sector_of
+from simnfnd.evaluation.measurement import rows
+from simnfnd.evaluation.measurement.store import MEASURED_NAME, FigureStore
+from simnfnd.evaluation.measurement.task import Task, measure_task
+from simnfnd.evaluation.methods.method import NOISY, Method, baselines_of, methods_of
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.evaluation.metrics import measure
-from simnfnd.evaluation.pictures import drawn_of, items_of, picture
 from simnfnd.evaluation.report import build as builder
 from simnfnd.evaluation.report.files import read_results
-from simnfnd.evaluation.work import Task, measure_task
 from simnfnd.factory.dataset.format.sample import Pair
 from simnfnd.factory.dataset.read.reader import open_shard, shard_paths
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.workers.tasks import TaskLost, TaskPool
 from tests.evaluation.evaluation_settings import evaluation, settings_for
 from tests.small_dataset import add_shard, fan_images, write_dataset, write_manifest
 
 FILES = {
     "report.html", "report.json", "report.md", "results.parquet", "leaderboard.csv",
-    "leaderboard.md", "leaderboard.tex", "leaderboard.png", "figure16.png", JOURNAL_NAME,
+    "leaderboard.md", "leaderboard.tex", "leaderboard.png", "figure16.png", MEASURED_NAME,
 }  # fmt: skip
 
 MEDIAN = Method("median", "", {"size": 3})
@@ -45,10 +46,10 @@ GAUSSIAN = Method("gaussian", "", {"sigma_px": 1.0})
 
 def measured(dataset: Path, methods: list[Method], out: Path, **changes: Any) -> list[rows.Row]:
     settings = settings_for(dataset, **changes)
-    journal = Journal(out)
-    with contextlib.closing(journal), Team(settings.workers) as team:
+    store = FigureStore(out)
+    with contextlib.closing(store), TaskPool(settings.workers) as pool:
         items = items_of(dataset, settings.split, settings.limit)
-        return rows.measure_rows(settings, items, methods, journal, team)
+        return rows.measure_rows(settings, items, methods, store, pool)
 
 
 def test_one_command_writes_the_whole_report(tmp_path: Path) -> None:
@@ -112,7 +113,7 @@ def test_a_report_goes_on_where_it_was_interrupted(
     with pytest.raises(KeyboardInterrupt):
         measured(dataset, [MEDIAN, GAUSSIAN], tmp_path / "out")
     # A crash may cut a line in two.
-    with (tmp_path / "out" / JOURNAL_NAME).open("a", encoding="utf-8") as file:
+    with (tmp_path / "out" / MEASURED_NAME).open("a", encoding="utf-8") as file:
         file.write('{"method": "x", "pictures": ["a"')
     again = measured(dataset, [MEDIAN, GAUSSIAN], tmp_path / "out")
     assert [len(task.items) for task in tasks[2:]] == [4, 1], "the first four were known"
@@ -179,10 +180,10 @@ def sleeps(seconds: float) -> float:
 
 
 def test_tasks_that_take_too_long_are_given_up() -> None:
-    with Team(2) as team:
-        found = dict(team.run(sleeps, deque([0.0, 60.0]), lambda _: 3.0))
+    with TaskPool(2) as pool:
+        found = dict(pool.run(sleeps, deque([0.0, 60.0]), lambda _: 3.0))
     assert found[0.0] == 0.0
-    assert found[60.0] == Died("took longer than 3 s")
+    assert found[60.0] == TaskLost("took longer than 3 s")
 
 
 def test_float_shards_measure_like_uint8_ones(tmp_path: Path) -> None:
@@ -210,7 +211,7 @@ def test_noiseless_pairs_have_a_stated_rule(tmp_path: Path) -> None:
 
 def test_the_sector_leaves_out_what_the_sonar_cannot_see() -> None:
     noisy, clean, shadow = fan_images(64, np.random.default_rng(1))
-    sector = measure.sector_of(noisy, clean, shadow)
+    sector = sector_of(noisy, clean, shadow)
     scores = measure.score_pair(noisy, clean, shadow, data_range=1, shadow_threshold=0.02)
     share = sector.mean()
     assert 0.2 < share < 0.8

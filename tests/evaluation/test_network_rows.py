@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from simnfnd.evaluation.crew import Team
-from simnfnd.evaluation.journal import Journal
+from simnfnd.evaluation.data.pairs import items_of, picture
+from simnfnd.evaluation.measurement import fingerprint, rows
+from simnfnd.evaluation.measurement.rows import measure_rows
+from simnfnd.evaluation.measurement.store import FigureStore
+from simnfnd.evaluation.measurement.task import Task, measure_task
+from simnfnd.evaluation.methods.method import Method
+from simnfnd.evaluation.methods.networks import costs_of, networks_of
 from simnfnd.evaluation.metrics.fidelity import psnr
-from simnfnd.evaluation.networks import costs_of, networks_of
-from simnfnd.evaluation.pictures import items_of, picture
-from simnfnd.evaluation.rows import measure_rows
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.workers.tasks import TaskPool
 from tests.evaluation.evaluation_settings import settings_for
 from tests.small_dataset import write_dataset
 
@@ -47,15 +51,15 @@ def test_networks_are_rows_with_their_costs(tmp_path: Path) -> None:
         ("other", "simnfnd_l1"),
     ]
     items = items_of(dataset, "test")
-    with closing(Journal(tmp_path / "out")) as journal, Team(1) as team:
-        rows = measure_rows(settings, items, methods, journal, team)
+    with closing(FigureStore(tmp_path / "out")) as store, TaskPool(1) as pool:
+        found = measure_rows(settings, items, methods, store, pool)
     from simnfnd.models.denoise.denoiser import load_denoiser
 
     pair = picture(items[1].place)
     expected = psnr(pair.clean, load_denoiser(first)(pair.noisy).clip(0, 1), data_range=1.0)
-    assert rows[1].values["psnr"][1] == pytest.approx(expected, abs=1e-6)
-    assert rows[1].values["psnr"][1] != rows[2].values["psnr"][1]
-    assert rows[1].milliseconds > 0
+    assert found[1].values["psnr"][1] == pytest.approx(expected, abs=1e-6)
+    assert found[1].values["psnr"][1] != found[2].values["psnr"][1]
+    assert found[1].milliseconds > 0
     costs = costs_of(methods)
     assert costs["small"] == costs["other"]
     assert 0 < costs["small"]["gmac"] < 1
@@ -73,7 +77,76 @@ def test_a_file_that_is_no_network_loses_its_row(tmp_path: Path) -> None:
     (tmp_path / "bad.safetensors").write_bytes(b"no weights")
     dataset = write_dataset(tmp_path / "data", train=0, test=2, size=48)
     settings = settings_for(dataset, models=[str(tmp_path / "bad.safetensors")])
-    with closing(Journal(tmp_path / "out")) as journal, Team(1) as team:
+    with closing(FigureStore(tmp_path / "out")) as store, TaskPool(1) as pool:
         items = items_of(dataset, "test")
-        row = measure_rows(settings, items, networks_of(settings), journal, team)[1]
+        row = measure_rows(settings, items, networks_of(settings), store, pool)[1]
     assert "not a safetensors file" in (row.lost or "")
+
+
+def test_known_figures_are_those_of_this_code_this_torch_and_this_device(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What changes how a network computes must not find the figures of before."""
+    path = weights(tmp_path / "small.safetensors", 1)
+    dataset = write_dataset(tmp_path / "data", train=0, test=2, size=48)
+    settings = settings_for(dataset, models=[str(path)])
+    median = Method("median", "", {"size": 3})
+    methods = [median, *networks_of(settings)]
+    measured: list[str] = []
+
+    def counting(task: Task) -> Any:
+        measured.extend(method.name for method in task.methods)
+        return measure_task(task)
+
+    monkeypatch.setattr(rows, "measure_task", counting)
+
+    def again() -> set[str]:
+        measured.clear()
+        with closing(FigureStore(tmp_path / "out")) as store, TaskPool(1) as pool:
+            measure_rows(settings, items_of(dataset, "test"), methods, store, pool)
+        return set(measured)
+
+    everything = {"identity", "median", "small"}
+    assert again() == everything
+    assert again() == set(), "all is known"
+    version, sources = fingerprint._version, fingerprint.sources_digest
+
+    def edited(package: str) -> Any:
+        return lambda *names: sources(*names) + "x" * (package in names)
+
+    changes: list[tuple[str, Any, set[str]]] = [
+        ("_version", lambda name: "9.9" if name == "torch" else version(name), {"small"}),
+        ("_device_kind", lambda device: "some GPU", {"small"}),
+        ("sources_digest", edited("simnfnd.models"), {"small"}),
+        ("sources_digest", edited("simnfnd.evaluation.data"), everything),
+        ("_version", lambda name: "9.9" if name == "numpy" else version(name), everything),
+    ]
+    for name, changed, expected in changes:
+        with monkeypatch.context() as patch:
+            patch.setattr(fingerprint, name, changed)
+            assert again() == expected
+            assert again() == set()
+    assert again() == set(), "what was known before still is"
+
+
+def test_a_digest_of_sources_sees_every_file_of_a_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "some_package"
+    (package / "inner").mkdir(parents=True)
+    for name in ("__init__.py", "inner/__init__.py", "inner/deep.py"):
+        (package / name).write_text("", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def digest() -> str:
+        fingerprint.sources_digest.cache_clear()
+        return fingerprint.sources_digest("some_package")
+
+    found = [digest()]
+    (package / "inner" / "deep.py").write_text("x = 1\n", encoding="utf-8")
+    found.append(digest())
+    (package / "inner" / "deep.py").rename(package / "inner" / "renamed.py")
+    found.append(digest())
+    assert len(set(found)) == 3
+    with pytest.raises(ModuleNotFoundError):
+        fingerprint.sources_digest("some_package.nowhere")

@@ -8,7 +8,7 @@ from pydantic import TypeAdapter
 
 from simnfnd.factory.config import digest, from_mapping, identity, plain
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.noise import NoiseSettings
+from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.factory.sonar.settings import SonarSettings
 from tests.project_files import ROOT
 
@@ -82,6 +82,24 @@ def test_every_experiment_composes(experiment):
         values["scenes"]["root"] = "somewhere"
     values.pop("experiment", None)
     assert from_mapping(values).dataset.name == experiment
+
+
+def test_defaults_in_python_and_in_yaml_are_the_same(monkeypatch):
+    """Every value: a configuration that names nothing is the one that the files make."""
+    monkeypatch.delenv("SIMNFND_CACHE", raising=False)
+    assert plain(config()) == plain(from_mapping({"scenes": {"kind": "seabed"}}))
+
+
+def test_unions_leave_no_trace_in_the_key_of_a_mistake():
+    for values, key in (
+        ({"scheduler": {"workers": -1}}, "scheduler.workers"),
+        ({"scenes": {"kind": "seabed", "locations": 0}}, "scenes.locations"),
+        ({"scenes": {"kind": "flsea"}}, "scenes.root"),
+        ({"noise": {"speckle": {"looks": 0}}}, "noise.speckle.looks"),
+    ):
+        with pytest.raises(FactoryError) as caught:
+            from_mapping({"scenes": {"kind": "seabed"}, **values})
+        assert all(part.startswith(f"{key}: ") for part in str(caught.value).split("; "))
 
 
 @pytest.mark.parametrize(

@@ -344,7 +344,7 @@ def test_pictures_need_no_memory_of_the_system_once_warm() -> None:
     faults = []
     for variant in range(6):
         before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-        make_pair(observe(frame, rendered, config.sonar), variant, config)
+        make_pair(observe(frame, rendered, config), variant, config)
         faults.append(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
     # One pair's arrays are ten megabytes, 2500 pages.
     assert min(faults[2:]) < 100

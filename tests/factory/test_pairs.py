@@ -6,7 +6,7 @@ import pytest
 from simnfnd.factory import pairs
 from simnfnd.factory.config import FactoryConfig, from_mapping
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.formation.record import columns, image_axes
+from simnfnd.factory.record import columns, image_axes
 from simnfnd.factory.sonar.fan import fan_table
 from tests.frames import POST_M, ground_and_post, plain_render
 
@@ -22,7 +22,7 @@ def config(**keys) -> FactoryConfig:
 
 def observed(settings: FactoryConfig, frame=None):
     frame = frame or ground_and_post()
-    return pairs.observe(frame, plain_render(frame), settings.sonar)
+    return pairs.observe(frame, plain_render(frame), settings)
 
 
 def test_without_noise_the_noisy_picture_is_the_clean_one():
@@ -109,7 +109,7 @@ def test_resampling_keeps_the_asked_fraction():
     settings = config(resample={"rate": 0.25})
     scene = observed(settings)
     pair = pairs.make_pair(scene, 0, settings)
-    assert pair.record["points.scene"] == pytest.approx(0.25 * len(scene.echoes), rel=0.05)
+    assert pair.record["points.scene"] == pytest.approx(0.25 * len(scene.scene.echoes), rel=0.05)
     background = float(pair.record["points.background"]) / float(pair.record["points.scene"])
     assert background == pytest.approx(pair.record["noise.background.density"], rel=0.01)
 
@@ -119,7 +119,7 @@ def test_voxel_resampling_by_open3d_keeps_the_asked_fraction():
     settings = config(resample={"kind": "voxel", "rate": 0.2})
     scene = observed(settings)
     pair = pairs.make_pair(scene, 0, settings)
-    assert pair.record["points.scene"] == pytest.approx(0.2 * len(scene.echoes), rel=0.05)
+    assert pair.record["points.scene"] == pytest.approx(0.2 * len(scene.scene.echoes), rel=0.05)
     again = pairs.make_pair(scene, 0, settings)
     assert pair.noisy.tobytes() == again.noisy.tobytes()
 
@@ -127,7 +127,7 @@ def test_voxel_resampling_by_open3d_keeps_the_asked_fraction():
 def test_thinning_first_has_the_distribution_of_thinning_everything():
     """Scene first, noise in proportion: mean and spread of the level as when all is thinned."""
     from simnfnd.factory.formation import resample
-    from simnfnd.factory.noise.background import background
+    from simnfnd.factory.noise.points.background import background
     from simnfnd.factory.sonar import polar
     from tests.clouds import uniform_scene, window
 

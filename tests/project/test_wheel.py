@@ -1,4 +1,4 @@
-"""The wheel, away from the checkout: it holds what it must and its three programs start."""
+"""The wheel, away from the checkout: it holds what it must, and works beside other packages."""
 
 from __future__ import annotations
 
@@ -71,9 +71,12 @@ def test_wheel_holds_every_module_and_every_configuration_file(wheel: Path) -> N
         path.as_posix() if path.parts[0] == "simnfnd" else f"simnfnd/{path.as_posix()}"
         for path in files()
         if path.parts[0] in (*PACKAGES, "simnfnd")
-        and path.suffix in (".py", ".yaml", ".css", ".js")
+        and path.suffix in (".py", ".yaml", ".css", ".js", ".safetensors", ".typed")
     }
     assert wanted - names == set()
+    assert {Path(name).suffix for name in wanted} == {
+        *(".py", ".yaml", ".css", ".js", ".safetensors", ".typed")
+    }
     assert {name.split("/")[0] for name in names} == {"simnfnd"}
     assert "License-Expression: Apache-2.0" in text
     assert "Requires-Python: >=3.11" in text
@@ -94,24 +97,86 @@ def test_installed_copy_is_the_one_imported(installed: Path, tmp_path: Path, roo
     assert Path(where.strip()).is_relative_to(installed)
 
 
+@pytest.fixture
+def elsewhere(tmp_path: Path) -> Path:
+    """The folder of a project with packages of the same names as our folders."""
+    for name in ("factory", "models", "evaluation", "conf"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("raise ImportError('not ours')\n")
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def factory_boy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where factory_boy is installed, whose package is called `factory`."""
+    target = tmp_path_factory.mktemp("other")
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    done = subprocess.run(
+        [*pip, "--target", str(target), "factory_boy"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        pytest.skip(f"no package index here: {done.stderr.strip()[-200:]}")
+    assert (target / "factory" / "__init__.py").is_file()
+    return target
+
+
 @pytest.mark.parametrize("verb", ["make", "train", "evaluate"])
-def test_verbs_start_outside_the_checkout(installed: Path, tmp_path: Path, verb: str) -> None:
+def test_command_and_module_read_one_configuration(
+    installed: Path, elsewhere: Path, verb: str
+) -> None:
     environment = outside(installed)
     module = [sys.executable, "-m", "simnfnd", verb]
     script = [str(installed / "bin" / "simnfnd"), verb]
-    assert "Powered by Hydra" in checked([*module, "--help"], cwd=tmp_path, env=environment)
+    before = sorted(elsewhere.rglob("*.y*ml"))
     configs = {
-        checked([*words, "--cfg", "job"], cwd=tmp_path, env=environment)
+        checked([*words, "--cfg", "job"], cwd=elsewhere, env=environment)
         for words in (module, script)
     }
     assert len(configs) == 1, "the console script and the module read different configurations"
-    assert list(tmp_path.iterdir()) == [], "a program left something behind"
+    assert sorted(elsewhere.rglob("*.y*ml")) == before, "a program left something behind"
 
 
-def test_a_dataset_is_made_outside_the_checkout(installed: Path, tmp_path: Path) -> None:
+def test_every_verb_explains_itself_beside_other_packages(
+    installed: Path, factory_boy: Path, elsewhere: Path
+) -> None:
+    """In one process, as the verbs are many and Python starts slowly."""
+    code = (
+        "import sys\n"
+        "from simnfnd.command import main\n"
+        "from simnfnd.verbs import VERBS\n"
+        "names = [*VERBS, *(f'{n} {o}' for n, v in VERBS.items() for o in v.verbs)]\n"
+        "for name in names:\n"
+        "    try:\n"
+        "        code = main([*name.split(), '--help'])\n"
+        "    except SystemExit as ended:\n"
+        "        code = ended.code\n"
+        "    assert not code, name\n"
+        "import factory.fuzzy\n"
+        "assert factory.Factory\n"
+        "print(len(names), 'verbs')\n"
+    )
+    (elsewhere / "factory" / "__init__.py").unlink()
+    (elsewhere / "factory").rmdir()
+    environment = outside(installed)
+    environment["PYTHONPATH"] += os.pathsep + str(factory_boy)
+    said = checked([sys.executable, "-c", code], cwd=elsewhere, env=environment)
+    assert said.splitlines()[-1].endswith(" verbs")
+
+
+def test_a_dataset_is_made_and_read_beside_other_packages(installed: Path, elsewhere: Path) -> None:
+    """Workers, too, import ours and not the packages of the working directory."""
     words = [str(installed / "bin" / "simnfnd"), "make", "render=analytic", "scenes.locations=2"]
     words += ["scenes.frames_per_location=1", "scenes.width=242", "scenes.height=152"]
-    words += ["dataset.dir=made", "scheduler.workers=1"]
-    said = checked(words, cwd=tmp_path, env=outside(installed))
+    words += ["dataset.dir=made", "scheduler.workers=2"]
+    said = checked(words, cwd=elsewhere, env=outside(installed))
     assert said.splitlines()[-1].startswith("dataset: ")
-    assert list((tmp_path / "made").glob("*/shard-*.h5"))
+    assert (elsewhere / "made" / "preview.png").is_file()
+    code = (
+        "from simnfnd import PairDataset\n"
+        "with PairDataset('made', 'all') as pairs: print(pairs[0]['noisy'].shape)\n"
+    )
+    read = checked([sys.executable, "-c", code], cwd=elsewhere, env=outside(installed))
+    assert read.strip() == "(256, 256)"

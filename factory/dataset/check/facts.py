@@ -1,7 +1,7 @@
-"""What validation reads out of one shard or index; runs in a guarded process.
+"""What validation reads out of one shard or index; runs in an isolated process.
 
-HDF5 is a large C library, and a damaged file can make it crash, loop or ask for all memory there
-is.  So nothing here is called by `validate` itself, only by a process that may die of it.
+HDF5 is a large C library, and a damaged file can make it crash, hang or ask for all memory there
+is.  So `validate` calls nothing here itself, only in a process that may die of it.
 """
 
 from __future__ import annotations
@@ -15,12 +15,13 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from simnfnd.factory.dataset.format.layout import image_axes, object_inside, optional_layers
 from simnfnd.factory.dataset.format.schema import SPLITS, VALUE_RANGES, Layer, layers, stores_grey
-from simnfnd.factory.dataset.format.structure import hard, image_axes, optional_names
-from simnfnd.factory.dataset.read.reader import reading
+from simnfnd.factory.dataset.read.image_stack import ImageStack
+from simnfnd.factory.dataset.read.reader import read_attributes, reading
 from simnfnd.factory.errors import FactoryError
 
-# A table that is wrong in every row is told of once or twice, not a thousand times.
+# A table that is wrong in every row is reported a few times, not a thousand times.
 _MOST_PROBLEMS = 8
 
 SampleKey = tuple[bytes, bytes, bytes, int]
@@ -44,7 +45,7 @@ class ShardFacts:
     notes: tuple[str, ...] = field(default=())
 
 
-def look_at_shard(path: Path, deep: bool) -> ShardFacts:
+def shard_facts(path: Path, deep: bool) -> ShardFacts:
     """Check one shard; `deep` reads every picture."""
     try:
         with reading(path) as file:
@@ -53,34 +54,21 @@ def look_at_shard(path: Path, deep: bool) -> ShardFacts:
         return ShardFacts((str(error).removeprefix(f"{path}: "),))
 
 
-def check_readable(path: Path) -> None:
-    """Touch everything of a shard but its pictures.  Raises FactoryError when it is damaged."""
-    with reading(path) as file:
-        image_axes(file["noisy"])
-        file["meta"][()]
-        _read_attributes(file)
-
-
-def _read_attributes(file: h5py.File) -> None:
-    dict(file.attrs)
-    for name in ("noisy", "clean", "shadow", "meta", *optional_names(file)):
-        dict(file[name].attrs)
-
-
 def _facts(file: h5py.File, deep: bool) -> ShardFacts:
     noisy = file["noisy"]
-    known = layers(str(noisy.dtype), optional_names(file))
+    known = layers(str(noisy.dtype), optional_layers(file))
     table = file["meta"][()]
     axes = [(axis.name, axis.units) for axis in image_axes(noisy)]
-    _read_attributes(file)
+    read_attributes(file)
     problems = _table_problems(table)
     digests: dict[str, list[bytes]] = {"noisy": [], "clean": []}
     empty = 0
     if deep:
+        stacks = {layer: ImageStack(file[layer.name]) for layer in known}
         for row in range(len(table)):
-            for layer in known:
+            for layer, stack in stacks.items():
                 try:
-                    picture = file[layer.name][row]
+                    picture = stack[row]
                 except (OSError, RuntimeError, ValueError) as error:
                     problems.append(f"sample {row}: /{layer.name} is damaged ({_short(error)})")
                     continue
@@ -95,8 +83,8 @@ def _facts(file: h5py.File, deep: bool) -> ShardFacts:
                 break
     return ShardFacts(
         problems=tuple(problems[:_MOST_PROBLEMS]),
-        config_hash=str(file.attrs.get("config_hash", ""))[:200],
-        split=str(file.attrs.get("split", ""))[:200],
+        config_hash=str(file.attrs["config_hash"])[:200],
+        split=str(file.attrs["split"]),
         form=f"{noisy.shape[1:]} {noisy.dtype}, layers {', '.join(layer.name for layer in known)}, "
         f"axes {axes}, columns {', '.join(table.dtype.names)}"[:4000],
         samples=tuple(
@@ -114,12 +102,6 @@ def _table_problems(table: npt.NDArray[np.void]) -> list[str]:
         values = table[name]
         if values.dtype.kind == "f" and np.isinf(values).any():
             problems.append(f"/meta: column {name} has infinite values")
-        elif values.dtype.kind == "S":
-            try:
-                for value in values.tolist():
-                    value.decode()
-            except UnicodeDecodeError:
-                problems.append(f"/meta: column {name} has text that is not UTF-8")
     return problems
 
 
@@ -144,14 +126,16 @@ def _picture_problem(picture: npt.NDArray[np.generic], layer: Layer) -> str | No
     return None
 
 
-def look_at_index(path: Path, expected: Mapping[str, Sequence[tuple[str, int]]]) -> tuple[str, ...]:
-    """What is wrong with index.h5; its virtual datasets are looked at and never read.
+def index_problems(
+    path: Path, expected: Mapping[str, Sequence[tuple[str, int]]]
+) -> tuple[str, ...]:
+    """What is wrong with index.h5; its virtual datasets are never read.
 
     expected: split -> (path, samples) of its shards, in order.
     """
     try:
         with h5py.File(path, "r") as file:
-            return tuple(_index_problems(file, expected))
+            return tuple(_problems_of(file, expected))
     except FactoryError as error:
         return (str(error),)
     except (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
@@ -159,15 +143,13 @@ def look_at_index(path: Path, expected: Mapping[str, Sequence[tuple[str, int]]])
         return (f"damaged ({type(error).__name__}: {_short(error)})",)
 
 
-def _index_problems(
-    file: h5py.File, expected: Mapping[str, Sequence[tuple[str, int]]]
-) -> list[str]:
+def _problems_of(file: h5py.File, expected: Mapping[str, Sequence[tuple[str, int]]]) -> list[str]:
     wanted = {split for split in SPLITS if expected.get(split)}
     odd = sorted(set(file) ^ (wanted | {"axes"}))
     problems = [f"/{name[:60]} should not be there, or is absent" for name in odd]
     for split in sorted(wanted & set(file)):
-        for name in _datasets(hard(file, split)):
-            found = hard(file, f"{split}/{name}")
+        for name in _datasets(object_inside(file, split)):
+            found = object_inside(file, f"{split}/{name}")
             if not isinstance(found, h5py.Dataset):
                 problems.append(f"/{split}/{name} is no dataset")
             elif not found.is_virtual:
@@ -186,7 +168,7 @@ def _datasets(group: h5py.Group) -> list[str]:
         raise FactoryError("a split is no group")
     names = {"noisy", "clean", "shadow", "meta", *group} - {"layers"}
     if "layers" in group:
-        names |= {f"layers/{name}" for name in hard(group, "layers")}
+        names |= {f"layers/{name}" for name in object_inside(group, "layers")}
     return sorted(names)
 
 

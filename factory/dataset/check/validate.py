@@ -8,12 +8,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from simnfnd.factory.dataset.check.facts import SampleKey, ShardFacts, look_at_index, look_at_shard
-from simnfnd.factory.dataset.check.isolated import Guard
-from simnfnd.factory.dataset.format.manifest import MANIFEST_NAME, Manifest, damage, load_manifest
+from simnfnd.factory.dataset.check.facts import SampleKey, ShardFacts, index_problems, shard_facts
+from simnfnd.factory.dataset.format.layout import inside
+from simnfnd.factory.dataset.format.manifest import (
+    INDEX_NAME,
+    MANIFEST_NAME,
+    Manifest,
+    damage,
+    load_manifest,
+)
 from simnfnd.factory.dataset.format.schema import SPLITS
-from simnfnd.factory.dataset.format.structure import inside
-from simnfnd.factory.dataset.write.index import INDEX_NAME
+from simnfnd.factory.dataset.read.isolated import IsolatedProcess
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import is_temporary
 
@@ -42,7 +47,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Report:
-    """What validation found, and how much it looked at."""
+    """What validation found, and how much it checked."""
 
     findings: tuple[Finding, ...]
     samples: int
@@ -58,15 +63,15 @@ def validate(directory: Path, deep: bool = False) -> Report:
     """Check a dataset: manifest, SHA-256, schema, counts, duplicates, leaks from train to test.
 
     deep: read every picture, too (NaN, value ranges, damaged chunks, equal pictures).
-    Files are opened in a process of its own, which may crash or hang without harm.
+    Files are opened in an isolated process, which may crash or hang without harm.
     Raises FactoryError when there is no readable manifest.json.
     """
-    with Guard() as guard:
-        return validate_with(guard, directory, deep)
+    with IsolatedProcess() as process:
+        return validate_with(process, directory, deep)
 
 
-def validate_with(guard: Guard, directory: Path, deep: bool) -> Report:
-    """The same with a process that is there already: for many datasets, one after another."""
+def validate_with(process: IsolatedProcess, directory: Path, deep: bool) -> Report:
+    """The same with a process that runs already: for many datasets, one after another."""
     if not directory.is_dir():
         raise FactoryError(f"{directory}: no such folder; give that of a dataset")
     manifest = load_manifest(directory)
@@ -75,11 +80,11 @@ def validate_with(guard: Guard, directory: Path, deep: bool) -> Report:
     findings: list[Finding] = []
     facts: dict[str, ShardFacts] = {}
     for path in sorted(manifest.shards):
-        found = _look(guard, directory, manifest, path, deep)
+        found = _facts(process, directory, manifest, path, deep)
         facts[path] = found
         findings += [Finding("error", path, problem) for problem in found.problems]
         findings += [Finding("note", path, note) for note in found.notes]
-    findings += _index_findings(guard, directory, manifest)
+    findings += _index_findings(process, directory, manifest)
     findings += _strays(directory, manifest)
     findings += _disagreements(manifest, facts)
     findings += _doubles(facts)
@@ -87,7 +92,9 @@ def validate_with(guard: Guard, directory: Path, deep: bool) -> Report:
     return Report(tuple(findings), manifest.samples(), len(manifest.shards))
 
 
-def _look(guard: Guard, directory: Path, manifest: Manifest, path: str, deep: bool) -> ShardFacts:
+def _facts(
+    process: IsolatedProcess, directory: Path, manifest: Manifest, path: str, deep: bool
+) -> ShardFacts:
     info = manifest.shards[path]
     if os.path.lexists(directory / path) and not inside(directory, directory / path):
         return ShardFacts(("no regular file, or leads out of the dataset's folder; not read",))
@@ -96,7 +103,7 @@ def _look(guard: Guard, directory: Path, manifest: Manifest, path: str, deep: bo
         return ShardFacts((f"{wrong}; run the command that made the dataset again",))
     limit_s = _LIMIT_S + info.bytes / _BYTES_PER_S
     try:
-        facts = guard.call(look_at_shard, directory / path, deep, limit_s=limit_s)
+        facts = process.call(shard_facts, directory / path, deep, limit_s=limit_s)
     except FactoryError as error:
         return ShardFacts((str(error),))
     problems = list(facts.problems)
@@ -109,7 +116,9 @@ def _look(guard: Guard, directory: Path, manifest: Manifest, path: str, deep: bo
     return replace(facts, problems=tuple(problems))
 
 
-def _index_findings(guard: Guard, directory: Path, manifest: Manifest) -> Iterator[Finding]:
+def _index_findings(
+    process: IsolatedProcess, directory: Path, manifest: Manifest
+) -> Iterator[Finding]:
     path = directory / INDEX_NAME
     if not os.path.lexists(path):
         yield Finding("note", INDEX_NAME, "absent; the command that made the dataset writes it")
@@ -122,7 +131,7 @@ def _index_findings(guard: Guard, directory: Path, manifest: Manifest) -> Iterat
         for split in SPLITS
     }
     try:
-        problems = guard.call(look_at_index, path, expected, limit_s=_LIMIT_S)
+        problems = process.call(index_problems, path, expected, limit_s=_LIMIT_S)
     except FactoryError as error:
         problems = (str(error),)
     for problem in problems:
@@ -135,7 +144,7 @@ def _strays(directory: Path, manifest: Manifest) -> Iterator[Finding]:
         for entry in sorted(folder.iterdir()) if folder.is_dir() else []:
             relative = f"{split}/{entry.name}"
             if relative not in manifest.shards and not is_temporary(entry.name):
-                yield Finding("note", relative, "not in the manifest; nobody reads it")
+                yield Finding("note", relative, "not in the manifest, so no reader uses it")
 
 
 def _disagreements(manifest: Manifest, facts: dict[str, ShardFacts]) -> Iterator[Finding]:
@@ -153,7 +162,9 @@ def _doubles(facts: dict[str, ShardFacts]) -> Iterator[Finding]:
     for path, found in facts.items():
         for row, key in enumerate(found.samples):
             if key in names:
-                yield Finding("error", path, f"sample {row} is {_told(key)} again, {names[key]}")
+                yield Finding(
+                    "error", path, f"sample {row} is {_sample_name(key)} again, {names[key]}"
+                )
             names.setdefault(key, f"as {path} sample {row}")
         for row, digest in enumerate(found.noisy):
             if digest in pictures:
@@ -191,6 +202,6 @@ def _shared(sides: Sequence[set[Key]]) -> list[Key]:
     return sorted(sides[0] & sides[1])
 
 
-def _told(key: SampleKey) -> str:
+def _sample_name(key: SampleKey) -> str:
     name = b"/".join(part for part in key[:3] if part).decode(errors="replace")
     return f"{name} variant {key[3]}"

@@ -7,13 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import h5py
-
+from simnfnd.factory.dataset.format.layout import optional_layers
 from simnfnd.factory.dataset.format.manifest import Manifest
 from simnfnd.factory.dataset.format.schema import SCHEMA, SPLITS, Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.format.structure import optional_names
 from simnfnd.factory.dataset.read.overview import Overview, read_overview
+from simnfnd.factory.dataset.read.reader import reading
 from simnfnd.factory.dataset.write.failures import FAILURES_NAME, Failure
 from simnfnd.factory.dataset.write.folder import CARD_NAME, PREVIEW_NAME
 from simnfnd.factory.files import write_atomically
@@ -118,7 +117,8 @@ def _making(
         "added to the echoes before projection, so both images of a pair share one scene."
         f"{source}\n",
         f"- generator: {provenance.generator}, format {SCHEMA}",
-        f"- config hash: `{provenance.config_hash}` (settings in config.yaml and in every shard)",
+        f"- config hash: `{provenance.config_hash}` (BLAKE2b, 8 bytes, of what the shards hold as "
+        "`config`; all settings are in config.yaml)",
     ]
     if "seed" in config:
         lines.append(f"- seed: {config['seed']}")
@@ -145,24 +145,25 @@ def _contents(overview: Overview) -> str:
 def _pictures(shard: Path) -> str:
     """The stacks of a shard, as it describes them itself."""
     rows: list[tuple[str, ...]] = []
-    with h5py.File(shard, "r") as file:
-        for name in ("noisy", "clean", "shadow", *optional_names(file)):
-            units, told = (str(file[name].attrs[key]) for key in ("units", "description"))
-            rows.append((f"`/{name}`", str(file[name].dtype), "" if units == "1" else units, told))
+    with reading(shard) as file:
+        for name in ("noisy", "clean", "shadow", *optional_layers(file)):
+            units, meaning = (str(file[name].attrs[key]) for key in ("units", "description"))
+            kind = str(file[name].dtype)
+            rows.append((f"`/{name}`", kind, "" if units == "1" else units, meaning))
     return "## Pictures\n\n" + _table(("name", "type", "unit", "what it is"), rows)
 
 
 def _section(name: str, values: Any) -> str:
     if not isinstance(values, Mapping):
         return f"## {name.capitalize()}\n\n`{values}`\n"
-    return f"## {name.capitalize()}\n\n" + _table(("key", "value"), list(_told(values)))
+    return f"## {name.capitalize()}\n\n" + _table(("key", "value"), list(_settings(values)))
 
 
-def _told(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+def _settings(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
     for key, value in values.items():
         name = f"{prefix}{key}"
         if isinstance(value, Mapping) and not _distribution(value):
-            yield from _told(value, f"{name}.")
+            yield from _settings(value, f"{name}.")
         else:
             yield f"`{name}`", _distribution(value) or _value(value)
 

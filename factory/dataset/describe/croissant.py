@@ -11,15 +11,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-import h5py
-
 from simnfnd.factory.dataset.describe.card import PAPER
-from simnfnd.factory.dataset.format.manifest import MANIFEST_NAME, Manifest
+from simnfnd.factory.dataset.format.layout import optional_layers
+from simnfnd.factory.dataset.format.manifest import INDEX_NAME, MANIFEST_NAME, Manifest
 from simnfnd.factory.dataset.format.schema import SCHEMA, SPLITS
 from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.format.structure import optional_names
-from simnfnd.factory.dataset.write.index import INDEX_NAME
-from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.dataset.read.reader import reading
 from simnfnd.factory.files import sha256_of, write_atomically
 
 CROISSANT_NAME = "croissant.json"
@@ -143,29 +140,23 @@ def _shard_records() -> dict[str, Any]:
 
 def _variables(directory: Path, manifest: Manifest) -> list[dict[str, str]]:
     """The pictures and the columns of /meta, as the first shard describes them."""
-    path = directory / min(manifest.shards)
-    try:
-        with h5py.File(path, "r") as file:
-            _, rows, columns = file["noisy"].shape
-            variables = []
-            for name in ("noisy", "clean", "shadow", *optional_names(file)):
-                stack = file[name]
-                size = f"{stack.dtype} image of {rows} x {columns} pixels"
-                told = f"{stack.attrs['description']} ({size})"
-                variables.append(_variable(f"/{name}", told, str(stack.attrs["units"])))
-            table = file["meta"]
-            for name in table.dtype.names:
-                meaning, units = (
-                    str(table.attrs.get(f"{name}.{key}", "")) for key in ("description", "units")
-                )
-                variables.append(_variable(f"/meta {name}", meaning, units))
-    except (OSError, KeyError, RuntimeError) as error:
-        raise FactoryError(
-            f"{path}: cannot be read; run the command that made the dataset again"
-        ) from error
+    variables = []
+    with reading(directory / min(manifest.shards)) as file:
+        _, rows, columns = file["noisy"].shape
+        for name in ("noisy", "clean", "shadow", *optional_layers(file)):
+            stack = file[name]
+            size = f"{stack.dtype} image of {rows} x {columns} pixels"
+            meaning = f"{stack.attrs['description']} ({size})"
+            variables.append(_variable(f"/{name}", meaning, str(stack.attrs["units"])))
+        table = file["meta"]
+        for name in table.dtype.names:
+            meaning, units = (
+                str(table.attrs.get(f"{name}.{key}", "")) for key in ("description", "units")
+            )
+            variables.append(_variable(f"/meta {name}", meaning, units))
     return variables
 
 
 def _variable(name: str, meaning: str, units: str) -> dict[str, str]:
-    told = {"@type": "PropertyValue", "name": name, "description": meaning, "unitText": units}
-    return {key: value for key, value in told.items() if value}
+    entry = {"@type": "PropertyValue", "name": name, "description": meaning, "unitText": units}
+    return {key: value for key, value in entry.items() if value}

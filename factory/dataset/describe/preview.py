@@ -8,14 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.dataset.describe import palette
+from simnfnd.factory.dataset.format.layout import image_axes
 from simnfnd.factory.dataset.format.manifest import MANIFEST_NAME, load_manifest
 from simnfnd.factory.dataset.format.schema import VALUE_RANGES
+from simnfnd.factory.dataset.read.image_stack import ImageStack
 from simnfnd.factory.dataset.read.overview import SampleName, read_overview
+from simnfnd.factory.dataset.read.reader import check_in_isolation, listed_shards, reading
+from simnfnd.factory.dataset.read.source import read_image
 from simnfnd.factory.dataset.write.folder import PREVIEW_NAME
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
@@ -40,10 +43,17 @@ class _Shown:
     same_units: bool
 
 
-def preview(dataset_dir: Path | str, out: Path | str | None = None, pairs: int = 8) -> Path:
+def preview(
+    dataset_dir: Path | str,
+    out: Path | str | None = None,
+    pairs: int = 8,
+    *,
+    trusted: bool = False,
+) -> Path:
     """Draw `pairs` samples, spread over the scenes, as noisy | clean | shadow; returns the path.
 
     out: the PNG to write; None is preview.png in the dataset's folder.
+    trusted: leave out the check of the shards in another process; for datasets just made.
     Raises FactoryError when the folder holds no dataset, or one without samples.
     """
     directory = Path(dataset_dir)
@@ -52,6 +62,8 @@ def preview(dataset_dir: Path | str, out: Path | str | None = None, pairs: int =
         raise FactoryError(f"{directory}: no {MANIFEST_NAME}; give the folder of a dataset")
     if pairs < 1:
         raise FactoryError(f"pairs must be at least 1, got {pairs}")
+    if manifest.shards and not trusted:
+        check_in_isolation(listed_shards(directory, "all", manifest))
     chosen = spread(read_overview(directory, manifest).samples, pairs)
     title = f"{manifest.samples('train')} train and {manifest.samples('test')} test pairs"
     figure = _draw([_load(directory, sample) for sample in chosen], title, manifest.config_hash)
@@ -84,14 +96,13 @@ def spread(samples: Sequence[SampleName], count: int) -> list[SampleName]:
 
 
 def _load(directory: Path, name: SampleName) -> _Shown:
-    with h5py.File(directory / name.path, "r") as file:
-        images = {panel: file[panel][name.row] for panel in _PANELS}
+    with reading(directory / name.path) as file:
+        images = {panel: read_image(ImageStack(file[panel]), panel, name.row) for panel in _PANELS}
         record = file["meta"][name.row]
-        axes = []
-        for dimension in (1, 2):
-            scale = file["noisy"].dims[dimension][0]
-            label = scale.name.removeprefix("/axes/")
-            axes.append(_metric(label, str(scale.attrs["units"]), scale[:], record))
+        axes = [
+            _metric(axis.name, axis.units, axis.values, record)
+            for axis in image_axes(file["noisy"])
+        ]
     (rows, row_label, row_units), (columns, column_label, column_units) = axes
     top, bottom = _edges(rows)
     left, right = _edges(columns)

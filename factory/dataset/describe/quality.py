@@ -9,12 +9,11 @@ from typing import Any
 import h5py
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
+
+from simnfnd.factory.similarity import RADIUS_PX, SsimReference, inner
 
 # Equal pictures count as this much, so that a mean stays finite.
 PSNR_CAP_DB = 100.0
-_SSIM_SIGMA = 1.5
-_SSIM_RADIUS = 5
 
 
 def mean_psnr_db(directory: Path, most: int = 200) -> float:
@@ -37,20 +36,12 @@ def psnr_db(clean: npt.NDArray[Any], noisy: npt.NDArray[Any]) -> float:
 def ssim(clean: npt.NDArray[Any], noisy: npt.NDArray[Any]) -> float:
     """Mean structural similarity (Wang et al. 2004) of two (H, W) uint8 or float (0..1) images.
 
-    Gaussian window of standard deviation 1.5 cut at 5 pixels, population covariance, the border of
-    5 pixels left out: what `evaluation` reports.  NaN for images smaller than the window.
+    The border of 5 pixels is left out, as in reports.  NaN for images smaller than the window.
     """
-    if min(clean.shape) < 2 * _SSIM_RADIUS + 1:
+    if min(clean.shape) < 2 * RADIUS_PX + 1:
         return float("nan")
-    x, y = _unit(clean), _unit(noisy)
-    mean_x, mean_y = _blur(x), _blur(y)
-    variances = _blur(x * x) - mean_x**2 + _blur(y * y) - mean_y**2
-    covariance = _blur(x * y) - mean_x * mean_y
-    c1, c2 = 0.01**2, 0.03**2
-    similarity = (2 * mean_x * mean_y + c1) * (2 * covariance + c2)
-    similarity /= (mean_x**2 + mean_y**2 + c1) * (variances + c2)
-    inner = slice(_SSIM_RADIUS, -_SSIM_RADIUS)
-    return float(similarity[inner, inner].mean())
+    luminance, structure = SsimReference(_unit(clean), 1.0).terms(_unit(noisy))
+    return float(inner(luminance * structure).mean())
 
 
 def seen_sector_deg(directory: Path) -> tuple[float, float]:
@@ -66,10 +57,6 @@ def seen_sector_deg(directory: Path) -> tuple[float, float]:
 def _unit(image: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     scale = 255.0 if image.dtype == np.uint8 else 1.0
     return np.asarray(image.astype(np.float64) / scale)
-
-
-def _blur(image: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    return np.asarray(ndimage.gaussian_filter(image, _SSIM_SIGMA, radius=_SSIM_RADIUS))
 
 
 def _shards(directory: Path) -> Iterator[h5py.File]:

@@ -16,9 +16,9 @@ from simnfnd.factory.dataset.format.schema import (
     layers,
     stores_grey,
 )
-from simnfnd.factory.formation.record import columns
-from simnfnd.factory.noise import NoiseSettings
-from simnfnd.factory.scenes.labels import CLASSES
+from simnfnd.factory.labels import CLASSES
+from simnfnd.factory.noise.registry import NoiseSettings
+from simnfnd.factory.record import columns
 
 _HEAD = f"""\
 # The dataset format `{SCHEMA}`
@@ -47,12 +47,39 @@ any library since 1.10 reads; the pictures are compressed as `dataset.compressio
 checksum (all but `none`), so that a damaged one is an error and not a wrong picture.
 """
 
+_VALUES = """\
+`value_meaning` says that noisy and clean have the same scale. That holds by default, and with
+`acoustics=field` for `acoustics.target=mean_field`. The targets `geometry` and `radiometric` are
+other quantities than an echo level: their clean picture is scaled by a full scale of its own, which
+is recorded nowhere, so its grey values can be compared within a picture and not with noisy.
+"""
+
+_CONFIG_HASH = """\
+## The config hash
+
+Anybody can compute it again from a shard:
+
+```python
+import hashlib, h5py
+
+with h5py.File("outputs/demo/train/shard-00000.h5") as shard:
+    text = shard.attrs["config"].encode()
+    print(hashlib.blake2b(text, digest_size=8).hexdigest(), shard.attrs["config_hash"])
+```
+
+`config` holds what decides the samples: every setting but the folders, the name, licence and
+preview of the dataset, the number of workers and the cache, and for the default `acoustics` what
+only `acoustics=field` uses; and `frames_found`, a hash of the names of the frames. config.yaml has
+all settings, so its hash is another one. In manifest.json and index.h5 of an extended dataset
+`config` also has the list `extends`, which is not hashed; the list `merged` of a merged one is.
+"""
+
 _INDEX = """\
 ## index.h5
 
 `/train/...` and `/test/...` hold the layers and `/meta` of all shards, one after another in the
 order of their names; `/axes` and the root attributes are those of the shards. HDF5 fills a shard
-that is missing with zeros and says nothing: look into manifest.json first, as
+that is missing with zeros and says nothing: check manifest.json first, as
 `examples/read_with_h5py.py` does.
 """
 
@@ -68,7 +95,7 @@ with h5py.File("outputs/demo/index.h5") as index:
     noisy, clean = index["train/noisy"][0], index["train/clean"][0]
 ```
 
-With the reader, which looks at manifest and files first, works in the worker processes of a torch
+With the reader, which checks manifest and files first, works in the worker processes of a torch
 DataLoader and gives floats on request:
 
 ```python
@@ -112,15 +139,15 @@ simnfnd make ... dataset.dir=DIR frames.variants=2 dataset.on_existing=extend
 adds to the dataset in DIR what the new configuration has more: frames, scenes, variants, higher
 `dataset.max_train` and `max_test`, a download that has grown. The shards that are there stay as
 they are, to the byte; the new ones come after them and state the new configuration's hash, which
-each shard's entry of manifest.json tells (`config_hash`), while `extends` in its `config` tells of
-the earlier ones. Every sample is the one that a new dataset of the same configuration would have;
-only which shard it lies in differs, and, where a limit bites, which frames were taken.
+each shard's entry of manifest.json has (`config_hash`), while `extends` in the manifest's `config`
+lists the earlier ones. Every sample is the one that a new dataset of the same configuration would
+have; only which shard it lies in differs, and, where a limit bites, which frames were taken.
 
 Any other key that differs is refused by name, and so are fewer variants, a lower limit, a frame
 that would be left out, and a scene that would change from train to test (with `split.test_fraction`
 new scenes may do that: name those that test with `split.test`). An extension that was interrupted
 goes on with the same command, or without `on_existing`. Frames that failed before are tried again.
-`simnfnd plan ... dataset.on_existing=extend` tells what would be added. Other noise or
+`simnfnd plan ... dataset.on_existing=extend` shows what would be added. Other noise or
 another sonar is another dataset: give it a folder of its own; a sweep names one for each point.
 
 ## Is it whole
@@ -130,11 +157,16 @@ simnfnd validate DIR          # manifest, SHA-256, schema, counts, leaks, double
 simnfnd validate DIR --deep   # and every picture: NaN, ranges, checksums, equal pictures
 ```
 
-prints what is wrong and ends with 0, or with 1 when anything is. Files are opened in a process of
-their own there, and by `PairDataset` before their first use, because a file that was damaged (or
-made to do harm) can make the HDF5 library crash or never come back. Links, virtual datasets and
-external data that lead out of a shard are refused. `PairDataset(..., trusted=True)` leaves the look
-at the files out.
+prints what is wrong; the exit code is 0, or 1 when anything is. A file that was damaged, or made to
+do harm, can make the HDF5 library crash or never return. So `validate`, `export`, `inspect`,
+`preview`, `evaluate`, `denoise` and `PairDataset` open every shard in a process of its own first;
+`PairDataset(..., trusted=True)` leaves that out. Refused are links, virtual datasets and external
+data that lead out of a shard, a split that is not the folder's, attributes that are absent or no
+text, and a table of chunks that is not one chunk for each picture at a place of its own, filtered
+as the layer says.
+
+What a flipped bit can still change unseen, until `validate` compares the SHA-256: `/axes`, `/meta`
+and the pictures of `dataset.compression=none`, which have no checksum of their own.
 """
 
 
@@ -174,9 +206,10 @@ def markdown() -> str:
         "`/meta` turn them into metres.\n",
         "## `/meta`\n",
         "One row a sample. A parameter of an effect that is off is NaN or empty. With "
-        "`acoustics=field` there is a column `noise.<effect>.<parameter>` more for each "
-        "parameter of the effects in [physics.md](physics.md), and `full_scale` is an intensity "
-        "over the source level.\n",
+        "`acoustics=field` there is one more column `noise.<effect>.<parameter>` for each "
+        "parameter of the effects in [physics.md](physics.md). `full_scale` has two units: the "
+        "echo level that is shown as grey value 1 by default, and with `acoustics=field` the "
+        "intensity over the source level, whose square root is that level.\n",
         _table(
             ("column", "type", "units", "what it is"),
             [
@@ -189,6 +222,8 @@ def markdown() -> str:
             ("attribute", "what it is"),
             [(f"`{name}`", text) for name, text in ROOT_ATTRIBUTES.items()],
         ),
+        _VALUES,
+        _CONFIG_HASH,
         _INDEX,
         _READING,
     ]

@@ -21,6 +21,10 @@ from simnfnd.factory.files import explain_os_errors, sha256_of, write_atomically
 MANIFEST_NAME = "manifest.json"
 # What was settled since manifest.json was written; gone when a run has ended.
 ADDED_NAME = "manifest.jsonl"
+# All shards as one file, by virtual datasets.
+INDEX_NAME = "index.h5"
+# Every setting of the run.
+CONFIG_NAME = "config.yaml"
 # Keys of a configuration under which those of earlier datasets are kept.
 PARTS = ("merged", "extends")
 
@@ -79,10 +83,6 @@ class Manifest:
         """The manifest with `info` added, or put in place of the same path."""
         return replace(self, shards={**self.shards, info.path: info})
 
-    def without(self, path: str) -> Manifest:
-        """The manifest without the shard at `path`."""
-        return replace(self, shards={key: s for key, s in self.shards.items() if key != path})
-
     def samples(self, split: str | None = None) -> int:
         """Number of samples, in all or of one split."""
         return sum(s.samples for s in self.shards.values() if split in (None, s.split))
@@ -95,7 +95,7 @@ class Manifest:
         )
 
     def parts(self) -> Iterator[Mapping[str, Any]]:
-        """What is told of the datasets that were merged into this one, or that it extends."""
+        """The records of the datasets that were merged into this one, or that it extends."""
         waiting = [self.config]
         while waiting:
             config = waiting.pop()

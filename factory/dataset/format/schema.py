@@ -18,11 +18,13 @@ import numpy.typing as npt
 
 from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.scenes.labels import CLASSES
+from simnfnd.factory.labels import CLASSES
 
 SCHEMA = "simnfnd/1"
 SPLITS = ("train", "test")
 SAMPLE_DIMENSION = "sample"
+# What a dataset may be called.
+DATASET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 # Readable by every HDF5 since 1.10 (2016), and the same bytes whatever newer library writes.
 LIBRARY_VERSIONS = ("v108", "v110")
@@ -86,11 +88,11 @@ VALUE_RANGES: dict[str, tuple[float, float]] = {"uint8": (0, 255), "float32": (0
 ROOT_ATTRIBUTES = {
     "schema": "name and version of this format",
     "generator": "program and version that wrote the file",
-    "config": "JSON of every setting that decides the content",
-    "config_hash": "SHA-256 of those settings",
+    "config": "JSON of every setting that decides the content; sorted keys, no spaces, ASCII",
+    "config_hash": "16 hexadecimal digits: BLAKE2b (digest of 8 bytes) of the text of `config`",
     "split": "train or test",
     "value_range": "values of /noisy and /clean that stand for no echo and full scale",
-    "value_meaning": "what a value of /noisy and /clean is",
+    "value_meaning": "what a value of /noisy and /clean is; for its limits see below",
 }
 
 VALUE_MEANING = "echo strength after the transfer curve in `config`, the same for noisy and clean"
@@ -98,7 +100,7 @@ VALUE_MEANING = "echo strength after the transfer curve in `config`, the same fo
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a dataset comes from, told in every shard.
+    """Where a dataset comes from, stated in every shard.
 
     config: plain values only (what JSON can hold), without anything that leaves the bytes alone,
         such as the number of workers or the name of the folder.

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from simnfnd.factory.dataset.format.schema import DATASET_NAME
 from simnfnd.factory.settings import STRICT
 
 LayerName = Literal["effects", "range", "elevation", "valid_azimuth", "segmentation"]
@@ -50,7 +50,7 @@ class DatasetSettings:
     licence: str | None = None
 
     def __post_init__(self) -> None:
-        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", self.name):
+        if not DATASET_NAME.fullmatch(self.name):
             raise ValueError(
                 f"name {self.name!r} must be letters, digits, dot, dash and underscore"
             )

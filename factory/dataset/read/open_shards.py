@@ -10,21 +10,19 @@ from typing import Any
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 
+from simnfnd.factory.dataset.read.image_stack import Image, ImageStack
 from simnfnd.factory.dataset.read.reader import open_shard
 from simnfnd.factory.errors import FactoryError
 
 # A process may have 1024 files open as a rule, and a loader may read several datasets.
 _MOST_FILES = 64
 
-Image = npt.NDArray[Any]
-
 
 class OpenShards:
     """Reads images; opens each shard when it is first needed, and the least recent one is closed.
 
-    accept: looks at a shard just opened and raises FactoryError when it is not to be read.
+    accept: called with a shard just opened; raises FactoryError when it is not to be read.
     """
 
     def __init__(self, accept: Callable[[Path, h5py.File], None] | None = None) -> None:
@@ -50,7 +48,7 @@ class OpenShards:
                 raise _no_layer(path, stacks, layers) from error
             except (OSError, RuntimeError, ValueError) as error:
                 raise FactoryError(
-                    f"{path}: sample {_told(rows)} is damaged ({_short(error)}); "
+                    f"{path}: sample {_rows_text(rows)} is damaged ({_short(error)}); "
                     "delete the file and run the command that made the dataset again"
                 ) from error
 
@@ -63,7 +61,7 @@ class OpenShards:
         else:
             self._forget()
 
-    def _opened(self, path: Path) -> dict[str, h5py.Dataset]:
+    def _opened(self, path: Path) -> _Stacks:
         while len(self._open) >= _MOST_FILES:
             self._close_oldest()
         file = open_shard(path)
@@ -80,7 +78,7 @@ class OpenShards:
         stacks.file.close()
 
     def _forget(self) -> None:
-        self._open: dict[Path, Any] = {}
+        self._open: dict[Path, _Stacks] = {}
         self._lock = threading.Lock()
         self._process = os.getpid()
 
@@ -92,26 +90,26 @@ class OpenShards:
         self._forget()
 
 
-class _Stacks(dict[str, h5py.Dataset]):
-    """The datasets of one file by name; looking one up in HDF5 costs as much as a small read."""
+class _Stacks(dict[str, ImageStack]):
+    """The layers of one file by name; looking one up in HDF5 costs as much as a small read."""
 
     def __init__(self, file: h5py.File) -> None:
         super().__init__()
         self.file = file
 
-    def __missing__(self, name: str) -> h5py.Dataset:
-        self[name] = self.file[name]
+    def __missing__(self, name: str) -> ImageStack:
+        self[name] = ImageStack(self.file[name])
         return self[name]
 
 
-def _no_layer(path: Path, stacks: Any, layers: tuple[str, ...]) -> FactoryError:
+def _no_layer(path: Path, stacks: _Stacks, layers: tuple[str, ...]) -> FactoryError:
     absent = next(name for name in layers if name not in stacks.file)
     return FactoryError(
         f"{path}: has no layer {absent}; make the dataset with it in dataset.layers"
     )
 
 
-def _told(rows: int | slice) -> str:
+def _rows_text(rows: int | slice) -> str:
     return str(rows) if isinstance(rows, int | np.integer) else f"{rows.start} to {rows.stop - 1}"
 
 

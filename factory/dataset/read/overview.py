@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import h5py
-
+from simnfnd.factory.dataset.format.layout import image_axes
 from simnfnd.factory.dataset.format.manifest import Manifest
+from simnfnd.factory.dataset.read.reader import reading
 from simnfnd.factory.errors import FactoryError
 
 
@@ -47,7 +47,7 @@ class Overview:
 
 
 def read_overview(directory: Path, manifest: Manifest) -> Overview:
-    """Read the names of all samples.
+    """Read the names of all samples of a dataset that can be trusted, or was checked.
 
     Raises FactoryError when the dataset has no shard, or one cannot be read.
     """
@@ -56,20 +56,15 @@ def read_overview(directory: Path, manifest: Manifest) -> Overview:
     # Train comes before test here, though not in the alphabet.
     for path in sorted(manifest.shards, key=lambda name: (not name.startswith("train"), name)):
         split = manifest.shards[path].split
-        try:
-            with h5py.File(directory / path, "r") as file:
-                table = file["meta"][:]
-                noisy = file["noisy"]
-                scales = [noisy.dims[dimension][0] for dimension in (1, 2)]
-                rows, columns = (
-                    (scale.name.removeprefix("/axes/"), str(scale.attrs["units"]))
-                    for scale in scales
-                )
-                form = (noisy.shape[1:], str(noisy.dtype), (rows, columns))
-        except (OSError, KeyError, RuntimeError) as error:
-            raise FactoryError(
-                f"{directory / path}: cannot be read; run the command that made the dataset again"
-            ) from error
+        with reading(directory / path) as file:
+            table = file["meta"][()]
+            noisy = file["noisy"]
+            rows, columns = image_axes(noisy)
+            form = (
+                noisy.shape[1:],
+                str(noisy.dtype),
+                ((rows.name, rows.units), (columns.name, columns.units)),
+            )
         samples += [
             SampleName(
                 path,

@@ -14,15 +14,19 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.check.facts import check_readable
-from simnfnd.factory.dataset.check.isolated import Guard
-from simnfnd.factory.dataset.format.manifest import ShardInfo, load_manifest
+from simnfnd.factory.dataset.format.layout import image_axes
+from simnfnd.factory.dataset.format.manifest import INDEX_NAME, ShardInfo, load_manifest
 from simnfnd.factory.dataset.format.sample import Axis
 from simnfnd.factory.dataset.format.schema import EFFECT_FOLDER, VALUE_RANGES, layers
-from simnfnd.factory.dataset.format.structure import image_axes
-from simnfnd.factory.dataset.read.open_shards import Image, OpenShards
-from simnfnd.factory.dataset.read.reader import Split, listed_shards, reading
-from simnfnd.factory.dataset.write.index import INDEX_NAME
+from simnfnd.factory.dataset.read.image_stack import Image
+from simnfnd.factory.dataset.read.open_shards import OpenShards
+from simnfnd.factory.dataset.read.reader import (
+    Split,
+    check_in_isolation,
+    check_split,
+    listed_shards,
+    reading,
+)
 from simnfnd.factory.errors import FactoryError
 
 Sample = dict[str, Image]
@@ -30,7 +34,7 @@ Sample = dict[str, Image]
 
 @dataclass(frozen=True)
 class _Expected:
-    """Refuses a shard that is not the one the manifest told of when the dataset was opened."""
+    """Refuses a shard that is not the one that the manifest listed when the dataset was opened."""
 
     root: Path
     shards: dict[Path, ShardInfo]
@@ -44,6 +48,7 @@ class _Expected:
                 f"{info.samples} in {info.bytes}; open the dataset again if it was being extended, "
                 "otherwise generate the shard again"
             )
+        check_split(path, file)
 
 
 class PairDataset:
@@ -62,7 +67,7 @@ class PairDataset:
     manifest.json decides which shards count; while a run adds some, the ones of the moment of
     opening stay.
 
-    trusted: False has another process look at every shard first (a third of a second, and some
+    trusted: False has another process open every shard first (a third of a second, and some
     milliseconds a shard), because a damaged file can make HDF5 crash or hang.
 
     Raises FactoryError: no dataset, an empty split, another schema, a shard that is absent, damaged
@@ -87,7 +92,7 @@ class PairDataset:
         self._config_hash = manifest.config_hash if manifest else ""
         infos = {self.folder / name: info for name, info in listed.items()}
         if not trusted:
-            _look_at(self.paths)
+            check_in_isolation(self.paths)
         self._counts = [infos[p].samples if p in infos else _count(p) for p in self.paths]
         self._ends = list(accumulate(self._counts))
         self._shards = OpenShards(_Expected(self.folder, infos))
@@ -226,10 +231,6 @@ class PairDataset:
         return self._form
 
 
-# To look at a shard takes milliseconds; a disk that sleeps takes seconds to wake.
-_LIMIT_S = 30.0
-
-
 def in_unit_range(grey: Image) -> npt.NDArray[np.float32]:
     """Stored grey values (uint8 in 0..255 or float32 in 0..1) as float32 in 0..1."""
     if grey.dtype == np.uint8:
@@ -247,17 +248,6 @@ def _check_names(names: tuple[str, ...]) -> None:
     layers("uint8", [name for name in names if name not in always])
     if not names or len(set(names)) != len(names):
         raise FactoryError(f"layers={list(names)}: name at least one, and none twice")
-
-
-def _look_at(paths: Sequence[Path]) -> None:
-    with Guard() as guard:
-        for path in paths:
-            try:
-                guard.call(check_readable, path, limit_s=_LIMIT_S)
-            except FactoryError as error:
-                # Of the process itself, it does not know the file.
-                text = str(error).removeprefix(f"{path}: ")
-                raise FactoryError(f"{path}: {text}") from error
 
 
 def _count(path: Path) -> int:

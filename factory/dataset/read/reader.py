@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
@@ -11,23 +11,33 @@ from typing import Literal
 import h5py
 import numpy as np
 
+from simnfnd.factory.dataset.format.layout import check_shard, image_axes, inside, optional_layers
 from simnfnd.factory.dataset.format.manifest import Manifest, load_manifest
 from simnfnd.factory.dataset.format.schema import SPLITS
-from simnfnd.factory.dataset.format.structure import check_shard, inside
+from simnfnd.factory.dataset.read.isolated import IsolatedProcess
 from simnfnd.factory.errors import FactoryError
 
 Split = Literal["train", "test", "all"]
 
+# Opening a shard takes milliseconds; a disk that sleeps takes seconds to wake.
+_LIMIT_S = 30.0
 
-def shard_paths(dataset: str | Path, split: Split) -> tuple[Path, ...]:
-    """The shard files of one split, in the order of their names.
+
+def shard_paths(dataset: str | Path, split: Split, *, trusted: bool = False) -> tuple[Path, ...]:
+    """The shard files of one split, in the order of their names, ready to be opened.
 
     `manifest.json` says which shards belong to the dataset; without one, every `*.h5` in the
-    folders train/ and test/ does.  Raises FactoryError when the folder is no dataset, a listed
-    shard is absent or outside the folder, or the split is empty.
+    folders train/ and test/ does.
+    trusted: False has another process open every shard first (`check_in_isolation`).
+
+    Raises FactoryError when the folder is no dataset, a listed shard is absent, damaged or outside
+    the folder, or the split is empty.
     """
     root = Path(dataset)
-    return listed_shards(root, split, load_manifest(root))
+    paths = listed_shards(root, split, load_manifest(root))
+    if not trusted:
+        check_in_isolation(paths)
+    return paths
 
 
 def listed_shards(root: Path, split: Split, manifest: Manifest | None) -> tuple[Path, ...]:
@@ -56,9 +66,52 @@ def listed_shards(root: Path, split: Split, manifest: Manifest | None) -> tuple[
     return paths
 
 
-def open_shard(path: Path) -> h5py.File:
-    """Open one shard for reading, after a look at whether it is one of ours (`structure`).
+def check_in_isolation(paths: Sequence[Path]) -> None:
+    """Have another process open every shard first: a damaged file can make HDF5 crash or hang.
 
+    Whatever opens files that may be a stranger's goes through here.  Takes a third of a second,
+    and some milliseconds a shard.  Raises FactoryError for the first shard that cannot be read.
+    """
+    with IsolatedProcess() as process:
+        for path in paths:
+            try:
+                process.call(check_readable, path, limit_s=_LIMIT_S)
+            except FactoryError as error:
+                # What the process itself says names no file.
+                text = str(error).removeprefix(f"{path}: ")
+                raise FactoryError(f"{path}: {text}") from error
+
+
+def check_readable(path: Path) -> None:
+    """Read everything of a shard but its pictures.  Raises FactoryError when it is damaged."""
+    with reading(path) as file:
+        file["meta"][()]
+        read_attributes(file)
+        for name in ("noisy", "clean", "shadow", *optional_layers(file)):
+            image_axes(file[name])
+
+
+def read_attributes(file: h5py.File) -> None:
+    """Read all attributes of an open shard, which may raise almost any exception."""
+    dict(file.attrs)
+    for name in ("noisy", "clean", "shadow", "meta", *optional_layers(file)):
+        dict(file[name].attrs)
+
+
+def check_split(path: Path, file: h5py.File) -> None:
+    """Raise FactoryError when a shard in train/ or test/ says that it belongs to the other one."""
+    split = str(file.attrs["split"])
+    if path.parent.name in SPLITS and path.parent.name != split:
+        raise FactoryError(
+            f"{path}: its attribute split is {split!r}, but it lies in {path.parent.name}/; "
+            "generate it again"
+        )
+
+
+def open_shard(path: Path) -> h5py.File:
+    """Open one shard for reading and check how it is laid out (`format.layout`).
+
+    Shards of a dataset come from `shard_paths`; for any other file call `check_in_isolation` first.
     Raises FactoryError when the file is absent, damaged or of another schema.
     """
     try:

@@ -13,6 +13,7 @@ import yaml
 
 from simnfnd.factory.dataset.format.manifest import (
     ADDED_NAME,
+    CONFIG_NAME,
     MANIFEST_NAME,
     PARTS,
     Manifest,
@@ -31,7 +32,6 @@ from simnfnd.factory.files import (
     write_atomically,
 )
 
-CONFIG_NAME = "config.yaml"
 CARD_NAME = "README.md"
 PREVIEW_NAME = "preview.png"
 # Journals of the workers; empty and gone after a run that ended by itself.
@@ -81,9 +81,15 @@ def open_folder(
     """
     if directory.exists() and not directory.is_dir():
         raise FactoryError(f"dataset.dir: {directory} is a file; give a folder with dataset.dir=")
-    ours = (directory / CONFIG_NAME).exists() or (directory / MANIFEST_NAME).exists()
-    if not ours and not emptied:
-        _refuse_foreign(directory)
+    ours = _is_dataset(directory)
+    if not ours and not emptied and (foreign := _foreign_files(directory)):
+        # Another slice may have made the folder a dataset since we asked.
+        ours = _is_dataset(directory)
+        if not ours:
+            raise FactoryError(
+                f"dataset.dir: {directory} holds other files ({foreign}) and no dataset; "
+                "give an empty or new folder with dataset.dir="
+            )
     check_writable(directory, "dataset.dir")
     for folder in (directory, *(directory / split for split in SPLITS)):
         remove_stale_temporaries(folder)
@@ -93,9 +99,14 @@ def open_folder(
         manifest = Manifest(provenance.config_hash, provenance.generator, values)
     if not part:
         manifest = with_slices(directory, manifest)
-    save_manifest(directory, manifest, part)
+    # First of all files, because it tells other slices whose folder this is.
     write_atomically(directory / CONFIG_NAME, _config_text(config, provenance).encode())
+    save_manifest(directory, manifest, part)
     return manifest
+
+
+def _is_dataset(directory: Path) -> bool:
+    return any((directory / name).exists() for name in (CONFIG_NAME, MANIFEST_NAME))
 
 
 def with_slices(directory: Path, manifest: Manifest) -> Manifest:
@@ -112,16 +123,12 @@ def _passes(name: str) -> bool:
     return is_temporary(name) or name.startswith((".lock", ".claim-", WORK_NAME))
 
 
-def _refuse_foreign(directory: Path) -> None:
+def _foreign_files(directory: Path) -> str:
+    """The first names in a folder that do not come and go with runs; empty if there are none."""
     if not directory.is_dir():
-        return
+        return ""
     foreign = sorted(entry.name for entry in directory.iterdir() if not _passes(entry.name))
-    if foreign:
-        shown = ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
-        raise FactoryError(
-            f"dataset.dir: {directory} holds other files ({shown}) and no dataset; "
-            "give an empty or new folder with dataset.dir="
-        )
+    return ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
 
 
 def slice_manifests(directory: Path) -> Iterator[Manifest]:
@@ -133,8 +140,8 @@ def slice_manifests(directory: Path) -> Iterator[Manifest]:
 
 
 def forget_slices(directory: Path) -> None:
-    """Remove the manifests and failures of slices, once the whole holds them."""
-    for name in (MANIFEST_NAME, ADDED_NAME, FAILURES_NAME):
+    """Remove the manifests, failures and states of slices, once the whole holds them."""
+    for name in (MANIFEST_NAME, ADDED_NAME, FAILURES_NAME, STATUS_NAME):
         for path in directory.glob(part_name(name, "*-of-*")):
             path.unlink(missing_ok=True)
 
@@ -144,7 +151,7 @@ def empty_folder(directory: Path) -> bool:
 
     Returns whether there was one.
     """
-    if not any((directory / name).exists() for name in (CONFIG_NAME, MANIFEST_NAME)):
+    if not _is_dataset(directory):
         return False
     with explain_os_errors(directory):
         for split in SPLITS:
@@ -177,11 +184,11 @@ def _same_dataset(directory: Path, provenance: Provenance, part: str) -> Manifes
 def _difference(directory: Path, manifest: Manifest | None, provenance: Provenance) -> str:
     """One line that names the keys in which the folder's dataset differs from the asked one."""
     changes = differences(manifest.config if manifest else {}, provenance.config)
-    told = told_differences(changes) if manifest and changes else "its config hash differs"
+    listed = list_differences(changes) if manifest and changes else "its config hash differs"
     adds = manifest and changes and all(CHOOSING.fullmatch(key) for key in changes)
     extend = ", or dataset.on_existing=extend to add what it lacks" if adds else ""
     return (
-        f"dataset.dir: {directory} holds a dataset of another configuration ({told}); "
+        f"dataset.dir: {directory} holds a dataset of another configuration ({listed}); "
         f"give another folder with dataset.dir=, or the old settings to go on with it{extend}"
     )
 
@@ -189,7 +196,7 @@ def _difference(directory: Path, manifest: Manifest | None, provenance: Provenan
 def differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
     """Dotted key -> (value there, value here), of every key in which two configurations differ.
 
-    What one of them tells of earlier datasets is left out.
+    The records of earlier datasets are left out.
     """
     one, two = (
         dict(
@@ -204,8 +211,8 @@ def differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> dict[str, 
     }
 
 
-def told_differences(changes: Mapping[str, tuple[str, str]]) -> str:
-    """The first of them in a line."""
+def list_differences(changes: Mapping[str, tuple[str, str]]) -> str:
+    """The first of the differences in one line."""
     parts = [f"{key} {old} -> {new}" for key, (old, new) in changes.items()]
     more = len(parts) - _SHOWN_DIFFERENCES
     return "; ".join(parts[:_SHOWN_DIFFERENCES] + ([f"and {more} more"] if more > 0 else []))

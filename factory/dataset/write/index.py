@@ -14,7 +14,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from simnfnd.factory.dataset.format.manifest import Manifest, ShardInfo
+from simnfnd.factory.dataset.format.layout import image_axes, optional_layers
+from simnfnd.factory.dataset.format.manifest import INDEX_NAME, Manifest, ShardInfo
 from simnfnd.factory.dataset.format.schema import (
     LIBRARY_VERSIONS,
     ROOT_ATTRIBUTES,
@@ -24,13 +25,10 @@ from simnfnd.factory.dataset.format.schema import (
     layer_attributes,
     layers,
 )
-from simnfnd.factory.dataset.format.structure import image_axes, optional_names
 from simnfnd.factory.dataset.read.reader import reading
 from simnfnd.factory.dataset.write.writer import write_axis
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
-
-INDEX_NAME = "index.h5"
 
 # What every shard says in the same words; the index says it once.
 _SHARED_ATTRIBUTES = tuple(name for name in ROOT_ATTRIBUTES if name != "split")
@@ -72,7 +70,7 @@ class _Form:
         noisy = file["noisy"]
         self.shape: tuple[int, int] = noisy.shape[1:]
         self.dtype = str(noisy.dtype)
-        self.optional = optional_names(file)
+        self.optional = optional_layers(file)
         self.table: np.dtype[Any] = file["meta"].dtype
         self.axes = image_axes(noisy)
         self.attributes: Mapping[str, Any] = dict(file.attrs)

@@ -10,7 +10,6 @@ from typing import Any
 import h5py
 import numpy as np
 
-from simnfnd.factory.dataset.format.chunks import write_gzip_chunk
 from simnfnd.factory.dataset.format.manifest import ShardInfo
 from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
 from simnfnd.factory.dataset.format.schema import (
@@ -28,6 +27,7 @@ from simnfnd.factory.dataset.format.schema import (
     table_dtype,
 )
 from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.write.chunks import write_gzip_chunk
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import explain_os_errors, write_atomically
 

@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from simnfnd.factory.errors import FrameError
 from simnfnd.factory.formation.field.settings import AcousticsSettings
+from simnfnd.factory.formation.field.tables import bin_centres_m, vertical_table
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.sonar.acoustics import WaterSettings
@@ -62,7 +63,6 @@ class Scatterers:
     in_beam: (range_bins, beams) bool, whether one within vfov_deg does.
     loss: (range_bins,) float32 two-way absorption as a factor on intensity.
     world_from_camera: (4, 4) float64; the identity where the recording has no pose.
-    posed: whether it has one.
     """
 
     bins: npt.NDArray[np.int32]
@@ -76,7 +76,6 @@ class Scatterers:
     loss: Floats
     frame: Frame
     world_from_camera: npt.NDArray[np.float64]
-    posed: bool
     _cells: dict[float, Cells] = field(default_factory=dict)
 
     def world_cells(self, edge_m: float) -> Cells:
@@ -144,13 +143,12 @@ def scatterers(
     *,
     patterned: bool = True,
 ) -> Scatterers:
-    """All that the sonar hears of a frame.
+    """All that echoes in a frame.
 
     patterned: weigh by the vertical beam pattern; else all within vfov_deg counts alike.
-    Raises FrameError when nothing is heard.
+    Raises FrameError when nothing lies in the sonar's sector.
     """
     from simnfnd.factory.formation.field import placing
-    from simnfnd.factory.formation.field.signal import bin_centres_m
 
     across, down = _directions(frame)
     tangents, first_beam = _beam_table(sonar)
@@ -207,7 +205,6 @@ def scatterers(
         loss,
         frame,
         np.eye(4) if pose is None else np.asarray(pose, np.float64),
-        pose is not None,
     )
 
 
@@ -258,8 +255,6 @@ def _area_and_exponent(frame: Frame, sonar: SonarSettings, acoustics: AcousticsS
 
 
 def _pattern(sonar: SonarSettings, patterned: bool) -> Floats:
-    from simnfnd.factory.formation.field.signal import vertical_table
-
     table = vertical_table(sonar)
     if patterned:
         return table

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.scenes.labels import CLASSES
+from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.settings import STRICT
 
 Decibel = Annotated[float, Field(ge=-80, le=20)]

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.formation.field import beams
+from simnfnd.factory.formation.field.scatterers import Scatterers
+from simnfnd.factory.formation.field.tables import bin_centres_m
 from simnfnd.factory.sonar import array
 from simnfnd.factory.sonar.acoustics import WaterSettings, thermal_noise_db
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.factory.sonar.window import Window
-
-if TYPE_CHECKING:
-    from simnfnd.factory.formation.field.scatterers import Scatterers
 
 Floats = npt.NDArray[np.float32]
 
@@ -42,21 +40,12 @@ class Signal:
 
 
 @dataclass(frozen=True, eq=False)
-class Ping:
-    """One ping of the device at one frame; no randomness.
+class Receiver:
+    """The device in the water, set to a range window."""
 
-    gain: (range_bins,) float32, time-varying gain on intensity.
-    full_scale: intensity, after that gain, which the picture shows as grey value 1.
-    strongest: the largest expected intensity of the frame, before that gain.
-    """
-
-    scatterers: Scatterers
     window: Window
     sonar: SonarSettings
     water: WaterSettings
-    gain: Floats
-    full_scale: float
-    strongest: float
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -97,46 +86,45 @@ class Ping:
         return float(10 ** (level_db / 10))
 
 
-def bin_centres_m(window: Window, sonar: SonarSettings) -> Floats:
-    """(range_bins,) centres of the range bins, metres."""
-    fraction = (np.arange(sonar.range_bins) + 0.5) / sonar.range_bins
-    return np.asarray(window.range_min_m + fraction * window.range_span_m, np.float32)
+@dataclass(frozen=True, eq=False)
+class Ping(Receiver):
+    """One ping of the device at one frame; no randomness.
+
+    gain: (range_bins,) float32, time-varying gain on intensity.
+    full_scale: intensity, after that gain, which the picture shows as grey value 1.
+    strongest: the largest expected intensity of the frame, before that gain.
+    """
+
+    scatterers: Scatterers
+    gain: Floats
+    full_scale: float
+    strongest: float
 
 
-_PATTERN_STEPS = 4096
-
-
-@lru_cache(maxsize=8)
-def vertical_table(sonar: SonarSettings) -> Floats:
-    """(4097,) two-way vertical intensity pattern at equal steps of sin(elevation) from -1 to 1."""
-    sine = np.linspace(-1, 1, _PATTERN_STEPS + 1)
-    return array.vertical_pattern(sine, sonar.vfov_deg, sonar.array).astype(np.float32)
-
-
-def beamform(field: Floats, ping: Ping) -> Floats:
+def beamform(field: Floats, receiver: Receiver) -> Floats:
     """The complex field after pulse compression and beamforming; same shape."""
     from simnfnd.factory.formation.field import kernels  # loads numba
 
-    factors = beams.modes(ping.sonar)
+    factors = beams.modes(receiver.sonar)
     if factors is None:
-        return _blurred(field, ping.kernel, *beams.halves(ping.sonar, power=False))
+        return _blurred(field, receiver.kernel, *beams.halves(receiver.sonar, power=False))
     even, odd, even_out, odd_out = factors
-    flat = np.ascontiguousarray(field).reshape(-1, *ping.shape)
+    flat = np.ascontiguousarray(field).reshape(-1, *receiver.shape)
     out = np.empty_like(flat)
-    found = np.empty((ping.shape[0], even.shape[1] + odd.shape[1]), np.float32)
+    found = np.empty((receiver.shape[0], even.shape[1] + odd.shape[1]), np.float32)
     spread = np.empty_like(found)
     for plane, made in zip(flat, out, strict=True):
         # There are fewer modes than beams, so the pulse goes between.
         kernels.into_modes(plane, even, odd, found)
-        kernels.along_range(found, ping.kernel, spread)
+        kernels.along_range(found, receiver.kernel, spread)
         kernels.out_of_modes(spread, even_out, odd_out, made)
     return out.reshape(field.shape)
 
 
-def beamform_power(power: Floats, ping: Ping) -> Floats:
+def beamform_power(power: Floats, receiver: Receiver) -> Floats:
     """(range_bins, beams) expected intensity after both: what `beamform` does to speckle's mean."""
-    halves = beams.halves(ping.sonar, power=True)
-    blurred = _blurred(power[None, None], ping.kernel**2, *halves)[0, 0]
+    halves = beams.halves(receiver.sonar, power=True)
+    blurred = _blurred(power[None, None], receiver.kernel**2, *halves)[0, 0]
     # Differences of mirrored beams round to below zero where there is next to nothing.
     return np.asarray(np.maximum(blurred, 0, out=blurred))
 

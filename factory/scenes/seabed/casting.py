@@ -27,7 +27,7 @@ def _open3d() -> Any:
         import open3d
     except (ImportError, OSError) as error:
         raise FactoryError(
-            f"scenes=seabed needs Open3D ({error}); run `pip install open3d-cpu`"
+            f'scenes=seabed needs Open3D ({error}): pip install "simnfnd[open3d]"'
         ) from error
     return open3d
 

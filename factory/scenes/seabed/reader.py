@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import OrderedDict
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
@@ -13,6 +14,7 @@ from simnfnd.factory.errors import FrameError
 from simnfnd.factory.frame import Frame, FrameRef, checked
 from simnfnd.factory.scenes.base import Discovery, SceneSettings
 from simnfnd.factory.scenes.seabed.names import PLACE_NAMES, KindName, PlaceName
+from simnfnd.factory.scenes.seabed.optics import HFOV_DEG
 from simnfnd.factory.settings import STRICT
 
 if TYPE_CHECKING:
@@ -27,7 +29,9 @@ class SeabedSettings(SceneSettings):
     """Keys of `scenes` for the procedural seabed.
 
     locations: how many, from number `first_location` on; a number is a place of its own.
-    frames_per_location: poses along its path.  width, height: pixels; the view is 45 degrees wide.
+    frames_per_location: poses along its path.  width, height: pixels of a view 45 degrees wide.
+    hfov_deg, vfov_deg: another sector for the camera to see; null: 45 degrees across, or the
+    sonar's sector where that is wider.  A wider view has more pixels, as its solid angle grows.
     objects: factor on how many objects lie around.  kinds: only these (null: all).
     places: only these kinds of place, taken in turn (null: all).
     """
@@ -39,14 +43,25 @@ class SeabedSettings(SceneSettings):
     frames_per_location: Annotated[int, Field(ge=1, le=_LAST)] = 10
     width: Annotated[int, Field(ge=64, le=4096)] = 968
     height: Annotated[int, Field(ge=48, le=4096)] = 608
+    hfov_deg: Annotated[float, Field(gt=0, le=150)] | None = None
+    vfov_deg: Annotated[float, Field(gt=0, le=60)] | None = None
     objects: Annotated[float, Field(ge=0, le=4)] = 1.0
     kinds: tuple[KindName, ...] | None = None
     places: Annotated[tuple[PlaceName, ...], Field(min_length=1)] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse locations whose number has more than four digits."""
+        """Refuse locations whose number has more than four digits, and half a sector."""
+        if (self.hfov_deg is None) != (self.vfov_deg is None):
+            raise ValueError("give hfov_deg and vfov_deg, or neither")
         if self.first_location + self.locations > _LAST:
             raise ValueError(f"first_location + locations must not exceed {_LAST}")
+
+
+def seeing(settings: SeabedSettings, hfov_deg: float, vfov_deg: float) -> SeabedSettings:
+    """The settings with a camera that sees a sonar's sector, where nothing else was asked for."""
+    if settings.hfov_deg is not None or hfov_deg <= HFOV_DEG:
+        return settings
+    return replace(settings, hfov_deg=hfov_deg, vfov_deg=vfov_deg)
 
 
 class SeabedReader:
@@ -76,11 +91,13 @@ class SeabedReader:
                 f"{ref.name}: not a procedural frame; names are like seabed/seabed-0007/0003"
             )
         # Reading a configuration imports this module, but needs nothing that makes pictures.
+        from simnfnd.factory.scenes.seabed.optics import camera
         from simnfnd.factory.scenes.seabed.world import take
 
         world = self._world(int(scene[1]))
         settings = self._settings
-        frame = take(world, int(ref.frame), ref, settings.width, settings.height)
+        optics = camera(settings.width, settings.height, settings.hfov_deg, settings.vfov_deg)
+        frame = take(world, int(ref.frame), ref, optics)
         return checked(frame, bad_depth=settings.bad_depth)
 
     def _world(self, location: int) -> World:

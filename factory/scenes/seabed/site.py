@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.scenes.labels import CLASSES
+from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.scenes.seabed import nature, works
 from simnfnd.factory.scenes.seabed.fields import WORLD_SEED
 from simnfnd.factory.scenes.seabed.kinds import KINDS

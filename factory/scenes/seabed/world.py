@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
+from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.scenes.seabed.appearance import Finishes, Palette, appearance, draw_palette
 from simnfnd.factory.scenes.seabed.casting import (
     Objects,
@@ -27,6 +27,7 @@ from simnfnd.factory.scenes.seabed.gaps import MOST_LOST, measured
 from simnfnd.factory.scenes.seabed.kinds import KINDS
 from simnfnd.factory.scenes.seabed.meshes import grid_triangles, join, mesh
 from simnfnd.factory.scenes.seabed.names import PlaceName
+from simnfnd.factory.scenes.seabed.optics import Optics, camera
 from simnfnd.factory.scenes.seabed.path import Path, draw_loop, draw_path
 from simnfnd.factory.scenes.seabed.photo import photograph
 from simnfnd.factory.scenes.seabed.places import PLACES, draw_terrain
@@ -38,7 +39,6 @@ from simnfnd.factory.seeds import stream
 if TYPE_CHECKING:
     from open3d.t.geometry import RaycastingScene
 
-FOCAL_PER_WIDTH = 1168.0 / 968.0  # 45 degrees across, as the FLSea camera
 COARSE_M = 0.3
 
 
@@ -114,20 +114,17 @@ def _coarse_ground(terrain: Terrain) -> RaycastingScene:
     return raycasting_scene(points.reshape(-1, 3), grid_triangles(len(side), len(side)))
 
 
-def camera(width: int, height: int) -> Intrinsics:
-    """The camera of every frame: FLSea's field of view, the principal point in the middle."""
-    focal = FOCAL_PER_WIDTH * width
-    return Intrinsics(focal, focal, (width - 1) / 2, (height - 1) / 2)
+def take(world: World, frame: int, ref: FrameRef, optics: Optics) -> Frame:
+    """Take frame number `frame` of a location.
 
-
-def take(world: World, frame: int, ref: FrameRef, width: int, height: int) -> Frame:
-    """Take frame number `frame` of a location."""
-    intrinsics = camera(width, height)
+    The pose is the one that FLSea's camera would choose, however wide this one sees.
+    """
     where = choose_pose(world, frame)
-    toward = directions(where.rotation, intrinsics, width, height)
+    toward = directions(where.rotation, optics.intrinsics, optics.width, optics.height)
     azimuths, elevations = _field_of_view(toward)
-    scale = min(max(width / 968, 0.35), 1.5)
-    shape = (int(440 * scale), int(320 * scale))
+    # The mesh is as fine as the pixels: of a camera that sees 45 degrees, so many across.
+    fine = min(max(optics.width / optics.across / 968, 0.35), 1.5)
+    shape = (int(440 * fine), int(320 * fine * optics.across))
     ground = view_mesh(world.terrain, where.eye, azimuths, elevations, shape)
     ground_scene = raycasting_scene(ground.points.reshape(-1, 3), ground.triangles)
     hits = view(where.eye, toward, ground, ground_scene, world.objects)
@@ -142,7 +139,7 @@ def take(world: World, frame: int, ref: FrameRef, width: int, height: int) -> Fr
         ref=ref,
         rgb=rgb,
         depth_m=np.where(keep, hits.depth_m, np.float32(0)),
-        intrinsics=intrinsics,
+        intrinsics=optics.intrinsics,
         world_from_camera=where.matrix,
         segmentation=np.where(named, world.labels[hits.owner], np.uint8(0)),
         instance=np.where(named, world.instances[hits.owner], np.uint16(0)),
@@ -170,8 +167,7 @@ def choose_pose(world: World, frame: int) -> Pose:
     """
     eye = world.path.eye(frame, world.terrain)
     heading, pitch, roll = world.path.attitude_deg(frame)
-    width, height, every = 968, 608, 16
-    intrinsics = camera(width, height)
+    every, optics = 16, camera(968, 608)
     # Between walls the way ahead is the view; in the open the camera turns to what lies there.
     turning = 0.012 if world.terrain.banks is not None else 0.004
     best, best_cost = None, np.inf
@@ -180,7 +176,9 @@ def choose_pose(world: World, frame: int) -> Pose:
             if not 8 <= pitch + lower <= 35:
                 continue
             candidate = pose(eye, heading + yaw, pitch + lower, roll)
-            toward = directions(candidate.rotation, intrinsics, width, height, every)
+            toward = directions(
+                candidate.rotation, optics.intrinsics, optics.width, optics.height, every
+            )
             cost = _cost(world, candidate, toward) + turning * abs(yaw) + 0.01 * abs(lower)
             if cost < best_cost:
                 best, best_cost = candidate, cost

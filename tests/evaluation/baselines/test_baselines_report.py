@@ -8,7 +8,6 @@ import math
 import subprocess
 import sys
 from contextlib import closing
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -16,20 +15,20 @@ import numpy as np
 import pytest
 
 from simnfnd.command import main
-from simnfnd.evaluation import command, tuning
 from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.baselines.base import Baseline
-from simnfnd.evaluation.crew import Team
-from simnfnd.evaluation.journal import Journal
-from simnfnd.evaluation.methods import baselines_of, methods_of
+from simnfnd.evaluation.data.pairs import input_of, items_of, picture
+from simnfnd.evaluation.measurement.rows import Row, measure_rows
+from simnfnd.evaluation.measurement.store import FigureStore
+from simnfnd.evaluation.methods import tuning
+from simnfnd.evaluation.methods.method import baselines_of, methods_of
 from simnfnd.evaluation.metrics.fidelity import gmsd, psnr
 from simnfnd.evaluation.metrics.levels import fit_levels
 from simnfnd.evaluation.metrics.statistics import estimate, paired
-from simnfnd.evaluation.pictures import input_of, items_of, picture
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.rows import Row, measure_rows
 from simnfnd.factory.dataset.format.sample import Pair
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.workers.tasks import TaskPool
 from tests.evaluation.evaluation_settings import evaluation, settings_for
 from tests.project_files import ROOT
 from tests.small_dataset import add_shard, fan_images, write_dataset
@@ -39,8 +38,8 @@ def tune(dataset: Path, file: Path, *names: str, **changes: Any) -> list[str]:
     """The lines of `evaluation tune` for these baselines."""
     tuning_keys = {"file": str(file), **changes.pop("tuning", {})}
     settings = settings_for(dataset, tuning=tuning_keys, **changes)
-    with Team(settings.workers) as team:
-        return tuning.tune(settings, baselines_of(names), team)
+    with TaskPool(settings.workers) as pool:
+        return tuning.tune(settings, baselines_of(names), pool)
 
 
 def measured(dataset: Path, file: Path, *names: str, **changes: Any) -> dict[str, Row]:
@@ -48,8 +47,8 @@ def measured(dataset: Path, file: Path, *names: str, **changes: Any) -> dict[str
     settings = settings_for(dataset, **changes)
     methods = methods_of(baselines_of(names), tuning.load_tuned(file))
     items = items_of(dataset, "test")
-    with closing(Journal(file.parent / "journal")) as journal, Team(settings.workers) as team:
-        found = measure_rows(settings, items, methods, journal, team)
+    with closing(FigureStore(file.parent / "store")) as store, TaskPool(settings.workers) as pool:
+        found = measure_rows(settings, items, methods, store, pool)
     return {row.method.label: row for row in found}
 
 
@@ -292,13 +291,6 @@ def test_bad_settings_are_one_line(
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
-
-
-@pytest.mark.parametrize("verb", command.VERBS)
-def test_every_verb_is_told_and_exists(verb: str) -> None:
-    assert f"simnfnd evaluate {verb}" in (command.__doc__ or "")
-    module, function = command.VERBS[verb].split(":")
-    assert callable(getattr(import_module(module), function))
 
 
 def test_bad_files_are_named(dataset: Path, tmp_path: Path) -> None:

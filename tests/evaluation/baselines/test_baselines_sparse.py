@@ -18,11 +18,10 @@ from simnfnd.evaluation.baselines.bm3d import _all_blocks
 from simnfnd.evaluation.baselines.convolutional import atoms, coded, reconstructed
 from simnfnd.evaluation.baselines.dtcwt_map import _map
 from simnfnd.evaluation.baselines.structural import noise_map
-from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.data.pairs import geometry_of, items_of, picture
+from simnfnd.evaluation.methods.apply import denoised
+from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.metrics.fidelity import psnr
-from simnfnd.evaluation.networks import geometry_of
-from simnfnd.evaluation.pictures import items_of, picture
-from simnfnd.evaluation.work import denoised
 from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
 from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings

@@ -1,4 +1,4 @@
-"""A campaign's settings, and programs that only note what is asked and leave behind weights."""
+"""A campaign's settings, and commands that only note what is asked and leave weights behind."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def settings(out: Path, *words: str) -> CampaignSettings:
 
 
 class Programs:
-    """Instead of the three programs; `fails`: what a command has in it that ends with code 2.
+    """Instead of processes; `fails`: what a command has in it that ends with code 2.
 
-    asked: (program, words) in the order of beginning.  stopped: how `stop` was called.
+    asked: (verb, words) in the order of beginning.  stopped: how `stop` was called.
     """
 
     def __init__(self, *, fails: str = "") -> None:
@@ -42,25 +42,25 @@ class Programs:
         self.fails = fails
         self._one_at_a_time = threading.Lock()
 
-    def __call__(self, program: str, words: Sequence[str], threads: int) -> tuple[int, float]:
+    def __call__(self, verb: str, words: Sequence[str], threads: int) -> tuple[int, float]:
         with self._one_at_a_time:
-            self.asked.append((program, tuple(words)))
+            self.asked.append((verb, tuple(words)))
             given = dict(word.split("=", 1) for word in words if "=" in word)
             # 10 ms a step; coming and going takes longer, and not always the same time.
-            trained = sum(one == "models" for one, _ in self.asked)
-            coming = (3.0, 2.2, 3.1)[(trained + 1) % 3] if program == "models" else 3.0
+            trained = sum(one == "train" for one, _ in self.asked)
+            coming = (3.0, 2.2, 3.1)[(trained + 1) % 3] if verb == "train" else 3.0
             cpu_s = coming + 0.01 * int(given.get("train.steps", 0))
             if self.fails and any(self.fails in word for word in words):
                 return 2, cpu_s
-            if program == "models":
+            if verb == "train":
                 out = Path(given["out"].strip("'"))
                 out.mkdir(parents=True, exist_ok=True)
                 torch.manual_seed(int(given["seed"]))
                 save_weights(out / "weights.safetensors", build_network(TINY), TINY, {})
             return 0, cpu_s
 
-    def stop(self, *, told: bool) -> None:
-        self.stopped.append(told)
+    def stop(self, *, signalled: bool) -> None:
+        self.stopped.append(signalled)
 
-    def steps(self, program: str) -> list[str]:
-        return [word for p, words in self.asked for word in words if p == program]
+    def steps(self, verb: str) -> list[str]:
+        return [word for v, words in self.asked for word in words if v == verb]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ from omegaconf import OmegaConf
 
 from simnfnd.evaluation.campaign import table
 from simnfnd.evaluation.campaign.execute import Campaign
-from simnfnd.evaluation.campaign.plan import training_steps
+from simnfnd.evaluation.campaign.plan import Folders, training_steps
+from simnfnd.evaluation.campaign.trainings import write_trainings
+from simnfnd.evaluation.report.content import SCHEMA as REPORT_SCHEMA
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.jobs.lock import Lock
 from simnfnd.factory.settings import build
@@ -52,7 +55,7 @@ def test_every_row_of_the_configuration_is_one_that_models_accepts(tmp_path: Pat
 def test_a_budget_becomes_steps_and_stays_so(tmp_path: Path) -> None:
     programs = Programs()
     assert Campaign(settings(tmp_path, ROWS, "checks=10", "jobs=1"), programs)() == 0
-    trained = [words for program, words in programs.asked if program == "models"]
+    trained = [words for verb, words in programs.asked if verb == "train"]
     whole = [words for words in trained if not any("pace" in word for word in words)]
     lengths = [
         {w.split("=")[0]: int(w.split("=")[1]) for w in words if w.startswith(LENGTH)}
@@ -68,7 +71,7 @@ def test_a_budget_becomes_steps_and_stays_so(tmp_path: Path) -> None:
     (tmp_path / "steps" / "train-a-s1.json").unlink()
     again = Programs()
     Campaign(settings(tmp_path, ROWS, "checks=10", "jobs=1"), again)()
-    (words,) = [words for program, words in again.asked if program == "models"]
+    (words,) = [words for verb, words in again.asked if verb == "train"]
     assert [word for word in words if word.startswith(LENGTH)] == [
         word for word in whole[1] if word.startswith(LENGTH)
     ]
@@ -80,16 +83,21 @@ def test_a_second_run_does_only_what_is_left(
     programs = Programs(fails="seed=1")
     assert Campaign(settings(tmp_path, ROWS), programs)() == 1
     assert "failed: train-a-s1" in capsys.readouterr().out
-    reports = [words for program, words in programs.asked if words[0].startswith("dataset.dir")]
+    reports = [words for verb, words in programs.asked if words[0].startswith("dataset.dir")]
     assert any("models/a-s0" in word and "b-s0" in word for word in reports[-1])
     assert not any("a-s1" in word for word in reports[-1])
     rest = Programs()
     assert Campaign(settings(tmp_path, ROWS), rest)() == 0
-    assert [program for program, _ in rest.asked] == ["models", *["evaluation"] * 7]
+    assert [verb for verb, _ in rest.asked] == ["train", *["evaluate"] * 6, "campaign"]
     assert any("a-s1" in word for word in rest.asked[1][1]), "new weights, new reports"
     nothing = Programs()
     assert Campaign(settings(tmp_path, ROWS), nothing)() == 0
     assert nothing.asked == []
+    record = json.loads((tmp_path / "campaign.json").read_text(encoding="utf-8"))
+    assert record["trainings"] == [
+        {"row": row, "seed": seed, "folder": f"models/{row}-s{seed}", "label": f"{row}-s{seed}"}
+        for row, seed in (("a", 0), ("a", 1), ("b", 0))
+    ]
     only = Programs()
     longer = ("data.test.locations=17", "only=['data-*']")
     assert Campaign(settings(tmp_path, ROWS, *longer), only)() == 0
@@ -106,7 +114,7 @@ def test_a_row_goes_on_from_the_weights_of_another(tmp_path: Path) -> None:
     )
     programs = Programs()
     assert Campaign(settings(tmp_path, rows, "checks=10", "data.pack=small"), programs)() == 0
-    trained = [words for program, words in programs.asked if program == "models"]
+    trained = [words for verb, words in programs.asked if verb == "train"]
     later = [words for words in trained if any("models/later" in word for word in words)]
     # Its start is there before it begins, although it stands first in the list.
     assert trained[-3:] == later
@@ -151,7 +159,7 @@ def test_a_row_that_cannot_be_trained_does_not_stop_the_others(
     said = capsys.readouterr()
     assert "a cannot be trained" in said.err
     assert "failed: train-a-s0, train-a-s1" in said.out
-    assert "b-s0" in " ".join(programs.steps("evaluation"))
+    assert "b-s0" in " ".join(programs.steps("evaluate"))
 
 
 def test_odd_campaigns_are_refused(tmp_path: Path) -> None:
@@ -164,11 +172,11 @@ def test_odd_campaigns_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FactoryError, match="a has seed 0 twice"):
         settings(tmp_path, "rows=[{name: a, cpu_s: 1, words: []}, {name: a, cpu_s: 1, words: []}]")
     with pytest.raises(FactoryError, match="holds no report of a campaign"):
-        table.read_sets(tmp_path)
+        table.read_sets(tmp_path, [])
 
 
-def results(folder: Path, psnr: dict[str, list[float]]) -> None:
-    """A report's results.parquet with these PSNR values of four pairs of two frames."""
+def results(folder: Path, psnr: dict[str, list[float]], networks: Sequence[str]) -> None:
+    """The files of a report with these PSNR values of four pairs of two frames."""
     count = 4
     labels = [label for label in psnr for _ in range(count)]
     columns: dict[str, Any] = {
@@ -183,11 +191,22 @@ def results(folder: Path, psnr: dict[str, list[float]]) -> None:
         columns[name] = np.full(len(labels), 0.5)
     folder.mkdir(parents=True)
     pq.write_table(pa.table(columns), folder / "results.parquet")
+    rows = [
+        {
+            "label": label,
+            "kind": "network" if label in networks else "baseline",
+            "levels": {"gain": 1, "offset": 0} if "levels" in label else None,
+        }
+        for label in psnr
+    ]
+    content = json.dumps({"schema": REPORT_SCHEMA, "rows": rows})
+    (folder / "report.json").write_text(content, encoding="utf-8")
 
 
 def test_the_table_says_gain_margin_and_what_came_out_worse(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    networks = ("net-s0", "net-s1", "other-s2", "with + levels")
     results(
         tmp_path / "reports" / "procedural",
         {
@@ -197,16 +216,24 @@ def test_the_table_says_gain_margin_and_what_came_out_worse(
             "median tuned + levels": [19, 19, 20, 20],
             "net-s0": [24, 24, 25, 18],
             "net-s1": [26, 26, 27, 20],
+            "other-s2": [60, 60, 60, 60],
+            "with + levels": [50, 50, 50, 50],
         },
+        networks,
     )
-    results(tmp_path / "reports" / "zero", {"noisy": [100] * 4, "net-s0": [40, 41, 42, 39]})
+    zero: dict[str, list[float]] = {"noisy": [100] * 4, "net-s0": [40, 41, 42, 39]}
+    results(tmp_path / "reports" / "zero", zero, networks)
     for seed in (0, 1):
         folder = tmp_path / "models" / f"net-s{seed}"
         folder.mkdir(parents=True)
         save_weights(folder / "weights.safetensors", build_network(TINY), TINY, {})
+    with pytest.raises(FactoryError, match=r"campaign\.json: absent or damaged; run `simnfnd"):
+        table.campaign([str(tmp_path)])
+    write_trainings(Folders(tmp_path), [("net", 0), ("net", 1)])
     assert table.campaign([str(tmp_path)]) == 0
     content = json.loads((tmp_path / "table.json").read_text(encoding="utf-8"))
     found = content["sets"]["procedural"]
+    assert list(found["rows"]) == ["noisy", "median tuned + levels", "net"], "rows by record"
     assert found["best_classical"] == "median tuned + levels"
     row = found["rows"]["net"]
     assert row["seeds"] == 2
@@ -216,8 +243,8 @@ def test_the_table_says_gain_margin_and_what_came_out_worse(
     assert row["seed_spread_db"] == pytest.approx(2)
     assert (row["worse"], row["images"]) == (1, 8)
     assert row["worst_gain_db"] == pytest.approx(-1)
-    zero = content["checks"]["zero"]["rows"]["net"]
-    assert (zero["lowest_psnr"], zero["worse"]) == (39, 4)
+    check = content["checks"]["zero"]["rows"]["net"]
+    assert (check["lowest_psnr"], check["worse"]) == (39, 4)
     assert content["costs"]["net"]["gmac"] > 0
     text = (tmp_path / "table.md").read_text(encoding="utf-8")
     assert "| net | 2 | 23.75 (" in text

@@ -24,8 +24,8 @@ ROWS = (
 WAIT_S = 30
 
 
-def is_training(program: str, words: Sequence[str]) -> bool:
-    return program == "models" and "resume=false" not in words
+def is_training(verb: str, words: Sequence[str]) -> bool:
+    return verb == "train" and "resume=false" not in words
 
 
 class Together(Programs):
@@ -39,24 +39,24 @@ class Together(Programs):
         self.most = 0
         self.beside_others: list[str] = []
 
-    def __call__(self, program: str, words: Sequence[str], threads: int) -> tuple[int, float]:
+    def __call__(self, verb: str, words: Sequence[str], threads: int) -> tuple[int, float]:
         with self.count:
-            self.running.append(program)
+            self.running.append(verb)
             self.most = max(self.most, len(self.running))
             if len(self.running) > 1:
                 self.beside_others += self.running
         try:
-            if is_training(program, words):
+            if is_training(verb, words):
                 self.meeting.wait(WAIT_S)
                 if self.loses and any(self.loses in word for word in words):
                     return 2, 1.0
-            elif program == "models":
+            elif verb == "train":
                 # Long enough for another thread to measure the same, if nothing keeps it.
                 time.sleep(0.2)
-            return super().__call__(program, words, threads)
+            return super().__call__(verb, words, threads)
         finally:
             with self.count:
-                self.running.remove(program)
+                self.running.remove(verb)
 
 
 def test_two_trainings_at_a_time_and_nothing_else(
@@ -65,15 +65,15 @@ def test_two_trainings_at_a_time_and_nothing_else(
     programs = Together()
     assert Campaign(settings(tmp_path, ROWS, "jobs=2"), programs)() == 0
     assert programs.most == 2
-    assert set(programs.beside_others) == {"models"}, "data, tuning and reports run alone"
-    kinds = [program for program, _ in programs.asked]
-    last = len(kinds) - 1 - kinds[::-1].index("models")
-    assert set(kinds[last + 1 :]) == {"evaluation"}, "reports begin when all are trained"
-    trained = [words for program, words in programs.asked if is_training(program, words)]
+    assert set(programs.beside_others) == {"train"}, "data, tuning and reports run alone"
+    kinds = [verb for verb, _ in programs.asked]
+    last = len(kinds) - 1 - kinds[::-1].index("train")
+    assert set(kinds[last + 1 :]) == {"evaluate", "campaign"}, "reports begin when all are trained"
+    trained = [words for verb, words in programs.asked if is_training(verb, words)]
     assert len(trained) == 4
     lines = [line for line in capsys.readouterr().out.splitlines() if "train-" in line]
     names = ("train-a-s0", "train-a-s1", "train-b-s0", "train-c-s0")
-    before = kinds.index("models")
+    before = kinds.index("train")
     assert sorted(lines) == sorted(
         f"campaign: {number}/{before + 4} {name}" for number, name in enumerate(names, before + 1)
     )
@@ -90,12 +90,12 @@ def test_two_trainings_at_a_time_and_nothing_else(
 def test_seeds_at_the_same_time_share_one_measured_pace(tmp_path: Path) -> None:
     programs = Together()
     assert Campaign(settings(tmp_path, ROWS, "jobs=2", "only=['train-a-*']"), programs)() == 0
-    paces = [words for program, words in programs.asked if not is_training(program, words)]
+    paces = [words for verb, words in programs.asked if not is_training(verb, words)]
     paces = [words for words in paces if "resume=false" in words]
     lengths = [[word for word in words if word.startswith("train.")] for words in paces]
     assert len(lengths) >= 2
     assert all(lengths.count(length) == 1 for length in lengths), "nothing is measured twice"
-    trained = [words for program, words in programs.asked if is_training(program, words)]
+    trained = [words for verb, words in programs.asked if is_training(verb, words)]
     first, second = ([w for w in words if w.startswith("train.")] for words in trained)
     assert first == second
 
@@ -106,7 +106,7 @@ def test_a_failed_training_loses_only_itself(tmp_path: Path) -> None:
     assert campaign() == 1
     assert campaign.failed == ["train-b-s0"]
     assert programs.stopped == []
-    reports = programs.steps("evaluation")
+    reports = programs.steps("evaluate")
     assert any("a-s0" in word and "a-s1" in word and "c-s0" in word for word in reports)
     assert not any("b-s0" in word for word in reports)
 
@@ -119,9 +119,9 @@ class Ended(Programs):
         self.code, self.number = code, number
         self.meeting, self.end = threading.Barrier(2), threading.Event()
 
-    def __call__(self, program: str, words: Sequence[str], threads: int) -> tuple[int, float]:
-        done = super().__call__(program, words, threads)
-        if not is_training(program, words):
+    def __call__(self, verb: str, words: Sequence[str], threads: int) -> tuple[int, float]:
+        done = super().__call__(verb, words, threads)
+        if not is_training(verb, words):
             return done
         if self.meeting.wait(WAIT_S) == 0:
             if self.code:
@@ -129,8 +129,8 @@ class Ended(Programs):
             os.kill(os.getpid(), self.number)
         return (-signal.SIGTERM, 1.0) if self.end.wait(WAIT_S) else (0, 1.0)
 
-    def stop(self, *, told: bool) -> None:
-        super().stop(told=told)
+    def stop(self, *, signalled: bool) -> None:
+        super().stop(signalled=signalled)
         self.end.set()
 
 
@@ -140,7 +140,7 @@ def test_an_interrupted_training_stops_the_others(tmp_path: Path, code: int) -> 
     with pytest.raises(KeyboardInterrupt):
         Campaign(settings(tmp_path, ROWS, "jobs=2"), programs)()
     assert programs.stopped == [False]
-    begun = [words for program, words in programs.asked if is_training(program, words)]
+    begun = [words for verb, words in programs.asked if is_training(verb, words)]
     assert len(begun) == 2, "nothing more is begun"
     records = [json.loads(path.read_text()) for path in tmp_path.glob("steps/train-*.json")]
     assert sorted(record["code"] for record in records) == sorted([code, -signal.SIGTERM])
@@ -150,30 +150,32 @@ def test_an_interrupted_training_stops_the_others(tmp_path: Path, code: int) -> 
 
 
 @pytest.mark.parametrize(
-    ("number", "told"), [(signal.SIGINT, True), (signal.SIGTERM, False)], ids=["ctrl-c", "kill"]
+    ("number", "signalled"),
+    [(signal.SIGINT, True), (signal.SIGTERM, False)],
+    ids=["ctrl-c", "kill"],
 )
 def test_an_interrupted_campaign_stops_its_trainings(
-    tmp_path: Path, number: int, told: bool
+    tmp_path: Path, number: int, signalled: bool
 ) -> None:
     programs = Ended(number=number)
     with pytest.raises(KeyboardInterrupt) as stopped:
         Campaign(settings(tmp_path, ROWS, "jobs=2"), programs)()
     assert getattr(stopped.value, "exit_code", None) == 128 + number
-    assert programs.stopped == [told]
+    assert programs.stopped == [signalled]
     assert len([words for p, words in programs.asked if is_training(p, words)]) == 2
 
 
 def test_each_process_is_charged_for_itself_and_its_own() -> None:
     burn = "import time\nwhile time.process_time() < 1.5: pass"
     child = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {burn!r}])"
-    programs = Processes()
+    programs = Processes("timeit")
     with ThreadPoolExecutor(2) as pool:
-        busy = pool.submit(programs, "timeit", ["-n1", "-r1", child], 1)
-        idle = pool.submit(programs, "timeit", ["-n1", "-r1", "pass"], 1)
+        busy = pool.submit(programs, "-n1", ["-r1", child], 1)
+        idle = pool.submit(programs, "-n1", ["-r1", "pass"], 1)
     assert busy.result()[0] == idle.result()[0] == 0
     assert busy.result()[1] >= 1.5
     assert idle.result()[1] < 1.5
-    assert programs("timeit", ["-n1", "-r1", "raise ValueError"], 1)[0] == 1
+    assert programs("-n1", ["-r1", "raise ValueError"], 1)[0] == 1
 
 
 def test_stopped_processes_end_and_none_begins(
@@ -182,18 +184,18 @@ def test_stopped_processes_end_and_none_begins(
     monkeypatch.setattr("simnfnd.evaluation.campaign.processes._PATIENCE_S", 2.0)
     deaf = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
     codes = {"listens": -signal.SIGTERM, "deaf": -signal.SIGKILL}
-    programs = Processes()
+    programs = Processes("timeit")
     with ThreadPoolExecutor(2) as pool:
         running = {}
         for name in codes:
             first = deaf if name == "deaf" else ""
             file = str(tmp_path / name)
             code = f"{first}import time; open({file!r}, 'w').close(); time.sleep({WAIT_S})"
-            running[name] = pool.submit(programs, "timeit", ["-n1", "-r1", code], 1)
+            running[name] = pool.submit(programs, "-n1", ["-r1", code], 1)
         while not all((tmp_path / name).exists() for name in codes):
             assert not any(one.done() for one in running.values())
             time.sleep(0.05)
-        programs.stop(told=False)
+        programs.stop(signalled=False)
     assert {name: one.result()[0] for name, one in running.items()} == codes
     with pytest.raises(KeyboardInterrupt):
-        programs("timeit", ["-n1", "-r1", "pass"], 1)
+        programs("-n1", ["-r1", "pass"], 1)

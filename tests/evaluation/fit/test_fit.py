@@ -14,15 +14,15 @@ from PIL import Image
 from simnfnd.command import main
 from simnfnd.evaluation.fit import files as fit_files
 from simnfnd.evaluation.fit import search as fit_search
-from simnfnd.evaluation.fit.command import FitSettings, flattened
+from simnfnd.evaluation.fit.settings import FitSettings, flattened
 from simnfnd.evaluation.fit.simulate import Simulation
-from simnfnd.evaluation.realism.geometry import Grid
+from simnfnd.evaluation.realism.polar import Grid
 from simnfnd.factory.compose import compose_config
 from simnfnd.factory.config import from_mapping, plain
 from simnfnd.factory.distribution import parse
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.generate import run as generate
-from simnfnd.factory.pairs import PairMaker
+from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.settings import build
 from tests.project_files import ROOT
 
@@ -52,7 +52,7 @@ def real(tmp_path_factory: pytest.TempPathFactory) -> Path:
     generate(compose_config([*RECIPE, f"dataset.dir={folder / 'data'}"]), [])
     (folder / "real").mkdir()
     config = compose_config([*RECIPE, f"noise.background.density={TRUE_DENSITY}", "seed=5"])
-    maker = PairMaker(config)
+    maker = pair_maker(config)
     simulation = Simulation(RECIPE, 10, Grid(**GRID))
     lines = ["file,layout,hfov_deg"]
     for number, ref in enumerate(simulation.refs):

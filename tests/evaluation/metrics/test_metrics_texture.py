@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import ndimage
 
+from simnfnd.evaluation.data.picture import Picture, sector_of
 from simnfnd.evaluation.metrics.edges import edge_preservation
 from simnfnd.evaluation.metrics.fidelity import MetricError, gmsd
-from simnfnd.evaluation.metrics.measure import sector_of
 from simnfnd.evaluation.metrics.multiscale import SMALLEST, ms_ssim
 from simnfnd.evaluation.metrics.reference import Compared
 from simnfnd.evaluation.metrics.speckle import (
@@ -30,7 +30,6 @@ from simnfnd.evaluation.metrics.speckle import (
     zone_enl,
 )
 from simnfnd.evaluation.metrics.texture import Scene
-from simnfnd.evaluation.pictures import Picture
 from tests.evaluation.metrics.test_metrics import waves
 
 Array = npt.NDArray[Any]

@@ -15,8 +15,7 @@ import pytest
 from simnfnd.command import main
 from simnfnd.evaluation.real.downstream import segmented, split_of
 from simnfnd.evaluation.real.measure import figures_of
-from simnfnd.evaluation.real.pictures import open_folder, pixel_geometry, scene
-from simnfnd.evaluation.realism.geometry import sector_mask
+from simnfnd.evaluation.real.pictures import geometry_of, open_folder, scene
 from simnfnd.evaluation.realism.real import MDD_GEOMETRIES, MDD_SHAPE
 from simnfnd.factory.errors import FactoryError
 from tests.project_files import ROOT
@@ -35,7 +34,7 @@ def fans(root: Path, count: int) -> Path:
     rng = np.random.default_rng(0)
     for number in range(count):
         name = "AB"[number % 2]
-        sector = sector_mask(MDD_GEOMETRIES[name], MDD_SHAPE)
+        sector = MDD_GEOMETRIES[name].sector_mask(*MDD_SHAPE)
         clean = np.where(sector, 0.4, 0.0)
         mask = np.zeros(MDD_SHAPE, np.uint8)
         row, column = int(rng.integers(90, 220)), int(rng.integers(130, 170))
@@ -60,9 +59,9 @@ def test_both_fans_of_the_dataset_get_their_geometry(tmp_path: Path) -> None:
     for file, name in zip(files, "AB", strict=True):
         shared = scene(file)
         own = MDD_GEOMETRIES[name]
-        np.testing.assert_array_equal(shared.sector, sector_mask(own, MDD_SHAPE))
+        np.testing.assert_array_equal(shared.sector, own.sector_mask(*MDD_SHAPE))
         # The same sector by the geometry that filters and networks get.
-        known = pixel_geometry(file)
+        known = geometry_of(file)
         assert known is not None
         theirs = known.maps(0, 0, *MDD_SHAPE)["sector"] > 0
         assert (theirs ^ shared.sector).sum() < 0.005 * shared.sector.sum()

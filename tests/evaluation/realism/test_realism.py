@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,11 +13,11 @@ from PIL import Image
 
 from simnfnd.command import main
 from simnfnd.evaluation.realism import compare, real
-from simnfnd.evaluation.realism.geometry import Geometry, Grid, sector_mask, to_polar
 from simnfnd.evaluation.realism.measure import Measured, joined, measure_picture
-from simnfnd.evaluation.realism.simulated import picture_geometry
+from simnfnd.evaluation.realism.polar import Grid, to_polar
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.fan import fan_table
+from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
 from tests.evaluation.realism.realism_pictures import polar_folder, sonar_picture
 from tests.project_files import ROOT
@@ -38,17 +39,21 @@ def test_a_fan_of_the_factory_comes_back_as_its_polar_picture(
     sonar = SonarSettings(hfov_deg=30, beams=64, range_bins=128, image=image)
     polar = smooth(128, 64)
     fan = fan_table(sonar, near).bilinear(polar)
-    geometry = picture_geometry("fan", (size[1], size[0]), 30, (near * 8, 8.0), (-15, 15))
+    geometry = FanGeometry.from_sonar(sonar, near * 8, 8.0)
     back = to_polar(fan, geometry, Grid(128, 64))
     assert np.abs(back - polar)[3:-3, 3:-3].max() < 0.02
-    assert geometry.span_m == pytest.approx(8 * (1 - near))
+    assert geometry.range_span_m == pytest.approx(8 * (1 - near))
 
 
 def test_bearings_without_data_are_left_out_and_squeezed_pictures_stretched() -> None:
-    geometry = picture_geometry("polar", (64, 64), 40, (1, 5), (-10, 20))
-    assert geometry.seen == (0.25, 1.0)
+    image = ImageSettings(layout="polar")
+    sonar = SonarSettings(hfov_deg=40, beams=64, range_bins=64, image=image)
+    geometry = FanGeometry.from_sonar(sonar, 1, 5, math.radians(-10), math.radians(20))
+    assert geometry.data_fraction == (0.25, 1.0)
     assert to_polar(smooth(64, 64), geometry, Grid(64, 64)).shape == (64, 48)
-    wide = Geometry("fan", 30, 100.0, 300.0, 50.0, 280.0)
+    wide = FanGeometry.fan(
+        math.radians(30), apex_x_px=100.0, apex_y_px=300.0, near_px=50.0, far_px=280.0
+    )
     narrow = replace(wide, x_scale=0.5, apex_x_px=50.0)
     rows, columns = np.mgrid[0:300, 0:200]
     picture = np.hypot(300.0 - rows, columns - 100.0).astype(np.float32)
@@ -65,7 +70,7 @@ def test_bearings_without_data_are_left_out_and_squeezed_pictures_stretched() ->
 @pytest.mark.parametrize("name", ["A", "B"])
 def test_the_two_fans_of_mdd_are_told_apart(name: str) -> None:
     rng = np.random.default_rng(0)
-    sector = sector_mask(real.MDD_GEOMETRIES[name], real.MDD_SHAPE)
+    sector = real.MDD_GEOMETRIES[name].sector_mask(*real.MDD_SHAPE)
     picture = np.where(sector, rng.rayleigh(0.2, sector.shape), 0).astype(np.float32)
     picture[rng.random(sector.shape) < 0.1] = 0  # dark pixels inside must not matter
     assert real.mdd_geometry(picture) == name

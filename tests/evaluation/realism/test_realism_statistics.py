@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from simnfnd.evaluation.realism import artefacts, distances, features, texture, windows
+from simnfnd.evaluation.realism import distances
 from simnfnd.evaluation.realism.measure import Measured, joined, measure_picture
+from simnfnd.evaluation.realism.statistics import artefacts, features, texture, windows
 from tests.evaluation.realism.realism_pictures import sonar_picture, speckle
 
 

@@ -14,14 +14,14 @@ from scipy import stats
 
 from simnfnd.command import main
 from simnfnd.evaluation import compare
-from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.data.pairs import Item
+from simnfnd.evaluation.measurement.rows import Row
+from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.metrics import statistics
-from simnfnd.evaluation.pictures import Item
 from simnfnd.evaluation.report import breakdown, charts, paper, robustness
 from simnfnd.evaluation.report import build as builder
 from simnfnd.evaluation.report.content import best_classical, content_of
 from simnfnd.evaluation.report.files import read_results
-from simnfnd.evaluation.rows import Row
 from simnfnd.factory.errors import FactoryError
 from tests.evaluation.evaluation_settings import settings_for
 from tests.small_dataset import write_dataset

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import sys
-from importlib import import_module
 from pathlib import Path
 
 import pytest
 
-from simnfnd.command import VERBS, main, overview
+from simnfnd.command import main
 from tests.factory.export.export_dataset import write
 
 
@@ -19,13 +18,6 @@ def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
         return main(words)
     except SystemExit as ended:  # of argparse
         return int(ended.code or 0)
-
-
-@pytest.mark.parametrize("verb", VERBS)
-def test_every_verb_is_listed_and_exists(verb) -> None:
-    assert f"\n  {verb} " in overview()
-    module, function = VERBS[verb].target.split(":")
-    assert callable(getattr(import_module(module), function))
 
 
 @pytest.mark.parametrize("verb", ["preview", "inspect", "gallery", "merge", "export"])

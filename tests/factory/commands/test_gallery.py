@@ -13,11 +13,8 @@ import pytest
 from simnfnd.factory.commands.gallery import alone, compose, gallery
 from simnfnd.factory.distribution import Distribution, parse
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.gallery import figures
-from simnfnd.factory.pairs import Scene
 from simnfnd.factory.sonar.echoes import from_xyz
-from simnfnd.factory.sonar.window import Window
 from tests.project_files import ROOT
 
 SMALL = (
@@ -89,9 +86,7 @@ def test_the_view_from_above_puts_echoes_where_they_are() -> None:
     near = np.stack([np.full(200, 4.0), left_m, np.full(200, -1.0)], axis=1)
     far = np.stack([np.full(200, 8.0), -left_m, np.full(200, -1.0)], axis=1)
     echoes = from_xyz(np.concatenate([near, far]), np.repeat([2.0, 1.0], 200))
-    window = Window("top_view", 3, 9, -0.5, 0.5)
-    scene = Scene(FrameRef("a", "b", "c"), echoes, window, np.zeros((2, 2), bool), {})
-    panel = figures.from_above("above", scene)
+    panel = figures.from_above("above", echoes)
     assert panel.extent is not None
     left, right, bottom, top = panel.extent
     assert (left, right, bottom, top) == pytest.approx((-2, 2, 4, 8), abs=1e-3)

@@ -11,8 +11,8 @@ import pytest
 
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.factory.commands.inspect import main, report
-from simnfnd.factory.dataset.describe.inspection import inspect
 from simnfnd.factory.dataset.describe.quality import PSNR_CAP_DB, psnr_db, ssim
+from simnfnd.factory.dataset.describe.summary import summarize
 from simnfnd.factory.errors import FactoryError
 from tests import small_dataset
 from tests.factory.export.export_dataset import write
@@ -41,7 +41,7 @@ def test_quality_is_what_evaluation_reports(dtype) -> None:
 
 
 def test_figures_are_those_of_the_files(dataset) -> None:
-    found = inspect(dataset)
+    found = summarize(dataset)
     shards = sorted(dataset.glob("*/*.h5"), key=lambda path: (path.parent.name != "train", path))
     tables, pairs = [], []
     for path in shards:
@@ -59,15 +59,15 @@ def test_figures_are_those_of_the_files(dataset) -> None:
 
 
 def test_few_pairs_are_spread_over_all(dataset) -> None:
-    everything = inspect(dataset)
+    everything = summarize(dataset)
     for pairs in (1, 3, 5):
-        few = inspect(dataset, pairs=pairs)
+        few = summarize(dataset, pairs=pairs)
         at = [(2 * k + 1) * 12 // (2 * pairs) for k in range(pairs)]
         assert list(few.psnr_db) == list(everything.psnr_db[at])
 
 
 def test_the_report_says_it_in_words(dataset) -> None:
-    lines = list(report(inspect(dataset), "little"))
+    lines = list(report(summarize(dataset), "little"))
     text = "\n".join(lines)
     assert lines[0].startswith("little: simnfnd/1, made by simnfnd 0.1.0, config hash 0000")
     assert "9 train, 3 test, in 3 file(s)" in text
@@ -77,7 +77,7 @@ def test_the_report_says_it_in_words(dataset) -> None:
     scene = next(line for line in lines if line.startswith("test ") and "reef" in line)
     assert scene.split() == ["test", "reef", "reef-test", "3"]
     low, high = (np.min, np.max)
-    values = inspect(dataset).numbers("range_max_m")
+    values = summarize(dataset).numbers("range_max_m")
     row = next(line for line in lines if line.startswith("range_max_m")).split()
     assert row == [
         "range_max_m", f"{low(values):.6g}", f"{values.mean():.6g}", f"{high(values):.6g}", "m",
@@ -91,11 +91,11 @@ def test_the_report_says_it_in_words(dataset) -> None:
 
 
 def test_one_shard_and_the_index_can_be_given(dataset, tmp_path) -> None:
-    shard = inspect(dataset / "test/shard-00000.h5")
+    shard = summarize(dataset / "test/shard-00000.h5")
     assert shard.source.splits == {"test": 3}
     (dataset / "index.h5").touch()  # only its place matters
     try:
-        assert inspect(dataset / "index.h5").source.splits == {"train": 9, "test": 3}
+        assert summarize(dataset / "index.h5").source.splits == {"train": 9, "test": 3}
     finally:
         (dataset / "index.h5").unlink()
 
@@ -105,7 +105,7 @@ def test_one_shard_and_the_index_can_be_given(dataset, tmp_path) -> None:
     [("none", "fletcher32"), ("lzf", "lzf, fletcher32"), ("gzip", "gzip 1, fletcher32")],
 )
 def test_compression_is_told(compression, said, tmp_path) -> None:
-    from simnfnd.factory.dataset.describe.inspection import compression_of
+    from simnfnd.factory.dataset.describe.summary import compression_of
 
     filters = {} if compression == "none" else {"compression": compression}
     if compression == "gzip":
@@ -130,11 +130,11 @@ def test_the_figure_is_a_picture(dataset, tmp_path, capsys) -> None:
 
 def test_what_is_no_dataset_is_said(tmp_path, dataset) -> None:
     with pytest.raises(FactoryError, match="no such file or folder"):
-        inspect(tmp_path / "nothing")
+        summarize(tmp_path / "nothing")
     with pytest.raises(FactoryError, match="no shards"):
-        inspect(tmp_path)
+        summarize(tmp_path)
     (tmp_path / "a.h5").write_bytes(b"hello")
     with pytest.raises(FactoryError, match=r"a\.h5"):
-        inspect(tmp_path / "a.h5")
+        summarize(tmp_path / "a.h5")
     with pytest.raises(FactoryError, match="--pairs"):
-        inspect(dataset, pairs=0)
+        summarize(dataset, pairs=0)

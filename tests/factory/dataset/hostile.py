@@ -17,12 +17,12 @@ import numpy as np
 
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.check import validate
-from simnfnd.factory.dataset.check.isolated import Guard
 from simnfnd.factory.dataset.format.manifest import Manifest, load_manifest, save_manifest
 from simnfnd.factory.dataset.format.sample import Pair
 from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.read import pair_dataset
+from simnfnd.factory.dataset.read import reader as shard_reader
+from simnfnd.factory.dataset.read.isolated import IsolatedProcess
 from simnfnd.factory.dataset.write.index import write_index
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError
@@ -97,14 +97,14 @@ def admit(root: Path) -> None:
     save_manifest(root, manifest)
 
 
-class LastingGuard(Guard):
+class LastingProcess(IsolatedProcess):
     """One process for many datasets: starting one takes far longer than looking at a small file."""
 
-    _one: Guard | None = None
+    _one: IsolatedProcess | None = None
 
-    def __enter__(self) -> Guard:
-        LastingGuard._one = LastingGuard._one or Guard()
-        return LastingGuard._one
+    def __enter__(self) -> IsolatedProcess:
+        LastingProcess._one = LastingProcess._one or IsolatedProcess()
+        return LastingProcess._one
 
     def __exit__(self, *exception: object) -> None:
         """Leave it running."""
@@ -112,7 +112,7 @@ class LastingGuard(Guard):
 
 def read_quickly(root: Path) -> str:
     """`read_everything` with a lasting process that looks at the shards first."""
-    with mock.patch.multiple(pair_dataset, Guard=LastingGuard, _LIMIT_S=2.0):
+    with mock.patch.multiple(shard_reader, IsolatedProcess=LastingProcess, _LIMIT_S=2.0):
         return read_everything(root)
 
 
@@ -134,23 +134,23 @@ def read_everything(root: Path) -> str:
     return "read"
 
 
-def check(root: Path, reader: Guard, validator: Guard) -> tuple[str, str]:
+def check(root: Path, reader: IsolatedProcess, validator: IsolatedProcess) -> tuple[str, str]:
     """What reader and validator say of a dataset; AssertionError when it is no clear answer.
 
     reader, validator: processes that may crash or hang instead of this one.
     """
-    said = reader.call(read_quickly, root, limit_s=30.0)
-    assert said == "read" or said.startswith("refused: ")
+    outcome = reader.call(read_quickly, root, limit_s=30.0)
+    assert outcome == "read" or outcome.startswith("refused: ")
     try:
         with mock.patch.object(validate, "_LIMIT_S", 2.0):
             report = validate.validate_with(validator, root, deep=True)
         found = "; ".join(str(finding) for finding in report.errors) or "valid"
     except FactoryError as error:
         found = f"refused: {error}"
-    for text in (said, found):
+    for text in (outcome, found):
         assert "\n" not in text
         assert len(text) < 20_000
-    return said, found
+    return outcome, found
 
 
 def mutate(root: Path, number: int) -> str:
@@ -168,11 +168,11 @@ def mutate(root: Path, number: int) -> str:
         _sources_of_index,
         _files,
     ]
-    said = kinds[number % len(kinds)](root, rng)
-    if rng.random() < 0.7 and "manifest" not in said:
+    outcome = kinds[number % len(kinds)](root, rng)
+    if rng.random() < 0.7 and "manifest" not in outcome:
         admit(root)
-        said += ", admitted"
-    return f"{number}: {said}"
+        outcome += ", admitted"
+    return f"{number}: {outcome}"
 
 
 def _any_shard(root: Path, rng: Rng) -> Path:
@@ -214,23 +214,23 @@ def _spoil(content: bytes, rng: Rng) -> tuple[bytes, str]:
 
 def _bytes_of_shard(root: Path, rng: Rng) -> str:
     path = _any_shard(root, rng)
-    content, said = _spoil(path.read_bytes(), rng)
+    content, outcome = _spoil(path.read_bytes(), rng)
     path.write_bytes(content)
-    return f"{path.name} {said}"
+    return f"{path.name} {outcome}"
 
 
 def _bytes_of_manifest(root: Path, rng: Rng) -> str:
     path = root / "manifest.json"
-    content, said = _spoil(path.read_bytes(), rng)
+    content, outcome = _spoil(path.read_bytes(), rng)
     path.write_bytes(content)
-    return f"manifest {said}"
+    return f"manifest {outcome}"
 
 
 def _bytes_of_index(root: Path, rng: Rng) -> str:
     path = root / "index.h5"
-    content, said = _spoil(path.read_bytes(), rng)
+    content, outcome = _spoil(path.read_bytes(), rng)
     path.write_bytes(content)
-    return f"index {said}"
+    return f"index {outcome}"
 
 
 _ODD_VALUES: tuple[Any, ...] = (

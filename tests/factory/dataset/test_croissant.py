@@ -29,8 +29,8 @@ def describe(root: Path, licence: str | None = "CC-BY-4.0") -> dict[str, Any]:
     manifest = load_manifest(root)
     assert manifest is not None
     path = write_croissant(root, manifest, DatasetSettings(name="little", licence=licence))
-    told: dict[str, Any] = json.loads(path.read_text())
-    return told
+    stated: dict[str, Any] = json.loads(path.read_text())
+    return stated
 
 
 def test_mlcroissant_finds_no_fault(dataset) -> None:
@@ -65,8 +65,8 @@ def test_mlcroissant_loads_the_shards(dataset) -> None:
 
 
 def test_every_file_is_there_with_its_checksum(dataset) -> None:
-    told = json.loads((dataset / "croissant.json").read_text())
-    listed = {file["contentUrl"]: file for file in told["distribution"]}
+    stated = json.loads((dataset / "croissant.json").read_text())
+    listed = {file["contentUrl"]: file for file in stated["distribution"]}
     shards = {str(path.relative_to(dataset)) for path in dataset.glob("*/*.h5")}
     assert set(listed) == {"manifest.json", *shards}
     for name, file in listed.items():
@@ -76,8 +76,8 @@ def test_every_file_is_there_with_its_checksum(dataset) -> None:
 
 
 def test_pictures_and_columns_are_explained(dataset) -> None:
-    told = json.loads((dataset / "croissant.json").read_text())
-    variables = {item["name"]: item for item in told["variableMeasured"]}
+    stated = json.loads((dataset / "croissant.json").read_text())
+    variables = {item["name"]: item for item in stated["variableMeasured"]}
     assert {"/noisy", "/clean", "/shadow", "/range", "/segmentation"} <= set(variables)
     assert variables["/range"]["unitText"] == "m"
     assert variables["/meta range_max_m"]["unitText"] == "m"
@@ -121,5 +121,5 @@ def faults(root: Path) -> list[str]:
 def test_an_unreadable_shard_is_named(tmp_path) -> None:
     root = write(tmp_path)
     (root / "test/shard-00000.h5").write_bytes(b"no")
-    with pytest.raises(FactoryError, match=r"test/shard-00000.h5: cannot be read"):
+    with pytest.raises(FactoryError, match=r"test/shard-00000.h5: not a readable HDF5 file"):
         describe(root)

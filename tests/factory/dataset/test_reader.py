@@ -111,7 +111,7 @@ def test_table_and_axes_come_with_the_pictures(sound: Path) -> None:
     assert pairs.config_hash == PROVENANCE.config_hash
 
 
-# --- processes, threads, handles
+# --- processes, threads, open files
 
 
 def open_files(folder: Path) -> list[str]:
@@ -279,7 +279,7 @@ def test_a_damage_that_makes_hdf5_hang_is_refused_in_time(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The heap that holds the attributes' texts, emptied: HDF5 walks it for ever."""
-    monkeypatch.setattr("simnfnd.factory.dataset.read.pair_dataset._LIMIT_S", 2.0)
+    monkeypatch.setattr("simnfnd.factory.dataset.read.reader._LIMIT_S", 2.0)
     path = folder / "train/shard-00000.h5"
     content = bytearray(path.read_bytes())
     start = content.index(b"GCOL") + 16

@@ -6,8 +6,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+from simnfnd.factory.config import digest
 from simnfnd.factory.dataset.describe.schema_page import markdown
+from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.write.writer import write_shard
 from tests.factory.dataset.hostile import whole
+from tests.fake_source import FakeConfig, FakeSource, refs
 from tests.project import readme_steps
 from tests.project_files import ROOT
 
@@ -19,10 +24,30 @@ def test_the_format_is_documented_as_it_is() -> None:
     )
 
 
+def test_a_stranger_can_compute_the_config_hash(tmp_path: Path) -> None:
+    """With the Python of the documentation, of a shard as the factory writes it."""
+    config = {"seed": 7, "noise": {"rate": 0.1, "modes": ("radial", "ärger")}, "limit": None}
+    source = FakeSource(FakeConfig())
+    write_shard(
+        tmp_path / "outputs/demo",
+        "train/shard-00000.h5",
+        source.pairs(refs(1, "alpha")[0], (0,)),
+        source.axes(),
+        source.columns(),
+        Provenance(config, digest(config), "tests"),
+        DatasetSettings(),
+    )
+    (block,) = (step for step in readme_steps.steps(markdown()) if "blake2b" in step.text)
+    done = subprocess.run(
+        [sys.executable, "-c", block.text], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.stdout.split() == [digest(config)] * 2, done.stderr
+
+
 def test_the_python_of_the_documentation_runs(tmp_path: Path) -> None:
     whole(tmp_path / "outputs" / "demo")
     blocks = [step for step in readme_steps.steps(markdown()) if step.kind == "python"]
-    assert len(blocks) == 2
+    assert len(blocks) == 3
     for block in blocks:
         done = subprocess.run(
             [sys.executable, "-c", block.text],

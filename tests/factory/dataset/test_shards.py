@@ -589,7 +589,7 @@ def test_a_preview_spreads_over_the_scenes(sizes: list[int], count: int) -> None
 
 
 def test_slow_or_missing_libraries_are_not_imported_for_the_shards() -> None:
-    code = "import sys, simnfnd.factory.jobs.generate; print(*sorted(sys.modules))"
+    code = "import sys, simnfnd.factory.jobs.run; print(*sorted(sys.modules))"
     result = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True
     )

@@ -14,10 +14,10 @@ import h5py
 import numpy as np
 import pytest
 
-from simnfnd.factory.dataset.check.isolated import Guard
 from simnfnd.factory.dataset.check.validate import Report, validate_with
 from simnfnd.factory.dataset.format.manifest import load_manifest, save_manifest
 from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.read.isolated import IsolatedProcess
 from simnfnd.factory.dataset.write.index import write_index
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError
@@ -52,14 +52,14 @@ def folder(sound: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def validator() -> Iterator[Guard]:
-    with Guard() as guard:
+def validator() -> Iterator[IsolatedProcess]:
+    with IsolatedProcess() as guard:
         yield guard
 
 
 @pytest.fixture(scope="module")
-def reader() -> Iterator[Guard]:
-    with Guard() as guard:
+def reader() -> Iterator[IsolatedProcess]:
+    with IsolatedProcess() as guard:
         yield guard
 
 
@@ -87,7 +87,7 @@ def errors(report: Report) -> str:
 
 
 @pytest.mark.parametrize("deep", [False, True])
-def test_a_sound_dataset_is_valid(sound: Path, validator: Guard, deep: bool) -> None:
+def test_a_sound_dataset_is_valid(sound: Path, validator: IsolatedProcess, deep: bool) -> None:
     report = validate_with(validator, sound, deep)
     assert report.errors == ()
     assert (report.samples, report.shards) == (12, 3)
@@ -111,14 +111,14 @@ def test_the_command_says_it_with_its_exit_code(folder: Path) -> None:
     assert "manifest.json" in done.stderr
 
 
-def test_a_scene_on_both_sides_is_a_leak(folder: Path, validator: Guard) -> None:
+def test_a_scene_on_both_sides_is_a_leak(folder: Path, validator: IsolatedProcess) -> None:
     add(folder, "test/shard-00001.h5", "alpha", first=10)
     assert "1 scene(s) both train and test: reef/alpha" in errors(
         validate_with(validator, folder, False)
     )
 
 
-def test_a_clean_picture_on_both_sides_is_a_leak(folder: Path, validator: Guard) -> None:
+def test_a_clean_picture_on_both_sides_is_a_leak(folder: Path, validator: IsolatedProcess) -> None:
     clean = np.asarray(SOURCE.pairs(refs(1, "alpha")[0], (0,))[0].clean)
     add(folder, "test/shard-00001.h5", "delta", clean=clean)
     assert errors(validate_with(validator, folder, False)) == ""
@@ -127,7 +127,9 @@ def test_a_clean_picture_on_both_sides_is_a_leak(folder: Path, validator: Guard)
     )
 
 
-def test_a_sample_twice_is_found_by_name_and_by_picture(folder: Path, validator: Guard) -> None:
+def test_a_sample_twice_is_found_by_name_and_by_picture(
+    folder: Path, validator: IsolatedProcess
+) -> None:
     add(folder, "train/shard-00002.h5", "beta", first=2)
     text = errors(validate_with(validator, folder, True))
     assert "sample 0 is reef/beta/0002 variant 0 again, as train/shard-00001.h5 sample 2" in text
@@ -145,7 +147,7 @@ def test_a_sample_twice_is_found_by_name_and_by_picture(folder: Path, validator:
     ],
 )
 def test_values_that_cannot_be_are_found(
-    tmp_path: Path, validator: Guard, layer: str, value: float, words: str
+    tmp_path: Path, validator: IsolatedProcess, layer: str, value: float, words: str
 ) -> None:
     root = whole(tmp_path / "dataset", dtype="float32")
     with h5py.File(root / "train/shard-00001.h5", "r+") as file:
@@ -155,7 +157,9 @@ def test_values_that_cannot_be_are_found(
     assert words in errors(validate_with(validator, root, True))
 
 
-def test_what_is_not_as_the_manifest_says_is_found(folder: Path, validator: Guard) -> None:
+def test_what_is_not_as_the_manifest_says_is_found(
+    folder: Path, validator: IsolatedProcess
+) -> None:
     (folder / "train/shard-00007.h5").write_bytes(b"stray")
     manifest = load_manifest(folder)
     assert manifest is not None
@@ -170,7 +174,7 @@ def test_what_is_not_as_the_manifest_says_is_found(folder: Path, validator: Guar
     assert "error: index.h5: /test/clean does not show the shards" in text
 
 
-def test_a_shard_of_another_form_is_found(folder: Path, validator: Guard) -> None:
+def test_a_shard_of_another_form_is_found(folder: Path, validator: IsolatedProcess) -> None:
     info = write_shard(
         folder,
         "train/shard-00002.h5",
@@ -193,7 +197,7 @@ def test_a_shard_of_another_form_is_found(folder: Path, validator: Guard) -> Non
 
 @pytest.mark.parametrize("kind", sorted(OBJECTS))
 def test_no_object_that_the_schema_has_not_is_read(
-    folder: Path, reader: Guard, validator: Guard, kind: str
+    folder: Path, reader: IsolatedProcess, validator: IsolatedProcess, kind: str
 ) -> None:
     with h5py.File(folder / "train/shard-00000.h5", "r+") as file:
         OBJECTS[kind](file, "noisy", (folder.parent / "secret.h5").resolve())
@@ -208,7 +212,7 @@ def test_no_object_that_the_schema_has_not_is_read(
 
 @pytest.mark.parametrize("place", ["absolute", "../secret.h5", "train/../../secret.h5"])
 def test_an_index_that_leads_out_of_the_folder_is_found_and_not_read(
-    folder: Path, validator: Guard, place: str
+    folder: Path, validator: IsolatedProcess, place: str
 ) -> None:
     secret = folder.parent / "secret.h5"
     place = str(secret.resolve()) if place == "absolute" else place
@@ -226,22 +230,22 @@ def test_an_index_that_leads_out_of_the_folder_is_found_and_not_read(
 
 @pytest.mark.parametrize("first", range(0, MUTATIONS, 20))
 def test_mutated_datasets_get_a_clear_answer(
-    sound: Path, tmp_path: Path, reader: Guard, validator: Guard, first: int
+    sound: Path, tmp_path: Path, reader: IsolatedProcess, validator: IsolatedProcess, first: int
 ) -> None:
     shutil.copy(sound.parent / "secret.h5", tmp_path)
     shutil.copy(sound.parent / "secret.raw", tmp_path)
     answers = set()
     for number in range(first, first + 20):
         root = copy(sound, tmp_path / "mutated")
-        said = mutate(root, number)
+        outcome = mutate(root, number)
         read, found = check(root, reader, validator)
         answers.add((read == "read", found == "valid"))
-        if "admitted" not in said and ".h5" in said and "index" not in said:
-            assert found != "valid", said
+        if "admitted" not in outcome and ".h5" in outcome and "index" not in outcome:
+            assert found != "valid", outcome
     assert (False, False) in answers
 
 
-def test_what_happens_in_the_guarded_process_is_told(validator: Guard) -> None:
+def test_what_happens_in_the_isolated_process_is_reported(validator: IsolatedProcess) -> None:
     import os
     import time
 

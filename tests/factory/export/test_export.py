@@ -19,7 +19,7 @@ from PIL import Image
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export import FORMATS, export
-from simnfnd.factory.scenes.labels import CLASSES
+from simnfnd.factory.labels import CLASSES
 from tests.factory.export import export_dataset
 from tests.factory.export.export_dataset import COUNTS, write
 
@@ -60,8 +60,8 @@ def test_webdataset_gives_back_every_sample(which, request, tmp_path) -> None:
     import webdataset
 
     source = request.getfixturevalue(which)
-    told = export(source, "webdataset", tmp_path / "out")
-    assert told == "2 tars, 9 train samples and 3 test samples"
+    stated = export(source, "webdataset", tmp_path / "out")
+    assert stated == "2 tars, 9 train samples and 3 test samples"
     for split, total in TOTALS.items():
         url = (tmp_path / "out" / f"{split}-000000.tar").as_uri().replace("file://", "file:")
         samples = list(webdataset.WebDataset(url, shardshuffle=False).decode("l8"))
@@ -132,9 +132,9 @@ def test_load_dataset_gives_back_every_sample(which, request, monkeypatch, tmp_p
 def test_the_card_for_the_hub_names_files_and_licence(fans, tmp_path) -> None:
     export(fans, "huggingface", tmp_path / "out")
     front = (tmp_path / "out/README.md").read_text().split("---\n")[1]
-    told = yaml.safe_load(front)
-    assert told["license"] == "cc-by-4.0"
-    assert told["configs"][0]["data_files"] == [
+    stated = yaml.safe_load(front)
+    assert stated["license"] == "cc-by-4.0"
+    assert stated["configs"][0]["data_files"] == [
         {"split": "train", "path": "data/train-*.parquet"},
         {"split": "test", "path": "data/test-*.parquet"},
     ]
@@ -143,8 +143,8 @@ def test_the_card_for_the_hub_names_files_and_licence(fans, tmp_path) -> None:
 @pytest.mark.parametrize("which", ["fans", "floats"])
 def test_png_pairs_are_the_pictures(which, request, tmp_path) -> None:
     source = request.getfixturevalue(which)
-    told = export(source, "png", tmp_path / "out")
-    assert ("range" in told) == (which == "fans")  # what no PNG holds is said
+    stated = export(source, "png", tmp_path / "out")
+    assert ("range" in stated) == (which == "fans")  # what no PNG holds is said
     for split, total in TOTALS.items():
         folder = tmp_path / "out" / split
         for name in ("noisy", "clean", "shadow"):
@@ -229,18 +229,18 @@ def test_a_ping_survives_as_a_ros_message(dtype, tmp_path) -> None:
         table = stored(source, split, "meta")
         for number in range(total):
             stem = tmp_path / "out" / split / f"{number:06d}"
-            told = json.loads(stem.with_suffix(".json").read_text())
+            stated = json.loads(stem.with_suffix(".json").read_text())
             arrays = np.load(stem.with_suffix(".npz"))
-            ping = told["ping_info"]
+            ping = stated["ping_info"]
             widths = {k: np.asarray(ping.pop(k), np.float32) for k in list(ping) if "widths" in k}
-            head = told["header"]
+            head = stated["header"]
             message = kinds["ProjectedSonarImage"](
                 header=header(stamp=time(**head["stamp"]), frame_id=head["frame_id"]),
                 ping_info=kinds["PingInfo"](**ping, **widths),
                 beam_directions=[vector(*direction) for direction in arrays["beam_directions"]],
                 ranges=arrays["ranges"],
                 image=kinds["SonarImageData"](
-                    **told["image"], data=np.frombuffer(arrays["noisy"].tobytes(), np.uint8)
+                    **stated["image"], data=np.frombuffer(arrays["noisy"].tobytes(), np.uint8)
                 ),
             )
             kind = "marine_acoustic_msgs/msg/ProjectedSonarImage"
@@ -259,7 +259,7 @@ def test_a_ping_survives_as_a_ros_message(dtype, tmp_path) -> None:
             bearings = [math.degrees(math.atan2(d.y, d.z)) for d in back.beam_directions]
             np.testing.assert_allclose(bearings, np.arange(beams) * 3.0 - 22.5, atol=1e-9)
             assert back.ping_info.frequency == 1.2e6
-            same_record(told["record"], table[number])
+            same_record(stated["record"], table[number])
 
 
 @pytest.mark.parametrize("to", FORMATS)

@@ -17,9 +17,9 @@ from simnfnd.factory.dataset.format.schema import Provenance, layers
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.formation.record import columns, image_axes
 from simnfnd.factory.frame import Frame
-from simnfnd.factory.scenes.labels import CLASSES
+from simnfnd.factory.labels import CLASSES
+from simnfnd.factory.record import columns, image_axes
 from simnfnd.factory.sonar.fan import fan_table
 from tests.fake_source import FakeConfig, FakeSource, refs
 from tests.frames import HEIGHT_M, POST_M, ground_and_post, plain_render
@@ -47,7 +47,7 @@ def labelled() -> Frame:
 
 def made(settings: FactoryConfig, frame: Frame | None = None, variant: int = 0) -> Pair:
     frame = frame or labelled()
-    scene = pairs.observe(frame, plain_render(frame), settings.sonar, settings.dataset.layers)
+    scene = pairs.observe(frame, plain_render(frame), settings)
     return pairs.make_pair(scene, variant, settings)
 
 
@@ -82,7 +82,7 @@ def test_range_and_elevation_put_every_echo_back_on_ground_or_post() -> None:
     """range sin(elevation) is the height below the sonar; the picture alone has lost it."""
     settings = config(sonar=POLAR, dataset={"layers": TRUTH})
     frame = labelled()
-    scene = pairs.observe(frame, plain_render(frame), settings.sonar, TRUTH)
+    scene = pairs.observe(frame, plain_render(frame), settings)
     layer = {name: np.asarray(picture) for name, picture in scene.layers.items()}
     echo = np.isfinite(layer["range"])
     np.testing.assert_array_equal(np.isfinite(layer["elevation"]), echo)
@@ -114,7 +114,7 @@ def test_valid_azimuth_is_what_the_camera_saw() -> None:
     pair = made(wide)
     valid = np.asarray(pair.layers["valid_azimuth"], np.bool_)
     frame = labelled()
-    scene = pairs.observe(frame, plain_render(frame), wide.sonar)
+    scene = pairs.observe(frame, plain_render(frame), wide)
     inside = fan_table(wide.sonar, scene.window.near_fraction).inside
     assert pair.layers["valid_azimuth"].dtype == np.bool_
     assert not valid[~inside].any()
@@ -134,7 +134,7 @@ def test_outside_of_the_fan_there_is_nothing() -> None:
     settings = config(dataset={"layers": TRUTH})
     pair = made(settings)
     frame = labelled()
-    scene = pairs.observe(frame, plain_render(frame), settings.sonar)
+    scene = pairs.observe(frame, plain_render(frame), settings)
     outside = ~fan_table(settings.sonar, scene.window.near_fraction).inside
     for name, picture in pair.layers.items():
         values = np.asarray(picture)[outside]

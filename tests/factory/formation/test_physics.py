@@ -15,10 +15,10 @@ from simnfnd.factory.compose import compose_config
 from simnfnd.factory.config import digest, identity
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.formation.field import beams as matrices
-from simnfnd.factory.formation.field.pairs import backscatter, field_scene, make_field_pair
 from simnfnd.factory.formation.field.scatterers import scatterers
 from simnfnd.factory.formation.field.signal import beamform, beamform_power
-from simnfnd.factory.pairs import observe
+from simnfnd.factory.formation.field.targets import backscatter
+from simnfnd.factory.pairs import make_pair, observe
 from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.settings import build
 from simnfnd.factory.sonar import acoustics, array
@@ -26,7 +26,7 @@ from simnfnd.factory.sonar.acoustics import WaterSettings
 from simnfnd.factory.sonar.array import ArraySettings, Taper
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.factory.sonar.window import Window
-from tests.constant_field import FAR_M, NEAR_M, config, constant_field, heard
+from tests.constant_field import FAR_M, NEAR_M, config, constant_field, observed, ping_of, scene_of
 from tests.project_files import ROOT
 
 CONF = ROOT / "conf"
@@ -155,7 +155,7 @@ def test_beam_mixing_keeps_energy_for_any_beams(beams, hfov_deg, width_deg, wind
 
 
 def test_the_blur_of_the_device_keeps_energy_and_is_the_matrix_product() -> None:
-    made = heard(config()).ping
+    made = ping_of(observed(config()))
     power = np.zeros(made.shape, np.float32)
     rng = np.random.default_rng(0)
     middle = (slice(40, -40), slice(None))
@@ -175,7 +175,7 @@ def test_beams_in_halves_are_the_matrix_product(beams):
     sonar: dict[str, Any] = {"beams": beams} if isinstance(beams, int) else {}
     if isinstance(beams, tuple):
         sonar = {"beams": len(beams), "beam_azimuths_deg": beams, "hfov_deg": 45}
-    made = heard(config(sonar=sonar)).ping
+    made = ping_of(observed(config(sonar=sonar)))
     rng = np.random.default_rng(2)
     field = rng.standard_normal((1, 2, *made.shape)).astype(np.float32)
     power = np.zeros(made.shape, np.float32)
@@ -194,7 +194,7 @@ def test_beams_by_way_of_modes_are_the_matrix_product(words):
     """As many beams as resolve nothing more; to 2e-5 of the row's strongest number."""
     settings_ = compose_config(["experiment=physical", *words])
     frame, rendered = constant_field(size=(60, 80))
-    made = field_scene(frame, rendered, settings_).ping
+    made = ping_of(observe(frame, rendered, settings_))
     factors = matrices.modes(settings_.sonar)
     assert factors is not None
     assert sum(one.shape[0] * one.shape[1] for one in factors) < 0.9 * (made.shape[1] // 2) ** 2 * 2
@@ -269,8 +269,8 @@ def test_backscatter_has_no_losses_left() -> None:
     for frequency_khz in (200, 3000):
         settings_ = config(sonar={"frequency_khz": frequency_khz})
         frame, rendered = constant_field()
-        window = observe(frame, rendered, settings_.sonar).window
-        flat.append(backscatter(frame, rendered, window, settings_))
+        made = scene_of(observe(frame, rendered, settings_))
+        flat.append(backscatter(made.surface, settings_))
     np.testing.assert_allclose(flat[0], flat[1], rtol=1e-3)
     # Equal power per bin over source level: sigma grows as r^4, area as r.
     rows = flat[0].mean(axis=1)
@@ -289,7 +289,7 @@ def test_the_exponent_of_backscatter_is_that_of_the_cosine() -> None:
     level = {}
     for exponent in (2.0, 3.0):
         settings_ = config(acoustics={"lambert_exponent": exponent})
-        window = observe(frame, rendered, settings_.sonar).window
+        window = observe(frame, rendered, settings_).window
         made = scatterers(
             frame, rendered, window, settings_.sonar, settings_.water, settings_.acoustics
         )
@@ -304,7 +304,7 @@ def test_materials_differ_as_the_table_says() -> None:
     labels[:, : labels.shape[1] // 2] = 9  # Tire
     frame = replace(frame, segmentation=labels)
     settings_ = config(acoustics={"reflectivity_db": {"Background": -25, "Tire": -15}})
-    window = observe(frame, rendered, settings_.sonar).window
+    window = observe(frame, rendered, settings_).window
     made = scatterers(
         frame, rendered, window, settings_.sonar, settings_.water, settings_.acoustics
     )
@@ -327,8 +327,8 @@ def test_echoes_outside_the_vertical_beam_are_as_weak_as_its_sidelobes() -> None
 
 def test_tvg_levels_what_it_knows() -> None:
     """40 log r + 2 a r undoes the losses of the constant field's opposite: here, power per bin."""
-    made = heard(config(acoustics={"tvg_log": 0, "tvg_absorption": True}))
-    expected = beamform_power(made.ping.scatterers.power, made.ping) * made.ping.gain[:, None]
+    of = ping_of(observed(config(acoustics={"tvg_log": 0, "tvg_absorption": True})))
+    expected = beamform_power(of.scatterers.power, of) * of.gain[:, None]
     rows = expected[30:-30].mean(axis=1)
     assert rows.max() / rows.min() == pytest.approx(1, abs=0.05)
 
@@ -339,8 +339,7 @@ def test_every_preset_makes_a_picture(device, layout):
     words = ["experiment=physical", f"sonar={device}", f"sonar.image.layout={layout}"]
     settings_ = compose_config([*words, "sonar.range.min_m=1", "sonar.range.max_m=9"])
     frame, rendered = constant_field(size=(240, 320))
-    made = field_scene(frame, rendered, settings_)
-    pair = make_field_pair(made, 0, settings_)
+    pair = make_pair(observe(frame, rendered, settings_), 0, settings_)
     assert pair.noisy.shape == settings_.sonar.shape()
     echo = pair.clean.astype(np.float32) > 0
     assert 0.2 < pair.clean.astype(np.float32)[echo].mean() / 255 <= 1

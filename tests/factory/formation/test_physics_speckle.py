@@ -11,30 +11,29 @@ import pytest
 from scipy import special, stats
 
 from simnfnd.factory.formation.field import world_loops
-from simnfnd.factory.formation.field.pairs import FieldScene, field_scene, make_field_pair, received
+from simnfnd.factory.formation.field.received import received
 from simnfnd.factory.formation.field.scatterers import Scatterers, shares
 from simnfnd.factory.formation.field.signal import beamform_power, gaussian_table, white_noise
-from simnfnd.factory.noise import physical
-from simnfnd.factory.noise.physical.texture import gamma_of_normal
-from tests.constant_field import config, heard, slope
+from simnfnd.factory.noise.draws import StreamNames, draw
+from simnfnd.factory.noise.field.texture import gamma_of_normal
+from simnfnd.factory.pairs import ObservedFrame, make_pair, observe
+from tests.constant_field import config, observed, ping_of, slope
 
 SPECKLE = {"speckle": {"scatterer_m": 0.004}}
 SHARP = {"bandwidth_khz": 2000.0, "beamwidth_deg": 0.02}  # a point-spread within one bin
 EDGE = (slice(20, -20), slice(20, -20))
 
 
-def amplitude(made: FieldScene, variant: int, settings: Any) -> np.ndarray:
+def amplitude(made: ObservedFrame, variant: int, settings: Any) -> np.ndarray:
     """(range_bins, beams) amplitude over the root of its expectation, without the edges."""
-    ping, ref = made.ping, made.ref
-    posed = ping.scatterers.posed
-    drawn = physical.draw(settings.noise, settings.seed, ref, variant, posed)
-    rngs = {n: physical.stream(n, settings.seed, ref, variant, posed) for n in drawn}
+    ping, names = ping_of(made), StreamNames.of(made.ref, variant, made.has_pose)
+    effects = draw(settings.noise, settings.seed, names).effects
     expected = beamform_power(ping.scatterers.power, ping) * ping.gain[:, None]
-    return np.asarray((received(ping, drawn, rngs) / np.sqrt(expected))[EDGE])
+    return np.asarray((received(ping, effects) / np.sqrt(expected))[EDGE])
 
 
 def many(settings: Any, count: int) -> np.ndarray:
-    made = heard(settings)
+    made = observed(settings)
     return np.stack([amplitude(made, variant, settings) for variant in range(count)])
 
 
@@ -101,7 +100,7 @@ def test_scatterers_of_a_run_lie_in_one_cell_of_the_world(away_m):
     """Cells from the scatterers' places in double precision; also far from the world's origin."""
     settings, edge_m = config(), 0.01
     frame, rendered = slope((away_m, -away_m, 0.3))
-    made: Scatterers = field_scene(frame, rendered, settings).ping.scatterers
+    made: Scatterers = ping_of(observe(frame, rendered, settings)).scatterers
     assert frame.world_from_camera is not None
     (height, width), camera = frame.depth_m.shape, frame.intrinsics
     row, column = np.divmod(made.pixels, width)
@@ -171,7 +170,7 @@ def _frame_speckle(pose_m: tuple[float, float, float], name: str, posed: bool = 
     frame, rendered = slope(pose_m, name)
     if not posed:
         frame = replace(frame, world_from_camera=None)
-    made = field_scene(frame, rendered, settings)
+    made = observe(frame, rendered, settings)
     return amplitude(made, 0, settings) ** 2
 
 
@@ -228,9 +227,9 @@ def test_the_table_of_gaussian_values_has_the_moments_of_the_distribution() -> N
 
 def test_pairs_are_the_same_whenever_they_are_made() -> None:
     settings = config(noise={**SPECKLE, "receiver": {}, "texture": {}, "volume": {}})
-    first, again = heard(settings), heard(settings)
+    first, again = observed(settings), observed(settings)
     for variant in (1, 0):
-        one, two = (make_field_pair(made, variant, settings) for made in (first, again))
+        one, two = (make_pair(made, variant, settings) for made in (first, again))
         np.testing.assert_array_equal(one.noisy, two.noisy)
         np.testing.assert_array_equal(one.clean, two.clean)
         assert str(one.record) == str(two.record)  # text, because NaN is not equal to itself

@@ -21,15 +21,17 @@ from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.check.validate import validate
 from simnfnd.factory.dataset.format.manifest import load_manifest
 from simnfnd.factory.dataset.format.sample import Pair
+from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.read.source import open_source
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.export.source import open_source
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.jobs.earlier import Earlier
 from simnfnd.factory.jobs.extend import plan_extension
-from simnfnd.factory.jobs.generate import generate_dataset
+from simnfnd.factory.jobs.job import Job
+from simnfnd.factory.jobs.ledger import RunReport
 from simnfnd.factory.jobs.plan import plan_shards
-from simnfnd.factory.jobs.run import RunReport
+from simnfnd.factory.jobs.run import make_dataset
 from simnfnd.factory.jobs.settings import SchedulerSettings, ShardSlice
 from tests.fake_source import FakeConfig, FakeSource, refs, rerun
 
@@ -59,21 +61,20 @@ def make(
         "frames_found": sorted(ref.name for refs_ in frames.values() for ref in refs_),
         **changes,
     }
-    return generate_dataset(
+    job = Job(
         directory,
         plan_shards(frames, *how),
         source=source,
         config=config,
-        config_dict=identity,
-        identity=identity,
-        config_hash=f"{hash_of(identity):016x}",
+        provenance=Provenance(identity, f"{hash_of(identity):016x}", "simnfnd test"),
+        config_values=identity,
         dataset=DatasetSettings(dir=str(directory), preview_pairs=0, on_existing=on_existing),
         scheduler=SchedulerSettings(backend="serial", shard_size=4, backoff_s=0.01),
-        skipped={},
         rerun_command=rerun,
         shard=shard,
-        extended=lambda earlier: plan_extension(frames, *how, earlier),
+        extension=lambda earlier: plan_extension(frames, *how, earlier),
     )
+    return make_dataset(job)
 
 
 def hash_of(identity: dict[str, Any]) -> int:

@@ -20,10 +20,9 @@ from hypothesis import strategies as st
 
 from benchmarks.memory import workers_of
 from simnfnd.factory.dataset.format.manifest import load_manifest
-from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.jobs.attempts import Attempts
 from simnfnd.factory.jobs.journal import open_journal, read_journal
+from simnfnd.factory.jobs.pending import PendingShard
 from simnfnd.factory.jobs.plan import plan_shards
 from simnfnd.factory.jobs.settings import MAX_AUTO_WORKERS, Crew, SchedulerSettings
 from simnfnd.factory.settings import build
@@ -180,21 +179,21 @@ def test_journal_tells_progress_even_when_cut_short(tmp_path: Path) -> None:
 @given(deaths=st.lists(st.none() | st.integers(0, 4)), retries=st.integers(0, 3))
 def test_deaths_of_a_shard_come_to_an_end(deaths: list[int | None], retries: int) -> None:
     (task,) = plan_shards({"train": refs(5)}, 1, 10)
-    attempts = Attempts(task, retries)
+    shard = PendingShard(task, retries)
     happened = 0  # deaths before this one; those of a frame that is given up do not happen
     for count, in_hand in enumerate(deaths):
-        given_up = {failure.ref.frame for failure in attempts.given_up}
+        given_up = {failure.ref.frame for failure in shard.given_up}
         if in_hand is not None and task.items[in_hand][0].frame in given_up:
             continue  # is never in hand again
-        again = attempts.died(in_hand, "crash", "killed")
+        again = shard.died(in_hand, "crash", "killed")
         assert happened <= 6 * (retries + 1)
         happened += 1
         if not again:
-            assert len(attempts.given_up) == 5
+            assert len(shard.given_up) == 5
             assert deaths[: count + 1].count(None) == retries + 1
             return
     for index, (ref, _) in enumerate(task.items):
-        named = ref.frame in {failure.ref.frame for failure in attempts.given_up}
+        named = ref.frame in {failure.ref.frame for failure in shard.given_up}
         assert named == (deaths.count(index) > retries)
 
 
@@ -535,20 +534,6 @@ def test_any_text_in_a_journal_is_read_without_a_crash(text: str) -> None:
 
 
 def test_zero_planned_samples_are_refused(tmp_path: Path) -> None:
-    from simnfnd.factory.jobs.generate import generate_dataset
-
     with pytest.raises(FactoryError, match="nothing to make"):
-        generate_dataset(
-            tmp_path / "dataset",
-            (),
-            source=BrokenSource,  # type: ignore[arg-type]
-            config=None,
-            config_dict={},
-            identity={},
-            config_hash="0",
-            dataset=DatasetSettings(),
-            scheduler=SchedulerSettings(),
-            skipped={},
-            rerun_command=str,
-        )
+        make(tmp_path / "dataset", tasks=(), source=BrokenSource)
     assert not (tmp_path / "dataset").exists()

@@ -10,13 +10,14 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.jobs.attempts import Preparation, backoff_s
 from simnfnd.factory.jobs.lock import LOCK_NAME, Lock, owner_of
+from simnfnd.factory.jobs.pending import PendingFrame, backoff_s
 from simnfnd.factory.jobs.settings import ShardSlice
 from simnfnd.factory.settings import build
 from tests.factory.jobs.test_scheduler import failures, litter, shard_bytes, wait_for
@@ -26,7 +27,7 @@ from tests.run_fake import make
 SERIAL = {"backend": "serial"}
 
 
-def staged(directory: Path, config: FakeConfig = FakeConfig(), **changes: object):  # noqa: B008
+def staged(directory: Path, config: FakeConfig = FakeConfig(), **changes: Any):  # noqa: B008
     """`make` with frames that are prepared by other workers, in a folder beside the dataset."""
     config = replace(config, prepared=config.prepared or str(directory.parent / "prepared"))
     return make(directory, config, source=GentleSource, preparer=FakePreparer, **changes)
@@ -142,7 +143,7 @@ def test_frames_that_never_stay_end_the_run_in_one_line(
 
 def test_tries_wait_longer_each_time_and_come_to_an_end() -> None:
     assert [backoff_s(0.5, deaths) for deaths in (1, 2, 3, 20)] == [0.5, 1.0, 2.0, 30.0]
-    frame = Preparation(refs(1)[0], retries=2)
+    frame = PendingFrame(refs(1)[0], retries=2)
     assert frame.died("crash", "killed") is None
     assert frame.died("crash", "killed") is None
     failure = frame.died("timeout", "took longer")
@@ -206,6 +207,7 @@ def test_overwrite_never_touches_a_folder_that_is_no_dataset(tmp_path: Path) -> 
 HOLD = """
 import sys, time
 from pathlib import Path
+from typing import Any
 from simnfnd.factory.jobs.lock import Lock
 with Lock(Path(sys.argv[1]), sys.argv[2]):
     print("held", flush=True)

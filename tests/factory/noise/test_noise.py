@@ -4,18 +4,31 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from simnfnd.factory import noise, seeds
+from simnfnd.factory import seeds
 from simnfnd.factory.distribution import parse
-from simnfnd.factory.noise import EFFECTS, NoiseSettings
-from simnfnd.factory.noise.azimuth import AzimuthSettings, azimuth
-from simnfnd.factory.noise.background import BackgroundSettings, background
-from simnfnd.factory.noise.multipath import multipath
-from simnfnd.factory.noise.range_arc import range_arc
-from simnfnd.factory.noise.range_spreading import RangeSpreadingSettings, range_spreading
+from simnfnd.factory.formation.clouds import effect_clouds
+from simnfnd.factory.noise.draws import StreamNames, draw
+from simnfnd.factory.noise.points.azimuth import AzimuthSettings, azimuth
+from simnfnd.factory.noise.points.background import BackgroundSettings, background
+from simnfnd.factory.noise.points.multipath import multipath
+from simnfnd.factory.noise.points.range_arc import range_arc
+from simnfnd.factory.noise.points.range_spreading import RangeSpreadingSettings, range_spreading
+from simnfnd.factory.noise.registry import EFFECTS, POINT_EFFECTS, NoiseSettings
 from simnfnd.factory.settings import build
+from simnfnd.factory.sonar.echoes import Echoes
 from tests.clouds import HALF_RAD, camera_scene, uniform_scene, window
 
 RNG = np.random.default_rng
+
+
+def drawn(settings: NoiseSettings, seed: int, *names: str | int):
+    return draw(settings, seed, StreamNames.single(*names))
+
+
+def clouds(scene: Echoes, settings: NoiseSettings, seed: int, *names: str | int):
+    """Name -> echoes of every enabled effect."""
+    made = effect_clouds(drawn(settings, seed, *names).effects, scene, scene, window())
+    return {cloud.name: cloud.echoes for cloud in made}
 
 
 def noisy(values) -> NoiseSettings:
@@ -128,28 +141,23 @@ def test_arcs_hold_a_range_over_all_bearings():
     assert stats.kstest(made.azimuth_rad, "uniform", (-HALF_RAD, 2 * HALF_RAD)).pvalue > 1e-3
 
 
-@pytest.mark.parametrize("effect", [name for name in EFFECTS if not EFFECTS[name].moves])
+@pytest.mark.parametrize("effect", [name for name in POINT_EFFECTS if not EFFECTS[name].moves])
 def test_density_is_a_fraction_of_the_scene_points(effect):
     settings = noisy(
         {effect: {"density": 0.25} | ({} if effect == "background" else {"count": 2})},
     )
     scene = uniform_scene(8000)
-    made = noise.layers(
-        scene, scene, window(), noise.draw(settings, 0, "s", "f", 0), 0, "s", "f", 0
-    )
+    made = clouds(scene, settings, 0, "s", "f", 0)
     assert len(made[effect]) == 2000
 
 
-@pytest.mark.parametrize("effect", list(EFFECTS))
+@pytest.mark.parametrize("effect", POINT_EFFECTS)
 def test_an_effect_that_is_off_leaves_the_others_draws_untouched(effect):
     scene = uniform_scene(2000)
     everything = NoiseSettings()
     without = noisy({effect: {"enabled": False}})
     names = ("scene", "frame", 0)
-    layers = [
-        noise.layers(scene, scene, window(), noise.draw(settings, 7, *names), 7, *names)
-        for settings in (everything, without)
-    ]
+    layers = [clouds(scene, settings, 7, *names) for settings in (everything, without)]
     assert set(layers[0]) - set(layers[1]) == {effect}
     for other, made in layers[1].items():
         np.testing.assert_array_equal(made.range_m, layers[0][other].range_m)
@@ -159,33 +167,34 @@ def test_an_effect_that_is_off_leaves_the_others_draws_untouched(effect):
 def test_more_of_one_effect_keeps_the_points_of_less():
     """A sweep over density changes how many points there are and not the draws of other effects."""
     few, many = (noisy({"background": {"density": density}}) for density in (0.1, 0.5))
-    drawn = [noise.draw(settings, 1, "a", "b", 0) for settings in (few, many)]
-    assert drawn[0]["multipath"] == drawn[1]["multipath"]
-    assert drawn[0]["background"]["density"] == 0.1
-    assert drawn[1]["background"]["density"] == 0.5
+    draws = [drawn(settings, 1, "a", "b", 0) for settings in (few, many)]
+    assert draws[0]["multipath"] == draws[1]["multipath"]
+    assert draws[0]["background"].parameters["density"] == 0.1
+    assert draws[1]["background"].parameters["density"] == 0.5
 
 
 def test_draws_are_recorded_and_differ_between_samples_only():
     settings = noisy({"background": {"density": {"uniform": [0.1, 0.9]}}})
-    first = noise.draw(settings, 0, "u_canyon", "1", 0)["background"]["density"]
-    again = noise.draw(settings, 0, "u_canyon", "1", 0)["background"]["density"]
-    others = {noise.draw(settings, 0, "u_canyon", "1", v)["background"]["density"] for v in (1, 2)}
+    first, again, *others = (
+        drawn(settings, 0, "u_canyon", "1", variant)["background"].parameters["density"]
+        for variant in (0, 0, 1, 2)
+    )
     assert first == again
     assert first not in others
-    assert len(others) == 2
+    assert len(set(others)) == 2
 
 
 def test_an_empty_scene_gets_no_noise():
     scene = uniform_scene(0)
     settings = noisy({"range_arc": {"count": 2}})
-    made = noise.layers(scene, scene, window(), noise.draw(settings, 0, "x"), 0, "x")
+    made = clouds(scene, settings, 0, "x")
     assert all(len(echoes) == 0 for echoes in made.values())
 
 
 def test_settings_carry_their_distributions():
     assert RangeSpreadingSettings(alpha=parse(0.1)).alpha.values == (0.1,)
     assert BackgroundSettings().enabled
-    assert AzimuthSettings().count.values == (2.0,)
+    assert AzimuthSettings().count.values == (1.0, 2.0)
 
 
 def test_streams_differ_by_name_and_seed():

@@ -10,30 +10,36 @@ import pytest
 
 from simnfnd.factory.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
-from simnfnd.factory.formation.field.pairs import FieldScene, field_scene, make_field_pair, received
-from simnfnd.factory.formation.field.signal import Ping, Signal, vertical_table
-from simnfnd.factory.formation.record import columns
-from simnfnd.factory.noise import NoiseSettings, physical
-from simnfnd.factory.noise.physical import FIELD_EFFECTS
-from simnfnd.factory.noise.physical.beam_gain import beam_gain
-from simnfnd.factory.noise.physical.crosstalk import crosstalk
-from simnfnd.factory.noise.physical.image_source import bottom_multipath, surface_multipath
-from simnfnd.factory.noise.physical.near_range import comb_lines, ring_down
-from simnfnd.factory.noise.physical.receiver import receiver
-from simnfnd.factory.noise.physical.saturation import saturation
-from simnfnd.factory.noise.physical.sidelobe_arcs import sidelobe_arcs
-from simnfnd.factory.noise.physical.spokes import spokes
-from simnfnd.factory.noise.physical.tvg_error import tvg_error
-from simnfnd.factory.noise.physical.volume import volume
+from simnfnd.factory.formation.field.received import received
+from simnfnd.factory.formation.field.signal import Ping, Signal
+from simnfnd.factory.formation.field.tables import vertical_table
+from simnfnd.factory.noise.draws import Draws, StreamNames, draw
+from simnfnd.factory.noise.field.beam_gain import beam_gain
+from simnfnd.factory.noise.field.crosstalk import crosstalk
+from simnfnd.factory.noise.field.image_source import bottom_multipath, surface_multipath
+from simnfnd.factory.noise.field.near_range import comb_lines, ring_down
+from simnfnd.factory.noise.field.receiver import receiver
+from simnfnd.factory.noise.field.saturation import saturation
+from simnfnd.factory.noise.field.sidelobe_arcs import sidelobe_arcs
+from simnfnd.factory.noise.field.spokes import spokes
+from simnfnd.factory.noise.field.tvg_error import tvg_error
+from simnfnd.factory.noise.field.volume import volume
+from simnfnd.factory.noise.registry import EFFECTS, FIELD_EFFECTS, NoiseSettings, blocks
+from simnfnd.factory.pairs import ObservedFrame, make_pair, observe
+from simnfnd.factory.record import columns
 from simnfnd.factory.sonar.acoustics import thermal_noise_db
 from simnfnd.factory.sonar.array import directivity_db
-from tests.constant_field import config, constant_field, heard
+from tests.constant_field import config, constant_field, observed, ping_of, scene_of
 
 EVERY: dict[str, dict[str, Any]] = {name: {} for name in FIELD_EFFECTS}
 
 
 def ping(**keys: Any) -> Ping:
-    return heard(config(**keys)).ping
+    return ping_of(observed(config(**keys)))
+
+
+def drawn(settings: FactoryConfig, made: ObservedFrame, variant: int = 0) -> Draws:
+    return draw(settings.noise, 0, StreamNames.of(made.ref, variant, made.has_pose))
 
 
 def rng() -> np.random.Generator:
@@ -53,10 +59,15 @@ def intensity(field: np.ndarray) -> np.ndarray:
 
 
 def test_the_registry_and_the_settings_name_the_same_effects() -> None:
-    names = [item.name for item in fields(NoiseSettings)]
-    assert [name for name in names if name in FIELD_EFFECTS] == list(FIELD_EFFECTS)
+    assert [item.name for item in fields(NoiseSettings)] == list(EFFECTS)
     given = compose_config(["experiment=physical"]).noise
-    assert list(physical.blocks(given)) == list(FIELD_EFFECTS)
+    assert list(blocks(given)) == list(EFFECTS)
+    for name, block in blocks(given).items():
+        assert type(block) is EFFECTS[name].settings
+        names = [item.name for item in fields(block)]
+        assert names == ["enabled", *(one.name for one in EFFECTS[name].parameters)]
+    stages = [EFFECTS[name].stage for name in FIELD_EFFECTS]
+    assert stages == sorted(stages, key=["echo", "beam", "picture"].index)
 
 
 def test_receiver_noise_is_mellens_and_flat_before_the_gain() -> None:
@@ -75,13 +86,11 @@ def test_receiver_noise_is_mellens_and_flat_before_the_gain() -> None:
 
 def test_receiver_noise_grows_with_range_after_the_gain() -> None:
     settings = config(noise={"receiver": {"level_db": 60}})
-    made = heard(settings, power=1e-20)
-    drawn = physical.draw(settings.noise, 0, made.ref, 0, False)
-    level = received(made.ping, drawn, {"receiver": rng()}) ** 2
+    made = observed(settings, power=1e-20)
+    of = ping_of(made)
+    level = received(of, drawn(settings, made).effects) ** 2
     grown = decibels(level[-30:].mean() / level[:30].mean())
-    assert grown == pytest.approx(
-        decibels(made.ping.gain[-30:].mean() / made.ping.gain[:30].mean()), abs=0.5
-    )
+    assert grown == pytest.approx(decibels(of.gain[-30:].mean() / of.gain[:30].mean()), abs=0.5)
 
 
 def test_noise_through_the_beamformer_has_the_grain_of_speckle() -> None:
@@ -141,13 +150,13 @@ def test_multipath_comes_when_the_geometry_says(way):
 def test_effects_leave_the_frame_as_it_is() -> None:
     """They change the field that they are given, but what the frame's pairs share stays."""
     settings = config(noise={name: {} for name in EVERY if name != "speckle"})
-    made = heard(settings)
-    before = made.ping.scatterers.power.copy(), made.clean.copy()
-    first = make_field_pair(made, 0, settings)
-    again = make_field_pair(made, 0, settings)
+    made = observed(settings)
+    before = ping_of(made).scatterers.power.copy(), scene_of(made).clean.copy()
+    first = make_pair(made, 0, settings)
+    again = make_pair(made, 0, settings)
     np.testing.assert_array_equal(first.noisy, again.noisy)
-    np.testing.assert_array_equal(made.ping.scatterers.power, before[0])
-    np.testing.assert_array_equal(made.clean, before[1])
+    np.testing.assert_array_equal(ping_of(made).scatterers.power, before[0])
+    np.testing.assert_array_equal(scene_of(made).clean, before[1])
 
 
 def test_speckled_echoes_are_mirrored_with_the_same_strength() -> None:
@@ -164,7 +173,7 @@ def test_speckled_echoes_are_mirrored_with_the_same_strength() -> None:
     )
 
 
-def test_arcs_are_as_far_below_the_strongest_return_as_told() -> None:
+def test_arcs_are_as_far_below_the_strongest_return_as_configured() -> None:
     of = ping()
     field = silence(of)
     field[0, 0, 50, 64] = 2.0
@@ -206,9 +215,9 @@ def test_the_device_is_the_same_in_all_frames_of_a_recording() -> None:
     settings = config(noise=noise)
     made = []
     for name in ("0", "1"):
-        scene = heard(settings, name=name)
-        drawn = physical.draw(settings.noise, 0, scene.ref, 0, False)
-        made.append((drawn, make_field_pair(scene, 0, settings).noisy))
+        frame = observed(settings, name=name)
+        draws = drawn(settings, frame)
+        made.append((draws, make_pair(frame, 0, settings).noisy))
     assert made[0][0] == made[1][0]
     np.testing.assert_array_equal(made[0][1], made[1][1])
 
@@ -259,7 +268,7 @@ def test_saturation_limits_and_leaves_the_rest() -> None:
 
 
 @pytest.fixture(scope="module")
-def complete() -> tuple[FieldScene, Any]:
+def complete() -> tuple[ObservedFrame, Any]:
     """Every effect, each as strong as to show."""
     noise = {
         **EVERY,
@@ -276,12 +285,12 @@ def complete() -> tuple[FieldScene, Any]:
         noise=noise, water={"depth_m": 0.6}, dataset={"layers": ["effects"], "dtype": "float32"},
         sonar={"vfov_deg": 60, "transfer": {"kind": "log", "reference": 0.7}},
     )  # fmt: skip
-    return heard(settings), settings
+    return observed(settings), settings
 
 
 def test_each_layer_is_its_effect_alone(complete):
     made, settings = complete
-    pair = make_field_pair(made, 0, settings)
+    pair = make_pair(made, 0, settings)
     names = {*EVERY, "background"}
     assert set(pair.layers) == {f"layers/{name}" for name in names}
     for name in names:
@@ -291,14 +300,14 @@ def test_each_layer_is_its_effect_alone(complete):
             for other in names - {name}
         }
         alone = replace(settings, noise=replace(settings.noise, **others))
-        np.testing.assert_array_equal(make_field_pair(made, 0, alone).noisy, layer)
+        np.testing.assert_array_equal(make_pair(made, 0, alone).noisy, layer)
         assert (layer != pair.clean).mean() > 0.005, name
         assert 0 <= layer.min() <= layer.max() <= 1
 
 
 def test_without_effects_noisy_is_clean() -> None:
     settings = config()
-    pair = make_field_pair(heard(settings), 0, settings)
+    pair = make_pair(observed(settings), 0, settings)
     np.testing.assert_array_equal(pair.noisy, pair.clean)
 
 
@@ -310,10 +319,10 @@ def with_receiver(settings: FactoryConfig, level_db: Any) -> FactoryConfig:
 def test_drawn_parameters_are_in_the_record_and_replay_the_sample(complete):
     made, settings = complete
     settings = with_receiver(settings, {"uniform": [20, 50]})
-    pair = make_field_pair(made, 3, settings)
+    pair = make_pair(made, 3, settings)
     level_db = float(pair.record["noise.receiver.level_db"])
     assert 20 <= level_db <= 50
-    again = make_field_pair(made, 3, with_receiver(settings, level_db))
+    again = make_pair(made, 3, with_receiver(settings, level_db))
     np.testing.assert_array_equal(again.noisy, pair.noisy)
     table = columns(settings.noise)
     assert {column.name for column in table} == set(pair.record)
@@ -327,11 +336,9 @@ def test_drawn_parameters_are_in_the_record_and_replay_the_sample(complete):
 def test_one_effect_leaves_the_draws_of_the_others() -> None:
     everything = {**EVERY, "receiver": {"level_db": {"uniform": [0, 30]}}}
     few = {"receiver": everything["receiver"]}
-    ref = constant_field()[0].ref
-    drawn = [
-        physical.draw(config(noise=noise).noise, 3, ref, 0, True) for noise in (everything, few)
-    ]
-    assert drawn[0]["receiver"] == drawn[1]["receiver"]
+    names = StreamNames.of(constant_field()[0].ref, 0, has_pose=True)
+    draws = [draw(config(noise=noise).noise, 3, names) for noise in (everything, few)]
+    assert draws[0]["receiver"] == draws[1]["receiver"]
 
 
 @pytest.mark.parametrize("target", ["mean_field", "geometry", "radiometric"])
@@ -344,7 +351,7 @@ def test_the_clean_picture_is_the_target_that_was_asked_for(target):
     radiance = rendered.radiance.copy()
     radiance[:, radiance.shape[1] // 2 :] = 0
     rendered = type(rendered)(radiance, rendered.surface)
-    pair = make_field_pair(field_scene(frame, rendered, settings), 0, settings)
+    pair = make_pair(observe(frame, rendered, settings), 0, settings)
     clean = pair.clean.astype(np.float32)
     leaks = float((clean[:, 80:] > 0).mean())
     if target == "mean_field":
@@ -359,8 +366,8 @@ def test_noise_workers_need_no_renderer_and_no_torch() -> None:
     import sys
 
     code = (
-        "import sys, simnfnd.factory.formation.field.pairs\n"
-        "import simnfnd.factory.formation.field.kernels, simnfnd.factory.noise\n"
+        "import sys, simnfnd.factory.pairs\n"
+        "import simnfnd.factory.formation.field.kernels\n"
         "sys.exit(bool({'bpy', 'open3d', 'torch'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -20,7 +20,7 @@ from simnfnd.command import main
 from simnfnd.factory.config import FactoryConfig, from_mapping
 from simnfnd.factory.errors import FactoryError, NotRendered
 from simnfnd.factory.frame import FrameRef, Intrinsics
-from simnfnd.factory.pairs import PairMaker
+from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.render.cache import Cache, CacheSettings, Limit
 from simnfnd.factory.render.key import FrameKeys
@@ -252,11 +252,11 @@ def test_a_render_that_is_not_there_is_asked_for_by_name(tmp_path: Path) -> None
     settings = config(tmp_path)
     ref = FrameRef("seabed", "seabed-0000", "0001")
     with pytest.raises(NotRendered, match="seabed/seabed-0000/0001"):
-        PairMaker(settings).pairs(ref, (0,))
+        pair_maker(settings).pairs(ref, (0,))
     made = ViewMaker(settings).prepare(ref)
     assert (made.hit, made.bytes > 1000) == (False, True)
     assert ViewMaker(settings).prepare(ref).hit
-    assert len(PairMaker(settings).pairs(ref, (0, 1))) == 2
+    assert len(pair_maker(settings).pairs(ref, (0, 1))) == 2
 
 
 def test_pairs_of_a_cached_render_are_those_of_a_fresh_one(tmp_path: Path) -> None:
@@ -267,8 +267,8 @@ def test_pairs_of_a_cached_render_are_those_of_a_fresh_one(tmp_path: Path) -> No
     maker = ViewMaker(settings)
     fresh = maker.render(ref)
     maker.prepare(ref)
-    (cached,) = PairMaker(settings).pairs(ref, (3,))
-    scene = observe(fresh.frame(ref), fresh.rendered(), settings.sonar)
+    (cached,) = pair_maker(settings).pairs(ref, (3,))
+    scene = observe(fresh.frame(ref), fresh.rendered(), settings)
     direct = make_pair(scene, 3, settings)
     for name in ("noisy", "clean", "shadow"):
         assert getattr(cached, name).tobytes() == getattr(direct, name).tobytes()
@@ -315,17 +315,17 @@ def test_from_command_line_to_pack_and_back(
     out = tmp_path / "out"
     words = [*WORDS, cache, f"dataset.dir={out}", "scheduler.shard_size=2"]
     assert run(monkeypatch, "plan", *words) == 0
-    told = capfd.readouterr().out
-    assert "train: 2 pairs in 1 shards" in told
-    assert "renders: 0 of 4 are in the cache" in told
+    stated = capfd.readouterr().out
+    assert "train: 2 pairs in 1 shards" in stated
+    assert "renders: 0 of 4 are in the cache" in stated
     assert sorted(os.listdir(tmp_path)) == [], "a plan wrote something"
     assert run(monkeypatch, *words) == 0
     assert run(monkeypatch, "plan", *words) == 0
     assert "renders: 4 of 4 are in the cache" in capfd.readouterr().out
     assert run(monkeypatch, "status", str(out), "--verify") == 0
-    told = capfd.readouterr().out
-    assert "last run: finished; 4 of 4 pairs" in told
-    assert "4 rendered, 0 from the cache" in told
+    stated = capfd.readouterr().out
+    assert "last run: finished; 4 of 4 pairs" in stated
+    assert "4 rendered, 0 from the cache" in stated
     assert run(monkeypatch, "failed", str(out)) == 0
 
     # A bit flips in one entry: verify says so, and a run renders that frame anew.
@@ -396,9 +396,9 @@ def test_failed_frames_are_told_and_can_be_tried_again(
     assert run(monkeypatch, *words) == 1
     capfd.readouterr()
     assert run(monkeypatch, "failed", str(out)) == 1
-    told = capfd.readouterr().out
-    assert "list/bad" in told
-    assert "frames.only=[list/bad]" in told
+    stated = capfd.readouterr().out
+    assert "list/bad" in stated
+    assert "frames.only=[list/bad]" in stated
     cv2.imwrite(str(folder / "bad_d.png"), depth)
     assert run(monkeypatch, "failed", str(out), "--rerun") == 0
     assert "1 of 1 frames work now" in capfd.readouterr().out
@@ -420,10 +420,10 @@ for name in ("bpy", "open3d"):
     sys.modules[name] = None  # whoever imports it now fails
 from simnfnd.factory.config import from_mapping
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.pairs import PairMaker
+from simnfnd.factory.pairs import pair_maker
 config = from_mapping({{"scenes": {SMALL_SEABED!r}, "render": {{"kind": "analytic"}},
                        "cache": {{"dir": {str(tmp_path)!r}}}}})
-pairs = PairMaker(config).pairs(FrameRef("seabed", "seabed-0000", "0001"), (0, 1))
+pairs = pair_maker(config).pairs(FrameRef("seabed", "seabed-0000", "0001"), (0, 1))
 assert len(pairs) == 2
 rooms = "simnfnd.factory."
 for heavy in ("torch", "matplotlib", rooms + "render.blender", rooms + "scenes.seabed.world"):

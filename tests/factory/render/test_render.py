@@ -435,7 +435,10 @@ def test_flattened_albedo_ignores_unmeasured_pixels() -> None:
 
 @pytest.mark.parametrize(
     ("kind", "module", "install"),
-    [("cycles", "bpy", "pip install bpy==5.0.1"), ("embree", "open3d", "pip install open3d-cpu")],
+    [
+        ("cycles", "bpy", 'pip install "simnfnd[blender]"'),
+        ("embree", "open3d", 'pip install "simnfnd[open3d]"'),
+    ],
 )
 def test_missing_library_is_one_line_with_the_way_out(
     kind: str, module: str, install: str, monkeypatch: pytest.MonkeyPatch

@@ -193,7 +193,7 @@ def _assert_same_pictures(frame: Frame, found: Rendered, expected: Rendered, lea
     """Clean and noisy pictures, 512x512, of the same draws."""
     config = _config()
     one, other = (
-        pairs.make_pair(pairs.observe(frame, rendered, config.sonar), 0, config)
+        pairs.make_pair(pairs.observe(frame, rendered, config), 0, config)
         for rendered in (found, expected)
     )
     assert one.clean.shape == (512, 512)

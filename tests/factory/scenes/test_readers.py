@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 import subprocess
 import sys
@@ -207,6 +208,39 @@ def test_flsea_without_any_depth_says_what_it_saw(tmp_path: Path) -> None:
     flsea_frame(tmp_path / "canyons/u_canyon", "1", depth=None)
     with pytest.raises(FactoryError, match=r"no frame in u_canyon \(1 x image without a depth map"):
         reader("flsea", tmp_path).discover()
+
+
+def test_links_in_a_circle_are_no_images(tmp_path: Path) -> None:
+    scene = tmp_path / "canyons/u_canyon"
+    flsea_frame(scene, "1")
+    (scene / "imgs/2.tiff").symlink_to("2.tiff")
+    (scene / "depth/3_abs_depth.tif").symlink_to("4_abs_depth.tif")
+    (scene / "depth/4_abs_depth.tif").symlink_to("3_abs_depth.tif")
+    assert names(reader("flsea", tmp_path)) == ["canyons/u_canyon/1"]
+    (tmp_path / "circle").symlink_to("circle")
+    with pytest.raises(FactoryError, match=f"^scenes.root={tmp_path}/circle: no such folder"):
+        reader("flsea", tmp_path / "circle").discover()
+
+
+@pytest.mark.parametrize("kind", ["flsea", "redwood"])
+def test_a_folder_that_may_not_be_read_gets_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    closed = tmp_path / ("canyons/u_canyon/imgs" if kind == "flsea" else "loft/color")
+    write(closed / "1.png", RGB)
+    (closed.parent / "depth").mkdir()
+    scan = os.scandir
+
+    def refused(path: Any) -> Any:
+        # Permissions mean nothing to root, as whom these tests may run.
+        if Path(path) == closed:
+            raise PermissionError(13, "Permission denied", str(path))
+        return scan(path)
+
+    monkeypatch.setattr(os, "scandir", refused)
+    with pytest.raises(FactoryError, match=rf"^scenes.root: {closed} cannot be read") as caught:
+        reader(kind, tmp_path).discover()
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.skipif(not FLSEA.is_dir(), reason="FLSea frames are not here")

@@ -15,12 +15,13 @@ import torch
 from hydra import compose, initialize_config_module
 from omegaconf import OmegaConf
 
-from simnfnd.factory import noise
 from simnfnd.factory.compose import compose_config
 from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.generate import run
-from simnfnd.factory.pairs import PairMaker
+from simnfnd.factory.noise.draws import Draws, StreamNames, draw
+from simnfnd.factory.noise.registry import POINT_EFFECTS, NoiseSettings
+from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.render.pack import write_pack
 from simnfnd.factory.render.views import CachedViews
 from simnfnd.factory.settings import build
@@ -117,7 +118,7 @@ def test_renders_are_the_pairs_of_the_factory_with_other_noise_at_every_visit(
     rendered: tuple[Path, Path],
 ) -> None:
     source, _ = renders(rendered, weaker=0.0, fewer=0.0)
-    maker = PairMaker(source.config)
+    maker = pair_maker(source.config)
     ref = source.frames[1]
     for visit in (0, 3):
         pair = maker.pairs(ref, (visit,))[0]
@@ -134,7 +135,7 @@ def test_renders_are_the_pairs_of_the_factory_with_other_noise_at_every_visit(
 def test_weaker_and_fewer_noise_down_to_none(rendered: tuple[Path, Path]) -> None:
     source, _ = renders(rendered, weaker=0.5, fewer=0.5)
     settings = [source.noise_of(0, visit) for visit in range(80)]
-    kept = [tuple(getattr(one, effect).enabled for effect in noise.EFFECTS) for one in settings]
+    kept = [tuple(getattr(one, effect).enabled for effect in POINT_EFFECTS) for one in settings]
     assert 0.2 < np.mean([all(enabled) for enabled in kept]) < 0.6
     assert len(set(kept)) > 8, "each effect has a coin of its own"
     full = source.config.noise.background.density.values[1]
@@ -149,8 +150,8 @@ def test_weaker_and_fewer_noise_down_to_none(rendered: tuple[Path, Path]) -> Non
     assert sure.noise_of(0, 3) == sure.config.noise
 
 
-def _enabled(settings: noise.NoiseSettings) -> list[bool]:
-    return [getattr(settings, effect).enabled for effect in noise.EFFECTS]
+def _enabled(settings: NoiseSettings) -> list[bool]:
+    return [getattr(settings, effect).enabled for effect in POINT_EFFECTS]
 
 
 def test_training_on_renders_broken_off_ends_with_the_same_bytes(
@@ -197,7 +198,7 @@ def test_scales_train_on_pictures_of_several_sizes(rendered: tuple[Path, Path]) 
         assert sample.noisy.shape == (scale * height, scale * width)
         assert sample.geometry is not None
         sonar = resized(source.config.sonar, scale)
-        expected = PairMaker(replace(source.config, sonar=sonar)).pairs(source.frames[0], (visit,))
+        expected = pair_maker(replace(source.config, sonar=sonar)).pairs(source.frames[0], (visit,))
         np.testing.assert_array_equal(sample.noisy, in_unit_range(expected[0].noisy))
         sector = sample.geometry.maps(0, 0, *sample.noisy.shape)["sector"]
         assert (sector[sample.noisy > 0] > 0).mean() > 0.97
@@ -334,18 +335,18 @@ def test_old_data_has_the_factorys_noise_where_it_belongs(images: Path) -> None:
     fan = read_fans(images / "fans.csv")["0.png"]
     clean = read_grey(images / "0.png") * fan.maps(0, 0, 48, 48)["sector"]
     config = compose_config(["noise=simnfnd"]).noise
-    drawn = noise.draw(config, 0, "a")
+    draws = draw(config, 0, StreamNames.single("a"))
     sector = fan.maps(0, 0, 48, 48)["sector"] > 0
     errors = {}
-    for effect in drawn:
-        noisy = with_noise(clean, fan, {effect: drawn[effect]}, 8, 0, "a")
+    for effect in draws.effects:
+        noisy = with_noise(clean, fan, Draws(config, (effect,)), 8)
         assert not noisy[~sector].any()
-        errors[effect] = float(np.abs(noisy - clean).mean())
-        if not noise.EFFECTS[effect].moves:
+        errors[effect.name] = float(np.abs(noisy - clean).mean())
+        if not effect.moves:
             assert (noisy - clean).min() > -1e-6, "echoes are added, never taken away"
     assert all(error > 0 for name, error in errors.items() if name != "range_arc")
     # Range spreading moves echoes along their bearing and loses few.
-    spread = with_noise(clean, fan, {"range_spreading": drawn["range_spreading"]}, 8, 0, "a")
+    spread = with_noise(clean, fan, Draws(config, (draws["range_spreading"],)), 8)
     assert spread.sum() == pytest.approx(clean.sum(), rel=0.1)
 
 

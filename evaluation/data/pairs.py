@@ -1,0 +1,165 @@
+"""The pairs of a dataset one by one, in any process, with all looks at each frame."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from simnfnd.evaluation.baselines.base import Gray
+from simnfnd.evaluation.data import image_pairs
+from simnfnd.evaluation.data.picture import Picture, sector_of
+from simnfnd.factory.dataset.format.manifest import load_manifest
+from simnfnd.factory.dataset.read.reader import Split, open_shard, shard_paths, value_range
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import sha256_of
+
+if TYPE_CHECKING:
+    from simnfnd.factory.sonar.geometry import FanGeometry
+
+Place = tuple[str, int]
+"""Shard file and row, or a noisy image file and image_pairs.ROW."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """One pair: where it is and what it shows.
+
+    key: changes with the content of the pair.
+    looks: the noise variants of the same frame in the same split, this one last; methods of
+    several looks see all of them.
+    """
+
+    shard: str
+    place: Place
+    key: str
+    location: str
+    scene: str
+    frame: str
+    variant: int
+    looks: tuple[Place, ...]
+
+    @property
+    def group(self) -> str:
+        """What shares one clean image: the unit of the bootstrap."""
+        return f"{self.location}/{self.scene}/{self.frame}"
+
+
+def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
+    """Every pair of a split (the first `limit`), in the dataset's order.
+
+    root: a dataset, or a folder with noisy/ and clean/ images (`image_pairs`).
+    Raises FactoryError when it is neither.
+    """
+    if image_pairs.is_folder_of_pairs(root):
+        return [
+            Item(noisy.name, (str(noisy), image_pairs.ROW), key, "", root.name, noisy.stem, 0, ())
+            for noisy, key in image_pairs.noisy_files(root)
+        ][:limit]
+    manifest = load_manifest(root) if root.is_dir() else None
+    rows: list[tuple[str, Place, str, tuple[str, str, str, int]]] = []
+    for path in shard_paths(root, split):
+        name = path.relative_to(root).as_posix()
+        digest = manifest.shards[name].sha256 if manifest is not None else sha256_of(path)
+        with open_shard(path) as file:
+            rows += [
+                (name, (str(path), row), f"{digest[:24]}:{row}", identity_of(file, row))
+                for row in range(len(file["noisy"]))
+            ]
+    if not rows:
+        raise FactoryError(f"dataset={root}: its shards hold no samples")
+    frames: dict[tuple[str, str, str], list[Place]] = {}
+    for _, place, _, identity in rows:
+        frames.setdefault(identity[:3], []).append(place)
+    return [
+        Item(name, place, key, *identity, (*(p for p in frames[identity[:3]] if p != place), place))
+        for name, place, key, identity in rows
+    ][:limit]
+
+
+def identity_of(file: h5py.File, index: int) -> tuple[str, str, str, int]:
+    """(location, scene, frame, variant) of a sample."""
+    row = file["meta"][index]
+    location, scene, frame = (row[key].decode() for key in ("location", "scene", "frame"))
+    return location, scene, frame, int(row["variant"])
+
+
+def drawn_of(items: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
+    """Column of /meta -> (N,) what it says of each item: numbers (NaN where absent) or text."""
+    tables: dict[str, npt.NDArray[Any]] = {}
+    for path in dict.fromkeys(item.place[0] for item in items if item.place[1] >= 0):
+        with open_shard(Path(path)) as file:
+            tables[path] = file["meta"][:]
+    names = dict.fromkeys(name for t in tables.values() for name in t.dtype.names or ())
+    columns = {}
+    for name in names:
+        values = []
+        for item in items:
+            table = tables.get(item.place[0])
+            known = table is not None and name in (table.dtype.names or ())
+            values.append(table[item.place[1]][name] if table is not None and known else np.nan)
+        text = any(isinstance(value, bytes) for value in values)
+        columns[name] = np.array(
+            [value.decode() if isinstance(value, bytes) else "" for value in values]
+            if text
+            else [float(value) for value in values]
+        )
+    return columns
+
+
+@lru_cache(maxsize=16)
+def picture(place: Place) -> Picture:
+    """Read one pair.  FactoryError when it is damaged or has NaN."""
+    path, row = place
+    if row == image_pairs.ROW:
+        noisy, clean, mask = image_pairs.read_pair(Path(path))
+        shadow = np.zeros(clean.shape, bool) if mask is None else mask
+        sector = sector_of(noisy, clean, shadow)
+        return Picture(noisy, clean, shadow, sector, has_shadow=mask is not None)
+    with open_shard(Path(path)) as file:
+        full = value_range(file)
+        try:
+            noisy, clean, shadow = (file[key][row] for key in ("noisy", "clean", "shadow"))
+        except OSError as error:
+            raise FactoryError(f"{path}: sample {row} is damaged; generate it again") from error
+    for name, image in (("noisy", noisy), ("clean", clean)):
+        if not np.isfinite(image).all():
+            raise FactoryError(f"{path}: sample {row}: {name} has NaN or infinite pixels")
+    shadow = shadow.astype(bool)
+    scale = np.float32(full)
+    return Picture(
+        noisy.astype(np.float32) / scale,
+        clean.astype(np.float32) / scale,
+        shadow,
+        sector_of(noisy, clean, shadow),
+    )
+
+
+def input_of(item: Item, looks: bool) -> Gray:
+    """What a method gets: the noisy image (H, W), or all looks at it (T, H, W)."""
+    if not looks:
+        return picture(item.place).noisy
+    return np.stack([picture(place).noisy for place in item.looks])
+
+
+@lru_cache(maxsize=64)
+def geometry_of(place: Place) -> FanGeometry | None:
+    """Where range and bearing are in a picture of a dataset; None where nothing says so."""
+    from simnfnd.factory.sonar.geometry import FanGeometry, recorded_sonar
+
+    path, row = place
+    if row == image_pairs.ROW:
+        return None
+    with open_shard(Path(path)) as file:
+        try:
+            sonar = recorded_sonar(json.loads(file.attrs["config"]))
+            return None if sonar is None else FanGeometry.from_record(sonar, file["meta"][row])
+        except (KeyError, ValueError, TypeError):
+            return None

@@ -1,0 +1,126 @@
+"""Trained networks as rows of the report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from simnfnd.evaluation.baselines.base import Gray
+from simnfnd.evaluation.data.pairs import Place, geometry_of
+from simnfnd.evaluation.methods.method import Method
+from simnfnd.evaluation.settings import EvaluationSettings
+from simnfnd.factory.errors import FactoryError
+from simnfnd.models import WEIGHTS_NAME
+
+if TYPE_CHECKING:
+    from simnfnd.factory.sonar.geometry import FanGeometry
+
+
+def networks_of(settings: EvaluationSettings) -> list[Method]:
+    """The rows of `models=[...]` and `ablation`, each named by its file or folder.
+
+    Raises FactoryError for a path without weights.
+    """
+    ablation = {
+        "olddata_l1": settings.ablation.olddata_l1,
+        "simnfnd_l1": settings.ablation.simnfnd_l1,
+        "simnfnd_newloss": settings.ablation.simnfnd_newloss,
+    }
+    return networks_at(settings.models, ablation)
+
+
+def networks_at(models: Sequence[str], ablation: Mapping[str, str | None]) -> list[Method]:
+    """The same of these weights; `ablation`: row of the paper's Table 3 -> weights or None."""
+    given = [(path, "", "models") for path in models]
+    given += [(path, row, f"ablation.{row}") for row, path in ablation.items() if path]
+    found: dict[Path, Method] = {}
+    for text, row, key in given:
+        path = _weights(Path(text).expanduser(), key)
+        name = _name(path)
+        taken = {method.name for method in found.values()}
+        if path not in found and name in taken:
+            name = next(f"{name}-{n}" for n in range(2, 1000) if f"{name}-{n}" not in taken)
+        name = found[path].name if path in found else name
+        found[path] = Method(name, "", {}, weights=str(path), ablation=row)
+    return list(found.values())
+
+
+class Network:
+    """Trained weights as a method of the report: the noisy picture of an item in, denoised out."""
+
+    def __init__(self, weights: str, device: str) -> None:
+        """Raises FactoryError for a file that holds no weights of a network."""
+        from simnfnd.models.denoise.denoiser import load_denoiser
+
+        self._denoise = load_denoiser(weights, device)
+
+    @property
+    def on_gpu(self) -> bool:
+        """Whether it runs on a GPU."""
+        parameter = next(self._denoise.trained.network.parameters(), None)
+        return parameter is not None and parameter.is_cuda
+
+    def __call__(
+        self, image: Gray, place: Place | None, geometry: FanGeometry | None = None
+    ) -> Gray:
+        """(H, W) float32 in 0..1 -> the same.
+
+        place: where the picture is; a network that uses the geometry gets it from there, unless
+        it is given.
+        """
+        if not self._denoise.trained.network.extras:
+            geometry = None
+        elif geometry is None and place is not None:
+            geometry = geometry_of(place)
+        return self._denoise(image, geometry)
+
+
+@lru_cache(maxsize=2)
+def network(weights: str, device: str) -> Network:
+    """The network of a weights file, kept between pictures."""
+    return Network(weights, device)
+
+
+def costs_of(networks: Sequence[Method]) -> dict[str, dict[str, float]]:
+    """Label -> gmac (for 256x256 pixels) and parameters of each network, as docs/models.md."""
+    if not networks:
+        return {}
+    from simnfnd.models.networks.cost import count_macs
+    from simnfnd.models.networks.weights import load_weights
+
+    found = {}
+    for method in networks:
+        assert method.weights is not None
+        loaded = load_weights(method.weights).network
+        found[method.label] = {
+            "gmac": count_macs(loaded, 256) / 1e9,
+            "parameters": float(sum(weights.numel() for weights in loaded.parameters())),
+        }
+    return found
+
+
+def _weights(path: Path, key: str) -> Path:
+    if path.is_dir():
+        inside: Sequence[Path] = sorted(path.glob("*.safetensors"))
+        best = path / WEIGHTS_NAME
+        if best in inside:
+            return best.resolve()
+        if len(inside) == 1:
+            return inside[0].resolve()
+        raise FactoryError(
+            f"{key}: {path} holds {len(inside)} weights files and no {WEIGHTS_NAME}; name a file"
+        )
+    if not path.is_file():
+        from simnfnd.models.pretrained import find_weights
+
+        try:
+            path = find_weights(str(path))
+        except FactoryError as error:
+            raise FactoryError(f"{key}: {error}") from error
+    return path.resolve()
+
+
+def _name(path: Path) -> str:
+    return path.parent.name if path.name == WEIGHTS_NAME else path.stem

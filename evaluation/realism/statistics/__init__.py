@@ -1,0 +1,1 @@
+"""What is measured on one polar picture: speckle, grain and texture, artefacts, fixed features."""

@@ -1,0 +1,184 @@
+"""The samples of a dataset one after another, each with its record; exports are made of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from simnfnd.factory.dataset.format.layout import config_of, image_axes, optional_layers
+from simnfnd.factory.dataset.format.sample import Column
+from simnfnd.factory.dataset.read.image_stack import ImageStack
+from simnfnd.factory.dataset.read.reader import Split, check_split, reading, shard_paths
+from simnfnd.factory.errors import FactoryError
+
+CORE = ("noisy", "clean", "shadow")
+Value = float | int | str
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One sample.
+
+    split, number: number counts from 0 within the split, in the order of the shards.
+    images: name -> (H, W) array as it is stored; the optional `layers/<effect>` are called
+        `layers_<effect>`.
+    record: its row of /meta.
+    """
+
+    split: str
+    number: int
+    images: Mapping[str, npt.NDArray[Any]]
+    record: Mapping[str, Value]
+
+    @property
+    def key(self) -> str:
+        """Unique in the dataset, sorts as the dataset does, holds no dot or slash."""
+        return f"{self.split}-{self.number:06d}"
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A dataset that is read for export.
+
+    shards: (split, path, samples) of every shard, in order.  layers: names and dtypes of the
+    images, the core ones first.  axes: (name, units, values) of rows and columns.
+    config: the settings in the first shard.
+    """
+
+    directory: Path
+    shards: tuple[tuple[str, Path, int], ...]
+    layers: Mapping[str, np.dtype[Any]]
+    shape: tuple[int, int]
+    columns: tuple[Column, ...]
+    axes: tuple[tuple[str, str, npt.NDArray[np.float64]], ...]
+    config: Mapping[str, Any]
+    config_hash: str
+
+    @property
+    def splits(self) -> dict[str, int]:
+        """Split -> number of samples, of the splits that have any."""
+        counts: dict[str, int] = {}
+        for split, _, samples in self.shards:
+            counts[split] = counts.get(split, 0) + samples
+        return counts
+
+    @property
+    def dtype(self) -> str:
+        """Of noisy and clean: uint8 or float32."""
+        return str(self.layers["noisy"])
+
+    @property
+    def layout(self) -> str:
+        """Polar (range x azimuth) or fan."""
+        return "polar" if self.axes[1][0] == "azimuth" else "fan"
+
+    def samples(self, split: str) -> Iterator[Sample]:
+        """Every sample of one split; one image of each layer is in memory at a time."""
+        number = 0
+        for _, path, count in (shard for shard in self.shards if shard[0] == split):
+            with reading(path) as file:
+                stacks = _stacks(file)
+                if {name: stack.dtype for name, stack in stacks.items()} != dict(self.layers):
+                    raise FactoryError(
+                        f"its layers ({', '.join(stacks)}) are not those of the other "
+                        f"shards ({', '.join(self.layers)}); make the dataset again"
+                    )
+                table = file["meta"][()]
+                pictures = {name: ImageStack(stack) for name, stack in stacks.items()}
+                for row in range(count):
+                    images = {
+                        name: read_image(stack, name, row) for name, stack in pictures.items()
+                    }
+                    yield Sample(split, number, images, _record(table[row]))
+                    number += 1
+
+
+def open_source(directory: Path, split: Split) -> Source:
+    """Open a dataset folder.  Raises FactoryError when it is none or cannot be read."""
+    return open_shards(directory, shard_paths(directory, split))
+
+
+def open_shards(directory: Path, paths: Sequence[Path]) -> Source:
+    """Open some shards of one dataset that were checked.
+
+    Raises FactoryError when one cannot be read.
+    """
+    shards: list[tuple[str, Path, int]] = []
+    first: Source | None = None
+    for path in paths:
+        with reading(path) as file:
+            if first is None:
+                first = _describe(directory, file)
+            if file["noisy"].shape[1:] != first.shape:
+                raise FactoryError("its images differ in size from the other shards'")
+            check_split(path, file)
+            shards.append((str(file.attrs["split"]), path, file["noisy"].shape[0]))
+    assert first is not None, "no shard was given"
+    return replace(first, shards=tuple(shards))
+
+
+def json_record(record: Mapping[str, Value]) -> dict[str, Value | None]:
+    """A record as strict JSON can hold it: a parameter that was not drawn (NaN) is null."""
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in record.items()
+    }
+
+
+def _describe(directory: Path, file: h5py.File) -> Source:
+    noisy = file["noisy"]
+    axes = tuple((axis.name, axis.units, axis.values) for axis in image_axes(noisy))
+    table = file["meta"]
+    columns = tuple(
+        Column(
+            name,
+            table.dtype[name].str,
+            str(table.attrs.get(f"{name}.units", "")),
+            str(table.attrs.get(f"{name}.description", "")),
+        )
+        for name in table.dtype.names
+    )
+    return Source(
+        directory,
+        (),
+        {name: stack.dtype for name, stack in _stacks(file).items()},
+        (noisy.shape[1], noisy.shape[2]),
+        columns,
+        axes,
+        config_of(file),
+        str(file.attrs["config_hash"]),
+    )
+
+
+def _stacks(file: h5py.File) -> dict[str, h5py.Dataset]:
+    """The image stacks of a shard by name, the core ones first.
+
+    Only those that the schema knows and `reading` has checked: anything else in a stranger's file
+    could lead out of it.
+    """
+    return {name.replace("/", "_"): file[name] for name in (*CORE, *optional_layers(file))}
+
+
+def read_image(stack: ImageStack, name: str, row: int) -> npt.NDArray[Any]:
+    """One (H, W) picture.  Raises FactoryError (without the file's name) when it is damaged."""
+    try:
+        return stack[row]
+    except (OSError, RuntimeError, ValueError) as error:
+        raise FactoryError(
+            f"/{name} sample {row} is damaged; run the command that made the dataset again"
+        ) from error
+
+
+def _record(row: np.void) -> dict[str, Value]:
+    record: dict[str, Value] = {}
+    for name in row.dtype.names or ():
+        value = row[name]
+        record[name] = value.decode() if isinstance(value, bytes) else value.item()
+    return record

@@ -1,0 +1,90 @@
+"""Optional parts of an install: what a command needs of them, and one line for what is missing.
+
+Looks for modules without importing them, so that a run is refused before any work.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
+
+from simnfnd.factory.errors import FactoryError
+
+if TYPE_CHECKING:
+    from simnfnd.factory.config import FactoryConfig
+
+EXTRAS = {
+    "bpy": "blender",
+    "open3d": "open3d",
+    "torch": "train",
+    "lightning": "train",
+    "safetensors": "train",
+    "tensorboard": "train",
+    "optuna": "report",
+    "pyarrow": "report",
+    "skimage": "report",
+    "jinja2": "report",
+    "distributed": "cluster",
+    "webdataset": "export",
+    "hdf5plugin": "zstd",
+}
+"""Module -> the extra of pyproject.toml that installs it."""
+
+
+@dataclass(frozen=True)
+class Need:
+    """A module that something the user asked for cannot do without.
+
+    what: the words that ask for it, for example `render=cycles`.
+    instead: words that do without it.  extra: where more than one extra brings the module.
+    """
+
+    what: str
+    module: str
+    instead: str = ""
+    extra: str = ""
+
+    @property
+    def installed_by(self) -> str:
+        """The name of the extra."""
+        return self.extra or EXTRAS[self.module]
+
+
+def install_command(*extras: str) -> str:
+    """The line that installs `extras`, as a shell takes it."""
+    return f'pip install "simnfnd[{",".join(dict.fromkeys(extras))}]"'
+
+
+def require(needs: Iterable[Need]) -> None:
+    """Raise FactoryError, one line, unless all modules are installed."""
+    missing = [need for need in needs if find_spec(need.module) is None]
+    if not missing:
+        return
+    modules: dict[str, list[str]] = {}
+    for need in missing:
+        modules.setdefault(need.what, []).append(need.module)
+    reasons = ", ".join(f"{what} needs {' and '.join(names)}" for what, names in modules.items())
+    others = "; ".join(dict.fromkeys(need.instead for need in missing if need.instead))
+    raise FactoryError(
+        f"{reasons}: {install_command(*(need.installed_by for need in missing))}"
+        + (f", or choose {others}" if others else "")
+    )
+
+
+def needs_of(config: FactoryConfig) -> Iterator[Need]:
+    """What making the pairs of a configuration needs beyond the core install."""
+    packed = config.scenes.kind == "pack"
+    if not packed and config.render.kind == "cycles":
+        yield Need("render=cycles", "bpy", "render=analytic or render=embree")
+    if not packed and config.render.kind == "embree":
+        yield Need("render=embree", "open3d", "render=analytic or render=cycles")
+    if config.scenes.kind == "seabed":
+        yield Need("scenes=seabed", "open3d", "a recording, for example scenes=csv_list")
+    if config.resample.kind == "voxel":
+        yield Need("resample=voxel", "open3d", "resample=random")
+    if config.scheduler.backend == "dask":
+        yield Need("scheduler=dask", "distributed", "scheduler=local")
+    if config.dataset.compression == "zstd":
+        yield Need("dataset.compression=zstd", "hdf5plugin", "gzip, lzf or none")

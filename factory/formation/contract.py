@@ -1,0 +1,93 @@
+"""What an image formation is: from a frame's surface to clean and noisy polar pictures.
+
+`simnfnd.factory.pairs` assembles pairs with it and knows no more.  A formation is a function
+`(surface, config) -> Scene`, one line in `registry`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from simnfnd.factory.config import FactoryConfig
+    from simnfnd.factory.sonar.surface import LitSurface
+
+Floats = npt.NDArray[np.float32]
+
+# When an effect of noise acts: on the echoes as points; on the complex field before the device
+# blurs it; after beamforming; after time-varying gain.
+Stage = Literal["points", "echo", "beam", "picture"]
+
+
+class DrawnEffect(Protocol):
+    """An effect of noise with the parameters and the random stream of one sample."""
+
+    @property
+    def name(self) -> str:
+        """Its block of the `noise` group."""
+
+    @property
+    def stage(self) -> Stage:
+        """When it acts."""
+
+    @property
+    def moves(self) -> bool:
+        """Of stage points: whether it displaces the scene's echoes; the others add some."""
+
+    def apply(self, subject: Any, context: Any) -> Any:
+        """What it makes of `subject`; equal calls give equal results."""
+
+
+class Formation(Protocol):
+    """Observes the frames of a configuration."""
+
+    def __call__(self, surface: LitSurface, config: FactoryConfig) -> Scene:
+        """The frame as the sonar observes it.
+
+        Raises FrameError when no surface lies in the sonar's sector.
+        """
+
+
+class Scene(Protocol):
+    """A frame as the sonar observes it: what all its samples share; no randomness."""
+
+    @property
+    def filled(self) -> npt.NDArray[np.bool_]:
+        """(range_bins, beams) bool: bins in which insonified surface lies."""
+
+    def sample(self, variant: int, effects: Sequence[DrawnEffect], config: FactoryConfig) -> Sample:
+        """One sample; config is that of the scene but for the noise.  Equal calls, equal bytes."""
+
+
+class Sample(Protocol):
+    """One sample of a scene.
+
+    Pictures are (range_bins, beams) float32 grey values, 0 to 1, and 0 in beams without data.
+    """
+
+    @property
+    def rate(self) -> float:
+        """Fraction of the scene's points that resampling has kept."""
+
+    @property
+    def points(self) -> int:
+        """Number of scene points in the pictures."""
+
+    @property
+    def added(self) -> Mapping[str, int]:
+        """Points that each effect of stage points has added or moved, by its name."""
+
+    @property
+    def full_scale(self) -> float:
+        """Level that the noisy picture shows as grey value 1."""
+
+    @property
+    def clean(self) -> Floats:
+        """The clean picture."""
+
+    def noisy(self, effects: Collection[str]) -> Floats:
+        """The picture with those of the drawn effects that are named."""

@@ -1,0 +1,37 @@
+"""What the receiver gives of one ping: the order in which signal, beams, gain and effects act."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from simnfnd.factory.formation.contract import DrawnEffect, Floats
+from simnfnd.factory.formation.field.signal import Ping, Signal, beamform, beamform_power
+
+
+def received(ping: Ping, effects: Sequence[DrawnEffect]) -> Floats:
+    """(range_bins, beams) float32 amplitude after time-varying gain, with the drawn effects.
+
+    Effects of a stage act in the order in which they are given; those of stage points do not act.
+    """
+    from simnfnd.factory.formation.field import kernels  # loads numba
+
+    signal = Signal(ping.scatterers.power, np.zeros((1, 2, *ping.shape), np.float32))
+    for effect in effects:
+        if effect.stage == "echo":
+            signal = effect.apply(signal, ping)
+    field = beamform(signal.field, ping) if signal.field.any() else signal.field
+    if signal.power.any():
+        # What has no speckle arrives at its expected strength, in phase.
+        field[:, 0] += np.sqrt(beamform_power(signal.power, ping))
+    for effect in effects:
+        if effect.stage == "beam":
+            field = effect.apply(field, ping)
+    field *= np.sqrt(ping.gain)[:, None]
+    for effect in effects:
+        if effect.stage == "picture":
+            field = effect.apply(field, ping)
+    level = np.empty(ping.shape, np.float32)
+    kernels.amplitude(field, level)
+    return level

@@ -1,0 +1,139 @@
+"""The physical image formation: a frame by the sonar equation.
+
+    scatterers -> speckle, haze, multipath -> pulse and beams -> leaks, receiver noise
+      -> time-varying gain -> channels, interference, saturation -> transfer curve -> picture
+
+The clean picture comes through the same device, gain and transfer curve without the noise; see
+`acoustics.target`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from simnfnd.factory.formation.clouds import EffectCloud, effect_clouds
+from simnfnd.factory.formation.contract import DrawnEffect, Floats
+from simnfnd.factory.formation.field.received import received
+from simnfnd.factory.formation.field.scatterers import scatterers
+from simnfnd.factory.formation.field.settings import AcousticsSettings
+from simnfnd.factory.formation.field.signal import Ping, Receiver, beamform_power
+from simnfnd.factory.formation.field.targets import clean_picture
+from simnfnd.factory.sonar import polar, transfer
+from simnfnd.factory.sonar.surface import LitSurface
+
+if TYPE_CHECKING:
+    from simnfnd.factory.config import FactoryConfig
+
+
+@dataclass(frozen=True, eq=False)
+class FieldScene:
+    """A frame as the device receives it; a `contract.Scene`.
+
+    clean: (range_bins, beams) float32 grey values of the clean picture.
+    """
+
+    surface: LitSurface
+    ping: Ping
+    clean: Floats
+
+    @property
+    def filled(self) -> npt.NDArray[np.bool_]:
+        """See `contract.Scene`."""
+        return self.ping.scatterers.in_beam
+
+    def sample(
+        self, variant: int, effects: Sequence[DrawnEffect], config: FactoryConfig
+    ) -> FieldSample:
+        """See `contract.Scene`."""
+        return FieldSample(self, effects)
+
+
+@dataclass(frozen=True, eq=False)
+class FieldSample:
+    """A scene with the effects of one sample; a `contract.Sample`."""
+
+    scene: FieldScene
+    effects: Sequence[DrawnEffect]
+
+    @property
+    def rate(self) -> float:
+        """See `contract.Sample`; all scatterers are kept."""
+        return 1.0
+
+    @property
+    def points(self) -> int:
+        """See `contract.Sample`."""
+        return len(self.scene.ping.scatterers.bins)
+
+    @property
+    def full_scale(self) -> float:
+        """See `contract.Sample`; an intensity."""
+        return self.scene.ping.full_scale
+
+    @property
+    def clean(self) -> Floats:
+        """See `contract.Sample`."""
+        return self.scene.clean
+
+    @cached_property
+    def clouds(self) -> tuple[EffectCloud, ...]:
+        """What the effects of stage points add."""
+        effects = [effect for effect in self.effects if effect.stage == "points"]
+        if not effects:
+            return ()
+        echoes = self.scene.surface.insonified.echoes
+        return effect_clouds(effects, echoes, echoes, self.scene.ping.window)
+
+    @cached_property
+    def added(self) -> Mapping[str, int]:
+        """See `contract.Sample`."""
+        return {cloud.name: len(cloud.echoes) for cloud in self.clouds}
+
+    def noisy(self, effects: Collection[str]) -> Floats:
+        """See `contract.Sample`."""
+        ping = self.scene.ping
+        level = received(ping, [effect for effect in self.effects if effect.name in effects])
+        # The strengths of the points are fractions of full scale.
+        full_scale = np.sqrt(ping.full_scale)
+        for cloud in self.clouds:
+            if cloud.name in effects:
+                extra = np.float32(full_scale) * polar.accumulate(
+                    cloud.echoes, ping.window, ping.sonar
+                )
+                level = np.sqrt(level**2 + extra**2)
+        grey = transfer.grey(level, float(full_scale), ping.sonar.transfer)
+        return polar.where_seen(grey, ping.window, ping.sonar)
+
+
+def observe(surface: LitSurface, config: FactoryConfig) -> FieldScene:
+    """See `contract.Formation`."""
+    from simnfnd.factory.formation.field import kernels  # loads numba
+
+    sonar, water, acoustics = config.sonar, config.water, config.acoustics
+    frame, rendered, window = surface.frame, surface.rendered, surface.window
+    found = scatterers(frame, rendered, window, sonar, water, acoustics)
+    receiver = Receiver(window, sonar, water)
+    gain = time_varying_gain(receiver, acoustics)
+    power = beamform_power(found.power, receiver)
+    amplitude, echoing = np.empty_like(power), np.empty_like(power)
+    strongest = kernels.expectation(
+        power, gain, found.power, polar.seen_beams(window, sonar), amplitude, echoing
+    )
+    full_scale = transfer.full_scale(echoing, sonar.transfer)
+    ping = Ping(window, sonar, water, found, gain, full_scale**2, float(strongest))
+    return FieldScene(surface, ping, clean_picture(surface, config, amplitude, full_scale))
+
+
+def time_varying_gain(receiver: Receiver, acoustics: AcousticsSettings) -> Floats:
+    """(range_bins,) float32 gain on intensity, k log10 r + 2 a r in dB; see `AcousticsSettings`."""
+    range_m = np.maximum(receiver.range_m.astype(np.float64), 1e-3)
+    gain_db = acoustics.tvg_log * np.log10(range_m)
+    if acoustics.tvg_absorption:
+        gain_db += 2 * receiver.absorption_db_per_m * range_m
+    return np.asarray(10 ** (gain_db / 10), np.float32)

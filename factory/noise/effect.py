@@ -1,0 +1,79 @@
+"""What an effect declares in its own file: its settings, its function, its stage and scope."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from typing import Any, Literal
+
+from pydantic.dataclasses import dataclass as validated
+
+from simnfnd.factory.distribution import Distribution, number
+from simnfnd.factory.formation.contract import Stage
+from simnfnd.factory.settings import STRICT
+
+Scope = Literal["sample", "recording", "world"]
+
+
+@validated(frozen=True, config=STRICT)
+class EffectSettings:
+    """Keys that the block of every effect has; its parameters follow.
+
+    enabled: whether the effect acts.
+    """
+
+    enabled: bool = True
+
+
+def parameter(default: float | Distribution, unit: str) -> Any:
+    """A field of an effect's settings that may be a distribution; its draws are recorded.
+
+    unit: of the record's column; "1" for none.
+    """
+    value = default if isinstance(default, Distribution) else number(default)
+    return field(default=value, metadata={"unit": unit, "type": float})
+
+
+def option(default: str) -> Any:
+    """A field of an effect's settings that is one of several words."""
+    return field(default=default, metadata={"unit": "1", "type": str})
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of an effect.  type: float or str."""
+
+    name: str
+    type: type
+    unit: str
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect of noise.
+
+    settings: its block of the configuration; every field but `enabled` is made by `parameter` or
+        `option`.
+    function: pure, `(subject, context, rng, **parameters) -> subject`.  Stage points: subject and
+        result are Echoes, the context is the Window.  Stage echo: a Signal and the Ping; stages
+        beam and picture: the complex field and the Ping.  These may change the field in place.
+    scope: what shares one draw and one random stream: a sample; all frames of a recording (the
+        device's own effects); or "world", a recording whose frames have poses, else a sample.
+    moves: of stage points, displaces the scene's own echoes; the others add echoes to them.
+    """
+
+    settings: type[EffectSettings]
+    function: Callable[..., Any]
+    stage: Stage
+    scope: Scope = "sample"
+    moves: bool = False
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """All parameters, in the order of the settings."""
+        return tuple(
+            Parameter(item.name, item.metadata["type"], item.metadata["unit"])
+            for item in fields(self.settings)
+            if item.name != "enabled"
+        )

@@ -1,0 +1,47 @@
+"""Channels that are not alike: every beam has a gain of its own, and some are dead.
+
+They are the device's, so all frames of a recording have the same ones.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from simnfnd.factory.distribution import AnyNumber, NonNegative
+from simnfnd.factory.formation.field.signal import Floats, Ping
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
+from simnfnd.factory.settings import STRICT
+
+
+@dataclass(frozen=True, config=STRICT)
+class BeamGainSettings(EffectSettings):
+    """Keys of `noise.beam_gain`.
+
+    sigma_db: standard deviation of the gains, dB.
+    dead: number of dead beams (rounded).  dead_db: their gain, dB.
+    """
+
+    sigma_db: NonNegative = parameter(0.5, "dB")
+    dead: NonNegative = parameter(0, "1")
+    dead_db: AnyNumber = parameter(-40, "dB")
+
+
+def beam_gain(
+    field: Floats,
+    ping: Ping,
+    rng: np.random.Generator,
+    *,
+    sigma_db: float,
+    dead: float,
+    dead_db: float,
+) -> Floats:
+    """The field under the gains of its beams."""
+    beams = ping.sonar.beams
+    gain_db = sigma_db * rng.standard_normal(beams)
+    gain_db[rng.permutation(beams)[: round(dead)]] = dead_db
+    field *= (10 ** (gain_db / 20)).astype(np.float32)
+    return field
+
+
+BEAM_GAIN = Effect(BeamGainSettings, beam_gain, "picture", "recording")

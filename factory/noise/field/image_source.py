@@ -1,0 +1,102 @@
+"""Multipath by image sources: echoes that come by way of the sea surface or the bottom.
+
+The surface mirrors the sonar.  With r the way to a point and r' the way from the mirrored sonar,
+a path that touches the plane once comes in at range (r + r') / 2, one that touches it both ways at
+r' (Urick 1983, ch. 5; Allen & Berkley, J. Acoust. Soc. Am. 65 (1979), 943, for the method).  The
+two once-touching paths, there and back, are equally long and add up in phase: four times the
+intensity of one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from simnfnd.factory.distribution import AnyNumber, NonNegative
+from simnfnd.factory.formation.field.signal import Ping, Signal
+from simnfnd.factory.formation.field.tables import vertical_table
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
+from simnfnd.factory.settings import STRICT
+
+
+@dataclass(frozen=True, config=STRICT)
+class SurfaceMultipathSettings(EffectSettings):
+    """Keys of `noise.surface_multipath`; the plane is water.depth_m above the sonar.
+
+    loss_db: lost at each reflection, dB; a calm surface 1, a rough one at high frequency 10.
+    tilt_deg: how far the sonar looks down, so that the plane lies level.
+    """
+
+    loss_db: NonNegative = parameter(6, "dB")
+    tilt_deg: AnyNumber = parameter(0, "deg")
+
+
+@dataclass(frozen=True, config=STRICT)
+class BottomMultipathSettings(EffectSettings):
+    """Keys of `noise.bottom_multipath`.
+
+    altitude_m: height of the sonar above a level bottom, metres.
+    loss_db: lost at each reflection, dB; rock 3, sand 8, mud 15.
+    tilt_deg: how far the sonar looks down.
+    """
+
+    altitude_m: NonNegative = parameter(2, "m")
+    loss_db: NonNegative = parameter(12, "dB")
+    tilt_deg: AnyNumber = parameter(0, "deg")
+
+
+def surface_multipath(
+    signal: Signal, ping: Ping, rng: np.random.Generator, *, loss_db: float, tilt_deg: float
+) -> Signal:
+    """The signal and its echoes by way of the sea surface."""
+    return _with_images(signal, ping, ping.water.depth_m, loss_db, tilt_deg)
+
+
+def bottom_multipath(
+    signal: Signal,
+    ping: Ping,
+    rng: np.random.Generator,
+    *,
+    altitude_m: float,
+    loss_db: float,
+    tilt_deg: float,
+) -> Signal:
+    """The signal and its echoes by way of the bottom."""
+    return _with_images(signal, ping, -altitude_m, loss_db, tilt_deg)
+
+
+def _with_images(
+    signal: Signal, ping: Ping, height_m: float, loss_db: float, tilt_deg: float
+) -> Signal:
+    """Echoes by way of a level plane `height_m` above the sonar (negative: below)."""
+    from simnfnd.factory.formation.field import world_loops  # loads numba
+
+    scene, mount, tilt_rad = ping.scatterers, ping.sonar.mount, np.deg2rad(tilt_deg)
+    bins = signal.power.size
+    field, planes = signal.field.copy(), (-1, bins)
+    # With speckle there is none; what is there is the frame's, and no effect may change it.
+    power = signal.power.copy() if signal.power.any() else np.empty(0, np.float32)
+    world_loops.mirror(
+        scene.filled,
+        scene.filled_camera_m,
+        np.ascontiguousarray(mount.rotation_sonar_from_camera(), np.float32),
+        mount.position_camera_m().astype(np.float32),
+        height_m,
+        np.cos(tilt_rad),
+        np.sin(tilt_rad),
+        vertical_table(ping.sonar),
+        10 ** (-loss_db / 10),
+        np.log(10) / 10 * ping.absorption_db_per_m,
+        1 / ping.bin_m,
+        ping.sonar.beams,
+        bins,
+        signal.power.reshape(-1),
+        signal.field.reshape(planes),
+        power.reshape(-1),
+        field.reshape(planes),
+    )
+    return Signal(power if power.size else signal.power, field)
+
+
+SURFACE_MULTIPATH = Effect(SurfaceMultipathSettings, surface_multipath, "echo")
+BOTTOM_MULTIPATH = Effect(BottomMultipathSettings, bottom_multipath, "echo")

@@ -1,0 +1,94 @@
+"""What is heard of the device itself at short range: ring-down and comb lines.
+
+Both count from the sonar, so a range window that begins beyond them shows neither.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from simnfnd.factory.distribution import AnyNumber, NonNegative, Positive
+from simnfnd.factory.formation.field.signal import Floats, Ping
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
+from simnfnd.factory.settings import STRICT
+
+# Weaker than this against full scale it is not computed, dB.
+_FAINTEST_DB = -90
+
+
+@dataclass(frozen=True, config=STRICT)
+class RingDownSettings(EffectSettings):
+    """Keys of `noise.ring_down`: the transducer goes on swinging after the pulse.
+
+    level_db: at range 0 against full scale, dB.
+    decay_db_per_m: how fast it dies, dB per metre of range.
+    """
+
+    level_db: AnyNumber = parameter(0, "dB")
+    decay_db_per_m: Positive = parameter(40, "dB/m")
+
+
+@dataclass(frozen=True, config=STRICT)
+class CombLinesSettings(EffectSettings):
+    """Keys of `noise.comb_lines`: echoes within the housing, lines at equal distances.
+
+    level_db: of the first line against full scale, dB.
+    spacing_m: from line to line, metres.  decay_db: from line to line, dB.
+    uneven_db: standard deviation of a line's level from beam to beam, dB.
+    """
+
+    level_db: AnyNumber = parameter(-10, "dB")
+    spacing_m: Positive = parameter(0.1, "m")
+    decay_db: NonNegative = parameter(3, "dB")
+    uneven_db: NonNegative = parameter(3, "dB")
+
+
+def ring_down(
+    field: Floats,
+    ping: Ping,
+    rng: np.random.Generator,
+    *,
+    level_db: float,
+    decay_db_per_m: float,
+) -> Floats:
+    """The field with the ring-down: noise that is alike in all beams but for its phase."""
+    relative_db = level_db - decay_db_per_m * ping.range_m
+    rows = int(np.count_nonzero(relative_db > _FAINTEST_DB))
+    if not rows:
+        return field
+    amplitude = np.sqrt(ping.full_scale / 2) * 10 ** (relative_db[:rows] / 20)
+    noise = rng.standard_normal((*field.shape[:2], rows, ping.sonar.beams), dtype=np.float32)
+    field[:, :, :rows] += noise * amplitude.astype(np.float32)[:, None]
+    return field
+
+
+def comb_lines(
+    field: Floats,
+    ping: Ping,
+    rng: np.random.Generator,
+    *,
+    level_db: float,
+    spacing_m: float,
+    decay_db: float,
+    uneven_db: float,
+) -> Floats:
+    """The field with the lines, each one range bin thick."""
+    beams = ping.sonar.beams
+    lines = min(int((level_db - _FAINTEST_DB) / max(decay_db, 0.1)) + 1, 200)
+    numbers = np.arange(1, max(lines, 0) + 1)
+    rows = np.floor((numbers * spacing_m - ping.window.range_min_m) / ping.bin_m).astype(int)
+    uneven = rng.standard_normal((len(numbers), beams))
+    phase = 2 * np.pi * rng.random(len(numbers))
+    for number_, row in zip(numbers, rows, strict=True):
+        if not 0 <= row < ping.shape[0]:
+            continue
+        line_db = level_db - decay_db * (number_ - 1) + uneven_db * uneven[number_ - 1]
+        line = (np.sqrt(ping.full_scale) * 10 ** (line_db / 20)).astype(np.float32)
+        field[:, 0, row] += line * np.float32(np.cos(phase[number_ - 1]))
+        field[:, 1, row] += line * np.float32(np.sin(phase[number_ - 1]))
+    return field
+
+
+RING_DOWN = Effect(RingDownSettings, ring_down, "picture")
+COMB_LINES = Effect(CombLinesSettings, comb_lines, "picture")

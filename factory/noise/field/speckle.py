@@ -1,0 +1,56 @@
+"""Coherent speckle: the echoes of a rough surface add up with random phases.
+
+Every scatterer gets a complex circular Gaussian coefficient that depends on its cell of the world
+and on nothing of the frame.  The device's point-spread then filters the complex field, which gives
+speckle its grain: fully developed, amplitude Rayleigh, intensity exponential (Goodman, Speckle
+Phenomena in Optics, ch. 3).  The same scene from the same pose has the same speckle; a sonar that
+moves sees other cells in each bin, and the speckle changes with it.  A recording without poses has
+a field of its own in every frame.
+
+The average of L looks is gamma-distributed, L being its shape.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from simnfnd.factory.distribution import Positive
+from simnfnd.factory.formation.field.signal import Ping, Signal, gaussian_table
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
+from simnfnd.factory.settings import STRICT
+
+
+@dataclass(frozen=True, config=STRICT)
+class SpeckleSettings(EffectSettings):
+    """Keys of `noise.speckle`.
+
+    looks: independent fields whose intensities are averaged (rounded); 1 is Rayleigh speckle.
+    scatterer_m: edge of a world cell, metres; well below the resolution.  Smaller than the camera's
+        pixels it loses its hold on the scene when the camera moves.
+    """
+
+    looks: Positive = parameter(1, "1")
+    scatterer_m: Positive = parameter(0.01, "m")
+
+
+def speckle(
+    signal: Signal, ping: Ping, rng: np.random.Generator, *, looks: float, scatterer_m: float
+) -> Signal:
+    """The scatterers' complex field instead of the mean power of the echoes."""
+    from simnfnd.factory.formation.field import cell_loops
+
+    scene, amplitude = ping.scatterers, np.sqrt(ping.scatterers.loss)
+    cells = scene.world_cells(scatterer_m)
+    drawn = np.empty((len(cells.names), 2), np.float32)
+    field = np.empty((max(round(looks), 1), 2, *ping.shape), np.float32)
+    for look in field:
+        key = int(rng.integers(2**32))
+        cell_loops.coefficients(cells.names, cells.shares, key, gaussian_table(), drawn)
+        bins = np.zeros((signal.power.size, 2), np.float32)
+        cell_loops.scatter(scene.bins, cells.runs, scene.powers, drawn, bins)
+        cell_loops.into_planes(bins, amplitude, look)
+    return Signal(np.zeros_like(signal.power), field)
+
+
+SPECKLE = Effect(SpeckleSettings, speckle, "echo", "world")

@@ -1,0 +1,69 @@
+"""K-distributed clutter: the mean echo itself varies from patch to patch of the ground.
+
+I = mu tau Exp(1) with tau ~ Gamma(nu, 1 / nu): scintillation index 1 + 2 / nu (Abraham & Lyons,
+IEEE J. Oceanic Eng. 27 (2002), 800).  tau is a field of the world, made of a lattice of Gaussian
+values (interpolated at unit variance) through the gamma distribution's quantiles, so it is smooth
+and stays with the ground as speckle does.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from simnfnd.factory.distribution import Positive
+from simnfnd.factory.formation.field.signal import Floats, Ping, gaussian_table
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
+from simnfnd.factory.settings import STRICT
+
+_STEPS, _REACH = 1024, 5.5
+
+
+@dataclass(frozen=True, config=STRICT)
+class TextureSettings(EffectSettings):
+    """Keys of `noise.texture`.
+
+    shape: nu of the K distribution; 0.5 is very spiky, above 20 it is nearly Rayleigh.
+    patch_m: size of the patches on the ground, metres.
+    """
+
+    shape: Positive = parameter(5, "1")
+    patch_m: Positive = parameter(0.2, "m")
+
+
+def texture(
+    field: Floats, ping: Ping, rng: np.random.Generator, *, shape: float, patch_m: float
+) -> Floats:
+    """The field, every bin that a surface fills weakened or strengthened by sqrt(tau)."""
+    from simnfnd.factory.formation.field import world_loops
+
+    scene = ping.scatterers
+    normal = np.empty(len(scene.filled), np.float32)
+    key = int(rng.integers(2**32))
+    lattice_from_camera = np.ascontiguousarray(scene.world_from_camera[:3] / patch_m)
+    world_loops.lattice(scene.filled_camera_m, lattice_from_camera, key, gaussian_table(), normal)
+    planes = field.reshape(-1, field.shape[-2] * field.shape[-1])
+    world_loops.strengthen(scene.filled, gamma_of_normal(normal, shape), planes)
+    return field
+
+
+def gamma_of_normal(normal: Floats, shape: float) -> Floats:
+    """Gamma(nu, 1 / nu) values at the quantiles of standard normal ones; mean 1."""
+    from simnfnd.factory.formation.field import world_loops
+
+    gamma = np.empty(len(normal), np.float32)
+    world_loops.interpolated(normal, _quantiles(shape), _REACH, gamma)
+    return gamma
+
+
+@lru_cache(maxsize=64)
+def _quantiles(shape: float) -> Floats:
+    from scipy import special  # slow to import
+
+    normal = np.linspace(-_REACH, _REACH, _STEPS)
+    return np.asarray(special.gammaincinv(shape, special.ndtr(normal)) / shape, np.float32)
+
+
+TEXTURE = Effect(TextureSettings, texture, "beam", "world")

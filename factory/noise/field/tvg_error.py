@@ -1,0 +1,37 @@
+"""A time-varying gain that does not fit the water: pictures too bright near by or far away."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from simnfnd.factory.distribution import AnyNumber
+from simnfnd.factory.formation.field.signal import Floats, Ping
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
+from simnfnd.factory.settings import STRICT
+
+
+@dataclass(frozen=True, config=STRICT)
+class TvgErrorSettings(EffectSettings):
+    """Keys of `noise.tvg_error`; the gain is right in the middle of the range window.
+
+    db_per_decade: too much (or, negative, too little) gain for each tenfold range, dB.
+    db_per_m: the same for each metre, dB/m.
+    """
+
+    db_per_decade: AnyNumber = parameter(0, "dB")
+    db_per_m: AnyNumber = parameter(0, "dB/m")
+
+
+def tvg_error(
+    field: Floats, ping: Ping, rng: np.random.Generator, *, db_per_decade: float, db_per_m: float
+) -> Floats:
+    """The field under the wrong gain."""
+    range_m = np.maximum(ping.range_m.astype(np.float64), ping.bin_m)
+    middle_m = (ping.window.range_min_m + ping.window.range_max_m) / 2
+    error_db = db_per_decade * np.log10(range_m / middle_m) + db_per_m * (range_m - middle_m)
+    field *= (10 ** (error_db / 20)).astype(np.float32)[:, None]
+    return field
+
+
+TVG_ERROR = Effect(TvgErrorSettings, tvg_error, "picture")

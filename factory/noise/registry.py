@@ -1,0 +1,98 @@
+"""All effects of noise, and the `noise` group of the configuration.
+
+An effect is one file in `noise/points` (it makes or moves echoes, paper section 3.3) or
+`noise/field` (it acts on the complex field of acoustics.formation=field): a settings class, a pure
+function and an `Effect` that joins them.  To add one: its file, one line (and its import) in
+`NoiseSettings` below, a block in conf/noise/*.yaml and a test against the formula's statistics.
+"""
+
+from __future__ import annotations
+
+from dataclasses import field
+from typing import Annotated, Any, get_type_hints
+
+from pydantic import SerializerFunctionWrapHandler, model_serializer
+from pydantic.dataclasses import dataclass
+
+from simnfnd.factory.noise.effect import Effect, EffectSettings
+from simnfnd.factory.noise.field.beam_gain import BEAM_GAIN, BeamGainSettings
+from simnfnd.factory.noise.field.crosstalk import CROSSTALK, CrosstalkSettings
+from simnfnd.factory.noise.field.image_source import (
+    BOTTOM_MULTIPATH,
+    SURFACE_MULTIPATH,
+    BottomMultipathSettings,
+    SurfaceMultipathSettings,
+)
+from simnfnd.factory.noise.field.near_range import (
+    COMB_LINES,
+    RING_DOWN,
+    CombLinesSettings,
+    RingDownSettings,
+)
+from simnfnd.factory.noise.field.receiver import RECEIVER, ReceiverSettings
+from simnfnd.factory.noise.field.saturation import SATURATION, SaturationSettings
+from simnfnd.factory.noise.field.sidelobe_arcs import SIDELOBE_ARCS, SidelobeArcsSettings
+from simnfnd.factory.noise.field.speckle import SPECKLE, SpeckleSettings
+from simnfnd.factory.noise.field.spokes import SPOKES, SpokesSettings
+from simnfnd.factory.noise.field.texture import TEXTURE, TextureSettings
+from simnfnd.factory.noise.field.tvg_error import TVG_ERROR, TvgErrorSettings
+from simnfnd.factory.noise.field.volume import VOLUME, VolumeSettings
+from simnfnd.factory.noise.points.azimuth import AZIMUTH, AzimuthSettings
+from simnfnd.factory.noise.points.background import BACKGROUND, BackgroundSettings
+from simnfnd.factory.noise.points.multipath import MULTIPATH, MultipathSettings
+from simnfnd.factory.noise.points.range_arc import RANGE_ARC, RangeArcSettings
+from simnfnd.factory.noise.points.range_spreading import RANGE_SPREADING, RangeSpreadingSettings
+from simnfnd.factory.settings import STRICT
+
+
+@dataclass(frozen=True, config=STRICT)
+class NoiseSettings:
+    """Keys of the `noise` group, one block an effect, in the order in which they are applied.
+
+    A configuration that names none of the field's effects does not have them.
+    """
+
+    range_spreading: Annotated[RangeSpreadingSettings, RANGE_SPREADING] = field(
+        default_factory=RangeSpreadingSettings
+    )
+    multipath: Annotated[MultipathSettings, MULTIPATH] = field(default_factory=MultipathSettings)
+    azimuth: Annotated[AzimuthSettings, AZIMUTH] = field(default_factory=AzimuthSettings)
+    range_arc: Annotated[RangeArcSettings, RANGE_ARC] = field(default_factory=RangeArcSettings)
+    background: Annotated[BackgroundSettings, BACKGROUND] = field(
+        default_factory=BackgroundSettings
+    )
+    speckle: Annotated[SpeckleSettings | None, SPECKLE] = None
+    volume: Annotated[VolumeSettings | None, VOLUME] = None
+    surface_multipath: Annotated[SurfaceMultipathSettings | None, SURFACE_MULTIPATH] = None
+    bottom_multipath: Annotated[BottomMultipathSettings | None, BOTTOM_MULTIPATH] = None
+    texture: Annotated[TextureSettings | None, TEXTURE] = None
+    sidelobe_arcs: Annotated[SidelobeArcsSettings | None, SIDELOBE_ARCS] = None
+    crosstalk: Annotated[CrosstalkSettings | None, CROSSTALK] = None
+    receiver: Annotated[ReceiverSettings | None, RECEIVER] = None
+    tvg_error: Annotated[TvgErrorSettings | None, TVG_ERROR] = None
+    beam_gain: Annotated[BeamGainSettings | None, BEAM_GAIN] = None
+    spokes: Annotated[SpokesSettings | None, SPOKES] = None
+    ring_down: Annotated[RingDownSettings | None, RING_DOWN] = None
+    comb_lines: Annotated[CombLinesSettings | None, COMB_LINES] = None
+    saturation: Annotated[SaturationSettings | None, SATURATION] = None
+
+    @model_serializer(mode="wrap")
+    def _present(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {name: block for name, block in serialise(self).items() if block is not None}
+
+
+def _registered() -> dict[str, Effect]:
+    """The effects that the annotations of `NoiseSettings` name, by the names of their blocks."""
+    hints = get_type_hints(NoiseSettings, include_extras=True)
+    return {name: hint.__metadata__[0] for name, hint in hints.items()}
+
+
+EFFECTS: dict[str, Effect] = _registered()
+POINT_EFFECTS = tuple(name for name, effect in EFFECTS.items() if effect.stage == "points")
+FIELD_EFFECTS = tuple(name for name in EFFECTS if name not in POINT_EFFECTS)
+
+
+def blocks(settings: NoiseSettings) -> dict[str, EffectSettings]:
+    """The effects that a configuration has, switched on or not, by name and in order."""
+    found = {name: getattr(settings, name) for name in EFFECTS}
+    return {name: block for name, block in found.items() if block is not None}

@@ -1,0 +1,105 @@
+"""The record of a sample: the table row that says how it was made; and the axes of the pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from simnfnd.factory import seeds
+from simnfnd.factory.dataset.format.sample import Axis, Column
+from simnfnd.factory.formation.contract import Sample
+from simnfnd.factory.frame import FrameRef
+from simnfnd.factory.noise import draws as drawn
+from simnfnd.factory.noise.draws import Draws
+from simnfnd.factory.noise.registry import NoiseSettings
+from simnfnd.factory.sonar.fan import pixel_size
+from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.factory.sonar.window import Window
+
+_NAME = "S96"
+
+_WHAT = (
+    Column("location", _NAME, "", "area of the recording"),
+    Column("scene", _NAME, "", "recording; train and test are split by it"),
+    Column("frame", _NAME, "", "frame within the scene"),
+    Column("variant", "i4", "1", "number of the noise draw of this frame"),
+    Column("seed_key", "S32", "", "blake2b spawn key of the sample's random streams, hexadecimal"),
+)
+_WINDOW = (
+    Column("range_min_m", "f8", "m", "range at the near edge of the picture"),
+    Column("range_max_m", "f8", "m", "range at the far edge of the picture"),
+    Column("azimuth_min_deg", "f8", "deg", "left edge of the sector that the camera saw"),
+    Column("azimuth_max_deg", "f8", "deg", "right edge of the sector that the camera saw"),
+    Column("metres_per_pixel", "f8", "m", "edge of a fan pixel, or length of a range bin"),
+)
+_SCENE = (
+    Column("resample.rate", "f8", "1", "fraction of the scene points kept"),
+    Column("points.scene", "i8", "1", "scene points in the pictures"),
+    Column("full_scale", "f8", "1", "echo level shown as grey value 1"),
+)
+
+
+def columns(noise: NoiseSettings) -> tuple[Column, ...]:
+    """Columns of the sample table: a parameter that was not drawn (effect off) is NaN or empty."""
+    return _WHAT + _WINDOW + _SCENE + drawn.columns(noise)
+
+
+def record(
+    ref: FrameRef,
+    variant: int,
+    window: Window,
+    sonar: SonarSettings,
+    sample: Sample,
+    draws: Draws,
+) -> dict[str, float | int | str]:
+    """The row of one sample."""
+    key = seeds.spawn_key(ref.location, ref.scene, ref.frame, variant)
+    return {
+        "location": ref.location,
+        "scene": ref.scene,
+        "frame": ref.frame,
+        "variant": variant,
+        "seed_key": "".join(f"{word:08x}" for word in key),
+        "range_min_m": window.range_min_m,
+        "range_max_m": window.range_max_m,
+        "azimuth_min_deg": float(np.rad2deg(window.azimuth_min_rad)),
+        "azimuth_max_deg": float(np.rad2deg(window.azimuth_max_rad)),
+        "metres_per_pixel": metres_per_pixel(window, sonar),
+        "resample.rate": sample.rate,
+        "points.scene": sample.points,
+        "full_scale": sample.full_scale,
+        **draws.row(sample.added),
+    }
+
+
+def metres_per_pixel(window: Window, sonar: SonarSettings) -> float:
+    """Edge of a fan pixel, or length of a range bin of a polar picture, metres."""
+    if sonar.image.layout == "polar":
+        return window.range_span_m / sonar.range_bins
+    return window.range_max_m * pixel_size(sonar, window.near_fraction)
+
+
+def image_axes(sonar: SonarSettings) -> tuple[Axis, Axis]:
+    """Row and column axes.
+
+    With a fixed range window they are metres (and degrees of azimuth for polar pictures).  With an
+    automatic one every sample has its own scale, so the axes count from 0 to 1 or in pixels and
+    `range_min_m`, `range_max_m`, `metres_per_pixel` of the sample table turn them into metres.
+    """
+    rows, columns_ = (np.arange(size) + 0.5 for size in sonar.shape())
+    near, far = sonar.range.min_m, sonar.range.max_m
+    if sonar.image.layout == "polar":
+        azimuth = Axis(
+            "azimuth", "deg", np.rad2deg(sonar.beam_centres_rad()), "0 is straight ahead"
+        )
+        if sonar.range.auto:
+            fraction = rows / sonar.range_bins
+            return Axis("range", "1", fraction, "0 at range_min_m, 1 at range_max_m"), azimuth
+        return Axis("range", "m", near + rows / sonar.range_bins * (far - near)), azimuth
+    right = columns_ - sonar.image.width_px / 2
+    if sonar.range.auto:
+        return (
+            Axis("ahead", "px", rows, "distance below range_max_m straight ahead"),
+            Axis("right", "px", right, "distance to the right of the sonar's axis"),
+        )
+    pixel_m = far * pixel_size(sonar, near / far)
+    return Axis("ahead", "m", far - rows * pixel_m), Axis("right", "m", right * pixel_m)

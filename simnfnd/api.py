@@ -1,0 +1,154 @@
+"""Pictures and pairs from arrays in memory: the functions of `simnfnd`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from simnfnd.factory.config import FactoryConfig
+    from simnfnd.factory.dataset.format.sample import Pair
+    from simnfnd.factory.frame import FrameRef
+    from simnfnd.factory.render.base import Renderer, RenderSettings
+    from simnfnd.factory.render.view import View
+    from simnfnd.factory.sonar.geometry import FanGeometry
+    from simnfnd.models.denoise.denoiser import Denoiser
+
+
+def denoise(
+    picture: npt.ArrayLike,
+    *,
+    weights: str | Path | None = None,
+    geometry: Literal["polar"] | FanGeometry | None = None,
+    always: bool = False,
+    device: Literal["auto", "cpu", "gpu"] = "auto",
+) -> npt.NDArray[Any]:
+    """Denoise one sonar picture, or a stack of them.
+
+    picture: (H, W) or (N, H, W), uint8, uint16, or float in 0..1.
+    weights: a weights.safetensors of a training or the name of weights that ship; None: the ones
+        that ship.  They stay loaded for the next call.
+    geometry: where range and bearing are, for networks that use it.  "polar": rows are ranges, near
+        range first, and the columns span 30 degrees.
+    always: denoise also what the network would give back as it came, because it expects to gain too
+        little.
+    device: gpu means CUDA; auto takes it where it is usable.
+
+    Returns an array of the same shape and dtype.
+    Raises ValueError for another shape or dtype, NaN, and floats outside 0..1; FactoryError for
+    weights that are not there, a missing GPU, and where the extra `train` is not installed.
+    """
+    from simnfnd.factory.extras import Need, require
+
+    require(Need("simnfnd.denoise", module) for module in ("torch", "safetensors"))
+    from simnfnd.models.denoise.files import denoise_image
+    from simnfnd.models.pretrained import find_weights
+
+    given = np.asarray(picture)
+    if given.ndim not in (2, 3):
+        raise ValueError(f"picture has shape {given.shape}; expected (H, W) or (N, H, W)")
+    path = find_weights(weights)
+    network = _denoiser(path, path.stat().st_mtime_ns, device, always)
+    layout = geometry if isinstance(geometry, str) else None
+    place = None if isinstance(geometry, str) else geometry
+    if layout not in (None, "polar"):
+        raise ValueError(f"geometry={layout!r}: expected 'polar', a FanGeometry or None")
+
+    def one(gray: npt.NDArray[np.float32], where: FanGeometry | None) -> npt.NDArray[np.float32]:
+        return network(gray, where, layout=layout)
+
+    stack = given if given.ndim == 3 else given[None]
+    known = stack.astype(np.float32) if stack.dtype.kind == "f" else stack
+    result = np.empty_like(stack)
+    for number, image in enumerate(known):
+        result[number] = denoise_image(image, one, place)
+    return result if given.ndim == 3 else result[0]
+
+
+def make_pair(
+    rgb: npt.NDArray[np.uint8],
+    depth_m: npt.ArrayLike,
+    *,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    config: Sequence[str] = ("experiment=simnfnd", "render=analytic"),
+    seed: int | None = None,
+    variant: int = 0,
+    name: str = "frame",
+    scene: str = "",
+) -> Pair:
+    """One (noisy, clean) pair of sonar pictures from an RGBD frame.
+
+    rgb: (H, W, 3) uint8, in the order red, green, blue.
+    depth_m: (H, W) distance along the optical axis in metres; 0, negative, infinite and NaN mean
+        that nothing was measured.
+    fx, fy, cx, cy: focal lengths and principal point of this very image size, in pixels.
+    config: words of `simnfnd make`, for example ("experiment=physical", "sonar=didson_hf");
+        those of scenes, frames, scheduler and cache change nothing here.
+    seed: the same as "seed=..." among `config`.
+    variant: other numbers thin the echoes and draw the noise anew.
+    name, scene: of the frame; with seed and variant they decide what is drawn.
+
+    Returns a `Pair`: noisy and clean (H', W') uint8 in 0..255 (float32 in 0..1 with
+    "dataset.dtype=float32"), shadow (H', W') bool, layers, and record, with every drawn parameter.
+    Raises FrameError when the frame has no usable depth or the sonar would see nothing of it, and
+    FactoryError for wrong words and modules that are not installed.
+    """
+    from simnfnd.factory.extras import needs_of, require
+    from simnfnd.factory.frame import Frame, FrameRef, Intrinsics, checked
+    from simnfnd.factory.pairs import PairMaker
+    from simnfnd.factory.render.view import view_of
+
+    settings = _config((*config, *(() if seed is None else (f"seed={seed}",))))
+    require(needs_of(settings))
+    ref = FrameRef("", scene, name)
+    depth = np.asarray(depth_m, dtype=np.float32)
+    frame = checked(Frame(ref, rgb, depth, Intrinsics(fx, fy, cx, cy)), bad_depth="mask")
+    mount = settings.sonar.mount
+    rendered = _renderer(settings.render).render(frame, mount)
+    maker = PairMaker(settings, _OneView(view_of(frame, rendered, mount)))
+    (pair,) = maker.pairs(ref, (variant,))
+    return pair
+
+
+class _OneView:
+    """A render in memory; a `simnfnd.factory.render.views.Views`."""
+
+    def __init__(self, view: View) -> None:
+        self._view = view
+
+    def holds(self, ref: FrameRef) -> bool:
+        return True
+
+    def view(self, ref: FrameRef) -> View:
+        return self._view
+
+
+@lru_cache(maxsize=8)
+def _config(words: tuple[str, ...]) -> FactoryConfig:
+    from simnfnd.factory.compose import compose_config
+
+    # The frame is at hand, so where recordings are does not matter.
+    return compose_config(words, {"kind": "csv_list", "root": ".", "intrinsics": [1, 1, 0, 0]})
+
+
+@lru_cache(maxsize=1)
+def _renderer(settings: RenderSettings) -> Renderer:
+    from simnfnd.factory.render import open_renderer
+
+    return open_renderer(settings)
+
+
+@lru_cache(maxsize=2)
+def _denoiser(path: Path, changed_ns: int, device: str, always: bool) -> Denoiser:
+    """changed_ns: of the file, so that weights trained anew are loaded anew."""
+    from simnfnd.models.denoise.denoiser import load_denoiser
+
+    return load_denoiser(path, device, always=always)

@@ -1,0 +1,222 @@
+"""The verbs of `simnfnd` as a table: what `simnfnd --help` lists, and what runs each.
+
+Imports the standard library alone: `simnfnd --help` must answer at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Verb:
+    """One word of the command line.
+
+    group, line: where and how `simnfnd --help` lists it.
+    target: "module:function"; the function gets the other words and may return an exit code.
+    examples: commands that `simnfnd VERB --help` begins with.
+    before: words put before those of the user.
+    needs: modules without which it can do nothing, each of an extra (`simnfnd.factory.extras`).
+    hydra: its words are overrides of a Hydra configuration, KEY=VALUE.
+    places: how many words that are no KEY=VALUE a Hydra verb takes; None: any number.
+    verbs: verbs of its own.
+    """
+
+    group: str
+    line: str
+    target: str
+    examples: tuple[str, ...]
+    before: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
+    hydra: bool = False
+    places: int | None = 0
+    verbs: Mapping[str, Verb] = field(default_factory=dict)
+
+
+MAKE, LOOK, PASS_ON, DENOISE, JUDGE = (
+    "Make datasets",
+    "Look at datasets",
+    "Pass datasets on",
+    "Denoise",
+    "Judge",
+)
+_COMMANDS = "simnfnd.factory.commands"
+_NETWORK = ("torch", "safetensors")
+_TRAINING = ("torch", "lightning", "safetensors", "tensorboard")
+
+
+def _cache(action: str, line: str, *examples: str) -> Verb:
+    return Verb(MAKE, line, f"{_COMMANDS}.cache:main", examples, before=(action,))
+
+
+VERBS: dict[str, Verb] = {
+    "demo": Verb(
+        MAKE, "a small dataset of procedural scenes, with a preview of it",
+        f"{_COMMANDS}.make:main",
+        ("simnfnd demo", "simnfnd demo render=analytic dataset.dir=outputs/first"),
+        before=("experiment=demo",), hydra=True,
+    ),
+    "make": Verb(
+        MAKE, "a dataset as the configuration says; -m for a sweep", f"{_COMMANDS}.make:main",
+        (
+            "simnfnd make experiment=simnfnd scenes.root=flsea-vi dataset.dir=outputs/flsea",
+            "simnfnd make render=analytic scenes=csv_list scenes.root=frames.csv "
+            "scenes.intrinsics=[525,525,320,240]",
+            "simnfnd make -m noise.background.density=0.1,0.5 resample.rate=0.1,0.3",
+            "simnfnd make experiment=demo --cfg job",
+        ),
+        hydra=True,
+    ),
+    "plan": Verb(
+        MAKE, "what `make` would make, and the disk, memory and time it would take",
+        f"{_COMMANDS}.plan:main",
+        ("simnfnd plan experiment=simnfnd scenes.root=flsea-vi", "simnfnd plan -m seed=1,2,3"),
+    ),
+    "cache": Verb(
+        MAKE, "the renders that are kept on disk", f"{_COMMANDS}.cache:main",
+        ("simnfnd cache stats", "simnfnd cache pack experiment=demo --out views.pack"),
+        verbs={
+            "stats": _cache("stats", "how many there are, and how large", "simnfnd cache stats"),
+            "verify": _cache("verify", "remove damaged ones", "simnfnd cache verify"),
+            "pack": _cache(
+                "pack", "the renders of a configuration in one file, for a box without Blender",
+                "simnfnd cache pack experiment=demo --out views.pack",
+                "simnfnd make scenes=pack scenes.root=views.pack",
+            ),
+            "clear": _cache("clear", "remove all", "simnfnd cache clear cache.dir=outputs/cache"),
+        },
+    ),
+    "status": Verb(
+        LOOK, "how far a dataset is, and who works on it", f"{_COMMANDS}.status:main",
+        ("simnfnd status outputs/demo", "simnfnd status outputs/demo --verify"),
+    ),
+    "failed": Verb(
+        LOOK, "the frames that gave no sample, and why", f"{_COMMANDS}.failed:main",
+        ("simnfnd failed outputs/flsea", "simnfnd failed outputs/flsea --rerun"),
+    ),
+    "preview": Verb(
+        LOOK, "contact sheet of a dataset", f"{_COMMANDS}.preview:main",
+        ("simnfnd preview outputs/demo --out outputs/sheet.png --pairs 4",),
+    ),
+    "inspect": Verb(
+        LOOK, "what is in a dataset or shard", f"{_COMMANDS}.inspect:main",
+        ("simnfnd inspect outputs/demo", "simnfnd inspect outputs/demo --png noise.png"),
+    ),
+    "validate": Verb(
+        LOOK, "is a dataset whole and consistent", f"{_COMMANDS}.validate:main",
+        ("simnfnd validate outputs/demo", "simnfnd validate outputs/demo --deep"),
+    ),
+    "gallery": Verb(
+        LOOK, "the paper's figures, from procedural scenes", f"{_COMMANDS}.gallery:main",
+        ("simnfnd gallery", "simnfnd gallery scenes=flsea scenes.root=flsea-vi --out figures"),
+    ),
+    "physics": Verb(
+        LOOK, "devices and effects of the physical profile", f"{_COMMANDS}.physics:main",
+        ("simnfnd physics --out outputs/physics",),
+    ),
+    "geometry": Verb(
+        LOOK, "where range and bearing lie in fan pictures", f"{_COMMANDS}.geometry:main",
+        (
+            "simnfnd geometry pictures > fans.csv",
+            "simnfnd geometry lamprey.avi --out outputs/fans",
+        ),
+    ),
+    "merge": Verb(
+        PASS_ON, "several datasets into one", f"{_COMMANDS}.merge:main",
+        ("simnfnd merge outputs/a outputs/b --out outputs/both",),
+    ),
+    "export": Verb(
+        PASS_ON, "a dataset as WebDataset, Hugging Face, PNG, MDD or sonar messages",
+        f"{_COMMANDS}.export:main",
+        (
+            "simnfnd export outputs/demo --to huggingface --out outputs/hub",
+            "simnfnd export outputs/demo --to png --split test --out outputs/png",
+        ),
+    ),
+    "train": Verb(
+        DENOISE, "a denoiser on a dataset", "simnfnd.models.training.command:main",
+        (
+            "simnfnd train dataset=outputs/demo train.steps=200",
+            "simnfnd train dataset=outputs/demo model=unet loss=charbonnier name=small",
+        ),
+        needs=_TRAINING, hydra=True,
+    ),
+    "denoise": Verb(
+        DENOISE, "images, videos, datasets and recordings of sonars",
+        "simnfnd.models.denoise.command:main",
+        (
+            "simnfnd denoise outputs/demo --out outputs/denoised",
+            "simnfnd denoise dive.aris --out outputs/denoised",
+            "simnfnd denoise picture.png --out outputs/denoised --always --compare",
+            "simnfnd denoise mdd/Images --geometry mdd/fan_geometry.csv --out outputs/mdd",
+        ),
+        needs=_NETWORK,
+    ),
+    "export-weights": Verb(
+        DENOISE, "trained weights in 16 bits, with a model card",
+        "simnfnd.models.pretrained.export:main",
+        ("simnfnd export-weights outputs/models/nafnet/weights.safetensors --out own.safetensors",),
+        needs=_NETWORK,
+    ),
+    "evaluate": Verb(
+        JUDGE, "the report on a dataset, and on methods that denoise it",
+        "simnfnd.evaluation.command:report",
+        (
+            "simnfnd evaluate dataset=outputs/demo",
+            "simnfnd evaluate dataset=outputs/demo baselines=[all] models=[outputs/models/nafnet]",
+        ),
+        needs=("pyarrow", "skimage"), hydra=True,
+        verbs={
+            "tune": Verb(
+                JUDGE, "the best parameters of the classical filters first",
+                "simnfnd.evaluation.command:tune",
+                ("simnfnd evaluate tune dataset=outputs/demo baselines=[median,nlm]",),
+                needs=("torch", "skimage"), hydra=True,
+            ),
+            "compare": Verb(
+                JUDGE, "is one report's row better than another's",
+                "simnfnd.evaluation.compare:main",
+                ("simnfnd evaluate compare outputs/evaluation/a outputs/evaluation/b "
+                 "--row-b noisy",),
+                needs=("pyarrow",),
+            ),
+            "real": Verb(
+                JUDGE, "what methods make of real pictures, without a truth",
+                "simnfnd.evaluation.real.command:real",
+                ("simnfnd evaluate real mdd models=[simnfnd]",),
+                needs=("skimage",), hydra=True, places=1,
+            ),
+            "realism": Verb(
+                JUDGE, "how near datasets are to real pictures",
+                "simnfnd.evaluation.realism.command:realism",
+                ("simnfnd evaluate realism mdd outputs/demo outputs/aris",),
+                needs=("skimage",), hydra=True, places=None,
+            ),
+            "fit": Verb(
+                JUDGE, "the noise parameters that come nearest to real pictures",
+                "simnfnd.evaluation.fit.command:fit",
+                ("simnfnd evaluate fit mdd name=mine trials=100",
+                 "simnfnd evaluate fit mdd -- experiment=physical scenes=pack "
+                 "scenes.root=views.pack"),
+                needs=("optuna", "skimage"), hydra=True, places=None,
+            ),
+        },
+    ),
+    "campaign": Verb(
+        JUDGE, "train and compare many networks", "simnfnd.evaluation.campaign.command:main",
+        (
+            "simnfnd campaign show=true",
+            "simnfnd campaign data.flsea=flsea-vi data.mdd=mdd out=outputs/campaign",
+        ),
+        needs=(*_TRAINING, "pyarrow", "skimage"), hydra=True,
+        verbs={
+            "table": Verb(
+                JUDGE, "the table of what a campaign has found",
+                "simnfnd.evaluation.campaign.table:campaign",
+                ("simnfnd campaign table outputs/campaign",),
+                needs=("pyarrow",),
+            ),
+        },
+    ),
+}  # fmt: skip

@@ -1,0 +1,200 @@
+"""Datasets of strangers: every verb that opens one gives one line, and writes where it was told."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from simnfnd.factory.dataset import PairDataset
+from simnfnd.factory.dataset.describe.preview import preview
+from simnfnd.factory.dataset.describe.summary import summarize
+from simnfnd.factory.dataset.read.reader import shard_paths
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.export import export
+from tests.factory.dataset.hostile import admit
+from tests.factory.export.export_dataset import write
+from tests.project_files import ROOT
+
+SHARD = "train/shard-00001.h5"
+
+
+def read(folder: Path) -> None:
+    with PairDataset(folder) as pairs:
+        list(pairs)
+
+
+def open_trusted(folder: Path) -> None:
+    """Without the other process: for what must be refused in this one, too."""
+    with PairDataset(folder, trusted=True) as pairs:
+        list(pairs)
+
+
+READERS: dict[str, Callable[[Path], Any]] = {
+    "read": read,
+    "export": lambda folder: export(folder, "png", folder.parent / "out"),
+    "inspect": lambda folder: summarize(folder),
+    "inspect a file": lambda folder: summarize(folder / SHARD),
+    "preview": lambda folder: preview(folder, folder.parent / "sheet.png"),
+    "shard paths": lambda folder: shard_paths(folder, "train"),
+}
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("sound") / "dataset")
+
+
+@pytest.fixture
+def folder(sound: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(sound, tmp_path / "dataset"))
+
+
+def change(folder: Path, action: Callable[[h5py.File], Any]) -> None:
+    """Change a shard on purpose, with a manifest that agrees."""
+    with h5py.File(folder / SHARD, "r+") as file:
+        action(file)
+    admit(folder)
+
+
+def set_attribute(name: str, value: Any) -> Callable[[h5py.File], None]:
+    def action(file: h5py.File) -> None:
+        del file.attrs[name]
+        if value is not None:
+            file.attrs[name] = value
+
+    return action
+
+
+def set_text_bytes(name: str, value: bytes) -> Callable[[h5py.File], None]:
+    """Text that claims to be UTF-8."""
+
+    def action(file: h5py.File) -> None:
+        del file.attrs[name]
+        file.attrs.create(name, value, dtype=h5py.string_dtype("utf-8"))
+
+    return action
+
+
+ATTRIBUTES: dict[str, tuple[Callable[[h5py.File], None], str]] = {
+    "no config": (set_attribute("config", None), "attribute config is absent"),
+    "config a number": (set_attribute("config", 7), "attribute config is no text"),
+    "config cut off": (set_attribute("config", '{"seed": 3'), "attribute config is no JSON"),
+    "config a list": (set_attribute("config", "[1, 2]"), "attribute config is no JSON object"),
+    "config deep": (set_attribute("config", "[" * 60_000), "attribute config is no JSON"),
+    "config not UTF-8": (set_text_bytes("config", b'{"a": "\xff"}'), "config is not UTF-8"),
+    "no split": (set_attribute("split", None), "attribute split is absent"),
+    "no config_hash": (set_attribute("config_hash", None), "attribute config_hash is absent"),
+    "no generator": (set_attribute("generator", None), "attribute generator is absent"),
+    "generator numbers": (set_attribute("generator", np.zeros(3)), "generator is no text"),
+    "absolute split": (set_attribute("split", "/x/escaped"), "attribute split is '/x/escaped'"),
+    "split above": (set_attribute("split", "../../escaped"), "expected train or test"),
+}
+
+
+@pytest.mark.parametrize("kind", sorted(ATTRIBUTES))
+def test_a_damaged_attribute_is_one_line(folder: Path, kind: str) -> None:
+    action, words = ATTRIBUTES[kind]
+    change(folder, action)
+    with pytest.raises(FactoryError) as caught:
+        open_trusted(folder)
+    text = str(caught.value)
+    assert words in text
+    assert SHARD in text
+    assert "\n" not in text
+
+
+@pytest.mark.parametrize("verb", sorted(READERS))
+@pytest.mark.parametrize("kind", ["split above", "config cut off"])
+def test_every_reader_refuses_them(folder: Path, kind: str, verb: str) -> None:
+    change(folder, ATTRIBUTES[kind][0])
+    before = sorted(folder.parent.rglob("*"))
+    with pytest.raises(FactoryError, match=SHARD):
+        READERS[verb](folder)
+    assert sorted(folder.parent.rglob("*")) == before
+
+
+@pytest.mark.parametrize("verb", ["read", "export", "inspect"])
+def test_a_shard_of_the_other_split_is_refused(folder: Path, verb: str) -> None:
+    change(folder, set_attribute("split", "test"))
+    with pytest.raises(FactoryError, match=rf"{SHARD}: its attribute split is 'test', but it lies"):
+        READERS[verb](folder)
+
+
+@pytest.mark.parametrize("verb", ["read", "export", "inspect"])
+def test_text_that_is_not_utf8_is_one_line(folder: Path, verb: str) -> None:
+    def action(file: h5py.File) -> None:
+        table = file["meta"][()]
+        table["frame"][1] = b"\xff\xfe"
+        file["meta"][...] = table
+
+    change(folder, action)
+    with pytest.raises(FactoryError, match=r"column frame has text that is not UTF-8"):
+        READERS[verb](folder)
+
+
+def number_the_axes(file: h5py.File) -> None:
+    del file["noisy"].attrs["DIMENSION_LIST"]
+    file["noisy"].attrs["DIMENSION_LIST"] = np.arange(3)
+
+
+@pytest.mark.parametrize("verb", sorted(READERS))
+def test_numbers_in_place_of_axes_kill_nobody(folder: Path, verb: str) -> None:
+    """They end in a crash inside HDF5 when they are followed."""
+    change(folder, number_the_axes)
+    code = (
+        "import sys\nfrom pathlib import Path\n"
+        "from simnfnd.factory.errors import FactoryError\n"
+        "from tests.factory.dataset.test_untrusted import READERS\n"
+        "try:\n    READERS[sys.argv[2]](Path(sys.argv[1]))\n"
+        "except FactoryError as error:\n    print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(folder), verb], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert f"{SHARD}: the axes of /noisy are damaged" in done.stdout
+
+
+@pytest.mark.parametrize("verb", ["export", "inspect", "preview", "shard paths"])
+def test_files_are_opened_in_another_process_first(
+    folder: Path, verb: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A table of texts that HDF5 walks for ever would hang this one."""
+    monkeypatch.setattr("simnfnd.factory.dataset.read.reader._LIMIT_S", 2.0)
+    path = folder / SHARD
+    content = bytearray(path.read_bytes())
+    start = content.index(b"GCOL") + 16
+    content[start : start + 200] = bytes(200)
+    path.write_bytes(content)
+    admit(folder)
+    with pytest.raises(FactoryError, match=rf"{SHARD}: (not read within 2 s|damaged)"):
+        READERS[verb](folder)
+
+
+@pytest.mark.parametrize("value", [[1, 2], {"frequency_khz": "fast"}, "none"])
+def test_sonar_settings_that_make_no_sense_are_one_line(tmp_path: Path, value: object) -> None:
+    from tests.factory.export.export_dataset import CONFIG
+
+    folder = write(tmp_path / "dataset", layout="polar", config={**CONFIG, "sonar": value})
+    with pytest.raises(FactoryError, match=r"config.*sonar"):
+        export(folder, "sonar_message", tmp_path / "out")
+
+
+@pytest.mark.parametrize("name", ["a\nlicense: mit", "x" * 500, 7, ["a"]])
+def test_a_name_from_a_file_stays_one_line_of_the_card(folder: Path, name: object) -> None:
+    import yaml
+
+    path = folder / "config.yaml"
+    values = yaml.safe_load(path.read_text())
+    values["dataset"]["name"] = name
+    path.write_text(yaml.safe_dump(values))
+    with pytest.raises(FactoryError, match=r"config\.yaml: dataset\.name"):
+        export(folder, "huggingface", folder.parent / "out")

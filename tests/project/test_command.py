@@ -1,0 +1,210 @@
+"""`simnfnd`: what it lists, and how it answers mistakes and modules that are not installed."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from simnfnd.command import main, overview, unknown
+from simnfnd.factory.extras import EXTRAS
+from simnfnd.verbs import VERBS, Verb
+from tests.project_files import project
+
+
+def verbs() -> Iterator[tuple[str, Verb]]:
+    for name, verb in VERBS.items():
+        yield name, verb
+        yield from ((f"{name} {own}", one) for own, one in verb.verbs.items())
+
+
+ALL = dict(verbs())
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
+    """Exit code of `simnfnd WORDS`, in this process."""
+    monkeypatch.setattr(sys, "argv", ["simnfnd"])
+    try:
+        return main(words)
+    except SystemExit as ended:  # argparse, after its help
+        return int(ended.code or 0)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_every_verb_is_listed_and_exists(name: str) -> None:
+    assert f"\n  {name} " in overview()
+    module, function = ALL[name].target.split(":")
+    assert callable(getattr(import_module(module), function))
+    assert any(f"simnfnd {name}" in example for example in ALL[name].examples)
+    assert set(ALL[name].needs) <= set(EXTRAS)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_every_verb_explains_itself(name: str, monkeypatch, capsys) -> None:
+    assert run(monkeypatch, *name.split(), "--help") == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith(f"simnfnd {name}: {ALL[name].line}\n\nExamples:\n  simnfnd ")
+    assert ("Powered by Hydra" in printed) if ALL[name].hydra else ("usage: simnfnd" in printed)
+
+
+def test_help_imports_the_standard_library_alone() -> None:
+    code = (
+        "import sys; before = set(sys.modules)\n"
+        "from simnfnd.command import main; main(['--help'])\n"
+        "tops = {name.split('.')[0] for name in set(sys.modules) - before}\n"
+        "assert tops <= {*sys.stdlib_module_names, 'simnfnd'}, tops - sys.stdlib_module_names\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
+
+
+@pytest.mark.parametrize("words", [(), ("--help",), ("help",)])
+def test_the_overview(words: tuple[str, ...], monkeypatch, capsys) -> None:
+    assert run(monkeypatch, *words) == 0
+    assert capsys.readouterr().out == f"{overview()}\n"
+
+
+@pytest.mark.parametrize("words", [("--version",), ("make", "--version"), ("denoise", "--version")])
+def test_the_version_is_ours(words: tuple[str, ...], monkeypatch, capsys) -> None:
+    from simnfnd import __version__
+
+    assert run(monkeypatch, *words) == 0
+    assert capsys.readouterr().out == f"simnfnd {__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("mkae",), "mkae: no such verb; did you mean `simnfnd make`"),
+        (("tune", "dataset=x"), "did you mean `simnfnd evaluate tune`?"),
+        (("evaluate", "tun"), "tun: no such verb; did you mean `simnfnd evaluate tune`?"),
+        (("campaign", "tabel", "x"), "did you mean `simnfnd campaign table`?"),
+        (("cache", "sats"), "did you mean `simnfnd cache stats`?"),
+        (("evaluate", "qqqqq"), "qqqqq: no such verb; `simnfnd evaluate --help` lists them"),
+        (("seed=3",), "seed=3: a setting needs a verb before it; did you mean `simnfnd make"),
+        (("make", "demo"), "demo: not KEY=VALUE; see `simnfnd make --help`"),
+        (("evaluate", "real", "a", "b"), "b: not KEY=VALUE"),
+        (("make", "seed="), "seed: "),
+        (("make", "seed=="), "config: "),
+        (("train", "sed=1"), "sed"),
+        (("export", "x"), "--to, --out (see `simnfnd export --help`)"),
+        (("status", "x", "--verfy"), "unrecognized arguments: --verfy"),
+    ],
+)  # fmt: skip
+def test_mistakes_are_one_line_and_exit_code_two(words, said: str, monkeypatch, capsys) -> None:
+    assert run(monkeypatch, *words) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert error.count("\n") == 1
+    assert said in error
+    assert len(error) < 400
+
+
+def test_a_word_that_resembles_nothing() -> None:
+    assert unknown("zzzz", VERBS) == "zzzz: no such verb; `simnfnd --help` lists them"
+
+
+@pytest.mark.parametrize(
+    ("room", "word", "said"),
+    [
+        ("factory", "stauts", "`simnfnd status`"),
+        ("evaluation", "tun", "`simnfnd evaluate tune`"),
+        ("models", "trian", "`simnfnd train`"),
+    ],
+)
+def test_the_entries_of_the_checkout_know_verbs_too(room: str, word: str, said: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", f"simnfnd.{room}", word], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+# --- modules that are not installed -------------------------------------------------------------
+
+ANALYTIC = ("make", "render=analytic", "dataset.dir={out}")
+RECORDING = (*ANALYTIC, "scenes=csv_list", "scenes.root={in}/list.csv",
+             "scenes.intrinsics=[100,100,60,40]")  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "module", "extra"),
+    [
+        (("make", "dataset.dir={out}"), "bpy", "blender"),
+        (("demo",), "bpy", "blender"),
+        (("plan",), "bpy", "blender"),
+        (("gallery", "--out", "{out}"), "bpy", "blender"),
+        (("physics", "--out", "{out}"), "bpy", "blender"),
+        (("make", "render=embree", "dataset.dir={out}"), "open3d", "open3d"),
+        (ANALYTIC, "open3d", "open3d"),
+        ((*RECORDING, "resample=voxel"), "open3d", "open3d"),
+        ((*RECORDING, "scheduler=dask"), "distributed", "cluster"),
+        ((*RECORDING, "dataset.compression=zstd"), "hdf5plugin", "zstd"),
+        (("export", "{in}", "--to", "webdataset", "--out", "{out}"), "webdataset", "export"),
+        (("export", "{in}", "--to", "huggingface", "--out", "{out}"), "pyarrow", "export"),
+        (("train", "dataset={in}", "out={out}"), "lightning", "train"),
+        (("denoise", "{in}", "--out", "{out}"), "torch", "train"),
+        (("denoise", "{in}", "--out", "{out}"), "safetensors", "train"),
+        (("export-weights", "{in}/w.safetensors", "--out", "{out}"), "torch", "train"),
+        (("evaluate", "dataset={in}", "out={out}"), "pyarrow", "report"),
+        (("evaluate", "dataset={in}", "out={out}", "models=[simnfnd]"), "torch", "train"),
+        (("evaluate", "dataset={in}", "ablation.olddata_l1=simnfnd"), "torch", "train"),
+        (("evaluate", "tune", "dataset={in}"), "torch", "train"),
+        (("evaluate", "compare", "{in}", "{in}", "--out", "{out}"), "pyarrow", "report"),
+        (("evaluate", "real", "{in}", "out={out}"), "skimage", "report"),
+        (("evaluate", "real", "{in}", "out={out}", "models=[simnfnd]"), "torch", "train"),
+        (("evaluate", "realism", "{in}", "{in}", "out={out}"), "skimage", "report"),
+        (("evaluate", "fit", "{in}", "out={out}"), "optuna", "report"),
+        (("campaign", "out={out}"), "lightning", "train"),
+        (("campaign", "table", "{in}"), "pyarrow", "report"),
+    ],
+)  # fmt: skip
+def test_a_module_that_is_absent_is_said_before_any_work(
+    words, module: str, extra: str, monkeypatch, tmp_path: Path, capsys
+) -> None:
+    assert EXTRAS[module] == extra or extra == "export"
+    assert extra in project()["project"]["optional-dependencies"]
+    monkeypatch.setitem(sys.modules, module, None)
+    there, out = tmp_path / "in", tmp_path / "out"
+    there.mkdir()
+    monkeypatch.chdir(tmp_path)
+    given = [word.replace("{in}", str(there)).replace("{out}", str(out)) for word in words]
+    assert run(monkeypatch, *given) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert f"needs {module}" in error
+    assert f'pip install "simnfnd[{extra}]"' in error
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]
+
+
+def test_all_that_is_absent_is_said_at_once(monkeypatch, tmp_path: Path, capsys) -> None:
+    for module in ("bpy", "open3d"):
+        monkeypatch.setitem(sys.modules, module, None)
+    assert run(monkeypatch, "demo", f"dataset.dir={tmp_path / 'out'}") == 2
+    assert capsys.readouterr().err == (
+        "error: render=cycles needs bpy, scenes=seabed needs open3d: "
+        'pip install "simnfnd[blender,open3d]", or choose render=analytic or render=embree; '
+        "a recording, for example scenes=csv_list\n"
+    )
+
+
+def test_help_and_configuration_need_nothing(monkeypatch, capsys) -> None:
+    for module in EXTRAS:
+        monkeypatch.setitem(sys.modules, module, None)
+    for words in (("train", "--help"), ("train", "--cfg", "job"), ("evaluate", "fit", "--help")):
+        assert run(monkeypatch, *words) == 0
+    assert 'Needs pip install "simnfnd[train]"' in capsys.readouterr().out
+
+
+def test_the_extras_install_what_they_are_named_for() -> None:
+    declared = project()["project"]["optional-dependencies"]
+    distributions = {"skimage": "scikit-image", "open3d": "open3d-cpu"}
+    for module, extra in EXTRAS.items():
+        lines = " ".join(declared[extra])
+        assert distributions.get(module, module) in lines
+    everything = set(declared) - {"all", "dev"}
+    assert declared["all"] == [f"simnfnd[{','.join(k for k in declared if k in everything)}]"]

@@ -1,0 +1,202 @@
+"""What `from simnfnd import ...` gives, and how little reading a dataset needs."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import simnfnd
+from tests.small_dataset import write_dataset
+
+# Run by Python before anything else, in this process and in those it starts.
+ONLY_NUMPY_AND_H5PY = """
+import sys
+
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        top = name.split(".")[0]
+        if top in {"numpy", "h5py", "simnfnd"} | sys.stdlib_module_names or top.startswith("_"):
+            return None
+        raise ModuleNotFoundError(f"{name} is not installed", name=name)
+
+sys.meta_path.insert(0, Refuse())
+"""
+READ = """
+import sys
+from simnfnd import FactoryError, PairDataset
+
+with PairDataset(sys.argv[1], "train", layers=("noisy", "clean", "shadow"), scaled=True) as pairs:
+    print(len(pairs), pairs[0]["noisy"].shape, pairs[1:3]["clean"].dtype, len(pairs.meta()))
+    print(sorted({name.split(".")[0] for name in sys.modules} & {"pydantic", "cv2", "hydra"}))
+try:
+    PairDataset("nowhere")
+except FactoryError as error:
+    print(error)
+"""
+
+
+def test_reading_needs_numpy_and_h5py_alone(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data", train=4, test=2, size=32)
+    (tmp_path / "sitecustomize.py").write_text(ONLY_NUMPY_AND_H5PY)
+    path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-c", READ, str(dataset)],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    first, loaded, error = done.stdout.splitlines()
+    assert first == "4 (32, 32) float32 4"
+    assert loaded == "[]"
+    assert error.startswith("dataset=nowhere: no such folder")
+
+
+def test_every_name_is_there_and_documented() -> None:
+    assert dir(simnfnd) == sorted(simnfnd.__all__)
+    for name in simnfnd.__all__:
+        assert getattr(simnfnd, name).__doc__
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        simnfnd.nothing  # noqa: B018
+
+
+def test_importing_costs_nothing() -> None:
+    code = (
+        "import sys; before = set(sys.modules); import simnfnd\n"
+        "assert not {'numpy', 'h5py'} & (set(sys.modules) - before)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+# --- make_pair ----------------------------------------------------------------------------------
+
+H, W = 96, 152
+PLACE: dict[str, Any] = {"fx": 120.0, "fy": 120.0, "cx": 76.0, "cy": 48.0}
+
+
+def frame() -> tuple[np.ndarray, np.ndarray]:
+    """Sloping ground with a few pixels that were not measured."""
+    v = np.arange(H)[:, None] / H
+    depth_m = np.broadcast_to(1.5 / (0.15 + 0.5 * v), (H, W)).astype(np.float32).copy()
+    depth_m[:4, :4] = np.nan
+    rgb = np.random.default_rng(0).integers(60, 200, (H, W, 3), dtype=np.uint8)
+    return rgb, depth_m
+
+
+def test_a_pair_of_a_frame_in_memory() -> None:
+    rgb, depth_m = frame()
+    pair = simnfnd.make_pair(rgb, depth_m, **PLACE)
+    assert isinstance(pair, simnfnd.Pair)
+    assert pair.noisy.shape == pair.clean.shape == pair.shadow.shape == (256, 256)
+    assert pair.noisy.dtype == pair.clean.dtype == np.uint8
+    assert pair.clean.max() > 100
+    assert (pair.noisy != pair.clean).any()
+    assert float(pair.record["noise.background.density"]) > 0
+    again = simnfnd.make_pair(rgb, depth_m, **PLACE)
+    np.testing.assert_array_equal(again.noisy, pair.noisy)
+    others: list[dict[str, Any]] = [{"variant": 1}, {"seed": 7}, {"name": "another"}]
+    for other in others:
+        assert (simnfnd.make_pair(rgb, depth_m, **PLACE, **other).noisy != pair.noisy).any()
+
+
+def test_a_pair_is_that_of_a_dataset_of_the_same_frame(tmp_path: Path, monkeypatch) -> None:
+    """A recording of one frame, made by `simnfnd make`, holds the very same pictures."""
+    import cv2
+
+    from simnfnd.command import main
+
+    rgb, depth_m = frame()
+    depth_m[:4, :4] = 0
+    millimetres = np.rint(depth_m * 1000).astype(np.uint16)
+    cv2.imwrite(str(tmp_path / "a.png"), np.ascontiguousarray(rgb[..., ::-1]))
+    cv2.imwrite(str(tmp_path / "a_d.png"), millimetres)
+    (tmp_path / "frame.csv").write_text("a.png,a_d.png\n")
+    words = ("render=analytic", "seed=3", "dataset.dtype=float32", "sonar.projection=top_view")
+    monkeypatch.setattr(sys, "argv", ["simnfnd"])
+    made = [
+        *("make", *words, "scenes=csv_list", f"scenes.root={tmp_path / 'frame.csv'}"),
+        *("scenes.intrinsics=[120,120,76,48]", "scheduler=serial", "dataset.preview_pairs=0"),
+        *(f"dataset.dir={tmp_path / 'out'}", f"cache.dir={tmp_path / 'cache'}"),
+    ]
+    assert main(made) == 0
+    with simnfnd.PairDataset(tmp_path / "out", "all", trusted=True) as pairs:
+        stored, meta = pairs[0], pairs.meta()[0]
+    name = "/".join(meta[key].decode() for key in ("location", "scene", "frame") if meta[key])
+    pair = simnfnd.make_pair(
+        rgb, millimetres / np.float32(1000), **PLACE, config=words, name=name.split("/")[-1],
+        scene=name.rsplit("/", 1)[0],
+    )  # fmt: skip
+    np.testing.assert_array_equal(pair.clean, stored["clean"])
+    np.testing.assert_array_equal(pair.noisy, stored["noisy"])
+
+
+def test_a_pair_by_the_sonar_equation() -> None:
+    rgb, depth_m = frame()
+    words = ("experiment=physical", "render=analytic", "dataset.dtype=float32")
+    pair = simnfnd.make_pair(rgb, depth_m, **PLACE, config=words)
+    assert pair.noisy.dtype == np.float32
+    assert 0 <= pair.noisy.min() < pair.noisy.max() <= 1
+
+
+def test_frames_and_words_that_will_not_do(monkeypatch) -> None:
+    rgb, depth_m = frame()
+    with pytest.raises(simnfnd.FrameError, match="only 0 valid pixels"):
+        simnfnd.make_pair(rgb, depth_m * 0, **PLACE)
+    with pytest.raises(simnfnd.FrameError, match="depth is 76x96 but colour is 152x96"):
+        simnfnd.make_pair(rgb, depth_m[:, ::2], **PLACE)
+    with pytest.raises(simnfnd.FactoryError, match="nois"):
+        simnfnd.make_pair(rgb, depth_m, **PLACE, config=("nois=none",))
+    monkeypatch.setitem(sys.modules, "bpy", None)
+    with pytest.raises(simnfnd.FactoryError, match=r"simnfnd\[blender\]"):
+        simnfnd.make_pair(rgb, depth_m, **PLACE, config=("render=cycles",))
+
+
+# --- denoise ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32, np.float64])
+@pytest.mark.parametrize("shape", [(40, 48), (2, 40, 48)])
+def test_a_picture_comes_back_in_its_own_form(dtype: type, shape: tuple[int, ...]) -> None:
+    full = 1 if np.dtype(dtype).kind == "f" else np.iinfo(dtype).max
+    picture: np.ndarray = (np.random.default_rng(0).random(shape) * full).astype(dtype)
+    before = picture.copy()
+    result = simnfnd.denoise(picture, always=True)
+    assert result.shape == shape
+    assert result.dtype == dtype
+    assert (result != picture).any()
+    np.testing.assert_array_equal(picture, before)
+
+
+def test_a_stack_is_its_pictures_one_by_one() -> None:
+    stack = np.random.default_rng(0).integers(0, 255, (2, 40, 48), dtype=np.uint8)
+    both = simnfnd.denoise(stack, always=True, geometry="polar")
+    for picture, denoised in zip(stack, both, strict=True):
+        alone = simnfnd.denoise(picture, always=True, geometry="polar")
+        np.testing.assert_array_equal(alone, denoised)
+    assert (simnfnd.denoise(stack[0], always=True) != both[0]).any(), "geometry made no difference"
+
+
+def test_pictures_and_weights_that_will_not_do(monkeypatch) -> None:
+    pictures: list[tuple[np.ndarray, str]] = [
+        (np.zeros(5), "expected"),
+        (np.zeros((4, 4), np.int64), "int64"),
+        (np.full((4, 4), np.nan), r"0\.\.1"),
+        (np.full((4, 4), 2.0), r"0\.\.1"),
+    ]
+    for picture, said in pictures:
+        with pytest.raises(ValueError, match=said):
+            simnfnd.denoise(picture)
+    with pytest.raises(simnfnd.FactoryError, match="nowhere"):
+        simnfnd.denoise(np.zeros((8, 8)), weights="nowhere")
+    with pytest.raises(ValueError, match="'fan': expected 'polar'"):
+        simnfnd.denoise(np.zeros((8, 8)), geometry="fan")  # type: ignore[arg-type]
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(simnfnd.FactoryError, match=r"simnfnd\.denoise needs torch.*\[train\]"):
+        simnfnd.denoise(np.zeros((8, 8)))
