@@ -115,6 +115,13 @@ VERBS: dict[str, Verb] = {
         LOOK, "devices and effects of the physical profile", f"{_COMMANDS}.physics:main",
         ("simnfnd physics --out outputs/physics",),
     ),
+    "geometry": Verb(
+        LOOK, "where range and bearing lie in fan pictures", f"{_COMMANDS}.geometry:main",
+        (
+            "simnfnd geometry pictures > fans.csv",
+            "simnfnd geometry lamprey.avi --out outputs/fans",
+        ),
+    ),
     "merge": Verb(
         PASS_ON, "several datasets into one", f"{_COMMANDS}.merge:main",
         ("simnfnd merge outputs/a outputs/b --out outputs/both",),
@@ -136,9 +143,11 @@ VERBS: dict[str, Verb] = {
         needs=_TRAINING, hydra=True,
     ),
     "denoise": Verb(
-        DENOISE, "images, folders, datasets and videos", "simnfnd.models.denoise.command:main",
+        DENOISE, "images, videos, datasets and recordings of sonars",
+        "simnfnd.models.denoise.command:main",
         (
             "simnfnd denoise outputs/demo --out outputs/denoised",
+            "simnfnd denoise dive.aris --out outputs/denoised",
             "simnfnd denoise picture.png --out outputs/denoised --always --compare",
             "simnfnd denoise mdd/Images --geometry mdd/fan_geometry.csv --out outputs/mdd",
         ),

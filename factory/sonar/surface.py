@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.render.base import Rendered
+from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.sonar import polar
 from simnfnd.factory.sonar.echoes import Echoes
-from simnfnd.factory.sonar.mount import Mount
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.factory.sonar.window import Window
 

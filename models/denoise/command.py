@@ -1,29 +1,35 @@
-"""Denoise images, folders of images, HDF5 shards and the frames of videos with trained weights."""
+"""Denoise images, folders, HDF5 shards, videos and recordings of sonars with trained weights."""
 
 from __future__ import annotations
 
-import functools
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 from tqdm import tqdm
 
 from simnfnd.factory.cli import Parser
 from simnfnd.factory.dataset.read.reader import open_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import check_writable
-from simnfnd.models.data.fans import read_fans
+from simnfnd.factory.recordings import open_recording
 from simnfnd.models.denoise.denoiser import OVERLAP, TILE, load_denoiser
-from simnfnd.models.denoise.files import denoise_file, denoise_shard, denoise_video
+from simnfnd.models.denoise.files import (
+    denoise_file,
+    denoise_pings,
+    denoise_shard,
+    denoise_video,
+)
+from simnfnd.models.denoise.geometries import FIND, Geometries
 from simnfnd.models.denoise.inputs import Item, find_items
 
 
 def main(arguments: Sequence[str]) -> int:
     """`simnfnd denoise IN... --out DIR`; 1 when some files were skipped."""
     parser = Parser(prog="simnfnd denoise")
-    parser.add_argument("inputs", nargs="+", metavar="IN", help="image, folder, shard or video")
+    parser.add_argument(
+        "inputs", nargs="+", metavar="IN", help="image, folder, shard, video, .aris, .ddf, .raw"
+    )
     parser.add_argument("--out", required=True, help="folder for the results; names are kept")
     parser.add_argument(
         "--weights", help="weights.safetensors of a training, or the name of weights that ship"
@@ -36,7 +42,9 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--compare", action="store_true", help="also write pictures side by side")
     parser.add_argument(
         "--geometry",
-        help="for images: `polar`, or a CSV table of fans (docs/training.md); shards know theirs",
+        default=FIND,
+        help="of images and videos: `find` it in the picture (default), `polar`, `none`, or a CSV "
+        "table of fans as `simnfnd geometry` prints; shards and recordings know theirs",
     )
     parser.add_argument(
         "--tile", type=int, default=TILE, help=f"largest side in one go, pixels ({TILE})"
@@ -50,7 +58,7 @@ def main(arguments: Sequence[str]) -> int:
         raise FactoryError(f"--overlap {chosen.overlap}: must be at most half of --tile")
     out = Path(chosen.out).expanduser()
     items = find_items([Path(name).expanduser() for name in chosen.inputs], out)
-    fans = read_fans(chosen.geometry) if chosen.geometry not in (None, "polar") else {}
+    geometries = Geometries(chosen.geometry)
     check_writable(out, "--out")
     denoise = load_denoiser(
         chosen.weights,
@@ -59,12 +67,10 @@ def main(arguments: Sequence[str]) -> int:
         overlap=chosen.overlap,
         always=chosen.always,
     )
-    failures = []
+    failures: list[str] = []
+    warnings: list[str] = []
     with tqdm(total=sum(map(_pictures, items)), unit="image", desc="denoising") as bar:
         for item in items:
-            # Pictures missing in the table are denoised without geometry.
-            geometry = fans.get(item.source.name)
-            known = functools.partial(denoise, layout=chosen.geometry) if not fans else denoise
             try:
                 if item.kind == "shard":
                     denoise_shard(
@@ -75,9 +81,14 @@ def main(arguments: Sequence[str]) -> int:
                         compare=chosen.compare,
                         tick=bar.update,
                     )
+                elif item.kind == "pings":
+                    warning = denoise_pings(
+                        item, out, denoise, compare=chosen.compare, tick=bar.update
+                    )
+                    warnings += [warning] if warning else []
                 else:
                     work = denoise_video if item.kind == "video" else denoise_file
-                    work(item, out, known, geometry, compare=chosen.compare, tick=bar.update)
+                    work(item, out, denoise, geometries.of, compare=chosen.compare, tick=bar.update)
             except FrameError as error:
                 failures.append(str(error))
                 bar.set_postfix(failed=len(failures))
@@ -86,6 +97,10 @@ def main(arguments: Sequence[str]) -> int:
         raise FactoryError(failures[0] + more)
     for line in failures:
         print(f"skipped: {line}", file=sys.stderr)
+    for line in warnings:
+        print(f"warning: {line}", file=sys.stderr)
+    for line in geometries.summary():
+        print(line)
     if denoise.unchanged:
         print(
             f"given back as they came: {denoise.unchanged} of {denoise.pictures} picture(s), "
@@ -99,13 +114,11 @@ def _pictures(item: Item) -> int:
     """How many pictures a file holds, for the progress bar; 0 for one that cannot be read."""
     if item.kind == "image":
         return 1
-    if item.kind == "video":
-        capture = cv2.VideoCapture(str(item.source))
-        count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        capture.release()
-        return max(0, count)
     try:
-        with open_shard(item.source) as shard:
-            return len(shard["noisy"])
+        if item.kind == "shard":
+            with open_shard(item.source) as shard:
+                return len(shard["noisy"])
+        with open_recording(item.source) as recording:
+            return len(recording)
     except FactoryError:
         return 0

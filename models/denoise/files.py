@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,9 @@ import numpy.typing as npt
 from simnfnd.factory.dataset.read.reader import open_shard, value_range
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import write_atomically
+from simnfnd.factory.recordings import Frame, Recording, open_recording
+from simnfnd.factory.recordings.aris import ArisFile
+from simnfnd.factory.recordings.fans import fan_of, grey_of, polar_geometry
 from simnfnd.factory.sonar.geometry import FanGeometry, recorded_sonar
 from simnfnd.models.data.images import FULL_SCALE, decode
 from simnfnd.models.denoise.inputs import Item
@@ -24,6 +28,8 @@ SCHEMA = "simnfnd-denoised/1"
 Gray = npt.NDArray[np.float32]
 Denoise = Callable[[Gray, FanGeometry | None], Gray]
 """(H, W) float32 in 0..1, and where range and bearing are, if known -> the same, denoised."""
+Find = Callable[[Item, npt.NDArray[Any]], FanGeometry | None]
+"""Where range and bearing are in a picture of an item; None where that is not known."""
 Tick = Callable[[], object]
 """Called after every picture."""
 
@@ -65,7 +71,7 @@ def denoise_file(
     item: Item,
     out: Path,
     denoise: Denoise,
-    geometry: FanGeometry | None,
+    geometry_of: Find,
     *,
     compare: bool,
     tick: Tick,
@@ -73,7 +79,7 @@ def denoise_file(
     """Denoise one image file into `out`.  FrameError when it cannot be read."""
     try:
         image = decode(item.source)
-        denoised = denoise_image(image, denoise, geometry)
+        denoised = denoise_image(image, denoise, geometry_of(item, image))
     except (FactoryError, ValueError) as error:
         text = str(error)
         named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
@@ -88,7 +94,7 @@ def denoise_video(
     item: Item,
     out: Path,
     denoise: Denoise,
-    geometry: FanGeometry | None,
+    geometry_of: Find,
     *,
     compare: bool,
     tick: Tick,
@@ -97,34 +103,64 @@ def denoise_video(
 
     PNG, because a video codec would add artefacts of its own.  FrameError when it has no frames.
     """
-    count = 0
     shown = []
-    for frame in _frames(item.source):
-        grey = (frame == frame[..., :1]).all()
-        frame = np.ascontiguousarray(frame[..., 0]) if grey else frame
-        denoised = denoise_image(frame, denoise, geometry)
-        _write_image(out / item.relative / f"{count:06d}.png", denoised)
-        if count < _COMPARED:
-            shown.append((frame, denoised))
-        count += 1
-        tick()
-    if not count:
-        raise FrameError(f"{item.source}: not a readable video")
+    with _opened(item) as recording:
+        for frame in recording:
+            picture = frame.samples
+            denoised = denoise_image(picture, denoise, geometry_of(item, picture))
+            _write_image(out / item.relative / f"{frame.number:06d}.png", denoised)
+            if frame.number < _COMPARED:
+                shown.append((picture, denoised))
+            tick()
     if compare:
         _write_compared(out, item.relative, shown)
 
 
-def _frames(path: Path) -> Iterator[npt.NDArray[np.uint8]]:
-    """The frames of a video, (H, W, 3) uint8."""
-    capture = cv2.VideoCapture(str(path))
+def denoise_pings(item: Item, out: Path, denoise: Denoise, *, compare: bool, tick: Tick) -> str:
+    """Denoise a sonar's own recording, ping by ping, ranges by beams.
+
+    An ARIS recording becomes one, with the same headers; others a folder of its name with a fan
+    (NNNNNN.png) and the samples (NNNNNN_polar.png, near range first) of each ping.
+    Returns a warning, mostly empty.  FrameError when it cannot be read.
+    """
+    shown: list[tuple[Gray, Gray]] = []
+
+    def denoised(recording: Recording) -> Iterator[tuple[Frame, npt.NDArray[Any]]]:
+        for frame in recording:
+            assert frame.beams is not None
+            geometry = polar_geometry(frame.beams, len(frame.samples))
+            samples = denoise_image(frame.samples, denoise, geometry)
+            if compare and frame.number < _COMPARED:
+                after = replace(frame, samples=samples)
+                fans = (fan_of(grey_of(one), frame.beams)[0] for one in (frame, after))
+                shown.append((next(fans), next(fans)))
+            yield frame, samples
+            tick()
+
+    path = out / item.relative
+    with _opened(item) as recording:
+        if isinstance(recording, ArisFile):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            recording.rewrite((samples for _, samples in denoised(recording)), path)
+        else:
+            for frame, samples in denoised(recording):
+                assert frame.beams is not None
+                full = FULL_SCALE[str(samples.dtype)]
+                fan, _ = fan_of(grey_of(replace(frame, samples=samples)), frame.beams)
+                fan = np.rint(fan * full).astype(samples.dtype) if full > 1 else fan
+                _write_image(path / f"{frame.number:06d}.png", fan)
+                _write_image(path / f"{frame.number:06d}_polar.png", samples)
+        warning = recording.warning
+    if compare:
+        _write_compared(out, item.relative, shown)
+    return warning
+
+
+def _opened(item: Item) -> Recording:
     try:
-        while True:
-            there, frame = capture.read()
-            if not there:
-                return
-            yield np.asarray(frame, dtype=np.uint8)
-    finally:
-        capture.release()
+        return open_recording(item.source)
+    except FactoryError as error:
+        raise FrameError(str(error)) from error
 
 
 def denoise_shard(

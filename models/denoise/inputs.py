@@ -1,4 +1,4 @@
-"""What `simnfnd denoise` is given: images, folders, datasets, shards and videos."""
+"""What `simnfnd denoise` is given: images, folders, datasets, shards, videos and recordings."""
 
 from __future__ import annotations
 
@@ -10,11 +10,17 @@ from typing import Literal
 from simnfnd.factory.dataset.format.manifest import MANIFEST_NAME
 from simnfnd.factory.dataset.read.reader import shard_paths
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.recordings import READERS, kind_of
 from simnfnd.models.data.images import IMAGE_SUFFIXES
 
+PING_KINDS = ("aris", "ddf", "oculus")
+"""Recordings (`simnfnd.factory.recordings`) whose frames are pings, not pictures."""
 SHARD_SUFFIXES = (".h5", ".hdf5")
-VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")
-SUFFIXES = (*IMAGE_SUFFIXES, *SHARD_SUFFIXES, *VIDEO_SUFFIXES)
+SUFFIXES = (
+    *IMAGE_SUFFIXES,
+    *SHARD_SUFFIXES,
+    *(suffix for kind in ("video", *PING_KINDS) for suffix in READERS[kind][1]),
+)
 
 
 @dataclass(frozen=True)
@@ -25,18 +31,20 @@ class Item:
     relative: Path
 
     @property
-    def kind(self) -> Literal["image", "shard", "video"]:
+    def kind(self) -> Literal["image", "shard", "video", "pings"]:
         """By the suffix of its name."""
-        suffix = self.source.suffix.lower()
-        if suffix in SHARD_SUFFIXES:
+        if self.source.suffix.lower() in SHARD_SUFFIXES:
             return "shard"
-        return "video" if suffix in VIDEO_SUFFIXES else "image"
+        kind = kind_of(self.source)
+        if kind in PING_KINDS:
+            return "pings"
+        return "video" if kind == "video" else "image"
 
 
 def find_items(inputs: Sequence[Path], out: Path) -> list[Item]:
     """The files to denoise, in a fixed order.
 
-    A folder stands for all images, shards and videos below it, a dataset's folder for its shards
+    A folder stands for all such files below it, a dataset's folder for its shards
     alone.  Raises FactoryError when there is nothing, two results would have one name, or a result
     would replace its input.
     """
@@ -58,7 +66,8 @@ def _of_input(path: Path, out: Path) -> Iterator[Item]:
     if path.is_file():
         if path.suffix.lower() not in SUFFIXES:
             raise FactoryError(
-                f"{path}: neither an image nor a shard nor a video ({', '.join(SUFFIXES)})"
+                f"{path}: neither an image nor a shard nor a video or recording "
+                f"({', '.join(SUFFIXES)})"
             )
         yield Item(path, Path(path.name))
     elif not path.is_dir():
@@ -73,7 +82,9 @@ def _of_input(path: Path, out: Path) -> Iterator[Item]:
             if file.suffix.lower() in SUFFIXES and file.is_file() and not _is_below(file, out)
         ]
         if not found:
-            raise FactoryError(f"{path}: holds no image, shard or video ({', '.join(SUFFIXES)})")
+            raise FactoryError(
+                f"{path}: holds no image, shard, video or recording ({', '.join(SUFFIXES)})"
+            )
         for file in found:
             yield Item(file, file.relative_to(path))
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simnfnd.factory.compose import compose_config
+from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.formation.field.expected import Expected, display
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.noise.draws import StreamNames, draw

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simnfnd.factory.compose import compose_config
+from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.formation.field.received import received
 from simnfnd.factory.formation.field.scatterers import scatterers

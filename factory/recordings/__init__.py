@@ -1,0 +1,56 @@
+"""Recordings of real sonars, and of videos and pictures of them: `open_recording`.
+
+A reader is a module here with a class that takes a path and is a `base.Recording`; its line below
+says which files it reads.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.recordings.base import Beams, Device, Frame, Pose, Recording
+
+__all__ = ["Beams", "Device", "Frame", "Pose", "Recording", "kind_of", "open_recording"]
+
+_ROOM = "simnfnd.factory.recordings"
+
+READERS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "aris": (f"{_ROOM}.aris:ArisFile", (".aris",)),
+    "ddf": (f"{_ROOM}.ddf:DdfFile", (".ddf",)),
+    "oculus": (f"{_ROOM}.oculus:OculusFile", (".raw", ".oculus")),
+    "video": (f"{_ROOM}.video:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
+    "pictures": (
+        f"{_ROOM}.pictures:Pictures",
+        (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"),
+    ),
+}
+"""Kind -> ("module:class", suffixes of its files)."""
+
+
+def kind_of(path: Path) -> str | None:
+    """The kind of recording that a file's name says; `pictures` for a folder; None for others."""
+    if path.is_dir():
+        return "pictures"
+    for kind, (_, suffixes) in READERS.items():
+        if path.suffix.lower() in suffixes:
+            return kind
+    return None
+
+
+def open_recording(path: str | Path) -> Recording:
+    """The recording in a file or folder.
+
+    Raises FactoryError when there is none, it is of no known kind, or nothing of it can be read.
+    """
+    where = Path(path).expanduser()
+    if not where.exists():
+        raise FactoryError(f"{path}: no such file or folder")
+    kind = kind_of(where)
+    if kind is None:
+        known = ", ".join(suffix for _, suffixes in READERS.values() for suffix in suffixes)
+        raise FactoryError(f"{path}: not a recording by its name ({known}, or a folder)")
+    module, name = READERS[kind][0].split(":")
+    recording: Recording = getattr(import_module(module), name)(where)
+    return recording

@@ -1,0 +1,186 @@
+"""The geometry of a fan picture, found in the picture itself: where its black border ends.
+
+A fan picture is lit inside a sector and black outside it, with far range on top.  The sector is
+found that best tells lit from black pixels (`fan_outline`), and then looked at for how much of its
+outline is really there.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from simnfnd.factory.sonar.fan_outline import Numbers, fit_sector
+from simnfnd.factory.sonar.geometry import FanGeometry
+
+SURE = 0.7
+"""Fans found with less confidence are not returned."""
+
+_SMALLEST = 32  # pixels a side
+_MOST_BLACK = 48  # of 255: a border lighter than this is none
+_MOST_OUTSIDE = 0.05  # of all pixels may be lit and not in the sector
+_MOST_SQUEEZE = 1.95
+_LEAST_HALF_DEG, _MOST_HALF_DEG = 2.0, 88.0
+_PIECES = 12  # of each side of the outline, looked at one by one
+
+
+@dataclass(frozen=True)
+class FoundFan:
+    """A fan as it lies in a picture.
+
+    geometry: in pixels and shares of the largest range; metres cannot be seen.
+    confidence: 0..1, the share of the outline (both edges and the far arc, in equal parts) at which
+        the picture is lit just inside and black just outside.  A fan whose outline is half in the
+        dark has 0.5.
+    """
+
+    geometry: FanGeometry
+    confidence: float
+
+
+def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
+    """The fan in (H, W) or (H, W, colours) grey values of any number type, if there is one.
+
+    None for a picture without a sector on black: a photo, a polar picture, a full rectangle.
+    Raises ValueError for another shape.
+    """
+    grey = _bytes(picture)
+    if min(grey.shape) < _SMALLEST:
+        return None
+    size = max(2, min(grey.shape) // 40)
+    corners = grey[:size, :size], grey[:size, -size:]
+    # The lesser: there may be text in the other.
+    black = min(int(np.quantile(corner, 0.99)) for corner in corners)
+    if black > _MOST_BLACK:
+        return None
+    grey, top, left = _cropped(grey, black)
+    sector = fit_sector(grey > black)
+    if sector is None:
+        return None
+    # JPEG and MPEG ring on both sides of an edge: there the border is not quite black.
+    ringing = min(_level_beside(grey, sector), _MOST_BLACK)
+    if ringing > black:
+        again = fit_sector(grey > ringing)
+        if again is not None:
+            black, sector = ringing, again
+    half_deg = np.rad2deg(np.arctan([-sector[4], sector[5]]))
+    if half_deg.min() < _LEAST_HALF_DEG or half_deg.max() > _MOST_HALF_DEG:
+        return None
+    outside = (grey > black) & (_inside(sector, *grey.shape) == 0)
+    if outside.mean() > _MOST_OUTSIDE:
+        return None
+    if abs(math.log(sector[6])) > math.log(_MOST_SQUEEZE):
+        return None
+    geometry = _geometry(sector)
+    confidence = _confidence(grey > black, geometry)
+    if confidence < SURE:
+        return None
+    moved = replace(
+        geometry, apex_x_px=geometry.apex_x_px + left, apex_y_px=geometry.apex_y_px + top
+    )
+    return FoundFan(moved, confidence)
+
+
+def _cropped(grey: npt.NDArray[np.uint8], black: int) -> tuple[npt.NDArray[np.uint8], int, int]:
+    """What is not border, with some border around it; its first row and column."""
+    lit = grey > black
+    spans = []
+    for share in (lit.mean(axis=1), lit.mean(axis=0)):
+        some = np.flatnonzero(share > 0.02)
+        ends = (int(some[0]), int(some[-1]) + 1) if len(some) else (0, len(share))
+        spans.append(slice(max(ends[0] - 16, 0), ends[1] + 16))
+    rows, columns = spans
+    return np.ascontiguousarray(grey[rows, columns]), rows.start, columns.start
+
+
+def _bytes(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    """(H, W) uint8; colours become their largest."""
+    if picture.ndim == 3:
+        picture = picture[..., :3].max(axis=2)
+    if picture.ndim != 2:
+        raise ValueError(f"picture has shape {picture.shape}; expected (H, W) or (H, W, colours)")
+    if picture.dtype == np.uint8:
+        return picture
+    full = float(np.iinfo(picture.dtype).max) if picture.dtype.kind in "iu" else 1.0
+    # A level that is not zero stays one.
+    return np.asarray(np.ceil(np.clip(np.nan_to_num(picture / full), 0, 1) * 255), np.uint8)
+
+
+def _inside(sector: Numbers, height: int, width: int) -> npt.NDArray[np.uint8]:
+    from simnfnd.factory.sonar import fan_loops
+
+    top, bottom = np.empty(width), np.empty(width)
+    fan_loops.column_limits(sector, np.arange(width, dtype=np.float64), top, bottom)
+    row = np.arange(height)[:, None]
+    return ((row >= top) & (row <= bottom)).astype(np.uint8)
+
+
+def _level_beside(grey: npt.NDArray[np.uint8], sector: Numbers) -> int:
+    """The level below which 97 % of the pixels lie that are 2 to 8 pixels outside the sector."""
+    inside = _inside(sector, *grey.shape)
+    near = cv2.dilate(inside, np.ones((5, 5), np.uint8))
+    wide = cv2.dilate(inside, np.ones((17, 17), np.uint8))
+    beside = grey[(wide > 0) & (near == 0)]
+    return int(np.quantile(beside, 0.97)) if beside.size else 0
+
+
+def _geometry(sector: Numbers) -> FanGeometry:
+    apex_x, apex_y, far, near, left, right, squeeze = (float(value) for value in sector)
+    first, last = math.atan(left), math.atan(right)
+    return FanGeometry(
+        "fan",
+        near_fraction=near / far,
+        sector_rad=2 * max(-first, last),
+        azimuth_min_rad=first,
+        azimuth_max_rad=last,
+        apex_x_px=apex_x,
+        apex_y_px=apex_y,
+        far_px=far,
+        x_scale=squeeze,
+    )
+
+
+def _confidence(lit: npt.NDArray[np.bool_], fan: FanGeometry) -> float:
+    """See `FoundFan`."""
+    count = _PIECES * 12
+    # Some pixels away from the outline, as shares of the largest range.
+    away = np.maximum(np.linspace(0.004, 0.02, 5), np.arange(2, 7) / fan.far_px)
+    ranges = np.linspace(fan.near_fraction + 0.03, 0.97, count)[:, None]
+    bearings = np.linspace(fan.azimuth_min_rad, fan.azimuth_max_rad, count + 8)[4:-4, None]
+    seen = []
+    for edge_rad, side in ((fan.azimuth_min_rad, -1.0), (fan.azimuth_max_rad, 1.0)):
+        inner = _lit_share(lit, fan, ranges, edge_rad - side * away / ranges)
+        outer = _lit_share(lit, fan, ranges, edge_rad + side * away / ranges)
+        seen.append(_seen(inner, outer))
+    inner = _lit_share(lit, fan, 1 - away, bearings)
+    outer = _lit_share(lit, fan, 1 + away, bearings)
+    seen.append(_seen(inner, outer))
+    return float(np.mean(seen))
+
+
+def _seen(inner: Numbers, outer: Numbers) -> npt.NDArray[np.bool_]:
+    # Outside the picture all is black, and inside there must be something.
+    inner, outer = np.nan_to_num(inner), np.nan_to_num(outer)
+    return np.asarray((inner > 0.1) & (outer < 0.35 * inner))
+
+
+def _lit_share(
+    lit: npt.NDArray[np.bool_],
+    fan: FanGeometry,
+    ranges: npt.NDArray[Any],
+    bearings: npt.NDArray[Any],
+) -> Numbers:
+    """(_PIECES,) share of lit pixels of each piece of the outline, NaN outside the picture."""
+    height, width = lit.shape
+    row, column = (np.rint(place).astype(int) for place in fan.pixels(ranges, bearings))
+    row, column = np.broadcast_arrays(row, column)
+    there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    hit = there & lit[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    counts = there.reshape(_PIECES, -1).sum(axis=1)
+    share = hit.reshape(_PIECES, -1).sum(axis=1) / np.maximum(counts, 1)
+    return np.where(counts > 0, share, np.nan)

@@ -1,0 +1,55 @@
+"""Where range and bearing lie in the pictures that `simnfnd denoise` is given."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy.typing as npt
+
+from simnfnd.factory.sonar.fan_finder import find_fan
+from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.models.data.fans import read_fans
+from simnfnd.models.denoise.inputs import Item
+
+FIND, POLAR, NONE = "find", "polar", "none"
+
+
+class Geometries:
+    """Geometry of pictures, as `--geometry` says.
+
+    chosen: `find` it in each picture (for a video in its first frame); `polar`: rows are ranges,
+    near range first, and the columns span 30 degrees; `none`; or the path of a table of fans.
+    """
+
+    def __init__(self, chosen: str) -> None:
+        """Raises FactoryError for a table that cannot be read."""
+        self.chosen = chosen
+        self._table = {} if chosen in (FIND, POLAR, NONE) else read_fans(chosen)
+        self._videos: dict[Path, FanGeometry | None] = {}
+        # Folder or video -> pictures with a fan, and all that were looked at.
+        self._counts: dict[Path, tuple[int, int]] = {}
+
+    def of(self, item: Item, picture: npt.NDArray[Any]) -> FanGeometry | None:
+        """The geometry of a picture of `item`; None where it is not known."""
+        if self.chosen == POLAR:
+            return FanGeometry.polar().with_size(*picture.shape[:2])
+        if self.chosen != FIND:
+            return self._table.get(item.source.name)
+        if item.source in self._videos:
+            return self._videos[item.source]
+        found = find_fan(picture)
+        geometry = found.geometry if found else None
+        video = item.kind == "video"
+        if video:
+            self._videos[item.source] = geometry
+        place = item.source if video else item.source.parent
+        with_fan, looked_at = self._counts.get(place, (0, 0))
+        self._counts[place] = with_fan + (geometry is not None), looked_at + 1
+        return geometry
+
+    def summary(self) -> Iterator[str]:
+        """One line a folder or video whose pictures were looked at."""
+        for place, (with_fan, looked_at) in self._counts.items():
+            yield f"geometry: fan found in {with_fan} of {looked_at} pictures ({place})"

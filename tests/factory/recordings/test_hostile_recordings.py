@@ -1,0 +1,112 @@
+"""Damaged and foreign recordings: one line, little memory, little time."""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.recordings import open_recording
+from simnfnd.factory.recordings.fans import fan_of, grey_of
+from tests.factory.recordings.recording_files import (
+    pings,
+    write_aris,
+    write_ddf,
+    write_oculus,
+    write_video,
+)
+
+MUTATIONS = 200
+
+
+def _png(path: Path) -> Path:
+    assert cv2.imwrite(str(path), pings(1, 60, 48)[0])
+    return path
+
+
+WRITERS: dict[str, Callable[[Path], Path]] = {
+    "a.aris": lambda path: write_aris(path, pings(3, 16, 48)),
+    "a.ddf": lambda path: write_ddf(path, pings(3, 16, 48)),
+    "a.raw": lambda path: write_oculus(path, pings(3, 16, 16)),
+    "b.raw": lambda path: write_oculus(path, pings(3, 16, 16), version=2, gains=True),
+    "a.avi": lambda path: write_video(path, pings(4, 48, 64)),
+    "a.png": _png,
+}
+
+
+def use(path: Path) -> None:
+    """Everything that a program does with a recording."""
+    with open_recording(path) as recording:
+        assert len(recording) <= 1000
+        for frame in recording:
+            assert frame.samples.nbytes < 1 << 24
+            if frame.beams is not None:
+                picture, _ = fan_of(grey_of(frame), frame.beams)
+                assert np.isfinite(picture).all()
+
+
+def mutated(content: bytes, rng: np.random.Generator) -> bytes:
+    """With bits flipped, a field overwritten, cut short, or a piece repeated."""
+    data = bytearray(content)
+    # Headers are where the harm is.
+    most = len(data) if rng.random() < 0.3 else min(len(data), 2600)
+    match rng.integers(5):
+        case 0:
+            for _ in range(rng.integers(1, 9)):
+                data[rng.integers(most)] ^= 1 << int(rng.integers(8))
+        case 1:
+            word = rng.choice(
+                [b"\xff\xff\xff\xff", b"\xff\xff\xff\x7f", b"\0\0\0\0", b"\0\0\xc0\x7f"]
+            )
+            at = 4 * int(rng.integers(most // 4))
+            data[at : at + 4] = word
+        case 2:
+            del data[rng.integers(len(data)) :]
+        case 3:
+            at = int(rng.integers(most))
+            data[at : at + 8] = rng.bytes(8)
+        case _:
+            at, size = int(rng.integers(most)), int(rng.integers(1, 300))
+            data[at:at] = data[at : at + size]
+    return bytes(data)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_mutations(tmp_path: Path, name: str) -> None:
+    path = WRITERS[name](tmp_path / name)
+    use(path)
+    whole = path.read_bytes()
+    rng = np.random.default_rng(20)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    started = time.monotonic()
+    refused = 0
+    for number in range(MUTATIONS):
+        path.write_bytes(mutated(whole, rng))
+        try:
+            use(path)
+        except FactoryError as error:
+            refused += 1
+            text = str(error)
+            assert "\n" not in text, number
+            assert str(path) in text
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert grown < 300_000, "kilobytes"
+    assert time.monotonic() - started < 120
+    assert refused > 10
+
+
+@pytest.mark.parametrize("suffix", [".aris", ".ddf", ".raw", ".avi", ".png"])
+@pytest.mark.parametrize("content", [b"", b"DDF", b"\0" * 5000, b"GIF89a" * 1000])
+def test_foreign_files(tmp_path: Path, suffix: str, content: bytes) -> None:
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(FactoryError) as caught:
+        use(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,140 @@
+"""`simnfnd denoise` on recordings of sonars, and on pictures whose fan it finds itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from simnfnd.factory.recordings import open_recording
+from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.models.denoise import command
+from simnfnd.models.denoise.command import main
+from simnfnd.models.denoise.files import Gray
+from simnfnd.models.networks import build_network
+from simnfnd.models.networks.weights import save_weights
+from tests.factory.recordings.recording_files import pings, write_aris, write_ddf, write_oculus
+from tests.factory.sonar.fan_pictures import fan, preset
+
+
+class Halving:
+    """A denoiser whose result is easy to foretell, and which keeps what it was told."""
+
+    digest, pictures, unchanged = "0", 0, 0
+
+    def __init__(self) -> None:
+        self.told: list[FanGeometry | None] = []
+
+    def __call__(self, gray: Gray, geometry: FanGeometry | None = None) -> Gray:
+        self.told.append(geometry)
+        return gray / 2
+
+
+@pytest.fixture
+def halving(monkeypatch: pytest.MonkeyPatch) -> Halving:
+    made = Halving()
+    monkeypatch.setattr(command, "load_denoiser", lambda *given, **named: made)
+    return made
+
+
+def test_an_aris_recording_becomes_one(tmp_path: Path, halving: Halving) -> None:
+    samples = pings(3, 40, 48)
+    write_aris(tmp_path / "a.aris", samples)
+    out = tmp_path / "out"
+    assert main([str(tmp_path / "a.aris"), "--out", str(out), "--compare"]) == 0
+    with open_recording(out / "a.aris") as after, open_recording(tmp_path / "a.aris") as before:
+        assert len(after) == 3
+        for old, new in zip(before, after, strict=True):
+            assert np.abs(new.samples - old.samples / 2).max() <= 0.5
+            assert (new.beams, new.time_s, new.pose) == (old.beams, old.time_s, old.pose)
+    told = halving.told[0]
+    assert told is not None
+    assert (told.layout, told.range_bins, len(told.beam_azimuths_rad)) == ("polar", 40, 48)
+    assert told.range_min_m == pytest.approx(2.0, abs=0.01)
+    assert (out / "compare" / "a.png").is_file()
+    assert sorted(path.name for path in out.iterdir()) == ["a.aris", "compare"]
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_pings_become_fans_and_samples(tmp_path: Path, halving: Halving, dtype: Any) -> None:
+    samples = pings(2, 60, 32).astype(dtype)
+    write_oculus(tmp_path / "a.raw", samples)
+    write_ddf(tmp_path / "b.ddf", pings(2, 60, 48))
+    out = tmp_path / "out"
+    assert main([str(tmp_path), "--out", str(out)]) == 0
+    names = ["000000.png", "000000_polar.png", "000001.png", "000001_polar.png"]
+    for name in ("a.raw", "b.ddf"):
+        assert sorted(path.name for path in (out / name).iterdir()) == names
+    polar = cv2.imread(str(out / "a.raw" / "000001_polar.png"), cv2.IMREAD_UNCHANGED)
+    assert polar is not None
+    assert polar.dtype == dtype
+    assert np.abs(polar - samples[1] / 2).max() <= 0.5
+    shown = cv2.imread(str(out / "a.raw" / "000001.png"), cv2.IMREAD_UNCHANGED)
+    assert shown is not None
+    assert shown.dtype == dtype
+    assert shown.shape[0] >= 60
+    assert not shown[0, 0]
+    assert len(halving.told) == 4
+
+
+def test_fans_are_found_unless_told_not_to(
+    tmp_path: Path, halving: Halving, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "in"
+    (folder / "deep").mkdir(parents=True)
+    grey, true = fan(preset("didson_hf", 300, 500), 0.2, False)
+    for name in ("a.png", "b.png", "deep/c.png"):
+        assert cv2.imwrite(str(folder / name), grey)
+    assert cv2.imwrite(str(folder / "plain.png"), np.full((50, 60), 80, np.uint8))
+    arguments = [str(folder), "--out", str(tmp_path / "out")]
+    assert main(arguments) == 0
+    said = capsys.readouterr().out
+    assert f"geometry: fan found in 2 of 3 pictures ({folder})" in said
+    assert f"geometry: fan found in 1 of 1 pictures ({folder / 'deep'})" in said
+    found = [told for told in halving.told if told is not None]
+    assert len(found) == 3
+    assert found[0].apex_y_px == pytest.approx(true.apex_y_px, abs=2)
+    halving.told.clear()
+    assert main([*arguments, "--geometry", "none"]) == 0
+    assert halving.told == [None] * 4
+    assert "geometry" not in capsys.readouterr().out
+    assert main([*arguments, "--geometry", "polar"]) == 0
+    assert {told.layout for told in halving.told if told is not None} == {"polar"}
+
+
+def test_damaged_recordings_are_skipped(
+    tmp_path: Path, halving: Halving, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "in"
+    folder.mkdir()
+    write_aris(folder / "a.aris", pings(2, 20, 48))
+    whole = (folder / "a.aris").read_bytes()
+    (folder / "b.aris").write_bytes(whole[:-9])
+    (folder / "c.aris").write_bytes(whole[:1500])
+    (folder / "d.aris").write_bytes(whole.replace(b"DDF\5", b"DDF\5", 1)[:-1000] + bytes(1000))
+    out = tmp_path / "out"
+    assert main([str(folder), "--out", str(out)]) == 1
+    said = capsys.readouterr().err
+    assert "warning: " in said
+    assert "b.aris: ends within frame 1" in said
+    assert "skipped: " in said
+    assert "c.aris" in said
+    assert sorted(path.name for path in out.iterdir()) == ["a.aris", "b.aris", "d.aris"]
+
+
+def test_a_network_takes_pings(tmp_path: Path) -> None:
+    config = {
+        **{"kind": "sonarnet", "widths": [4, 4], "blocks": [0, 0], "polar": False},
+        **{"mask": True, "least_gain_db": None, "forget": 0.0},
+    }
+    torch.manual_seed(0)
+    weights = tmp_path / "weights.safetensors"
+    save_weights(weights, build_network(config), config, {})
+    write_aris(tmp_path / "a.aris", pings(1, 64, 48))
+    arguments = ["--out", str(tmp_path / "out"), "--weights", str(weights)]
+    assert main([str(tmp_path / "a.aris"), *arguments]) == 0
+    assert len(open_recording(tmp_path / "out" / "a.aris")) == 1
