@@ -15,7 +15,7 @@ LOOPS = (
     "simnfnd.factory.render.cloud.planes",
     "simnfnd.factory.render.shading",
     "simnfnd.factory.sonar.echo_loops",
-    "simnfnd.factory.sonar.fan_loops",
+    "simnfnd.factory.recordings.fan_loops",
     "simnfnd.factory.sonar.number_loops",
     "simnfnd.factory.sonar.picture_loops",
 )

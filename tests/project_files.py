@@ -39,9 +39,10 @@ def modules(*folders: str) -> list[Path]:
 
 
 def module_name(path: Path) -> str:
-    """Dotted name of a Python file given relative to the root."""
+    """Import name of a Python file given relative to the root."""
     parts = path.with_suffix("").parts
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+    parts = parts[:-1] if parts[-1] == "__init__" else parts
+    return ".".join(("simnfnd", *parts) if parts[0] in PACKAGES else parts)
 
 
 def imports(source: str) -> Iterator[tuple[int, str]]:

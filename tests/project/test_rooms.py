@@ -138,6 +138,7 @@ ALLOWED = {
         "factory/gallery",
         "factory/jobs",
         "factory/noise",
+        "factory/recordings",
         "factory/render",
         "factory/renders",
         "factory/scenes",
@@ -174,6 +175,7 @@ ALLOWED = {
         "factory/sonar",
         "factory: ground",
     },
+    "factory/recordings": {"factory/sonar", "factory: ground"},
     "factory/render": {"factory: ground"},
     "factory/renders": {
         "factory/dataset",
@@ -189,6 +191,7 @@ ALLOWED = {
         "factory/formation",
         "factory/jobs",
         "factory/noise",
+        "factory/recordings",
         "factory/render",
         "factory/renders",
         "factory/scenes",
@@ -211,6 +214,7 @@ ALLOWED = {
     "models/denoise": {
         "factory/cli",
         "factory/dataset",
+        "factory/recordings",
         "factory/sonar",
         "factory: ground",
         "models/data",

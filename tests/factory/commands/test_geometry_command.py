@@ -11,7 +11,7 @@ import pytest
 
 from simnfnd.command import main
 from simnfnd.models.data.fans import read_fans
-from tests.factory.sonar.fan_pictures import fan, preset
+from tests.factory.recordings.fan_pictures import fan, preset
 
 
 def test_table_and_drawings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,8 +17,8 @@ from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.files import Gray
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
+from tests.factory.recordings.fan_pictures import fan, preset
 from tests.factory.recordings.recording_files import pings, write_aris, write_ddf, write_oculus
-from tests.factory.sonar.fan_pictures import fan, preset
 
 
 class Halving:

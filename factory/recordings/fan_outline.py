@@ -28,7 +28,7 @@ def fit_sector(lit: npt.NDArray[np.bool_]) -> Numbers | None:
 
     lit: (H, W).  The numbers are those of `_sector`, as `fan_loops` takes them.
     """
-    from simnfnd.factory.sonar import fan_loops  # loads numba
+    from simnfnd.factory.recordings import fan_loops  # loads numba
 
     guess = _first_guess(lit)
     if guess is None:
@@ -130,7 +130,7 @@ def _objective(
     above: npt.NDArray[np.int32], outline: Numbers, rows: tuple[float, float]
 ) -> _Objective | None:
     """With the shares of lit pixels inside and outside `outline`; None if it parts nothing."""
-    from simnfnd.factory.sonar import fan_loops
+    from simnfnd.factory.recordings import fan_loops
 
     sector = _sector(outline, rows)
     if sector is None:
@@ -161,7 +161,7 @@ class _Objective:
 
     def cost(self, outline: Numbers, whole: bool = False) -> float:
         """Minus the logarithm of the likelihood, but for a constant."""
-        from simnfnd.factory.sonar import fan_loops
+        from simnfnd.factory.recordings import fan_loops
 
         sector = _sector(outline, self.rows)
         if sector is None:

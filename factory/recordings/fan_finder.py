@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.sonar.fan_outline import Numbers, fit_sector
+from simnfnd.factory.recordings.fan_outline import Numbers, fit_sector
 from simnfnd.factory.sonar.geometry import FanGeometry
 
 SURE = 0.7
@@ -112,7 +112,7 @@ def _bytes(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
 
 
 def _inside(sector: Numbers, height: int, width: int) -> npt.NDArray[np.uint8]:
-    from simnfnd.factory.sonar import fan_loops
+    from simnfnd.factory.recordings import fan_loops
 
     top, bottom = np.empty(width), np.empty(width)
     fan_loops.column_limits(sector, np.arange(width, dtype=np.float64), top, bottom)

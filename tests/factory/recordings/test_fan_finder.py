@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from simnfnd.factory.sonar.fan_finder import FoundFan, find_fan
+from simnfnd.factory.recordings.fan_finder import FoundFan, find_fan
 from simnfnd.factory.sonar.geometry import FanGeometry
-from tests.factory.sonar.fan_pictures import Grey, fan, preset
+from tests.factory.recordings.fan_pictures import Grey, fan, preset
 from tests.project_files import ROOT
 
 DATA = ROOT.parent / "shared" / "data"
