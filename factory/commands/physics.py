@@ -2,7 +2,8 @@
 
 Writes one procedural scene through every device (presets.png) and each effect alone
 (physical-effects.png), and prints the statistics of an echo that is the same everywhere beside
-those of other simulators.  Words KEY=VALUE go to the configuration of the pictures.
+those of other simulators, and the speckle of every device.  Words KEY=VALUE go to the configuration
+of the pictures.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from simnfnd.factory.cli.extras import needs_of, require
 from simnfnd.factory.distribution import as_override
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.gallery import figures
+from simnfnd.factory.gallery.device_statistics import device_table
 from simnfnd.factory.gallery.figures import Figure, Panel
 from simnfnd.factory.gallery.statistics import table
 from simnfnd.factory.noise.registry import FIELD_EFFECTS
@@ -64,7 +66,8 @@ def main(words: list[str]) -> None:
     given = parser.parse_args(words)
     for path in pictures(given.out, given.settings):
         print(f"physics: {path}")
-    print(table(), end="")
+    print(table())
+    print(device_table(devices()), end="")
 
 
 def devices() -> list[str]:

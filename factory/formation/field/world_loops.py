@@ -164,7 +164,7 @@ def mirror(
     power_out: Floats,
     planes_out: Floats,
 ) -> None:
-    """Add to each bin what comes to it by way of a plane; see `noise.physical.image_source`.
+    """Add to each bin what comes to it by way of a plane; see `noise.field.image_source`.
 
     sources: (M,) flat bins; points_m: (3, M) where they are, camera axes.  rotation, position_m:
     sonar axes from camera axes.  height_m: of the plane above the sonar; cosine, sine: of the
