@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from simnfnd.factory.compose import compose_config
+from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.formation.field.received import received
 from simnfnd.factory.formation.field.scene import FieldScene
 from simnfnd.factory.gallery.statistics import constant_field
