@@ -54,8 +54,12 @@ TABLE: dict[str, How] = {
         instead=(("train.steps=200", "train.steps=4"),),
     ),
     "simnfnd denoise outputs/demo --out outputs/denoised": Run(),
-    "simnfnd denoise mdd/Images --geometry mdd/fan_geometry.csv --out outputs/mdd "
-    "--compare --always": Run(needs="{sandbox}/mdd"),
+    "simnfnd denoise dive.aris --out outputs/dive --always": Run(
+        instead=(("dive.aris", "{shared}/data/aris-sdk/sample.aris"),),
+        needs="{shared}/data/aris-sdk/sample.aris",
+    ),
+    "simnfnd denoise mdd/Images --out outputs/mdd --compare --always": Run(needs="{sandbox}/mdd"),
+    "simnfnd geometry mdd/Images --out outputs/fans": Run(needs="{sandbox}/mdd"),
     "simnfnd denoise outputs/demo --out outputs/denoised-own "
     "--weights outputs/models/nafnet/weights.safetensors": Run(),
     "simnfnd evaluate dataset=outputs/demo": Run(),
