@@ -90,7 +90,7 @@ def pictures(out: Path, settings: Iterable[str] = ()) -> list[Path]:
     require(needs_of(config))
     frame, rendered = _first_frame(config)
     return [
-        figures.save(_presets(words, frame, rendered), out),
+        figures.save(_presets(words), out),
         figures.save(_effects(words, frame, rendered), out),
     ]
 
@@ -105,20 +105,23 @@ def _first_frame(config: FactoryConfig) -> tuple[Frame, Rendered]:
     return frame, open_renderer(config.render).render(frame, config.sonar.mount)
 
 
-def _presets(words: list[str], frame: Frame, rendered: Rendered) -> Figure:
+def _presets(words: list[str]) -> Figure:
     panels = []
+    # Devices of one sector see the same frame.
+    seen: dict[object, tuple[Frame, Rendered]] = {}
     for device in devices():
         config = compose_config([*words, f"sonar={device}"])
-        pair = _pair(config, frame, rendered)
+        if config.scenes not in seen:
+            seen[config.scenes] = _first_frame(config)
+        pair = _pair(config, *seen[config.scenes])
         echo = pair.clean.astype(np.float32) > 0
-        seen, rows = echo.any(axis=0).nonzero()[0], echo.any(axis=1).nonzero()[0]
-        # Wide sectors are mostly bearings that the camera did not see.
-        part = np.s_[rows[0] : rows[-1] + 1, seen[0] : seen[-1] + 1]
+        columns, rows = echo.any(axis=0).nonzero()[0], echo.any(axis=1).nonzero()[0]
+        part = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         name = f"{device}   {config.sonar.frequency_khz:g} kHz"
         panels.append(figures.sonar(name, _square(pair.noisy[part])))
     return Figure(
         "presets",
-        "The same procedural scene through every device, acoustics=field (seen part of the sector)",
+        "The same procedural place through every device, acoustics=field",
         list(_rows(panels)),
     )
 
