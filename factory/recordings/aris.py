@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.errors import FrameError
 from simnfnd.factory.files import explain_os_errors
 from simnfnd.factory.recordings.aris_beams import BEAM_CENTRES_DEG
 from simnfnd.factory.recordings.base import (
@@ -25,6 +25,7 @@ from simnfnd.factory.recordings.base import (
     Frame,
     Pose,
     Samples,
+    header_layout,
     known,
 )
 
@@ -55,14 +56,7 @@ _AT = {
     "SonarSerialNumber": (488, "<u4"),
     "ReorderedSamples": (516, "<u4"),
 }
-FRAME_HEADER = np.dtype(
-    {
-        "names": list(_AT),
-        "formats": [kind for _, kind in _AT.values()],
-        "offsets": [offset for offset, _ in _AT.values()],
-        "itemsize": HEADER,
-    }
-)
+FRAME_HEADER = header_layout(_AT, HEADER)
 """The fields that are read; names and offsets of FrameHeader.h."""
 
 _BEAMS_OF_PING_MODES = ((48, 1, 2), (96, 3, 5), (64, 6, 8), (128, 9, 12))
@@ -77,15 +71,6 @@ _SYSTEMS = {
 class ArisFile(FileOfFrames):
     """An ARIS recording; a `Recording`."""
 
-    def __init__(self, path: Path) -> None:
-        """Raises FactoryError when it is none, or holds no whole frame."""
-        super().__init__(path)
-        try:
-            self._open()
-        except FrameError as error:
-            self.close()
-            raise FactoryError(str(error)) from error
-
     def _open(self) -> None:
         head = self.bytes_at(0, 4, "its first bytes")
         if int.from_bytes(head, "little") != SIGNATURE:
@@ -94,11 +79,7 @@ class ArisFile(FileOfFrames):
         self.beams = _beam_count(self, int(first["PingMode"]))
         self.ranges = int(self.within("SamplesPerBeam", first["SamplesPerBeam"], 2, MOST_RANGES))
         self._stride = HEADER + self.beams * self.ranges
-        self._count, rest = divmod(self.size - HEADER, self._stride)
-        if not self._count:
-            raise FrameError(f"{self.path}: ends within its first frame; the file is cut short")
-        if rest:
-            self.warning = f"{self.path}: ends within frame {self._count}, which is left out"
+        self._count = self.count_frames(HEADER, self._stride)
 
     def __len__(self) -> int:
         return self._count

@@ -7,7 +7,8 @@ used, FrameError when one frame cannot), never memory or time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -127,11 +128,11 @@ class Recording(Protocol):
         ...
 
 
-class FileOfFrames:
-    """What readers of one file share; they add `__len__` and `_read`."""
+class FileOfFrames(ABC):
+    """What readers of one file share; they add `_open`, `__len__` and `_read`."""
 
     def __init__(self, path: Path) -> None:
-        """Raises FactoryError when the file cannot be opened."""
+        """Raises FactoryError when the file cannot be opened, or holds no whole frame."""
         self.path = path
         self.warning = ""
         try:
@@ -139,12 +140,23 @@ class FileOfFrames:
             self._file = path.open("rb")
         except OSError as error:
             raise FactoryError(f"{path}: cannot be read ({error.strerror})") from error
+        try:
+            self._open()
+        except FrameError as error:
+            self.close()
+            raise FactoryError(str(error)) from error
 
+    @abstractmethod
+    def _open(self) -> None:
+        """Read what the file says of all frames.  Raises FrameError when it is of another kind."""
+
+    @abstractmethod
     def __len__(self) -> int:
-        raise NotImplementedError
+        """Number of whole frames."""
 
+    @abstractmethod
     def _read(self, number: int) -> Frame:
-        raise NotImplementedError
+        """Read a frame that is there.  Raises FrameError when it is damaged."""
 
     def __getitem__(self, number: int) -> Frame:
         if not 0 <= number < len(self):
@@ -180,6 +192,18 @@ class FileOfFrames:
             raise FrameError(f"{self.path}: ends within {what}; the file is cut short or damaged")
         return content
 
+    def count_frames(self, start: int, stride: int) -> int:
+        """How many frames of `stride` bytes follow `start`; notes a rest as a warning.
+
+        Raises FrameError when there is none.
+        """
+        count, rest = divmod(self.size - start, stride)
+        if count < 1:
+            raise FrameError(f"{self.path}: ends within its first frame; the file is cut short")
+        if rest:
+            self.warning = f"{self.path}: ends within frame {count}, which is left out"
+        return count
+
     def within(self, what: str, value: float, least: float, most: float) -> float:
         """`value`.  Raises FrameError unless it is a number from `least` to `most`."""
         if not least <= value <= most:
@@ -188,6 +212,18 @@ class FileOfFrames:
                 "the file is damaged or of another kind"
             )
         return value
+
+
+def header_layout(fields: Mapping[str, tuple[int, str]], size: int) -> np.dtype:
+    """The dtype of a header of `size` bytes: name -> (offset, kind) of the fields that are read."""
+    return np.dtype(
+        {
+            "names": list(fields),
+            "formats": [kind for _, kind in fields.values()],
+            "offsets": [offset for offset, _ in fields.values()],
+            "itemsize": size,
+        }
+    )
 
 
 def known(value: float, most: float = 1e6) -> float | None:

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import calendar
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
-from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.errors import FrameError
 from simnfnd.factory.recordings.base import (
     MOST_RANGES,
     Beams,
@@ -20,6 +19,7 @@ from simnfnd.factory.recordings.base import (
     FileOfFrames,
     Frame,
     Pose,
+    header_layout,
     known,
 )
 
@@ -58,19 +58,8 @@ _FRAME_AT = {
 }
 
 
-def _layout(fields: dict[str, tuple[int, str]], size: int) -> np.dtype:
-    return np.dtype(
-        {
-            "names": list(fields),
-            "formats": [kind for _, kind in fields.values()],
-            "offsets": [offset for offset, _ in fields.values()],
-            "itemsize": size,
-        }
-    )
-
-
-FILE_HEADER = _layout(_FILE_AT, HEADERS[3][0])
-FRAME_HEADER = _layout(_FRAME_AT, HEADERS[3][1])
+FILE_HEADER = header_layout(_FILE_AT, HEADERS[3][0])
+FRAME_HEADER = header_layout(_FRAME_AT, HEADERS[3][1])
 """The fields that are read; both versions have them at the same places."""
 
 _CLASSIC, _LONG_RANGE = 1, 2
@@ -87,15 +76,6 @@ _START_M = {0: 0.419, _CLASSIC: 0.375, _LONG_RANGE: 0.419, _CLASSIC | _LONG_RANG
 
 class DdfFile(FileOfFrames):
     """A DIDSON recording; a `Recording`."""
-
-    def __init__(self, path: Path) -> None:
-        """Raises FactoryError when it is none, of another version, or holds no whole frame."""
-        super().__init__(path)
-        try:
-            self._open()
-        except FrameError as error:
-            self.close()
-            raise FactoryError(str(error)) from error
 
     def _open(self) -> None:
         head = self.bytes_at(0, 4, "its first bytes")
@@ -118,11 +98,7 @@ class DdfFile(FileOfFrames):
         self._reverse = header["reverse"] != 0
         self._serial = int(header["serialnumber"])
         self._stride = self._frame_size + self.beams * self.ranges
-        self._count, rest = divmod(self.size - self._file_size, self._stride)
-        if self._count < 1:
-            raise FrameError(f"{self.path}: ends within its first frame; the file is cut short")
-        if rest:
-            self.warning = f"{self.path}: ends within frame {self._count}, which is left out"
+        self._count = self.count_frames(self._file_size, self._stride)
 
     def __len__(self) -> int:
         return self._count

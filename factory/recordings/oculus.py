@@ -8,11 +8,9 @@ other kinds are passed over.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
-from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.errors import FrameError
 from simnfnd.factory.recordings.base import (
     MOST_BEAMS,
     MOST_RANGE_M,
@@ -99,14 +97,8 @@ PING_2 = np.dtype(
 class OculusFile(FileOfFrames):
     """A file of raw Oculus messages; a `Recording` of its pings."""
 
-    def __init__(self, path: Path) -> None:
-        """Raises FactoryError when it holds no whole ping."""
-        super().__init__(path)
-        try:
-            self._pings = self._find_pings()
-        except FrameError as error:
-            self.close()
-            raise FactoryError(str(error)) from error
+    def _open(self) -> None:
+        self._pings = self._find_pings()
 
     def _find_pings(self) -> list[tuple[int, int, int]]:
         """(offset, bytes, version) of each ping."""

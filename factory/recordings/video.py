@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import cv2
 import numpy as np
 
-from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.errors import FrameError
 from simnfnd.factory.recordings.base import FileOfFrames, Frame, Samples
 
 MOST_PIXELS = 1 << 26
@@ -17,24 +16,20 @@ MOST_PIXELS = 1 << 26
 class VideoFile(FileOfFrames):
     """A video; a `Recording` of pictures.  Grey ones come as (H, W), others as (H, W, 3) BGR."""
 
-    def __init__(self, path: Path) -> None:
-        """Raises FactoryError when OpenCV cannot read it."""
-        super().__init__(path)
-        self._capture = cv2.VideoCapture(str(path))
+    def _open(self) -> None:
+        self._capture = cv2.VideoCapture(str(self.path))
         width = self._capture.get(cv2.CAP_PROP_FRAME_WIDTH)
         height = self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
         count = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
         rate = self._capture.get(cv2.CAP_PROP_FPS)
         if not (width >= 1 and height >= 1 and width * height <= MOST_PIXELS):
-            self.close()
-            raise FactoryError(f"{path}: not a readable video")
+            raise FrameError(f"{self.path}: not a readable video")
         # A frame takes a byte at least, whatever the file says.
         self._count = int(min(max(count, 0), self.size))
         self._rate_hz = rate if 0 < rate < 1e4 else None
         self._next = 0
         if not self._count:
-            self.close()
-            raise FactoryError(f"{path}: not a readable video (it has no frames)")
+            raise FrameError(f"{self.path}: not a readable video (it has no frames)")
 
     def __len__(self) -> int:
         return self._count
