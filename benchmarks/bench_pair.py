@@ -26,6 +26,7 @@ from benchmarks.shared import (
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.scenes import open_reader
+from simnfnd.factory.workers.memory import keep_freed_memory
 
 PICTURES = (
     *("sonar.beams=512", "sonar.range_bins=512"),
@@ -101,6 +102,7 @@ def cold(words: list[str], repeats: int) -> Spent:
     from simnfnd.factory.pairs import pair_maker
     from simnfnd.factory.render import open_renderer
 
+    keep_freed_memory()
     config = compose_config(words)
     frame, renderer, maker = _frame(config), open_renderer(config.render), pair_maker(config)
     axes, columns = maker.axes(), maker.columns()
@@ -119,6 +121,7 @@ def warm(words: list[str], repeats: int, count: int) -> Spent:
     from simnfnd.factory.dataset.write.writer import write_shard
     from simnfnd.factory.pairs import pair_maker
 
+    keep_freed_memory()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         cached = [*words, "render=embree", f"cache.dir={folder / 'cache'}"]
@@ -150,6 +153,7 @@ def further(words: list[str], repeats: int, count: int) -> Spent:
     from simnfnd.factory.pairs import pair_maker
     from simnfnd.factory.render import open_renderer
 
+    keep_freed_memory()
     config = compose_config([*words, "render=analytic"])
     frame, maker = _frame(config), pair_maker(config)
     axes, columns = maker.axes(), maker.columns()

@@ -29,7 +29,6 @@ from simnfnd.factory.sonar import polar, surface, transfer
 from simnfnd.factory.sonar.fan import lay_out, lay_out_nearest
 from simnfnd.factory.sonar.window import Window
 from simnfnd.factory.sonar.window_fit import conical, fit_window
-from simnfnd.factory.workers.memory import keep_freed_memory
 
 if TYPE_CHECKING:
     from simnfnd.factory.config import FactoryConfig
@@ -87,8 +86,7 @@ class PairMaker:
 
 
 def pair_maker(config: FactoryConfig) -> PairMaker:
-    """The pair maker of a worker process, which is set up for making pairs one after another."""
-    keep_freed_memory()
+    """The pair maker of a configuration, with the renders that it means."""
     return PairMaker(config, open_views(config))
 
 

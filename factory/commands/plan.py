@@ -131,7 +131,9 @@ def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
     from simnfnd.factory.pairs import pair_maker
     from simnfnd.factory.render.view import encode
     from simnfnd.factory.renders.views import ViewMaker, with_cache
+    from simnfnd.factory.workers.memory import keep_freed_memory
 
+    keep_freed_memory()  # as the workers do whose time is to be foretold
     chosen = [frames[k * len(frames) // _PROBED] for k in range(min(_PROBED, len(frames)))]
     with tempfile.TemporaryDirectory() as folder:
         config = with_cache(

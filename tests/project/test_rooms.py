@@ -178,7 +178,6 @@ ALLOWED = {
         "factory/renders",
         "factory/scenes",
         "factory/sonar",
-        "factory/workers",
         "factory: ground",
     },
     "models/data": {
