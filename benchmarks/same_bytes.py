@@ -100,7 +100,7 @@ def everything(folder: Path, only: list[str] | None) -> dict[str, str]:
         run("models", *words, *short, f"out={out}")
         hashes[name] = weights_hash(out / "weights.safetensors")
     denoised = folder / "denoised"
-    run("models", "denoise", str(demo), "--out", str(denoised), "--always")
+    run("models", "denoise", str(demo), "--out", str(denoised))
     for path in sorted(denoised.rglob("*.h5")):
         for key, value in shard_hashes(path).items():
             hashes[f"denoised/{path.relative_to(denoised)}/{key}"] = value

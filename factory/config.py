@@ -12,6 +12,7 @@ from pydantic import Field, TypeAdapter, model_validator
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.devices.settings import DeviceSettings
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.formation.field.settings import AcousticsSettings
 from simnfnd.factory.formation.resample import ResampleSettings
@@ -73,6 +74,7 @@ class FactoryConfig:
     sonar: SonarSettings = field(default_factory=SonarSettings)
     water: WaterSettings = field(default_factory=WaterSettings)
     acoustics: AcousticsSettings = field(default_factory=AcousticsSettings)
+    devices: DeviceSettings | None = None
     dataset: DatasetSettings = field(default_factory=DatasetSettings)
     scheduler: SchedulerSettings = field(default_factory=SchedulerSettings)
     cache: CacheSettings = field(default_factory=CacheSettings)
@@ -93,6 +95,9 @@ class FactoryConfig:
         enabled = [name for name, block in blocks(self.noise).items() if block.enabled]
         on_field = [name for name in enabled if EFFECTS[name].stage != "points"]
         moving = [name for name in enabled if EFFECTS[name].moves]
+        if self.devices is not None:
+            # Each picture draws its formation, and has the effects of that one.
+            return self
         if self.acoustics.formation == "points" and on_field:
             raise ValueError(
                 f"noise.{on_field[0]} acts on the complex field; set acoustics=field, or "
@@ -153,15 +158,21 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
         values["scenes"].pop("vfov_deg", None)
     for key in ("dir", "on_existing", "name", "preview_pairs", "licence"):
         values["dataset"].pop(key, None)
-    if config.acoustics.formation == "points":
-        # Nothing of it reaches the paper's pictures.
-        values.pop("acoustics")
-        values.pop("water")
-        values["sonar"].pop("array")
+    if config.devices is None:
+        values.pop("devices")
+        if config.acoustics.formation == "points":
+            _without_field(values)
     values["scheduler"] = {"shard_size": values["scheduler"]["shard_size"]}
     for key in ("cache", "shard", "debug"):
         values.pop(key)
     return values
+
+
+def _without_field(values: dict[str, Any]) -> None:
+    """Leave out what never reaches the paper's pictures."""
+    values.pop("acoustics")
+    values.pop("water")
+    values["sonar"].pop("array")
 
 
 def digest(values: Mapping[str, Any]) -> str:

@@ -6,6 +6,7 @@ import errno
 import hashlib
 import os
 import re
+import secrets
 import shutil
 import socket
 import time
@@ -14,9 +15,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.ownership import check_fences, space
 
-_TEMPORARY = re.compile(r"\.(?P<name>.+)\.(?P<host>[^.]+)-(?P<pid>\d+)\.tmp$")
-_FOREIGN_HOST_STALE_S = 86_400.0
+_TEMPORARY = re.compile(
+    r"\..+\.[^.-]+-(?P<space>[0-9a-f]{8})-(?P<pid>\d+)-[0-9a-f]{16}\.tmp$"
+    r"|\..+\.[^.]+-\d+\.tmp$"  # of earlier versions
+)
+_FOREIGN_STALE_S = 86_400.0
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -27,7 +32,8 @@ def write_atomically(
 
     durable: wait until the disk has it; without, a power cut may leave half a file after all, which
         is for files that tell damage themselves.  key: named in the error.
-    Raises FactoryError with one line when the folder cannot be written or the disk is full.
+    Raises FactoryError with one line when the folder cannot be written, the disk is full, or
+    another run has taken over the folder.
     """
     temporary = _temporary_for(path)
     with explain_os_errors(path, key):
@@ -37,6 +43,7 @@ def write_atomically(
                 file.flush()
                 if durable:
                     os.fsync(file.fileno())
+            check_fences(path)
             os.replace(temporary, path)
         except BaseException:
             temporary.unlink(missing_ok=True)
@@ -61,7 +68,7 @@ def remove_stale_temporaries(folder: Path) -> int:
     removed = 0
     for path in sorted(folder.glob(".*.tmp")) if folder.is_dir() else []:
         match = _TEMPORARY.match(path.name)
-        if match and _is_stale(path, match["host"], int(match["pid"])):
+        if match and _is_stale(path, match["space"], int(match["pid"] or 0)):
             path.unlink(missing_ok=True)
             removed += 1
     return removed
@@ -113,21 +120,23 @@ def explain_os_errors(path: Path, key: str = "dataset.dir") -> Iterator[None]:
 
 
 def _temporary_for(path: Path) -> Path:
-    return path.parent / f".{path.name}.{_host()}-{os.getpid()}.tmp"
+    # The token keeps apart what numbers do not: process 1 of containers that share a host name.
+    owner = f"{_host()}-{space()}-{os.getpid()}-{secrets.token_hex(8)}"
+    return path.parent / f".{path.name}.{owner}.tmp"
 
 
 def _host() -> str:
     return re.sub(r"[^A-Za-z0-9_]", "_", socket.gethostname()) or "host"
 
 
-def _is_stale(path: Path, host: str, pid: int) -> bool:
+def _is_stale(path: Path, where: str | None, pid: int) -> bool:
     try:
         written = path.stat().st_mtime
     except FileNotFoundError:
         return False
-    if host != _host():
-        # Shared storage: another machine's process cannot be looked up, only waited for.
-        return time.time() - written > _FOREIGN_HOST_STALE_S
+    if where != space():
+        # Another machine's or container's process cannot be looked up, only waited for.
+        return time.time() - written > _FOREIGN_STALE_S
     import psutil  # only needed here, and readers of datasets have numpy and h5py alone
 
     try:

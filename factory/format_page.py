@@ -44,7 +44,8 @@ manifest.json was written last; the project's own readers take it in, and it is 
 A scene is in train or in test, never in both. The folder can be moved. Every file is HDF5 that
 any library since 1.10 reads; the pictures are compressed as `dataset.compression` says (`gzip` and
 `none` need nothing, `lzf` needs h5py, `zstd` needs the hdf5plugin package) and carry a Fletcher-32
-checksum (all but `none`), so that a damaged one is an error and not a wrong picture.
+checksum (all but `none`), which HDF5 compares; the project's own readers compare one of every
+picture, table and text, so that a damaged one is an error and not a wrong picture.
 """
 
 _VALUES = """\
@@ -72,6 +73,28 @@ preview of the dataset, the number of workers and the cache, and for the default
 only `acoustics=field` uses; and `frames_found`, a hash of the names of the frames. config.yaml has
 all settings, so its hash is another one. In manifest.json and index.h5 of an extended dataset
 `config` also has the list `extends`, which is not hashed; the list `merged` of a merged one is.
+"""
+
+_CHECKSUMS = """\
+## Checksums
+
+`/checksums` has a row a sample and a column a layer: the CRC-32 of the picture's bytes. Anybody can
+compare it:
+
+```python
+import h5py, zlib
+
+with h5py.File("outputs/demo/train/shard-00000.h5") as shard:
+    for layer in shard["checksums"].dtype.names:
+        for number, image in enumerate(shard[layer]):
+            assert zlib.crc32(image.tobytes()) == shard["checksums"][layer][number]
+```
+
+The root attributes `checksum` (of the other root attributes, /meta, the axes and /checksums) and
+`text_checksum` (of units, descriptions and what else layers, columns and axes state) are BLAKE2b,
+digests of 16 bytes, of a JSON text that `factory/dataset/format/checksums.py` writes; the project's
+readers compare them. They tell of damage, not of malice: who changes a file can write them anew.
+Shards of earlier versions have none of the three and are read all the same.
 """
 
 _INDEX = """\
@@ -165,8 +188,11 @@ data that lead out of a shard, a split that is not the folder's, attributes that
 text, and a table of chunks that is not one chunk for each picture at a place of its own, filtered
 as the layer says.
 
-What a flipped bit can still change unseen, until `validate` compares the SHA-256: `/axes`, `/meta`
-and the pictures of `dataset.compression=none`, which have no checksum of their own.
+A flipped bit in a picture, a table or an attribute is an error for these readers, whatever the
+compression; how many of how many, and what HDF5 alone would have shown, is in
+[trust.md](trust.md). `PairDataset(..., verify="hash")` compares the SHA-256 of each shard with
+manifest.json, too, once when it is opened for the first time: for shards of versions before the
+checksums, of which /meta, /axes and plain pictures have none.
 """
 
 
@@ -224,6 +250,7 @@ def markdown() -> str:
         ),
         _VALUES,
         _CONFIG_HASH,
+        _CHECKSUMS,
         _INDEX,
         _READING,
     ]

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
+from simnfnd.factory.devices import draw as devices
 from simnfnd.factory.errors import FrameError
 from simnfnd.factory.formation import layers as truth
 from simnfnd.factory.formation.contract import Floats, Scene
@@ -27,6 +28,7 @@ from simnfnd.factory.record import columns, image_axes, record
 from simnfnd.factory.renders.views import Views, open_views
 from simnfnd.factory.sonar import polar, surface, transfer
 from simnfnd.factory.sonar.fan import lay_out, lay_out_nearest
+from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.factory.sonar.window import Window
 from simnfnd.factory.sonar.window_fit import conical, fit_window
 
@@ -65,7 +67,10 @@ class PairMaker:
 
     def columns(self) -> tuple[Column, ...]:
         """Columns of the sample table."""
-        return columns(self.config.noise, self.config.acoustics.formation)
+        config = self.config
+        if config.devices is not None:
+            return columns(config.noise, "field") + devices.columns(config.devices)
+        return columns(config.noise, config.acoustics.formation)
 
     def pairs(
         self, ref: FrameRef, variants: tuple[int, ...], noise: NoiseSettings | None = None
@@ -77,8 +82,17 @@ class PairMaker:
         """
         view = self.views.view(ref)
         config = self.config if noise is None else replace(self.config, noise=noise)
-        observed = observe(view.frame(ref), view.rendered(), config)
-        return [make_pair(observed, variant, config) for variant in variants]
+        frame, rendered = view.frame(ref), view.rendered()
+        if config.devices is None:
+            observed = observe(frame, rendered, config)
+            return [make_pair(observed, variant, config) for variant in variants]
+        names = (ref.location, ref.scene, ref.frame)
+        drawn = [devices.draw(config.devices, config.seed, *names, one) for one in variants]
+        return [
+            make_pair(observed, variant, own, device)
+            for variant, device in zip(variants, drawn, strict=True)
+            for observed, own in [observe_by(device, frame, rendered, config)]
+        ]
 
     def ready(self, ref: FrameRef) -> bool:
         """Whether the frame's render is at hand."""
@@ -90,16 +104,18 @@ def pair_maker(config: FactoryConfig) -> PairMaker:
     return PairMaker(config, open_views(config))
 
 
-def observe(frame: Frame, rendered: Rendered, config: FactoryConfig) -> ObservedFrame:
+def observe(
+    frame: Frame, rendered: Rendered, config: FactoryConfig, window: Window | None = None
+) -> ObservedFrame:
     """A rendered frame as the sonar observes it.
+
+    window: that of `fitted_window`, where it is known already.
 
     Raises FrameError when the sonar's sector holds no insonified surface.
     """
     sonar = config.sonar
-    try:
-        window = fit_window(surface.extent(frame, rendered, sonar), sonar)
-    except FrameError as error:
-        raise FrameError(f"{frame.ref.name}: {error}") from error
+    if window is None:
+        window = fitted_window(frame, rendered, sonar)
     cones = config.acoustics.formation == "field"
     if cones:
         window = conical(window, sonar)
@@ -117,14 +133,53 @@ def observe(frame: Frame, rendered: Rendered, config: FactoryConfig) -> Observed
     )
 
 
-def make_pair(observed: ObservedFrame, variant: int, config: FactoryConfig) -> Pair:
-    """One (noisy, clean) pair; the same frame, variant and configuration give the same bytes."""
+def fitted_window(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Window:
+    """The window of the frame's pictures.  Raises FrameError as `observe` does."""
+    try:
+        return fit_window(surface.extent(frame, rendered, sonar), sonar)
+    except FrameError as error:
+        raise FrameError(f"{frame.ref.name}: {error}") from error
+
+
+def observe_by(
+    device: devices.Device,
+    frame: Frame,
+    rendered: Rendered,
+    config: FactoryConfig,
+    *,
+    any_size: bool = False,
+) -> tuple[ObservedFrame, FactoryConfig]:
+    """A rendered frame as a drawn device observes it, and the configuration of its pictures.
+
+    any_size: whether the device draws the size of its pictures, too.
+    Raises FrameError as `observe` does.
+    """
+    config = devices.configured(config, device, any_size=any_size)
+    window = fitted_window(frame, rendered, config.sonar)
+    config = devices.resolved(config, device, window, any_size=any_size)
+    observed = observe(frame, rendered, config, window)
+    return observed, devices.fitted(config, device, observed.scene)
+
+
+def make_pair(
+    observed: ObservedFrame,
+    variant: int,
+    config: FactoryConfig,
+    device: devices.Device | None = None,
+) -> Pair:
+    """One (noisy, clean) pair; the same frame, variant and configuration give the same bytes.
+
+    device: the drawn one that observed the frame, None for that of the configuration.
+    """
     names = StreamNames.of(observed.ref, variant, observed.has_pose)
     draws = draw(config.noise, config.seed, names)
     sample = observed.scene.sample(variant, draws.effects, config)
 
-    def picture(grey: Floats) -> npt.NDArray[np.generic]:
-        laid_out = lay_out(grey, observed.window, config.sonar)
+    def picture(grey: Floats, noisy: bool = True) -> npt.NDArray[np.generic]:
+        if device is None:
+            laid_out = lay_out(grey, observed.window, config.sonar)
+        else:
+            laid_out = device.raster.picture(grey, observed.window, config.sonar, noisy=noisy)
         return transfer.quantise(laid_out, config.dataset.dtype)
 
     layers = dict(observed.layers)
@@ -132,7 +187,7 @@ def make_pair(observed: ObservedFrame, variant: int, config: FactoryConfig) -> P
         layers |= {f"layers/{name}": picture(sample.noisy({name})) for name in draws.names}
     return Pair(
         noisy=picture(sample.noisy(draws.names)),
-        clean=picture(sample.clean),
+        clean=picture(sample.clean, noisy=False),
         shadow=observed.shadow,
         record=record(
             observed.ref,
@@ -141,7 +196,8 @@ def make_pair(observed: ObservedFrame, variant: int, config: FactoryConfig) -> P
             config.sonar,
             sample,
             draws,
-            config.acoustics.formation,
-        ),
+            config.acoustics.formation if device is None else "field",
+        )
+        | ({} if device is None else device.row()),
         layers=layers,
     )

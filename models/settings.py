@@ -77,6 +77,8 @@ class RendersData(DataSettings):
     factory: tuple[str, ...]
     fewer: Share
     scales: Annotated[tuple[Scale, ...], Field(min_length=1)]
+    experiment: str | None
+    choices: Share
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)

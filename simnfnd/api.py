@@ -13,9 +13,7 @@ import numpy.typing as npt
 if TYPE_CHECKING:
     from simnfnd.factory.config import FactoryConfig
     from simnfnd.factory.dataset.format.sample import Pair
-    from simnfnd.factory.frame import FrameRef
     from simnfnd.factory.render.base import Renderer, RenderSettings
-    from simnfnd.factory.render.view import View
     from simnfnd.factory.sonar.geometry import FanGeometry
     from simnfnd.models.denoise.denoiser import Denoiser
 
@@ -25,7 +23,8 @@ def denoise(
     *,
     weights: str | Path | None = None,
     geometry: Literal["polar"] | FanGeometry | None = None,
-    always: bool = False,
+    remove: Sequence[str] | None = None,
+    strength: float = 1.0,
     device: Literal["auto", "cpu", "gpu"] = "auto",
 ) -> npt.NDArray[Any]:
     """Denoise one sonar picture, or a stack of them.
@@ -35,8 +34,9 @@ def denoise(
         that ship.  They stay loaded for the next call.
     geometry: where range and bearing are, for networks that use it.  "polar": rows are ranges, near
         range first, and the columns span 30 degrees.
-    always: denoise also what the network would give back as it came, because it expects to gain too
-        little.
+    remove: what to remove, of speckle, haze, spokes, ghosts, blur and gains; None: what most want
+        of an unknown picture (speckle, spokes, ghosts and blur).
+    strength: how much of it, 0 to 1.
     device: gpu means CUDA; auto takes it where it is usable.
 
     Returns an array of the same shape and dtype.
@@ -53,7 +53,10 @@ def denoise(
     if given.ndim not in (2, 3):
         raise ValueError(f"picture has shape {given.shape}; expected (H, W) or (N, H, W)")
     path = find_weights(weights)
-    network = _denoiser(path, path.stat().st_mtime_ns, device, always)
+    if not 0 <= strength <= 1:
+        raise ValueError(f"strength={strength}: expected 0 to 1")
+    chosen = None if remove is None else tuple(remove)
+    network = _denoiser(path, path.stat().st_mtime_ns, device, chosen, strength)
     layout = geometry if isinstance(geometry, str) else None
     place = None if isinstance(geometry, str) else geometry
     if layout not in (None, "polar"):
@@ -105,6 +108,7 @@ def make_pair(
     from simnfnd.factory.frame import Frame, FrameRef, Intrinsics, checked
     from simnfnd.factory.pairs import PairMaker
     from simnfnd.factory.render.view import view_of
+    from simnfnd.factory.renders.views import OneView
 
     settings = _config((*config, *(() if seed is None else (f"seed={seed}",))))
     require(needs_of(settings))
@@ -113,22 +117,9 @@ def make_pair(
     frame = checked(Frame(ref, rgb, depth, Intrinsics(fx, fy, cx, cy)), bad_depth="mask")
     mount = settings.sonar.mount
     rendered = _renderer(settings.render).render(frame, mount)
-    maker = PairMaker(settings, _OneView(view_of(frame, rendered, mount)))
+    maker = PairMaker(settings, OneView(view_of(frame, rendered, mount)))
     (pair,) = maker.pairs(ref, (variant,))
     return pair
-
-
-class _OneView:
-    """A render in memory; a `simnfnd.factory.renders.views.Views`."""
-
-    def __init__(self, view: View) -> None:
-        self._view = view
-
-    def holds(self, ref: FrameRef) -> bool:
-        return True
-
-    def view(self, ref: FrameRef) -> View:
-        return self._view
 
 
 @lru_cache(maxsize=8)
@@ -147,8 +138,10 @@ def _renderer(settings: RenderSettings) -> Renderer:
 
 
 @lru_cache(maxsize=2)
-def _denoiser(path: Path, changed_ns: int, device: str, always: bool) -> Denoiser:
+def _denoiser(
+    path: Path, changed_ns: int, device: str, remove: tuple[str, ...] | None, strength: float
+) -> Denoiser:
     """changed_ns: of the file, so that weights trained anew are loaded anew."""
     from simnfnd.models.denoise.denoiser import load_denoiser
 
-    return load_denoiser(path, device, always=always)
+    return load_denoiser(path, device, remove=remove, strength=strength)

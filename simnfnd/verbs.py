@@ -99,6 +99,10 @@ VERBS: dict[str, Verb] = {
         LOOK, "contact sheet of a dataset", f"{_COMMANDS}.preview:main",
         ("simnfnd preview outputs/demo --out outputs/sheet.png --pairs 4",),
     ),
+    "view": Verb(
+        LOOK, "a dataset or recording in the browser, before and after", f"{_COMMANDS}.view:main",
+        ("simnfnd view outputs/demo", "simnfnd view dive.aris outputs/denoised/dive.aris"),
+    ),
     "inspect": Verb(
         LOOK, "what is in a dataset or shard", f"{_COMMANDS}.inspect:main",
         ("simnfnd inspect outputs/demo", "simnfnd inspect outputs/demo --png noise.png"),
@@ -127,11 +131,13 @@ VERBS: dict[str, Verb] = {
         ("simnfnd merge outputs/a outputs/b --out outputs/both",),
     ),
     "export": Verb(
-        PASS_ON, "a dataset as WebDataset, Hugging Face, PNG, MDD or sonar messages",
+        PASS_ON, "a dataset as WebDataset, Hugging Face, PNG, MDD, COCO, YOLO or sonar messages",
         f"{_COMMANDS}.export:main",
         (
             "simnfnd export outputs/demo --to huggingface --out outputs/hub",
+            "simnfnd export outputs/demo --to huggingface --push me/demo --out outputs/hub",
             "simnfnd export outputs/demo --to png --split test --out outputs/png",
+            "simnfnd export outputs/labelled --to coco --out outputs/coco",
         ),
     ),
     "train": Verb(
@@ -143,13 +149,27 @@ VERBS: dict[str, Verb] = {
         needs=_TRAINING, hydra=True,
     ),
     "denoise": Verb(
-        DENOISE, "images, videos, datasets and recordings of sonars",
+        DENOISE, "images, videos, datasets, recordings of sonars and bags",
         "simnfnd.models.denoise.command:main",
         (
             "simnfnd denoise outputs/demo --out outputs/denoised",
             "simnfnd denoise dive.aris --out outputs/denoised",
-            "simnfnd denoise picture.png --out outputs/denoised --always --compare",
+            "simnfnd denoise --watch incoming --out outputs/live",
+            "simnfnd denoise dive.bag --topic /sonar/image --out outputs/denoised",
+            "simnfnd denoise picture.png --out outputs/denoised --remove speckle,haze --compare",
+            "simnfnd denoise lamprey.avi --frames 7 --out outputs/denoised",
             "simnfnd denoise mdd/Images --geometry mdd/fan_geometry.csv --out outputs/mdd",
+        ),
+        needs=_NETWORK,
+    ),
+    "adapt": Verb(
+        DENOISE, "weights fitted to your own recordings, without any truth",
+        "simnfnd.models.adapt.command:main",
+        (
+            "simnfnd adapt dive.aris --out own.safetensors",
+            "simnfnd adapt recordings --out own.safetensors --minutes 20",
+            "simnfnd adapt lamprey.avi --out own.safetensors --pairs outputs/demo",
+            "simnfnd denoise dive.aris --weights own.safetensors --out outputs/denoised",
         ),
         needs=_NETWORK,
     ),
@@ -182,7 +202,7 @@ VERBS: dict[str, Verb] = {
                 needs=("pyarrow",),
             ),
             "real": Verb(
-                JUDGE, "what methods make of real pictures, without a truth",
+                JUDGE, "what methods make of real pictures and recordings",
                 "simnfnd.evaluation.real.command:real",
                 ("simnfnd evaluate real mdd models=[simnfnd]",),
                 needs=("skimage",), hydra=True, places=1,

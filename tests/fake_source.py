@@ -33,6 +33,7 @@ class FakeConfig:
     kills: tuple[str, ...] = ()
     killed_once: tuple[str, ...] = ()
     hangs: tuple[str, ...] = ()
+    stops: tuple[str, ...] = ()
     delay_s: float = 0.0
     marks: str = ""
     prepared: str = ""
@@ -146,6 +147,8 @@ def misbehave(config: FakeConfig, name: str) -> None:
         raise FactoryError("render.kind=cycles needs bpy")
     if name in config.kills or (name in config.killed_once and _first_time(config, name)):
         os.kill(os.getpid(), signal.SIGKILL)
+    if name in config.stops:
+        os.kill(os.getpid(), signal.SIGSTOP)
     if name in config.hangs:
         time.sleep(600)
 

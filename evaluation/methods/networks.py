@@ -109,9 +109,11 @@ def _weights(path: Path, key: str) -> Path:
             return best.resolve()
         if len(inside) == 1:
             return inside[0].resolve()
-        raise FactoryError(
-            f"{key}: {path} holds {len(inside)} weights files and no {WEIGHTS_NAME}; name a file"
-        )
+        if inside or not _ships(str(path)):
+            raise FactoryError(
+                f"{key}: {path} holds {len(inside)} weights files and no {WEIGHTS_NAME}; name a "
+                "file"
+            )
     if not path.is_file():
         from simnfnd.models.pretrained import find_weights
 
@@ -120,6 +122,17 @@ def _weights(path: Path, key: str) -> Path:
         except FactoryError as error:
             raise FactoryError(f"{key}: {error}") from error
     return path.resolve()
+
+
+def _ships(name: str) -> bool:
+    """Whether weights of this name ship; a folder may have the same name."""
+    from simnfnd.models.pretrained import find_weights
+
+    try:
+        find_weights(name)
+    except FactoryError:
+        return False
+    return True
 
 
 def _name(path: Path) -> str:

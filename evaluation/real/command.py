@@ -1,8 +1,8 @@
-"""`simnfnd evaluate real IN`: what methods make of real pictures, without a truth."""
+"""`simnfnd evaluate real IN`: what methods make of real pictures and recordings."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -16,8 +16,8 @@ from simnfnd.factory.settings import build
 
 if TYPE_CHECKING:
     from simnfnd.evaluation.real.downstream import Segmented
+    from simnfnd.evaluation.real.groups import Judged
     from simnfnd.evaluation.real.measure import RealRow
-    from simnfnd.evaluation.real.pictures import File
     from simnfnd.evaluation.real.settings import RealSettings
 
 
@@ -32,66 +32,70 @@ def run(config: DictConfig) -> None:
     for key, given in (("models=", settings.models), ("downstream=true", settings.downstream)):
         if given:
             require(Need(key, module) for module in ("torch", "safetensors"))
-    import numpy as np
-
     from simnfnd.evaluation.methods.method import baselines_of, methods_of
     from simnfnd.evaluation.methods.networks import networks_at
     from simnfnd.evaluation.methods.tuning import load_tuned
     from simnfnd.evaluation.real import report
-    from simnfnd.evaluation.real.measure import check_masks, measure
-    from simnfnd.evaluation.real.pictures import open_folder
+    from simnfnd.evaluation.real.judging import judge
+    from simnfnd.evaluation.real.shots import close_last, open_input
     from simnfnd.factory.files import check_writable
     from simnfnd.factory.workers.tasks import TaskPool
 
     if settings.tuned is not None and not Path(settings.tuned).is_file():
         raise FactoryError(f"tuned={settings.tuned}: no such file; `evaluation tune` writes one")
-    tuned = {} if settings.tuned is None else load_tuned(Path(settings.tuned))
-    methods = [
-        *methods_of(baselines_of(settings.baselines), tuned),
-        *networks_at(settings.models, {}),
-    ]
-    files, notes = open_folder(settings.real, settings.limit)
+    tuned = None if settings.tuned is None else load_tuned(Path(settings.tuned))
+    baselines = baselines_of(settings.baselines)
+    networks = networks_at(settings.models, {})
+    stretches, notes = open_input(settings.real, settings.search)
     if settings.downstream:
-        check_masks(files)
+        for shot in (shot for stretch in stretches for shot in stretch.shots):
+            if shot.mask is None:
+                raise FactoryError(f"downstream: {shot.path} has no mask of its name in Masks/")
     out = settings.folder
     check_writable(out, "out")
     with TaskPool(settings.workers) as pool:
-        rows = measure(files, methods, pool, settings.device, settings.image_timeout_s)
+        outcome = judge(
+            settings,
+            stretches,
+            baselines,
+            methods_of(baselines, tuned or {}) if tuned is not None else [],
+            networks,
+            pool,
+        )
     facts: dict[str, Any] = {
-        "schema": "simnfnd-real/1",
+        "schema": "simnfnd-real/2",
         "name": Path(settings.real).expanduser().resolve().name,
-        "files": [file.name for file in files],
-        "notes": list(notes),
+        **outcome.facts(),
+        "notes": [*notes, *outcome.notes],
     }
-    count = min(settings.examples, len(files))
-    examples = np.unique(np.linspace(0, len(files) - 1, count).round().astype(int)).tolist()
     # What has been measured is there before the training begins.
-    report.write(out, facts, rows, {}, examples)
+    report.write(out, facts, outcome, {})
     if settings.downstream:
         facts["notes"].append(
             f"mIoU: {settings.epochs} epochs, {settings.test_share:.0%} of the pictures tested"
         )
-        for segments in _downstream(settings, rows, files):
-            report.write(out, facts, rows, segments, examples)
-    print((out / "real.md").read_text(encoding="utf-8").split("\n\n")[2])
+        for segments in _downstream(settings, outcome.rows, outcome.shown):
+            report.write(out, facts, outcome, segments)
+    close_last()
+    print(report.terminal(out))
     print(f"report: {out / 'real.html'}")
 
 
 def _downstream(
-    settings: RealSettings, rows: Sequence[RealRow], files: Sequence[File]
+    settings: RealSettings, rows: Sequence[RealRow], shown: Mapping[int, Judged]
 ) -> Iterator[dict[str, Segmented]]:
     """Label -> what its network makes of the test pictures, after each row that was trained."""
     from tqdm import tqdm
 
     from simnfnd.evaluation.real.downstream import segmented
 
-    labels = [file.classes() for file in files]
+    labels = [shown[number].shot.classes() for number in sorted(shown)]
     alive = [row for row in rows if row.lost is None]
     found: dict[str, Segmented] = {}
     with tqdm(total=len(alive) * settings.epochs, unit="epoch", desc="segmentation") as bar:
         for row in alive:
-            found[row.method.label] = segmented(
-                row.images,
+            found[row.label] = segmented(
+                [row.images[number] for number in sorted(shown)],
                 labels,
                 epochs=settings.epochs,
                 test_share=settings.test_share,
@@ -107,6 +111,6 @@ def settings_of(config: DictConfig) -> RealSettings:
 
     values = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     if not values["real"]:
-        raise FactoryError("real: give a folder of pictures: simnfnd evaluate real IN")
+        raise FactoryError("real: give pictures or a recording: simnfnd evaluate real IN")
     settings: RealSettings = build(RealSettings, values)
     return settings

@@ -1,49 +1,91 @@
-"""Figures that need no truth."""
+"""Every method on every judged picture: nearness to the reference, and figures without a truth."""
 
 from __future__ import annotations
 
+import hashlib
+import time
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
-from tqdm import tqdm
 
 from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.baselines.base import Gray
 from simnfnd.evaluation.methods.apply import denoised
 from simnfnd.evaluation.methods.method import Method, reason
+from simnfnd.evaluation.methods.networks import network
 from simnfnd.evaluation.metrics.edges import edge_preservation
 from simnfnd.evaluation.metrics.speckle import contrast_to_noise, enl, m_index, ratio_mean
-from simnfnd.evaluation.real.pictures import SIDE, File, Scene, geometry_of, scene
-from simnfnd.factory.errors import FactoryError
+from simnfnd.evaluation.real.groups import Judged
+from simnfnd.evaluation.real.scenes import SIDE, Scene, scene_of
+from simnfnd.evaluation.real.score import Score, score
 from simnfnd.factory.workers.tasks import TaskLost, TaskPool
 
 Figures = dict[str, float]
 
-
-@dataclass(frozen=True)
-class Task:
-    """A method on a picture.  number: of the picture."""
-
-    method: Method
-    number: int
-    file: File
-    device: str
+UNCHANGED = 0.5 / 255
+"""A picture that differs nowhere by more is the same in 8 bits."""
 
 
 @dataclass
 class RealRow:
-    """A method on all pictures: figures and images in their order; lost: why there are none."""
+    """A method on all pictures.
 
-    method: Method
-    figures: list[Figures] = field(default_factory=list)
-    images: list[Gray] = field(default_factory=list)
+    methods: by fold; one for all folds where it is tuned on nothing; none for several frames.
+    figures: of each picture in order, None where there is none of it.
+    images: picture's number -> what is shown of it, or needed later.
+    lost: why there are no figures.
+    """
+
+    label: str
+    methods: tuple[Method, ...]
+    figures: list[Figures | None] = field(default_factory=list)
+    images: dict[int, Gray] = field(default_factory=dict)
     lost: str | None = None
+
+    def method(self, fold: int) -> Method:
+        """The one that judges a group of this fold."""
+        return self.methods[fold % len(self.methods)]
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether this is the picture as it is."""
+        return bool(self.methods) and self.methods[0].is_noisy
+
+    @property
+    def is_network(self) -> bool:
+        """Whether trained weights made it."""
+        return bool(self.methods) and self.methods[0].weights is not None
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A method on a picture, or a picture that is there already.
+
+    number: of the picture among all that are judged.
+    """
+
+    label: str
+    number: int
+    judged: Judged
+    method: Method | None
+    device: str
+    keep: bool
+    image: Gray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a task gives; image: where it was to be kept."""
+
+    figures: Figures
+    image: Gray | None
 
 
 def figures_of(image: Gray, shared: Scene) -> Figures:
-    """Every figure of a denoised picture, (H, W) in 0..1; NaN where one does not exist."""
+    """The figures without a truth of (H, W) in 0..1; NaN where one does not exist."""
     dark, bright = (float(np.mean(image[part])) for part in (shared.dark, shared.bright))
     found = {
         "enl": enl(image, shared.zones, side=SIDE),
@@ -59,59 +101,133 @@ def figures_of(image: Gray, shared: Scene) -> Figures:
 
 
 def measure(
-    files: Sequence[File], methods: Sequence[Method], pool: TaskPool, device: str, timeout_s: float
-) -> list[RealRow]:
-    """All methods on all pictures.  A method that fails on one loses its row.
+    batches: Iterable[tuple[int, Sequence[Judged]]],
+    rows: Sequence[RealRow],
+    pool: TaskPool,
+    device: str,
+    timeout_s: float,
+    kept: Callable[[int], bool],
+    tick: Callable[[int], object] = lambda done: None,
+) -> dict[int, Judged]:
+    """Measure all rows on all pictures, batch after batch, into the rows.
 
-    FactoryError when a picture cannot be read.
+    batches: a fold, and pictures that are judged by its methods.
+    kept: whether images of this picture, counted over all batches, are kept in the rows.
+    tick: told how many results are in.
+    Returns number -> picture of those that are kept.  A method that fails on a picture loses its
+    row.  FactoryError when a picture cannot be measured.
     """
-    rows = {method.label: RealRow(method) for method in methods}
-    waiting = deque(
-        Task(method, number, file, device)
-        for number, file in enumerate(files)
-        for method in methods
-    )
-    results: dict[tuple[str, int], tuple[Gray, Figures]] = {}
-    with tqdm(total=len(waiting), unit="picture", desc="real pictures") as bar:
+    first, shown = 0, {}
+    for fold, pictures in batches:
+        numbered = list(enumerate(pictures, start=first))
+        first += len(numbered)
+        shown.update({number: one for number, one in numbered if kept(number)})
+        for row in rows:
+            row.figures.extend([None] * len(numbered))
+        by_label = {row.label: row for row in rows}
+        waiting = deque(
+            task
+            for number, one in numbered
+            for row in rows
+            if row.lost is None
+            and (task := _task(row, fold, number, one, device, kept(number))) is not None
+        )
         for task, found in pool.run(_measured, waiting, lambda _: timeout_s):
-            bar.update()
-            if isinstance(found, TaskLost | str):
-                why = found.reason if isinstance(found, TaskLost) else found
-                row = rows[task.method.label]
-                row.lost = row.lost or f"{task.file.name}: {why}"
-                bar.set_postfix(lost=sum(row.lost is not None for row in rows.values()))
+            row = by_label[task.label]
+            if isinstance(found, Result):
+                row.figures[task.number] = found.figures
+                if found.image is not None:
+                    row.images[task.number] = found.image
             else:
-                results[task.method.label, task.number] = found
-    for label, row in rows.items():
-        if row.lost is None:
-            row.images = [results[label, number][0] for number in range(len(files))]
-            row.figures = [results[label, number][1] for number in range(len(files))]
-    return list(rows.values())
+                why = found.reason if isinstance(found, TaskLost) else found
+                row.lost = row.lost or f"{task.judged.shot.name}: {why}"
+            tick(1)
+    for row in rows:
+        if row.lost is not None:
+            row.figures, row.images = [], {}
+        elif not any(row.figures):
+            row.lost = "too few frames of every group are left for a reference"
+    return shown
 
 
-def _measured(task: Task) -> tuple[Gray, Figures] | str:
-    shared = scene(task.file)
-    method = task.method
-    if method.weights is None and REGISTRY[method.name].looks:
-        return "needs several looks at a scene that stands still"
-    try:
-        image = denoised(method, shared.noisy, task.device, None, geometry_of(task.file))
-    except Exception as error:  # a method's own defect must not take the others along
-        return reason(error)
-    if method.levels is not None:
+def multi_frame_rows(count: int) -> list[RealRow]:
+    """The rows of so many averaged frames, which no method made."""
+    return [RealRow(f"multi-frame {how} ({count})", ()) for how in _SEVERAL]
+
+
+_SEVERAL = ("mean", "median")
+
+
+def _task(
+    row: RealRow, fold: int, number: int, one: Judged, device: str, keep: bool
+) -> Task | None:
+    if row.methods:
+        return Task(row.label, number, one, row.method(fold), device, keep)
+    if one.several is None:
+        return None
+    image = one.several.mean if " mean " in row.label else one.several.median
+    bare = replace(one, several=None, reference=one.several.reference)
+    return Task(row.label, number, bare, None, device, keep, image)
+
+
+def _measured(task: Task) -> Result | str:
+    judged, method = task.judged, task.method
+    shared, before = _shared(_Key.of(judged))
+    figures: Figures = {}
+    if method is None:
+        assert task.image is not None
+        image = task.image
+    else:
+        if method.weights is None and REGISTRY[method.name].looks:
+            return "needs several looks at a scene that stands still"
+        try:
+            image, figures["cpu_s"] = _timed(method, judged, task.device)
+        except Exception as error:  # a method's own defect must not take the others along
+            return reason(error)
+    figures["unchanged"] = float(np.abs(image - judged.noisy).max() < UNCHANGED)
+    if method is not None and method.levels is not None:
         image = method.levels(image)
-    return image, figures_of(image, shared)
+    if before is not None:
+        assert judged.reference is not None
+        near = score(image, judged.reference, judged.where)
+        figures["psnr_db"], figures["ssim"] = near.psnr_db, near.ssim
+        figures["gain_db"] = near.psnr_db - before.psnr_db
+        figures["gain_ssim"] = near.ssim - before.ssim
+    return Result({**figures, **figures_of(image, shared)}, image if task.keep else None)
 
 
-def mean_of(row: RealRow, name: str) -> float | None:
-    """The mean of a figure over the pictures that have it, None without any."""
-    values = np.array([figures.get(name, np.nan) for figures in row.figures], dtype=float)
-    values = values[np.isfinite(values)]
-    return float(values.mean()) if values.size else None
+def _timed(method: Method, judged: Judged, device: str) -> tuple[Gray, float]:
+    """The method's picture and its seconds: of the CPU, elapsed ones where a GPU works."""
+    clock = time.process_time
+    if method.weights is not None and network(method.weights, device).on_gpu:
+        clock = time.perf_counter
+    start = clock()
+    image = denoised(method, judged.noisy, device, None, judged.geometry)
+    return image, clock() - start
 
 
-def check_masks(files: Sequence[File]) -> None:
-    """FactoryError when a picture has no mask."""
-    for file in files:
-        if file.mask is None:
-            raise FactoryError(f"downstream: {file.path} has no mask of its name in Masks/")
+@dataclass(frozen=True)
+class _Key:
+    """A picture by its content: what it shares is worked out once for all methods."""
+
+    digest: bytes
+    judged: Judged = field(compare=False, repr=False)
+
+    @classmethod
+    def of(cls, judged: Judged) -> _Key:
+        content = hashlib.blake2b(digest_size=16)
+        for array in (judged.noisy, judged.reference, judged.where):
+            if array is not None:
+                content.update(np.ascontiguousarray(array).tobytes())
+        return cls(content.digest(), judged)
+
+
+@lru_cache(maxsize=3)
+def _shared(key: _Key) -> tuple[Scene, Score | None]:
+    """What is measured on a picture, and how near it is to its reference as it is."""
+    judged = key.judged
+    classes = None if judged.shot.mask is None else judged.shot.classes()
+    shared = scene_of(judged.noisy, judged.where, classes, str(judged.shot.path))
+    if judged.reference is None:
+        return shared, None
+    return shared, score(judged.noisy, judged.reference, judged.where)

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.methods.method import shown
 from simnfnd.evaluation.real.downstream import Segmented
-from simnfnd.evaluation.real.measure import RealRow, mean_of
+from simnfnd.evaluation.real.groups import LEAST_LEFT, MOST_OTHERS
+from simnfnd.evaluation.real.judging import TUNED, Outcome
+from simnfnd.evaluation.real.measure import RealRow
+from simnfnd.evaluation.real.summary import MARGINS, Summary, plain
 from simnfnd.evaluation.report.examples import as_data_uri
 from simnfnd.evaluation.report.names import Metric, written
 from simnfnd.evaluation.report.pages import own_file, render
@@ -18,6 +21,11 @@ from simnfnd.factory.dataset.describe import markdown
 from simnfnd.factory.files import write_atomically
 
 COLUMNS = {
+    "psnr_db": Metric("PSNR, dB", 2, 1),
+    "ssim": Metric("SSIM", 3, 1),
+    "gain_db": Metric("gain, dB", 2, 1),
+    "margin_db": Metric("ahead of the best filter, dB", 2, 1),
+    "margin_ssim": Metric("ahead of it, SSIM", 3, 1),
     "enl": Metric("ENL", 2, 0),
     "cnr": Metric("CNR dark ground", 3, 1),
     "object_cnr": Metric("CNR objects", 3, 1),
@@ -26,10 +34,30 @@ COLUMNS = {
     "ratio_mean": Metric("ratio mean", 3, 0),
     "m_index": Metric("M-index", 2, 0),
     "miou": Metric("mIoU", 3, 1),
+    "cpu_s": Metric("CPU s a picture", 3, -1),
 }
+_SIGNED = {"gain_db", *MARGINS.values()}
+_WITH_INTERVAL = {"psnr_db", "ssim", *MARGINS.values()}
+
+TRUTH = (
+    f"The truth of a frame is the mean of the other frames of its group (of the {MOST_OTHERS} "
+    "nearest in time), registered below a pixel. What changes in time is gone from it; speckle "
+    "that stands still is not, so a perfect despeckler is capped. PSNR and SSIM are taken inside "
+    "the sector, without its rim and what moves, after one gain and offset a picture. Gain is "
+    "against the picture as it is.",
+    "Means are over groups, of each group the mean over its frames; brackets hold 95 % bootstrap "
+    "intervals that draw groups. Filters are tuned for this PSNR on every other group and judged "
+    "on the others, and the other way round; both sets of parameters are shown. The best filter "
+    "is the one with the best mean here, of PSNR and of SSIM each. CPU s: the median.",
+    "Several frames: each picture is the mean or median of the frame and its nearest neighbours "
+    "in time, laid over it; its reference is the mean of the group's other frames alone, so it "
+    "holds none of the averaged ones. These rows therefore have another, noisier reference than "
+    "the others (compare their gain, which is against the single frame with that same reference), "
+    f"and groups that leave fewer than {LEAST_LEFT} frames for it do not count.",
+)
 RULES = (
-    "No truth exists, so no figure alone says that one method is better than another: blur alone "
-    "raises ENL and CNR, and doing nothing keeps all edges and has a low M-index. Read them "
+    "Of the figures without a truth none alone says that one method is better than another: blur "
+    "alone raises ENL and CNR, and doing nothing keeps all edges and has a low M-index. Read them "
     "together, and look at the pictures.",
     "Even zones are the tenth of all 16x16 blocks of the picture as it is with the least std / "
     "mean; dark ground is the darkest tenth and bright ground the brighter half of the sector by "
@@ -40,90 +68,196 @@ RULES = (
 
 
 def write(
-    out: Path,
-    facts: Mapping[str, Any],
-    rows: Sequence[RealRow],
-    downstream: Mapping[str, Segmented],
-    examples: Sequence[int],
+    out: Path, facts: Mapping[str, Any], outcome: Outcome, downstream: Mapping[str, Segmented]
 ) -> None:
-    """Write the three files.  examples: numbers of the pictures to show.
-
-    FactoryError when the folder cannot be written to.
-    """
-    lines = [_line(row, downstream.get(row.method.label)) for row in rows]
-    content = {**facts, "rows": lines, "rules": RULES}
+    """Write the three files.  FactoryError when the folder cannot be written to."""
+    lines = [
+        _line(row, outcome.summaries.get(row.label), downstream.get(row.label), outcome)
+        for row in outcome.rows
+    ]
+    rules = (*TRUTH, *RULES) if outcome.groups else RULES
+    content = {**facts, "rows": lines, "rules": rules}
     text = json.dumps(content, indent=1, allow_nan=False) + "\n"
     write_atomically(out / "real.json", text.encode(), durable=False, key="out")
-    write_atomically(out / "real.md", _markdown(facts, lines).encode(), durable=False, key="out")
-    page = _page(facts, lines, rows, examples)
+    verdicts = _verdicts(lines, outcome)
+    page = render(
+        "real.html",
+        css=own_file("page.css"),
+        title=f"Real sonar: {facts['name']}",
+        about=_about(facts),
+        verdicts=[text.replace("`", "") for text in verdicts],
+        truth=bool(outcome.groups),
+        lines=lines,
+        names=_names(lines),
+        columns=COLUMNS,
+        cells={line["label"]: _cells(line, _names(lines)) for line in lines},
+        notes={line["label"]: " ".join(_words(line)[1:]).strip() for line in lines},
+        by_group=_by_group(lines, outcome),
+        rules=rules,
+        strips=_strips(outcome),
+    )
+    parts = [f"# Real sonar: {facts['name']}", _about(facts), markdown_table(lines), *verdicts]
+    if outcome.groups:
+        parts += ["## PSNR by group, dB", markdown.table(*_by_group(lines, outcome))]
+    text = "\n\n".join([*parts, "## How to read them", *rules, ""])
+    write_atomically(out / "real.md", text.encode(), durable=False, key="out")
     write_atomically(out / "real.html", page.encode(), durable=False, key="out")
+
+
+def terminal(out: Path) -> str:
+    """What the terminal shows of a written report: the notes, the table and the verdicts."""
+    parts = (out / "real.md").read_text(encoding="utf-8").split("\n\n##")[0]
+    return parts.split("\n\n", 1)[1]
 
 
 def markdown_table(lines: Sequence[Mapping[str, Any]]) -> str:
     """The means, a line a method."""
     names = _names(lines)
-    rows = []
-    for line in lines:
-        title = line["label"] + shown(line["parameters"])
-        if line["lost"] is not None:
-            rows.append([title, f"lost: {line['lost']}", *[""] * (len(names) - 1)])
-        else:
-            means = line["means"]
-            rows.append([title, *(written(means[n], COLUMNS[n].digits) for n in names)])
+    rows = [
+        [
+            "".join(_words(line)),
+            *(_cells(line, names) or [f"lost: {line['lost']}", *[""] * len(names[1:])]),
+        ]
+        for line in lines
+    ]
     return markdown.table(["method", *(COLUMNS[name].label for name in names)], rows)
 
 
-def _line(row: RealRow, segments: Segmented | None) -> dict[str, Any]:
-    means = {name: mean_of(row, name) for name in COLUMNS if name != "miou"}
+def _line(
+    row: RealRow, found: Summary | None, segments: Segmented | None, outcome: Outcome
+) -> dict[str, Any]:
+    means = {name: None if found is None else plain(found.means.get(name)) for name in COLUMNS}
     means["miou"] = None if segments is None else segments.mean
+    groups = {} if found is None or not outcome.groups else found.groups
     return {
-        "label": row.method.label,
-        "parameters": row.method.parameters,
+        "label": row.label,
+        "network": row.is_network,
+        "parameters": [method.parameters for method in row.methods],
+        "at_edge": _at_edge(row),
         "lost": row.lost,
+        "unchanged": None if found is None or row.is_noisy else found.unchanged,
+        "measured": 0 if found is None else found.pictures,
         "means": means,
+        "intervals": {} if found is None else {k: list(v) for k, v in found.intervals.items()},
+        "by_group": {
+            name: [plain(value) for value in groups[name]]
+            for name in ("psnr_db", "ssim", *MARGINS.values())
+            if name in groups
+        },
         "class_iou": None if segments is None else segments.iou,
         "pictures": [
-            {name: value if math.isfinite(value) else None for name, value in one.items()}
+            None if one is None else {name: plain(value) for name, value in one.items()}
             for one in row.figures
         ],
     }
+
+
+def _at_edge(row: RealRow) -> list[str]:
+    """Parameters that tuning left at an open end of their grid: beyond it there may be better."""
+    if len(row.methods) < 1 or row.methods[0].form != TUNED:
+        return []
+    found = [REGISTRY[one.name].edges(one.parameters) for one in row.methods]
+    return sorted({name for names in found for name in names})
+
+
+def _words(line: Mapping[str, Any]) -> list[str]:
+    """The label, the parameters of each fold, and what came back unchanged."""
+    found = [line["label"]]
+    chosen = list(dict.fromkeys(shown(one) for one in line["parameters"] if one))
+    if chosen:
+        found.append(" (" + " | ".join(one.strip(" ()") for one in chosen) + ")")
+    if line["at_edge"]:
+        found.append(f" (at the end of its grid: {', '.join(line['at_edge'])})")
+    if line["unchanged"]:
+        every = line["unchanged"] == line["measured"]
+        found.append(
+            " (unchanged)" if every else f" (unchanged: {line['unchanged']} of {line['measured']})"
+        )
+    return found
+
+
+def _cells(line: Mapping[str, Any], names: Sequence[str]) -> list[str]:
+    """The figures of a row as text; none for a lost one."""
+    if line["lost"] is not None:
+        return []
+    found = []
+    for name in names:
+        digits, signed = COLUMNS[name].digits, name in _SIGNED
+        text = written(line["means"][name], digits, signed)
+        if name in _WITH_INTERVAL and name in line["intervals"]:
+            low, high = (written(one, digits, signed) for one in line["intervals"][name])
+            text += f" ({low} .. {high})"
+        found.append(text)
+    return found
 
 
 def _names(lines: Sequence[Mapping[str, Any]]) -> list[str]:
     return [name for name in COLUMNS if any(line["means"][name] is not None for line in lines)]
 
 
-def _markdown(facts: Mapping[str, Any], lines: Sequence[Mapping[str, Any]]) -> str:
-    return "\n\n".join(
-        [f"# Real sonar: {facts['name']}", _about(facts), markdown_table(lines), *RULES, ""]
-    )
-
-
 def _about(facts: Mapping[str, Any]) -> str:
-    return "; ".join([f"{len(facts['files'])} pictures", *facts["notes"]]) + "."
+    return "; ".join([f"{len(facts['files'])} pictures judged", *facts["notes"]]) + "."
 
 
-def _page(
-    facts: Mapping[str, Any],
-    lines: Sequence[Mapping[str, Any]],
-    rows: Sequence[RealRow],
-    examples: Sequence[int],
-) -> str:
-    alive = [row for row in rows if row.lost is None]
-    return render(
-        "real.html",
-        css=own_file("page.css"),
-        title=f"Real sonar: {facts['name']}",
-        about=_about(facts),
-        lines=lines,
-        names=_names(lines),
-        columns=COLUMNS,
-        rules=RULES,
-        strips=[
-            (
-                facts["files"][number],
-                [(row.method.label, as_data_uri(row.images[number])) for row in alive],
+def _verdicts(lines: Sequence[Mapping[str, Any]], outcome: Outcome) -> list[str]:
+    """How far each network is ahead of the best filter, in words."""
+    if not outcome.best:
+        return []
+    psnr_best, ssim_best = (outcome.best[name] for name in MARGINS)
+    which = f"`{psnr_best}`"
+    if ssim_best != psnr_best:
+        which = f"`{psnr_best}` in PSNR and `{ssim_best}` in SSIM"
+    found = [f"The best filter is {which}."]
+    for line in lines:
+        if line["network"] and line["lost"] is None:
+            more = dict(zip(MARGINS, _cells(line, list(MARGINS.values())), strict=True))
+            found.append(
+                f"`{line['label']}` is {more['psnr_db']} dB and {more['ssim']} SSIM from it."
             )
-            for number in examples
-        ],
-    )
+    return [" ".join(found)]
+
+
+def _by_group(
+    lines: Sequence[Mapping[str, Any]], outcome: Outcome
+) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of the table of PSNR by group."""
+    told = [line for line in lines if line["lost"] is None and line["by_group"]]
+    rows = [
+        [
+            f"{group.name} ({len(group.shots)} frames)",
+            *(written(line["by_group"]["psnr_db"][number], 2) for line in told),
+        ]
+        for number, group in enumerate(outcome.groups)
+    ]
+    return ["group", *(line["label"].removesuffix(f" {TUNED}") for line in told)], rows
+
+
+def _strips(outcome: Outcome) -> list[tuple[str, bool, list[tuple[str, str]]]]:
+    """Title, whether it is wide, and (caption, picture) of each picture that is shown."""
+    found = []
+    examples = set(outcome.examples)
+    for number, judged in sorted(outcome.shown.items()):
+        if number not in examples:
+            continue
+        title = judged.shot.name
+        if judged.group is not None:
+            title = f"{outcome.groups[judged.group].name}: {title}"
+        images = []
+        for row in outcome.rows:
+            if number in row.images:
+                images.append((_caption(row, number), as_data_uri(row.images[number])))
+        if judged.reference is not None:
+            images.append(("mean of the other frames", as_data_uri(judged.reference)))
+        height, width = judged.noisy.shape
+        found.append((title, width > 1.2 * height, images))
+    return found
+
+
+def _caption(row: RealRow, number: int) -> str:
+    figures = row.figures[number] or {}
+    text = row.label
+    if figures.get("unchanged") and not row.is_noisy:
+        text += ": unchanged"
+    if "psnr_db" in figures:
+        text += f", {figures['psnr_db']:.2f} dB"
+    return text

@@ -20,7 +20,10 @@ class RealSettings:
     baselines: list[str]
     models: list[str]
     tuned: str | None
+    groups: Literal["auto"] | bool
+    search: Count
     limit: Count | None
+    frames: Annotated[int, Field(ge=2)]
     examples: Annotated[int, Field(ge=0)]
     workers: Literal["auto"] | Count
     device: Literal["auto", "cpu", "gpu"]
@@ -29,6 +32,7 @@ class RealSettings:
     epochs: Count
     test_share: Annotated[float, Field(gt=0, lt=1)]
     seed: Annotated[int, Field(ge=0)]
+    bootstrap: Annotated[int, Field(ge=100)]
     out: str | None
     debug: bool
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 import signal
 import sys
@@ -15,6 +16,14 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 EXIT_BAD_INPUT = 2
+_OF_THE_MACHINE = {
+    *(errno.EACCES, errno.EPERM, errno.EIO, errno.EMFILE, errno.ENFILE, errno.ENOSPC, errno.EROFS),
+    *(errno.ELOOP, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ESTALE, errno.ENOMEM),
+}
+_HINTS = {
+    errno.EMFILE: "raise `ulimit -n`, or give fewer scheduler.workers",
+    errno.ENOMEM: "raise `ulimit -v`, or give fewer scheduler.workers",
+}
 
 
 class Parser(argparse.ArgumentParser):
@@ -81,6 +90,17 @@ def guard(action: Callable[[], Any], *, debug: bool = False) -> int:
         if debug:
             raise
         return say_error(error)
+    except OSError as error:
+        # Not a defect of ours: a folder that may not be read, too many open files, a dead disk.
+        if debug or error.errno not in _OF_THE_MACHINE:
+            raise
+        place = error.filename if isinstance(error.filename, str | os.PathLike) else "system"
+        hint = _HINTS.get(error.errno, "see that it can be used")
+        return say_error(FactoryError(f"{os.fspath(place)}: {error.strerror}; {hint}"))
+    except MemoryError:
+        if debug:
+            raise
+        return say_error(FactoryError(f"memory: not enough of it ({_memory_limit()})"))
     except KeyboardInterrupt as stopped:
         print("error: interrupted; what was finished is kept, run again to go on", file=sys.stderr)
         # SIGTERM comes as a KeyboardInterrupt that knows its own exit code.
@@ -89,6 +109,15 @@ def guard(action: Callable[[], Any], *, debug: bool = False) -> int:
         # The reader of our output (a pager, head) went away: not an error of ours.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
+
+
+def _memory_limit() -> str:
+    import resource
+
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit == resource.RLIM_INFINITY:
+        return "the machine has no more; give fewer scheduler.workers"
+    return f"ulimit -v is {limit // 1024}; raise it, or give fewer scheduler.workers"
 
 
 def accept_dataset_folder() -> None:

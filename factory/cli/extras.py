@@ -27,7 +27,9 @@ EXTRAS = {
     "skimage": "report",
     "jinja2": "report",
     "distributed": "cluster",
+    "huggingface_hub": "export",
     "webdataset": "export",
+    "rosbags": "ros",
     "hdf5plugin": "zstd",
 }
 """Module -> the extra of pyproject.toml that installs it."""

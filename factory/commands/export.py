@@ -7,7 +7,9 @@ from pathlib import Path
 from simnfnd.factory.cli import Parser
 from simnfnd.factory.cli.extras import Need, require
 from simnfnd.factory.dataset.format.schema import SPLITS
+from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export import FORMATS, export
+from simnfnd.factory.export.hub import check_hub, push
 
 # Format -> the module of the export extra that writes it.
 _NEEDS = {"webdataset": "webdataset", "huggingface": "pyarrow"}
@@ -16,12 +18,23 @@ _NEEDS = {"webdataset": "webdataset", "huggingface": "pyarrow"}
 def main(words: list[str]) -> None:
     """Write the export that `words` ask for."""
     parser = Parser(prog="simnfnd export")
-    parser.add_argument("dir", type=Path, help="folder of a dataset")
+    parser.add_argument("dir", type=Path, help="folder of a dataset (or of MDD, to coco and yolo)")
     parser.add_argument("--to", required=True, choices=FORMATS, help="format")
     parser.add_argument("--out", required=True, type=Path, help="new or empty folder to fill")
     parser.add_argument("--split", choices=(*SPLITS, "all"), default="all", help="default: all")
+    parser.add_argument(
+        "--push", metavar="REPO", help="of huggingface: then upload it as this dataset of the hub"
+    )
+    parser.add_argument("--private", action="store_true", help="if --push makes it: for you alone")
     given = parser.parse_args(words)
-    if module := _NEEDS.get(given.to):
-        require([Need(f"--to {given.to}", module, extra="export")])
+    if given.push is not None and given.to != "huggingface":
+        raise FactoryError(f"--push goes with --to huggingface, not with --to {given.to}")
+    needs = [(f"--to {given.to}", _NEEDS.get(given.to))]
+    needs += [("--push", "huggingface_hub")] if given.push is not None else []
+    require([Need(what, module, extra="export") for what, module in needs if module])
+    if given.push is not None:
+        check_hub(given.push)
     print(f"export: {export(given.dir, given.to, given.out, given.split)}")
     print(f"folder: {given.out}")
+    if given.push is not None:
+        print(f"hub: {push(given.out, given.push, private=given.private)}")

@@ -6,12 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import yaml
-
 from simnfnd.factory.cli import Parser
 from simnfnd.factory.dataset.format.manifest import CONFIG_NAME, load_manifest
 from simnfnd.factory.dataset.write.failures import FAILURES_NAME, load_failures
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.small_files import load_yaml, one_line
 
 if TYPE_CHECKING:
     from simnfnd.factory.config import FactoryConfig
@@ -97,10 +96,11 @@ def _stored(directory: Path, settings: list[str]) -> FactoryConfig:
 
     path = directory / CONFIG_NAME
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())[:120]
-        raise FactoryError(f"{path}: cannot be read ({reason}); restore it to rerun") from error
+        values = load_yaml(path)
+    except (OSError, ValueError) as error:
+        raise FactoryError(
+            f"{path}: cannot be read ({one_line(error)}); restore it to rerun"
+        ) from error
     if not isinstance(values, dict):
         raise FactoryError(f"{path}: not a configuration; restore it to rerun")
     try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from contextlib import suppress
 from pathlib import Path
@@ -15,6 +14,7 @@ from simnfnd.factory.dataset.write.failures import load_failures
 from simnfnd.factory.dataset.write.folder import STATUS_NAME, slice_manifests
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.jobs.lock import owner_of
+from simnfnd.factory.small_files import parse_json, read_regular
 
 
 def main(words: list[str]) -> int:
@@ -33,7 +33,7 @@ def main(words: list[str]) -> int:
     print(f"{directory}: {running}")
     for path in sorted(directory.glob(STATUS_NAME.replace(".", "*."))):
         with suppress(OSError, ValueError, KeyError, TypeError):
-            print(_last_run(json.loads(path.read_text(encoding="utf-8")), owner is not None))
+            print(_last_run(parse_json(read_regular(path)), owner is not None))
     shards = [shard for manifest in manifests for shard in manifest.shards.values()]
     for split in SPLITS:
         own = [shard for shard in shards if shard.split == split]

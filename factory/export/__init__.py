@@ -2,41 +2,50 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
 from simnfnd.factory.dataset.read.reader import Split
-from simnfnd.factory.dataset.read.source import Source, open_source
+from simnfnd.factory.dataset.read.source import open_source
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.export.objects import is_mdd, labelled_mdd
 from simnfnd.factory.files import refuse_files, whole_folder
 
 # --to -> module with `write(source, folder) -> str`, which fills an empty folder and returns one
-# line that says what it wrote.
+# line that says what it wrote.  Those of `LABELLED` have `write_labelled(pictures, folder)`, too.
 FORMATS = {
     "webdataset": "simnfnd.factory.export.webdataset",
     "huggingface": "simnfnd.factory.export.huggingface",
     "png": "simnfnd.factory.export.png",
     "mdd": "simnfnd.factory.export.mdd",
     "sonar_message": "simnfnd.factory.export.sonar_message",
+    "coco": "simnfnd.factory.export.coco",
+    "yolo": "simnfnd.factory.export.yolo",
 }
+LABELLED = ("coco", "yolo")
 
 
 def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") -> str:
     """Write `dataset` in format `to` into the new folder `out`; returns what was written.
 
     The folder appears when it is complete: an export that fails leaves nothing behind.
+    A folder of the Marine Debris Dataset goes in place of a dataset to formats of objects.
     Raises FactoryError when the dataset cannot be read, does not fit the format, `out` holds files,
     or the format's library is not installed.
     """
     if to not in FORMATS:
         raise FactoryError(f"--to {to}: no such format; one of {', '.join(FORMATS)}")
-    source = open_source(Path(dataset), split)
+    fill = _filler(Path(dataset), to, split)
     folder = Path(out)
     refuse_files(folder)
-    with whole_folder(folder) as partial:
-        return _write(source, to, partial)
+    with whole_folder(folder) as unfinished:
+        return fill(unfinished)
 
 
-def _write(source: Source, to: str, folder: Path) -> str:
-    written: str = import_module(FORMATS[to]).write(source, folder)
-    return written
+def _filler(dataset: Path, to: str, split: Split) -> Callable[[Path], str]:
+    writer = import_module(FORMATS[to])
+    if to in LABELLED and is_mdd(dataset):
+        return partial(writer.write_labelled, labelled_mdd(dataset, split))
+    return partial(writer.write, open_source(dataset, split))

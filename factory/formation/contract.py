@@ -22,6 +22,12 @@ Floats = npt.NDArray[np.float32]
 # blurs it; after beamforming; after time-varying gain.
 Stage = Literal["points", "echo", "beam", "picture"]
 
+# What an effect of noise shows in a picture, and what a denoiser can be told to remove: grain that
+# averages out; a level added to the ground; bright beams and arcs; copies of objects at the wrong
+# place; smeared ranges; wrong gains of beams and ranges.
+Artefact = Literal["speckle", "haze", "spokes", "ghosts", "blur", "gains"]
+ARTEFACTS: tuple[Artefact, ...] = ("speckle", "haze", "spokes", "ghosts", "blur", "gains")
+
 
 class DrawnEffect(Protocol):
     """An effect of noise with the parameters and the random stream of one sample."""
@@ -42,8 +48,15 @@ class DrawnEffect(Protocol):
     def systematic(self) -> bool:
         """Whether it is there in every picture of a scene; the others average out."""
 
+    @property
+    def artefact(self) -> Artefact | None:
+        """What it shows in a picture; None: a property of the scene."""
+
     def expect(self, expected: Any, context: Any) -> None:
         """Change expected intensities as it does on average; equal calls do the same."""
+
+    def realise(self, expected: Any, context: Any) -> None:
+        """The same as it does in this one sample, where that differs and can be told."""
 
     def apply(self, subject: Any, context: Any) -> Any:
         """What it makes of `subject`; equal calls give equal results."""
@@ -102,3 +115,9 @@ class Sample(Protocol):
 
     def noisy(self, effects: Collection[str]) -> Floats:
         """The picture with those of the drawn effects that are named."""
+
+    def without(self, artefacts: Collection[str]) -> Floats:
+        """The picture as it would be without these artefacts, under the same random streams.
+
+        Without speckle it is the expected displayed picture: what averages out is averaged.
+        """

@@ -66,6 +66,7 @@ class PointScene:
             clean_level,
             transfer.full_scale(clean_level, config.sonar.transfer, "intensity"),
             effect_clouds(effects, kept, movable, self.window),
+            effects,
         )
 
 
@@ -74,7 +75,7 @@ class PointSample:
     """A resampled scene and what each effect makes of it; a `contract.Sample`.
 
     movable: the scene's echoes before the noise.  voxel_size_m: of the resampling that follows the
-    noise, or None where `movable` is resampled already.  clouds: of each effect.
+    noise, or None where `movable` is resampled already.  clouds: of each effect.  effects: all.
     """
 
     window: Window
@@ -86,6 +87,7 @@ class PointSample:
     clean_level: Floats
     full_scale: float
     clouds: tuple[EffectCloud, ...]
+    effects: Sequence[DrawnEffect] = ()
 
     @cached_property
     def added(self) -> Mapping[str, int]:
@@ -110,6 +112,11 @@ class PointSample:
             echoes = [resample.voxel(join(*echoes), self.voxel_size_m)]
         level = _image_level(echoes, self.window, self.sonar)
         return transfer.grey(level, self.full_scale, self.sonar.transfer, "intensity")
+
+    def without(self, artefacts: Collection[str]) -> Floats:
+        """See `contract.Sample`."""
+        kept = {effect.name for effect in self.effects if effect.artefact not in artefacts}
+        return self.noisy(kept) if kept else self.clean
 
 
 def observe(surface: LitSurface, config: FactoryConfig) -> PointScene:

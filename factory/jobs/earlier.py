@@ -21,8 +21,10 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.jobs.plan import FrameVariants, ShardTask
+from simnfnd.factory.small_files import parse_json, read_regular
 
 _PATH = re.compile(rf"({'|'.join(SPLITS)})/shard-(\d{{5,}})\.h5")
+_MOST_BYTES = 1 << 27
 # Keys of a part of `extends` beside the settings in which it differs.
 _ABOUT = ("config_hash", "samples")
 
@@ -90,7 +92,7 @@ def save_earlier(directory: Path, earlier: Iterable[Earlier], config_hash: str) 
 def _load(directory: Path, config_hash: str) -> list[Earlier]:
     """The shards in extended.json; none when it is damaged, absent or of another extension."""
     try:
-        document = json.loads((directory / EXTENDED_NAME).read_bytes())
+        document = parse_json(read_regular(directory / EXTENDED_NAME, _MOST_BYTES))
         if (document["schema"], document["config_hash"]) != (SCHEMA, config_hash):
             return []
         return [
@@ -104,7 +106,7 @@ def _load(directory: Path, config_hash: str) -> list[Earlier]:
             )
             for shard in document["shards"]
         ]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError):
         return []
 
 

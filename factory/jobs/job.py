@@ -16,6 +16,7 @@ from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.jobs.earlier import Earlier
 from simnfnd.factory.jobs.plan import ShardTask
 from simnfnd.factory.jobs.settings import SchedulerSettings, ShardSlice
+from simnfnd.factory.ownership import Fence
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class Recipe:
     preparer: likewise builds what prepares the frames, in the workers that render; None when
         nothing is to be prepared.
     work_folder: where workers write how far they are, and what only this run needs.
+    fence: asked before a shard is put in its place.
     """
 
     directory: Path
@@ -37,6 +39,7 @@ class Recipe:
     dataset: DatasetSettings
     frame_timeout_s: float
     work_folder: Path
+    fence: Fence | None = None
 
 
 def _nothing(added_bytes: int) -> None:

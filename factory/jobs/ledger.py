@@ -17,6 +17,7 @@ from simnfnd.factory.files import explain_os_errors
 from simnfnd.factory.jobs.job import Job
 from simnfnd.factory.jobs.plan import ShardTask
 from simnfnd.factory.jobs.worker import ShardResult
+from simnfnd.factory.ownership import check_fences
 
 # manifest.json is written so seldom that it takes at most this part of the time.
 _SAVING_SHARE = 0.02
@@ -69,6 +70,7 @@ class Ledger:
         else:
             self._shards.pop(task.path, None)
             path = self._job.recipe.directory / task.path
+            check_fences(path)
             with explain_os_errors(path):
                 path.unlink(missing_ok=True)
         self._failures[task.path] = result.failures

@@ -1,24 +1,24 @@
 """One run at a time in a folder: a lock file that names its owner and ends with it.
 
-On the same machine the owner is looked up by process number and start time.  Another machine's
-process cannot be, so an owner touches its lock now and then, and counts as dead when it has not
-done so for ten minutes.
+An owner is known by a token, which no other has.  Where its process number means something
+(`ownership.space`) it is looked up by that and its start.  Elsewhere, on another machine or in
+another container, it cannot be; so a thread of the owner touches the lock now and then, whatever
+the owner does, and it counts as dead when that has not been done for ten minutes.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import socket
+import secrets
+import threading
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
-import psutil
-
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import explain_os_errors
+from simnfnd.factory.ownership import Fence, fenced, is_alive, myself, owner_text, read_owner
 
 LOCK_NAME = ".lock"
 _BEAT_S = 20.0
@@ -29,51 +29,65 @@ class Lock:
     """`with Lock(folder):` no other run writes there.  Raises FactoryError when one does.
 
     part: of a run that makes a slice of the dataset; other slices may run beside it.
+    fence: asked before every write of this process to the folder; workers ask it, too.
     """
 
     def __init__(self, folder: Path, part: str = "") -> None:
         self.path = folder / (f"{LOCK_NAME}.{part}" if part else LOCK_NAME)
-        self._beaten = 0.0
-        self._held = False
+        self.fence = Fence(Path(os.path.abspath(self.path)), secrets.token_hex(16))
+        self._ended = threading.Event()
+        self._heart = threading.Thread(target=self._beat, daemon=True)
+        self._lost = False
+        self._held = ExitStack()
 
     def __enter__(self) -> Lock:
-        content = json.dumps(_myself()).encode()
+        owner = {"token": self.fence.token, **myself()}
         with explain_os_errors(self.path.parent):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             # Written aside and linked: no reader ever sees half a lock.
-            aside = self.path.with_name(f".claim-{socket.gethostname()}-{os.getpid()}.tmp")
-            aside.write_bytes(content)
+            aside = self._aside("claim")
+            aside.write_bytes(owner_text(owner))
             try:
                 while not self._taken(aside):
                     self._remove_if_dead()
             finally:
                 aside.unlink(missing_ok=True)
-        self._held, self._beaten = True, time.monotonic()
+        self._held.enter_context(fenced(self.fence))
+        self._heart.start()
         try:
             self._refuse_overlap()
         except FactoryError:
             self.__exit__()
             raise
+        self._sweep()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._held = False
-        self.path.unlink(missing_ok=True)
+        self._ended.set()
+        self._held.close()
+        # Never another's: it may have been taken over.
+        if read_owner(self.path).get("token") == self.fence.token:
+            self.path.unlink(missing_ok=True)
 
-    def beat(self) -> None:
-        """Touch the lock so that it stays valid; cheap enough to be called often."""
-        if self._held and time.monotonic() - self._beaten > _BEAT_S:
-            self._beaten = time.monotonic()
-            with suppress(OSError):
-                os.utime(self.path)
+    def check(self) -> None:
+        """Raise FactoryError when the lock was found to be another's; costs nothing."""
+        if self._lost:
+            self.fence.check()
+
+    def _beat(self) -> None:
+        while not self._ended.wait(_BEAT_S):
+            self._lost = read_owner(self.path).get("token") != self.fence.token
+            if not self._lost:
+                with suppress(OSError):
+                    os.utime(self.path)
 
     def _refuse_overlap(self) -> None:
         """The whole and a slice of it must not run at once."""
         whole = self.path.name == LOCK_NAME
         for path in sorted(self.path.parent.glob(f"{LOCK_NAME}*")):
             if path != self.path and (whole or path.name == LOCK_NAME):
-                owner, silent_s = _read(path)
-                if _alive(owner, silent_s):
+                owner = read_owner(path)
+                if _holds(owner, path):
                     raise self._refused(owner)
 
     def _refused(self, owner: dict[str, Any]) -> FactoryError:
@@ -81,6 +95,17 @@ class Lock:
             f"dataset.dir: {self.path.parent} is being written by process {owner.get('pid')} "
             f"on {owner.get('host')}; wait for it, or give another folder with dataset.dir="
         )
+
+    def _aside(self, what: str) -> Path:
+        return self.path.with_name(f".{what}-{secrets.token_hex(8)}.tmp")
+
+    def _sweep(self) -> None:
+        """Remove what those left who were killed while they took a lock."""
+        for path in self.path.parent.glob(".*-*.tmp"):
+            if path.name.startswith((".claim-", ".dead-")):
+                with suppress(OSError):
+                    if time.time() - path.stat().st_mtime > _SILENT_S:
+                        path.unlink()
 
     def _taken(self, aside: Path) -> bool:
         try:
@@ -96,61 +121,41 @@ class Lock:
         return True
 
     def _remove_if_dead(self) -> None:
-        try:
-            content = self.path.read_bytes()
-        except FileNotFoundError:
-            return
-        owner, silent_s = _read(self.path)
-        if _alive(owner, silent_s):
+        owner = read_owner(self.path)
+        if _holds(owner, self.path):
             raise self._refused(owner)
         # Of two that find the owner dead, the slower one must not remove the lock of the faster.
-        moved = self.path.with_name(f".dead-{socket.gethostname()}-{os.getpid()}.tmp")
+        moved = self._aside("dead")
         with suppress(FileNotFoundError):
             os.rename(self.path, moved)
-            if moved.read_bytes() != content:
+            if read_owner(moved) != owner:
                 with suppress(FileExistsError):
                     os.link(moved, self.path)
-            moved.unlink()
+            if moved.is_dir():
+                moved.rmdir()
+            else:
+                moved.unlink()
 
 
 def owner_of(folder: Path) -> dict[str, Any] | None:
-    """The process that works in this folder now (host, pid, started), or None."""
+    """The process that works in this folder now (host, pid), or None."""
     for path in sorted(folder.glob(f"{LOCK_NAME}*")):
-        owner, silent_s = _read(path)
-        if _alive(owner, silent_s):
+        owner = read_owner(path)
+        if _holds(owner, path):
             return owner
     return None
 
 
-def _read(path: Path) -> tuple[dict[str, Any], float]:
-    """The owner of a lock and the seconds since it was touched; without a pid when unreadable."""
+def _holds(owner: dict[str, Any], path: Path) -> bool:
+    """Whether the owner of a lock at `path` is at work."""
+    # Written whole: what names nobody was never a lock of ours.
+    if type(owner.get("pid")) is not int or not isinstance(owner.get("host"), str):
+        return False
+    seen = is_alive(owner)
+    if seen is not None:
+        return seen
     try:
-        silent_s = time.time() - path.stat().st_mtime
-        owner = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {"host": socket.gethostname()}, 0.0
-    if not isinstance(owner, dict) or "host" not in owner:
-        return {"host": socket.gethostname()}, silent_s
-    return owner, silent_s
-
-
-def _myself() -> dict[str, Any]:
-    return {
-        "host": socket.gethostname(),
-        "pid": os.getpid(),
-        "started": psutil.Process().create_time(),
-    }
-
-
-def _alive(owner: dict[str, Any], silent_s: float) -> bool:
-    if owner.get("host") != socket.gethostname():
-        return silent_s < _SILENT_S
-    try:
-        process = psutil.Process(int(owner["pid"]))
-        # The number may have been given to another process since.
-        same = abs(process.create_time() - float(owner["started"])) < 1.0
-        return same and process.status() != psutil.STATUS_ZOMBIE
-    except psutil.AccessDenied:
-        return True
-    except (psutil.NoSuchProcess, KeyError, TypeError, ValueError):
+        # Also not when it was touched in a future that no clocks that nearly agree can have.
+        return abs(time.time() - path.stat().st_mtime) < _SILENT_S
+    except OSError:
         return False

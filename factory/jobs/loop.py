@@ -28,6 +28,7 @@ from simnfnd.factory.jobs.progress import ProgressBar
 from simnfnd.factory.jobs.resume import Resumed
 from simnfnd.factory.jobs.settings import NOISE, RENDER
 from simnfnd.factory.jobs.shard_log import ShardLog
+from simnfnd.factory.jobs.standstill import Standstill
 from simnfnd.factory.jobs.worker import (
     FrameAttempt,
     FrameResult,
@@ -59,7 +60,8 @@ class Loop:
         lock: Lock,
         backend: Backend,
     ) -> None:
-        self._job, self._recipe, self._scheduler = job, job.recipe, job.scheduler
+        self._job, self._scheduler = job, job.scheduler
+        self._recipe = replace(job.recipe, fence=lock.fence)
         self._lacking = resumed.lacking
         self._ledger, self._progress, self._lock = ledger, progress, lock
         self._backend = backend
@@ -68,6 +70,8 @@ class Loop:
         self._preparing: deque[PendingFrame] = deque()
         self._needed: dict[str, PendingFrame] = {}
         self._running: dict[Future[Any], tuple[Pending, Path]] = {}
+        self._standstill = Standstill(self._scheduler)
+        self._expired: set[Future[Any]] = set()
         self._unsettled = len(resumed.todo)
         self._failed_frames = 0
         self._barren_deaths = 0
@@ -95,8 +99,12 @@ class Loop:
                 time.sleep(0.01)  # all that is left waits for its next try
             for future in done:
                 self._take_result(*self._running.pop(future), future)
+                self._expired.discard(future)
+            for future in self._standstill.among(self._running, time.monotonic()):
+                self._backend.expire(future)
+                self._expired.add(future)
             self._backend.poll()
-            self._lock.beat()
+            self._lock.check()
             running = self._running.values()
             shards = [journal for work, journal in running if isinstance(work, PendingShard)]
             self._progress.show(shards, self._failed_frames)
@@ -117,7 +125,7 @@ class Loop:
             recipe = replace(recipe, provenance=self._job.earlier[task.path])
         lacking = self._lacking.get(task.path, ())
         attempt = ShardAttempt(task, recipe, journal, shard.given_up, lacking)
-        # The worker watches each frame itself; this is for one too stuck even for that.
+        # The worker watches each frame itself, and `Standstill` the worker.
         limit_s = (len(task.items) + 2) * self._scheduler.frame_timeout_s + 60.0
         future = self._backend.submit(run_shard, pickle.dumps(attempt), limit_s, NOISE)
         self._running[future] = (shard, journal)
@@ -148,7 +156,7 @@ class Loop:
             else:
                 self._settle(work, result)
             return
-        kind, reason = self._cause(error, state.timed_out)
+        kind, reason = self._cause(error, state.timed_out or future in self._expired)
         self._log.death(work, reason, journal)
         journal.unlink(missing_ok=True)
         if not state.begun:

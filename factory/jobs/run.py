@@ -12,7 +12,7 @@ from tqdm import tqdm
 from simnfnd.factory.dataset.describe.card import write_card
 from simnfnd.factory.dataset.describe.croissant import write_croissant
 from simnfnd.factory.dataset.describe.preview import preview
-from simnfnd.factory.dataset.format.manifest import Manifest, load_manifest
+from simnfnd.factory.dataset.format.manifest import MAX_SHARDS, Manifest, load_manifest
 from simnfnd.factory.dataset.format.schema import SPLITS
 from simnfnd.factory.dataset.write.folder import empty_folder, forget_slices, open_folder
 from simnfnd.factory.dataset.write.index import write_index
@@ -47,6 +47,11 @@ def make_dataset(job: Job) -> RunReport:
     """
     if not job.tasks:
         raise FactoryError("nothing to make: no frame was chosen, or max_train and max_test are 0")
+    if len(job.tasks) > MAX_SHARDS:
+        raise FactoryError(
+            f"scheduler.shard_size={job.scheduler.shard_size}: gives {len(job.tasks)} shards, a "
+            f"manifest lists {MAX_SHARDS} at most; raise it"
+        )
     compression_filter(job.dataset)
     if job.shard.part and job.dataset.on_existing != "resume":
         raise FactoryError(_NO_SLICES[job.dataset.on_existing])
@@ -94,7 +99,9 @@ def make_shards(job: Job, manifest: Manifest, lock: Lock) -> RunReport:
         tqdm.write(note, file=sys.stderr)
     todo = resumed.todo
     frames = len({ref.name for task in todo for ref, _ in task.items}) if job.preparer else 0
-    crew = job.scheduler.crew(len(todo), frames)
+    crew, note = job.scheduler.within_limits(job.scheduler.crew(len(todo), frames))
+    if note:
+        tqdm.write(note, file=sys.stderr)
     total = sum(task.samples for task in tasks)
     progress = ProgressBar(job, crew, total, total - sum(task.samples for task in todo))
     ledger = Ledger(job, resumed.manifest)

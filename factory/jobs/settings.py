@@ -10,6 +10,7 @@ from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.settings import STRICT
 from simnfnd.factory.workers.contract import BackendName, Pool, WorkerSettings
+from simnfnd.factory.workers.limits import workers_that_fit
 from simnfnd.factory.workers.machine import available_memory_bytes, usable_cores
 
 MAX_AUTO_WORKERS = 48
@@ -113,6 +114,20 @@ class SchedulerSettings:
             render = self.render_workers
         render = min(render, total, frames)
         return Crew(render, total - render)
+
+    def within_limits(self, crew: Crew) -> tuple[Crew, str]:
+        """As much of a crew as the limits of this process allow, and a line about the rest.
+
+        Raises FactoryError when they allow no worker.
+        """
+        if self.backend != "local":
+            return crew, ""
+        fitting, limit = workers_that_fit(crew.total)
+        if fitting >= crew.total:
+            return crew, ""
+        render = min(crew.render, max(1, crew.render * fitting // crew.total))
+        note = f"{limit}: {fitting} of {crew.total} workers fit and are used; raise it for more"
+        return Crew(render, fitting - render), note
 
     def worker_settings(self, crew: Crew, frames_per_shard: int) -> WorkerSettings:
         """The processes of `crew`, for shards of at most so many frames."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -10,6 +11,7 @@ from simnfnd.factory.dataset.write.folder import LOGS_NAME
 from simnfnd.factory.jobs.pending import PendingFrame, PendingShard
 from simnfnd.factory.jobs.worker import ShardResult
 
+_AT_ONCE = getattr(os, "O_NONBLOCK", 0)
 _TRACEBACK_CHARACTERS = 4000
 
 
@@ -39,7 +41,9 @@ class ShardLog:
         path = self._folder / f"{shard.task.path.replace('/', '-').removesuffix('.h5')}.log"
         with suppress(OSError):
             self._folder.mkdir(exist_ok=True)
-            with path.open("a", encoding="utf-8") as file:
+            # Whatever lies there: to open a pipe would wait for ever.
+            descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | _AT_ONCE, 0o644)
+            with open(descriptor, "a", encoding="utf-8") as file:
                 file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
 
 

@@ -19,6 +19,7 @@ from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.jobs.job import Recipe
 from simnfnd.factory.jobs.journal import AttemptJournal, open_journal
 from simnfnd.factory.jobs.plan import FrameVariants, ShardTask
+from simnfnd.factory.ownership import fenced
 
 T = TypeVar("T")
 
@@ -131,7 +132,10 @@ def make_shard(attempt: ShardAttempt) -> ShardResult:
     Raises FactoryError for what no other frame can do better: a missing renderer, a full disk.
     """
     recipe = attempt.recipe
-    with open_journal(attempt.journal, recipe.frame_timeout_s) as journal:
+    with (
+        fenced(recipe.fence),
+        open_journal(attempt.journal, recipe.frame_timeout_s) as journal,
+    ):
         with journal.watched():
             source: PairSource = _build(recipe.source, recipe)
             frames = _Frames(attempt, source, journal, source.axes(), source.columns())

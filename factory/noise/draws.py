@@ -16,7 +16,7 @@ import numpy as np
 from simnfnd.factory import seeds
 from simnfnd.factory.dataset.format.sample import Column
 from simnfnd.factory.distribution import Distribution
-from simnfnd.factory.formation.contract import Stage
+from simnfnd.factory.formation.contract import Artefact, Stage
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.noise.effect import Effect, Parameter, Scope
 from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings, blocks
@@ -77,6 +77,17 @@ class DrawnEffect:
     def systematic(self) -> bool:
         """See `Effect`."""
         return self.effect.systematic
+
+    @property
+    def artefact(self) -> Artefact | None:
+        """See `Effect`."""
+        return self.effect.artefact
+
+    def realise(self, expected: Any, context: Any) -> None:
+        """Change expected intensities as the effect does in this sample.  See `Effect`."""
+        change = self.effect.realised or self.effect.expected
+        if change is not None:
+            change(expected, context, self.stream(), **self.parameters)
 
     def expect(self, expected: Any, context: Any) -> None:
         """Change expected intensities as the effect does on average.  See `Effect`."""

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from pydantic.dataclasses import dataclass as validated
 
 from simnfnd.factory.distribution import Distribution, number
-from simnfnd.factory.formation.contract import Stage
+from simnfnd.factory.formation.contract import Artefact, Stage
 from simnfnd.factory.settings import STRICT
 
 Scope = Literal["sample", "recording", "world"]
@@ -66,6 +66,10 @@ class Effect:
     expected: of the field's effects, what it does on average: changes a `field.expected.Expected`
         in place, `(expected, ping, rng, **parameters)`, with the random stream of `function`.
         None: nothing.
+    artefact: what it shows in a picture and what a denoiser may be asked to remove; None: it is a
+        property of the scene, which a denoiser keeps.
+    realised: of random effects of the field, the same as `expected` for what it does in this one
+        sample, where a picture without speckle still shows it.  None: as `expected`.
     """
 
     settings: type[EffectSettings]
@@ -75,6 +79,8 @@ class Effect:
     moves: bool = False
     systematic: bool = False
     expected: Callable[..., None] | None = None
+    artefact: Artefact | None = None
+    realised: Callable[..., None] | None = None
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings.base import Beams, Device, Frame, Pose, Recording
+from simnfnd.factory.recordings.rosbag_files import is_bag_folder
 
 __all__ = ["Beams", "Device", "Frame", "Pose", "Recording", "kind_of", "open_recording"]
 
@@ -20,6 +21,7 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "aris": (f"{_ROOM}.aris:ArisFile", (".aris",)),
     "ddf": (f"{_ROOM}.ddf:DdfFile", (".ddf",)),
     "oculus": (f"{_ROOM}.oculus:OculusFile", (".raw", ".oculus")),
+    "rosbag": (f"{_ROOM}.rosbag:RosBag", (".bag", ".mcap", ".db3")),
     "video": (f"{_ROOM}.video:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
     "pictures": (
         f"{_ROOM}.pictures:Pictures",
@@ -30,9 +32,12 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 
 def kind_of(path: Path) -> str | None:
-    """The kind of recording that a file's name says; `pictures` for a folder; None for others."""
+    """The kind of recording that a file's name says; None for others.
+
+    A folder is `rosbag` when it holds a bag of ROS 2, and `pictures` otherwise.
+    """
     if path.is_dir():
-        return "pictures"
+        return "rosbag" if is_bag_folder(path) else "pictures"
     for kind, (_, suffixes) in READERS.items():
         if path.suffix.lower() in suffixes:
             return kind

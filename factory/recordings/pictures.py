@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import Self
 
@@ -11,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.recordings.base import Frame
+from simnfnd.factory.recordings.base import Frame, Samples
 
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 MOST_PIXELS = 1 << 26
@@ -40,23 +41,10 @@ class Pictures:
             raise IndexError(f"{self.path}: picture {number} of {len(self)}")
         path = self.files[number]
         try:
-            # Its size first: a small file can decode to gigabytes.
-            with Image.open(path) as header:
-                width, height = header.size
-            content = np.fromfile(path, np.uint8)
-        except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-            raise FrameError(f"{path}: not a readable picture") from error
-        if width * height > MOST_PIXELS:
-            raise FrameError(f"{path}: {width} x {height} pixels are more than can be read")
-        try:
-            picture = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
-        except cv2.error:
-            picture = None
-        if picture is None:
-            raise FrameError(f"{path}: not a readable picture")
-        if str(picture.dtype) not in DTYPES:
-            raise FrameError(f"{path}: pixels are {picture.dtype}; expected {', '.join(DTYPES)}")
-        return Frame(number, np.asarray(picture))
+            content = path.read_bytes()
+        except OSError as error:
+            raise FrameError(f"{path}: not a readable picture ({error.strerror})") from error
+        return Frame(number, decoded(content, str(path)))
 
     def __iter__(self) -> Iterator[Frame]:
         for number in range(len(self)):
@@ -70,3 +58,27 @@ class Pictures:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def decoded(content: bytes, what: str) -> Samples:
+    """The pixels of a picture file, (H, W) or (H, W, colours).
+
+    what: names it in errors.  Raises FrameError when it cannot be read or is too large.
+    """
+    try:
+        # Its size first: a small file can decode to gigabytes.
+        with Image.open(BytesIO(content)) as header:
+            width, height = header.size
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise FrameError(f"{what}: not a readable picture") from error
+    if width * height > MOST_PIXELS:
+        raise FrameError(f"{what}: {width} x {height} pixels are more than can be read")
+    try:
+        picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        picture = None
+    if picture is None:
+        raise FrameError(f"{what}: not a readable picture")
+    if str(picture.dtype) not in DTYPES:
+        raise FrameError(f"{what}: pixels are {picture.dtype}; expected {', '.join(DTYPES)}")
+    return np.asarray(picture)

@@ -11,10 +11,14 @@ from simnfnd.factory.errors import FrameError
 from simnfnd.factory.recordings.base import FileOfFrames, Frame, Samples
 
 MOST_PIXELS = 1 << 26
+_MOST_TINT = 6  # of 255: codecs tint grey pictures by a few levels, and by others in each frame
 
 
 class VideoFile(FileOfFrames):
-    """A video; a `Recording` of pictures.  Grey ones come as (H, W), others as (H, W, 3) BGR."""
+    """A video; a `Recording` of pictures.  Grey ones come as (H, W), others as (H, W, 3) BGR.
+
+    rate_hz: frames a second; None where the file does not say.
+    """
 
     def _open(self) -> None:
         self._capture = cv2.VideoCapture(str(self.path))
@@ -26,7 +30,7 @@ class VideoFile(FileOfFrames):
             raise FrameError(f"{self.path}: not a readable video")
         # A frame takes a byte at least, whatever the file says.
         self._count = int(min(max(count, 0), self.size))
-        self._rate_hz = rate if 0 < rate < 1e4 else None
+        self.rate_hz = rate if 0 < rate < 1e4 else None
         self._next = 0
         if not self._count:
             raise FrameError(f"{self.path}: not a readable video (it has no frames)")
@@ -61,11 +65,13 @@ class VideoFile(FileOfFrames):
         if not there:
             self._next = -1
             raise FrameError(f"{self.path}: frame {number} cannot be read")
-        time_s = number / self._rate_hz if self._rate_hz else None
+        time_s = number / self.rate_hz if self.rate_hz else None
         return Frame(number, _plain(np.asarray(picture, np.uint8)), time_s=time_s)
 
 
 def _plain(picture: Samples) -> Samples:
-    """Grey pictures without their three equal channels."""
-    grey = bool((picture == picture[..., :1]).all())
-    return np.ascontiguousarray(picture[..., 0]) if grey else picture
+    """Grey pictures without their three nearly equal channels."""
+    middle = picture[..., 1:2].astype(np.int16)
+    if np.abs(picture - middle).max() > _MOST_TINT:
+        return picture
+    return np.ascontiguousarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))

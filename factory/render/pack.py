@@ -6,12 +6,16 @@ A zip archive: `pack.json` says what is in it, and each frame is a member in the
 
 from __future__ import annotations
 
+import io
 import json
 import os
+import struct
 import zipfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 from simnfnd.factory import __version__
 from simnfnd.factory.errors import FactoryError, NotRendered
@@ -19,9 +23,17 @@ from simnfnd.factory.files import explain_os_errors
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.view import FINE, Precision, View, decode, encode
+from simnfnd.factory.small_files import open_regular, parse_json
 
 _SCHEMA = "simnfnd-pack 2"
 _CONTENTS = "pack.json"
+# Some hundred thousand frames.
+_MOST_DIRECTORY_BYTES = 1 << 24
+_MOST_MEMBER_BYTES = 1 << 27
+_NO_PACK = (
+    *(zipfile.BadZipFile, ValueError, KeyError, TypeError, AttributeError, NotImplementedError),
+    *(RuntimeError, EOFError, struct.error),
+)
 # Equal packs of equal renders, whenever they are made.
 _TIME = (1980, 1, 1, 0, 0, 0)
 
@@ -83,15 +95,14 @@ def _add(archive: zipfile.ZipFile, name: str, content: bytes) -> None:
 def read_contents(path: Path) -> Contents:
     """What the pack holds.  Raises FactoryError when it is no pack."""
     try:
-        with zipfile.ZipFile(path) as archive:
-            head = json.loads(archive.read(_CONTENTS))
+        with _opened(path) as archive:
+            head = parse_json(_member(archive, _CONTENTS))
         if head["schema"] != _SCHEMA:
             raise ValueError(f"schema is {head['schema']!r}, expected {_SCHEMA!r}")
         mount = {**head["mount"], "translation_m": tuple(head["mount"]["translation_m"])}
-        members = {
-            FrameRef(item["location"], item["scene"], item["frame"]): str(item["member"])
-            for item in head["frames"]
-        }
+        if not isinstance(head["frames"], list):
+            raise ValueError("frames is no list")
+        members = {_ref(item): str(item["member"]) for item in head["frames"]}
         precision = Precision(**head["precision"])
         exact = (precision.depth_step, precision.radiance_step, precision.block) == (
             FINE.depth_step,
@@ -101,11 +112,62 @@ def read_contents(path: Path) -> Contents:
         return Contents(members, Mount(**mount), str(head["render"]), exact)
     except OSError as error:
         raise FactoryError(f"scenes.root={path}: cannot be read ({error.strerror})") from error
-    except (zipfile.BadZipFile, ValueError, KeyError, TypeError) as error:
+    except _NO_PACK as error:
         raise FactoryError(
             f"scenes.root={path}: no pack, or damaged ({error}); "
             "make one with `simnfnd cache pack --out FILE ...`"
         ) from error
+
+
+class _Bounded(io.RawIOBase):
+    """A file of which no more than `most` bytes are read at once."""
+
+    def __init__(self, file: BinaryIO, most: int) -> None:
+        self._file, self.most = file, most
+
+    def read(self, size: int = -1) -> bytes:
+        left = os.fstat(self._file.fileno()).st_size - self._file.tell()
+        size = left if size < 0 else min(size, left)
+        if size > self.most:
+            raise zipfile.BadZipFile(f"{size} bytes in one piece; {self.most} at most go")
+        return self._file.read(max(size, 0))
+
+    def seek(self, place: int, whence: int = 0) -> int:
+        return self._file.seek(place, whence)
+
+    def tell(self) -> int:
+        return self._file.tell()
+
+    def seekable(self) -> bool:
+        return True
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
+    """A pack, of which no part can take more memory than a sound one's."""
+    with open_regular(path) as file:
+        bounded = _Bounded(file, _MOST_DIRECTORY_BYTES)
+        with zipfile.ZipFile(bounded) as archive:
+            bounded.most = _MOST_MEMBER_BYTES
+            yield archive
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> bytes:
+    info = archive.getinfo(name)
+    if info.compress_type != zipfile.ZIP_STORED or info.file_size != info.compress_size:
+        raise zipfile.BadZipFile(f"{name[:40]} is compressed; packs hold their members as they are")
+    if info.file_size > _MOST_MEMBER_BYTES:
+        raise zipfile.BadZipFile(f"{name[:40]} has {info.file_size} bytes")
+    return archive.read(info)
+
+
+def _ref(item: Mapping[str, object]) -> FrameRef:
+    """The frame of an entry of pack.json.  Raises ValueError for names that are none."""
+    names = [item[key] for key in ("location", "scene", "frame")]
+    if not all(isinstance(name, str) and name.isprintable() and len(name) < 200 for name in names):
+        raise ValueError(f"no names of a frame: {str(names)[:60]}")
+    location, scene, frame = map(str, names)
+    return FrameRef(location, scene, frame)
 
 
 class PackViews:
@@ -130,9 +192,9 @@ class PackViews:
         if ref not in self._contents.members:
             raise NotRendered(ref.name)
         try:
-            with zipfile.ZipFile(self._path) as archive:
-                return decode(archive.read(self._contents.members[ref]))
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            with _opened(self._path) as archive:
+                return decode(_member(archive, self._contents.members[ref]))
+        except (OSError, *_NO_PACK) as error:
             raise FactoryError(
                 f"scenes.root={self._path}: {ref.name} is damaged ({error}); copy the pack again"
             ) from error

@@ -19,7 +19,7 @@ import math
 import struct
 import sys
 from dataclasses import asdict, dataclass, replace
-from functools import cache
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -28,6 +28,7 @@ import numpy.typing as npt
 from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
 from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.render.mount import Mount
+from simnfnd.factory.small_files import parse_json
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -39,6 +40,10 @@ _FAINTEST = 1e-9
 _CODES = 65_534  # 0 is "nothing here"
 _MAGIC = b"SFV2"
 _CHECKSUM_BYTES = 16
+# Four times those of a 4K video.
+MOST_PIXELS = 1 << 25
+_MOST_HEAD_BYTES = 1 << 16
+_MOST_LZMA_BYTES = 1 << 26
 
 Codes = npt.NDArray[np.uint16]
 
@@ -150,29 +155,31 @@ def decode(content: bytes) -> View:
         if content[:4] != _MAGIC:
             raise ValueError("no view of this version")
         (length,) = struct.unpack_from("<I", content, 4)
+        if length > _MOST_HEAD_BYTES:
+            raise ValueError(f"a head of {length} bytes")
         start = 8 + _CHECKSUM_BYTES
         text = content[start : start + length]
         if _checksum(text) != content[8:start]:
             raise ValueError("checksum differs")
-        head = json.loads(text)
-        precision = Precision(**head["precision"])
-        decompress = zstd.decompress if precision.codec == "zstd" else lzma.decompress
+        head = parse_json(text)
+        precision = _checked_precision(Precision(**head["precision"]))
+        height, width = head["shape"]
         # Either codec ends in a checksum of its own, which it compares.
         parts, start = [], start + length
-        for size in head["parts"]:
-            parts.append(decompress(content[start : start + size]))
-            start += size
+        sizes = _plane_bytes(height, width, precision, labelled=bool(head["labelled"]))
+        for packed, size in zip(head["parts"], sizes, strict=True):
+            parts.append(_decompress(content[start : start + packed], precision.codec, size))
+            start += packed
         if start != len(content):
             raise ValueError("too long")
-        height, width = head["shape"]
         camera = {**head["intrinsics"], "distortion": tuple(head["intrinsics"]["distortion"])}
         mount = {**head["mount"], "translation_m": tuple(head["mount"]["translation_m"])}
         pose = head["world_from_camera"]
         view = View(
             *_values(parts, (height, width), precision),
-            Intrinsics(**camera),
+            _checked_intrinsics(Intrinsics(**camera)),
             Mount(**mount),
-            world_from_camera=None if pose is None else np.array(pose, np.float64),
+            world_from_camera=None if pose is None else np.array(pose, np.float64).reshape(4, 4),
         )
         if not head["labelled"]:
             return view
@@ -191,6 +198,50 @@ def _compress(content: bytes, codec: str) -> bytes:
             content, options={options.compression_level: 1, options.checksum_flag: 1}
         )
     return lzma.compress(content, preset=6)
+
+
+def _decompress(content: bytes, codec: str, size: int) -> bytes:
+    """The `size` bytes that a part stands for; it never makes more.  Raises ValueError."""
+    unpacker: zstd.ZstdDecompressor | lzma.LZMADecompressor = (
+        zstd.ZstdDecompressor()
+        if codec == "zstd"
+        else lzma.LZMADecompressor(memlimit=_MOST_LZMA_BYTES)
+    )
+    # One byte more, so that a longer stream shows and the stream's own checksum is read.
+    plane = unpacker.decompress(content, size + 1)
+    if len(plane) != size or not unpacker.eof or unpacker.unused_data:
+        raise ValueError(f"a part does not hold {size} bytes")
+    return plane
+
+
+def _plane_bytes(height: int, width: int, precision: Precision, *, labelled: bool) -> list[int]:
+    """Sizes of the planes that `encode` writes.  Raises ValueError for what is no picture."""
+    if type(height) is not int or type(width) is not int or height < 1 or width < 1:
+        raise ValueError(f"a picture of {str(height)[:20]} x {str(width)[:20]}")
+    pixels = height * width
+    if pixels > MOST_PIXELS:
+        raise ValueError(f"a picture of {pixels} pixels; at most {MOST_PIXELS} go")
+    blocks = -(-height // precision.block) * -(-width // precision.block)
+    sizes = [2 * pixels, 2 * blocks]
+    if precision.block > 1:
+        sizes.append(-(-pixels // 8))
+    return sizes + ([pixels, 2 * pixels] if labelled else [])
+
+
+def _checked_precision(precision: Precision) -> Precision:
+    steps = (precision.depth_step, precision.radiance_step)
+    good = all(isinstance(step, float) and 0 < step < 1 for step in steps)
+    if not good or precision.block not in range(1, 65) or precision.codec not in ("zstd", "lzma"):
+        raise ValueError("no precision of a view")
+    return precision
+
+
+def _checked_intrinsics(camera: Intrinsics) -> Intrinsics:
+    numbers = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
+    good = all(isinstance(number, int | float) and math.isfinite(number) for number in numbers)
+    if not good or camera.fx <= 0 or camera.fy <= 0 or len(camera.distortion) > 16:
+        raise ValueError("no camera")
+    return camera
 
 
 def _checksum(content: bytes) -> bytes:
@@ -224,7 +275,7 @@ def _rounded_log(values: npt.NDArray[np.float32], low: float, step: float) -> Co
     return np.where(values > 0, level, np.float32(0)).astype(np.uint16)
 
 
-@cache
+@lru_cache(maxsize=8)
 def _table(low: float, step: float) -> npt.NDArray[np.float32]:
     """Value of each 16-bit code, damaged ones too."""
     power = np.minimum((np.arange(1 << 16) - 1) * step, 80.0)

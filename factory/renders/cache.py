@@ -24,8 +24,10 @@ from simnfnd.factory.files import (
 )
 from simnfnd.factory.render.view import View, decode, encode
 from simnfnd.factory.settings import STRICT
+from simnfnd.factory.small_files import read_regular
 
 _SUFFIX = ".view"
+_MOST_BYTES = 1 << 27
 # Room made at once, so that a full cache does not have to be gone through for every entry.
 _EVICT_TO = 0.9
 
@@ -76,7 +78,7 @@ class Cache:
         """The entry, or None when it is absent or was damaged (and is now removed)."""
         path = self._path(key)
         try:
-            view = decode(path.read_bytes())
+            view = decode(read_regular(path, _MOST_BYTES))
         except FileNotFoundError:
             return None
         except (OSError, ValueError):
@@ -108,7 +110,7 @@ class Cache:
     def is_whole(self, entry: Entry) -> bool:
         """Whether an entry can be read; one that cannot is removed."""
         try:
-            decode(entry.path.read_bytes())
+            decode(read_regular(entry.path, _MOST_BYTES))
         except (OSError, ValueError):
             entry.path.unlink(missing_ok=True)
             return False

@@ -67,6 +67,21 @@ class CachedViews:
         return view
 
 
+class OneView:
+    """A render in memory, whatever the frame's name; a `Views`."""
+
+    def __init__(self, view: View) -> None:
+        self._view = view
+
+    def holds(self, ref: FrameRef) -> bool:
+        """See `Views`."""
+        return True
+
+    def view(self, ref: FrameRef) -> View:
+        """See `Views`."""
+        return self._view
+
+
 class ViewMaker:
     """Renders frames into the cache; a `simnfnd.factory.dataset.format.sample.Preparer`."""
 

@@ -62,11 +62,15 @@ class FanTable:
         return best
 
 
+def fan_size(hfov_deg: float, near_fraction: float) -> tuple[float, float]:
+    """Width and height of a sector as fractions of range_max."""
+    half = np.deg2rad(hfov_deg) / 2
+    return 2 * np.sin(half), 1 - near_fraction * np.cos(half)
+
+
 def pixel_size(sonar: SonarSettings, near_fraction: float) -> float:
     """Edge of a (square) fan pixel as a fraction of range_max, the sector just fitting."""
-    half = np.deg2rad(sonar.hfov_deg) / 2
-    width = 2 * np.sin(half)
-    height = 1 - near_fraction * np.cos(half)
+    width, height = fan_size(sonar.hfov_deg, near_fraction)
     return float(max(width / sonar.image.width_px, height / sonar.image.height_px))
 
 

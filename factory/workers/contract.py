@@ -69,6 +69,9 @@ class Backend(Protocol):
     def why_died(self, error: BaseException) -> str | None:
         """What killed the worker, if that is what `error` of a future means; else None."""
 
+    def expire(self, future: Future[Any]) -> None:
+        """Give up a task that stands still: its worker is killed, and soon its future fails."""
+
     def poll(self) -> None:
         """To be called several times a second."""
 

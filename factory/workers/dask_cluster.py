@@ -145,6 +145,12 @@ class DaskBackend:
         )
         return f"its Dask worker was lost ({error})" if isinstance(error, lost) else None
 
+    def expire(self, future: Future[Any]) -> None:
+        """Let the next `poll` find the task too late."""
+        with self._lock:
+            if task := self._tasks.get(future):
+                task.deadline = 0.0
+
     def poll(self) -> None:
         """End tasks that are too late: Dask cannot stop a function, so its worker is restarted."""
         now = time.monotonic()

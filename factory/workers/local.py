@@ -81,6 +81,13 @@ class _Slot:
         if self._process is not None:
             self._process.stop()
 
+    def kill(self) -> bool:
+        """Kill what runs; returns whether anything did."""
+        running = [process for process in self.context.started if process.is_alive()]
+        for process in running:
+            process.kill()
+        return bool(running)
+
     def join(self) -> None:
         if self._process is not None:
             self._process.join()
@@ -130,6 +137,12 @@ class LocalBackend:
         self._slots.append(slot)
         return slot.submit(function, argument, timeout_s)
 
+    def expire(self, future: Future[Any]) -> None:
+        """Kill the worker that has the task in hand."""
+        for slot in self._slots:
+            if slot.future is future and not future.done():
+                slot.kill()
+
     def poll(self) -> None:
         """Nothing: pebble watches the time limits."""
 
@@ -162,11 +175,7 @@ class LocalBackend:
 
     def _kill_workers(self) -> bool:
         """Kill what runs; returns whether anything did."""
-        started = [process for slot in self._slots for process in slot.context.started]
-        running = [process for process in started if process.is_alive()]
-        for process in running:
-            process.kill()
-        return bool(running)
+        return any([slot.kill() for slot in self._slots])
 
 
 def _start_worker() -> None:

@@ -41,6 +41,9 @@ class SerialBackend:
         """There is no worker that could die."""
         return None
 
+    def expire(self, future: Future[Any]) -> None:
+        """Nothing: what was submitted is done."""
+
     def poll(self) -> None:
         """Results have been taken: the next task may run."""
         self._full = False

@@ -17,6 +17,7 @@ from torch.utils.data import Dataset, Sampler
 from simnfnd.factory.seeds import stream
 from simnfnd.factory.sonar.geometry import Maps
 from simnfnd.models.data.pairs import Batch, Sample, Source
+from simnfnd.models.removal import DEFAULT, vector
 from simnfnd.models.settings import DataSettings
 
 
@@ -88,7 +89,7 @@ def whole_image_batch(sample: Sample, extras: Sequence[str] = ()) -> Batch:
         images |= {name: maps[name] for name in extras if name in maps}
     return {
         name: torch.from_numpy(np.ascontiguousarray(x))[None, None] for name, x in images.items()
-    }
+    } | _told(sample, extras)
 
 
 def _crop(
@@ -101,7 +102,17 @@ def _crop(
         maps: Maps = sample.geometry.maps(top, left, patch, patch)
         maps = _mirrored(maps) if flip else maps
         images |= {name: maps[name] for name in extras if name in maps}
-    return {name: torch.from_numpy(x.copy())[None, None] for name, x in images.items()}
+    return {name: torch.from_numpy(x.copy())[None, None] for name, x in images.items()} | _told(
+        sample, extras
+    )
+
+
+def _told(sample: Sample, extras: Sequence[str]) -> Batch:
+    """What the network is told of the whole sample, (1, 6)."""
+    if "remove" not in extras:
+        return {}
+    remove = vector(DEFAULT) if sample.remove is None else sample.remove
+    return {"remove": torch.from_numpy(remove)[None]}
 
 
 def _mirrored(maps: Maps) -> Maps:

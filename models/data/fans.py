@@ -38,8 +38,10 @@ def _fan(row: Mapping[str, str]) -> FanGeometry:
     half = math.atan(float(row["edge_slope"]) / squeeze)
     apex_y = float(row["apex_y"])
     far, near = apex_y - float(row["top_row"]), apex_y - float(row["bottom_row"])
-    if not far > near > 0:
-        raise ValueError(f"{row['file']}: apex_y must lie below bottom_row, and that below top_row")
+    if not far > near >= 0:
+        raise ValueError(
+            f"{row['file']}: apex_y must not lie above bottom_row, and that must lie below top_row"
+        )
     return FanGeometry.fan(
         2 * half,
         apex_x_px=float(row["apex_x"]),

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,7 @@ from simnfnd.factory.sonar.geometry import FanGeometry, recorded_sonar
 from simnfnd.factory.sonar.settings import SonarSettings
 
 Image = npt.NDArray[np.float32]
+Anything = TypeVar("Anything")
 
 Batch = dict[str, torch.Tensor]
 """`noisy`, `clean` and `shadow`, (N, 1, H, W) float32 in 0..1 (clean and shadow where they are
@@ -36,12 +37,15 @@ class Sample:
 
     noisy, clean: (H, W) float32 in 0..1; clean None where it is unknown.
     shadow: (H, W) float32, 1 in shadow, or None.  geometry: where range and bearing are, or None.
+    remove: (6,) float32, the artefacts that `clean` is without (`models.removal`), or None for
+        the usual ones.
     """
 
     noisy: Image
     clean: Image | None = None
     shadow: Image | None = None
     geometry: FanGeometry | None = None
+    remove: Image | None = None
 
 
 class Source(Protocol):
@@ -149,8 +153,8 @@ def hold_out(
     )
 
 
-def spread(samples: tuple[SampleRef, ...], limit: int | None) -> tuple[SampleRef, ...]:
-    """At most `limit` of the samples, evenly spaced."""
+def spread(samples: tuple[Anything, ...], limit: int | None) -> tuple[Anything, ...]:
+    """At most `limit` of them, evenly spaced."""
     if limit is None or len(samples) <= limit:
         return samples
     return tuple(samples[index * len(samples) // limit] for index in range(limit))

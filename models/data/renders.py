@@ -7,17 +7,17 @@ code as the dataset's own, so a network never sees the same noise twice.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from simnfnd.factory.config import FactoryConfig, from_mapping
+from simnfnd.factory.config import FactoryConfig, digest, from_mapping, plain
 from simnfnd.factory.dataset.format.manifest import CONFIG_NAME
 from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
-from simnfnd.factory.distribution import Distribution
+from simnfnd.factory.distribution import Distribution, number
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.noise.registry import NoiseSettings
@@ -28,9 +28,11 @@ from simnfnd.factory.seeds import stream
 from simnfnd.factory.selection import choose_frames, split_frames
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
-from simnfnd.models.data.pairs import PairTable, Sample, SampleRef, weakened
+from simnfnd.models.data.pairs import PairTable, Sample, SampleRef, Source, spread, weakened
 from simnfnd.models.settings import RendersData
 
+_DECIDE = ("devices", "noise", "acoustics", "sonar", "water")
+"""Groups of the configuration that decide the pictures of drawn devices."""
 _AMOUNTS = ("alpha", "density", "strength")
 """Parameters that are 0 where an effect is absent: these a weaker noise scales."""
 
@@ -145,10 +147,25 @@ def resized(sonar: SonarSettings, scale: float) -> SonarSettings:
         ) from error
 
 
+@dataclass(frozen=True)
+class Renders:
+    """source: what trains.  facts: what it is, for the recipe.  said: a line to show.
+
+    validation, labels: pictures of drawn devices to validate on, and what they show; None where the
+    dataset's own pairs serve.
+    """
+
+    source: Source
+    facts: dict[str, Any]
+    said: str
+    validation: Source | None = None
+    labels: tuple[str, ...] = ()
+
+
 def open_renders(
     data: RendersData, table: PairTable, validation: tuple[SampleRef, ...], dataset: str, seed: int
-) -> tuple[RenderSource, dict[str, Any], str]:
-    """The source of the renders that train, what they are for the recipe, and a line to show.
+) -> Renders:
+    """The renders of a dataset as training data.
 
     table: the dataset's train split.  validation: its pairs that are held out.
     Raises FactoryError when the dataset was made by another version or its renders are not there.
@@ -168,6 +185,7 @@ def open_renders(
     else:
         training = tuple(ref for ref in training if f"{ref.location}/{ref.scene}" not in held)
     views = open_views(config)
+    held_out = tuple(ref for ref in found if ref not in set(training) and views.holds(ref))
     ready = tuple(ref for ref in training if views.holds(ref))
     if not ready:
         raise FactoryError(
@@ -182,6 +200,8 @@ def open_renders(
         "renders.frames": len(ready),
         "renders.names": hashlib.blake2b(names_.encode(), digest_size=8).hexdigest(),
     }
+    if data.experiment is not None:
+        return _by_any_device(data, config, ready, held_out, facts, said, seed)
     source = RenderSource(
         config,
         ready,
@@ -190,7 +210,48 @@ def open_renders(
         seed=seed,
         scales=data.scales,
     )
-    return source, facts, said
+    return Renders(source, facts, said)
+
+
+def _by_any_device(
+    data: RendersData,
+    config: FactoryConfig,
+    ready: tuple[FrameRef, ...],
+    held_out: tuple[FrameRef, ...],
+    facts: dict[str, Any],
+    said: str,
+    seed: int,
+) -> Renders:
+    from simnfnd.models.data.any_device import DeviceSource
+    from simnfnd.models.data.composed import composed
+
+    drawn = composed((f"experiment={data.experiment}", *data.factory))
+    config = replace(
+        config,
+        devices=drawn.devices,
+        noise=drawn.noise,
+        acoustics=drawn.acoustics,
+        sonar=replace(drawn.sonar, mount=config.sonar.mount),
+        water=drawn.water,
+    )
+    drawn_as = digest({name: plain(config)[name] for name in _DECIDE})
+
+    if not held_out or drawn.devices is None:
+        raise FactoryError(
+            f"data.experiment={data.experiment}: draws no devices, or no render is held out; use "
+            "any_sonar, and give data.validation more"
+        )
+    shown = spread(held_out, data.validation_limit)
+    # A picture without noise has 100 dB, more than all others together can gain or lose.
+    noisy = replace(config, devices=replace(drawn.devices, quiet_share=number(0)))
+    common: dict[str, Any] = {"patch": data.patch, "seed": seed}
+    return Renders(
+        DeviceSource(config, ready, weaker=data.weaker, choices=data.choices, **common),
+        {**facts, "renders.devices": drawn_as},
+        said,
+        DeviceSource(noisy, shown, weaker=0.0, choices=0.0, **common),
+        tuple(ref.name for ref in shown),
+    )
 
 
 def _config(data: RendersData, dataset: str) -> FactoryConfig:

@@ -9,7 +9,7 @@ from typing import Any
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
-from simnfnd.factory.noise.registry import NoiseSettings
+from simnfnd.models.data.composed import composed
 from simnfnd.models.data.images import NoisySource, list_images, smallest_side
 from simnfnd.models.data.pairs import PairSource, SampleRef, Source, hold_out, read_table, spread
 from simnfnd.models.settings import (
@@ -58,7 +58,7 @@ def open_data(settings: ModelsSettings) -> Data:
         return Data(NoisySource(learning), NoisySource(held), labels, facts)
     from simnfnd.models.data.olddata import OldDataSource
 
-    noise = _noise(data.factory)
+    noise = composed(data.factory).noise
     if data.geometry != "polar":
         facts["geometry"] = sha256_of(Path(data.geometry).expanduser())[:16]
     sources = [
@@ -75,21 +75,6 @@ def open_data(settings: ModelsSettings) -> Data:
     return Data(sources[0], sources[1], labels, facts)
 
 
-def _noise(words: tuple[str, ...]) -> NoiseSettings:
-    """The noise of `simnfnd make` with these words."""
-    from hydra.core.global_hydra import GlobalHydra
-
-    from simnfnd.factory.cli.compose import compose_config
-
-    # Hydra composes one configuration at a time, and that of this training is the one at present.
-    state = GlobalHydra.get_state()
-    GlobalHydra.instance().clear()
-    try:
-        return compose_config(words).noise
-    finally:
-        GlobalHydra.set_state(state)
-
-
 def _of_dataset(data: PairsData | RendersData, settings: ModelsSettings) -> Data:
     folder = settings.dataset.dir
     if folder is None:
@@ -97,9 +82,10 @@ def _of_dataset(data: PairsData | RendersData, settings: ModelsSettings) -> Data
             f"dataset: data={data.kind} needs the folder that `simnfnd make` made, dataset=DIR"
         )
     table = read_table(folder, "train")
-    least = min(data.scales) if isinstance(data, RendersData) else 1.0
-    height, width = (round(least * side) for side in (table.height, table.width))
-    _check_sizes(data, min(height, width), folder, f"{height}x{width}")
+    if not (isinstance(data, RendersData) and data.experiment is not None):
+        least = min(data.scales) if isinstance(data, RendersData) else 1.0
+        height, width = (round(least * side) for side in (table.height, table.width))
+        _check_sizes(data, min(height, width), folder, f"{height}x{width}")
     learning, held = hold_out(table.samples, data.validation, settings.seed)
     shown = spread(held, data.validation_limit)
     facts: dict[str, Any] = {
@@ -115,9 +101,12 @@ def _of_dataset(data: PairsData | RendersData, settings: ModelsSettings) -> Data
         # Only here: it brings the readers and the whole of the factory.
         from simnfnd.models.data.renders import open_renders
 
-        source, more, said = open_renders(data, table, held, folder, settings.seed)
-        facts |= more
-        print(said)
+        renders = open_renders(data, table, held, folder, settings.seed)
+        facts |= renders.facts
+        print(renders.said)
+        source = renders.source
+        if renders.validation is not None:
+            return Data(source, renders.validation, renders.labels, facts)
     return Data(source, validation, labels, facts)
 
 

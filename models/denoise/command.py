@@ -1,10 +1,14 @@
-"""Denoise images, folders, HDF5 shards, videos and recordings of sonars with trained weights."""
+"""Denoise images, folders, HDF5 shards, videos, recordings and bags with trained weights."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
@@ -12,32 +16,56 @@ from simnfnd.factory.cli import Parser
 from simnfnd.factory.dataset.read.reader import open_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import check_writable
+from simnfnd.factory.formation.contract import ARTEFACTS
 from simnfnd.factory.recordings import open_recording
-from simnfnd.models.denoise.denoiser import OVERLAP, TILE, load_denoiser
+from simnfnd.models.denoise.bags import denoise_bag, open_bag
+from simnfnd.models.denoise.denoiser import OVERLAP, TILE, Denoiser, load_denoiser
 from simnfnd.models.denoise.files import (
+    Tick,
     denoise_file,
     denoise_pings,
     denoise_shard,
     denoise_video,
+    made_of_points,
 )
 from simnfnd.models.denoise.geometries import FIND, Geometries
 from simnfnd.models.denoise.inputs import Item, find_items
+from simnfnd.models.denoise.steady import Steady
+from simnfnd.models.denoise.watch import Watched, watch
+from simnfnd.models.pretrained import POINTS
+from simnfnd.models.removal import DEFAULT
 
 
 def main(arguments: Sequence[str]) -> int:
-    """`simnfnd denoise IN... --out DIR`; 1 when some files were skipped."""
+    """`simnfnd denoise IN... --out DIR`, or --watch FOLDER; 1 when some files were skipped."""
     parser = Parser(prog="simnfnd denoise")
     parser.add_argument(
-        "inputs", nargs="+", metavar="IN", help="image, folder, shard, video, .aris, .ddf, .raw"
+        "inputs",
+        nargs="*",
+        metavar="IN",
+        help="image, folder, shard, video, .aris, .ddf, .raw, bag",
     )
     parser.add_argument("--out", required=True, help="folder for the results; names are kept")
     parser.add_argument(
-        "--weights", help="weights.safetensors of a training, or the name of weights that ship"
+        "--weights",
+        help="weights.safetensors of a training, or the name of weights that ship (default: "
+        f"simnfnd, and for shards of the paper's points {POINTS})",
     )
     parser.add_argument(
-        "--always",
-        action="store_true",
-        help="denoise also pictures that the network would give back as they came",
+        "--remove",
+        metavar="LIST",
+        help=f"what to remove, of {','.join(ARTEFACTS)} (default: {','.join(DEFAULT)})",
+    )
+    parser.add_argument(
+        "--strength", type=float, default=1.0, help="how much of it, 0 to 1 (default: 1)"
+    )
+    parser.add_argument(
+        "--frames",
+        type=int,
+        default=1,
+        metavar="N",
+        help="average up to N frames of a video, recording or numbered pictures first, half of "
+        "them before and half after each, where the scene stands still; odd (1: do not)",
     )
     parser.add_argument("--compare", action="store_true", help="also write pictures side by side")
     parser.add_argument(
@@ -47,48 +75,110 @@ def main(arguments: Sequence[str]) -> int:
         "table of fans as `simnfnd geometry` prints; shards and recordings know theirs",
     )
     parser.add_argument(
+        "--topic",
+        action="append",
+        default=[],
+        help="of bags: whose pictures to denoise (may be repeated; default: those of sonars)",
+    )
+    parser.add_argument(
         "--tile", type=int, default=TILE, help=f"largest side in one go, pixels ({TILE})"
     )
     parser.add_argument(
         "--overlap", type=int, default=OVERLAP, help=f"pixels that tiles share ({OVERLAP})"
     )
     parser.add_argument("--device", choices=("auto", "cpu", "gpu"), default="auto")
+    parser.add_argument(
+        "--watch", metavar="FOLDER", help="denoise what comes into a folder, until Ctrl-C"
+    )
+    parser.add_argument(
+        "--every", type=float, default=2.0, help="seconds between two looks at it (2)"
+    )
     chosen = parser.parse_args(list(arguments))
     if not 0 <= chosen.overlap <= chosen.tile // 2:
         raise FactoryError(f"--overlap {chosen.overlap}: must be at most half of --tile")
+    if bool(chosen.inputs) == (chosen.watch is not None):
+        raise FactoryError("give files or folders to denoise, or --watch FOLDER, and not both")
+    if not 0 < chosen.every < 86_400:
+        raise FactoryError(f"--every {chosen.every:g}: give seconds, more than 0")
+    if not 0 <= chosen.strength <= 1:
+        raise FactoryError(f"--strength {chosen.strength:g}: must lie between 0 and 1")
     out = Path(chosen.out).expanduser()
+    watched = Watched(Path(chosen.watch).expanduser(), out) if chosen.watch else None
     items = find_items([Path(name).expanduser() for name in chosen.inputs], out)
     geometries = Geometries(chosen.geometry)
+    steady = Steady(chosen.frames, items)
     check_writable(out, "--out")
-    denoise = load_denoiser(
-        chosen.weights,
-        chosen.device,
-        tile=chosen.tile,
-        overlap=chosen.overlap,
-        always=chosen.always,
-    )
+    how: dict[str, Any] = {
+        "device": chosen.device,
+        "tile": chosen.tile,
+        "overlap": chosen.overlap,
+        "strength": chosen.strength,
+    }
+    remove = None if chosen.remove is None else chosen.remove.split(",")
+    denoise = load_denoiser(chosen.weights, remove=remove, **how)
+    points = None
+    if chosen.weights is None and remove is None:
+        points = cache(lambda: load_denoiser(POINTS, **how))
+    work = _Work(out, denoise, points, geometries, steady, chosen.topic, chosen.compare)
+    failed = _watch(work, watched, chosen.every) if watched else _all(work, items)
+    for line in (*geometries.summary(), *steady.summary()):
+        print(line)
+    print(f"denoised: {work.done} file(s) in {out}")
+    return 1 if failed and not watched else 0
+
+
+@dataclass
+class _Work:
+    """What `denoise` does to a file.
+
+    points: what denoises shards of points instead of `denoise`; None: the same.
+    done: how many were denoised.
+    """
+
+    out: Path
+    denoise: Denoiser
+    points: Callable[[], Denoiser] | None
+    geometries: Geometries
+    steady: Steady
+    topics: Sequence[str]
+    compare: bool
+    done: int = 0
+
+    def on(self, item: Item, tick: Tick) -> str:
+        """Denoise one file; returns a warning, mostly empty.  FrameError when that cannot be."""
+        warning = ""
+        out, denoise, compare = self.out, self.denoise, self.compare
+        find, steady = self.geometries.of, self.steady
+        if item.kind == "shard":
+            if self.points is not None and made_of_points(item.source):
+                denoise = self.points()
+            denoise_shard(
+                item, out, denoise, weights_sha256=denoise.digest, compare=compare, tick=tick
+            )
+        elif item.kind == "pings":
+            warning = denoise_pings(item, out, denoise, compare=compare, tick=tick, steady=steady)
+        elif item.kind == "bag":
+            warning = denoise_bag(
+                item, out, denoise, find,
+                topics=self.topics, compare=compare, tick=tick, steady=steady,
+            )  # fmt: skip
+        else:
+            on_file = denoise_video if item.kind == "video" else denoise_file
+            on_file(item, out, denoise, find, compare=compare, tick=tick, steady=steady)
+        self.done += 1
+        return warning
+
+
+def _all(work: _Work, items: Sequence[Item]) -> int:
+    """Denoise all files under a progress bar; returns how many could not be."""
     failures: list[str] = []
     warnings: list[str] = []
-    with tqdm(total=sum(map(_pictures, items)), unit="image", desc="denoising") as bar:
+    with tqdm(
+        total=sum(_pictures(item, work.topics) for item in items), unit="image", desc="denoising"
+    ) as bar:
         for item in items:
             try:
-                if item.kind == "shard":
-                    denoise_shard(
-                        item,
-                        out,
-                        denoise,
-                        weights_sha256=denoise.digest,
-                        compare=chosen.compare,
-                        tick=bar.update,
-                    )
-                elif item.kind == "pings":
-                    warning = denoise_pings(
-                        item, out, denoise, compare=chosen.compare, tick=bar.update
-                    )
-                    warnings += [warning] if warning else []
-                else:
-                    work = denoise_video if item.kind == "video" else denoise_file
-                    work(item, out, denoise, geometries.of, compare=chosen.compare, tick=bar.update)
+                warnings += filter(None, [work.on(item, bar.update)])
             except FrameError as error:
                 failures.append(str(error))
                 bar.set_postfix(failed=len(failures))
@@ -99,18 +189,32 @@ def main(arguments: Sequence[str]) -> int:
         print(f"skipped: {line}", file=sys.stderr)
     for line in warnings:
         print(f"warning: {line}", file=sys.stderr)
-    for line in geometries.summary():
-        print(line)
-    if denoise.unchanged:
-        print(
-            f"given back as they came: {denoise.unchanged} of {denoise.pictures} picture(s), "
-            "because the network expected too little of denoising them; --always denoises them, too"
-        )
-    print(f"denoised: {len(items) - len(failures)} file(s) in {out}")
-    return 1 if failures else 0
+    return len(failures)
 
 
-def _pictures(item: Item) -> int:
+def _watch(work: _Work, watched: Watched, every_s: float) -> int:
+    """Denoise what comes, with a line each; returns how many files could not be."""
+    failures = 0
+
+    def on(item: Item) -> None:
+        nonlocal failures
+        began = time.perf_counter()
+        try:
+            warning = work.on(item, lambda: None)
+        except FrameError as error:
+            failures += 1
+            print(f"skipped: {error}", file=sys.stderr, flush=True)
+            return
+        if warning:
+            print(f"warning: {warning}", file=sys.stderr, flush=True)
+        print(f"{item.relative}: {time.perf_counter() - began:.2f} s", flush=True)
+
+    print(f"watching {watched.folder}; Ctrl-C ends", flush=True)
+    watch(watched, on, every_s)
+    return failures
+
+
+def _pictures(item: Item, topics: Sequence[str]) -> int:
     """How many pictures a file holds, for the progress bar; 0 for one that cannot be read."""
     if item.kind == "image":
         return 1
@@ -118,6 +222,8 @@ def _pictures(item: Item) -> int:
         if item.kind == "shard":
             with open_shard(item.source) as shard:
                 return len(shard["noisy"])
+        if item.kind == "bag":
+            return len(open_bag(item, topics))
         with open_recording(item.source) as recording:
             return len(recording)
     except FactoryError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise.files import Gray
 from simnfnd.models.denoise.tile import Maps, tiled
+from simnfnd.models.removal import DEFAULT, vector
 
 TILE, OVERLAP = 1024, 96
 
@@ -19,15 +21,22 @@ class Denoiser:
     """Trained weights as a function of a picture.
 
     digest: SHA-256 of the weights file.  tile, overlap: see `simnfnd.models.denoise.tile`.
-    pictures, unchanged: how many pictures it was given, and how many it returned unchanged.
     """
 
     def __init__(
-        self, weights: Path, device: str, tile: int, overlap: int, always: bool = False
+        self,
+        weights: Path,
+        device: str,
+        tile: int,
+        overlap: int,
+        remove: Sequence[str] | None = None,
+        strength: float = 1.0,
     ) -> None:
-        """always: also denoise pictures for which the network expects too small a gain.
+        """remove: artefacts of `formation.contract.ARTEFACTS`; None: the usual ones.
 
-        Raises FactoryError for a file that holds no weights, and for a GPU that is not there.
+        strength: part of the change that a picture gets, 0 to 1.
+        Raises FactoryError for a file that holds no weights, for a GPU that is not there, and for
+        artefacts that there are not or that the network cannot be asked for.
         """
         import torch  # seconds; `--help` and typing errors need not wait for it
 
@@ -35,12 +44,9 @@ class Denoiser:
 
         self.trained = load_weights(weights)
         self.digest = hashlib.sha256(weights.read_bytes()).hexdigest()
-        self.tile, self.overlap = tile, overlap
-        self.pictures = self.unchanged = 0
+        self.tile, self.overlap, self.strength = tile, overlap, np.float32(strength)
         network = self.trained.network
-        self._least_gain_db = None if always else network.least_gain_db
-        # The limit is applied to whole pictures below: single unchanged tiles would be visible.
-        network.disable_gain_limit()
+        self._told = _told(network.extras, remove)
         has_gpu = torch.cuda.is_available()
         if device == "gpu" and not has_gpu:
             raise FactoryError("--device gpu: no usable GPU here; use --device cpu")
@@ -62,35 +68,48 @@ class Denoiser:
         if geometry is not None and extras:
             found = geometry.maps(0, 0, *gray.shape)
             maps = {name: found[name] for name in extras if name in found}
-        gains_db: list[float] = []
+        weights: list[float] = []
         areas: list[int] = []
 
         def denoise_tile(part: Gray, maps: Maps) -> Gray:
-            denoised, gain_db = self._denoise_tile(part, maps)
-            if gain_db is not None:
-                gains_db.append(gain_db)
-                areas.append(part.size)
+            denoised, weight = self._denoise_tile(part, maps)
+            weights.append(weight)
+            areas.append(part.size)
             return denoised
 
         denoised = tiled(denoise_tile, gray, maps, self.tile, self.overlap)
-        self.pictures += 1
-        least_db = self._least_gain_db
-        if least_db is not None and np.average(gains_db, weights=areas) < least_db:
-            self.unchanged += 1
-            return gray.copy()
-        return denoised
+        # One weight for the whole picture: single tiles with less change would be visible.
+        part = self.strength * np.float32(np.average(weights, weights=areas))
+        return np.asarray(np.clip(gray + part * (denoised - gray), 0, 1), np.float32)
 
-    def _denoise_tile(self, gray: Gray, maps: Maps) -> tuple[Gray, float | None]:
+    def _denoise_tile(self, gray: Gray, maps: Maps) -> tuple[Gray, float]:
         import torch
 
-        from simnfnd.models.training.samples import denoise_with_gain
+        from simnfnd.models.training.samples import denoise_with_weight
 
         images = {"noisy": gray, **maps}
         batch = {
             name: torch.from_numpy(np.ascontiguousarray(image))[None, None]
             for name, image in images.items()
         }
-        return denoise_with_gain(self.trained.network, batch)
+        if self._told is not None:
+            batch["remove"] = torch.from_numpy(self._told)[None]
+        return denoise_with_weight(self.trained.network, batch)
+
+
+def _told(extras: Sequence[str], remove: Sequence[str] | None) -> Gray | None:
+    """What the network is told to remove, (6,); None where it cannot be told."""
+    if "remove" not in extras:
+        if remove is not None:
+            raise FactoryError(
+                "--remove: these weights always remove the same; use those that ship, or train "
+                "model=sonarnet"
+            )
+        return None
+    try:
+        return vector(DEFAULT if remove is None else remove)
+    except ValueError as error:
+        raise FactoryError(f"--remove: {error}") from error
 
 
 def load_denoiser(
@@ -99,14 +118,15 @@ def load_denoiser(
     *,
     tile: int = TILE,
     overlap: int = OVERLAP,
-    always: bool = False,
+    remove: Sequence[str] | None = None,
+    strength: float = 1.0,
 ) -> Denoiser:
     """A function that denoises one gray image.
 
     weights: a file that training wrote, the name of weights that ship, or None for the default of
-    these.  always: see `Denoiser`.
+    these.  remove, strength: see `Denoiser`.
     Raises FactoryError when there are none, and as `Denoiser` does.
     """
     from simnfnd.models.pretrained import find_weights
 
-    return Denoiser(find_weights(weights), device, tile, overlap, always)
+    return Denoiser(find_weights(weights), device, tile, overlap, remove, strength)

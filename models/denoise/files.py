@@ -19,9 +19,12 @@ from simnfnd.factory.files import write_atomically
 from simnfnd.factory.recordings import Frame, Recording, open_recording
 from simnfnd.factory.recordings.aris import ArisFile
 from simnfnd.factory.recordings.fans import fan_of, grey_of, polar_geometry
+from simnfnd.factory.recordings.video import VideoFile
 from simnfnd.factory.sonar.geometry import FanGeometry, recorded_sonar
 from simnfnd.models.data.images import FULL_SCALE, decode
 from simnfnd.models.denoise.inputs import Item
+from simnfnd.models.denoise.steady import Steady, in_kind_of
+from simnfnd.models.denoise.videos import FrameFiles
 
 SCHEMA = "simnfnd-denoised/1"
 
@@ -33,7 +36,8 @@ Find = Callable[[Item, npt.NDArray[Any]], FanGeometry | None]
 Tick = Callable[[], object]
 """Called after every picture."""
 
-_COMPARED = 4
+COMPARED = 4
+"""How many pictures of one file `--compare` shows."""
 
 
 def denoise_image(
@@ -75,18 +79,21 @@ def denoise_file(
     *,
     compare: bool,
     tick: Tick,
+    steady: Steady | None = None,
 ) -> None:
     """Denoise one image file into `out`.  FrameError when it cannot be read."""
     try:
         image = decode(item.source)
-        denoised = denoise_image(image, denoise, geometry_of(item, image))
+        geometry = geometry_of(item, image)
+        average = image if steady is None else steady.of_picture(item, image, geometry)
+        denoised = in_kind_of(denoise_image(average, denoise, geometry), image)
     except (FactoryError, ValueError) as error:
         text = str(error)
         named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
         raise FrameError(named) from error
     _write_image(out / item.relative, denoised)
     if compare:
-        _write_compared(out, item.relative, [(image, denoised)])
+        write_compared(out, item.relative, [(image, denoised)])
     tick()
 
 
@@ -98,25 +105,38 @@ def denoise_video(
     *,
     compare: bool,
     tick: Tick,
+    steady: Steady | None = None,
 ) -> None:
-    """Denoise the frames of a video into PNG files of a folder of its name.
+    """Denoise a video into one without loss, or into PNG files of a folder of its name.
 
-    PNG, because a video codec would add artefacts of its own.  FrameError when it has no frames.
+    See `FrameFiles` for which.  FrameError when it has no frames.
     """
     shown = []
-    with _opened(item) as recording:
-        for frame in recording:
+    with _opened(item) as recording, FrameFiles(out / item.relative, rate_of(recording)) as files:
+
+        def place(picture: npt.NDArray[Any]) -> FanGeometry | None:
+            return geometry_of(item, picture)
+
+        for frame, average in (steady or Steady()).of_recording(recording, place):
             picture = frame.samples
-            denoised = denoise_image(picture, denoise, geometry_of(item, picture))
-            _write_image(out / item.relative / f"{frame.number:06d}.png", denoised)
-            if frame.number < _COMPARED:
+            denoised = in_kind_of(denoise_image(average, denoise, place(picture)), picture)
+            files.add(denoised)
+            if frame.number < COMPARED:
                 shown.append((picture, denoised))
             tick()
     if compare:
-        _write_compared(out, item.relative, shown)
+        write_compared(out, item.relative, shown)
 
 
-def denoise_pings(item: Item, out: Path, denoise: Denoise, *, compare: bool, tick: Tick) -> str:
+def denoise_pings(
+    item: Item,
+    out: Path,
+    denoise: Denoise,
+    *,
+    compare: bool,
+    tick: Tick,
+    steady: Steady | None = None,
+) -> str:
     """Denoise a sonar's own recording, ping by ping, ranges by beams.
 
     An ARIS recording becomes one, with the same headers; others a folder of its name with a fan
@@ -126,11 +146,12 @@ def denoise_pings(item: Item, out: Path, denoise: Denoise, *, compare: bool, tic
     shown: list[tuple[Gray, Gray]] = []
 
     def denoised(recording: Recording) -> Iterator[tuple[Frame, npt.NDArray[Any]]]:
-        for frame in recording:
+        # All of a ping was measured, so no place is needed to average.
+        for frame, average in (steady or Steady()).of_recording(recording, lambda _: None):
             assert frame.beams is not None
             geometry = polar_geometry(frame.beams, len(frame.samples))
-            samples = denoise_image(frame.samples, denoise, geometry)
-            if compare and frame.number < _COMPARED:
+            samples = in_kind_of(denoise_image(average, denoise, geometry), frame.samples)
+            if compare and frame.number < COMPARED:
                 after = replace(frame, samples=samples)
                 fans = (fan_of(grey_of(one), frame.beams)[0] for one in (frame, after))
                 shown.append((next(fans), next(fans)))
@@ -152,8 +173,13 @@ def denoise_pings(item: Item, out: Path, denoise: Denoise, *, compare: bool, tic
                 _write_image(path / f"{frame.number:06d}_polar.png", samples)
         warning = recording.warning
     if compare:
-        _write_compared(out, item.relative, shown)
+        write_compared(out, item.relative, shown)
     return warning
+
+
+def rate_of(recording: Recording) -> float | None:
+    """Frames a second of a video; None where that is not known."""
+    return recording.rate_hz if isinstance(recording, VideoFile) else None
 
 
 def _opened(item: Item) -> Recording:
@@ -204,7 +230,7 @@ def denoise_shard(
                 denoised[row] = denoise_image(image, denoise, geometry(row))
             except (OSError, ValueError) as error:
                 raise FrameError(f"{item.source}: sample {row} is damaged ({error})") from error
-            if row < _COMPARED:
+            if row < COMPARED:
                 shown.append(tuple(x / full for x in (image, denoised[row], source["clean"][row])))
             tick()
         target.flush()
@@ -213,7 +239,22 @@ def denoise_shard(
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, content)
     if compare and shown:
-        _write_compared(out, item.relative, shown)
+        write_compared(out, item.relative, shown)
+
+
+def made_of_points(path: Path) -> bool:
+    """Whether the pictures of a shard have the paper's noise: acoustics.formation=points.
+
+    Raises FrameError when it is not a shard of this program, or damaged.
+    """
+    try:
+        with open_shard(path) as shard:
+            config = json.loads(shard.attrs["config"])
+            return config.get("devices") is None and "acoustics" not in config
+    except (KeyError, TypeError, ValueError):
+        return False
+    except FactoryError as error:
+        raise FrameError(str(error)) from error
 
 
 def _geometry_of(shard: h5py.File) -> Callable[[int], FanGeometry | None]:
@@ -238,7 +279,7 @@ def _write_image(path: Path, image: npt.NDArray[Any]) -> None:
     write_atomically(path, content.tobytes())
 
 
-def _write_compared(out: Path, relative: Path, rows: Sequence[Sequence[npt.NDArray[Any]]]) -> None:
+def write_compared(out: Path, relative: Path, rows: Sequence[Sequence[npt.NDArray[Any]]]) -> None:
     """Noisy, denoised (and clean) side by side, one row a sample."""
     lines = []
     for images in rows:

@@ -1,4 +1,4 @@
-"""What `simnfnd denoise` is given: images, folders, datasets, shards, videos and recordings."""
+"""What `simnfnd denoise` is given: images, folders, datasets, shards, videos, recordings, bags."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from simnfnd.factory.dataset.format.manifest import MANIFEST_NAME
 from simnfnd.factory.dataset.read.reader import shard_paths
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import READERS, kind_of
+from simnfnd.factory.recordings.rosbag_files import is_bag_folder
 from simnfnd.models.data.images import IMAGE_SUFFIXES
 
 PING_KINDS = ("aris", "ddf", "oculus")
@@ -19,25 +20,27 @@ SHARD_SUFFIXES = (".h5", ".hdf5")
 SUFFIXES = (
     *IMAGE_SUFFIXES,
     *SHARD_SUFFIXES,
-    *(suffix for kind in ("video", *PING_KINDS) for suffix in READERS[kind][1]),
+    *(suffix for kind in ("video", "rosbag", *PING_KINDS) for suffix in READERS[kind][1]),
 )
 
 
 @dataclass(frozen=True)
 class Item:
-    """One input file and its name below the output folder."""
+    """One input file (or a folder that is a bag) and its name below the output folder."""
 
     source: Path
     relative: Path
 
     @property
-    def kind(self) -> Literal["image", "shard", "video", "pings"]:
+    def kind(self) -> Literal["image", "shard", "video", "pings", "bag"]:
         """By the suffix of its name."""
         if self.source.suffix.lower() in SHARD_SUFFIXES:
             return "shard"
         kind = kind_of(self.source)
         if kind in PING_KINDS:
             return "pings"
+        if kind == "rosbag":
+            return "bag"
         return "video" if kind == "video" else "image"
 
 
@@ -72,21 +75,30 @@ def _of_input(path: Path, out: Path) -> Iterator[Item]:
         yield Item(path, Path(path.name))
     elif not path.is_dir():
         raise FactoryError(f"{path}: no such file or folder")
+    elif is_bag_folder(path):
+        yield Item(path, Path(path.resolve().name))
     elif (path / MANIFEST_NAME).is_file():
         for shard in shard_paths(path, "all"):
             yield Item(shard, shard.relative_to(path))
     else:
-        found = [
-            file
-            for file in sorted(path.rglob("*"))
-            if file.suffix.lower() in SUFFIXES and file.is_file() and not _is_below(file, out)
-        ]
+        found = items_below(path, out)
         if not found:
             raise FactoryError(
                 f"{path}: holds no image, shard, video or recording ({', '.join(SUFFIXES)})"
             )
-        for file in found:
-            yield Item(file, file.relative_to(path))
+        yield from found
+
+
+def items_below(folder: Path, out: Path) -> list[Item]:
+    """All files (and folders that are bags) below a folder, but for those below `out`."""
+    bags = [file.parent for file in folder.rglob("metadata.yaml") if is_bag_folder(file.parent)]
+    files = [
+        file
+        for file in folder.rglob("*")
+        if file.suffix.lower() in SUFFIXES and file.is_file() and file.parent not in bags
+    ]
+    found = [file for file in sorted([*bags, *files]) if not _is_below(file, out)]
+    return [Item(file, file.relative_to(folder)) for file in found]
 
 
 def _is_below(file: Path, folder: Path) -> bool:

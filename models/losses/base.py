@@ -16,13 +16,14 @@ from simnfnd.factory.settings import STRICT
 NotNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
 BatchTensors = Mapping[str, Tensor]
-"""What else a batch holds (see `models`); losses read `noisy`, `shadow`, `shadow_logits`, `gain_db`
+"""What else a batch holds (see `models`); losses read `noisy`, `shadow`, `shadow_logits`, `weight`
 and `progress`."""
 _PSNR_FLOOR = 1e-4
 """Added to the mean squared difference in `decibels`: below it, at 40 dB, gains count little."""
 _EQUAL = 1e-10
-"""Mean squared difference of images that count as equal: 100 dB."""
-_GAIN_LIMITS_DB = -4.0, 10.0
+"""Mean squared difference of pictures that count as equal: 100 dB."""
+_CLEAN = 1e-4
+"""In `blend` a picture counts as if its noise had at least this mean square, 40 dB."""
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -35,14 +36,15 @@ class Loss:
     images count as much as noisy ones.
     mask: weight of the binary cross entropy between the true shadow and the logits of the mask
     head; no effect without such a head or without a known shadow.
-    gain: weight of the smooth L1 difference between the gain of PSNR that a network with heads
-    expects and the true one, clamped to -4..10 dB, beyond which there is nothing to decide.
+    blend: weight of the binary cross entropy between the weight that a network with heads gives its
+    change of a picture and the best one there is, each picture counting as the mean square of its
+    change over that of its noise, at most 1; teaches that weight alone.
     """
 
     square: NotNegative = 0.0
     decibels: NotNegative = 0.0
     mask: NotNegative = 0.05
-    gain: NotNegative = 0.02
+    blend: NotNegative = 0.02
 
     def image(self, prediction: Tensor, clean: Tensor, batch: BatchTensors) -> Tensor:
         """Scalar tensor: how far the images are apart."""
@@ -62,11 +64,13 @@ class Loss:
         if self.mask and "shadow_logits" in batch and "shadow" in batch:
             logits, shadow = batch["shadow_logits"], batch["shadow"]
             loss = loss + self.mask * functional.binary_cross_entropy_with_logits(logits, shadow)
-        if self.gain and "gain_db" in batch and "noisy" in batch:
-            after = (prediction.detach() - clean).square().mean(dim=(1, 2, 3))
-            before = (batch["noisy"] - clean).square().mean(dim=(1, 2, 3))
-            gain_db = 10 * torch.log10((before + _EQUAL) / (after + _EQUAL))
-            expected = batch["gain_db"]
-            target = gain_db.clamp(*_GAIN_LIMITS_DB).to(expected.dtype)
-            loss = loss + self.gain * functional.smooth_l1_loss(expected, target)
+        if self.blend and "weight" in batch and "noisy" in batch:
+            change = (prediction.detach() - batch["noisy"]).float()
+            noise = (clean - batch["noisy"]).float()
+            power = change.square().mean(dim=(1, 2, 3))
+            best = ((change * noise).mean(dim=(1, 2, 3)) / (power + _EQUAL)).clamp(0, 1)
+            counts = power / (noise.square().mean(dim=(1, 2, 3)) + _CLEAN)
+            given = batch["weight"].float()
+            off = functional.binary_cross_entropy(given, best, counts.clamp(max=1))
+            loss = loss + self.blend * off
         return loss

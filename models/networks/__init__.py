@@ -10,12 +10,13 @@ A network is one file beside this one with a settings class and a torch module, 
 - `extras`, a class attribute, names its optional inputs; each is a keyword of `forward` and of
   `with_heads` that may be left out or None where it is unknown: `range_fraction` (N, 1, H, W),
   slant range of a pixel over range_max; `azimuth_rad` (N, 1, H, W), positive to the right; `sector`
-  (N, 1, H, W), 1 inside the insonified sector and 0 outside.  Batches hold them under these names.
+  (N, 1, H, W), 1 inside the insonified sector and 0 outside; `remove` (N, 6), 1 for each artefact
+  to remove (`simnfnd.models.removal`).  Batches hold them under these names.
 - A network with `has_heads = True` predicts more: where `forward` returns the image alone,
-  `with_heads(x, ...)` returns (image, shadow_logits, gain_db): logits (N, 1, H, W) of shadow, and
-  (N,) the expected gain of PSNR.
+  `with_heads(x, ...)` returns (image, shadow_logits, weight): logits (N, 1, H, W) of shadow, and
+  (N,) the part of its change, 0 to 1, that `forward` gives each picture.
 - A loss is `loss(prediction, clean, batch)`; the batch holds `noisy`, `clean`, `shadow`
-  (N, 1, H, W) float, 1 in shadow, where it is known, `shadow_logits` and `gain_db` from a
+  (N, 1, H, W) float, 1 in shadow, where it is known, `shadow_logits` and `weight` from a
   network with heads, and `progress`, a scalar, the fraction of the training that is done.
 - A network with `adversarial = True` is trained against a discriminator
   (`simnfnd.models.training.adversarial`), any other by `simnfnd.models.training.module`; both

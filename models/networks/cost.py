@@ -104,7 +104,9 @@ def example(network: Network, size_px: int) -> tuple[Tensor, dict[str, Tensor]]:
         "sector": sector.float()[None, None],
     }
     device = next(network.parameters()).device
-    return image.to(device), {name: known[name].to(device) for name in network.extras}
+    return image.to(device), {
+        name: plane.to(device) for name, plane in known.items() if name in network.extras
+    }
 
 
 def _attention_flops(

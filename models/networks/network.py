@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+Step = Callable[[Tensor], Tensor]
+
 
 class NetworkOutput(NamedTuple):
     """What a network with heads returns for N pictures.
 
-    image: (N, C, H, W).  shadow_logits: (N, 1, H, W), positive where it sees shadow.
-    gain_db: (N,), the gain of PSNR that it expects of `image` over its input, dB.
+    image: (N, C, H, W), with the whole change.  shadow_logits: (N, 1, H, W), positive where it sees
+    shadow.  weight: (N,), the part of the change that the picture should get, 0 to 1.
     """
 
     image: Tensor
     shadow_logits: Tensor
-    gain_db: Tensor
+    weight: Tensor
 
 
 class Network(nn.Module):
@@ -29,7 +31,7 @@ class Network(nn.Module):
     it) and implements `restore`, or `restore_with_heads` if it has heads.
     """
 
-    extras: ClassVar[tuple[str, ...]] = ()
+    extras: tuple[str, ...] = ()
     has_heads: ClassVar[bool] = False
     adversarial: ClassVar[bool] = False
 
@@ -39,7 +41,9 @@ class Network(nn.Module):
 
     def restore(self, noisy: Tensor, **extras: Tensor) -> Tensor:
         """(N, channels, H, W) -> the same; H and W divide by `stride`; extras as given."""
-        return self.restore_with_heads(noisy, **extras).image
+        output = self.restore_with_heads(noisy, **extras)
+        part = output.weight[:, None, None, None].to(noisy.dtype)
+        return noisy + part * (output.image - noisy)
 
     def restore_with_heads(self, noisy: Tensor, **extras: Tensor) -> NetworkOutput:
         """Like `restore`, with the output of the heads."""
@@ -54,12 +58,12 @@ class Network(nn.Module):
         return self._restored(self.restore(image, **known), noisy)
 
     def with_heads(self, noisy: Tensor, **extras: Tensor | None) -> NetworkOutput:
-        """The image of `forward`, with the output of the heads.
+        """The image with its whole change, not weighed as by `forward`, and the heads' output.
 
         Raises ValueError and TypeError as `forward` does, and TypeError without heads.
         """
         if not self.has_heads:
-            raise TypeError(f"{type(self).__name__} has no heads for shadow and gain")
+            raise TypeError(f"{type(self).__name__} has no heads")
         image, known = self._prepared(noisy, extras)
         output = self.restore_with_heads(image, **known)
         height, width = noisy.shape[-2:]
@@ -67,16 +71,8 @@ class Network(nn.Module):
         return NetworkOutput(
             self._restored(output.image, noisy),
             logits.mean(dim=1, keepdim=True),
-            output.gain_db.reshape(len(noisy), -1).mean(dim=1),
+            output.weight.reshape(len(noisy), -1).mean(dim=1),
         )
-
-    @property
-    def least_gain_db(self) -> float | None:
-        """Pictures with a smaller expected gain of PSNR are returned unchanged; None: never."""
-        return None
-
-    def disable_gain_limit(self) -> None:
-        """Denoise every picture from now on, whatever the expected gain."""
 
     def _prepared(
         self, noisy: Tensor, extras: dict[str, Tensor | None]
@@ -117,11 +113,11 @@ def padded(x: Tensor, stride: int) -> Tensor:
 
 def down_and_up(
     x: Tensor,
-    encoders: Iterable[nn.Module],
-    downs: Iterable[nn.Module],
-    middle: nn.Module,
-    ups: Iterable[nn.Module],
-    decoders: Iterable[nn.Module],
+    encoders: Iterable[Step],
+    downs: Iterable[Step],
+    middle: Step,
+    ups: Iterable[Step],
+    decoders: Iterable[Step],
 ) -> Tensor:
     """(N, C, H, W) through all levels to the coarsest and back, (N, C, H, W), with added skips."""
     skips = []

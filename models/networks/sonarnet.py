@@ -3,10 +3,13 @@
 - It works on a polar grid: where the geometry of a fan picture is known, the picture is resampled
   to range and bearing, and the network's correction is resampled back to the fan's pixels
   (`networks.polar`).  The noisy picture itself is never resampled, so no detail is lost.
-- Range, bearing and the insonified sector of every cell are inputs.
-- A second head predicts shadow (no echo at all); the picture is multiplied by one minus that.
-- A third (`networks.gain_head`) predicts the gain of PSNR.  Where that is too small, because hardly
-  anything is wrong with a picture, the picture is returned unchanged; never in training.
+- Range, bearing and the insonified sector of every cell are inputs, and what is to be removed is
+  told, too: six numbers that scale and shift the features of every level (FiLM, Perez et al. 2018).
+- Means along whole beams and arcs are part of the features (`networks.lines`).
+- A second head predicts shadow (black in the clean picture); the picture is multiplied by one minus
+  that.
+- A third (`networks.blend_head`) weighs the change of the whole picture, which falls to nothing
+  where hardly anything is wrong with it.
 - Plain 3x3 convolutions from half resolution down: they are what a CPU does fastest.
 
 Without geometry it works on the picture as it is; in training the geometry is withheld now and then
@@ -16,7 +19,6 @@ Without geometry it works on the picture as it is; in training the geometry is w
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
 import torch
@@ -25,12 +27,17 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 from torch.nn import functional
 
+from simnfnd.factory.formation.contract import ARTEFACTS
 from simnfnd.factory.settings import STRICT
-from simnfnd.models.networks.gain_head import GainHead
-from simnfnd.models.networks.network import Network, NetworkOutput, down_and_up, padded
+from simnfnd.models.networks.blend_head import BlendHead
+from simnfnd.models.networks.lines import LineContext, Lines
+from simnfnd.models.networks.network import Network, NetworkOutput, Step, down_and_up, padded
 from simnfnd.models.networks.polar import polar_grid
 from simnfnd.models.networks.unet import residual_blocks
+from simnfnd.models.removal import DEFAULT, vector
 
+_MAPS = ("range_fraction", "azimuth_rad", "sector")
+_TOLD = 32  # features of what is to be removed
 # Logit of shadow before anything is learned, and outside the sector.
 _FIRST, _OUTSIDE = -2.0, -10.0
 
@@ -42,13 +49,12 @@ class SonarNetSettings:
     widths: channels at half resolution and at each coarser one.
     blocks: residual blocks at each of these; but for the coarsest, again on the way up.
     polar: whether fan pictures of known geometry are processed on a polar grid.
+    lines: whether features get the means along whole beams and arcs.
     mask: whether the second head gates the picture with the shadow that it predicts.
-    least_gain_db: a picture is returned unchanged unless the third head expects this gain of PSNR;
-    null: never.  May be changed in trained weights (`simnfnd export-weights --set
-    least_gain_db=...`).
     mirror: whether it also denoises the mirrored picture and averages both results, for twice the
     work; not in training, so trained weights may change it.
     forget: part of the training steps in which the network gets no geometry.
+    told: whether the network is told what to remove; else it always removes the same.
     channels: of the images; 1, so that colours are denoised one by one.
     """
 
@@ -56,10 +62,11 @@ class SonarNetSettings:
     widths: tuple[Annotated[int, Field(ge=1, le=1024)], ...]
     blocks: tuple[Annotated[int, Field(ge=0, le=64)], ...]
     polar: bool
+    lines: bool
     mask: bool
-    least_gain_db: float | None
     forget: Annotated[float, Field(ge=0, le=1)]
     mirror: bool = False
+    told: bool = True
     channels: Literal[1] = 1
 
     def __post_init__(self) -> None:
@@ -71,9 +78,8 @@ class SonarNetSettings:
 
 
 class SonarNet(Network):
-    """Predicts what to add to the noisy picture, where it shows shadow, and the gain of PSNR."""
+    """Predicts what to add to the noisy picture, where it shows shadow, and how much of it."""
 
-    extras: ClassVar[tuple[str, ...]] = ("range_fraction", "azimuth_rad", "sector")
     has_heads: ClassVar[bool] = True
 
     def __init__(self, settings: SonarNetSettings) -> None:
@@ -82,7 +88,12 @@ class SonarNet(Network):
         self.settings = settings
         widths, blocks = settings.widths, settings.blocks
         self.core_stride = 2 ** len(widths)
-        self.intro = nn.Conv2d(4 * (1 + len(self.extras)), widths[0], 3, padding=1)
+        self.intro = nn.Conv2d(4 * (1 + len(_MAPS)), widths[0], 3, padding=1)
+        self.extras = (*_MAPS, "remove") if settings.told else _MAPS
+        if settings.told:
+            self.told = nn.Sequential(nn.Linear(len(ARTEFACTS), _TOLD), nn.ReLU())
+            self.films = nn.ModuleList(_film(width) for width in widths)
+        self.lines = LineContext(widths[0]) if settings.lines else None
         self.encoders, self.downs = nn.ModuleList(), nn.ModuleList()
         self.ups, self.decoders = nn.ModuleList(), nn.ModuleList()
         for fine, coarse, count in zip(widths, widths[1:], blocks, strict=False):
@@ -96,83 +107,107 @@ class SonarNet(Network):
         assert self.outro.bias is not None
         nn.init.constant_(self.outro.bias[:4], 0.0)
         nn.init.constant_(self.outro.bias[4:], _FIRST)
-        # Weights files and `train.parts` know the gain head by this name.
-        self.verdict = GainHead(widths[0])
+        self.blend = BlendHead(widths[0])
 
     def restore_with_heads(self, noisy: Tensor, **extras: Tensor) -> NetworkOutput:
-        """Picture (N, 1, H, W), logits (N, 1, H, W) of shadow, (N,) gain in dB, for any H and W.
+        """Picture (N, 1, H, W), logits (N, 1, H, W) of shadow, (N,) weight, for any H and W.
 
         Geometry counts only where `range_fraction` and `azimuth_rad` are both there; without
-        `sector` everything is insonified.
+        `sector` everything is insonified.  remove: (N, 6), 1 for each artefact to remove (see
+        `formation.contract.ARTEFACTS`); without it the usual ones.
         """
         output = self._single_pass(noisy, extras)
-        if self.training:
+        if self.training or not self.settings.mirror:
             return output
-        if self.settings.mirror:
-            mirrored = {name: plane.flip(-1) for name, plane in extras.items()}
-            if "azimuth_rad" in mirrored:
-                mirrored["azimuth_rad"] = -mirrored["azimuth_rad"]
-            image, shadow, gain_db = self._single_pass(noisy.flip(-1), mirrored)
-            output = NetworkOutput(
-                (output.image + image.flip(-1)) / 2,
-                (output.shadow_logits + shadow.flip(-1)) / 2,
-                (output.gain_db + gain_db) / 2,
-            )
-        if self.least_gain_db is None:
-            return output
-        unchanged = (output.gain_db < self.least_gain_db)[:, None, None, None]
-        return output._replace(image=torch.where(unchanged, noisy, output.image))
-
-    @property
-    def least_gain_db(self) -> float | None:
-        """See `Network`."""
-        return self.settings.least_gain_db
-
-    def disable_gain_limit(self) -> None:
-        """See `Network`."""
-        self.settings = replace(self.settings, least_gain_db=None)
+        maps = {name: extras[name].flip(-1) for name in _MAPS if name in extras}
+        if "azimuth_rad" in maps:
+            maps["azimuth_rad"] = -maps["azimuth_rad"]
+        image, shadow, weight = self._single_pass(noisy.flip(-1), {**extras, **maps})
+        return NetworkOutput(
+            (output.image + image.flip(-1)) / 2,
+            (output.shadow_logits + shadow.flip(-1)) / 2,
+            (output.weight + weight) / 2,
+        )
 
     def _single_pass(self, noisy: Tensor, extras: Mapping[str, Tensor]) -> NetworkOutput:
-        """The network's output for the picture, whatever the expected gain."""
+        remove = extras.get("remove")
+        if remove is None:
+            usual = torch.from_numpy(vector(DEFAULT)).to(noisy)
+            remove = usual.expand(len(noisy), -1)
         has_geometry = "range_fraction" in extras and "azimuth_rad" in extras
         if self.training and has_geometry and self.settings.forget:
             has_geometry = bool(torch.rand(()) >= self.settings.forget)
         if not has_geometry:
-            change, logits, gain_db = self._core(noisy, *_unknown(noisy))
-            return NetworkOutput(self._gated(noisy + change, logits), logits, gain_db)
+            change, logits, weight = self._core(remove, None, noisy, *_unknown(noisy))
+            return NetworkOutput(self._gated(noisy + change, logits), logits, weight)
         range_fraction, azimuth_rad = extras["range_fraction"], extras["azimuth_rad"]
         sector = extras.get("sector", torch.ones_like(noisy))
         grid = polar_grid(range_fraction, azimuth_rad, sector) if self.settings.polar else None
         if grid is None:
+            found = (azimuth_rad, range_fraction, sector)
             maps = _known(range_fraction, azimuth_rad, sector)
-            change, logits, gain_db = self._core(noisy, *maps)
+            change, logits, weight = self._core(remove, found, noisy, *maps)
         else:
             polar = grid.polar(torch.cat([noisy, sector], dim=1))
             maps = _known(grid.range_fraction, grid.azimuth_rad, polar[:, 1:])
-            *cells, gain_db = self._core(polar[:, :1], *maps)
+            *cells, weight = self._core(remove, None, polar[:, :1], *maps)
             change, logits = grid.fan(torch.cat(cells, dim=1)).chunk(2, dim=1)
         # Outside the sector there is nothing to denoise and no shadow.
         inside = sector > 0
         change = change.masked_fill(~inside, 0.0)
         image = self._gated(noisy + change, logits)
         image = torch.where(inside, image, noisy)
-        return NetworkOutput(image, logits.masked_fill(~inside, _OUTSIDE), gain_db)
+        return NetworkOutput(image, logits.masked_fill(~inside, _OUTSIDE), weight)
 
     def _gated(self, image: Tensor, logits: Tensor) -> Tensor:
         return image * torch.sigmoid(-logits) if self.settings.mask else image
 
-    def _core(self, *planes: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """What to add and logits of shadow, (N, 1, H, W) as the planes; expected gain, (N,) dB."""
+    def _core(
+        self, remove: Tensor, maps: tuple[Tensor, Tensor, Tensor] | None, *planes: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """What to add and logits of shadow, (N, 1, H, W) as the planes; the weight, (N,).
+
+        maps: azimuth, range and sector of a fan; None where columns are beams and rows ranges.
+        """
         height, width = planes[0].shape[-2:]
         x = torch.cat([padded(plane, self.core_stride) for plane in planes], dim=1)
         x = self.intro(functional.pixel_unshuffle(x, 2))
-        x = down_and_up(x, self.encoders, self.downs, self.middle, self.ups, self.decoders)
+        if self.lines is not None:
+            shape = (int(x.shape[-2]), int(x.shape[-1]))
+            if maps is None:
+                lines = Lines.of_grid(x, shape)
+            else:
+                azimuth, radius, inside = (padded(plane, self.core_stride) for plane in maps)
+                lines = Lines.of(azimuth, radius, inside, shape)
+            x = self.lines(x, lines)
+        encoders: list[Step] = list(self.encoders)
+        middle: Step = self.middle
+        if self.settings.told:
+            told = self.told(remove)
+            *films, coarsest = [film(told) for film in self.films]
+            encoders = [_after(*both) for both in zip(films, encoders, strict=True)]
+            middle = _after(coarsest, middle)
+        x = down_and_up(x, encoders, self.downs, middle, self.ups, self.decoders)
         heads = functional.pixel_shuffle(self.outro(x), 2)[..., :height, :width]
         noisy, change, logits = planes[0], heads[:, :1], heads[:, 1:]
         # The last plane is the sector's complement, or -1 where it is unknown.
         sector = 1 - planes[-1].clamp_min(0)
         denoised = self._gated(noisy + change, logits)
-        return change, logits, self.verdict(x, noisy, denoised - noisy, sector)
+        return change, logits, self.blend(x, noisy, denoised - noisy, sector)
+
+
+def _film(width: int) -> nn.Linear:
+    """Scales and shifts of `width` channels; none before anything is learned."""
+    film = nn.Linear(_TOLD, 2 * width)
+    nn.init.zeros_(film.weight)
+    nn.init.zeros_(film.bias)
+    return film
+
+
+def _after(film: Tensor, blocks: Step) -> Step:
+    """The blocks on features that were scaled and shifted before."""
+    scale, shift = film[:, :, None, None].chunk(2, dim=1)
+    return lambda x: blocks(x * (1 + scale) + shift)
 
 
 def _known(range_fraction: Tensor, azimuth_rad: Tensor, sector: Tensor) -> tuple[Tensor, ...]:

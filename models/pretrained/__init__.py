@@ -8,6 +8,8 @@ from simnfnd.factory.errors import FactoryError
 
 DEFAULT = "simnfnd"
 """Name of the weights that `simnfnd denoise` takes when none are given."""
+POINTS = "simnfnd-paper"
+"""Those for shards of acoustics.formation=points: trained on the paper's noise."""
 
 
 def shipped(folder: Path | None = None) -> dict[str, Path]:

@@ -73,7 +73,7 @@ def main(arguments: Sequence[str]) -> int:
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="a setting of the network that may change after training, for example least_gain_db=3",
+        help="a setting of the network that may change after training, for example mirror=true",
     )
     parser.add_argument("--figures", help="Markdown file with measured figures for the card")
     parser.add_argument("--limits", help="Markdown file that replaces the card's words on limits")

@@ -71,7 +71,7 @@ class DenoisingModule(LightningModule):
         if self.network.has_heads:
             output = self.network.with_heads(batch["noisy"], **extras)
             prediction = output.image
-            batch |= {"shadow_logits": output.shadow_logits, "gain_db": output.gain_db}
+            batch |= {"shadow_logits": output.shadow_logits, "weight": output.weight}
         else:
             prediction = self.network(batch["noisy"], **extras)
         return self.loss(prediction, batch["clean"], batch)

@@ -22,24 +22,26 @@ _GAP = 4
 
 def denoise_batch(network: nn.Module, batch: Batch) -> npt.NDArray[np.float32]:
     """(H, W) float32 in 0..1: the image of a batch of one, denoised and clipped."""
-    return denoise_with_gain(network, batch)[0]
+    image, weight = denoise_with_weight(network, batch)
+    noisy = np.asarray(batch["noisy"][0, 0].numpy(), np.float32)
+    return np.asarray(np.clip(noisy + np.float32(weight) * (image - noisy), 0, 1), np.float32)
 
 
-def denoise_with_gain(
-    network: nn.Module, batch: Batch
-) -> tuple[npt.NDArray[np.float32], float | None]:
-    """As `denoise_batch`, and the expected gain of PSNR in dB, None without a gain head."""
+def denoise_with_weight(network: nn.Module, batch: Batch) -> tuple[npt.NDArray[np.float32], float]:
+    """(H, W) float32 with the whole change, and the part of it that the picture should get.
+
+    The part is 1 of a network without heads.
+    """
     device = next(network.parameters()).device
     known = {n: batch[n].to(device) for n in getattr(network, "extras", ()) if n in batch}
-    noisy, gain_db = batch["noisy"].to(device), None
+    noisy, weight = batch["noisy"].to(device), 1.0
     with torch.inference_mode():
         if isinstance(network, Network) and network.has_heads:
             output = network.with_heads(noisy, **known)
-            result, gain_db = output.image, float(output.gain_db[0])
+            result, weight = output.image, float(output.weight[0])
         else:
             result = network(noisy, **known)
-        result = result.float().clamp(0, 1)
-    return np.asarray(result[0, 0].cpu().numpy(), dtype=np.float32), gain_db
+    return np.asarray(result[0, 0].float().cpu().numpy(), dtype=np.float32), weight
 
 
 def contact_sheet(network: nn.Module, batches: Sequence[Batch]) -> npt.NDArray[np.uint8]:

@@ -12,7 +12,6 @@ Both compare log(1 + log_gain * grey): multiplicative speckle is additive there.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import ClassVar
 
@@ -26,6 +25,7 @@ from simnfnd.models.data.pairs import Batch
 from simnfnd.models.losses.base import Loss
 from simnfnd.models.networks.network import Network
 from simnfnd.models.settings import SelfSupervisedData, TrainSettings
+from simnfnd.models.training.blind_spots import log_scale, mask_blind_spots
 from simnfnd.models.training.module import DenoisingModule
 
 _VALIDATION = -1
@@ -87,13 +87,7 @@ class SelfSupervisedModule(DenoisingModule):
         return loss
 
     def _log(self, grey: Tensor) -> Tensor:
-        """Grey values in 0..1 -> the logarithmic scale, also 0..1, on which they are compared."""
-        gain = self.data.log_gain
-        if not gain:
-            return grey
-        # Linear below black: a network may predict slightly negative values.
-        compressed = torch.log1p(gain * grey.clamp_min(0)) + gain * grey.clamp_max(0)
-        return compressed / math.log1p(gain)
+        return log_scale(grey, self.data.log_gain)
 
 
 def neighbour_pairs(shape: torch.Size, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
@@ -111,32 +105,3 @@ def select_pixels(image: Tensor, number: Tensor) -> Tensor:
     height, width = (2 * (side // 2) for side in image.shape[-2:])
     blocks = functional.pixel_unshuffle(image[..., :height, :width], 2)
     return blocks.gather(1, number.to(image.device))
-
-
-def mask_blind_spots(
-    noisy: Tensor, rng: np.random.Generator, share: float, radius: int
-) -> tuple[Tensor, Tensor]:
-    """The images with the surroundings of some pixels hidden, and which pixels (1, else 0).
-
-    Everything within `radius` of a chosen pixel is replaced by pixels of the image drawn from
-    between that and four more pixels away, so nothing of its own grain is left.
-    """
-    count, _, height, width = noisy.shape
-    # Fewer where surroundings are wide: they would hide the whole image.
-    chosen = rng.random((count, 1, height, width)) < min(share, 0.25 / (2 * radius + 1) ** 2)
-    chosen[:, :, height // 2, width // 2] |= ~chosen.any(axis=(1, 2, 3))[:, None]
-    mask = torch.from_numpy(chosen.astype(np.float32)).to(noisy.device)
-    near = functional.max_pool2d(mask, 2 * radius + 1, stride=1, padding=radius) > 0
-    length = rng.integers(radius + 1, radius + 5, size=(2, *chosen.shape))
-    step = length * rng.choice([-1, 1], size=length.shape)
-    rows = _reflected(np.arange(height)[:, None] + step[0], height)
-    columns = _reflected(np.arange(width)[None, :] + step[1], width)
-    index = torch.from_numpy(rows * width + columns).to(noisy.device)
-    elsewhere = noisy.flatten(2).gather(2, index.flatten(2)).view_as(noisy)
-    return torch.where(near, elsewhere, noisy), mask
-
-
-def _reflected(index: np.ndarray, size: int) -> np.ndarray:
-    """Indices mirrored at the borders."""
-    index = np.abs(index)
-    return np.clip(np.where(index >= size, 2 * (size - 1) - index, index), 0, size - 1)

@@ -63,7 +63,7 @@ def test_presets_are_the_published_devices(sonar, hfov_deg, vfov_deg, beams, fre
     )
 
 
-@pytest.mark.parametrize("group", ["render", "noise", "resample", "scenes"])
+@pytest.mark.parametrize("group", ["render", "noise", "resample", "scenes", "devices"])
 def test_every_choice_of_a_group_composes(group):
     for name in names(group):
         missing = ["scenes.root=somewhere"] if group == "scenes" and name != "seabed" else []
@@ -72,7 +72,9 @@ def test_every_choice_of_a_group_composes(group):
         # Effects of the complex field need it; those of points do not.
         text = (CONF / group / f"{name}.yaml").read_text()
         field = ["acoustics=field"] if group == "noise" and "speckle:" in text else []
-        config(f"{group}={name}", *missing, *field)
+        # Effects of both formations are for drawn devices, each of which has one of them.
+        drawn = ["devices=any_sonar"] if (group, name) == ("noise", "any_sonar") else []
+        config(f"{group}={name}", *missing, *field, *drawn)
 
 
 @pytest.mark.parametrize("experiment", names("experiment"))

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
+import pickle
+import runpy
 import subprocess
 import sys
 import venv
+from array import array
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+import torch
 
+from simnfnd import denoise
+from simnfnd.models.networks import build_network
+from simnfnd.models.networks.weights import save_weights
+from tests.fake_ros import write_fake_ros
 from tests.project_files import ROOT
 from tests.small_dataset import write_dataset
 
@@ -101,6 +112,57 @@ def test_workers_read_every_pair(dataset: Path, tmp_path: Path) -> None:
     done = run("load_with_workers.py", str(dataset), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("24 of 24 pairs, ")
+
+
+def test_a_node_of_ros_denoises_what_comes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two pictures and one that cannot be; a ping of a sonar.  ROS is a stand-in."""
+    monkeypatch.syspath_prepend(str(write_fake_ros(tmp_path / "fakes")))
+    monkeypatch.chdir(tmp_path)
+    for name in list(sys.modules):
+        if name.split(".")[0] in ("rclpy", "sensor_msgs", "marine_acoustic_msgs"):
+            monkeypatch.delitem(sys.modules, name)
+    msg = importlib.import_module("sensor_msgs.msg")
+    header = msg.Header(stamp=msg.Stamp(sec=7, nanosec=5), frame_id="sonar")
+    noise = np.random.default_rng(1).integers(0, 256, (40, 32), dtype=np.uint8)
+
+    def image(encoding: str) -> Any:
+        return msg.Image(
+            header=header, height=40, width=32, encoding=encoding, is_bigendian=0, step=32,
+            data=array("B", noise.tobytes()),
+        )  # fmt: skip
+
+    bearings = np.linspace(-0.5, 0.5, 32)
+    ping = msg.ProjectedSonarImage(
+        header=header,
+        ping_info=msg.PingInfo(frequency=1e6, sound_speed=1500.0),
+        beam_directions=[msg.Vector3(x=0.0, y=np.sin(b), z=np.cos(b)) for b in bearings],
+        ranges=array("f", np.arange(40) + 0.5),
+        image=msg.SonarImageData(
+            is_bigendian=False, dtype=0, beam_count=32, data=array("B", noise.tobytes())
+        ),
+    )
+    weights = tmp_path / "weights.safetensors"
+    config = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 0, "decoder": [1]}
+    torch.manual_seed(0)
+    save_weights(weights, build_network(config), config, {})
+    for kind, words, messages in (
+        ("Image", [], [image("mono8"), image("yuv422"), image("mono8")]),
+        ("ProjectedSonarImage", ["--sonar"], [ping]),
+    ):
+        (tmp_path / "messages").write_bytes(pickle.dumps(messages))
+        monkeypatch.setattr(sys, "argv", ["node", "/sonar", "--weights", str(weights), *words])
+        runpy.run_path(str(EXAMPLES / "ros2_denoise.py"), run_name="__main__")
+        topics, sent, said = pickle.loads((tmp_path / "result").read_bytes())
+        assert topics == [("/sonar/denoised", kind), ("/sonar", kind)]
+        assert len(sent) == len([one for one in messages if one is ping or one.encoding == "mono8"])
+        assert [line.split(":")[0] for line in said[1:]] == ["left out"] * (len(messages) > 1)
+        expected = denoise(noise, weights=weights)
+        for message in sent:
+            assert (message.header.stamp.sec, message.header.frame_id) == (7, "sonar")
+            data = (message if kind == "Image" else message.image).data
+            found = np.frombuffer(data, np.uint8).reshape(40, 32)
+            assert not np.array_equal(found, noise)
+            np.testing.assert_array_equal(found, expected)
 
 
 def test_every_example_is_tested() -> None:

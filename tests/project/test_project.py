@@ -18,6 +18,7 @@ MAX_LINES = 320
 # Slow or heavy to import: only inside the function that needs them.
 HEAVY = (
     "bpy", "open3d", "torch", "lightning", "matplotlib", "hdf5plugin", "pyarrow", "webdataset",
+    "huggingface_hub", "rosbags",
 )  # fmt: skip
 
 

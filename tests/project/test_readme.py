@@ -54,11 +54,11 @@ TABLE: dict[str, How] = {
         instead=(("train.steps=200", "train.steps=4"),),
     ),
     "simnfnd denoise outputs/demo --out outputs/denoised": Run(),
-    "simnfnd denoise dive.aris --out outputs/dive --always": Run(
+    "simnfnd denoise dive.aris --out outputs/dive": Run(
         instead=(("dive.aris", "{shared}/data/aris-sdk/sample.aris"),),
         needs="{shared}/data/aris-sdk/sample.aris",
     ),
-    "simnfnd denoise mdd/Images --out outputs/mdd --compare --always": Run(needs="{sandbox}/mdd"),
+    "simnfnd denoise mdd/Images --out outputs/mdd --compare": Run(needs="{sandbox}/mdd"),
     "simnfnd geometry mdd/Images --out outputs/fans": Run(needs="{sandbox}/mdd"),
     "simnfnd denoise outputs/demo --out outputs/denoised-own "
     "--weights outputs/models/nafnet/weights.safetensors": Run(),
@@ -69,7 +69,9 @@ TABLE: dict[str, How] = {
     ),
     "simnfnd evaluate compare outputs/evaluation/demo-test outputs/evaluation/demo-test "
     "--row-b noisy": Run(),
-    "simnfnd evaluate real mdd models=[simnfnd]": Run(("workers=1",), needs="{sandbox}/mdd"),
+    "simnfnd evaluate real mdd models=[simnfnd]": Run(
+        ("workers=1", "baselines=[median]"), needs="{sandbox}/mdd"
+    ),
     "simnfnd validate outputs/demo --deep": Run(),
 }
 

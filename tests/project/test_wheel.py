@@ -71,11 +71,11 @@ def test_wheel_holds_every_module_and_every_configuration_file(wheel: Path) -> N
         path.as_posix() if path.parts[0] == "simnfnd" else f"simnfnd/{path.as_posix()}"
         for path in files()
         if path.parts[0] in (*PACKAGES, "simnfnd")
-        and path.suffix in (".py", ".yaml", ".css", ".js", ".safetensors", ".typed")
+        and path.suffix in (".py", ".yaml", ".css", ".js", ".html", ".safetensors", ".typed")
     }
     assert wanted - names == set()
     assert {Path(name).suffix for name in wanted} == {
-        *(".py", ".yaml", ".css", ".js", ".safetensors", ".typed")
+        *(".py", ".yaml", ".css", ".js", ".html", ".safetensors", ".typed")
     }
     assert {name.split("/")[0] for name in names} == {"simnfnd"}
     assert "License-Expression: Apache-2.0" in text

@@ -15,7 +15,8 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.format.layout import image_axes, object_inside, optional_layers
+from simnfnd.factory.dataset.format.axes import image_axes
+from simnfnd.factory.dataset.format.layout import object_inside, optional_layers
 from simnfnd.factory.dataset.format.schema import SPLITS, VALUE_RANGES, Layer, layers, stores_grey
 from simnfnd.factory.dataset.read.image_stack import ImageStack
 from simnfnd.factory.dataset.read.reader import read_attributes, reading

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.dataset.describe import palette
-from simnfnd.factory.dataset.format.layout import image_axes
+from simnfnd.factory.dataset.format.axes import image_axes
 from simnfnd.factory.dataset.format.manifest import MANIFEST_NAME, load_manifest
 from simnfnd.factory.dataset.format.schema import VALUE_RANGES
 from simnfnd.factory.dataset.read.image_stack import ImageStack

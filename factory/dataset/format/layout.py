@@ -16,9 +16,13 @@ from typing import Any
 
 import h5py
 import numpy as np
+import numpy.typing as npt
 
-from simnfnd.factory.dataset.format.sample import Axis
+from simnfnd.factory.dataset.format.axes import Place, contiguous_place
+from simnfnd.factory.dataset.format.checksums import check_contents, has_checksums
+from simnfnd.factory.dataset.format.filters import chain_of
 from simnfnd.factory.dataset.format.schema import (
+    CHECKSUMS,
     EFFECT_FOLDER,
     OPTIONAL_LAYERS,
     REQUIRED_COLUMNS,
@@ -36,10 +40,9 @@ MAX_PIXELS = 1 << 24
 _MAX_ROW_BYTES = 1 << 16
 _MAX_LAYERS = 64
 _MAX_AXES = 8
-# deflate, shuffle, fletcher32, lzf, zstd: what the writer uses.  Any other filter would be a
-# library that HDF5 loads from wherever HDF5_PLUGIN_PATH points.
-_FILTERS = {1, 2, 3, 32000, 32015}
-_ZSTD = 32015
+# Of all layers of a shard together: what is noted of each takes some hundred bytes.
+_MAX_CHUNKS = 1 << 20
+_MAX_TABLE_BYTES = 1 << 27
 _TEXT_ATTRIBUTES = ("generator", "config", "config_hash", "split")
 
 
@@ -56,22 +59,32 @@ def check_shard(file: h5py.File) -> None:
             f"schema {str(schema)[:40]!r}, but this program reads {SCHEMA!r}; "
             "use a matching release"
         )
-    shape = _dataset_inside(file, "noisy").shape
-    dtype = str(file["noisy"].dtype)
+    noisy = _dataset_inside(file, "noisy")
+    shape, dtype = noisy.shape, str(noisy.dtype)
+    if len(shape) != 3:
+        raise FactoryError(f"/noisy is {shape}; expected samples, rows and columns")
     if dtype not in VALUE_RANGES:
         raise FactoryError(f"/noisy is {dtype}; expected {' or '.join(VALUE_RANGES)}")
     size = file.id.get_filesize()
-    places: list[tuple[int, int, str]] = []
-    for layer in layers(dtype, optional_layers(file)):
+    places: list[Place] = []
+    known = layers(dtype, optional_layers(file))
+    if shape[0] * len(known) > _MAX_CHUNKS:
+        raise FactoryError(f"claims {shape[0]} samples; at most {_MAX_CHUNKS} pictures go")
+    for layer in known:
         places += _check_stack(_dataset_inside(file, layer.name), layer, shape, size)
     table = _dataset_inside(file, "meta")
     _check_table(table, shape[0], size)
-    places += _contiguous_place(table, "meta", size)
+    places += contiguous_place(table, "meta", size)
+    if has_checksums(file):
+        places += _checked_sums(file, [layer.name for layer in known], shape[0], size)
     for name in _axis_names(file):
-        places += _contiguous_place(_dataset_inside(file, f"axes/{name}"), f"axes/{name}", size)
+        places += contiguous_place(_dataset_inside(file, f"axes/{name}"), f"axes/{name}", size)
     _check_apart(places)
     _check_attributes(file)
-    _check_text(table)
+    rows = table[()]
+    _check_text(rows)
+    if has_checksums(file):
+        check_contents(file, rows)
 
 
 def optional_layers(file: h5py.File) -> tuple[str, ...]:
@@ -84,12 +97,6 @@ def optional_layers(file: h5py.File) -> tuple[str, ...]:
             raise FactoryError(f"/{folder} is no group of at most {_MAX_LAYERS} layers")
         names += [f"{EFFECT_FOLDER}{name}" for name in sorted(group)]
     return tuple(names)
-
-
-def image_axes(stack: h5py.Dataset) -> tuple[Axis, Axis]:
-    """Row and column axes of an image stack.  Raises FactoryError when one cannot be read."""
-    _check_scale_references(stack)
-    return _axis(stack, 1), _axis(stack, 2)
 
 
 def config_of(file: h5py.File) -> dict[str, Any]:
@@ -125,32 +132,6 @@ def object_inside(file: h5py.File, name: str) -> Any:
     return file[name]
 
 
-def _axis(stack: h5py.Dataset, dimension: int) -> Axis:
-    size = stack.shape[dimension]
-    try:
-        scale = stack.dims[dimension][0] if len(stack.dims[dimension]) else None
-    except (OSError, RuntimeError, ValueError, KeyError) as error:
-        raise FactoryError(f"the axes of {stack.name} are damaged; generate it again") from error
-    if scale is None or scale.shape != (size,) or scale.dtype.kind not in "iuf":
-        raise FactoryError(f"dimension {dimension} of {stack.name} has no axis of {size} numbers")
-    name = str(scale.name).removeprefix("/axes/")
-    _contiguous_place(scale, f"axes/{name}", scale.file.id.get_filesize())
-    texts = [str(scale.attrs.get(key, "")) for key in ("units", "description")]
-    return Axis(name, texts[0], np.asarray(scale[()], dtype=np.float64), texts[1])
-
-
-def _check_scale_references(stack: h5py.Dataset) -> None:
-    """HDF5 follows whatever stands in DIMENSION_LIST, and dies of numbers there."""
-    name = b"DIMENSION_LIST"
-    if not h5py.h5a.exists(stack.id, name):
-        raise FactoryError(f"{stack.name} has no axes; generate the shard again")
-    attribute = h5py.h5a.open(stack.id, name)
-    kind = attribute.get_type()
-    listed = isinstance(kind, h5py.h5t.TypeVlenID) and attribute.shape == (stack.ndim,)
-    if not listed or not kind.get_super().equal(h5py.h5t.STD_REF_OBJ):
-        raise FactoryError(f"the axes of {stack.name} are damaged; generate it again")
-
-
 def _axis_names(file: h5py.File) -> list[str]:
     if not _exists(file, "axes"):
         return []
@@ -182,7 +163,7 @@ def _prefixes(name: str) -> Iterator[str]:
 
 def _check_stack(
     stack: h5py.Dataset, layer: Layer, shape: tuple[int, ...], file_bytes: int
-) -> list[tuple[int, int, str]]:
+) -> list[Place]:
     """The (first byte, end, name) of every chunk of a sound stack."""
     name = f"/{layer.name}"
     if stack.ndim != 3 or stack.shape != shape:
@@ -196,21 +177,19 @@ def _check_stack(
         raise FactoryError(f"{name} is {stack.dtype}; expected {wanted}")
     if stack.chunks != (1, *picture):
         raise FactoryError(f"{name} has chunks {stack.chunks}; expected one for each picture")
-    filtered = _check_filters(stack, name)
+    chain = chain_of(stack)
     full = picture[0] * picture[1] * stack.dtype.itemsize
-    # zstd, deflate and lzf all grow incompressible data by far less.
-    most, least = (full + full // 16 + 4096, 1) if filtered else (full, full)
-    places: list[tuple[int, int, str]] = []
+    places: list[Place] = []
 
     def check_chunk(chunk: Any) -> None:
         number = len(places)
-        if not least <= chunk.size <= most:
-            raise FactoryError(f"{name} has a chunk of {chunk.size} bytes for {full} of pixels")
         # Their table has no checksum, and HDF5 would show another picture, or no picture's bytes.
         if chunk.chunk_offset != (number, 0, 0) or number >= samples:
             raise FactoryError(f"{name}: its table of chunks is damaged; generate it again")
-        if chunk.filter_mask:
-            raise FactoryError(f"{name} sample {number} skips its filters; generate it again")
+        if not chain.may_be(chunk.filter_mask, chunk.size, full):
+            if chunk.filter_mask:
+                raise FactoryError(f"{name} sample {number} skips its filters; generate it again")
+            raise FactoryError(f"{name} has a chunk of {chunk.size} bytes for {full} of pixels")
         if chunk.byte_offset is None or chunk.byte_offset + chunk.size > file_bytes:
             raise FactoryError(f"{name} sample {number} lies beyond the file; generate it again")
         places.append((chunk.byte_offset, chunk.byte_offset + chunk.size, name))
@@ -221,22 +200,7 @@ def _check_stack(
     return places
 
 
-def _contiguous_place(
-    dataset: h5py.Dataset, name: str, file_bytes: int
-) -> list[tuple[int, int, str]]:
-    """The (first byte, end, name) of a dataset that is stored in one piece, as it must be."""
-    if dataset.id.get_create_plist().get_layout() != h5py.h5d.CONTIGUOUS:
-        raise FactoryError(f"/{name} is stored in chunks; the schema keeps it in one piece")
-    size = int(np.prod(dataset.shape, dtype=np.int64)) * dataset.id.get_type().get_size()
-    if not size:
-        return []
-    start = dataset.id.get_offset()
-    if start is None or start + size > file_bytes or dataset.id.get_storage_size() != size:
-        raise FactoryError(f"/{name} is not where the file says; generate it again")
-    return [(start, start + size, f"/{name}")]
-
-
-def _check_apart(places: list[tuple[int, int, str]]) -> None:
+def _check_apart(places: list[Place]) -> None:
     """No two pieces of data may share bytes: one of them would be read from a wrong place."""
     places.sort()
     for (_, end, one), (start, _, two) in pairwise(places):
@@ -244,23 +208,14 @@ def _check_apart(places: list[tuple[int, int, str]]) -> None:
             raise FactoryError(f"{one} and {two} share bytes of the file; generate it again")
 
 
-def _check_filters(stack: h5py.Dataset, name: str) -> bool:
-    """Whether the chunks of a stack are filtered; raises FactoryError for any unknown filter."""
-    plist = stack.id.get_create_plist()
-    codes = [plist.get_filter(index)[0] for index in range(plist.get_nfilters())]
-    if not _FILTERS.issuperset(codes) or len(set(codes)) != len(codes):
-        raise FactoryError(f"{name} uses filters {codes}, which are not of {SCHEMA}")
-    if _ZSTD in codes and not h5py.h5z.filter_avail(_ZSTD):
-        try:
-            import hdf5plugin  # noqa: F401  (registers its filters; 186 MB, so only when needed)
-        except ImportError as error:
-            raise FactoryError(
-                "compressed with zstd, which needs the hdf5plugin package: "
-                "pip install 'simnfnd[zstd]'"
-            ) from error
-    if not all(h5py.h5z.filter_avail(code) for code in codes):
-        raise FactoryError(f"{name} uses filters {codes}, which this h5py lacks; renew h5py")
-    return bool(codes)
+def _checked_sums(file: h5py.File, names: list[str], samples: int, file_bytes: int) -> list[Place]:
+    """Where /checksums lies, which must have a row a sample and a column a layer."""
+    table = _dataset_inside(file, CHECKSUMS)
+    columns = table.dtype.names or ()
+    numbers = all(table.dtype[name] == np.dtype("<u4") for name in columns)
+    if table.shape != (samples,) or sorted(columns) != sorted(names) or not numbers:
+        raise FactoryError(f"/{CHECKSUMS} does not fit the layers; generate the shard again")
+    return contiguous_place(table, CHECKSUMS, file_bytes)
 
 
 def _check_table(table: h5py.Dataset, samples: int, file_bytes: int) -> None:
@@ -273,8 +228,9 @@ def _check_table(table: h5py.Dataset, samples: int, file_bytes: int) -> None:
     text = {table.dtype[name].kind for name in REQUIRED_COLUMNS[:3]}
     if not kinds <= set("iufS") or text != {"S"} or table.dtype["variant"].kind not in "iu":
         raise FactoryError("/meta has columns of types that the schema does not know")
-    if table.dtype.itemsize > _MAX_ROW_BYTES or table.dtype.itemsize * samples > file_bytes:
-        raise FactoryError("/meta claims more bytes than the file has")
+    size = table.dtype.itemsize * samples
+    if table.dtype.itemsize > _MAX_ROW_BYTES or size > min(file_bytes, _MAX_TABLE_BYTES):
+        raise FactoryError("/meta claims more bytes than the file has, or than a table may have")
 
 
 def _check_attributes(file: h5py.File) -> None:
@@ -302,11 +258,10 @@ def _text_attribute(file: h5py.File, name: str) -> str:
     return value
 
 
-def _check_text(table: h5py.Dataset) -> None:
+def _check_text(rows: npt.NDArray[Any]) -> None:
     """Names are decoded wherever they are shown."""
-    rows = table[()]
-    for name in table.dtype.names:
-        if table.dtype[name].kind == "S":
+    for name in rows.dtype.names or ():
+        if rows.dtype[name].kind == "S":
             try:
                 for value in rows[name].tolist():
                     value.decode()

@@ -17,6 +17,8 @@ from typing import Any
 from simnfnd.factory.dataset.format.schema import SCHEMA, SPLITS
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import explain_os_errors, sha256_of, write_atomically
+from simnfnd.factory.ownership import check_fences
+from simnfnd.factory.small_files import one_line, parse_json, read_regular
 
 MANIFEST_NAME = "manifest.json"
 # What was settled since manifest.json was written; gone when a run has ended.
@@ -28,8 +30,9 @@ CONFIG_NAME = "config.yaml"
 # Keys of a configuration under which those of earlier datasets are kept.
 PARTS = ("merged", "extends")
 
-# A shard takes some 400 bytes: enough for a million of them.
-_MAX_BYTES = 1 << 29
+# A shard takes some 400 bytes.
+MAX_SHARDS = 200_000
+_MAX_BYTES = 1 << 27
 _PATH = re.compile(rf"({'|'.join(SPLITS)})/[A-Za-z0-9_-]+\.h5")
 
 
@@ -154,6 +157,7 @@ class Additions:
 
     def note(self, path: str, info: ShardInfo | None) -> None:
         """Add that the shard at `path` is finished, or (None) that there is none."""
+        check_fences(self._path)
         entry = {"path": path, "shard": asdict(info) if info else None}
         with explain_os_errors(self._path), self._path.open("ab") as file:
             if not file.tell():
@@ -170,11 +174,8 @@ def load_manifest(directory: Path, part: str = "") -> Manifest | None:
     """
     path = directory / part_name(MANIFEST_NAME, part)
     try:
-        size = path.stat().st_size
-        if not path.is_file() or size > _MAX_BYTES:
-            raise ValueError(f"{size} bytes, or no regular file")
-        content = path.read_bytes()
-        document = json.loads(content)
+        content = read_regular(path, _MAX_BYTES)
+        document = parse_json(content)
         if document["schema"] != SCHEMA:
             raise ValueError(f"schema is {document['schema']!r}, expected {SCHEMA!r}")
         shards = [_shard(item) for item in document["shards"]]
@@ -188,8 +189,8 @@ def load_manifest(directory: Path, part: str = "") -> Manifest | None:
         return None
     except OSError as error:
         raise FactoryError(f"{path}: cannot be read ({error.strerror})") from error
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        reason = " ".join(str(error).split())[:200]
+    except (ValueError, KeyError, TypeError) as error:
+        reason = one_line(error)
         raise FactoryError(
             f"{path}: damaged ({reason}); delete it and run again, the shards are then made anew"
         ) from error
@@ -201,20 +202,17 @@ def load_manifest(directory: Path, part: str = "") -> Manifest | None:
 def _take_in(added: Path, manifest_sha256: str, shards: dict[str, ShardInfo]) -> None:
     """Bring `shards` up to date; stops at the first line that a crash has spoilt."""
     try:
-        # Nothing but a regular file: whoever wrote it, a pipe would wait for ever.
-        if not added.is_file() or added.stat().st_size > _MAX_BYTES:
-            return
-        first, *lines = added.read_bytes().split(b"\n")[:-1] or [b""]
-        if json.loads(first)["manifest"] != manifest_sha256:
+        first, *lines = read_regular(added, _MAX_BYTES).split(b"\n")[:-1] or [b""]
+        if parse_json(first)["manifest"] != manifest_sha256:
             return
         for line in lines:
-            entry = json.loads(line)
+            entry = parse_json(line)
             info = _shard(entry["shard"]) if entry["shard"] else None
             if info is None:
                 shards.pop(str(entry["path"]), None)
             else:
                 shards[info.path] = info
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError):
         return
 
 

@@ -93,7 +93,13 @@ ROOT_ATTRIBUTES = {
     "split": "train or test",
     "value_range": "values of /noisy and /clean that stand for no echo and full scale",
     "value_meaning": "what a value of /noisy and /clean is; for its limits see below",
+    "checksum": "of the attributes above, /meta, /axes and /checksums; see below",
+    "text_checksum": "of units, descriptions and all else that layers, columns and axes state",
 }
+# Those of them that are made of all the rest; absent in shards of earlier versions.
+SEALS = ("checksum", "text_checksum")
+# A row a sample, a column a layer: CRC-32 of each picture.
+CHECKSUMS = "checksums"
 
 VALUE_MEANING = "echo strength after the transfer curve in `config`, the same for noisy and clean"
 
@@ -126,7 +132,7 @@ def config_text(config: Mapping[str, Any]) -> str:
 
 
 def root_attributes(provenance: Provenance, split: str, dtype: str) -> dict[str, Any]:
-    """Root attribute name -> value, in the order of ROOT_ATTRIBUTES."""
+    """Root attribute name -> value, in the order of ROOT_ATTRIBUTES, without the checksums."""
     values = {
         "schema": SCHEMA,
         "generator": provenance.generator,
@@ -136,7 +142,7 @@ def root_attributes(provenance: Provenance, split: str, dtype: str) -> dict[str,
         "value_range": np.asarray(VALUE_RANGES[dtype], dtype=dtype),
         "value_meaning": VALUE_MEANING,
     }
-    return {name: values[name] for name in ROOT_ATTRIBUTES}
+    return {name: values[name] for name in ROOT_ATTRIBUTES if name not in SEALS}
 
 
 def table_dtype(columns: Sequence[Column]) -> np.dtype[np.void]:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import yaml
-
 from simnfnd.factory.dataset.format.manifest import CONFIG_NAME
 from simnfnd.factory.dataset.format.schema import DATASET_NAME
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.small_files import load_yaml, one_line
 
 
 def dataset_settings(directory: Path) -> dict[str, object]:
@@ -19,12 +18,13 @@ def dataset_settings(directory: Path) -> dict[str, object]:
     """
     path = directory / CONFIG_NAME
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+        values = load_yaml(path)
     except FileNotFoundError:
         return {}
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
-        reason = " ".join(str(error).split())[:120]
-        raise FactoryError(f"{path}: cannot be read ({reason}); restore or delete it") from error
+    except (OSError, ValueError) as error:
+        raise FactoryError(
+            f"{path}: cannot be read ({one_line(error)}); restore or delete it"
+        ) from error
     block = values.get("dataset") if isinstance(values, dict) else None
     if not isinstance(block, dict):
         return {}

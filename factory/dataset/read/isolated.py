@@ -21,8 +21,8 @@ from simnfnd.factory.errors import FactoryError
 
 T = TypeVar("T")
 
-# Beyond what the process has after its imports.
-_MEMORY_BYTES = 4 << 30
+# Beyond what the process has after its imports; a picture has 64 MB at most.
+_MEMORY_BYTES = 800 << 20
 
 
 class IsolatedProcess:

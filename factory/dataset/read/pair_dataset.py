@@ -5,17 +5,23 @@ from __future__ import annotations
 import operator
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, SupportsIndex
+from typing import Any, Literal, SupportsIndex, get_args
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.format.layout import image_axes
-from simnfnd.factory.dataset.format.manifest import INDEX_NAME, ShardInfo, load_manifest
+from simnfnd.factory.dataset.format.axes import image_axes
+from simnfnd.factory.dataset.format.manifest import (
+    INDEX_NAME,
+    MANIFEST_NAME,
+    ShardInfo,
+    load_manifest,
+)
 from simnfnd.factory.dataset.format.sample import Axis
 from simnfnd.factory.dataset.format.schema import EFFECT_FOLDER, VALUE_RANGES, layers
 from simnfnd.factory.dataset.read.image_stack import Image
@@ -28,19 +34,32 @@ from simnfnd.factory.dataset.read.reader import (
     reading,
 )
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import sha256_of
 
 Sample = dict[str, Image]
+Verify = Literal["checksums", "hash"]
 
 
 @dataclass(frozen=True)
 class _Expected:
-    """Refuses a shard that is not the one that the manifest listed when the dataset was opened."""
+    """Refuses a shard that is not the one that the manifest listed when the dataset was opened.
+
+    hashed: the shards whose SHA-256 was compared; None when that is not asked for.
+    """
 
     root: Path
     shards: dict[Path, ShardInfo]
+    hashed: set[Path] | None
 
     def __call__(self, path: Path, file: h5py.File) -> None:
         info = self.shards.get(path)
+        if info and self.hashed is not None and path not in self.hashed:
+            if sha256_of(path) != info.sha256:
+                raise FactoryError(
+                    f"{path}: SHA-256 differs from the manifest's; run the command that made the "
+                    "dataset again"
+                )
+            self.hashed.add(path)
         found = (len(file["noisy"]), path.stat().st_size)
         if info and found != (info.samples, info.bytes):
             raise FactoryError(
@@ -67,11 +86,16 @@ class PairDataset:
     manifest.json decides which shards count; while a run adds some, the ones of the moment of
     opening stay.
 
+    verify: "checksums" compares those of pictures, tables and texts at every read; shards of
+    earlier versions have fewer.  "hash" compares the SHA-256 of each shard with the manifest, too,
+    when this process opens it for the first time.
+
     trusted: False has another process open every shard first (a third of a second, and some
     milliseconds a shard), because a damaged file can make HDF5 crash or hang.
 
     Raises FactoryError: no dataset, an empty split, another schema, a shard that is absent, damaged
-    or compressed by what is not installed, pictures of several sizes.
+    or compressed by what is not installed, pictures of several sizes, verify="hash" without
+    manifest.json.
     """
 
     def __init__(
@@ -82,12 +106,19 @@ class PairDataset:
         layers: Sequence[str] = ("noisy", "clean"),
         scaled: bool = False,
         trusted: bool = False,
+        verify: Verify = "checksums",
     ) -> None:
+        if verify not in get_args(Verify):
+            raise FactoryError(f"verify={verify!r}: checksums or hash")
         self.folder = _folder(Path(folder))
         self.split, self.layers, self.scaled = split, tuple(layers), scaled
         _check_names(self.layers)
         manifest = load_manifest(self.folder)
         self.paths = listed_shards(self.folder, split, manifest)
+        if verify == "hash" and manifest is None:
+            raise FactoryError(
+                f"{self.folder}: verify='hash' needs {MANIFEST_NAME}, which has them"
+            )
         listed = manifest.shards if manifest else {}
         self._config_hash = manifest.config_hash if manifest else ""
         infos = {self.folder / name: info for name, info in listed.items()}
@@ -95,7 +126,8 @@ class PairDataset:
             check_in_isolation(self.paths)
         self._counts = [infos[p].samples if p in infos else _count(p) for p in self.paths]
         self._ends = list(accumulate(self._counts))
-        self._shards = OpenShards(_Expected(self.folder, infos))
+        self._expected = _Expected(self.folder, infos, set() if verify == "hash" else None)
+        self._shards = OpenShards(self._expected)
         self._form: tuple[tuple[int, int], str, str] | None = None
 
     def __len__(self) -> int:
@@ -149,7 +181,7 @@ class PairDataset:
     @property
     def axes(self) -> tuple[Axis, Axis]:
         """Row and column axes of the images."""
-        with reading(self.paths[0]) as file:
+        with self._reading(self.paths[0]) as file:
             return image_axes(file["noisy"])
 
     def meta(self) -> npt.NDArray[np.void]:
@@ -159,7 +191,7 @@ class PairDataset:
         """
         tables, shapes = [], set()
         for path in self.paths:
-            with reading(path) as file:
+            with self._reading(path) as file:
                 tables.append(file["meta"][()])
                 shapes.add(file["noisy"].shape[1:])
         if len(shapes) > 1:
@@ -180,6 +212,12 @@ class PairDataset:
 
     def __repr__(self) -> str:
         return f"PairDataset({str(self.folder)!r}, {self.split!r}, {len(self)} samples)"
+
+    @contextmanager
+    def _reading(self, path: Path) -> Iterator[h5py.File]:
+        with reading(path) as file:
+            self._expected(path, file)
+            yield file
 
     def _index(self, item: Any) -> int:
         if isinstance(item, bool | np.bool_):
@@ -224,7 +262,7 @@ class PairDataset:
 
     def _read_form(self) -> tuple[tuple[int, int], str, str]:
         if self._form is None:
-            with reading(self.paths[0]) as file:
+            with self._reading(self.paths[0]) as file:
                 noisy = file["noisy"]
                 shape = (noisy.shape[1], noisy.shape[2])
                 self._form = shape, str(noisy.dtype), str(file.attrs["config_hash"])

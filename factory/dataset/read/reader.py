@@ -11,7 +11,9 @@ from typing import Literal
 import h5py
 import numpy as np
 
-from simnfnd.factory.dataset.format.layout import check_shard, image_axes, inside, optional_layers
+from simnfnd.factory.dataset.format.axes import image_axes
+from simnfnd.factory.dataset.format.checksums import check_texts
+from simnfnd.factory.dataset.format.layout import check_shard, inside, optional_layers
 from simnfnd.factory.dataset.format.manifest import Manifest, load_manifest
 from simnfnd.factory.dataset.format.schema import SPLITS
 from simnfnd.factory.dataset.read.isolated import IsolatedProcess
@@ -92,10 +94,15 @@ def check_readable(path: Path) -> None:
 
 
 def read_attributes(file: h5py.File) -> None:
-    """Read all attributes of an open shard, which may raise almost any exception."""
+    """Read all attributes of an open shard, which may raise almost any exception.
+
+    Raises FactoryError when they differ from their checksum.
+    """
     dict(file.attrs)
-    for name in ("noisy", "clean", "shadow", "meta", *optional_layers(file)):
+    names = ("noisy", "clean", "shadow", *optional_layers(file))
+    for name in (*names, "meta"):
         dict(file[name].attrs)
+    check_texts(file, names)
 
 
 def check_split(path: Path, file: h5py.File) -> None:

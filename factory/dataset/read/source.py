@@ -12,7 +12,8 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.format.layout import config_of, image_axes, optional_layers
+from simnfnd.factory.dataset.format.axes import image_axes
+from simnfnd.factory.dataset.format.layout import config_of, optional_layers
 from simnfnd.factory.dataset.format.sample import Column
 from simnfnd.factory.dataset.read.image_stack import ImageStack
 from simnfnd.factory.dataset.read.reader import Split, check_split, reading, shard_paths

@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 from isal import isal_zlib
 
+from simnfnd.factory.dataset.format.filters import fletcher32
+
 # What isal calls levels are others than zlib's, but these two are alike in size.
 _ISAL_LEVEL = 1
-# Of the sums of a piece of so many words.
-_WEIGHTS = np.arange(1 << 16, 0, -1, dtype=np.float64)
 
 
 def write_gzip_chunk(
@@ -37,23 +37,3 @@ def deflate(image: npt.NDArray[np.generic], level: int) -> bytes:
     if level == _ISAL_LEVEL:
         return isal_zlib.compress(image.data, level)
     return zlib.compress(image.data, level)
-
-
-def fletcher32(content: bytes) -> int:
-    """HDF5's variant of Fletcher's checksum, which ends every chunk.
-
-    Of big-endian 16-bit words w_1 .. w_n, an odd last byte being the upper half of one: the sums of
-    w_i and of (n + 1 - i) w_i, each modulo 65535 where 0 stands for itself alone (H5checksum.c).
-    """
-    words = np.frombuffer(content + b"\0" * (len(content) % 2), ">u2").astype(np.float64)
-    low = high = 0
-    for start in range(0, len(words), len(_WEIGHTS)):
-        piece = words[start : start + len(_WEIGHTS)]
-        # Whole numbers below 2**53, so exact in any order.
-        high += low * len(piece) + int((piece * _WEIGHTS[-len(piece) :]).sum())
-        low += int(piece.sum())
-    return _folded(high) << 16 | _folded(low)
-
-
-def _folded(total: int) -> int:
-    return (total - 1) % 65535 + 1 if total else 0

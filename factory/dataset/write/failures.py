@@ -12,8 +12,10 @@ from simnfnd.factory.dataset.format.manifest import part_name
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
 from simnfnd.factory.frame import FrameRef
+from simnfnd.factory.small_files import one_line, parse_json, read_regular
 
 FAILURES_NAME = "failed.jsonl"
+_MOST_BYTES = 1 << 27
 _KEYS = ("frame", "shard", "kind", "reason", "command")
 
 FailureKind = Literal["frame", "error", "crash", "timeout"]
@@ -71,9 +73,16 @@ def load_failures(directory: Path) -> list[dict[str, str]]:
     for path in sorted(
         {*directory.glob(FAILURES_NAME), *directory.glob(part_name(FAILURES_NAME, "*-of-*"))}
     ):
-        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        try:
+            lines = read_regular(path, _MOST_BYTES).decode().splitlines()
+        except (OSError, ValueError) as error:
+            raise FactoryError(
+                f"{path}: cannot be read ({one_line(error)}); run the dataset's command again, it "
+                "is written anew"
+            ) from error
+        for number, line in enumerate(lines, start=1):
             try:
-                item = json.loads(line)
+                item = parse_json(line)
                 items.append({key: str(item[key]) for key in _KEYS})
             except (ValueError, KeyError, TypeError) as error:
                 raise FactoryError(

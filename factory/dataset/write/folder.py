@@ -31,6 +31,8 @@ from simnfnd.factory.files import (
     remove_stale_temporaries,
     write_atomically,
 )
+from simnfnd.factory.ownership import check_fences
+from simnfnd.factory.small_files import read_regular
 
 CARD_NAME = "README.md"
 PREVIEW_NAME = "preview.png"
@@ -120,7 +122,7 @@ def with_slices(directory: Path, manifest: Manifest) -> Manifest:
 
 def _passes(name: str) -> bool:
     """Whether a file comes and goes with runs."""
-    return is_temporary(name) or name.startswith((".lock", ".claim-", WORK_NAME))
+    return is_temporary(name) or name.startswith((".lock", ".claim-", ".dead-", WORK_NAME))
 
 
 def _foreign_files(directory: Path) -> str:
@@ -141,6 +143,7 @@ def slice_manifests(directory: Path) -> Iterator[Manifest]:
 
 def forget_slices(directory: Path) -> None:
     """Remove the manifests, failures and states of slices, once the whole holds them."""
+    check_fences(directory)
     for name in (MANIFEST_NAME, ADDED_NAME, FAILURES_NAME, STATUS_NAME):
         for path in directory.glob(part_name(name, "*-of-*")):
             path.unlink(missing_ok=True)
@@ -232,8 +235,7 @@ def _leaves(value: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 def _hash_in_config(directory: Path) -> str | None:
     try:
-        with (directory / CONFIG_NAME).open(encoding="utf-8") as file:
-            match = _HASH.search(file.readline())
+        match = _HASH.search(read_regular(directory / CONFIG_NAME).partition(b"\n")[0].decode())
     except (OSError, UnicodeDecodeError):
         return None
     return match[1] if match else None

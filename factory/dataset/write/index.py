@@ -14,12 +14,14 @@ from typing import Any
 import h5py
 import numpy as np
 
-from simnfnd.factory.dataset.format.layout import image_axes, optional_layers
+from simnfnd.factory.dataset.format.axes import image_axes
+from simnfnd.factory.dataset.format.layout import optional_layers
 from simnfnd.factory.dataset.format.manifest import INDEX_NAME, Manifest, ShardInfo
 from simnfnd.factory.dataset.format.schema import (
     LIBRARY_VERSIONS,
     ROOT_ATTRIBUTES,
     SAMPLE_DIMENSION,
+    SEALS,
     SPLITS,
     config_text,
     layer_attributes,
@@ -31,7 +33,7 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
 
 # What every shard says in the same words; the index says it once.
-_SHARED_ATTRIBUTES = tuple(name for name in ROOT_ATTRIBUTES if name != "split")
+_SHARED_ATTRIBUTES = tuple(name for name in ROOT_ATTRIBUTES if name not in ("split", *SEALS))
 
 
 def write_index(directory: Path, manifest: Manifest) -> Path:

@@ -10,6 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from simnfnd.factory.dataset.format.checksums import crc32, write_checksums
 from simnfnd.factory.dataset.format.manifest import ShardInfo
 from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
 from simnfnd.factory.dataset.format.schema import (
@@ -54,6 +55,7 @@ def write_shard(
     split = relative.split("/")[0]
     compression = compression_filter(settings)
     rows: list[tuple[Any, ...]] = []
+    sums: dict[str, list[int]] = {}
     dtype = table_dtype(columns)
     # The file is made in memory: it goes to disk in one write, its SHA-256 costs no second read,
     # and HDF5, which cannot close a file on a full disk, never touches the disk.
@@ -80,6 +82,7 @@ def write_shard(
                 image = image_of(pair, layer.name)
                 if stores_grey(layer):
                     image = stored_image(image, layer.dtype)
+                sums.setdefault(layer.name, []).append(crc32(image))
                 if settings.compression == "gzip":
                     write_gzip_chunk(stack, len(rows) - 1, image, settings.compression_level)
                 else:
@@ -89,6 +92,7 @@ def write_shard(
         _write_table(file, np.array(rows, dtype=dtype), columns)
         for key, value in root_attributes(provenance, split, settings.dtype).items():
             file.attrs[key] = value
+        write_checksums(file, sums)
         file.flush()
         content = file.id.get_file_image()
     path = root / relative

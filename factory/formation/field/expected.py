@@ -56,10 +56,18 @@ class Expected:
         return self.echo + self.noise + self.steady
 
 
-def expected(ping: Ping, effects: Sequence[DrawnEffect], *, systematic: bool = True) -> Expected:
+def expected(
+    ping: Ping,
+    effects: Sequence[DrawnEffect],
+    *,
+    systematic: bool = True,
+    realised: bool = False,
+) -> Expected:
     """The expected intensities after time-varying gain.
 
     systematic: whether the systematic ones of the effects act, or the random ones alone.
+    realised: whether random effects act as they do in this one sample, where that can be told, or
+        on average.
     """
     none = [np.zeros(ping.shape, np.float32) for _ in range(3)]
     state = Expected(none[0], none[1], ping.expected.copy(), none[2])
@@ -68,7 +76,7 @@ def expected(ping: Ping, effects: Sequence[DrawnEffect], *, systematic: bool = T
             state.scale(ping.gain[:, None])
         for effect in effects:
             if effect.stage == stage and (systematic or not effect.systematic):
-                effect.expect(state, ping)
+                (effect.realise if realised else effect.expect)(state, ping)
     return state
 
 

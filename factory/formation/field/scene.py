@@ -122,6 +122,22 @@ class FieldSample:
         grey = transfer.grey(level, float(full_scale), ping.sonar.transfer)
         return polar.where_seen(grey, ping.window, ping.sonar)
 
+    def without(self, artefacts: Collection[str]) -> Floats:
+        """See `contract.Sample`."""
+        ping = self.scene.ping
+        kept = {e.name for e in self.effects if e.artefact not in artefacts}
+        if "speckle" not in artefacts:
+            return self.noisy(kept)
+        # Speckle is not switched off but averaged: its mean lifts and lowers a display of levels.
+        averaged = [e for e in self.effects if e.name in kept or e.artefact == "speckle"]
+        state = expected(ping, averaged, realised=True)
+        for cloud in self.clouds:
+            if cloud.name in kept:
+                extra = polar.accumulate(cloud.echoes, ping.window, ping.sonar)
+                state.steady += np.float32(ping.full_scale) * extra**2
+        grey = display(state, ping.full_scale, ping.sonar.transfer)
+        return polar.where_seen(grey, ping.window, ping.sonar)
+
 
 def observe(surface: LitSurface, config: FactoryConfig) -> FieldScene:
     """See `contract.Formation`."""

@@ -73,4 +73,5 @@ BEAM_GAIN = Effect(
     "recording",
     systematic=True,
     expected=expect_beam_gain,
+    artefact="gains",
 )

@@ -72,4 +72,11 @@ def _alike(ping: Ping, step: int) -> float:
     return float(one @ other / np.sqrt((one @ one) * (other @ other)))
 
 
-CROSSTALK = Effect(CrosstalkSettings, crosstalk, "beam", systematic=True, expected=expect_crosstalk)
+CROSSTALK = Effect(
+    CrosstalkSettings,
+    crosstalk,
+    "beam",
+    systematic=True,
+    expected=expect_crosstalk,
+    artefact="haze",
+)

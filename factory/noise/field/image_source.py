@@ -128,6 +128,7 @@ SURFACE_MULTIPATH = Effect(
     "echo",
     systematic=True,
     expected=expect_surface_multipath,
+    artefact="ghosts",
 )
 BOTTOM_MULTIPATH = Effect(
     BottomMultipathSettings,
@@ -135,4 +136,5 @@ BOTTOM_MULTIPATH = Effect(
     "echo",
     systematic=True,
     expected=expect_bottom_multipath,
+    artefact="ghosts",
 )

@@ -134,8 +134,18 @@ def expect_comb_lines(
 
 
 RING_DOWN = Effect(
-    RingDownSettings, ring_down, "picture", systematic=True, expected=expect_ring_down
+    RingDownSettings,
+    ring_down,
+    "picture",
+    systematic=True,
+    expected=expect_ring_down,
+    artefact="spokes",
 )
 COMB_LINES = Effect(
-    CombLinesSettings, comb_lines, "picture", systematic=True, expected=expect_comb_lines
+    CombLinesSettings,
+    comb_lines,
+    "picture",
+    systematic=True,
+    expected=expect_comb_lines,
+    artefact="spokes",
 )

@@ -61,4 +61,6 @@ def expect_receiver(
     expected.noise += floor.astype(np.float32)
 
 
-RECEIVER = Effect(ReceiverSettings, receiver, "beam", systematic=True, expected=expect_receiver)
+RECEIVER = Effect(
+    ReceiverSettings, receiver, "beam", systematic=True, expected=expect_receiver, artefact="haze"
+)

@@ -47,5 +47,10 @@ def _limit(ping: Ping, level_db: float) -> Floats:
 
 
 SATURATION = Effect(
-    SaturationSettings, saturation, "picture", systematic=True, expected=expect_saturation
+    SaturationSettings,
+    saturation,
+    "picture",
+    systematic=True,
+    expected=expect_saturation,
+    artefact="gains",
 )

@@ -68,4 +68,6 @@ def expect_speckle(
     expected.looks = max(round(looks), 1)
 
 
-SPECKLE = Effect(SpeckleSettings, speckle, "echo", "world", expected=expect_speckle)
+SPECKLE = Effect(
+    SpeckleSettings, speckle, "echo", "world", expected=expect_speckle, artefact="speckle"
+)

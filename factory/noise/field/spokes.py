@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.distribution import AnyNumber, NonNegative
+from simnfnd.factory.formation.field.expected import Expected
 from simnfnd.factory.formation.field.signal import Floats, Ping
 from simnfnd.factory.noise.effect import Effect, EffectSettings, option, parameter
 from simnfnd.factory.settings import STRICT
@@ -44,6 +46,39 @@ def spokes(
     spacing: str = "random",
 ) -> Floats:
     """The field with noise added around the bearings of the spokes."""
+    for across, noise, amplitude in _each(
+        ping, rng, field.shape[0], count, level_db, width_beams, spacing
+    ):
+        field[..., across] += noise * amplitude
+    return field
+
+
+def realise_spokes(
+    expected: Expected,
+    ping: Ping,
+    rng: np.random.Generator,
+    *,
+    count: float,
+    level_db: float,
+    width_beams: float,
+    spacing: str = "random",
+) -> None:
+    """The spokes of this sample, with the mean intensity of their noise."""
+    looks = expected.looks
+    for across, _, amplitude in _each(ping, rng, looks, count, level_db, width_beams, spacing):
+        expected.noise[:, across] += 2 * amplitude**2
+
+
+def _each(
+    ping: Ping,
+    rng: np.random.Generator,
+    looks: int,
+    count: float,
+    level_db: float,
+    width_beams: float,
+    spacing: str,
+) -> Iterator[tuple[slice, Floats, Floats]]:
+    """The beams of each spoke, its noise (looks, 2, range_bins, n) and amplitudes (n,)."""
     rows, beams = ping.shape
     width, first_at = max(width_beams, 0.1), 0.0
     for number in range(round(count)):
@@ -55,9 +90,8 @@ def spokes(
         last = min(int(centre + _REACH * width) + 1, beams)
         away = (np.arange(first, last) + 0.5 - centre) / width
         amplitude = np.sqrt(ping.full_scale / 2) * 10 ** (level_db / 20) * np.exp(-(away**2) / 4)
-        noise = rng.standard_normal((*field.shape[:2], rows, last - first), dtype=np.float32)
-        field[..., first:last] += noise * amplitude.astype(np.float32)
-    return field
+        noise = rng.standard_normal((looks, 2, rows, last - first), dtype=np.float32)
+        yield slice(first, last), noise, amplitude.astype(np.float32)
 
 
-SPOKES = Effect(SpokesSettings, spokes, "picture")
+SPOKES = Effect(SpokesSettings, spokes, "picture", artefact="spokes", realised=realise_spokes)

@@ -76,4 +76,17 @@ def expect_texture(
     expected.textured.reshape(-1)[ping.scatterers.filled] = total[ping.scatterers.filled]
 
 
-TEXTURE = Effect(TextureSettings, texture, "beam", "world", expected=expect_texture)
+def realise_texture(
+    expected: Expected, ping: Ping, rng: np.random.Generator, *, shape: float, patch_m: float
+) -> None:
+    """The patches as they are: a property of the ground, which stays when speckle goes."""
+    weights = np.zeros((1, 2, *ping.shape), np.float32)
+    weights[0, 0] = 1
+    patches = texture(weights, ping, rng, shape=shape, patch_m=patch_m)[0, 0] ** 2
+    expected.echo *= patches
+    expected.steady *= patches
+
+
+TEXTURE = Effect(
+    TextureSettings, texture, "beam", "world", expected=expect_texture, realised=realise_texture
+)

@@ -56,5 +56,10 @@ def _error_db(ping: Ping, db_per_decade: float, db_per_m: float) -> npt.NDArray[
 
 
 TVG_ERROR = Effect(
-    TvgErrorSettings, tvg_error, "picture", systematic=True, expected=expect_tvg_error
+    TvgErrorSettings,
+    tvg_error,
+    "picture",
+    systematic=True,
+    expected=expect_tvg_error,
+    artefact="gains",
 )

@@ -54,4 +54,6 @@ def expect_volume(
     expected.echo += along[:, None] * across
 
 
-VOLUME = Effect(VolumeSettings, volume, "echo", systematic=True, expected=expect_volume)
+VOLUME = Effect(
+    VolumeSettings, volume, "echo", systematic=True, expected=expect_volume, artefact="haze"
+)

@@ -51,4 +51,4 @@ def azimuth(
     return in_plane(range_m, azimuth_rad, strength * rng.random(points))
 
 
-AZIMUTH = Effect(AzimuthSettings, azimuth, "points")
+AZIMUTH = Effect(AzimuthSettings, azimuth, "points", artefact="spokes")

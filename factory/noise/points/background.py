@@ -45,4 +45,4 @@ def background(
     return in_plane(range_m, azimuth_rad, strength * rng.random(count, dtype=np.float32))
 
 
-BACKGROUND = Effect(BackgroundSettings, background, "points")
+BACKGROUND = Effect(BackgroundSettings, background, "points", artefact="speckle")

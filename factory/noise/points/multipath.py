@@ -86,4 +86,4 @@ def _top_view_density(scene: Echoes, window: Window) -> npt.NDArray[np.float64]:
     return np.asarray(counts / max(counts.max(), 1.0))
 
 
-MULTIPATH = Effect(MultipathSettings, multipath, "points")
+MULTIPATH = Effect(MultipathSettings, multipath, "points", artefact="ghosts")

@@ -58,4 +58,4 @@ def range_arc(
     return in_plane(range_m, azimuth_rad, strength * rng.random(points))
 
 
-RANGE_ARC = Effect(RangeArcSettings, range_arc, "points")
+RANGE_ARC = Effect(RangeArcSettings, range_arc, "points", artefact="spokes")

@@ -74,4 +74,6 @@ def _as_printed(scene: Echoes, rng: np.random.Generator, alpha: float) -> Echoes
     return from_xyz(scene.xyz_m() + np.stack([forward, -right, -down], axis=1), scene.strength)
 
 
-RANGE_SPREADING = Effect(RangeSpreadingSettings, range_spreading, "points", moves=True)
+RANGE_SPREADING = Effect(
+    RangeSpreadingSettings, range_spreading, "points", moves=True, artefact="blur"
+)

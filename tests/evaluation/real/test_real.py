@@ -15,7 +15,8 @@ import pytest
 from simnfnd.command import main
 from simnfnd.evaluation.real.downstream import segmented, split_of
 from simnfnd.evaluation.real.measure import figures_of
-from simnfnd.evaluation.real.pictures import geometry_of, open_folder, scene
+from simnfnd.evaluation.real.scenes import Scene, scene_of
+from simnfnd.evaluation.real.shots import Shot, open_input, sector_of
 from simnfnd.evaluation.realism.real import MDD_GEOMETRIES, MDD_SHAPE
 from simnfnd.factory.errors import FactoryError
 from tests.project_files import ROOT
@@ -49,19 +50,24 @@ def fans(root: Path, count: int) -> Path:
     return root
 
 
+def scene(shot: Shot) -> Scene:
+    picture, geometry = shot.read()
+    return scene_of(picture, sector_of(picture, geometry), shot.classes(), shot.name)
+
+
 def real(*words: str) -> int:
     return main(["evaluate", "real", *words, "workers=1"])
 
 
 def test_both_fans_of_the_dataset_get_their_geometry(tmp_path: Path) -> None:
-    files, notes = open_folder(str(fans(tmp_path / "mdd", 2)), None)
+    (stretch,), notes = open_input(str(fans(tmp_path / "mdd", 2)), 100)
     assert notes == ("Marine Debris Dataset: 1 of geometry A, 1 of geometry B",)
-    for file, name in zip(files, "AB", strict=True):
-        shared = scene(file)
+    for shot, name in zip(stretch.shots, "AB", strict=True):
+        shared = scene(shot)
         own = MDD_GEOMETRIES[name]
         np.testing.assert_array_equal(shared.sector, own.sector_mask(*MDD_SHAPE))
         # The same sector by the geometry that filters and networks get.
-        known = geometry_of(file)
+        _, known = shot.read()
         assert known is not None
         theirs = known.maps(0, 0, *MDD_SHAPE)["sector"] > 0
         assert (theirs ^ shared.sector).sum() < 0.005 * shared.sector.sum()
@@ -75,8 +81,8 @@ def test_both_fans_of_the_dataset_get_their_geometry(tmp_path: Path) -> None:
 
 
 def test_figures_say_what_was_done(tmp_path: Path) -> None:
-    (file, *_), _ = open_folder(str(fans(tmp_path / "mdd", 1)), None)
-    shared = scene(file)
+    (stretch,), _ = open_input(str(fans(tmp_path / "mdd", 1)), 100)
+    shared = scene(stretch.shots[0])
     same = figures_of(shared.noisy, shared)
     assert same["edges_kept"] == pytest.approx(1)
     assert same["ratio_mean"] == pytest.approx(1)
@@ -132,9 +138,9 @@ def test_any_gray_pictures_will_do(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ((), "real: give a folder of pictures"),
-        (("{root}/none",), "no such folder"),
-        (("{root}/empty",), "holds no pictures"),
+        ((), "real: give pictures or a recording"),
+        (("{root}/none",), "no such folder or recording"),
+        (("{root}/empty",), "holds no pictures and no recordings"),
         (("{root}/black",), "0.png: black, or smaller than 16 pixels"),
         (("{root}/plain", "downstream=true"), "0.png has no mask of its name in Masks/"),
         (("{root}/plain", "tuned={root}/none.json"), "tuned={root}/none.json: no such file"),
@@ -189,7 +195,8 @@ def test_split_is_by_picture_and_the_same_for_all() -> None:
 @pytest.mark.skipif(not MDD.is_dir(), reason="needs ../shared/data/mdd")
 def test_marine_debris_dataset(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert real(str(MDD), f"out={out}", "limit=2", "baselines=[nlm]", "examples=0") == 0
+    words = ("groups=false", "limit=2", "baselines=[nlm]", "examples=0")
+    assert real(str(MDD), f"out={out}", *words) == 0
     content = json.loads((out / "real.json").read_text(encoding="utf-8"))
     noisy, nlm = (row["means"] for row in content["rows"])
     assert nlm["enl"] > 2 * noisy["enl"]

@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from simnfnd.evaluation.real.static import (
+from simnfnd.evaluation.real.score import score
+from simnfnd.factory.recordings.static import (
     aligned,
     find_groups,
     moving,
     references,
-    score,
     shift_px,
 )
 from tests.project_files import ROOT

@@ -13,6 +13,7 @@ import yaml
 from simnfnd.factory.commands.merge import main, merge
 from simnfnd.factory.dataset.format.manifest import damage, load_manifest
 from simnfnd.factory.errors import FactoryError
+from tests.factory.dataset.hostile import admit, reseal
 from tests.factory.export.export_dataset import CONFIG, write
 
 
@@ -108,24 +109,9 @@ def test_a_scene_that_trains_here_and_tests_there_is_refused(tmp_path, two) -> N
             table["location"], table["scene"] = b"pier", b"pier-test"
             table["frame"] = [b"new-%d-%d" % (int(path.stem[-1]), row) for row in range(len(table))]
             file["meta"][:] = table
-    reseal(leaking)
+            reseal(file)
+    admit(leaking)
     refused((two[1], leaking), tmp_path / "out", "pier/pier-test is in test of .* and in train of")
-
-
-def reseal(root: Path) -> None:
-    """Bring the checksums of manifest.json up to date."""
-    from dataclasses import replace
-
-    from simnfnd.factory.dataset.format.manifest import save_manifest
-    from simnfnd.factory.files import sha256_of
-
-    manifest = load_manifest(root)
-    assert manifest is not None
-    for path, info in manifest.shards.items():
-        file = root / path
-        fresh = replace(info, bytes=file.stat().st_size, sha256=sha256_of(file))
-        manifest = manifest.with_shard(fresh)
-    save_manifest(root, manifest)
 
 
 def test_other_noise_is_refused_by_its_key(tmp_path, two) -> None:

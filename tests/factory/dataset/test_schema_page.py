@@ -45,7 +45,7 @@ def test_a_stranger_can_compute_the_config_hash(tmp_path: Path) -> None:
 def test_the_python_of_the_documentation_runs(tmp_path: Path) -> None:
     whole(tmp_path / "outputs" / "demo")
     blocks = [step for step in readme_steps.steps(markdown()) if step.kind == "python"]
-    assert len(blocks) == 3
+    assert len(blocks) == 4
     for block in blocks:
         done = subprocess.run(
             [sys.executable, "-c", block.text],

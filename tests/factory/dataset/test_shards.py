@@ -39,6 +39,7 @@ from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import check_writable, remove_stale_temporaries, write_atomically
 from simnfnd.factory.frame import FrameRef
+from simnfnd.factory.ownership import space
 from simnfnd.factory.settings import build
 from tests.fake_source import FakeConfig, FakeSource, refs, rerun
 from tests.project_files import ROOT
@@ -89,7 +90,7 @@ def test_h5py_alone_reads_back_what_was_written(tmp_path: Path) -> None:
     info = write(tmp_path, iter(pairs))
     assert info is not None
     with h5py.File(tmp_path / info.path, "r") as file:
-        assert set(file) == {"noisy", "clean", "shadow", "meta", "axes"}
+        assert set(file) == {"noisy", "clean", "shadow", "meta", "axes", "checksums"}
         for name in ("noisy", "clean", "shadow"):
             stack = file[name]
             np.testing.assert_array_equal(stack[:], [getattr(pair, name) for pair in pairs])
@@ -315,26 +316,24 @@ def test_a_failed_write_leaves_the_old_file(
     assert [entry.name for entry in tmp_path.iterdir()] == ["manifest.json"]
 
 
-def test_temp_files_of_the_dead_are_removed_and_of_the_living_left(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import socket
-
-    monkeypatch.setattr(socket, "gethostname", lambda: "here")
+def test_temp_files_of_the_dead_are_removed_and_of_the_living_left(tmp_path: Path) -> None:
+    token = 16 * "0"
+    here, elsewhere = f"here-{space()}", "here-ffffffff"
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
     names = {
-        f".shard-00000.h5.here-{dead.pid}.tmp": False,
-        f".shard-00001.h5.here-{os.getpid()}.tmp": True,
-        ".shard-00002.h5.elsewhere-1.tmp": True,
-        ".shard-00003.h5.elsewhere-1.tmp": False,
+        f".shard-00000.h5.{here}-{dead.pid}-{token}.tmp": False,
+        f".shard-00001.h5.{here}-{os.getpid()}-{token}.tmp": True,
+        f".shard-00002.h5.{elsewhere}-{dead.pid}-{token}.tmp": True,
+        f".shard-00003.h5.{elsewhere}-1-{token}.tmp": False,
+        ".shard-00005.h5.older_version-1.tmp": True,
         "shard-00004.h5": True,
         ".notes.tmp": True,
     }
     for name in names:
         (tmp_path / name).touch()
     days_ago = time.time() - 3 * 86_400
-    os.utime(tmp_path / ".shard-00003.h5.elsewhere-1.tmp", (days_ago, days_ago))
+    os.utime(tmp_path / f".shard-00003.h5.{elsewhere}-1-{token}.tmp", (days_ago, days_ago))
     assert remove_stale_temporaries(tmp_path) == 2
     left = {path.name for path in tmp_path.iterdir()}
     assert left == {name for name, stays in names.items() if stays}

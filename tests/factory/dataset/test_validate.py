@@ -28,6 +28,7 @@ from tests.factory.dataset.hostile import (
     check,
     copy,
     mutate,
+    reseal,
     whole,
     with_layers,
 )
@@ -152,6 +153,7 @@ def test_values_that_cannot_be_are_found(
     root = whole(tmp_path / "dataset", dtype="float32")
     with h5py.File(root / "train/shard-00001.h5", "r+") as file:
         file[layer][1, 3, 4] = value
+        reseal(file)
     admit(root)
     assert errors(validate_with(validator, root, False)) == ""
     assert words in errors(validate_with(validator, root, True))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.cli.compose import compose_config
+from simnfnd.factory.formation.contract import ARTEFACTS
 from simnfnd.factory.formation.field.expected import Expected, display
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.noise.draws import StreamNames, draw
@@ -129,3 +130,56 @@ def test_the_record_has_the_scale_of_the_target() -> None:
     points = compose_config(["sonar.transfer.kind=log"])
     frame, rendered = constant_field(size=(240, 160))
     assert "clean_full_scale" not in make_pair(observe(frame, rendered, points), 0, points).record
+
+
+def sampled(noise: dict[str, dict[str, Any]]) -> Any:
+    """A sample of the ground with these effects."""
+    settings = config(noise=noise)
+    made = observe(*ground(), settings)
+    names = StreamNames.of(made.ref, 0, made.has_pose)
+    return made.scene.sample(0, draw(settings.noise, settings.seed, names).effects, settings)
+
+
+def test_every_effect_says_what_it_shows_and_texture_is_part_of_the_scene() -> None:
+    assert {effect.artefact for effect in EFFECTS.values()} == {*ARTEFACTS, None}
+    assert [name for name, effect in EFFECTS.items() if effect.artefact is None] == ["texture"]
+
+
+def test_a_picture_without_an_artefact_has_all_the_others() -> None:
+    """Under the same random streams, so what is kept is kept to the grey value."""
+    noise = {name: NOISE[name] for name in ("speckle", "volume", "receiver", "beam_gain")}
+    sample = sampled({**noise, "spokes": {"count": 2, "level_db": -10}})
+    every = {*noise, "spokes"}
+    np.testing.assert_array_equal(sample.without(()), sample.noisy(every))
+    np.testing.assert_array_equal(sample.without(("spokes",)), sample.noisy({*noise}))
+    without = sample.without(("haze", "gains"))
+    np.testing.assert_array_equal(without, sample.noisy({"speckle", "spokes"}))
+
+
+def test_without_speckle_spokes_texture_and_haze_stay_where_they_are_kept() -> None:
+    spokes = {"count": 1, "level_db": 0, "width_beams": 1}
+    sample = sampled({"speckle": {}, "spokes": spokes, "volume": {"strength_db": -35}})
+    averaged_, gone = sample.without(("speckle",)), sample.without(("speckle", "spokes"))
+    extra = (averaged_ - gone).mean(axis=0)
+    noisy = sample.noisy({"speckle", "spokes", "volume"}).mean(axis=0)
+    assert extra.argmax() == (noisy - gone.mean(axis=0)).argmax()
+    assert extra.max() > 0.05
+    # No grain is left: neighbours along range are alike where the ground is.
+    assert np.abs(np.diff(gone, axis=0)).mean() < 0.1 * np.abs(np.diff(noisy, axis=0)).mean()
+    black = sample.without(("speckle", "spokes", "haze"))
+    assert black.mean() < gone.mean()
+    patches = sampled({"speckle": {}, "texture": {"shape": 2, "patch_m": 0.3}})
+    even = sampled({"speckle": {}})
+    difference = patches.without(("speckle",)) - even.without(("speckle",))
+    assert difference.std() > 0.02
+
+
+def test_points_without_all_artefacts_are_the_clean_picture() -> None:
+    settings = compose_config(["experiment=demo"])
+    made = observe(*ground(), settings)
+    names = StreamNames.of(made.ref, 0, made.has_pose)
+    effects = draw(settings.noise, settings.seed, names).effects
+    sample = made.scene.sample(0, effects, settings)
+    np.testing.assert_array_equal(sample.without(ARTEFACTS), sample.clean)
+    kept = {effect.name for effect in effects} - {"azimuth"}
+    np.testing.assert_array_equal(sample.without(("spokes",)), sample.noisy(kept))

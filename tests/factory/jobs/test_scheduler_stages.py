@@ -19,6 +19,7 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.jobs.lock import LOCK_NAME, Lock, owner_of
 from simnfnd.factory.jobs.pending import PendingFrame, backoff_s
 from simnfnd.factory.jobs.settings import ShardSlice
+from simnfnd.factory.ownership import myself
 from simnfnd.factory.settings import build
 from tests.factory.jobs.test_scheduler import failures, litter, shard_bytes, wait_for
 from tests.fake_source import FakeConfig, FakePreparer, GentleSource, prepared_file, refs
@@ -263,9 +264,7 @@ def test_a_lock_of_another_machine_holds_while_it_is_touched(tmp_path: Path) -> 
 
 
 def test_a_number_that_another_process_got_since_is_no_owner(tmp_path: Path) -> None:
-    from simnfnd.factory.jobs import lock
-
-    me = lock._myself()
+    me = myself()
     (tmp_path / LOCK_NAME).write_text(json.dumps({**me, "started": me["started"] - 100}))
     with Lock(tmp_path):
         pass

@@ -158,6 +158,18 @@ def test_oculus(tmp_path: Path, version: int, gains: bool, dtype: Any) -> None:
     assert frame.time_s == (77.5 if version == 2 else None)
 
 
+@pytest.mark.parametrize(("tint", "dimensions"), [(0, 2), (4, 2), (60, 3)])
+def test_grey_video_that_a_codec_tinted_is_grey(tmp_path: Path, tint: int, dimensions: int) -> None:
+    code = cv2.VideoWriter.fourcc(*"MJPG")
+    writer = cv2.VideoWriter(str(tmp_path / "a.avi"), code, 10.0, (64, 48))
+    writer.write(np.full((48, 64, 3), [100 + tint, 100, 100], np.uint8))
+    writer.release()
+    with open_recording(tmp_path / "a.avi") as recording:
+        picture = recording[0].samples
+    assert picture.ndim == dimensions
+    assert abs(float(picture[..., 1:].mean()) - 100) < 8
+
+
 def test_video_and_pictures(tmp_path: Path) -> None:
     frames = np.repeat(np.linspace(20, 220, 5).astype(np.uint8), 48 * 64).reshape(5, 48, 64)
     with open_recording(write_video(tmp_path / "a.avi", frames)) as recording:

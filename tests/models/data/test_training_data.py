@@ -36,8 +36,9 @@ from simnfnd.models.data.pairs import PairSource, hold_out, read_table
 from simnfnd.models.data.renders import RenderSource, open_renders, resized
 from simnfnd.models.data.sources import open_data
 from simnfnd.models.settings import DATA, ModelsSettings, RendersData
+from simnfnd.models.training.blind_spots import mask_blind_spots
 from simnfnd.models.training.module import DenoisingModule
-from simnfnd.models.training.self_supervised import mask_blind_spots, neighbour_pairs, select_pixels
+from simnfnd.models.training.self_supervised import neighbour_pairs, select_pixels
 from simnfnd.models.training.train import train
 from tests.project_files import ROOT
 from tests.small_dataset import fan_images
@@ -90,8 +91,9 @@ def renders(rendered: tuple[Path, Path], **changes: Any) -> tuple[RenderSource, 
     data = replace(settings.data, **{"pack": str(pack), **changes})
     table = read_table(dataset, "train")
     _, held = hold_out(table.samples, 0.3, 0)
-    source, _, said = open_renders(data, table, held, str(dataset), seed=5)
-    return source, said
+    found = open_renders(data, table, held, str(dataset), seed=5)
+    assert isinstance(found.source, RenderSource)
+    return found.source, found.said
 
 
 def _no_picture(*_: object) -> None:

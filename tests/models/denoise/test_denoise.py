@@ -16,13 +16,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.recordings.video import VideoFile
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.denoise.files import denoise_image
 from simnfnd.models.denoise.inputs import Item, find_items
 from simnfnd.models.denoise.tile import starts, tiled
+from simnfnd.models.denoise.videos import CODECS, FrameFiles
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.weights import load_weights, save_weights
@@ -46,10 +48,10 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def untrained_sonarnet(folder: Path) -> Path:
-    """Weights that expect to gain 3 dB on every picture, with a limit of 3.5 dB."""
+    """Weights of a network that can be told what to remove."""
     config = {
         **{"kind": "sonarnet", "widths": [4, 4], "blocks": [0, 0], "polar": False},
-        **{"mask": True, "least_gain_db": 3.5, "forget": 0.0},
+        **{"lines": True, "mask": True, "forget": 0.0},
     }
     torch.manual_seed(0)
     path = folder / "weights.safetensors"
@@ -128,50 +130,45 @@ def test_images_keep_name_size_and_dtype(
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
 
 
-def test_pictures_given_back_as_they_came_are_counted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_strength_is_the_part_of_the_change(tmp_path: Path) -> None:
     weights = untrained_sonarnet(tmp_path)
-    (tmp_path / "in").mkdir()
-    noisy = (fan_images(40, np.random.default_rng(0))[0] * 255).astype(np.uint8)
-    for name in ("a", "b"):
-        assert cv2.imwrite(str(tmp_path / "in" / f"{name}.png"), noisy)
-    arguments = [str(tmp_path / "in"), "--out", str(tmp_path / "out"), "--weights", str(weights)]
-    assert main(arguments) == 0
-    assert "given back as they came: 2 of 2 picture(s)" in capsys.readouterr().out
-    result = tmp_path / "out" / "a.png"
-    assert np.array_equal(cv2.imread(str(result), cv2.IMREAD_UNCHANGED), noisy)
-    assert main([*arguments, "--always"]) == 0
-    assert "given back" not in capsys.readouterr().out
-    assert not np.array_equal(cv2.imread(str(result), cv2.IMREAD_UNCHANGED), noisy)
+    gray = fan_images(40, np.random.default_rng(0))[0].astype(np.float32)
+    whole, half, none = (
+        load_denoiser(weights, "cpu", strength=part)(gray) for part in (1.0, 0.5, 0.0)
+    )
+    np.testing.assert_array_equal(none, gray)
+    assert np.abs(whole - gray).max() > 0.01
+    inside = (whole > 0) & (whole < 1)
+    np.testing.assert_allclose(half[inside], ((gray + whole) / 2)[inside], atol=1e-6)
 
 
-def test_nobody_is_told_of_pictures_that_a_network_cannot_give_back(
-    weights: Path, monkeypatch: pytest.MonkeyPatch
+def test_what_cannot_be_removed_is_said(
+    tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    denoise = load_denoiser(weights)
-    monkeypatch.setattr(denoise, "_denoise_tile", lambda gray, maps: (gray, None))
-    denoise(np.zeros((8, 8), np.float32))
-    assert (denoise.pictures, denoise.unchanged) == (1, 0)
+    assert cv2.imwrite(str(tmp_path / "a.png"), np.zeros((16, 16), np.uint8))
+    arguments = [str(tmp_path / "a.png"), "--out", str(tmp_path / "out"), "--weights"]
+    for own, words, said in (
+        (untrained_sonarnet(tmp_path), ["--remove", "hiss"], "'hiss' is none of speckle, haze"),
+        (untrained_sonarnet(tmp_path), ["--strength", "2"], "must lie between 0 and 1"),
+        (weights, ["--remove", "haze"], "these weights always remove the same"),
+    ):
+        with pytest.raises(FactoryError, match=said):
+            main([*arguments, str(own), *words])
+    assert not (tmp_path / "out" / "a.png").exists()
 
 
-@pytest.mark.parametrize(("right_db", "left"), [(6.5, 0), (5.0, 1)])
-def test_a_large_picture_is_denoised_as_a_whole_or_not_at_all(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, right_db: float, left: int
+def test_all_tiles_of_a_picture_get_the_same_part_of_their_change(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One tile of two is left alone by itself; with limit 3.5 dB the mean of both counts."""
-    weights = untrained_sonarnet(tmp_path)
-    denoise = load_denoiser(weights, "cpu", tile=32, overlap=0)
+    denoise = load_denoiser(untrained_sonarnet(tmp_path), "cpu", tile=32, overlap=0)
     gray = np.full((32, 64), 0.5, np.float32)
     gray[:, 32:] = 0.75
     monkeypatch.setattr(
         denoise,
         "_denoise_tile",
-        lambda part, maps: (part / 2, right_db if part[0, 0] > 0.6 else 1.0),
+        lambda part, maps: (part / 2, 1.0 if part[0, 0] > 0.6 else 0.5),
     )
-    result = denoise(gray)
-    assert np.array_equal(result, gray if left else gray / 2)
-    assert (denoise.pictures, denoise.unchanged) == (1, left)
+    np.testing.assert_allclose(denoise(gray), gray * (1 - 0.5 * 0.75), rtol=1e-6)
 
 
 def test_shards_become_denoised_shards(weights: Path, tmp_path: Path) -> None:
@@ -250,27 +247,83 @@ def test_nothing_to_denoise(tmp_path: Path) -> None:
         find_items([tmp_path / "notes.txt"], tmp_path / "out")
 
 
-def test_videos_become_folders_of_frames(weights: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["dive.avi", "dive.mp4", "dive.webm"])
+def test_videos_become_videos_or_folders(weights: Path, tmp_path: Path, name: str) -> None:
     noisy, _, _ = fan_images(48, np.random.default_rng(1))
     grey = (noisy * 255).astype(np.uint8)
     path = tmp_path / "dive.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10, (48, 48))
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 12.5, (48, 48))
     for shift in range(3):
         writer.write(cv2.cvtColor(np.roll(grey, shift, axis=1), cv2.COLOR_GRAY2BGR))
     writer.release()
+    path = path.rename(tmp_path / name)
+    with VideoFile(path) as recording:
+        originals = [frame.samples for frame in recording]
     out = tmp_path / "out"
     assert main([str(path), "--out", str(out), "--weights", str(weights), "--compare"]) == 0
-    frames = sorted((out / "dive.avi").iterdir())
-    assert [frame.name for frame in frames] == ["000000.png", "000001.png", "000002.png"]
-    capture = cv2.VideoCapture(str(path))
-    for frame in frames:
-        _, original = capture.read()
-        result = cv2.imread(str(frame), cv2.IMREAD_UNCHANGED)
-        assert result is not None
-        expected = through_network(weights, original[..., 0] / 255.0) * 255
-        shown = result if result.ndim == 2 else result[..., 0]
-        assert np.abs(shown - expected).max() <= 0.51
+    if name != "dive.webm":
+        with VideoFile(out / name) as recording:
+            assert recording.rate_hz == pytest.approx(12.5)
+            results = [frame.samples for frame in recording]
+    else:
+        frames = sorted((out / name).iterdir())
+        assert [frame.name for frame in frames] == ["000000.png", "000001.png", "000002.png"]
+        results = [np.asarray(cv2.imread(str(frame), cv2.IMREAD_UNCHANGED)) for frame in frames]
+    assert len(results) == len(originals) == 3
+    for original, result in zip(originals, results, strict=True):
+        assert result.shape == original.shape
+        assert np.abs(result - through_network(weights, original / 255.0) * 255).max() <= 0.51
     assert (out / "compare" / "dive.png").is_file()
+    assert sorted(entry.name for entry in out.iterdir()) == sorted(["compare", name])
+
+
+@pytest.mark.parametrize("name", [f"a{suffix}" for suffix in CODECS])
+@pytest.mark.parametrize("colours", [(), (3,)])
+def test_frames_survive_in_every_container(tmp_path: Path, name: str, colours: Any) -> None:
+    frames = np.random.default_rng(3).integers(0, 256, (4, 30, 46, *colours), dtype=np.uint8)
+    with FrameFiles(tmp_path / name, 7.5) as files:
+        for frame in frames:
+            files.add(frame)
+    with VideoFile(tmp_path / name) as recording:
+        assert recording.rate_hz == pytest.approx(7.5)
+        np.testing.assert_array_equal([frame.samples for frame in recording], frames)
+    assert [entry.name for entry in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize(("shape", "rate_hz"), [((31, 46), 7.5), ((30, 47), 7.5), ((30, 46), None)])
+def test_frames_that_fit_no_container_are_pictures(
+    tmp_path: Path, shape: tuple[int, int], rate_hz: float | None
+) -> None:
+    frame = np.random.default_rng(3).integers(0, 256, shape, dtype=np.uint8)
+    with FrameFiles(tmp_path / "a.avi", rate_hz) as files:
+        files.add(frame)
+        files.add(frame)
+    assert sorted(path.name for path in (tmp_path / "a.avi").iterdir()) == [
+        "000000.png",
+        "000001.png",
+    ]
+    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "a.avi/000001.png"), -1), frame)
+    (tmp_path / "b.avi").write_bytes(b"mine")
+    with (
+        pytest.raises(FrameError, match=r"b\.avi: is there already"),
+        FrameFiles(tmp_path / "b.avi", None) as files,
+    ):
+        files.add(frame)
+
+
+def test_a_video_that_broke_off_leaves_nothing(tmp_path: Path) -> None:
+    def fails() -> None:
+        with FrameFiles(tmp_path / "a.avi", 10.0) as files:
+            files.add(np.zeros((30, 46), np.uint8))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fails()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_video_that_is_none_leaves_nothing(weights: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
     (tmp_path / "broken.mp4").write_bytes(b"no video")
     with pytest.raises(FactoryError, match=r"broken\.mp4: not a readable video"):
         main([str(tmp_path / "broken.mp4"), "--out", str(out), "--weights", str(weights)])

@@ -129,7 +129,7 @@ def test_damaged_recordings_are_skipped(
 def test_a_network_takes_pings(tmp_path: Path) -> None:
     config = {
         **{"kind": "sonarnet", "widths": [4, 4], "blocks": [0, 0], "polar": False},
-        **{"mask": True, "least_gain_db": None, "forget": 0.0},
+        **{"lines": True, "mask": True, "forget": 0.0},
     }
     torch.manual_seed(0)
     weights = tmp_path / "weights.safetensors"

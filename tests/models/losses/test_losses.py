@@ -144,27 +144,30 @@ def test_the_mask_head_learns_the_true_shadow(kind: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("kind", [{"kind": "l1"}, NEW])
-def test_the_third_head_learns_what_was_gained(kind: dict[str, Any]) -> None:
+def test_the_third_head_learns_how_much_of_the_change_is_right(kind: dict[str, Any]) -> None:
     clean = torch.full((3, 1, 1, 2), 0.5)
-    # Better than it was, worse than it was, and nothing wrong in the first place.
+    # Half of the way, the wrong way, and nothing wrong in the first place.
     noisy = clean + torch.tensor([0.2, 0.1, 0.0])[:, None, None, None]
     prediction = clean + torch.tensor([0.1, 0.2, 0.2])[:, None, None, None]
-    # 6.0206 dB, as much less, and the 86 dB of the third as the least that counts.
-    expected = torch.tensor([6.5206, -3.0, -4.0], requires_grad=True)
-    known = {"noisy": noisy, "gain_db": expected}
-    without = build_loss({**kind, "gain": 0})(prediction, clean, known)
-    loss = build_loss({**kind, "gain": 0.3})(prediction, clean, known)
-    assert (loss - without).item() == pytest.approx(0.3 * (0.5**2 / 2 + (1 - 0.5)) / 3, rel=1e-4)
+    weight = torch.tensor([0.5, 0.5, 0.1], requires_grad=True)
+    known = {"noisy": noisy, "weight": weight}
+    without = build_loss({**kind, "blend": 0})(prediction, clean, known)
+    loss = build_loss({**kind, "blend": 0.3})(prediction, clean, known)
+    # Best are 1, 0 and 0; they count as change over noise, 0.01 / 0.0401, 0.01 / 0.0101 and 1.
+    counts = (0.01 / 0.0401, 0.01 / 0.0101, 1)
+    off = -(np.log(0.5) * (counts[0] + counts[1]) + np.log(0.9) * counts[2]) / 3
+    assert (loss - without).item() == pytest.approx(0.3 * off, rel=1e-4)
     loss.backward()
-    assert expected.grad is not None
-    assert expected.grad.tolist() == pytest.approx([0.05, 0.1, 0], abs=1e-4)
+    assert weight.grad is not None
+    slopes = [0.1 * slope * count for slope, count in zip((-2, 2, 1 / 0.9), counts, strict=True)]
+    assert weight.grad.tolist() == pytest.approx(slopes, rel=1e-3)
 
 
 def test_decibels_count_every_image_alike() -> None:
     clean = torch.zeros(2, 1, 4, 4)
     prediction = torch.stack([torch.full((1, 4, 4), 0.1), torch.full((1, 4, 4), 0.01)])
     prediction.requires_grad_()
-    kind = {"kind": "l1", "mask": 0, "gain": 0}
+    kind = {"kind": "l1", "mask": 0, "blend": 0}
     plain = build_loss(kind)(prediction, clean)
     loss = build_loss({**kind, "decibels": 0.5})(prediction, clean)
     # 10 log10 of 0.0101 and of 0.0002: the floor of 40 dB is added.

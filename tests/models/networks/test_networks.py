@@ -23,6 +23,7 @@ from simnfnd.models.networks.polar import polar_grid
 from simnfnd.models.networks.restormer import ChannelAttention
 from simnfnd.models.networks.sonarnet import SonarNet
 from simnfnd.models.networks.weights import load_weights, save_weights
+from simnfnd.models.removal import DEFAULT, vector
 from tests.project_files import ROOT
 
 TINY: dict[str, dict[str, Any]] = {
@@ -38,7 +39,7 @@ TINY: dict[str, dict[str, Any]] = {
     },
     "sonarnet": {
         **{"widths": [8, 12], "blocks": [1, 1]},
-        **{"polar": True, "mask": True, "least_gain_db": None, "forget": 0.1},
+        **{"polar": True, "lines": True, "mask": True, "forget": 0.1},
     },
     "unet": {"widths": [4, 8], "blocks": 1},
 }
@@ -279,7 +280,6 @@ def test_the_mask_gates_the_picture_inside_the_sector() -> None:
     image, extras = told(network, 32)
     image = image + 0.1
     restored, logits, _ = network.with_heads(image, **extras)
-    assert torch.equal(restored, network(image, **extras))
     outside = extras["sector"] == 0
     assert outside.any()
     assert torch.equal(restored[outside], image[outside])
@@ -289,29 +289,33 @@ def test_the_mask_gates_the_picture_inside_the_sector() -> None:
     torch.testing.assert_close(restored[~outside], gated[~outside])
 
 
-def expects(network: Network, gain_db: float) -> None:
-    """Let the third head say this of every picture."""
+def test_the_weight_is_the_part_of_the_change_that_a_picture_gets() -> None:
+    network = stirred(tiny("sonarnet", forget=0.0))
     assert isinstance(network, SonarNet)
-    network.verdict.gain.weight.zero_()
-    network.verdict.gain.bias.fill_(gain_db)
-
-
-def test_what_gains_too_little_is_left_as_it_came() -> None:
-    network = stirred(tiny("sonarnet", mask=False, forget=0.0, least_gain_db=1.5))
     image, extras = told(network, 32)
     for known in ({}, extras):
-        changed = network.train()(image, **known)
-        for gain_db, expected in ((1.4, image), (1.6, changed)):
+        for logit, part in ((-50.0, 0.0), (0.0, 0.5), (50.0, 1.0)):
             with torch.no_grad():
-                expects(network, gain_db)
-            assert torch.equal(network.eval()(image, **known), expected)
-            # What is learned from is never left, or there would be nothing to learn.
-            assert torch.equal(network.train()(image, **known), changed)
-    assert not torch.equal(changed, image)
-    free = stirred(tiny("sonarnet", mask=False))
-    with torch.no_grad():
-        expects(free, -50.0)
-    assert not torch.equal(free(image), image)
+                network.blend.logit.weight.zero_()
+                network.blend.logit.bias.fill_(logit)
+            whole = network.with_heads(image, **known)
+            assert whole.weight.item() == pytest.approx(part)
+            torch.testing.assert_close(
+                network(image, **known), image + part * (whole.image - image)
+            )
+        assert not torch.equal(whole.image, image)
+
+
+def test_what_to_remove_changes_the_picture() -> None:
+    network = stirred(tiny("sonarnet"))
+    image, extras = told(network, 32)
+    usual = network(image, **extras)
+    default = torch.from_numpy(vector(DEFAULT))[None]
+    assert torch.equal(network(image, **extras, remove=default), usual)
+    speckle = torch.from_numpy(vector(["speckle"]))[None]
+    assert not torch.allclose(network(image, **extras, remove=speckle), usual)
+    with pytest.raises(ValueError, match="'hiss' is none of speckle, haze"):
+        vector(["hiss"])
 
 
 def test_a_network_that_looks_twice_does_not_care_for_left_and_right() -> None:
@@ -321,10 +325,10 @@ def test_a_network_that_looks_twice_does_not_care_for_left_and_right() -> None:
     turned = {name: plane.flip(-1) for name, plane in extras.items()}
     turned["azimuth_rad"] = -turned["azimuth_rad"]
     for known, mirrored in (({}, {}), (extras, turned)):
-        both, logits, gain_db = network.with_heads(image, **known)
+        both, logits, weight = network.with_heads(image, **known)
         first, second = once.with_heads(image, **known), once.with_heads(image.flip(-1), **mirrored)
         torch.testing.assert_close(both, (first.image + second.image.flip(-1)) / 2)
-        torch.testing.assert_close(gain_db, (first.gain_db + second.gain_db) / 2)
+        torch.testing.assert_close(weight, (first.weight + second.weight) / 2)
         again = network.with_heads(image.flip(-1), **mirrored)
         torch.testing.assert_close(again.image.flip(-1), both)
         torch.testing.assert_close(again.shadow_logits.flip(-1), logits)
@@ -342,9 +346,9 @@ def test_colours_share_one_mask_and_one_geometry() -> None:
     network = stirred(tiny("sonarnet"))
     image, extras = told(network, 32)
     colours = image.expand(-1, 3, -1, -1)
-    restored, logits, gain_db = network.with_heads(colours, **extras)
+    restored, logits, weight = network.with_heads(colours, **extras)
     alone, mask, of_one = network.with_heads(image, **extras)
-    torch.testing.assert_close(gain_db, of_one)
+    torch.testing.assert_close(weight, of_one)
     torch.testing.assert_close(restored, alone.expand(-1, 3, -1, -1))
     torch.testing.assert_close(logits, mask)
 

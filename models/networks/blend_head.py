@@ -1,4 +1,4 @@
-"""Prediction of the gain of PSNR by denoising, without the clean picture."""
+"""How much of a network's change a picture should get, without the clean picture."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from torch.nn import functional
 
 from simnfnd.models.networks.network import padded
 
-_FIRST_DB = 3.0
-"""The gain predicted before anything is learned."""
+_FIRST = 3.0
+"""Logit of the weight before anything is learned: 95 % of the change."""
 _DARK = 1 / 512
 """A cell below this holds no echo: half a grey value of 8 bits."""
 _CENTRE = 1.5
@@ -19,17 +19,19 @@ _LEAST = 1e-7
 _STATISTICS = 5
 
 
-class GainHead(nn.Module):
-    """Predicts the gain from a picture, the network's change of it and its last features.
+class BlendHead(nn.Module):
+    """Weighs the change of a whole picture, 0 to 1, from the picture, the change and its features.
 
     features: channels of the last features.  width: channels of the head itself.
-    It also gets the logarithm of the picture, in which a blur looks the same in bright and in dim
-    places, and pools with a weight for every place (gated attention, Ilse et al., ICML 2018),
-    because most of a sonar picture is shadow and carries no information; maxima are pooled as well,
-    because a single defect matters.  Some statistics give at once what many layers would have to
-    find out: how much was changed, how much of the sector has no echo at all (noise fills shadow),
-    and whether neighbours along range are more alike than those along bearing (range spreading, the
-    strongest of the effects, blurs along range alone).
+    A picture with hardly any noise is harmed by a network that has learned to undo a lot of it; the
+    weight falls smoothly to zero there, and nothing is ever returned all or nothing.  The head also
+    gets the logarithm of the picture, in which a blur looks the same in bright and in dim places,
+    and pools with a weight for every place (gated attention, Ilse et al., ICML 2018), because most
+    of a sonar picture is shadow and carries no information; maxima are pooled as well, because a
+    single defect matters.  Some statistics give at once what many layers would have to find out:
+    how much was changed, how much of the sector has no echo at all (noise fills shadow), and
+    whether neighbours along range are more alike than those along bearing (range spreading blurs
+    along range alone).
 
     No gradient goes back into the network, so the head cannot harm the pictures.
     """
@@ -40,12 +42,12 @@ class GainHead(nn.Module):
         self.far = nn.Conv2d(width, width, 3, padding=1)
         self.weight = nn.Conv2d(width, width, 1)
         self.mixed = nn.Linear(3 * width + _STATISTICS, width)
-        self.gain = nn.Linear(width, 1)
-        nn.init.zeros_(self.gain.weight)
-        nn.init.constant_(self.gain.bias, _FIRST_DB)
+        self.logit = nn.Linear(width, 1)
+        nn.init.zeros_(self.logit.weight)
+        nn.init.constant_(self.logit.bias, _FIRST)
 
     def forward(self, features: Tensor, noisy: Tensor, change: Tensor, sector: Tensor) -> Tensor:
-        """(N, F, h, w) at half resolution, three times (N, 1, H, W) -> (N,) gain of PSNR, dB.
+        """(N, F, h, w) at half resolution, three times (N, 1, H, W) -> (N,) weight, 0 to 1.
 
         h and w may be half the size of the pictures after padding.
         sector: 1 where insonified, else 0.
@@ -67,8 +69,8 @@ class GainHead(nn.Module):
             x.amax(dim=(2, 3)),
             _statistics(noisy, change, sector),
         ]
-        gain: Tensor = self.gain(functional.relu(self.mixed(torch.cat(pooled, dim=1))))
-        return gain[:, 0].float()
+        logit: Tensor = self.logit(functional.relu(self.mixed(torch.cat(pooled, dim=1))))
+        return torch.sigmoid(logit[:, 0].float())
 
 
 def _statistics(noisy: Tensor, change: Tensor, sector: Tensor) -> Tensor:

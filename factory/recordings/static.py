@@ -15,9 +15,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.metrics.fidelity import finite_psnr, psnr, ssim
-from simnfnd.evaluation.metrics.levels import fit_levels
-
 Gray = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
 
@@ -25,6 +22,7 @@ _SIDE = 96  # of the small pictures that are compared with each other, pixels
 _BROAD = (
     8.0  # what is wider than this counts as brightness, not as scene; pixels of a small picture
 )
+_LEAST_SPREAD = 0.1 / 255  # less is rounding, where there is hardly any noise
 _ECC_STEPS = cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-5
 
 
@@ -41,14 +39,6 @@ class StaticGroup:
     shifts_px: npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Score:
-    """One picture against its reference, after one gain and offset: PSNR in dB, and SSIM."""
-
-    psnr_db: float
-    ssim: float
-
-
 def find_groups(
     pictures: Sequence[Gray],
     sectors: Sequence[Mask],
@@ -63,15 +53,21 @@ def find_groups(
     alike: correlation of the small, smoothed pictures above which two frames may show one scene.
     furthest_px: how far the scene of a group may move.
     """
-    small = [_small(picture, sector) for picture, sector in zip(pictures, sectors, strict=True)]
-    sizes = [picture.shape for picture in pictures]
-    left = list(range(len(pictures)))
+    small, sizes = [], []
+    # One by one: the pictures may be read from files only here.
+    for picture, sector in zip(pictures, sectors, strict=True):
+        small.append(_small(picture, sector))
+        sizes.append(picture.shape)
+    left = list(range(len(small)))
+    near = np.array(small)
+    likeness = near @ near.T
     groups = []
     while len(left) >= least:
-        # The frame with most frames like it begins; what it does not take is tried again.
-        near = np.stack([small[i] for i in left])
-        similar = near @ near.T > alike
-        first = int(np.argmax(similar.sum(axis=1)))
+        # The frame with most frames like it begins, of equal ones that in their middle; what it
+        # does not take is tried again.
+        among = likeness[np.ix_(left, left)]
+        similar = among > alike
+        first = int(np.argmax(np.where(similar, among, 0.0).sum(axis=1)))
         numbers = [left[first]] + [
             one
             for place, one in enumerate(left)
@@ -124,13 +120,24 @@ def references(frames: Sequence[Gray], group: StaticGroup) -> list[Gray]:
     frames: those of the group, in its order.
     """
     found = []
-    for one, own in enumerate(group.shifts_px):
-        total = np.zeros(frames[0].shape, np.float64)
-        for other, shift in enumerate(group.shifts_px):
-            if other != one:
-                total += _shifted(frames[other], shift - own)
-        found.append((total / (len(group.numbers) - 1)).astype(np.float32))
-    return found
+    for one in range(len(frames)):
+        others = [other for other in range(len(frames)) if other != one]
+        found.append(np.mean(laid_over(frames, group, one, others), axis=0, dtype=np.float64))
+    return [np.asarray(reference, np.float32) for reference in found]
+
+
+def laid_over(
+    frames: Sequence[Gray], group: StaticGroup, one: int, others: Sequence[int]
+) -> list[Gray]:
+    """The frames `others` with the scene where frame `one` has it, (H, W) each; it itself as it is.
+
+    frames: those of the group, in its order; one, others: places in it.
+    """
+    own = group.shifts_px[one]
+    return [
+        frames[other] if other == one else shifted(frames[other], group.shifts_px[other] - own)
+        for other in others
+    ]
 
 
 def moving(frames: Sequence[Gray], sector: Mask, *, times: float = 4.0) -> Mask:
@@ -141,18 +148,29 @@ def moving(frames: Sequence[Gray], sector: Mask, *, times: float = 4.0) -> Mask:
     smooth = np.stack([cv2.GaussianBlur(frame, (0, 0), 3.0) for frame in frames])
     spread = smooth.std(axis=0)
     usual = float(np.median(spread[sector])) if sector.any() else 0.0
-    found = (spread > times * usual) & sector
+    found = (spread > times * max(usual, _LEAST_SPREAD)) & sector
     return cv2.dilate(found.astype(np.uint8), np.ones((15, 15), np.uint8)).astype(bool)
 
 
-def score(picture: Gray, reference: Gray, where: Mask) -> Score:
-    """How near a picture is to its reference where `where`, after one gain and offset."""
-    levels = fit_levels([(picture[where], reference[where])])
-    fitted = levels(picture)
-    return Score(
-        finite_psnr(psnr(reference, fitted, data_range=1.0, mask=where)),
-        ssim(reference, fitted, data_range=1.0, mask=where),
+def likeness(one: Gray, other: Gray, sector: Mask) -> float:
+    """Correlation of the scenes of two pictures of one size, without their brightness and grain."""
+    return float(_small(one, sector) @ _small(other, sector))
+
+
+def shifted(frame: Gray, shift_px: npt.NDArray[np.float64]) -> Gray:
+    """The frame, (H, W) or (H, W, C), with its scene moved left and up by (right, down) pixels.
+
+    Cubic, the border reflected.
+    """
+    matrix = np.array([[1, 0, shift_px[0]], [0, 1, shift_px[1]]], np.float64)
+    shifted = cv2.warpAffine(
+        frame,
+        matrix,
+        frame.shape[1::-1],
+        flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REFLECT,
     )
+    return np.asarray(shifted, np.float32)
 
 
 def _small(picture: Gray, sector: Mask) -> npt.NDArray[np.float64]:
@@ -164,16 +182,3 @@ def _small(picture: Gray, sector: Mask) -> npt.NDArray[np.float64]:
     scene = np.where(weight > 0.99, cv2.GaussianBlur(small, (0, 0), 1.0) - wide, 0.0).ravel()
     scene -= scene.mean()
     return np.asarray(scene / max(float(np.linalg.norm(scene)), 1e-12), np.float64)
-
-
-def _shifted(frame: Gray, shift_px: npt.NDArray[np.float64]) -> Gray:
-    """The frame with its scene moved left and up by (right, down) pixels, cubic."""
-    matrix = np.array([[1, 0, shift_px[0]], [0, 1, shift_px[1]]], np.float64)
-    shifted = cv2.warpAffine(
-        frame,
-        matrix,
-        frame.shape[::-1],
-        flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_REFLECT,
-    )
-    return np.asarray(shifted, np.float32)

@@ -1,0 +1,181 @@
+"""Filters tuned on static groups, and judged on others.
+
+Two folds: each is judged by filters that were tuned on the other, so that no filter is judged on
+frames that chose its parameters.  A line search: of one parameter after the other the values of the
+filter's grid are tried from the present one outwards, until the score has fallen twice; the last
+steps halve the ratio between neighbours of the grid.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from simnfnd.evaluation.baselines import REGISTRY
+from simnfnd.evaluation.baselines.base import Baseline, Parameters
+from simnfnd.evaluation.methods.method import reason
+from simnfnd.evaluation.real.groups import Group, Judged
+from simnfnd.evaluation.real.score import psnr_of
+
+FOLDS = 2
+FRAMES_OF_A_GROUP = 2
+MOST_FRAMES = 16
+"""Frames that a filter is tuned on, and of each group where there are several."""
+
+_SLOW_S, _SLOWER = 0.25, 4  # CPU seconds a picture from which one frame of four has to do
+_ROUNDS = 2
+_LEAST_DB = 1e-3  # less is no gain
+
+
+@dataclass(frozen=True)
+class Part:
+    """What is done with a group.
+
+    judged: places of its frames that are judged.  fold: by filters that were tuned in the other.
+    tuning: fold -> places of the frames that filters are tuned on for this fold.
+    """
+
+    judged: tuple[int, ...]
+    fold: int
+    tuning: dict[int, tuple[int, ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A filter to be tuned for a fold, on frames with references."""
+
+    baseline: str
+    fold: int
+    frames: tuple[Judged, ...]
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """parameters: the best ones.  psnr_db: mean over the frames.  tried: how many points."""
+
+    parameters: Parameters
+    psnr_db: float
+    tried: int
+
+
+def parts_of(groups: Sequence[Group]) -> list[Part]:
+    """What is tuned on and what is judged: every other group; of a single one its two halves."""
+    if len(groups) == 1:
+        count = len(groups[0].shots)
+        half = count // 2
+        tuning = {0: _spread(range(half), MOST_FRAMES)}
+        return [Part(tuple(range(half, count)), 0, tuning)]
+    # Of many groups a part is enough to tune on.
+    most = MOST_FRAMES // FRAMES_OF_A_GROUP
+    used = set()
+    for fold in range(FOLDS):
+        used |= set(_spread(range(fold, len(groups), FOLDS), most))
+    found = []
+    for number, group in enumerate(groups):
+        every = range(len(group.shots))
+        other = (number + 1) % FOLDS
+        tuning = {other: _spread(every, FRAMES_OF_A_GROUP)} if number in used else {}
+        found.append(Part(tuple(every), number % FOLDS, tuning))
+    return found
+
+
+def tuned(task: Task) -> Tuned | str:
+    """The best parameters of a filter on some frames, or why it failed."""
+    baseline = REGISTRY[task.baseline]
+    if baseline.looks:
+        return "needs several looks at a scene that stands still"
+    try:
+        frames = task.frames
+        for _ in range(2):  # the first one loads and compiles
+            start = time.process_time()
+            _psnr(baseline, dict(baseline.default), frames[:1])
+        if time.process_time() - start > _SLOW_S:
+            frames = frames[::_SLOWER]
+        return line_search(baseline, lambda point: _psnr(baseline, point, frames))
+    except Exception as error:  # a method's own defect must not take the others along
+        return reason(error)
+
+
+def line_search(baseline: Baseline, measured: Callable[[Parameters], float]) -> Tuned:
+    """The best point of a filter's grid, searched along one parameter after the other.
+
+    measured: the score of a point, high is good.
+    """
+    known: dict[tuple[float, ...], float] = {}
+
+    def value(point: Parameters) -> float:
+        key = tuple(point[name] for name in sorted(point))
+        if key not in known:
+            known[key] = measured(point)
+        return known[key]
+
+    best = dict(baseline.default)
+    for turn in range(_ROUNDS):
+        before = dict(best)
+        for name, axis in baseline.grid.items():
+            best = _along(best, name, axis, value)
+        if best == before or (turn == 0 and len(baseline.grid) == 1):
+            break
+    for name, axis in baseline.grid.items():
+        best = _finer(best, name, axis, value)
+    return Tuned(best, value(best), len(known))
+
+
+def _along(
+    start: Parameters,
+    name: str,
+    axis: Sequence[float],
+    value: Callable[[Parameters], float],
+) -> Parameters:
+    best, top = start, value(start)
+    for outwards in (
+        [one for one in axis if one > start[name]],
+        [one for one in reversed(axis) if one < start[name]],
+    ):
+        last, falls = value(start), 0
+        for one in outwards:
+            point = {**start, name: one}
+            now = value(point)
+            if now > top + _LEAST_DB:
+                best, top = point, now
+            falls = falls + 1 if now < last else 0
+            last = now
+            if falls == 2:
+                break
+    return best
+
+
+def _finer(
+    start: Parameters,
+    name: str,
+    axis: Sequence[float],
+    value: Callable[[Parameters], float],
+) -> Parameters:
+    """The best of the present value and those half way, in ratio, to its neighbours on the grid."""
+    if not all(isinstance(one, float) for one in axis) or start[name] not in axis:
+        return start
+    place = axis.index(start[name])
+    best, top = start, value(start)
+    for neighbour in (*axis[max(place - 1, 0) : place], *axis[place + 1 : place + 2]):
+        point = {**start, name: float(f"{math.sqrt(start[name] * neighbour):.3g}")}
+        if (now := value(point)) > top + _LEAST_DB:
+            best, top = point, now
+    return best
+
+
+def _psnr(baseline: Baseline, point: Parameters, frames: Sequence[Judged]) -> float:
+    values = []
+    for frame in frames:
+        assert frame.reference is not None
+        picture = baseline(frame.noisy, point, frame.geometry)
+        values.append(psnr_of(picture, frame.reference, frame.where))
+    return float(np.mean(values))
+
+
+def _spread(numbers: Sequence[int], most: int) -> tuple[int, ...]:
+    count = min(most, len(numbers))
+    return tuple(numbers[place * len(numbers) // count] for place in range(count))

@@ -1,0 +1,91 @@
+"""A node of ROS 2 that denoises the pictures of a sonar as they come.
+
+python examples/ros2_denoise.py /sonar/image
+python examples/ros2_denoise.py /oculus/sonar_image --sonar
+
+The first is for a topic of sensor_msgs/Image, whose fan is found in the first picture; the second
+for one of marine_acoustic_msgs/ProjectedSonarImage, which says where its samples lie.  The same
+messages with denoised samples come out on TOPIC/denoised.  Of the pictures that come while one is
+denoised, only the last waits.  Needs a sourced ROS 2 and `pip install 'simnfnd[train]'`.
+"""
+
+import argparse
+
+from simnfnd import FactoryError
+from simnfnd.factory.recordings.fan_finder import find_fan
+from simnfnd.factory.recordings.fans import polar_geometry
+from simnfnd.factory.recordings.ros_messages import IMAGE, SONAR, frame_of, with_samples
+from simnfnd.models.denoise.denoiser import load_denoiser
+from simnfnd.models.denoise.files import denoise_image
+
+
+class Worker:
+    """Messages in, denoised messages out; knows nothing of ROS."""
+
+    def __init__(self, kind, weights=None):
+        """kind: type of the messages, as bags call it."""
+        self.kind = kind
+        self.denoise = load_denoiser(weights)
+        self.count = 0
+        self.fans = {}
+
+    def __call__(self, message):
+        """The message with denoised samples.  Raises FactoryError, or ValueError for odd floats."""
+        what = f"message {self.count}"
+        self.count += 1
+        frame = frame_of(message, self.kind, self.count, 0.0, what)
+        if frame.beams is not None:
+            geometry = polar_geometry(frame.beams, len(frame.samples))
+        else:
+            shape = frame.samples.shape
+            if shape not in self.fans:
+                found = find_fan(frame.samples)
+                self.fans[shape] = found.geometry if found else None
+            geometry = self.fans[shape]
+        denoised = denoise_image(frame.samples, self.denoise, geometry)
+        return with_samples(message, self.kind, denoised, what)
+
+
+def main():
+    """Run the node until Ctrl-C."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("topic")
+    parser.add_argument("--sonar", action="store_true", help="of ProjectedSonarImage, not Image")
+    parser.add_argument("--weights", help="weights.safetensors of a training")
+    given, ros = parser.parse_known_args()
+
+    # Only here: the rest of this file needs no ROS.
+    import rclpy
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+    if given.sonar:
+        from marine_acoustic_msgs.msg import ProjectedSonarImage as Message
+    else:
+        from sensor_msgs.msg import Image as Message
+
+    worker = Worker(SONAR if given.sonar else IMAGE, given.weights)
+    rclpy.init(args=ros)
+    node = rclpy.create_node("simnfnd_denoise")
+    publisher = node.create_publisher(Message, f"{given.topic}/denoised", 1)
+    # Hears publishers of either reliability.
+    latest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+    def on(message):
+        try:
+            publisher.publish(worker(message))
+        except (FactoryError, ValueError) as error:
+            node.get_logger().warning(f"left out: {error}")
+
+    node.create_subscription(Message, given.topic, on, latest)
+    node.get_logger().info(f"{given.topic} -> {given.topic}/denoised")
+    try:
+        rclpy.spin(node)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

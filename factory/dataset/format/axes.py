@@ -1,0 +1,57 @@
+"""The axes of image stacks, read from a file that may be damaged."""
+
+from __future__ import annotations
+
+import h5py
+import numpy as np
+
+from simnfnd.factory.dataset.format.sample import Axis
+from simnfnd.factory.errors import FactoryError
+
+# First byte, end and name of a piece of data.
+Place = tuple[int, int, str]
+
+
+def image_axes(stack: h5py.Dataset) -> tuple[Axis, Axis]:
+    """Row and column axes of an image stack.  Raises FactoryError when one cannot be read."""
+    _check_scale_references(stack)
+    return _axis(stack, 1), _axis(stack, 2)
+
+
+def contiguous_place(dataset: h5py.Dataset, name: str, file_bytes: int) -> list[Place]:
+    """Where a dataset lies that is stored in one piece, as it must be; nothing for an empty one."""
+    if dataset.id.get_create_plist().get_layout() != h5py.h5d.CONTIGUOUS:
+        raise FactoryError(f"/{name} is stored in chunks; the schema keeps it in one piece")
+    size = int(np.prod(dataset.shape, dtype=np.int64)) * dataset.id.get_type().get_size()
+    if not size:
+        return []
+    start = dataset.id.get_offset()
+    if start is None or start + size > file_bytes or dataset.id.get_storage_size() != size:
+        raise FactoryError(f"/{name} is not where the file says; generate it again")
+    return [(start, start + size, f"/{name}")]
+
+
+def _axis(stack: h5py.Dataset, dimension: int) -> Axis:
+    size = stack.shape[dimension]
+    try:
+        scale = stack.dims[dimension][0] if len(stack.dims[dimension]) else None
+    except (OSError, RuntimeError, ValueError, KeyError) as error:
+        raise FactoryError(f"the axes of {stack.name} are damaged; generate it again") from error
+    if scale is None or scale.shape != (size,) or scale.dtype.kind not in "iuf":
+        raise FactoryError(f"dimension {dimension} of {stack.name} has no axis of {size} numbers")
+    name = str(scale.name).removeprefix("/axes/")
+    contiguous_place(scale, f"axes/{name}", scale.file.id.get_filesize())
+    texts = [str(scale.attrs.get(key, "")) for key in ("units", "description")]
+    return Axis(name, texts[0], np.asarray(scale[()], dtype=np.float64), texts[1])
+
+
+def _check_scale_references(stack: h5py.Dataset) -> None:
+    """HDF5 follows whatever stands in DIMENSION_LIST, and dies of numbers there."""
+    name = b"DIMENSION_LIST"
+    if not h5py.h5a.exists(stack.id, name):
+        raise FactoryError(f"{stack.name} has no axes; generate the shard again")
+    attribute = h5py.h5a.open(stack.id, name)
+    kind = attribute.get_type()
+    listed = isinstance(kind, h5py.h5t.TypeVlenID) and attribute.shape == (stack.ndim,)
+    if not listed or not kind.get_super().equal(h5py.h5t.STD_REF_OBJ):
+        raise FactoryError(f"the axes of {stack.name} are damaged; generate it again")

@@ -1,0 +1,138 @@
+"""Checksums of a shard: of every picture, of the tables, and of all texts.
+
+HDF5 has none for what it keeps in one piece (/meta, /axes, plain pictures), for texts, and for the
+tables that say where a chunk lies.  So a shard has
+
+- `/checksums`, one row a sample and one column a layer: CRC-32 of the picture's bytes;
+- the root attribute `checksum`, of the other root attributes, /meta, the axes and `/checksums`;
+- the root attribute `text_checksum`, of what the layers, columns and axes say of themselves.
+
+The latter two are BLAKE2b (digest of 16 bytes, hexadecimal) of a JSON text that `_contents` and
+`_texts` write.  Shards of earlier versions have none of the three.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from simnfnd.factory.dataset.format.axes import image_axes
+from simnfnd.factory.dataset.format.schema import CHECKSUMS, ROOT_ATTRIBUTES, SEALS
+from simnfnd.factory.errors import FactoryError
+
+_CONTENTS, _TEXTS = SEALS
+# Addresses in the file; what they lead to is in `_texts` by name.
+_REFERENCES = ("DIMENSION_LIST", "REFERENCE_LIST")
+
+
+def crc32(values: npt.NDArray[Any]) -> int:
+    """CRC-32 of an array's bytes in C order."""
+    try:
+        from isal import isal_zlib  # a third of zlib's time
+    except ImportError:
+        return zlib.crc32(np.ascontiguousarray(values).data)
+    sums: int = isal_zlib.crc32(np.ascontiguousarray(values).data)
+    return sums
+
+
+def write_checksums(file: h5py.File, sums: Mapping[str, Sequence[int]]) -> None:
+    """Write /checksums and seal the file, in which everything else stands already.
+
+    sums: layer -> `crc32` of each of its pictures.
+    """
+    rows = len(next(iter(sums.values())))
+    table = np.empty(rows, dtype=[(name, "<u4") for name in sums])
+    for name, values in sums.items():
+        table[name] = values
+    file.create_dataset(CHECKSUMS, data=table, track_times=False)
+    seal(file, tuple(sums))
+
+
+def seal(file: h5py.File, layers: Iterable[str]) -> None:
+    """Write the two root attributes over what the file holds now."""
+    for name in SEALS:
+        if name in file.attrs:
+            del file.attrs[name]
+    file.attrs[_CONTENTS] = _digest(_contents(file, file["meta"][()]))
+    file.attrs[_TEXTS] = _digest(_texts(file, layers))
+
+
+def has_checksums(file: h5py.File) -> bool:
+    """Whether a shard has them; raises FactoryError when it has lost some."""
+    parts = [name in file.attrs for name in SEALS] + [_has_table(file)]
+    if any(parts) and not all(parts):
+        raise FactoryError("some of its checksums are absent; generate the shard again")
+    return parts[0]
+
+
+def check_contents(file: h5py.File, rows: npt.NDArray[Any]) -> None:
+    """Compare `checksum`.  Raises FactoryError when it differs.
+
+    rows: those of /meta.
+    """
+    if file.attrs[_CONTENTS] != _digest(_contents(file, rows)):
+        raise FactoryError("/meta, /axes or attributes differ from their checksum; damaged")
+
+
+def check_texts(file: h5py.File, layers: Iterable[str]) -> None:
+    """Compare `text_checksum`, if there is one.  Raises FactoryError when it differs."""
+    if has_checksums(file) and file.attrs[_TEXTS] != _digest(_texts(file, layers)):
+        raise FactoryError("units or descriptions differ from their checksum; damaged")
+
+
+def picture_sums(stack: h5py.Dataset) -> npt.NDArray[np.uint32] | None:
+    """(samples,) `crc32` of each picture of a layer; None in files that have none."""
+    if not _has_table(stack.file):
+        return None
+    sums: npt.NDArray[np.uint32] = stack.file[CHECKSUMS].fields(stack.name.lstrip("/"))[()]
+    return sums
+
+
+def _has_table(file: h5py.File) -> bool:
+    # Not `in`: that opens the file which an external link names.
+    return bool(file.id.links.exists(CHECKSUMS.encode()))
+
+
+def _digest(document: Any) -> str:
+    text = json.dumps(document, separators=(",", ":"))
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def _contents(file: h5py.File, rows: npt.NDArray[Any]) -> list[Any]:
+    sums = file[CHECKSUMS][()]
+    return [
+        [[name, _value(file.attrs.get(name))] for name in ROOT_ATTRIBUTES if name not in SEALS],
+        [[axis.name, crc32(axis.values)] for axis in image_axes(file["noisy"])],
+        *([[[n, t.dtype[n].str] for n in t.dtype.names or ()], crc32(t)] for t in (rows, sums)),
+    ]
+
+
+def _texts(file: h5py.File, layers: Iterable[str]) -> list[Any]:
+    axes = {axis.name for name in layers for axis in image_axes(file[name])}
+    return [
+        [[name, [axis.name for axis in image_axes(file[name])]] for name in layers],
+        *(
+            [name, [[key, _value(value)] for key, value in sorted(_attributes(file[name]))]]
+            for name in (*layers, "meta", *(f"axes/{axis}" for axis in sorted(axes)))
+        ),
+    ]
+
+
+def _attributes(item: h5py.Dataset) -> list[tuple[str, Any]]:
+    return [(name, item.attrs[name]) for name in item.attrs if name not in _REFERENCES]
+
+
+def _value(value: Any) -> Any:
+    if isinstance(value, bytes):
+        return value.hex()
+    if isinstance(value, np.ndarray | np.generic):
+        listed = value.tolist()
+        return [value.dtype.str, listed.hex() if isinstance(listed, bytes) else listed]
+    return value

@@ -1,0 +1,1 @@
+"""A device of its own for every picture: drawn sonar, formation, display and rasterisation."""

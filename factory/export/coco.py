@@ -1,0 +1,91 @@
+"""COCO: images/SPLIT/NAME.png and annotations/instances_SPLIT.json, with boxes and polygons.
+
+Categories have the numbers of the classes (`simnfnd.factory.labels`), from 1.  clean/SPLIT holds
+the ideal pictures.  Format: https://cocodataset.org/#format-data.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from simnfnd.factory.dataset.read.source import Source
+from simnfnd.factory.export.objects import (
+    LEAST_PX,
+    Labelled,
+    LabelledSet,
+    Shown,
+    labelled_dataset,
+    summary,
+    write_pictures,
+)
+from simnfnd.factory.export.outlines import outlines
+
+
+def write(source: Source, folder: Path) -> str:
+    """Fill `folder`.  Raises FactoryError for a dataset without labels."""
+    return write_labelled(labelled_dataset(source, "coco"), folder)
+
+
+def write_labelled(pictures: LabelledSet, folder: Path) -> str:
+    """Fill `folder` with all pictures and their objects."""
+    (folder / "annotations").mkdir()
+    categories = [
+        {"id": label, "name": name, "supercategory": "object"}
+        for label, name in enumerate(pictures.classes)
+        if label
+    ]
+    pictures_in_all = objects_in_all = left_out = 0
+    for split in pictures.splits:
+        images: list[dict[str, Any]] = []
+        annotations: list[dict[str, Any]] = []
+        for one in pictures.pictures(split):
+            write_pictures(one, split, folder)
+            images.append(_image(one, len(images) + 1))
+            for shown in one.objects:
+                annotations.append(_annotation(shown, len(annotations) + 1, len(images)))
+            left_out += one.left_out
+        document = {
+            "info": {"description": f"SimNFND, {split}", "version": "1.0"},
+            "images": images,
+            "annotations": annotations,
+            "categories": categories,
+        }
+        text = json.dumps(document, separators=(",", ":"))
+        (folder / "annotations" / f"instances_{split}.json").write_text(text + "\n")
+        pictures_in_all += len(images)
+        objects_in_all += len(annotations)
+    pictures.note(folder, _NOTES)
+    return summary(pictures_in_all, objects_in_all, left_out)
+
+
+def _image(one: Labelled, number: int) -> dict[str, Any]:
+    height, width = one.noisy.shape
+    return {"id": number, "file_name": f"{one.key}.png", "width": width, "height": height}
+
+
+def _annotation(shown: Shown, number: int, image: int) -> dict[str, Any]:
+    return {
+        "id": number,
+        "image_id": image,
+        "category_id": shown.label,
+        "bbox": shown.box,
+        "area": int(shown.mask.sum()),
+        "segmentation": [ring.ravel().tolist() for ring in outlines(shown.mask)],
+        "iscrowd": 0,
+    }
+
+
+_NOTES = f"""\
+`annotations/instances_SPLIT.json` holds, in the format of COCO, the objects in the pictures of
+`images/SPLIT`: box, area in pixels, and polygons along the edges of their pixels, from which
+pycocotools makes the very masks. Holes are cut out by slits. Objects that show in fewer than
+{LEAST_PX} pixels are left out. `clean/SPLIT`, if there, has the same pictures without noise.
+
+```python
+from pycocotools.coco import COCO
+
+objects = COCO("annotations/instances_train.json")
+```
+"""

@@ -1,0 +1,63 @@
+"""Workers that stand still: stopped by a debugger or the system, too stuck to watch themselves.
+
+A worker ends itself when a frame takes too long (`journal.watched`).  One that was stopped cannot,
+so the run looks at what the journals of its tasks gain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+from simnfnd.factory.jobs.journal import read_journal
+from simnfnd.factory.jobs.settings import SchedulerSettings
+
+# For the worker to end itself first, which leaves its traceback; on other machines also for what
+# their file system shows late.
+_GRACE_S = {"local": 10.0, "dask": 60.0}
+# Without a frame in hand a process starts, or a shard is written to a slow disk.
+_BETWEEN_FRAMES_S = 60.0
+
+
+class Standstill:
+    """Finds the tasks whose journals have gained nothing for too long."""
+
+    def __init__(self, scheduler: SchedulerSettings) -> None:
+        self._limit_s = scheduler.frame_timeout_s
+        self._grace_s = _GRACE_S.get(scheduler.backend, 0.0)
+        self._seen: dict[Path, tuple[int, float]] = {}
+
+    def among(
+        self, running: Mapping[Future[Any], tuple[Any, Path]], now: float
+    ) -> Iterator[Future[Any]]:
+        """The futures of those tasks; each is named once.
+
+        running: future -> (work, journal).  now: of a clock that never goes back, in seconds.
+        """
+        journals = {journal for _, journal in running.values()}
+        self._seen = {path: seen for path, seen in self._seen.items() if path in journals}
+        for future, (_, journal) in running.items():
+            size = _size(journal)
+            before, since = self._seen.get(journal, (-2, now))
+            if size != before:
+                self._seen[journal] = (size, now)
+            elif now - since > self._limit_s + self._grace_s and self._is_late(
+                journal, now - since
+            ):
+                self._seen[journal] = (size, float("inf"))
+                yield future
+
+    def _is_late(self, journal: Path, silent_s: float) -> bool:
+        return (
+            read_journal(journal).in_hand is not None
+            or silent_s > self._limit_s + self._grace_s + _BETWEEN_FRAMES_S
+        )
+
+
+def _size(journal: Path) -> int:
+    try:
+        return journal.stat().st_size
+    except OSError:
+        return -1

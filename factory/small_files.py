@@ -1,0 +1,87 @@
+"""Small files that a stranger may have written: regular ones, of bounded size, depth and growth."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import stat
+from pathlib import Path
+from typing import Any, BinaryIO
+
+MOST_BYTES = 1 << 24
+_MOST_YAML_BYTES = 1 << 22
+# An entry of a list or an object takes some hundred bytes at most, beside its text.
+_MOST_VALUES = 6_000_000
+_MOST_DEPTH = 64
+# The time of YAML's numbers in base sixty grows with the square of their length.
+_MOST_SCALAR = 1 << 16
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a regular file for reading.  Raises OSError for any other kind.
+
+    A pipe would wait for a writer for ever, and some devices never end.
+    """
+    file = os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb")
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise OSError(errno.EINVAL, "no regular file", str(path))
+    return file
+
+
+def read_regular(path: Path, most_bytes: int = MOST_BYTES) -> bytes:
+    """The content of a regular file.  Raises OSError for any other kind, or a longer one."""
+    with open_regular(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        # One byte more: it may be growing.
+        content = b"" if size > most_bytes else file.read(size + 1)
+    if size > most_bytes or len(content) > most_bytes:
+        raise OSError(errno.EFBIG, f"longer than {most_bytes} bytes", str(path))
+    return content
+
+
+def parse_json(content: bytes | str) -> Any:
+    """JSON that takes no more memory than a sound file.  Raises ValueError for anything else."""
+    counted = content.encode(errors="replace") if isinstance(content, str) else content
+    if sum(counted.count(mark) for mark in (b",", b"[", b"{")) > _MOST_VALUES:
+        raise ValueError(f"more than {_MOST_VALUES} values")
+    try:
+        return json.loads(content)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
+
+
+def parse_yaml(content: bytes) -> Any:
+    """YAML without aliases.  Raises ValueError for anything else."""
+    import yaml  # whoever reads pictures alone does without
+
+    loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    depth = 0
+    try:
+        text = content.decode()
+        for event in yaml.parse(text, Loader=loader):
+            if isinstance(event, yaml.AliasEvent):
+                raise ValueError("uses aliases, of which a few lines can stand for gigabytes")
+            if isinstance(event, yaml.CollectionStartEvent):
+                depth += 1
+            elif isinstance(event, yaml.CollectionEndEvent):
+                depth -= 1
+            if depth > _MOST_DEPTH:
+                raise ValueError("nested too deeply")
+            if isinstance(event, yaml.ScalarEvent) and len(event.value) > _MOST_SCALAR:
+                raise ValueError(f"a value longer than {_MOST_SCALAR} letters")
+        return yaml.load(text, Loader=loader)
+    except yaml.YAMLError as error:
+        raise ValueError(one_line(error)) from error
+
+
+def load_yaml(path: Path) -> Any:
+    """`parse_yaml` of a regular file.  Raises OSError or ValueError."""
+    return parse_yaml(read_regular(path, _MOST_YAML_BYTES))
+
+
+def one_line(error: BaseException, most: int = 160) -> str:
+    """What an error says, in one line of bounded length."""
+    reason = error.strerror if isinstance(error, OSError) else None
+    return " ".join((reason or str(error)).split())[:most]

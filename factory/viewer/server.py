@@ -1,0 +1,96 @@
+"""The page and what it asks for, over HTTP on loopback."""
+
+from __future__ import annotations
+
+import json
+import re
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.viewer.shown import Shown
+
+ADDRESS = "127.0.0.1"
+_PAGE = Path(__file__).with_name("page.html")
+_PICTURE = re.compile(r"/picture/(\d{1,12})/(\d{1,3})\.png")
+_FACTS = re.compile(r"/facts/(\d{1,12})\.json")
+
+
+class Viewer(ThreadingHTTPServer):
+    """Serves what is shown until it is shut down; `url` is where."""
+
+    daemon_threads = True
+
+    def __init__(self, shown: Shown, port: int = 0) -> None:
+        """port: 0 takes a free one.  Raises FactoryError when it is taken."""
+        try:
+            super().__init__((ADDRESS, port), _Handler)
+        except (OSError, OverflowError) as error:
+            raise FactoryError(f"--port {port}: cannot be used ({error})") from error
+        self.shown = shown
+        # Files are read by one thread at a time.
+        self.lock = threading.Lock()
+        self.url = f"http://{ADDRESS}:{self.server_port}/"
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: Viewer
+
+    def do_GET(self) -> None:
+        # A page of somebody else whose name was made to point here sends its own name.
+        if self.headers.get("Host") not in (
+            f"{ADDRESS}:{self.server.server_port}",
+            f"localhost:{self.server.server_port}",
+        ):
+            self._send(403, "text/plain", b"not for other names")
+            return
+        try:
+            with self.server.lock:
+                kind, content = self._answer(self.path.split("?")[0])
+            self._send(200, kind, content)
+        except LookupError:
+            self._send(404, "text/plain", b"not found")
+        except FactoryError as error:
+            self._send(500, "text/plain; charset=utf-8", str(error).encode())
+
+    def _answer(self, path: str) -> tuple[str, bytes]:
+        shown = self.server.shown
+        if path == "/":
+            return "text/html; charset=utf-8", _PAGE.read_bytes()
+        if path == "/about.json":
+            about = {"title": shown.title, "count": len(shown), "layers": shown.layers}
+            return _json(about)
+        if found := _PICTURE.fullmatch(path):
+            number, layer = map(int, found.groups())
+            if number >= len(shown) or layer >= len(shown.layers):
+                raise LookupError
+            done, content = cv2.imencode(".png", shown.picture(number, layer))
+            assert done
+            return "image/png", content.tobytes()
+        if found := _FACTS.fullmatch(path):
+            number = int(found[1])
+            if number >= len(shown):
+                raise LookupError
+            return _json(shown.facts(number))
+        raise LookupError
+
+    def _send(self, code: int, kind: str, content: bytes) -> None:
+        self.send_response(code)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(content)))
+        self.send_header("X-Content-Type-Options", "nosniff")
+        own = "default-src 'self'; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+        self.send_header("Content-Security-Policy", own)
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, *_: object) -> None:
+        """Nothing: the terminal is the user's."""
+
+
+def _json(value: Any) -> tuple[str, bytes]:
+    return "application/json", json.dumps(value).encode()

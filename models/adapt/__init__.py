@@ -1,0 +1,1 @@
+"""Trained weights fitted to somebody's own recordings, without any truth: `simnfnd adapt`."""

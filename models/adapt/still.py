@@ -1,0 +1,143 @@
+"""Stretches in which the scene stands still: frames, and for each what it would be without noise.
+
+The target of a frame is the mean of the *other* frames of its stretch, laid over it below a pixel
+(after Lehtinen et al., Noise2Noise, ICML 2018; the mean of several has less noise left than one).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from simnfnd.factory.recordings.averaging import LEAST_ALIKE
+from simnfnd.factory.recordings.static import (
+    StaticGroup,
+    aligned,
+    find_groups,
+    moving,
+    references,
+    shifted,
+)
+from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.models.adapt.clips import RUN, Clip, Shot
+from simnfnd.models.data.pairs import Image
+
+LEAST = 4
+"""Fewer frames make no stretch: too little is known of what stands still."""
+_ALIKE = 0.75  # of pictures in any order
+_LEAST_ALIGNED = 3
+_LEAST_KNOWN = 0.1  # of the sector that must stand still
+
+
+@dataclass(frozen=True, eq=False)
+class Still:
+    """One stretch.
+
+    frames: (H, W) float32 in 0..1.  targets: one for each frame, NaN where none is known: outside
+    the sector and where something moves.  geometry: of all frames.
+    """
+
+    frames: list[Image]
+    targets: list[Image]
+    geometry: FanGeometry | None
+
+    def only(self, numbers: Sequence[int]) -> Still:
+        """Some of the frames, with the targets that they have."""
+        return Still(
+            [self.frames[i] for i in numbers], [self.targets[i] for i in numbers], self.geometry
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Lessons:
+    """learning: what is learned from.  held: what is measured on; no frame of it is learned from.
+
+    same: whether the frames held out belong to the only stretch there is.
+    """
+
+    learning: list[Still]
+    held: list[Still]
+    same: bool
+
+
+def find_lessons(clips: Sequence[Clip]) -> Lessons | None:
+    """All stretches of the clips, a fifth of them (the last) held out; None when there are none.
+
+    Of a single stretch the last fifth of the frames is held out.  It still shows what was learned
+    from, so figures measured on it flatter.
+    """
+    known = [
+        (kept, still)
+        for clip in clips
+        for shots in _stretches(clip)
+        for kept, still in _stills(shots)
+    ]
+    if not known:
+        return None
+    stills = [still for _, still in known]
+    if len(known) > 1:
+        count = max(1, round(len(known) / 5))
+        return Lessons(stills[:-count], stills[-count:], same=False)
+    (kept, whole), count = known[0], max(1, len(known[0][0]) // 5)
+    # Targets of the frames that are learned from must not know the others.
+    learning = [still for _, still in _stills(kept[:-count])]
+    held = whole.only(range(len(kept) - count, len(kept)))
+    return Lessons(learning, [held], same=True) if learning else None
+
+
+def _stretches(clip: Clip) -> list[list[Shot]]:
+    """The shots of each stretch: of those that follow each other first, then of the rest."""
+    left = list(range(len(clip.shots)))
+    found: list[list[int]] = []
+    pieces = np.array_split(left, max(1, math.ceil(len(left) / RUN)))
+    for piece in pieces:
+        # Frames that follow each other show one scene unless it is plain that they do not.
+        found += _groups(clip, piece.tolist(), _ALIKE if clip.shuffled else LEAST_ALIKE)
+    taken = {number for group in found for number in group}
+    found += _groups(clip, [number for number in left if number not in taken], _ALIKE)
+    return [[clip.shots[i] for i in group] for group in sorted(found)]
+
+
+def _groups(clip: Clip, numbers: list[int], alike: float) -> list[list[int]]:
+    shots = [clip.shots[i] for i in numbers]
+    groups = find_groups(
+        [shot.grey for shot in shots], [shot.sector for shot in shots], least=LEAST, alike=alike
+    )
+    found = []
+    for group in groups:
+        own = sorted(numbers[i] for i in group.numbers)
+        parts = np.array_split(own, max(1, len(own) // RUN))
+        found += [part.tolist() for part in parts]
+    return found
+
+
+def _stills(shots: list[Shot]) -> list[tuple[list[Shot], Still]]:
+    """The stretch of these shots with those of them that fit; nothing when too little does."""
+    sector = shots[0].sector
+    group = aligned([shot.grey for shot in shots], sector)
+    if len(group.numbers) < _LEAST_ALIGNED:
+        return []
+    kept = [shots[i] for i in group.numbers]
+    frames = [shot.grey for shot in kept]
+    known = _known(frames, group, sector)
+    if known.sum() < _LEAST_KNOWN * sector.sum():
+        return []
+    targets = [
+        np.where(known, target, np.nan).astype(np.float32) for target in references(frames, group)
+    ]
+    return [(kept, Still(frames, targets, shots[0].geometry))]
+
+
+def _known(
+    frames: list[Image], group: StaticGroup, sector: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.bool_]:
+    """(H, W) bool: where all frames show the sector and nothing moves."""
+    laid = [shifted(frame, shift) for frame, shift in zip(frames, group.shifts_px, strict=True)]
+    margin = 2 * math.ceil(float(np.abs(group.shifts_px).max())) + 3
+    inner = cv2.erode(sector.astype(np.uint8), np.ones((margin, margin), np.uint8)).astype(bool)
+    return inner & ~moving(laid, sector)

@@ -1,0 +1,164 @@
+"""Pictures averaged with their neighbours in time before they are denoised (`--frames`)."""
+
+from __future__ import annotations
+
+import re
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.recordings import Frame
+from simnfnd.factory.recordings.averaging import Average, Averager, windows
+from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.models.data.images import FULL_SCALE, decode
+from simnfnd.models.denoise.inputs import Item
+
+MOST_FRAMES = 31
+
+Picture = npt.NDArray[Any]
+Place = Callable[[Picture], FanGeometry | None]
+"""Where range and bearing are in a picture."""
+
+_NUMBER = re.compile(r"\d+")
+
+
+class Steady:
+    """Averages of each picture and its neighbours.
+
+    frames: how many at most, odd; 1: pictures stay as they are.
+    pictures, used: how many pictures were averaged, and the frames that went into them together.
+    """
+
+    def __init__(self, frames: int = 1, items: Iterable[Item] = ()) -> None:
+        """items: whose pictures may be neighbours of each other.
+
+        Raises FactoryError for a number of frames that cannot be.
+        """
+        if not (1 <= frames <= MOST_FRAMES and frames % 2):
+            raise FactoryError(
+                f"--frames {frames}: give an odd number up to {MOST_FRAMES}: a picture and as "
+                "many before it as after it"
+            )
+        self.frames, self.reach = frames, frames // 2
+        self.pictures, self.used = 0, 0.0
+        self._averager = Averager()
+        self._neighbours = neighbours(items, self.reach) if self.reach else {}
+        self._decoded: OrderedDict[Path, Picture] = OrderedDict()
+
+    def of_recording(
+        self, frames: Iterable[Frame], place: Place
+    ) -> Iterator[tuple[Frame, Picture]]:
+        """Each frame of a recording with its samples, averaged as float32 in 0..1.
+
+        Without averaging they come as they are.
+        """
+        if not self.reach:
+            yield from ((frame, frame.samples) for frame in frames)
+            return
+        self._averager = Averager()
+        for own, window in windows(frames, self.reach):
+            frame = window[own]
+            pictures = {other.number: other.samples for other in window}
+            yield frame, self._average(pictures, frame.number, place(frame.samples))
+
+    def of_picture(self, item: Item, picture: Picture, geometry: FanGeometry | None) -> Picture:
+        """A picture file with those before and after it in its folder; see `of_recording`."""
+        names = self._neighbours.get(item.source, ())
+        if len(names) < 2 or not _is_usable(picture):
+            return picture
+        found = {item.source: picture}
+        for name in names:
+            if name != item.source:
+                try:
+                    found[name] = self._decode(name)
+                except FactoryError:
+                    continue  # said where it is denoised itself
+        return self._average(found, item.source, geometry)
+
+    def summary(self) -> Iterator[str]:
+        """One line, if pictures were averaged."""
+        if self.pictures:
+            yield (
+                f"averaged: {self.used / self.pictures:.1f} of up to {self.frames} frames a "
+                "picture; what does not fit or moves is left out"
+            )
+
+    def _average(
+        self, pictures: dict[Any, Picture], own: Any, geometry: FanGeometry | None
+    ) -> Picture:
+        picture = pictures[own]
+        shape = picture.shape[:2]
+        sector = np.ones(shape, bool)
+        if geometry is not None:
+            sector = geometry.with_size(*shape).maps(0, 0, *shape)["sector"] > 0
+        scaled = {
+            name: _colours(one).astype(np.float32) / np.float32(FULL_SCALE[str(one.dtype)])
+            for name, one in pictures.items()
+            if one.shape == picture.shape and one.dtype == picture.dtype and _is_usable(one)
+        }
+        average: Average = self._averager(own, scaled, sector)
+        self.pictures += 1
+        self.used += average.frames
+        if picture.ndim == 2:
+            return average.picture
+        full = np.float32(FULL_SCALE[str(picture.dtype)])
+        whole: Picture = picture.astype(np.float32) / full
+        whole[..., : average.picture.shape[2]] = average.picture
+        return whole
+
+    def _decode(self, path: Path) -> Picture:
+        if path not in self._decoded:
+            self._decoded[path] = decode(path)
+        self._decoded.move_to_end(path)
+        while len(self._decoded) > self.frames:
+            self._decoded.popitem(last=False)
+        return self._decoded[path]
+
+
+def in_kind_of(result: Picture, picture: Picture) -> Picture:
+    """float32 in 0..1 as the dtype of `picture`; what has it already stays."""
+    if result.dtype == picture.dtype:
+        return result
+    full = FULL_SCALE[str(picture.dtype)]
+    return np.asarray(np.rint(result.astype(np.float64) * full).astype(picture.dtype))
+
+
+def neighbours(items: Iterable[Item], reach: int) -> dict[Path, tuple[Path, ...]]:
+    """Picture file -> it and up to `reach` before and after it in its sequence.
+
+    A sequence is the pictures of a folder whose names differ in their last number alone.
+    """
+    sequences: dict[tuple[Path, str, str], list[tuple[int, Path]]] = {}
+    for item in items:
+        if item.kind == "image":
+            numbers = list(_NUMBER.finditer(item.source.name))
+            if numbers:
+                last = numbers[-1]
+                before, after = item.source.name[: last.start()], item.source.name[last.end() :]
+                key = item.source.parent, before, after
+                sequences.setdefault(key, []).append((int(last[0]), item.source))
+    found = {}
+    for sequence in sequences.values():
+        paths = [path for _, path in sorted(sequence)]
+        for own, window in windows(paths, reach):
+            found[window[own]] = tuple(window)
+    return found
+
+
+def _is_usable(picture: Picture) -> bool:
+    """Whether its grey values are known; who denoises it says what is wrong with others."""
+    if picture.dtype == np.float32:
+        return bool(picture.min() >= 0 and picture.max() <= 1)
+    return str(picture.dtype) in FULL_SCALE
+
+
+def _colours(picture: Picture) -> Picture:
+    """Without the alpha channel."""
+    if picture.ndim == 2:
+        return picture
+    return picture[..., : 3 if picture.shape[2] in (3, 4) else 1]

@@ -1,0 +1,99 @@
+"""Denoised frames as a video without loss, or as PNG files where the container holds none."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import cv2
+import numpy.typing as npt
+
+from simnfnd.factory.errors import FrameError
+from simnfnd.factory.files import explain_os_errors, write_atomically
+
+CODECS = {".avi": "FFV1", ".mkv": "FFV1", ".mov": "FFV1", ".mp4": "png "}
+"""Suffix of a container -> the codec without loss that it holds."""
+
+
+class FrameFiles:
+    """Takes the frames of a video in order; use it in a `with` statement.
+
+    They become a video at `path` when its container has a codec without loss (any other would add
+    artefacts of its own), the frame rate is known and both sides are even, as the writer cuts odd
+    ones; NNNNNN.png in a folder of that name otherwise.  The video appears when it is whole.
+    """
+
+    def __init__(self, path: Path, rate_hz: float | None) -> None:
+        """rate_hz: frames a second; None: unknown."""
+        self.path = path
+        self.rate_hz = rate_hz
+        self.count = 0
+        self._writer: cv2.VideoWriter | None = None
+        self._partial = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
+
+    def add(self, picture: npt.NDArray[Any]) -> None:
+        """The next frame, (H, W) or (H, W, 3) uint8.
+
+        Raises FrameError when another file has the place of a folder.
+        """
+        if not self.count:
+            self._open(picture)
+        if self._writer is not None:
+            grey = picture.ndim == 2
+            self._writer.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR) if grey else picture)
+        else:
+            done, content = cv2.imencode(".png", picture)
+            assert done
+            write_atomically(self.path / f"{self.count:06d}.png", content.tobytes(), key="--out")
+        self.count += 1
+
+    def _open(self, picture: npt.NDArray[Any]) -> None:
+        height, width = picture.shape[:2]
+        code = CODECS.get(self.path.suffix.lower())
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        if code and self.rate_hz and not (height % 2 or width % 2) and not self.path.is_dir():
+            writer = cv2.VideoWriter(
+                str(self._partial), cv2.VideoWriter.fourcc(*code), self.rate_hz, (width, height)
+            )
+            if writer.isOpened():
+                self._writer = writer
+                return
+            writer.release()
+            self._partial.unlink(missing_ok=True)
+        if self.path.is_file():
+            raise FrameError(f"{self.path}: is there already; remove it, or give another --out")
+        self.path.mkdir(exist_ok=True)
+
+    def _finish(self) -> None:
+        assert self._writer is not None
+        self._writer.release()
+        # The writer does not say when the disk is full.
+        capture = cv2.VideoCapture(str(self._partial))
+        held = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        capture.release()
+        if held != self.count:
+            raise FrameError(
+                f"{self.path}: holds {max(held, 0)} of {self.count} frames; is the disk full?"
+            )
+        with explain_os_errors(self.path, "--out"):
+            os.replace(self._partial, self.path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._writer is None:
+            return
+        try:
+            if kind is None:
+                self._finish()
+        finally:
+            self._writer.release()
+            self._partial.unlink(missing_ok=True)

@@ -1,0 +1,175 @@
+"""`simnfnd evaluate real` on scenes that stand still: truth, folds, tuning, several frames."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from simnfnd.command import main
+from simnfnd.evaluation.baselines import REGISTRY
+from simnfnd.evaluation.methods.method import NOISY, Method
+from simnfnd.evaluation.real.groups import Group, alone, judged, nearest
+from simnfnd.evaluation.real.measure import RealRow, measure
+from simnfnd.evaluation.real.shots import Shot, open_input
+from simnfnd.evaluation.real.summary import Groups, summaries
+from simnfnd.evaluation.real.tuning import line_search, parts_of
+from simnfnd.factory.workers.tasks import TaskPool
+from tests.evaluation.real.static_scenes import SHAPE, frames, shuffled
+from tests.project_files import ROOT
+
+GROUPS = ROOT.parent / "shared" / "data" / "mdd-groups"
+
+
+def real(out: Path, *words: str) -> dict[str, Any]:
+    assert main(["evaluate", "real", *words, f"out={out}", "workers=1", "examples=1"]) == 0
+    content: dict[str, Any] = json.loads((out / "real.json").read_text(encoding="utf-8"))
+    return content
+
+
+def group(folder: Path, values: list[int]) -> Group:
+    """A group of even pictures."""
+    shots = []
+    for number, value in enumerate(values):
+        path = folder / f"{number}.png"
+        cv2.imwrite(str(path), np.full(SHAPE, value, np.uint8))
+        shots.append(Shot(path, 0, path.name))
+    still = np.ones(SHAPE, bool)
+    return Group("even", tuple(shots), np.zeros((len(shots), 2)), None, still, 1.0)
+
+
+def test_a_shuffled_folder_is_judged_by_its_groups(tmp_path: Path) -> None:
+    folder = shuffled(tmp_path / "in", {0: 11, 1: 7, 2: 3})
+    content = real(tmp_path / "out", str(folder), "baselines=[gaussian,median]")
+    assert sorted(len(one["frames"]) for one in content["groups"]) == [7, 11]
+    assert [one["fold"] for one in content["groups"]] == [0, 1]
+    assert len(content["files"]) == 18, "the third scene has too few frames"
+    rows = {row["label"]: row for row in content["rows"]}
+    noisy, blurred = rows["noisy"], rows["gaussian tuned on others"]
+    # Noise of .08, and an eleventh or seventh of it in the truth; levels take some away.
+    assert 20.5 < noisy["means"]["psnr_db"] < 23
+    assert blurred["means"]["gain_db"] > 5
+    assert len(blurred["parameters"]) == 2
+    low, high = blurred["intervals"]["psnr_db"]
+    assert low <= blurred["means"]["psnr_db"] <= high
+    assert content["best_filter"]["psnr_db"] == "gaussian tuned on others"
+    assert noisy["means"]["margin_db"] == pytest.approx(-blurred["means"]["gain_db"], abs=1e-6)
+    # Seven of eleven frames are averaged, four are left as their truth; seven of seven leave none.
+    several = rows["multi-frame mean (7)"]
+    assert several["measured"] == 11
+    # Noise .0064 of a scene of .0225, after levels, and a quarter of it in the truth: 4.2 dB.
+    assert several["means"]["gain_db"] == pytest.approx(4.2, abs=0.5)
+    assert several["means"]["margin_db"] is None, "its truth is another one"
+    assert several["means"]["psnr_db"] > rows["multi-frame median (7)"]["means"]["psnr_db"]
+    text = (tmp_path / "out" / "real.md").read_text(encoding="utf-8")
+    assert "2 static groups of 18 frames" in text
+    assert "## PSNR by group, dB" in text
+    # The example is of the larger group: three rows, two of several frames, and the truth.
+    page = (tmp_path / "out" / "real.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png") == 6
+
+
+def test_of_a_recording_one_half_tunes_and_the_other_is_judged(tmp_path: Path) -> None:
+    path = tmp_path / "dive.avi"
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 5, SHAPE[::-1], True)
+    for frame in frames(3, 9):
+        video.write(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR))
+    video.release()
+    content = real(tmp_path / "out", str(path), "baselines=[gaussian]", "limit=8", "frames=3")
+    (found,) = content["groups"]
+    assert found["frames"] == [f"dive.avi#{number}" for number in range(8)]
+    assert found["judged"] == found["frames"][4:]
+    assert any("tuned on frames of its first half (4)" in note for note in content["notes"])
+    rows = {row["label"]: row for row in content["rows"]}
+    assert rows["gaussian tuned on others"]["means"]["gain_db"] > 3
+    assert rows["multi-frame mean (3)"]["means"]["gain_db"] > 2
+    assert rows["noisy"]["intervals"] == {}
+
+
+def test_without_a_static_group_the_figures_without_truth_stay(tmp_path: Path) -> None:
+    folder = shuffled(tmp_path / "in", {0: 2, 1: 2})
+    content = real(tmp_path / "out", str(folder), "baselines=[gaussian]")
+    assert content["groups"] == []
+    assert any(note.startswith("no static group was found") for note in content["notes"])
+    noisy, blurred = content["rows"]
+    assert blurred["label"] == "gaussian"
+    assert blurred["means"]["psnr_db"] is None
+    assert blurred["means"]["enl"] > 2 * noisy["means"]["enl"]
+    assert "no static group" in (tmp_path / "out" / "real.html").read_text(encoding="utf-8")
+
+
+def test_a_group_needs_some_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = shuffled(tmp_path / "in", {0: 6})
+    words = (str(folder), "limit=3", "workers=1", f"out={tmp_path / 'out'}", "baselines=[median]")
+    assert main(["evaluate", "real", *words]) == 2
+    assert "limit=3: a static group needs 4 frames" in capsys.readouterr().err
+
+
+def test_the_truth_of_several_frames_holds_none_of_them(tmp_path: Path) -> None:
+    values = [10, 20, 30, 40, 50, 60, 70, 90, 100, 130]
+    (one,) = judged(0, group(tmp_path, values), [1], 7)
+    assert one.reference is not None
+    assert one.several is not None
+    assert one.noisy[0, 0] * 255 == pytest.approx(20)
+    assert one.reference[0, 0] * 255 == pytest.approx((sum(values) - 20) / 9, rel=1e-5)
+    assert one.several.mean[0, 0] * 255 == pytest.approx(40, rel=1e-5), "the first seven"
+    assert one.several.median[0, 0] * 255 == pytest.approx(40, rel=1e-5)
+    assert one.several.reference[0, 0] * 255 == pytest.approx((90 + 100 + 130) / 3, rel=1e-5)
+    (short,) = judged(0, group(tmp_path, values[:9]), [1], 7)
+    assert short.several is None, "two frames are no truth"
+    assert nearest(10, 5, 7) == [2, 3, 4, 5, 6, 7, 8]
+    assert nearest(10, 9, 7) == [3, 4, 5, 6, 7, 8, 9]
+
+
+def test_filters_are_tuned_on_other_frames_than_they_judge(tmp_path: Path) -> None:
+    shared = group(tmp_path, [50] * 8)
+    (part,) = parts_of([shared])
+    assert part.judged == (4, 5, 6, 7)
+    assert part.tuning == {0: (0, 1, 2, 3)}
+    parts = parts_of([shared] * 40)
+    for part in parts:
+        assert part.judged == tuple(range(8))
+        assert part.fold not in part.tuning
+    for fold in (0, 1):
+        assert 14 <= sum(len(part.tuning.get(fold, ())) for part in parts) <= 16
+
+
+def test_tuning_finds_the_best_point_without_trying_all() -> None:
+    wavelet = REGISTRY["wavelet"]
+
+    def peak(point: dict[str, float]) -> float:
+        return -abs(math.log(point["strength"] / 0.068)) - abs(point["levels"] - 2)
+
+    found = line_search(wavelet, peak)
+    assert found.parameters == {"strength": 0.07, "levels": 2}
+    assert found.tried < len(wavelet.points()) / 2
+    between = line_search(REGISTRY["gaussian"], lambda p: -abs(math.log(p["sigma_px"] / 1.2)))
+    assert between.parameters["sigma_px"] == pytest.approx(1.18)
+
+
+def test_what_comes_back_as_it_was_is_called_unchanged(tmp_path: Path) -> None:
+    folder = shuffled(tmp_path / "in", {0: 2})
+    (stretch,), _ = open_input(str(folder), 9)
+    methods = [NOISY, *(Method("gaussian", "", {"sigma_px": size}) for size in (0.2, 2.0))]
+    rows = [RealRow(str(n), (method,)) for n, method in enumerate(methods)]
+    with TaskPool(1) as pool:
+        pictures = [alone(shot) for shot in stretch.shots]
+        shown = measure([(0, pictures)], rows, pool, "cpu", 9, lambda number: number == 1)
+    assert [list(row.images) for row in rows] == [[1]] * 3
+    assert list(shown) == [1]
+    found, _ = summaries(rows, Groups(False, ("0", "1"), np.arange(2)), resamples=100, seed=0)
+    assert [found[row.label].unchanged for row in rows] == [2, 2, 0]
+
+
+@pytest.mark.skipif(not GROUPS.is_dir(), reason="needs the static groups of real pictures")
+def test_a_group_of_real_pictures(tmp_path: Path) -> None:
+    content = real(tmp_path / "out", str(GROUPS / "20"), "baselines=[gaussian]", "limit=6")
+    noisy, blurred, *_ = content["rows"]
+    assert 25 < noisy["means"]["psnr_db"] < 28
+    assert blurred["means"]["gain_db"] > 2
+    assert content["groups"][0]["geometry"] == "fan"

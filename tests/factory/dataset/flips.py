@@ -1,0 +1,60 @@
+"""All that a dataset gives to its readers, and single bits flipped in its shards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+
+from simnfnd.factory.dataset import PairDataset
+from simnfnd.factory.dataset.read import reader
+from simnfnd.factory.dataset.read.pair_dataset import Verify
+from simnfnd.factory.dataset.read.source import open_source
+from simnfnd.factory.errors import FactoryError
+from tests.factory.dataset.hostile import LastingProcess
+
+LAYERS = ("noisy", "clean", "shadow", "range", "elevation", "segmentation", "layers/background")
+
+
+def given_out(root: Path, verify: Verify = "checksums") -> dict[str, bytes]:
+    """Name -> content of every picture, mask and piece of metadata of the train split.
+
+    Raises FactoryError when the reader refuses anything.
+    """
+    found: dict[str, bytes] = {}
+    with PairDataset(root, "train", layers=LAYERS, verify=verify) as pairs:
+        for number, sample in enumerate(pairs):
+            found |= {f"picture {number} {name}": x.tobytes() for name, x in sample.items()}
+        found["meta"] = pairs.meta().tobytes() + repr(pairs.meta().dtype.names).encode()
+        axes = [(axis.name, axis.units, axis.description) for axis in pairs.axes]
+        found["axes"] = b"".join(axis.values.tobytes() for axis in pairs.axes)
+        found["form"] = repr((axes, pairs.shape, pairs.dtype, pairs.config_hash)).encode()
+    source = open_source(root, "train")
+    told = (source.columns, source.config, source.config_hash, source.splits, dict(source.layers))
+    found["source"] = repr(told).encode()
+    return found
+
+
+def outcome(root: Path, sound: dict[str, bytes], verify: Verify = "checksums") -> str:
+    """`same`, `refused`, or the names of what is another than in the sound dataset."""
+    # One lasting process looks at the files first: starting one takes longer than all the rest.
+    with mock.patch.multiple(reader, IsolatedProcess=LastingProcess, _LIMIT_S=2.0):
+        try:
+            found = given_out(root, verify)
+        except FactoryError:
+            return "refused"
+    wrong = sorted(name for name in sound | found if sound.get(name, b"") != found.get(name, b""))
+    return ", ".join(wrong)[:200] or "same"
+
+
+def flip(path: Path, place: int, bit: int) -> None:
+    """Turn one bit of a file over."""
+    content = bytearray(path.read_bytes())
+    content[place] ^= 1 << bit
+    path.write_bytes(content)
+
+
+def any_bit(path: Path, rng: np.random.Generator) -> tuple[int, int]:
+    """A place in a file and a bit there, each as likely as any other."""
+    return int(rng.integers(path.stat().st_size)), int(rng.integers(8))

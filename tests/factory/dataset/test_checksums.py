@@ -1,0 +1,167 @@
+"""Checksums of pictures, tables and texts; shards without them; `verify="hash"`."""
+
+from __future__ import annotations
+
+import shutil
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from simnfnd.factory.dataset import PairDataset
+from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.read import pair_dataset
+from simnfnd.factory.dataset.read.isolated import IsolatedProcess
+from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import sha256_of
+from tests.factory.dataset.flips import any_bit, flip, given_out, outcome
+from tests.factory.dataset.hostile import PROVENANCE, admit, whole
+from tests.fake_source import FakeConfig, FakeSource, refs
+
+SHARD = "train/shard-00000.h5"
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Plain chunks: no filter tells of a flipped bit."""
+    return whole(tmp_path_factory.mktemp("sound") / "dataset", compression="none")
+
+
+@pytest.fixture
+def folder(sound: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(sound, tmp_path / "dataset"))
+
+
+def _text(words: bytes) -> Callable[[h5py.File, bytes], int]:
+    return lambda file, content: content.index(words) + len(words) // 2
+
+
+PLACES: dict[str, Callable[[h5py.File, bytes], int]] = {
+    "meta": lambda file, content: file["meta"].id.get_offset() + 60,
+    "axis": lambda file, content: file["axes/ahead"].id.get_offset() + 15,
+    "noisy": lambda file, content: file["noisy"].id.get_chunk_info(1).byte_offset + 200,
+    "shadow": lambda file, content: file["shadow"].id.get_chunk_info(2).byte_offset + 200,
+    "layer": lambda file, content: file["layers/background"].id.get_chunk_info(0).byte_offset,
+    "sums": lambda file, content: file["checksums"].id.get_offset() + 5,
+    "config": _text(b'{"seed":7}'),
+    "config hash": _text(b"c0ffee0123456789"),
+    "generator": _text(b"simnfnd 0.1.0"),
+    "text of an axis": _text(b"from the sonar"),
+    "text of a column": _text(b"fraction of the scene points"),
+    "text of a layer": _text(b"target of a denoiser"),
+}
+
+
+@pytest.mark.parametrize("part", sorted(PLACES))
+def test_a_flipped_bit_is_refused(folder: Path, part: str) -> None:
+    path = folder / SHARD
+    right = given_out(folder)
+    with h5py.File(path) as file:
+        place = PLACES[part](file, path.read_bytes())
+    flip(path, place, 0)
+    assert outcome(folder, right) == "refused"
+
+
+def strip(folder: Path) -> None:
+    """Make of the shards what an earlier version wrote."""
+    for path in folder.glob("*/*.h5"):
+        with h5py.File(path, "r+") as file:
+            for name in ("checksum", "text_checksum"):
+                del file.attrs[name]
+            del file["checksums"]
+    admit(folder)
+
+
+def test_shards_without_checksums_are_read(folder: Path) -> None:
+    right = given_out(folder)
+    strip(folder)
+    assert given_out(folder) == right
+
+
+def test_checksums_may_not_go_alone(folder: Path) -> None:
+    with h5py.File(folder / SHARD, "r+") as file:
+        del file["checksums"]
+    admit(folder)
+    with pytest.raises(FactoryError, match=r"shard-00000\.h5: .*checksum"):
+        given_out(folder)
+
+
+def test_anybody_can_check_a_picture(folder: Path) -> None:
+    with h5py.File(folder / SHARD) as file:
+        for name in file["checksums"].dtype.names:
+            sums = [zlib.crc32(image.tobytes()) for image in file[name]]
+            assert sums == file["checksums"][name].tolist()
+
+
+def test_bits_anywhere_change_nothing_unseen(folder: Path) -> None:
+    path = folder / SHARD
+    content, right = path.read_bytes(), given_out(folder)
+    rng = np.random.default_rng(5)
+    said = []
+    with IsolatedProcess() as process:
+        for _ in range(40):
+            flip(path, *any_bit(path, rng))
+            said.append(process.call(outcome, folder, right, limit_s=20.0))
+            path.write_bytes(content)
+    assert set(said) == {"same", "refused"}
+
+
+def test_a_hash_is_compared_when_it_is_asked_for(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    strip(folder)
+    hashed: list[str] = []
+
+    def counted(path: Path) -> str:
+        hashed.append(path.name)
+        return sha256_of(path)
+
+    monkeypatch.setattr(pair_dataset, "sha256_of", counted)
+    with PairDataset(folder, verify="hash") as pairs:
+        assert not hashed
+        for _ in range(3):
+            list(pairs)
+            pairs.meta()
+            pairs.close()
+    assert sorted(hashed) == ["shard-00000.h5", "shard-00001.h5"], "once a shard"
+    path = folder / SHARD
+    with h5py.File(path) as file:
+        place = PLACES["noisy"](file, b"")
+    flip(path, place, 0)
+    with PairDataset(folder) as pairs:
+        list(pairs)
+    for action in (lambda pairs: pairs[0], lambda pairs: pairs.meta(), lambda pairs: pairs.axes):
+        with (
+            PairDataset(folder, verify="hash") as pairs,
+            pytest.raises(FactoryError, match=r"shard-00000\.h5: SHA-256 differs from the mani"),
+        ):
+            action(pairs)
+
+
+def test_without_a_manifest_there_is_no_hash(folder: Path) -> None:
+    (folder / "manifest.json").unlink()
+    with pytest.raises(FactoryError, match=r"verify='hash' needs manifest\.json"):
+        PairDataset(folder, verify="hash")
+    with pytest.raises(FactoryError, match="verify='all': checksums or hash"):
+        PairDataset(folder, verify="all")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("compression", ["gzip", "lzf", "zstd", "none"])
+def test_pictures_that_no_filter_makes_smaller(tmp_path: Path, compression: str) -> None:
+    """LZF then leaves a chunk as it is and says so in its filter mask."""
+    if compression == "zstd":
+        pytest.importorskip("hdf5plugin")
+    source = FakeSource(FakeConfig())
+    rng = np.random.default_rng(2)
+    image = rng.integers(0, 256, (24, 20), dtype=np.uint8)
+    pairs = [replace(source.pairs(ref, (0,))[0], noisy=image) for ref in refs(2)]
+    settings = DatasetSettings(compression=compression)  # type: ignore[arg-type]
+    write_shard(tmp_path, SHARD, pairs, source.axes(), source.columns(), PROVENANCE, settings)
+    with PairDataset(tmp_path) as found:
+        np.testing.assert_array_equal(found[0:2]["noisy"], [image, image])
+        np.testing.assert_array_equal(found[1]["noisy"], image)

@@ -1,0 +1,216 @@
+"""Objects of exports, read back by pycocotools, and as YOLO's programs read their lines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+import yaml
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.export import export
+from simnfnd.factory.export.objects import LEAST_PX
+from simnfnd.factory.export.outlines import joined, outlines
+from simnfnd.factory.labels import CLASSES
+from tests.factory.dataset.hostile import reseal
+from tests.factory.export.export_dataset import write
+
+Masks = dict[str, dict[int, tuple[int, np.ndarray]]]
+
+
+@pytest.fixture(scope="module")
+def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Little pictures with ragged objects that have parts and holes, and a few tiny ones."""
+    root = write(tmp_path_factory.mktemp("labelled"), labels=True)
+    rng = np.random.default_rng(5)
+    for path in sorted(root.glob("*/*.h5")):
+        with h5py.File(path, "r+") as file:
+            for row in range(len(file["instance"])):
+                ragged = cv2.GaussianBlur(rng.random((20, 16)), (0, 0), 1.0) > 0.5
+                numbers = np.zeros((20, 16), np.uint16)
+                numbers[:12, :9] = 700
+                numbers[:12, 9:] = 3
+                numbers *= ragged
+                numbers[16, 2:4] = 41
+                file["instance"][row] = numbers
+                file["segmentation"][row] = np.select(
+                    [numbers == 700, numbers == 3, numbers == 41], [9, 20, 1], 0
+                )
+            reseal(file)
+    return root
+
+
+def truth(root: Path, split: str) -> list[list[tuple[int, np.ndarray]]]:
+    """(label, mask) of the objects that are large enough, picture for picture."""
+    found = []
+    for path in sorted((root / split).glob("*.h5")):
+        with h5py.File(path) as file:
+            for numbers in file["instance"][()]:
+                masks = [(label, numbers == n) for n, label in ((3, 20), (41, 1), (700, 9))]
+                found.append([(label, m) for label, m in masks if m.sum() >= LEAST_PX])
+    return found
+
+
+def test_coco_is_what_pycocotools_reads(labelled: Path, tmp_path: Path) -> None:
+    from pycocotools.coco import COCO
+
+    out = tmp_path / "out"
+    said = export(labelled, "coco", out)
+    everything = truth(labelled, "train") + truth(labelled, "test")
+    assert said.startswith(f"12 pictures, {sum(map(len, everything))} objects; 12 below 8 pixels")
+    for split, count in (("train", 9), ("test", 3)):
+        coco = COCO(str(out / "annotations" / f"instances_{split}.json"))
+        names = {one["id"]: one["name"] for one in coco.loadCats(coco.getCatIds())}
+        assert names == {k: name for k, name in enumerate(CLASSES) if k}
+        assert len(coco.getImgIds()) == count
+        wanted = truth(labelled, split)
+        for image, masks in zip(coco.loadImgs(sorted(coco.getImgIds())), wanted, strict=True):
+            picture = cv2.imread(str(out / "images" / split / image["file_name"]), -1)
+            assert picture is not None
+            assert picture.shape == (image["height"], image["width"]) == (20, 16)
+            assert (out / "clean" / split / image["file_name"]).is_file()
+            found = coco.loadAnns(coco.getAnnIds(image["id"]))
+            assert [one["category_id"] for one in found] == [label for label, _ in masks]
+            for one, (_, mask) in zip(found, masks, strict=True):
+                np.testing.assert_array_equal(coco.annToMask(one), mask)
+                rows, columns = mask.nonzero()
+                left, top, width, height = one["bbox"]
+                assert (left, top) == (columns.min(), rows.min())
+                assert (left + width, top + height) == (columns.max() + 1, rows.max() + 1)
+                assert one["area"] == mask.sum()
+
+
+def test_pycocotools_scores_the_truth_as_perfect(labelled: Path, tmp_path: Path) -> None:
+    from pycocotools.coco import COCO
+    from pycocotools.cocoeval import COCOeval
+
+    export(labelled, "coco", tmp_path / "out", "train")
+    coco = COCO(str(tmp_path / "out/annotations/instances_train.json"))
+    found = [{**one, "score": 1.0} for one in coco.dataset["annotations"]]
+    for kind in ("bbox", "segm"):
+        score = COCOeval(coco, coco.loadRes(found), kind)
+        score.evaluate()
+        score.accumulate()
+        score.summarize()
+        assert score.stats[0] == pytest.approx(1.0)
+
+
+def test_yolo_lines_are_the_objects(labelled: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    export(labelled, "yolo", out)
+    data = yaml.safe_load((out / "data.yaml").read_text())
+    assert data["names"] == dict(enumerate(CLASSES[1:]))
+    for key, split in (("train", "train"), ("val", "test")):
+        pictures = sorted((out / data[key]).iterdir())
+        for path, masks in zip(pictures, truth(labelled, split), strict=True):
+            # Ultralytics finds the labels by these changes of the picture's name.
+            place = Path(str(path).replace("/images/", "/labels/")).with_suffix(".txt")
+            lines = [line.split() for line in place.read_text().splitlines()]
+            assert [int(line[0]) + 1 for line in lines] == [label for label, _ in masks]
+            for line, (_, mask) in zip(lines, masks, strict=True):
+                corners = np.array(line[1:], float).reshape(-1, 2)
+                assert corners.min() >= 0
+                assert corners.max() <= 1
+                assert len(corners) > 3
+                # Its box is that of the mask, its area, with slits that enclose nothing, too.
+                rows, columns = mask.nonzero()
+                low, high = corners.min(0) * (16, 20), corners.max(0) * (16, 20)
+                np.testing.assert_allclose(low, (columns.min(), rows.min()), atol=1e-4)
+                np.testing.assert_allclose(high, (columns.max() + 1, rows.max() + 1), atol=1e-4)
+
+
+def test_a_single_split_both_trains_and_validates(labelled: Path, tmp_path: Path) -> None:
+    export(labelled, "yolo", tmp_path / "out", "test")
+    data = yaml.safe_load((tmp_path / "out/data.yaml").read_text())
+    assert data["train"] == data["val"] == "images/test"
+
+
+@pytest.mark.parametrize("density", [0.1, 0.5, 0.9])
+def test_outlines_lose_no_pixel(density: float) -> None:
+    from pycocotools import mask as tool
+
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        rows, columns = rng.integers(1, 30, 2)
+        mask = rng.random((rows, columns)) < density
+        rings = outlines(mask)
+        if not mask.any():
+            assert rings == []
+            continue
+        for given in (rings, [joined(rings)]):
+            lists = [ring.ravel().astype(float).tolist() for ring in given]
+            coded = tool.merge(tool.frPyObjects(lists, rows, columns))
+            np.testing.assert_array_equal(tool.decode(coded), mask)
+
+
+def test_straight_edges_need_their_ends_alone() -> None:
+    mask = np.zeros((9, 9), bool)
+    mask[2:5, 3:8] = True
+    (ring,) = outlines(mask)
+    assert sorted(map(tuple, ring.tolist())) == [(3, 2), (3, 5), (8, 2), (8, 5)]
+
+
+def mdd(folder: Path) -> Path:
+    """Three pictures as MDD has them; the last mask holds two patches of one class."""
+    for name in ("Images", "Masks"):
+        (folder / name).mkdir(parents=True)
+    for number in range(3):
+        mask = np.zeros((30, 20), np.uint8)
+        mask[5:10, 5:10] = number + 4
+        mask[20:24, 2:4] = number + 4 if number == 2 else 0
+        cv2.imwrite(str(folder / "Images" / f"p-{number}.png"), np.full((30, 20), 90, np.uint8))
+        cv2.imwrite(str(folder / "Masks" / f"p-{number}.png"), mask)
+    return folder
+
+
+def test_a_folder_of_mdd_goes_the_same_way(tmp_path: Path) -> None:
+    from pycocotools.coco import COCO
+
+    folder = mdd(tmp_path / "mdd")
+    assert export(folder, "coco", tmp_path / "a").startswith("3 pictures, 4 objects")
+    coco = COCO(str(tmp_path / "a/annotations/instances_train.json"))
+    boxes = [(one["category_id"], *one["bbox"]) for one in coco.dataset["annotations"]]
+    assert boxes == [(n, 5, 5, 5, 5) for n in (4, 5, 6)] + [(6, 2, 20, 2, 4)]
+    (folder / "train.txt").write_text("p-0.png\np-2.png\n")
+    (folder / "test.txt").write_text("p-1\n")
+    export(folder, "yolo", tmp_path / "b")
+    names = {path.stem for path in (tmp_path / "b/labels").rglob("*.txt")}
+    assert names == {"p-0", "p-1", "p-2"}
+    assert (tmp_path / "b/labels/test/p-1.txt").read_text().startswith("4 0.250000 0.166667")
+
+
+def test_folders_of_mdd_are_checked(tmp_path: Path) -> None:
+    folder = mdd(tmp_path / "mdd")
+    (folder / "test.txt").write_text("../../secret\n")
+    with pytest.raises(FactoryError, match=r"test.txt: names '../../secret', which is not in"):
+        export(folder, "coco", tmp_path / "out")
+    (folder / "test.txt").unlink()
+    with pytest.raises(FactoryError, match="has no split test"):
+        export(folder, "coco", tmp_path / "out", "test")
+    cv2.imwrite(str(folder / "Masks/p-1.png"), np.full((30, 20), 77, np.uint8))
+    with pytest.raises(FactoryError, match=r"p-1.png: is no mask of p-1.png"):
+        export(folder, "yolo", tmp_path / "out")
+    (folder / "Masks/p-1.png").unlink()
+    with pytest.raises(FactoryError, match=r"p-1.png: no such file; every picture needs its mask"):
+        export(folder, "yolo", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_labels_that_name_no_class_are_refused(tmp_path: Path) -> None:
+    root = write(tmp_path / "odd", labels=True)
+    with h5py.File(root / "test/shard-00000.h5", "r+") as file:
+        file["instance"][1] = 5
+        file["segmentation"][1] = 200
+        reseal(file)
+    with pytest.raises(FactoryError, match=r"odd: test-000001: /segmentation has a value 200"):
+        export(root, "coco", tmp_path / "out", "test")
+
+
+def test_without_labels_there_is_a_way_out(tmp_path: Path) -> None:
+    plain = write(tmp_path / "plain")
+    for to in ("coco", "yolo"):
+        with pytest.raises(FactoryError, match=r"no labels.*dataset.layers=\[segmentation\]"):
+            export(plain, to, tmp_path / "out")

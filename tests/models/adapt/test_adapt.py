@@ -1,0 +1,267 @@
+"""`simnfnd adapt`: what stands still is found, and weights learn from it without any truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.models.adapt import simulated
+from simnfnd.models.adapt.clips import natural, read_clips, runs
+from simnfnd.models.adapt.command import main
+from simnfnd.models.adapt.crops import crop, crop_size
+from simnfnd.models.adapt.score import psnr_after_levels
+from simnfnd.models.adapt.still import find_lessons
+from simnfnd.models.denoise.denoiser import load_denoiser
+from simnfnd.models.denoise.geometries import NONE, Geometries
+from simnfnd.models.networks import build_network
+from simnfnd.models.networks.weights import load_weights, save_weights
+from tests.models.adapt.scenes import SIDE, Gray, noisy, scene, write
+from tests.project_files import ROOT
+from tests.small_dataset import write_dataset
+
+DATA = ROOT.parent / "shared/data"
+CONFIG = {"kind": "unet", "widths": [8, 8], "blocks": 1}
+
+
+@pytest.fixture
+def weights(tmp_path: Path) -> Path:
+    """A network that leaves pictures as they are until it learns something."""
+    torch.manual_seed(0)
+    network = build_network(CONFIG)
+    with torch.no_grad():
+        for name, value in network.named_parameters():
+            if name.startswith("outro"):
+                value.zero_()
+    path = tmp_path / "start.safetensors"
+    save_weights(path, network, CONFIG, {"steps": 0})
+    return path
+
+
+def stand_still(folder: Path, scenes: int = 2, frames: int = 6) -> list[Gray]:
+    truth = [scene(number) for number in range(scenes)]
+    for number, one in enumerate(truth):
+        for frame in range(frames):
+            write(folder / f"{number}" / f"f{frame}.png", noisy(one, 100 * number + frame))
+    return truth
+
+
+def clips_of(folder: Path) -> list:
+    return read_clips(folder, folder / "out", Geometries(NONE)).clips
+
+
+def test_weights_learn_from_frames_without_truth(
+    tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth = stand_still(tmp_path / "in")
+    arguments = [str(tmp_path / "in"), "--weights", str(weights), "--keep", "0", "--steps", "24"]
+    outs = [tmp_path / name for name in ("a.safetensors", "b.safetensors")]
+    for out in outs:
+        assert main([*arguments, "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "2 stretch(es) stand still in 12 frames: 6 frames to learn from, 6 held out" in said
+    assert "PSNR after levels: noisy" in said
+    assert outs[0].read_bytes() == outs[1].read_bytes(), "the same steps and seed, other weights"
+    fresh = noisy(truth[1], 999)  # of the scene that nothing was learned from
+    denoised = load_denoiser(outs[0], "cpu")(fresh)
+    assert psnr_after_levels(denoised, truth[1]) > psnr_after_levels(fresh, truth[1]) + 0.5
+    facts = load_weights(outs[0]).training
+    assert (facts["adapted.frames"], facts["steps"], facts["seed"]) == (6, 24, 0)
+    assert facts["start.training"] == {"steps": 0}
+    assert facts["validation"]["after"] > facts["validation"]["before"]
+    assert str(tmp_path) not in str(facts)
+
+
+def test_pairs_are_mixed_in(
+    tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stand_still(tmp_path / "in", 1)
+    dataset = write_dataset(tmp_path / "pairs", train=12)
+    out = tmp_path / "out.safetensors"
+    arguments = ["--weights", str(weights), "--pairs", str(dataset)]
+    arguments += ["--steps", "32", "--keep", "0.02"]
+    assert main([str(tmp_path / "in"), "--out", str(out), *arguments]) == 0
+    said = capsys.readouterr().out
+    assert "1 held out, of the same stretch" in said
+    assert "simulated pictures held out, PSNR: before" in said
+    assert load_weights(out).training["kept"] == "dataset 0123abcd"
+
+
+def test_weights_that_are_no_better_are_not_written(
+    tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for frame in range(5):  # without any noise
+        write(tmp_path / "in" / f"{frame}.png", scene(0))
+    out = tmp_path / "out.safetensors"
+    arguments = ["--weights", str(weights), "--keep", "0", "--steps", "2"]
+    assert main([str(tmp_path / "in"), "--out", str(out), *arguments]) == 1
+    assert "nothing written" in capsys.readouterr().out
+    assert not out.exists()
+
+
+def test_where_nothing_stands_still_pixels_are_foretold(
+    tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for frame in range(6):
+        write(tmp_path / "in" / f"{frame}.png", noisy(scene(frame), frame))
+    out = tmp_path / "out.safetensors"
+    arguments = ["--weights", str(weights), "--keep", "0", "--steps", "20"]
+    assert main([str(tmp_path / "in"), "--out", str(out), *arguments]) == 0
+    said = capsys.readouterr().out
+    assert "nothing stands still in 6 frames" in said
+    assert "hidden pixels of frames held out" in said
+    facts = load_weights(out).training
+    assert facts["adapted.by"] == "blind spots"
+    assert facts["validation"]["after"] > facts["validation"]["before"]
+
+
+def test_no_frame_held_out_is_learned_from(tmp_path: Path) -> None:
+    stand_still(tmp_path / "one", 1, 10)
+    lessons = find_lessons(clips_of(tmp_path / "one"))
+    assert lessons is not None
+    assert lessons.same
+    assert [len(still.frames) for still in (*lessons.learning, *lessons.held)] == [8, 2]
+    learned = {frame.tobytes() for frame in lessons.learning[0].frames}
+    assert not learned & {frame.tobytes() for frame in lessons.held[0].frames}
+    mean = np.mean([frame for frame in lessons.learning[0].frames[1:]], axis=0)
+    inner = np.s_[8:-8, 8:-8]
+    assert np.abs(lessons.learning[0].targets[0] - mean)[inner].max() < 0.1
+    assert np.abs(lessons.learning[0].targets[0] - mean)[inner].mean() < 0.01
+
+
+def test_what_moves_is_no_target(tmp_path: Path) -> None:
+    one = scene(0)
+    for frame in range(8):
+        picture = noisy(one, frame, 0.03)
+        picture[24:34, 7 * frame + 2 : 7 * frame + 12] = 1
+        write(tmp_path / f"{frame}.png", picture)
+    lessons = find_lessons(clips_of(tmp_path))
+    assert lessons is not None
+    unknown = np.isnan(lessons.learning[0].targets[0])
+    assert unknown[25:33, 6:56].mean() > 0.9
+    assert unknown[50:60, 8:-8].mean() < 0.05
+
+
+def test_stretches_are_found_in_a_shuffled_folder(tmp_path: Path) -> None:
+    truth = [scene(number) for number in range(9)]
+    # Two scenes stand still, among others, and no two of their frames follow each other.
+    order = [0, 2, 1, 3, 0, 4, 1, 5, 0, 6, 1, 7, 0, 8, 1] * 2
+    for frame, number in enumerate(order):
+        write(tmp_path / f"{frame:03d}.png", noisy(truth[number], frame))
+    lessons = find_lessons(clips_of(tmp_path))
+    assert lessons is not None
+    assert not lessons.same
+    stills = [*lessons.learning, *lessons.held]
+    closest = [
+        int(np.argmin([np.abs(np.mean(still.frames, axis=0) - one).mean() for one in truth]))
+        for still in stills
+    ]
+    assert set(closest) >= {0, 1}
+
+
+def test_long_recordings_are_thinned_in_runs() -> None:
+    assert runs(40, 1.0) == list(range(40))
+    assert runs(64, 0.5) == [*range(16), *range(32, 48)]
+    assert runs(40, 0.001) == list(range(16))
+    assert runs(3, 0.1) == [0, 1, 2]
+    names = [Path("a10.png"), Path("a9.png"), Path("a.png")]
+    assert sorted(names, key=natural) == [Path("a9.png"), Path("a10.png"), Path("a.png")]
+
+
+def test_crops_of_narrow_pictures_are_long() -> None:
+    assert crop_size(500, 500) == (192, 192)
+    assert crop_size(2000, 48) == (768, 48)
+    assert crop_size(100, 60) == (100, 60)
+    picture = np.arange(40 * 30, dtype=np.float32).reshape(40, 30) / 1200
+    target = np.full((40, 30), np.nan, np.float32)
+    target[30:, :] = picture[30:]
+    batch = crop(picture, target, None, (12, 30), (), np.random.default_rng(0))
+    assert batch["noisy"].shape == (1, 1, 12, 30)
+    assert torch.isfinite(batch["clean"]).float().mean() >= 0.25
+    known = torch.isfinite(batch["clean"])
+    assert torch.equal(batch["clean"][known], batch["noisy"][known])
+
+
+def test_reliefs_give_pictures_to_keep() -> None:
+    recipe = (("experiment=simnfnd",),)
+    one, again = (simulated.of_reliefs(3, 4, recipe) for _ in range(2))
+    assert (len(one.learning), len(one.held)) == (3, 1)
+    for sample, same in zip(one.learning, again.learning, strict=True):
+        assert np.array_equal(sample.noisy, same.noisy)
+        assert sample.clean is not None
+        assert sample.noisy.shape == sample.clean.shape
+        assert 0.001 < np.square(sample.noisy - sample.clean).mean() < 0.1
+        assert sample.geometry is not None
+
+
+@pytest.mark.parametrize(
+    ("files", "words", "said"),
+    [
+        ([], [], "holds no image"),
+        (["a.png"], [], "is one picture"),
+        (["a.png", "b.png"], ["--keep", "1"], "--keep 1"),
+        (["a.png", "b.png"], ["--steps", "0"], "--steps 0"),
+        (["a.png", "b.png"], ["--minutes", "0"], "--minutes 0"),
+        (["a.png", "b.png"], ["--out", "here"], r"must end in \.safetensors"),
+        (["a.png", "b.png"], ["--weights", "nowhere"], "nowhere"),
+        (["train/a.h5"], [], "belongs to a dataset"),
+    ],
+)
+def test_bad_input_is_one_line(
+    tmp_path: Path, files: list[str], words: list[str], said: str
+) -> None:
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for number, name in enumerate(files):
+        if name.endswith(".h5"):
+            (folder / name).parent.mkdir()
+            (folder / name).write_bytes(b"")
+        else:
+            write(folder / name, noisy(scene(number), number))
+    out = ["--out", str(tmp_path / "out.safetensors")]
+    with pytest.raises(FactoryError, match=said) as caught:
+        main([str(folder), *out, *words])
+    assert "\n" not in str(caught.value)
+
+
+def test_damaged_pictures_are_left_out(
+    tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stand_still(tmp_path / "in", 1, 6)
+    (tmp_path / "in" / "0" / "f3.png").write_bytes(b"no picture")
+    out = tmp_path / "out.safetensors"
+    arguments = ["--weights", str(weights), "--keep", "0", "--steps", "12"]
+    assert main([str(tmp_path / "in"), "--out", str(out), *arguments]) == 0
+    caught = capsys.readouterr()
+    assert "f3.png" in caught.err
+    assert "in 5 of 6 frames" in caught.out
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="needs the sample recordings")
+def test_sample_recordings_stand_still(tmp_path: Path) -> None:
+    with_ping = read_clips(DATA / "aris-sdk/sample.aris", tmp_path, Geometries(NONE))
+    lessons = find_lessons(with_ping.clips)
+    assert lessons is not None
+    assert [len(one.frames) for one in (*lessons.learning, *lessons.held)] == [5, 1]
+    video = DATA / "didson/lamprey1.avi"
+    part = read_clips(video, tmp_path, Geometries(NONE), most_pixels=774 * 400 * 16)
+    assert (part.frames, sum(len(clip.shots) for clip in part.clips)) == (150, 16)
+    lessons = find_lessons(part.clips)
+    assert lessons is not None
+    assert [len(one.frames) for one in (*lessons.learning, *lessons.held)] == [13, 3]
+
+
+def test_levels_do_not_count() -> None:
+    one = scene(0)
+    assert psnr_after_levels(0.5 * one + 0.1, one) > 60
+    unknown = one.copy()
+    unknown[: SIDE // 2] = np.nan
+    worse = one.copy()
+    worse[: SIDE // 2] = 0
+    assert psnr_after_levels(worse, unknown) > 60
+    blurred = np.asarray(cv2.blur(one, (9, 9)), np.float32)
+    assert psnr_after_levels(blurred, one) < 40

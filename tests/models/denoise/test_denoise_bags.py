@@ -1,0 +1,110 @@
+"""`simnfnd denoise` on bags of ROS."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.recordings import open_recording
+from simnfnd.factory.recordings.ros_messages import IMAGE, SONAR, typestore
+from simnfnd.factory.recordings.rosbag import RosBag
+from simnfnd.models.denoise import command
+from simnfnd.models.denoise.command import main
+from tests.factory.recordings.bag_files import content, image, sonar, write_bag
+from tests.factory.recordings.fan_pictures import fan, preset
+from tests.factory.recordings.recording_files import pings
+from tests.models.denoise.test_denoise_recordings import Halving
+
+
+@pytest.fixture
+def halving(monkeypatch: pytest.MonkeyPatch) -> Halving:
+    made = Halving()
+    monkeypatch.setattr(command, "load_denoiser", lambda *given, **named: made)
+    return made
+
+
+def test_bags_become_bags(tmp_path: Path, halving: Halving) -> None:
+    folder = tmp_path / "in"
+    (folder / "deep").mkdir(parents=True)
+    given = pings(3, 20, 16)
+    for name, version in (("a.bag", 1), ("deep/b", 2), ("c.mcap", 2)):
+        store = typestore(version)
+        messages = [sonar(store, number, one) for number, one in enumerate(given)]
+        write_bag(folder / name, {"/sonar": (SONAR, messages)})
+    out = tmp_path / "out"
+    assert main([str(folder), "--out", str(out), "--compare"]) == 0
+    for name in ("a.bag", "deep/b", "c.mcap"):
+        before, after = ([one[:3] for one in content(where / name)] for where in (folder, out))
+        assert before == after
+        with open_recording(out / name) as bag:
+            for old, new in zip(given, bag, strict=True):
+                assert np.abs(new.samples - old / 2).max() <= 0.5
+    assert len(halving.told) == 9
+    told = halving.told[0]
+    assert told is not None
+    assert (told.layout, told.range_bins, len(told.beam_azimuths_rad)) == ("polar", 20, 16)
+    assert (out / "compare" / "deep" / "b.png").is_file()
+
+
+def test_a_fan_is_found_in_pictures_of_a_topic(
+    tmp_path: Path, halving: Halving, capsys: pytest.CaptureFixture[str]
+) -> None:
+    grey, true = fan(preset("didson_hf", 300, 500), 0.2, False)
+    store = typestore(1)
+    topics = {
+        "/sonar": (IMAGE, [image(store, number, grey) for number in range(2)]),
+        "/camera": (IMAGE, [image(store, 0, np.full((30, 40), 9, np.uint8))]),
+    }
+    path = write_bag(tmp_path / "a.bag", topics)
+    out = ["--out", str(tmp_path / "out")]
+    assert main([str(path), *out, "--topic", "/sonar"]) == 0
+    assert f"geometry: fan found in 1 of 1 pictures ({path})" in capsys.readouterr().out
+    assert [told is not None for told in halving.told] == [True, True]
+    assert halving.told[0] is not None
+    assert halving.told[0].apex_y_px == pytest.approx(true.apex_y_px, abs=2)
+    found = {
+        (topic, number): message
+        for number, (topic, _, _, message) in enumerate(content(tmp_path / "out/a.bag"))
+    }
+    assert (found["/camera", 2].data == 9).all()
+
+
+def test_bags_that_cannot_be_denoised_are_skipped(
+    tmp_path: Path, halving: Halving, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "in"
+    folder.mkdir()
+    store = typestore(1)
+    write_bag(folder / "a.bag", {"/sonar": (SONAR, [sonar(store, 0, pings(1, 12, 8)[0])])})
+    loud = image(store, 0, np.full((9, 9), 3, np.float32), "32FC1")
+    write_bag(folder / "loud.bag", {"/p": (IMAGE, [loud])})
+    (folder / "short.bag").write_bytes((folder / "a.bag").read_bytes()[:-200])
+    write_bag(folder / "there", {"/p": (IMAGE, [image(typestore(2), 0, pings(1, 9, 9)[0])])})
+    out = tmp_path / "out"
+    (out / "there").mkdir(parents=True)
+    assert main([str(folder), "--out", str(out)]) == 1
+    said = capsys.readouterr().err
+    assert "loud.bag: message 0: float pixels must lie in 0..1" in said
+    assert "short.bag: cannot be read, it is damaged or no bag" in said
+    assert "there: is there already; remove it, or give another --out" in said
+    assert sorted(path.name for path in out.iterdir()) == ["a.bag", "there"]
+
+
+def test_frames_of_one_topic_are_averaged(
+    tmp_path: Path, halving: Halving, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = typestore(1)
+    still = [sonar(store, number, pings(1, 40, 32)[0]) for number in range(3)]
+    write_bag(tmp_path / "a.bag", {"/a": (SONAR, still), "/b": (SONAR, still)})
+    words = [str(tmp_path / "a.bag"), "--out", str(tmp_path / "out"), "--frames", "3"]
+    with pytest.raises(FactoryError, match=r"--frames averages one topic; choose of /a, /b with"):
+        main(words)
+    assert main([*words, "--topic", "/b"]) == 0
+    assert "averaged: " in capsys.readouterr().out
+    for topic, divisor in (("/a", 1), ("/b", 2)):
+        with RosBag(tmp_path / "out/a.bag", [topic]) as bag:
+            found = bag[1].samples
+        assert np.abs(found - pings(1, 40, 32)[0] / divisor).max() <= 0.5
