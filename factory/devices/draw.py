@@ -111,6 +111,7 @@ def configured(config: FactoryConfig, device: Device, *, any_size: bool) -> Fact
         config.acoustics,
         formation=device.formation,
         tvg_log=drawn["tvg_log"],
+        standing=drawn["standing"] if drawn["standing_share"] and not points else 0.0,
         lambert_exponent=drawn["lambert_exponent"],
         reflectivity_db={
             **config.acoustics.reflectivity_db,

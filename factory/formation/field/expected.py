@@ -36,6 +36,7 @@ class Expected:
     echo: of what fluctuates as speckle does and texture can change; noise: of what else does.
     steady: of what does not fluctuate.  textured: the part of echo and steady that texture varies.
     looks: independent fields whose intensities are averaged.  shape: nu of the texture.
+    standing: part of the speckle's power that is the same in every ping.
     """
 
     echo: Floats
@@ -44,6 +45,7 @@ class Expected:
     textured: Floats
     looks: int = 1
     shape: float = np.inf
+    standing: float = 0.0
 
     def scale(self, factor: npt.NDArray[np.floating]) -> None:
         """Multiply all intensities; factor: of a shape that broadcasts."""
@@ -62,15 +64,17 @@ def expected(
     *,
     systematic: bool = True,
     realised: bool = False,
+    standing: float = 0.0,
 ) -> Expected:
     """The expected intensities after time-varying gain.
 
     systematic: whether the systematic ones of the effects act, or the random ones alone.
     realised: whether random effects act as they do in this one sample, where that can be told, or
         on average.
+    standing: part of the speckle's power that averaging leaves, as it is in this sample.
     """
     none = [np.zeros(ping.shape, np.float32) for _ in range(3)]
-    state = Expected(none[0], none[1], ping.expected.copy(), none[2])
+    state = Expected(none[0], none[1], ping.expected.copy(), none[2], standing=standing)
     for stage in ("echo", "beam", "picture"):
         if stage == "picture":
             state.scale(ping.gain[:, None])

@@ -52,7 +52,8 @@ class FieldScene:
         self, variant: int, effects: Sequence[DrawnEffect], config: FactoryConfig
     ) -> FieldSample:
         """See `contract.Scene`."""
-        return FieldSample(self, effects, config.acoustics.target)
+        acoustics = config.acoustics
+        return FieldSample(self, effects, acoustics.target, acoustics.standing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +63,7 @@ class FieldSample:
     scene: FieldScene
     effects: Sequence[DrawnEffect]
     target: str
+    standing: float = 0.0
 
     @property
     def rate(self) -> float:
@@ -89,7 +91,8 @@ class FieldSample:
         ping = self.scene.ping
         if self.scene.target is not None:
             return self.scene.target.grey
-        state = expected(ping, self.effects, systematic=self.target == "mean_log")
+        systematic = self.target == "mean_log"
+        state = expected(ping, self.effects, systematic=systematic, standing=self.standing)
         grey = display(state, ping.full_scale, ping.sonar.transfer)
         return polar.where_seen(grey, ping.window, ping.sonar)
 
@@ -130,7 +133,7 @@ class FieldSample:
             return self.noisy(kept)
         # Speckle is not switched off but averaged: its mean lifts and lowers a display of levels.
         averaged = [e for e in self.effects if e.name in kept or e.artefact == "speckle"]
-        state = expected(ping, averaged, realised=True)
+        state = expected(ping, averaged, realised=True, standing=self.standing)
         for cloud in self.clouds:
             if cloud.name in kept:
                 extra = polar.accumulate(cloud.echoes, ping.window, ping.sonar)

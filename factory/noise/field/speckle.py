@@ -17,7 +17,13 @@ from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.distribution import NonNegative, Positive
 from simnfnd.factory.formation.field.expected import Expected
-from simnfnd.factory.formation.field.signal import Ping, Signal, gaussian_table
+from simnfnd.factory.formation.field.signal import (
+    Floats,
+    Ping,
+    Signal,
+    beamform,
+    gaussian_table,
+)
 from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
 from simnfnd.factory.settings import STRICT
 
@@ -62,10 +68,32 @@ def speckle(
 def expect_speckle(
     expected: Expected, ping: Ping, rng: np.random.Generator, *, looks: float, scatterer_m: float
 ) -> None:
-    """The echoes fluctuate."""
-    expected.echo += expected.steady
-    expected.steady[:] = 0
+    """The echoes fluctuate, but for what stands still.
+
+    A field that keeps the part p of its power from ping to ping is sqrt(p) f + sqrt(1 - p) g, f the
+    same in all pings and g new in each.  This ping shows that sum, so f is, with another g,
+    sqrt(p) (the sum) + sqrt(1 - p) g.
+    """
+    part = expected.standing
+    expected.echo += (1 - part) * expected.steady
+    if part:
+        expected.steady[:] = part * _standing(ping, rng, part, looks, scatterer_m)
+    else:
+        expected.steady[:] = 0
     expected.looks = max(round(looks), 1)
+
+
+def _standing(
+    ping: Ping, rng: np.random.Generator, part: float, looks: float, scatterer_m: float
+) -> Floats:
+    """(range_bins, beams) intensity of f, whose mean is that of the echoes."""
+    silent = Signal(np.zeros(ping.shape, np.float32), np.empty((0, 2, *ping.shape), np.float32))
+    # The first has the stream of the effect, and so the field that the picture shows.
+    shown, other = (
+        speckle(silent, ping, rng, looks=looks, scatterer_m=scatterer_m).field for _ in range(2)
+    )
+    same = np.float32(np.sqrt(part)) * shown + np.float32(np.sqrt(1 - part)) * other
+    return np.asarray((beamform(same, ping) ** 2).sum(axis=1).mean(axis=0), np.float32)
 
 
 SPECKLE = Effect(
