@@ -37,6 +37,9 @@ if TYPE_CHECKING:
     from simnfnd.factory.noise.registry import NoiseSettings
     from simnfnd.factory.render.base import Rendered
 
+_DRAWS = 40
+"""Devices that may be drawn for a picture until one sees some of the frame."""
+
 
 @dataclass(frozen=True, eq=False)
 class ObservedFrame:
@@ -86,13 +89,7 @@ class PairMaker:
         if config.devices is None:
             observed = observe(frame, rendered, config)
             return [make_pair(observed, variant, config) for variant in variants]
-        names = (ref.location, ref.scene, ref.frame)
-        drawn = [devices.draw(config.devices, config.seed, *names, one) for one in variants]
-        return [
-            make_pair(observed, variant, own, device)
-            for variant, device in zip(variants, drawn, strict=True)
-            for observed, own in [observe_by(device, frame, rendered, config)]
-        ]
+        return [pair_by_drawn_device(frame, rendered, one, config) for one in variants]
 
     def ready(self, ref: FrameRef) -> bool:
         """Whether the frame's render is at hand."""
@@ -159,6 +156,30 @@ def observe_by(
     config = devices.resolved(config, device, window, any_size=any_size)
     observed = observe(frame, rendered, config, window)
     return observed, devices.fitted(config, device, observed.scene)
+
+
+def pair_by_drawn_device(
+    frame: Frame, rendered: Rendered, variant: int, config: FactoryConfig
+) -> Pair:
+    """A variant of a frame, by the device that `config.devices` draws for it.
+
+    A device whose window shows nothing of the frame gives way to the next draw.
+    Raises FrameError as `observe` does, where none of them sees any of it.
+    """
+    assert config.devices is not None
+    ref = frame.ref
+    names = (ref.location, ref.scene, ref.frame, variant)
+    for attempt in range(_DRAWS):
+        again = (attempt,) if attempt else ()
+        device = devices.draw(config.devices, config.seed, *names, *again)
+        try:
+            observed, own = observe_by(device, frame, rendered, config)
+        except FrameError:
+            if attempt == _DRAWS - 1:
+                raise
+        else:
+            return make_pair(observed, variant, own, device)
+    raise AssertionError
 
 
 def make_pair(

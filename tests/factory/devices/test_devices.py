@@ -115,3 +115,13 @@ def test_rasters_show_samples_as_they_are_or_between() -> None:
     np.testing.assert_array_equal(jpeg.picture(polar, window, sonar, noisy=False), nearest)
     traces = jpeg.picture(polar, window, sonar, noisy=True) - nearest
     assert 0.001 < np.abs(traces).mean() < 0.1
+
+
+def test_a_device_that_sees_nothing_gives_way_to_the_next() -> None:
+    """All of the ground lies nearer than 4 m; half of the devices begin beyond it."""
+    far = "devices.range_min_m={choice: [0.7, 20]}"
+    words = (far, "devices.range_max_m=30", "devices.auto_range_share=0", "devices.field_share=1")
+    rows = [pair(*words, variant=number).record for number in range(6)]
+    assert {row["device.range_min_m"] for row in rows} == {0.7}
+    with pytest.raises(FactoryError, match="no echo inside"):
+        pair(*words, "devices.range_min_m=20")
