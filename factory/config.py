@@ -126,6 +126,35 @@ class FactoryConfig:
             )
         return self
 
+    @model_validator(mode="after")
+    def _received(self) -> Self:
+        check_received(self)
+        return self
+
+
+_RECEIVED = ("intensity_db", "field")
+
+
+def check_received(config: FactoryConfig) -> None:
+    """Raise ValueError when layers or columns are asked for that the formation does not have."""
+    dataset = config.dataset
+    asked = [name for name in _RECEIVED if name in dataset.layers]
+    if config.devices is not None and (asked or dataset.columns):
+        raise ValueError(
+            "dataset.layers: intensity_db, field and dataset.columns need one device; leave them "
+            "out or set devices=fixed"
+        )
+    if config.acoustics.formation == "points" and (asked or "calibration" in dataset.columns):
+        raise ValueError(
+            f"dataset: {(asked or ['calibration'])[0]} is of the physical profile alone; set "
+            "acoustics=field (experiment=physical), or leave it out"
+        )
+    if "field" in asked and config.sonar.samples_per_bin > 1:
+        raise ValueError(
+            "dataset.layers: field is of raw samples, and sonar.samples_per_bin averages them; "
+            "set sonar.samples_per_bin=1"
+        )
+
 
 def from_mapping(values: Mapping[str, Any]) -> FactoryConfig:
     """Validate a composed configuration.
@@ -166,6 +195,8 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
         values["sonar"].pop("samples_per_bin")
     if config.sonar.transfer.full_scale_db is None:
         values["sonar"]["transfer"].pop("full_scale_db")
+    if not config.dataset.columns:
+        values["dataset"].pop("columns")
     for key in ("dir", "on_existing", "name", "preview_pairs", "licence"):
         values["dataset"].pop(key, None)
     if config.devices is None:

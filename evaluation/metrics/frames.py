@@ -65,8 +65,6 @@ def frame_noise(frames: npt.NDArray[np.generic]) -> FrameNoise:
     own = (grey - rest).ravel()
     own -= own.mean()
     square = (own**2).mean()
-    grain = grey - ndimage.uniform_filter(grey, (0, *_SCENE))
-    alike = (grain[1:] * grain[:-1]).mean() / (grain**2).mean()
     # Of N values the mean of the rest adds (N - 1)^-2 of the third moment, with the other sign.
     others = len(grey) - 1
     skewness = (own**3).mean() / square**1.5 * (1 + 1 / others) ** 1.5 / (1 - others**-2)
@@ -81,8 +79,18 @@ def frame_noise(frames: npt.NDArray[np.generic]) -> FrameNoise:
         tuple(across[1:6].tolist()),
         float(skewness),
         float(kurtosis),
-        float(alike),
+        grain_correlation(grey, 1),
     )
+
+
+def grain_correlation(frames: npt.NDArray[np.generic], lag: int) -> float:
+    """Correlation of the grain of frames `lag` apart, (N, ranges, beams); 1 where none changes.
+
+    Grain is what is finer than 15 ranges and 5 beams, a scene's own fine structure included.
+    """
+    grey = np.asarray(frames, np.float64)
+    grain = grey - ndimage.uniform_filter(grey, (0, *_SCENE))
+    return float((grain[lag:] * grain[:-lag]).mean() / (grain**2).mean())
 
 
 def correlation(noise: Floats, axis: int) -> Floats:

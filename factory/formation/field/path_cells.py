@@ -52,7 +52,7 @@ def path_cells(ping: Ping, cell_m: float) -> PathCells:
     """
     from simnfnd.factory.formation.field import path_loops
 
-    scene, sonar = ping.scatterers, ping.sonar
+    scene, sonar, window = ping.scatterers, ping.sonar, ping.window
     across, down = directions(scene.frame)
     pose = np.ascontiguousarray(scene.world_from_camera[:3])
     given = (scene.pixels, scene.parts, scene.powers, scene.frame.depth_m, across, down, pose)
@@ -73,8 +73,9 @@ def path_cells(ping: Ping, cell_m: float) -> PathCells:
     kept, phases = np.empty(cells, np.uint32), np.empty(cells, np.uint16)
     waves_per_m = 2000 * sonar.frequency_khz / ping.water.sound_speed_m_s()
     count = path_loops.locate(
-        names, powers, places, cell_m, _sonar_from_world(ping), ping.window.projection == "top_view",
-        ping.window.range_min_m, sonar.range_bins / ping.window.range_span_m, edges, first_beam,
+        names, powers, places, cell_m, _sonar_from_world(ping),
+        window.projection == "top_view", window.range_min_m,
+        sonar.range_bins / window.range_span_m, edges, first_beam,
         BEAM_STEPS / float(edges[-1] - edges[0]), sonar.range_bins, waves_per_m,
         bins, roots, kept, phases,
     )  # fmt: skip

@@ -18,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.formation.clouds import EffectCloud, effect_clouds
-from simnfnd.factory.formation.contract import DrawnEffect, Floats
+from simnfnd.factory.formation.contract import DrawnEffect, Floats, Layers
 from simnfnd.factory.formation.field import decimation
+from simnfnd.factory.formation.field.calibrated import calibrated
 from simnfnd.factory.formation.field.expected import Expected, display, expected
 from simnfnd.factory.formation.field.received import received
 from simnfnd.factory.formation.field.scatterers import scatterers
@@ -134,6 +135,13 @@ class FieldSample:
                 level = np.sqrt(level**2 + extra**2)
         grey = transfer.grey(level, float(full_scale), ping.sonar.transfer)
         return polar.where_seen(grey, ping.window, ping.sonar)
+
+    def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Layers]:
+        """See `contract.Sample`."""
+        if not {"intensity_db", "field"}.intersection(layers):
+            return {}
+        acting = [effect for effect in self.effects if effect.name in effects]
+        return calibrated(self.scene.ping, acting, layers, self.scene.samples)
 
     def without(self, artefacts: Collection[str]) -> Floats:
         """See `contract.Sample`."""

@@ -85,7 +85,9 @@ class SeabedReader:
         path = settings.path
         frames = settings.frames_per_location if path is None else len(self._movements())
         refs = [
-            FrameRef("seabed", f"seabed-{location:04d}", f"{frame:04d}", () if path is None else (path,))
+            FrameRef(
+                "seabed", f"seabed-{location:04d}", f"{frame:04d}", () if path is None else (path,)
+            )
             for location in range(first, first + settings.locations)
             for frame in range(frames)
         ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -172,6 +173,7 @@ def _field_of_view(toward: Floats) -> tuple[tuple[float, float], tuple[float, fl
     return azimuths, (float(up.min() - 0.04), float(up.max() + 0.04))
 
 
+@lru_cache(maxsize=2)  # all frames of a moving platform begin at one
 def choose_pose(world: World, frame: int) -> Pose:
     """The pose of a frame: of a few ways to look from its place, the one that shows most.
 
