@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simnfnd.factory import pose, seeds
+from simnfnd.factory import calibration, pose, seeds
 from simnfnd.factory.dataset.format.sample import Axis, Column
 from simnfnd.factory.formation.contract import Sample
-from simnfnd.factory.formation.field import calibrated
 from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.noise import draws as drawn
 from simnfnd.factory.noise.draws import Draws
@@ -61,7 +60,7 @@ def columns(noise: NoiseSettings, formation: str = "points") -> tuple[Column, ..
     return _WHAT + _WINDOW + _SCENE + target + drawn.columns(noise)
 
 
-_REQUESTED = {"pose": pose.COLUMNS, "calibration": calibrated.COLUMNS}
+_REQUESTED = {"pose": pose.COLUMNS, "calibration": calibration.COLUMNS}
 
 
 def requested(names: Sequence[str]) -> tuple[Column, ...]:
@@ -75,7 +74,7 @@ def requested_row(frame: Frame, config: FactoryConfig) -> dict[str, float]:
     if "pose" in config.dataset.columns:
         made |= pose.row(frame, config.sonar.mount)
     if "calibration" in config.dataset.columns:
-        made |= calibrated.row(config.sonar, config.water, config.acoustics)
+        made |= calibration.row(config.sonar, config.water, config.acoustics)
     return made
 
 

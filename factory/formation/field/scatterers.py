@@ -31,6 +31,8 @@ from simnfnd.factory.sonar.window import Window
 Floats = npt.NDArray[np.float32]
 
 BEAM_STEPS = 16_384
+# Of one part of the table of cells: what the second cache of a core holds.
+_SLOTS = 16_384
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,9 +128,13 @@ def shares(
     """(runs,) float32: see `Cells.shares`; the arguments are what `cell_loops.runs` gives."""
     from simnfnd.factory.formation.field import cell_loops
 
-    made = np.empty(len(names), np.float32)
-    table = np.zeros((1 << (1 + len(names).bit_length()), 2), np.uint32)
-    cell_loops.count(names, places, ends, table, made)
+    made, work = np.empty(len(names), np.float32), np.empty((4, len(names)), np.uint32)
+    slots = 1 << (1 + len(names).bit_length())
+    parts = max(slots // _SLOTS, 1)
+    while not cell_loops.count(
+        names, places, ends, parts, np.empty((slots // parts, 2), np.uint32), work, made
+    ):
+        parts //= 2
     return made
 
 
