@@ -1,4 +1,4 @@
-"""What turns grey values into sound pressure: columns that `dataset.columns=[calibration]` asks for.
+"""What turns grey values into sound pressure: columns on request, `dataset.columns=[calibration]`.
 
 Level at the receiver = full scale of the picture, its transfer curve backwards, less the gain, plus
 the source level; layer intensity_db is the result.
