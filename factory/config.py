@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from pydantic import Field, TypeAdapter, model_validator
@@ -125,6 +126,35 @@ class FactoryConfig:
             )
         return self
 
+    @model_validator(mode="after")
+    def _received(self) -> Self:
+        check_received(self)
+        return self
+
+
+_RECEIVED = ("intensity_db", "field")
+
+
+def check_received(config: FactoryConfig) -> None:
+    """Raise ValueError when layers or columns are asked for that the formation does not have."""
+    dataset = config.dataset
+    asked = [name for name in _RECEIVED if name in dataset.layers]
+    if config.devices is not None and (asked or dataset.columns):
+        raise ValueError(
+            "dataset.layers: intensity_db, field and dataset.columns need one device; leave them "
+            "out or set devices=fixed"
+        )
+    if config.acoustics.formation == "points" and (asked or "calibration" in dataset.columns):
+        raise ValueError(
+            f"dataset: {(asked or ['calibration'])[0]} is of the physical profile alone; set "
+            "acoustics=field (experiment=physical), or leave it out"
+        )
+    if "field" in asked and config.sonar.samples_per_bin > 1:
+        raise ValueError(
+            "dataset.layers: field is of raw samples, and sonar.samples_per_bin averages them; "
+            "set sonar.samples_per_bin=1"
+        )
+
 
 def from_mapping(values: Mapping[str, Any]) -> FactoryConfig:
     """Validate a composed configuration.
@@ -156,6 +186,17 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
         # The view that all datasets had before there was another keeps their names.
         values["scenes"].pop("hfov_deg", None)
         values["scenes"].pop("vfov_deg", None)
+    path = values["scenes"].pop("path", None)
+    if path is not None:
+        # Where the platform goes counts, and not where the file lies.
+        values["scenes"]["path"] = file_digest(path)
+    if config.sonar.samples_per_bin == 1:
+        # As all datasets were before there was a choice.
+        values["sonar"].pop("samples_per_bin")
+    if config.sonar.transfer.full_scale_db is None:
+        values["sonar"]["transfer"].pop("full_scale_db")
+    if not config.dataset.columns:
+        values["dataset"].pop("columns")
     for key in ("dir", "on_existing", "name", "preview_pairs", "licence"):
         values["dataset"].pop(key, None)
     if config.devices is None:
@@ -166,6 +207,15 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
     for key in ("cache", "shard", "debug"):
         values.pop(key)
     return values
+
+
+def file_digest(path: str) -> str:
+    """16 hexadecimal digits of the content of a file.  Raises FactoryError without it."""
+    try:
+        content = Path(path).expanduser().read_bytes()
+    except OSError as error:
+        raise FactoryError(f"scenes.path={path}: cannot be read ({error.strerror})") from error
+    return hashlib.blake2b(content, digest_size=8).hexdigest()
 
 
 def _without_field(values: dict[str, Any]) -> None:

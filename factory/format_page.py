@@ -18,7 +18,7 @@ from simnfnd.factory.dataset.format.schema import (
 )
 from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.noise.registry import NoiseSettings
-from simnfnd.factory.record import columns
+from simnfnd.factory.record import columns, requested
 
 _HEAD = f"""\
 # The dataset format `{SCHEMA}`
@@ -51,8 +51,8 @@ picture, table and text, so that a damaged one is an error and not a wrong pictu
 _VALUES = """\
 `value_meaning` says that noisy and clean have the same scale. That holds by default, and with
 `acoustics=field` for `acoustics.target=mean_field`. The targets `geometry` and `radiometric` are
-other quantities than an echo level: their clean picture is scaled by a full scale of its own, which
-is recorded nowhere, so its grey values can be compared within a picture and not with noisy.
+other quantities than an echo level: their clean picture is scaled by a full scale of its own
+(`clean_full_scale`), so its grey values can be compared within a picture and not with noisy.
 """
 
 _CONFIG_HASH = """\
@@ -210,8 +210,11 @@ def markdown() -> str:
         "(samples, rows, columns), one chunk a picture. Grey values are of one type in a dataset, "
         f"as `dataset.dtype` says: {kinds}.\n",
         _table(("layer", "type", "units", "what it is"), [_row(layer) for layer in always]),
-        "On request (`dataset.layers=[effects,range,elevation,valid_azimuth,segmentation]`; "
-        "segmentation, which brings instance, for procedural scenes alone):\n",
+        "On request (`dataset.layers=[effects,range,segmentation,...]`; segmentation, which brings "
+        "instance, for procedural scenes alone; intensity_db and field with `acoustics=field`). "
+        "A point of the cloud is range, azimuth and elevation of a bin (in sonar axes "
+        "x = r cos e cos a ahead, y = -r cos e sin a to the left, z = r sin e up), its strength "
+        "intensity_db; `examples/point_cloud.py` writes one:\n",
         _table(
             ("layer", "type", "units", "what it is"),
             [
@@ -241,6 +244,16 @@ def markdown() -> str:
             [
                 (f"`{column.name}`", f"`{column.dtype}`", column.units, column.description)
                 for column in columns(NoiseSettings())
+            ],
+        ),
+        "On request, `dataset.columns=[pose]`, and `[calibration]` with `acoustics=field`; NaN "
+        "where the recording does not say. World axes are the recording's (z is up in `seabed`), "
+        "camera axes x right, y down, z forward, sonar axes x forward, y left, z up:\n",
+        _table(
+            ("column", "type", "units", "what it is"),
+            [
+                (f"`{column.name}`", f"`{column.dtype}`", column.units, column.description)
+                for column in requested(("pose", "calibration"))
             ],
         ),
         "## Root attributes\n",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -54,6 +54,8 @@ class Frame:
     world_from_camera: (4, 4) float64 pose, or None where the recording has none.
     segmentation: (H, W) uint8 object class, or None where nobody labelled it.
     instance: (H, W) uint16 object number within the scene (0 = none), or None.
+    time_s: when it was taken, seconds from any beginning, or None.
+    altitude_m: height of the camera above the ground right under it, or None.
     """
 
     ref: FrameRef
@@ -63,6 +65,8 @@ class Frame:
     world_from_camera: npt.NDArray[np.float64] | None = None
     segmentation: npt.NDArray[np.uint8] | None = None
     instance: npt.NDArray[np.uint16] | None = None
+    time_s: float | None = None
+    altitude_m: float | None = None
 
     @property
     def valid(self) -> npt.NDArray[np.bool_]:
@@ -106,13 +110,4 @@ def checked(frame: Frame, *, bad_depth: str = "reject", min_valid: int = 16) -> 
     valid = int((depth_m > 0).sum())
     if valid < min_valid:
         raise FrameError(f"{name}: depth has only {valid} valid pixels; nothing to render")
-    depth_m = np.ascontiguousarray(depth_m, dtype=np.float32)
-    return Frame(
-        frame.ref,
-        frame.rgb,
-        depth_m,
-        frame.intrinsics,
-        frame.world_from_camera,
-        frame.segmentation,
-        frame.instance,
-    )
+    return replace(frame, depth_m=np.ascontiguousarray(depth_m, dtype=np.float32))

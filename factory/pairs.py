@@ -24,7 +24,7 @@ from simnfnd.factory.formation.contract import Floats, Scene
 from simnfnd.factory.formation.registry import FORMATIONS
 from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.noise.draws import StreamNames, draw
-from simnfnd.factory.record import columns, image_axes, record
+from simnfnd.factory.record import columns, image_axes, record, requested, requested_row
 from simnfnd.factory.renders.views import Views, open_views
 from simnfnd.factory.sonar import polar, surface, transfer
 from simnfnd.factory.sonar.fan import lay_out, lay_out_nearest
@@ -47,7 +47,7 @@ class ObservedFrame:
 
     window: range and azimuth limits of the picture.  has_pose: whether the frame's is known.
     shadow: (H, W) bool picture.  layers: (H, W) pictures of what lies behind each pixel, by the
-    names of `dataset.layers`.
+    names of `dataset.layers`.  columns: what `dataset.columns` asks for.
     """
 
     ref: FrameRef
@@ -56,6 +56,7 @@ class ObservedFrame:
     scene: Scene
     shadow: npt.NDArray[np.bool_]
     layers: Mapping[str, npt.NDArray[np.generic]]
+    columns: Mapping[str, float]
 
 
 class PairMaker:
@@ -73,7 +74,7 @@ class PairMaker:
         config = self.config
         if config.devices is not None:
             return columns(config.noise, "field") + devices.columns(config.devices)
-        return columns(config.noise, config.acoustics.formation)
+        return columns(config.noise, config.acoustics.formation) + requested(config.dataset.columns)
 
     def pairs(
         self, ref: FrameRef, variants: tuple[int, ...], noise: NoiseSettings | None = None
@@ -127,6 +128,7 @@ def observe(
         scene,
         lay_out_nearest(shadow, window, sonar),
         {name: lay_out_nearest(picture, window, sonar) for name, picture in behind.items()},
+        requested_row(frame, config),
     )
 
 
@@ -204,6 +206,8 @@ def make_pair(
         return transfer.quantise(laid_out, config.dataset.dtype)
 
     layers = dict(observed.layers)
+    for name, measured in sample.measured(draws.names, config.dataset.layers).items():
+        layers[name] = lay_out_nearest(measured, observed.window, config.sonar)
     if "effects" in config.dataset.layers:
         layers |= {f"layers/{name}": picture(sample.noisy({name})) for name in draws.names}
     return Pair(
@@ -219,6 +223,7 @@ def make_pair(
             draws,
             config.acoustics.formation if device is None else "field",
         )
-        | ({} if device is None else device.row()),
+        | ({} if device is None else device.row())
+        | observed.columns,
         layers=layers,
     )

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from simnfnd.factory import seeds
+from simnfnd.factory import calibration, pose, seeds
 from simnfnd.factory.dataset.format.sample import Axis, Column
 from simnfnd.factory.formation.contract import Sample
-from simnfnd.factory.frame import FrameRef
+from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.noise import draws as drawn
 from simnfnd.factory.noise.draws import Draws
 from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.factory.sonar.fan import pixel_size
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.factory.sonar.window import Window
+
+if TYPE_CHECKING:
+    from simnfnd.factory.config import FactoryConfig
 
 _NAME = "S96"
 
@@ -52,6 +58,24 @@ def columns(noise: NoiseSettings, formation: str = "points") -> tuple[Column, ..
     """
     target = (_TARGET,) if formation == "field" else ()
     return _WHAT + _WINDOW + _SCENE + target + drawn.columns(noise)
+
+
+_REQUESTED = {"pose": pose.COLUMNS, "calibration": calibration.COLUMNS}
+
+
+def requested(names: Sequence[str]) -> tuple[Column, ...]:
+    """The columns that `dataset.columns` asks for."""
+    return tuple(column for name in names for column in _REQUESTED[name])
+
+
+def requested_row(frame: Frame, config: FactoryConfig) -> dict[str, float]:
+    """The values of `requested` for a frame."""
+    made: dict[str, float] = {}
+    if "pose" in config.dataset.columns:
+        made |= pose.row(frame, config.sonar.mount)
+    if "calibration" in config.dataset.columns:
+        made |= calibration.row(config.sonar, config.water, config.acoustics)
+    return made
 
 
 def record(

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from simnfnd.factory.sonar.surface import LitSurface
 
 Floats = npt.NDArray[np.float32]
+Layers = npt.NDArray[np.generic]
 
 # When an effect of noise acts: on the echoes as points; on the complex field before the device
 # blurs it; after beamforming; after time-varying gain.
@@ -121,3 +122,6 @@ class Sample(Protocol):
 
         Without speckle it is the expected displayed picture: what averages out is averaged.
         """
+
+    def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Layers]:
+        """Those of the layers that say what was received, with those of the drawn effects."""

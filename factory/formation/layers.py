@@ -20,12 +20,14 @@ from simnfnd.factory.sonar.window import Window
 
 Picture = npt.NDArray[np.generic]
 
+_OF_ECHOES = {"range", "azimuth", "elevation", "elevation_min", "elevation_max", "segmentation"}
+
 
 def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture]:
     """(range_bins, beams) pictures of the requested layers, by the names of `format.schema`.
 
-    requested: of range, elevation, valid_azimuth, segmentation (which brings instance); other names
-        are ignored.
+    requested: of range, azimuth, elevation, elevation_min, elevation_max, valid_azimuth,
+        segmentation (which brings instance); other names are ignored.
     Raises FrameError when labels are requested of a frame that has none.
     """
     frame, sonar = surface.frame, surface.sonar
@@ -33,7 +35,7 @@ def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture
     if "valid_azimuth" in requested:
         beams = polar.seen_beams(surface.window, sonar)
         made["valid_azimuth"] = np.repeat(beams[None], sonar.range_bins, axis=0)
-    if not {"range", "elevation", "segmentation"}.intersection(requested):
+    if not _OF_ECHOES.intersection(requested):
         return made
     echoes, pixel, _ = surface.insonified
     strongest = _strongest(echoes, surface.window, sonar)
@@ -41,6 +43,19 @@ def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture
         made["range"] = _lookup(echoes.range_m, strongest, np.nan)
     if "elevation" in requested:
         made["elevation"] = _lookup(echoes.elevation_rad, strongest, np.nan)
+    for name, take in (("elevation_min", np.fmin), ("elevation_max", np.fmax)):
+        if name in requested:
+            bins = polar.bin_index(echoes, surface.window, sonar)
+            limit = np.full(strongest.size + 1, np.nan, np.float32)
+            take.at(limit, bins, echoes.elevation_rad)
+            made[name] = limit[:-1].reshape(strongest.shape)
+    if "azimuth" in requested:
+        azimuth_rad = echoes.azimuth_rad
+        if surface.conical:
+            # Echoes are laid out by the cones of the beams, whose sine has the elevation in it.
+            sine = np.sin(azimuth_rad) / np.cos(echoes.elevation_rad)
+            azimuth_rad = np.arcsin(np.clip(sine, -1, 1))
+        made["azimuth"] = _lookup(azimuth_rad, strongest, np.nan)
     if "segmentation" in requested:
         if frame.segmentation is None or frame.instance is None:
             raise FrameError(

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from simnfnd.factory import seeds
 from simnfnd.factory.formation import resample
 from simnfnd.factory.formation.clouds import EffectCloud, effect_clouds, noisy_cloud
-from simnfnd.factory.formation.contract import DrawnEffect, Floats
+from simnfnd.factory.formation.contract import DrawnEffect, Floats, Layers
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.sonar import polar, transfer
 from simnfnd.factory.sonar.echoes import Echoes, join
@@ -117,6 +117,10 @@ class PointSample:
         """See `contract.Sample`."""
         kept = {effect.name for effect in self.effects if effect.artefact not in artefacts}
         return self.noisy(kept) if kept else self.clean
+
+    def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Layers]:
+        """See `contract.Sample`; points have no units."""
+        return {}
 
 
 def observe(surface: LitSurface, config: FactoryConfig) -> PointScene:

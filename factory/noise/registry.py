@@ -29,6 +29,7 @@ from simnfnd.factory.noise.field.near_range import (
     CombLinesSettings,
     RingDownSettings,
 )
+from simnfnd.factory.noise.field.path_speckle import PATH_SPECKLE, PathSpeckleSettings
 from simnfnd.factory.noise.field.receiver import RECEIVER, ReceiverSettings
 from simnfnd.factory.noise.field.saturation import SATURATION, SaturationSettings
 from simnfnd.factory.noise.field.sidelobe_arcs import SIDELOBE_ARCS, SidelobeArcsSettings
@@ -62,6 +63,7 @@ class NoiseSettings:
         default_factory=BackgroundSettings
     )
     speckle: Annotated[SpeckleSettings | None, SPECKLE] = None
+    path_speckle: Annotated[PathSpeckleSettings | None, PATH_SPECKLE] = None
     volume: Annotated[VolumeSettings | None, VOLUME] = None
     surface_multipath: Annotated[SurfaceMultipathSettings | None, SURFACE_MULTIPATH] = None
     bottom_multipath: Annotated[BottomMultipathSettings | None, BOTTOM_MULTIPATH] = None

@@ -61,6 +61,9 @@ class Precision:
     codec: Literal["zstd", "lzma"]
 
 
+# Optional numbers of a view's head.
+_NUMBERS = ("time_s", "altitude_m")
+
 FINE = Precision(2e-4, 5e-4, 1, "zstd")
 SMALL = Precision(2e-4, 0.1, 4, "lzma")
 
@@ -73,6 +76,7 @@ class View:
     radiance: (H, W) float32, see `simnfnd.factory.render.base.Rendered`; 0 in the sonar's shadow.
     segmentation, instance: labels of the pixels, see `frame.Frame`; None without labels.
     world_from_camera: (4, 4) float64 pose of the camera; None where the recording has none.
+    time_s, altitude_m: see `frame.Frame`.
     """
 
     depth_m: npt.NDArray[np.float32]
@@ -82,6 +86,8 @@ class View:
     segmentation: npt.NDArray[np.uint8] | None = None
     instance: npt.NDArray[np.uint16] | None = None
     world_from_camera: npt.NDArray[np.float64] | None = None
+    time_s: float | None = None
+    altitude_m: float | None = None
 
     def frame(self, ref: FrameRef) -> Frame:
         """The frame as noise needs it: black, for its colour has done its part in the albedo."""
@@ -94,6 +100,8 @@ class View:
             self.world_from_camera,
             self.segmentation,
             self.instance,
+            self.time_s,
+            self.altitude_m,
         )
 
     def rendered(self) -> Rendered:
@@ -114,6 +122,8 @@ def view_of(frame: Frame, rendered: Rendered, mount: Mount) -> View:
         frame.segmentation,
         frame.instance,
         frame.world_from_camera,
+        frame.time_s,
+        frame.altitude_m,
     )
 
 
@@ -141,6 +151,7 @@ def encode(view: View, precision: Precision = FINE) -> bytes:
         "intrinsics": asdict(view.intrinsics),
         "mount": asdict(view.mount),
         "world_from_camera": None if pose is None else pose.tolist(),
+        **{name: getattr(view, name) for name in _NUMBERS if getattr(view, name) is not None},
         "precision": asdict(precision),
         "labelled": labelled,
         "parts": [len(part) for part in parts],
@@ -180,6 +191,7 @@ def decode(content: bytes) -> View:
             _checked_intrinsics(Intrinsics(**camera)),
             Mount(**mount),
             world_from_camera=None if pose is None else np.array(pose, np.float64).reshape(4, 4),
+            **{name: _finite(head.get(name)) for name in _NUMBERS},
         )
         if not head["labelled"]:
             return view
@@ -234,6 +246,14 @@ def _checked_precision(precision: Precision) -> Precision:
     if not good or precision.block not in range(1, 65) or precision.codec not in ("zstd", "lzma"):
         raise ValueError("no precision of a view")
     return precision
+
+
+def _finite(value: object) -> float | None:
+    if value is None:
+        return None
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError("no time or altitude")
+    return float(value)
 
 
 def _checked_intrinsics(camera: Intrinsics) -> Intrinsics:

@@ -16,7 +16,8 @@ from simnfnd.factory.sonar.array import ArraySettings
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
-Count = Annotated[int, Field(ge=2, le=8192)]
+MOST_SAMPLES = 8192  # of one beam
+Count = Annotated[int, Field(ge=2, le=MOST_SAMPLES)]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -67,6 +68,9 @@ class TransferSettings:
     kind: linear, power (level ** exponent) or log (dynamic_range_db below full scale is black).
     percentile: this percentile of the clean picture's echoing bins is shown at `reference`.
     reference: grey value in (0, 1] of that percentile.
+    full_scale_db: what grey value 1 stands for in every picture, as a device of fixed gain has it:
+        echo intensity after time-varying gain over the source level, dB; of
+        acoustics.formation=field.  null takes percentile and reference of each frame.
     """
 
     kind: Literal["linear", "power", "log"] = "linear"
@@ -74,6 +78,7 @@ class TransferSettings:
     reference: Annotated[float, Field(gt=0, le=1)] = 1.0
     exponent: Positive = 0.5
     dynamic_range_db: Positive = 40.0
+    full_scale_db: Annotated[float, Field(ge=-300, le=100)] | None = None
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -83,6 +88,8 @@ class SonarSettings:
     frequency_khz: of the device; decides absorption and noise of acoustics.formation=field, and is
         only kept with the data otherwise (resample.rate stands for its effect).
     hfov_deg, vfov_deg: insonified sector; echoes outside are dropped.
+    samples_per_bin: raw samples whose intensities a range bin averages (multi-look); of
+        acoustics.formation=field.
     beam_azimuths_deg: directions of the beams from left to right where they are not uniform.
     projection: slant_range (what a sonar measures) or top_view (the paper's view from above).
     accumulate: how echoes in one bin become its level: mean, max or sum.
@@ -96,6 +103,7 @@ class SonarSettings:
     vfov_deg: Annotated[float, Field(gt=0, le=180)] = 30.0
     beams: Count = 256
     range_bins: Count = 256
+    samples_per_bin: Annotated[int, Field(ge=1, le=64)] = 1
     beam_azimuths_deg: tuple[float, ...] | None = None
     projection: Literal["slant_range", "top_view"] = "slant_range"
     accumulate: Literal["mean", "max", "sum"] = "sum"
@@ -106,6 +114,15 @@ class SonarSettings:
     transfer: TransferSettings = field(default_factory=TransferSettings)
     array: ArraySettings = field(default_factory=ArraySettings)
     mount: Mount = field(default_factory=Mount)
+
+    @model_validator(mode="after")
+    def _raw_samples(self) -> Self:
+        if self.range_bins * self.samples_per_bin > MOST_SAMPLES:
+            raise ValueError(
+                f"range_bins {self.range_bins} of samples_per_bin {self.samples_per_bin} are more "
+                f"than {MOST_SAMPLES} raw samples; take fewer of one"
+            )
+        return self
 
     @model_validator(mode="after")
     def _beam_table(self) -> Self:

@@ -19,7 +19,16 @@ from tests.project_files import PACKAGES, ROOT, modules
 
 # Modules that lie in no folder of their own, by what floor they belong to; the rest is the ground.
 UPPER = {
-    "factory": {"config", "format_page", "loops", "pairs", "record", "selection"},
+    "factory": {
+        "calibration",
+        "config",
+        "format_page",
+        "loops",
+        "pairs",
+        "pose",
+        "record",
+        "selection",
+    },
     "models": set(),
     "evaluation": {"command", "compare"},
 }

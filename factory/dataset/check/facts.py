@@ -112,6 +112,8 @@ def _picture_problem(picture: npt.NDArray[np.generic], layer: Layer) -> str | No
         return f"has class {picture.max()}; the schema knows {len(layer.classes)}"
     if picture.dtype.kind == "b" and not np.isin(picture.view(np.uint8), (0, 1)).all():
         return "has values that are neither true nor false"
+    if picture.dtype.kind == "c":
+        return None if np.isfinite(picture).all() else "has NaN or infinite values"
     if picture.dtype.kind != "f":
         return None
     if stores_grey(layer):
@@ -119,10 +121,11 @@ def _picture_problem(picture: npt.NDArray[np.generic], layer: Layer) -> str | No
         # Also false for NaN, which compares as neither.
         good = picture.min() >= low and picture.max() <= high
         return None if good else f"has values outside {low:g}..{high:g}, or NaN"
-    most = np.pi / 2 if layer.name == "elevation" else np.inf
-    least = -most if layer.name == "elevation" else 0.0
+    least, most = layer.least, np.float32(layer.most)
     known = picture[~np.isnan(picture)]
-    if known.size and not (known.min() >= least and known.max() <= most and known.max() < np.inf):
+    if known.size and not (
+        known.min() >= least and known.max() <= most and np.isfinite(known).all()
+    ):
         return f"has values outside {least:g}..{most:g}"
     return None
 

@@ -34,7 +34,7 @@ LIBRARY_VERSIONS = ("v108", "v110")
 class Layer:
     """One image stack of a shard: (samples, rows, columns), chunked one image at a time.
 
-    classes: what the values 0, 1, 2, ... mean, for labels.
+    classes: what the values 0, 1, 2, ... mean, for labels.  least, most: limits of real numbers.
     """
 
     name: str
@@ -42,17 +42,40 @@ class Layer:
     description: str
     units: str = "1"
     classes: tuple[str, ...] = ()
+    least: float = 0.0
+    most: float = math.inf
+
+
+_RIGHT_ANGLE = math.pi / 2
+
+
+def _angle(name: str, description: str) -> Layer:
+    return Layer(name, "float32", description, "rad", least=-_RIGHT_ANGLE, most=_RIGHT_ANGLE)
 
 
 # Written where `dataset.layers` asks for them.
 OPTIONAL_LAYERS = (
     Layer("range", "float32", "slant range of the strongest echo; NaN where there is none", "m"),
-    Layer(
-        "elevation", "float32", "elevation of the strongest echo; NaN where there is none", "rad"
-    ),
+    _angle("elevation", "elevation of the strongest echo; NaN where there is none"),
+    _angle("elevation_min", "lowest elevation of the echoes in the bin; NaN where there is none"),
+    _angle("elevation_max", "highest elevation of the echoes in the bin; NaN where there is none"),
+    _angle("azimuth", "azimuth of the strongest echo, right is positive; NaN where there is none"),
     Layer("valid_azimuth", "bool", "inside the sector, at a bearing that the camera saw"),
     Layer("segmentation", "uint8", "class of the object of the strongest echo", classes=CLASSES),
     Layer("instance", "uint16", "number within its scene of that object, 0 = none"),
+    Layer(
+        "intensity_db",
+        "float32",
+        "received intensity of the noisy picture before time-varying gain; NaN without data",
+        "dB re 1 uPa",
+        least=-math.inf,
+    ),
+    Layer(
+        "field",
+        "complex64",
+        "beamformed field of the noisy picture before time-varying gain; 0 without data",
+        "uPa",
+    ),
 )
 EFFECT_FOLDER = "layers/"
 _EFFECT = re.compile(rf"{EFFECT_FOLDER}[a-z][a-z0-9_]{{0,39}}")
@@ -61,11 +84,13 @@ _EFFECT = re.compile(rf"{EFFECT_FOLDER}[a-z][a-z0-9_]{{0,39}}")
 def layers(dtype: str, optional: Iterable[str] = ()) -> tuple[Layer, ...]:
     """The image stacks of a shard whose images are stored as `dtype` (uint8 or float32).
 
-    optional: names of further layers.  Raises FactoryError for one that the format does not know.
+    optional: names of further layers, in any order; they come out in that of the format.
+    Raises FactoryError for one that the format does not know.
     """
     known = {layer.name: layer for layer in OPTIONAL_LAYERS}
     further = []
-    for name in optional:
+    place = {layer.name: number for number, layer in enumerate(OPTIONAL_LAYERS)}
+    for name in sorted(optional, key=lambda name: (place.get(name, len(place)), name)):
         if _EFFECT.fullmatch(name):
             effect = name.removeprefix(EFFECT_FOLDER)
             known[name] = Layer(name, dtype, f"noisy image with {effect} as its only noise")

@@ -11,7 +11,19 @@ from pydantic.dataclasses import dataclass
 from simnfnd.factory.dataset.format.schema import DATASET_NAME
 from simnfnd.factory.settings import STRICT
 
-LayerName = Literal["effects", "range", "elevation", "valid_azimuth", "segmentation"]
+LayerName = Literal[
+    "effects",
+    "range",
+    "elevation",
+    "elevation_min",
+    "elevation_max",
+    "azimuth",
+    "valid_azimuth",
+    "segmentation",
+    "intensity_db",
+    "field",
+]
+ColumnName = Literal["pose", "calibration"]
 
 _LEVELS = {"gzip": (0, 9), "zstd": (1, 22)}
 
@@ -30,8 +42,11 @@ class DatasetSettings:
     on_existing: what to do with a dataset that is in the folder: resume goes on with it when it is
         the very same, overwrite makes it anew.
     layers: more pictures for each sample: `effects` (the noisy picture with one noise effect alone,
-        for each), and what lies behind a pixel: range, elevation, valid_azimuth, segmentation (of
-        procedural scenes; brings instance).
+        for each), and what lies behind a pixel: range, azimuth, elevation, elevation_min,
+        elevation_max, valid_azimuth, segmentation (of procedural scenes; brings instance); of
+        acoustics.formation=field also what was received: intensity_db and field (complex).
+    columns: more columns of /meta: pose (of camera and sonar, tilt, altitude, time) and calibration
+        (source level, absorption, time-varying gain; of acoustics.formation=field).
     max_train, max_test: upper limits on samples; None takes what there is.
     preview_pairs: pairs on the contact sheet preview.png; 0 draws none.
     licence: of the dataset, as the user decides; stated in the dataset card.
@@ -44,6 +59,7 @@ class DatasetSettings:
     compression: Literal["gzip", "lzf", "zstd", "none"] = "gzip"
     compression_level: int = 1
     layers: tuple[LayerName, ...] = ()
+    columns: tuple[ColumnName, ...] = ()
     max_train: Annotated[int, Field(ge=0)] | None = None
     max_test: Annotated[int, Field(ge=0)] | None = None
     preview_pairs: Annotated[int, Field(ge=0, le=64)] = 8
@@ -54,8 +70,9 @@ class DatasetSettings:
             raise ValueError(
                 f"name {self.name!r} must be letters, digits, dot, dash and underscore"
             )
-        if len(set(self.layers)) != len(self.layers):
-            raise ValueError(f"layers {list(self.layers)} names one twice")
+        for key, names in (("layers", self.layers), ("columns", self.columns)):
+            if len(set(names)) != len(names):
+                raise ValueError(f"{key} {list(names)} names one twice")
         level = self.compression_level
         low, high = _LEVELS.get(self.compression, (level, level))
         if not low <= level <= high:

@@ -113,37 +113,63 @@ def runs(
     return run + 1
 
 
-@compiled("void(uint32[::1], uint32[::1], int32[::1], uint32[:, ::1], float32[::1])")
+@compiled(
+    "boolean(uint32[::1], uint32[::1], int32[::1], int64, uint32[:, ::1], uint32[:, ::1],"
+    " float32[::1])"
+)
 def count(
     name_of: npt.NDArray[np.uint32],
     place_of: npt.NDArray[np.uint32],
     end_of: npt.NDArray[np.int32],
+    parts: int,
     table: npt.NDArray[np.uint32],
+    sorted_: npt.NDArray[np.uint32],
     share_of: Floats,
-) -> None:
+) -> Any:
     """1 / sqrt(points of its cell) for each run: amplitudes that add up coherently.
 
-    name_of, place_of, end_of: as `runs` gives them; share_of: (runs,) out.  table: (slots, 2)
-    zeros, slots a power of two and more than there are runs.
+    name_of, place_of, end_of: as `runs` gives them; share_of: (runs,) out.  The cells are counted
+    in parts, a power of two, each with a table that a processor holds close by.
+    table: (slots, 2), slots a power of two; sorted_: (4, runs), both overwritten.
+    Returns False where a part does not fit the table; share_of then says nothing.
     """
-    mask = np.uint32(table.shape[0] - 1)
-    slot_of = np.empty(name_of.shape[0], np.uint32)
-    begin: Any = np.int32(0)
-    for at in range(name_of.shape[0]):
-        run = np.uint32(at)
-        name, slot = name_of[run], place_of[run] & mask
-        # Taken, and by another: a product instead of `and` or `&`, of which the compiler makes two
-        # branches.  Whether a cell is new cannot be foretold, and a wrong guess costs much.
-        while np.uint64(table[slot, 1]) * np.uint64(table[slot, 0] ^ name) != _NOTHING:
-            slot = np.uint32(slot + _9) & mask
-        table[slot, 0] = name
-        table[slot, 1] += np.uint32(end_of[run] - begin)
+    mask, last = np.uint32(table.shape[0] - 1), np.uint32(parts - 1)
+    shift = np.uint32(0)
+    while np.uint32(1) << shift <= mask:
+        shift += np.uint32(1)
+    runs_of, names, places, points = sorted_[0], sorted_[1], sorted_[2], sorted_[3]
+    ends = np.zeros(parts + 1, np.int64)
+    for run in range(place_of.shape[0]):
+        ends[np.uint32((place_of[run] >> shift) & last) + np.uint32(1)] += 1
+    if ends.max() > np.int64(mask):
+        return False
+    for part in range(parts):
+        ends[part + 1] += ends[part]
+    free, begin = ends[:-1].copy(), np.int32(0)
+    for run in range(name_of.shape[0]):
+        part = np.uint32((place_of[run] >> shift) & last)
+        at = np.uint32(free[part])
+        free[part] += 1
+        runs_of[at], names[at], places[at] = run, name_of[run], place_of[run] & mask
+        points[at] = np.uint32(end_of[run] - begin)
         begin = end_of[run]
-        slot_of[run] = slot
-    for at in range(name_of.shape[0]):
-        share_of[at] = np.float32(np.int32(table[slot_of[np.uint32(at)], 1]))
-    for at in range(name_of.shape[0]):
-        share_of[at] = np.float32(1) / np.sqrt(share_of[at])
+    for part in range(parts):
+        table[:] = 0
+        for i in range(ends[part], ends[part + 1]):
+            at = np.uint32(i)
+            name, slot = names[at], places[at]
+            # Taken, and by another: a product instead of `and` or `&`, of which the compiler makes
+            # two branches.  Whether a cell is new cannot be foretold, and a wrong guess costs much.
+            while np.uint64(table[slot, 1]) * np.uint64(table[slot, 0] ^ name) != _NOTHING:
+                slot = np.uint32(slot + _9) & mask
+            table[slot, 0] = name
+            table[slot, 1] += points[at]
+            places[at] = slot
+        for i in range(ends[part], ends[part + 1]):
+            at = np.uint32(i)
+            found = np.float32(np.int32(table[places[at], 1]))
+            share_of[runs_of[at]] = np.float32(1) / np.sqrt(found)
+    return True
 
 
 @compiled("void(uint32[::1], float32[::1], uint32, float32[:, ::1], float32[:, ::1])")

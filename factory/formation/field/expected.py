@@ -35,7 +35,8 @@ class Expected:
 
     echo: of what fluctuates as speckle does and texture can change; noise: of what else does.
     steady: of what does not fluctuate.  textured: the part of echo and steady that texture varies.
-    looks: independent fields whose intensities are averaged.  shape: nu of the texture.
+    looks: independent fields whose intensities are averaged, whole or not.  shape: nu of the
+        texture.
     standing: part of the speckle's power that is the same in every ping.
     """
 
@@ -43,7 +44,7 @@ class Expected:
     noise: Floats
     steady: Floats
     textured: Floats
-    looks: int = 1
+    looks: float = 1
     shape: float = np.inf
     standing: float = 0.0
 

@@ -11,12 +11,19 @@ from simnfnd.factory.formation.field.signal import Ping, Signal, beamform, beamf
 
 
 def received(ping: Ping, effects: Sequence[DrawnEffect]) -> Floats:
-    """(range_bins, beams) float32 amplitude after time-varying gain, with the drawn effects.
+    """(range_bins, beams) float32 amplitude after time-varying gain, with the drawn effects."""
+    from simnfnd.factory.formation.field import kernels  # loads numba
+
+    level = np.empty(ping.shape, np.float32)
+    kernels.amplitude(received_field(ping, effects), level)
+    return level
+
+
+def received_field(ping: Ping, effects: Sequence[DrawnEffect]) -> Floats:
+    """(looks, 2, range_bins, beams) float32 field after time-varying gain, over the source level.
 
     Effects of a stage act in the order in which they are given; those of stage points do not act.
     """
-    from simnfnd.factory.formation.field import kernels  # loads numba
-
     signal = Signal(ping.scatterers.power, np.zeros((1, 2, *ping.shape), np.float32))
     for effect in effects:
         if effect.stage == "echo":
@@ -32,6 +39,4 @@ def received(ping: Ping, effects: Sequence[DrawnEffect]) -> Floats:
     for effect in effects:
         if effect.stage == "picture":
             field = effect.apply(field, ping)
-    level = np.empty(ping.shape, np.float32)
-    kernels.amplitude(field, level)
-    return level
+    return field

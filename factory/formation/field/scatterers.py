@@ -30,7 +30,9 @@ from simnfnd.factory.sonar.window import Window
 
 Floats = npt.NDArray[np.float32]
 
-_BEAM_STEPS = 16_384
+BEAM_STEPS = 16_384
+# Of one part of the table of cells: what the second cache of a core holds.
+_SLOTS = 16_384
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +84,7 @@ class Scatterers:
         if edge_m not in self._cells:
             from simnfnd.factory.formation.field import cell_loops
 
-            across, down = _directions(self.frame)
+            across, down = directions(self.frame)
             pose = np.ascontiguousarray(self.world_from_camera[:3])
             size = len(self.pixels)
             run_of, ends = np.empty(size, np.int32), np.empty(size, np.int32)
@@ -113,7 +115,7 @@ class Scatterers:
 
         size = self.owner.size
         bins, points_m = np.empty(size, np.int32), np.empty((3, size), np.float32)
-        seen = _directions(self.frame)
+        seen = directions(self.frame)
         count = world_loops.surface_points(
             self.owner.reshape(-1), self.frame.depth_m, *seen, bins, points_m
         )
@@ -126,9 +128,13 @@ def shares(
     """(runs,) float32: see `Cells.shares`; the arguments are what `cell_loops.runs` gives."""
     from simnfnd.factory.formation.field import cell_loops
 
-    made = np.empty(len(names), np.float32)
-    table = np.zeros((1 << (1 + len(names).bit_length()), 2), np.uint32)
-    cell_loops.count(names, places, ends, table, made)
+    made, work = np.empty(len(names), np.float32), np.empty((4, len(names)), np.uint32)
+    slots = 1 << (1 + len(names).bit_length())
+    parts = max(slots // _SLOTS, 1)
+    while not cell_loops.count(
+        names, places, ends, parts, np.empty((slots // parts, 2), np.uint32), work, made
+    ):
+        parts //= 2
     return made
 
 
@@ -149,8 +155,8 @@ def scatterers(
     """
     from simnfnd.factory.formation.field import placing
 
-    across, down = _directions(frame)
-    edges, first_beam = _beam_table(sonar)
+    across, down = directions(frame)
+    edges, first_beam = beam_table(sonar)
     size = sonar.range_bins * sonar.beams
     power, owner = np.zeros(size, np.float32), np.full(size, -1, np.int32)
     in_beam = np.zeros(size, np.bool_)
@@ -174,7 +180,7 @@ def scatterers(
         sonar.range_bins / window.range_span_m,
         edges,
         first_beam,
-        _BEAM_STEPS / float(edges[-1] - edges[0]),
+        BEAM_STEPS / float(edges[-1] - edges[0]),
         _pattern(sonar, patterned),
         power,
         in_beam,
@@ -207,7 +213,7 @@ def scatterers(
     )
 
 
-def _directions(frame: Frame) -> tuple[Floats, Floats]:
+def directions(frame: Frame) -> tuple[Floats, Floats]:
     """(W,) and (H,) float32: x / z of the columns and y / z of the rows."""
     height, width = frame.depth_m.shape
     camera = frame.intrinsics
@@ -244,13 +250,13 @@ def _pattern(sonar: SonarSettings, patterned: bool) -> Floats:
 
 
 @lru_cache(maxsize=8)
-def _beam_table(sonar: SonarSettings) -> tuple[Floats, npt.NDArray[np.int32]]:
+def beam_table(sonar: SonarSettings) -> tuple[Floats, npt.NDArray[np.int32]]:
     """Sines of the beams' edges, and the beam at each of equal steps of the sine."""
     centres = sonar.beam_centres_rad()
     half = min(np.deg2rad(sonar.hfov_deg) / 2, np.deg2rad(89.9))
     between = (centres[1:] + centres[:-1]) / 2
     edges = np.sin(np.concatenate([[-half], between, [half]])).astype(np.float32)
-    steps = np.linspace(edges[0], edges[-1], _BEAM_STEPS + 1)[:-1]
+    steps = np.linspace(edges[0], edges[-1], BEAM_STEPS + 1)[:-1]
     # One step back, for float32 may put a sine into the step before its own.
     first = np.searchsorted(edges, steps - (steps[1] - steps[0]), side="right") - 1
     return edges, np.clip(first, 0, sonar.beams - 1).astype(np.int32)

@@ -18,14 +18,17 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.formation.clouds import EffectCloud, effect_clouds
-from simnfnd.factory.formation.contract import DrawnEffect, Floats
-from simnfnd.factory.formation.field.expected import display, expected
+from simnfnd.factory.formation.contract import DrawnEffect, Floats, Layers
+from simnfnd.factory.formation.field import decimation
+from simnfnd.factory.formation.field.calibrated import calibrated
+from simnfnd.factory.formation.field.expected import Expected, display, expected
 from simnfnd.factory.formation.field.received import received
 from simnfnd.factory.formation.field.scatterers import scatterers
 from simnfnd.factory.formation.field.settings import AcousticsSettings
 from simnfnd.factory.formation.field.signal import Ping, Receiver, beamform_power
 from simnfnd.factory.formation.field.targets import Target, target
 from simnfnd.factory.sonar import polar, transfer
+from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.factory.sonar.surface import LitSurface
 
 if TYPE_CHECKING:
@@ -36,17 +39,24 @@ if TYPE_CHECKING:
 class FieldScene:
     """A frame as the device receives it; a `contract.Scene`.
 
-    target: what its clean pictures are, where noise has no part in it.
+    ping: at the raw samples.  target: what its clean pictures are, where noise has no part in it.
+    sonar: the device with the range bins of the picture, `samples` raw samples each.
     """
 
     surface: LitSurface
     ping: Ping
     target: Target | None
+    sonar: SonarSettings
+
+    @property
+    def samples(self) -> int:
+        """Raw samples whose intensities a range bin averages."""
+        return self.sonar.samples_per_bin
 
     @property
     def filled(self) -> npt.NDArray[np.bool_]:
         """See `contract.Scene`."""
-        return self.ping.scatterers.in_beam
+        return decimation.any_of(self.ping.scatterers.in_beam, self.samples)
 
     def sample(
         self, variant: int, effects: Sequence[DrawnEffect], config: FactoryConfig
@@ -93,8 +103,12 @@ class FieldSample:
             return self.scene.target.grey
         systematic = self.target == "mean_log"
         state = expected(ping, self.effects, systematic=systematic, standing=self.standing)
+        state = self._averaged(state)
         grey = display(state, ping.full_scale, ping.sonar.transfer)
         return polar.where_seen(grey, ping.window, ping.sonar)
+
+    def _averaged(self, state: Expected) -> Expected:
+        return decimation.averaged_expected(state, self.scene.ping.kernel, self.scene.samples)
 
     @cached_property
     def clouds(self) -> tuple[EffectCloud, ...]:
@@ -114,16 +128,24 @@ class FieldSample:
         """See `contract.Sample`."""
         ping = self.scene.ping
         level = received(ping, [effect for effect in self.effects if effect.name in effects])
+        level = decimation.averaged_amplitude(level, self.scene.samples)
         # The strengths of the points are fractions of full scale.
         full_scale = np.sqrt(ping.full_scale)
         for cloud in self.clouds:
             if cloud.name in effects:
                 extra = np.float32(full_scale) * polar.accumulate(
-                    cloud.echoes, ping.window, ping.sonar
+                    cloud.echoes, ping.window, self.scene.sonar
                 )
                 level = np.sqrt(level**2 + extra**2)
         grey = transfer.grey(level, float(full_scale), ping.sonar.transfer)
         return polar.where_seen(grey, ping.window, ping.sonar)
+
+    def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Layers]:
+        """See `contract.Sample`."""
+        if not {"intensity_db", "field"}.intersection(layers):
+            return {}
+        acting = [effect for effect in self.effects if effect.name in effects]
+        return calibrated(self.scene.ping, acting, layers, self.scene.samples)
 
     def without(self, artefacts: Collection[str]) -> Floats:
         """See `contract.Sample`."""
@@ -134,9 +156,10 @@ class FieldSample:
         # Speckle is not switched off but averaged: its mean lifts and lowers a display of levels.
         averaged = [e for e in self.effects if e.name in kept or e.artefact == "speckle"]
         state = expected(ping, averaged, realised=True, standing=self.standing)
+        state = self._averaged(state)
         for cloud in self.clouds:
             if cloud.name in kept:
-                extra = polar.accumulate(cloud.echoes, ping.window, ping.sonar)
+                extra = polar.accumulate(cloud.echoes, ping.window, self.scene.sonar)
                 state.steady += np.float32(ping.full_scale) * extra**2
         grey = display(state, ping.full_scale, ping.sonar.transfer)
         return polar.where_seen(grey, ping.window, ping.sonar)
@@ -146,7 +169,8 @@ def observe(surface: LitSurface, config: FactoryConfig) -> FieldScene:
     """See `contract.Formation`."""
     from simnfnd.factory.formation.field import kernels  # loads numba
 
-    sonar, water, acoustics = config.sonar, config.water, config.acoustics
+    sonar, water, acoustics = decimation.raw(config.sonar), config.water, config.acoustics
+    samples = config.sonar.samples_per_bin
     frame, rendered, window = surface.frame, surface.rendered, surface.window
     found = scatterers(frame, rendered, window, sonar, water, acoustics)
     receiver = Receiver(window, sonar, water)
@@ -156,9 +180,16 @@ def observe(surface: LitSurface, config: FactoryConfig) -> FieldScene:
     strongest = kernels.expectation(
         power, gain, found.power, polar.seen_beams(window, sonar), amplitude, echoing
     )
-    full_scale = transfer.full_scale(echoing, sonar.transfer)
+    amplitude = decimation.averaged_amplitude(amplitude, samples)
+    echoing = decimation.averaged_amplitude(echoing, samples)
+    fixed_db = sonar.transfer.full_scale_db
+    if fixed_db is None:
+        full_scale = transfer.full_scale(echoing, sonar.transfer)
+    else:
+        full_scale = 10 ** (fixed_db / 20)
     ping = Ping(window, sonar, water, found, gain, full_scale**2, float(strongest), power)
-    return FieldScene(surface, ping, target(surface, config, amplitude, full_scale))
+    clean = target(surface, config, amplitude, full_scale)
+    return FieldScene(surface, ping, clean, config.sonar)
 
 
 def time_varying_gain(receiver: Receiver, acoustics: AcousticsSettings) -> Floats:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import OrderedDict
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
@@ -13,6 +14,8 @@ from pydantic.dataclasses import dataclass
 from simnfnd.factory.errors import FrameError
 from simnfnd.factory.frame import Frame, FrameRef, checked
 from simnfnd.factory.scenes.base import Discovery, SceneSettings
+from simnfnd.factory.scenes.roots import Root
+from simnfnd.factory.scenes.seabed.movement import Movement, movements
 from simnfnd.factory.scenes.seabed.names import PLACE_NAMES, KindName, PlaceName
 from simnfnd.factory.scenes.seabed.optics import HFOV_DEG
 from simnfnd.factory.settings import STRICT
@@ -32,6 +35,8 @@ class SeabedSettings(SceneSettings):
     frames_per_location: poses along its path.  width, height: pixels of a view 45 degrees wide.
     hfov_deg, vfov_deg: another sector for the camera to see; null: 45 degrees across, or the
     sonar's sector where that is wider.  A wider view has more pixels, as its solid angle grows.
+    path: a CSV file of the movements of a platform (see `movement`): the frames of a location are
+    then its lines, from the pose of frame 0 on, and `frames_per_location` does not count.
     objects: factor on how many objects lie around.  kinds: only these (null: all).
     places: only these kinds of place, taken in turn (null: all).
     """
@@ -45,6 +50,7 @@ class SeabedSettings(SceneSettings):
     height: Annotated[int, Field(ge=48, le=4096)] = 608
     hfov_deg: Annotated[float, Field(gt=0, le=150)] | None = None
     vfov_deg: Annotated[float, Field(gt=0, le=60)] | None = None
+    path: Root | None = None
     objects: Annotated[float, Field(ge=0, le=4)] = 1.0
     kinds: tuple[KindName, ...] | None = None
     places: Annotated[tuple[PlaceName, ...], Field(min_length=1)] | None = None
@@ -76,10 +82,14 @@ class SeabedReader:
         """List the frames: scene `seabed-0007` is location number 7, frame `0003` its pose 3."""
         settings = self._settings
         first = settings.first_location
+        path = settings.path
+        frames = settings.frames_per_location if path is None else len(self._movements())
         refs = [
-            FrameRef("seabed", f"seabed-{location:04d}", f"{frame:04d}")
+            FrameRef(
+                "seabed", f"seabed-{location:04d}", f"{frame:04d}", () if path is None else (path,)
+            )
             for location in range(first, first + settings.locations)
-            for frame in range(settings.frames_per_location)
+            for frame in range(frames)
         ]
         return Discovery(tuple(refs))
 
@@ -97,8 +107,17 @@ class SeabedReader:
         world = self._world(int(scene[1]))
         settings = self._settings
         optics = camera(settings.width, settings.height, settings.hfov_deg, settings.vfov_deg)
-        frame = take(world, int(ref.frame), ref, optics)
+        number, movement = int(ref.frame), None
+        if settings.path is not None:
+            if number >= len(self._movements()):
+                raise FrameError(f"{ref.name}: scenes.path={settings.path} has no such line")
+            number, movement = 0, self._movements()[number]
+        frame = take(world, number, ref, optics, movement)
         return checked(frame, bad_depth=settings.bad_depth)
+
+    def _movements(self) -> tuple[Movement, ...]:
+        assert self._settings.path is not None
+        return movements(Path(self._settings.path).expanduser())
 
     def _world(self, location: int) -> World:
         from simnfnd.factory.scenes.seabed.world import build_world

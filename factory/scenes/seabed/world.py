@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +25,7 @@ from simnfnd.factory.scenes.seabed.casting import (
 )
 from simnfnd.factory.scenes.seabed.fields import WORLD_SEED, Floats
 from simnfnd.factory.scenes.seabed.gaps import MOST_LOST, measured
+from simnfnd.factory.scenes.seabed.movement import Movement, moved
 from simnfnd.factory.scenes.seabed.names import PlaceName
 from simnfnd.factory.scenes.seabed.objects.kinds import KINDS
 from simnfnd.factory.scenes.seabed.objects.meshes import grid_triangles, join, mesh
@@ -114,12 +116,17 @@ def _coarse_ground(terrain: Terrain) -> RaycastingScene:
     return raycasting_scene(points.reshape(-1, 3), grid_triangles(len(side), len(side)))
 
 
-def take(world: World, frame: int, ref: FrameRef, optics: Optics) -> Frame:
+def take(
+    world: World, frame: int, ref: FrameRef, optics: Optics, movement: Movement | None = None
+) -> Frame:
     """Take frame number `frame` of a location.
 
-    The pose is the one that FLSea's camera would choose, however wide this one sees.
+    The pose is the one that FLSea's camera would choose, however wide this one sees; with a
+    movement, of a platform that begins there.
     """
     where = choose_pose(world, frame)
+    if movement is not None:
+        where = Pose(*moved(where.eye, where.rotation, movement))
     toward = directions(where.rotation, optics.intrinsics, optics.width, optics.height)
     azimuths, elevations = _field_of_view(toward)
     # The mesh is as fine as the pixels: of a camera that sees 45 degrees, so many across.
@@ -143,7 +150,14 @@ def take(world: World, frame: int, ref: FrameRef, optics: Optics) -> Frame:
         world_from_camera=where.matrix,
         segmentation=np.where(named, world.labels[hits.owner], np.uint8(0)),
         instance=np.where(named, world.instances[hits.owner], np.uint16(0)),
+        time_s=None if movement is None else movement.time_s,
+        altitude_m=_altitude_m(world.terrain, where.eye),
     )
+
+
+def _altitude_m(terrain: Terrain, eye: npt.NDArray[np.float64]) -> float:
+    """Height of a camera above the ground right under it."""
+    return float(eye[2] - terrain.height_m(eye[:1], eye[1:2])[0])
 
 
 def _field_of_view(toward: Floats) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -159,6 +173,7 @@ def _field_of_view(toward: Floats) -> tuple[tuple[float, float], tuple[float, fl
     return azimuths, (float(up.min() - 0.04), float(up.max() + 0.04))
 
 
+@lru_cache(maxsize=2)  # all frames of a moving platform begin at one
 def choose_pose(world: World, frame: int) -> Pose:
     """The pose of a frame: of a few ways to look from its place, the one that shows most.
 

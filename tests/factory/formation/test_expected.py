@@ -113,7 +113,7 @@ def test_restored_has_no_systematic_effect_and_mean_log_has_them() -> None:
 
 def test_every_systematic_effect_says_what_it_is_on_average() -> None:
     random = {name for name in FIELD_EFFECTS if not EFFECTS[name].systematic}
-    assert random == {"speckle", "texture", "spokes"}
+    assert random == {"speckle", "path_speckle", "texture", "spokes"}
     for name in FIELD_EFFECTS:
         assert (EFFECTS[name].expected is not None) == (name != "spokes")
 

@@ -12,6 +12,7 @@ import pytest
 
 from simnfnd.factory import pairs
 from simnfnd.factory.config import FactoryConfig, from_mapping
+from simnfnd.factory.dataset.check.facts import shard_facts
 from simnfnd.factory.dataset.format.sample import Pair
 from simnfnd.factory.dataset.format.schema import Provenance, layers
 from simnfnd.factory.dataset.format.settings import DatasetSettings
@@ -172,6 +173,7 @@ def test_a_shard_of_a_real_pair_has_all_layers(tmp_path: Path) -> None:
         Provenance({}, "0" * 16, "tests"),
         settings.dataset,
     )
+    assert shard_facts(tmp_path / "train/shard-00000.h5", deep=True).problems == ()
     with h5py.File(tmp_path / "train/shard-00000.h5") as file:
         for name, picture in pair.layers.items():
             np.testing.assert_array_equal(file[name][0], picture)

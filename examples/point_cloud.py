@@ -1,0 +1,59 @@
+"""A point cloud of what a sonar hears: one point for each echo, as PLY.
+
+simnfnd make experiment=physical render=embree scenes.locations=1 dataset.dir=outputs/cloud \
+    dataset.layers=[range,azimuth,elevation,intensity_db,segmentation] dataset.columns=[pose]
+python examples/point_cloud.py outputs/cloud cloud.ply [SAMPLE]
+
+Points are in metres, in the axes of the recording's world where its poses are known, else in those
+of the sonar (x ahead, y left, z up); with strength (dB re 1 uPa), class and instance.  The sonar
+cannot tell elevations apart: they are known here because the scene is.
+"""
+
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+NEEDED = ("range", "azimuth", "elevation", "intensity_db", "segmentation", "instance")
+
+
+def point_cloud(shard: h5py.File, number: int) -> np.ndarray:
+    """(N,) points with fields x, y, z, strength, class, instance."""
+    picture = {name: shard[name][number].ravel() for name in NEEDED}
+    heard = np.isfinite(picture["range"]) & np.isfinite(picture["intensity_db"])
+    r, a, e = (picture[name][heard].astype(float) for name in NEEDED[:3])
+    points = np.stack(
+        [r * np.cos(e) * np.cos(a), -r * np.cos(e) * np.sin(a), r * np.sin(e)], axis=-1
+    )
+    row = shard["meta"][number]
+    if "sonar.qw" in row.dtype.names and np.isfinite(row["sonar.qw"]):
+        x, y, z, w = (row[f"sonar.q{part}"] for part in "xyzw")
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        points = points @ (np.eye(3) + 2 * w * cross + 2 * cross @ cross).T
+        points += [row[f"sonar.{axis}_m"] for axis in "xyz"]
+    kinds = [(axis, "<f4") for axis in "xyz"]
+    made = np.empty(len(r), [*kinds, ("strength", "<f4"), ("class", "u1"), ("instance", "<u2")])
+    made["x"], made["y"], made["z"] = points.T
+    made["strength"] = picture["intensity_db"][heard]
+    made["class"], made["instance"] = (picture[name][heard] for name in NEEDED[4:])
+    return made
+
+
+def write_ply(path: Path, points: np.ndarray) -> None:
+    """A binary PLY, which MeshLab, CloudCompare and Open3D read."""
+    words = {"<f4": "float", "|u1": "uchar", "<u2": "ushort"}
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
+    head += [f"property {words[points.dtype[n].str]} {n}" for n in points.dtype.names]
+    path.write_bytes("\n".join([*head, "end_header\n"]).encode() + points.tobytes())
+
+
+if __name__ == "__main__":
+    folder, target = Path(sys.argv[1]), Path(sys.argv[2])
+    with h5py.File(sorted(folder.glob("*/shard-*.h5"))[0]) as shard:
+        missing = [name for name in NEEDED if name not in shard]
+        if missing:
+            sys.exit(f"{folder} has no layers {', '.join(missing)}; make it as the first lines say")
+        cloud = point_cloud(shard, int(sys.argv[3]) if len(sys.argv) > 3 else 0)
+    write_ply(target, cloud)
+    print(f"{target}: {len(cloud)} points, {len(np.unique(cloud['instance'])) - 1} objects")
