@@ -9,6 +9,12 @@ from typing import TYPE_CHECKING
 
 from simnfnd.factory.errors import FrameError
 from simnfnd.factory.recordings.ros_messages import digest_of, typestore
+from simnfnd.factory.recordings.rosbag_bounds import (
+    bound_the_library,
+    check_files,
+    counted,
+    unpacked_zstd,
+)
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
@@ -51,6 +57,8 @@ def _opened(path: Path, version: int) -> Reader:
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2
 
+    bound_the_library()
+    check_files(path)
     with explained(str(path)):
         reader = Reader1(path) if version == 1 else Reader2(path)
         reader.open()
@@ -73,7 +81,21 @@ def messages(path: Path, reader: Reader, connections: Sequence[Connection]) -> I
     Raises FrameError at damage.
     """
     with explained(str(path)):
-        found = reader.messages(connections)
+        found = _contents(reader, connections)
+    return counted(path, size_of(path), _explained_one_by_one(path, found))
+
+
+def _contents(reader: Reader, connections: Sequence[Connection]) -> Iterator[Message]:
+    """Messages, those packed one by one unpacked here: the library would do it without bound."""
+    storage = getattr(reader, "storage", None)
+    if storage is None or storage.metadata.compression_mode != "message":
+        return reader.messages(connections)
+    storage.metadata = storage.metadata._replace(compression_mode=None)
+    found = reader.messages(connections)
+    return ((one, time_ns, unpacked_zstd(data)) for one, time_ns, data in found)
+
+
+def _explained_one_by_one(path: Path, found: Iterator[Message]) -> Iterator[Message]:
     while True:
         with explained(str(path)):
             message = next(found, None)
