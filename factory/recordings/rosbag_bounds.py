@@ -43,7 +43,8 @@ def bound_the_library() -> None:
 
     decompressors.update(bz2=_unpacked_bz2, lz4=_unpacked_lz4)
     DECOMPRESSORS.update(
-        lz4=lambda content, _: _unpacked_lz4(content), zstd=lambda content, _: unpacked_zstd(content)
+        lz4=lambda content, _: _unpacked_lz4(content),
+        zstd=lambda content, _: unpacked_zstd(content),
     )
 
 

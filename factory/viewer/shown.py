@@ -116,7 +116,6 @@ class ShownDataset:
                 found[name] = value.item() if np.isfinite(value) else None
         return found
 
-
     def found(self, scene: str | None, ranges: Ranges) -> list[int]:
         """See `Shown`; a value that was not drawn lies in no range."""
         if scene is not None and scene not in self.filters.scenes:
@@ -159,7 +158,6 @@ class ShownRecording:
         for part in (frame.device, frame.pose):
             found |= {name: value for name, value in vars(part).items() if value is not None}
         return found
-
 
     def found(self, scene: str | None, ranges: Ranges) -> list[int]:
         """See `Shown`: all, as there is nothing to choose by."""

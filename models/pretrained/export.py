@@ -1,4 +1,4 @@
-"""`simnfnd export-weights`: trained weights in 16 bits, with a model card, or for other programs."""
+"""`simnfnd export-weights`: trained weights in 16 bits with a card, or for other programs."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ Inputs = dict[str, Tensor]
 
 
 class Graph(nn.Module):
-    """What `simnfnd denoise` computes of a picture that fits one tile, without a choice at run time.
+    """What `simnfnd denoise` computes of a picture that fits one tile, without choices at run time.
 
     Inputs, in this order: `noisy` (N, 1, H, W) float32 in 0..1; the maps of `MAPS`, each
     (N, 1, H, W), where layout is not `none`; `remove` (1, 6) where the network is told what to

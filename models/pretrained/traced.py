@@ -152,7 +152,9 @@ def _with_words(graph: Graph, content: bytes, about: Mapping[str, object]) -> by
         value.doc_string = lines[value.name]
     for node in model.graph.node:
         node.doc_string = ""
-    model.doc_string = f"A denoiser for forward-looking sonar pictures, made by SimNFND {__version__}."
+    model.doc_string = (
+        f"A denoiser for forward-looking sonar pictures, made by SimNFND {__version__}."
+    )
     onnx.helper.set_model_props(
         model, {key: str(value) for key, value in sorted(_facts(graph, about).items())}
     )

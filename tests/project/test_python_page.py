@@ -21,7 +21,9 @@ def test_the_examples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     rgb, depth_m = frame()
     cv2.imwrite("frame.png", np.ascontiguousarray(rgb[..., ::-1]))
-    cv2.imwrite("frame_depth.png", np.rint(np.nan_to_num(depth_m, posinf=0) * 1000).astype(np.uint16))
+    cv2.imwrite(
+        "frame_depth.png", np.rint(np.nan_to_num(depth_m, posinf=0) * 1000).astype(np.uint16)
+    )
     write_aris(tmp_path / "dive.aris", pings(2, 40, 48))
     write_dataset(tmp_path / "dataset", train=4, test=2, size=32)
     page = ROOT / "docs/python.md"

@@ -35,7 +35,8 @@ TINY: dict[str, dict[str, Any]] = {
         "style": 1.0, "similarity": 0.1, "adversarial": 0.005,
     },
     "sonarnet": {
-        "widths": [4, 8], "blocks": [1, 1], "polar": True, "lines": True, "mask": True, "forget": 0.1,
+        "widths": [4, 8], "blocks": [1, 1],
+        "polar": True, "lines": True, "mask": True, "forget": 0.1,
     },
     "unet": {"widths": [4, 8], "blocks": 1},
 }  # fmt: skip
@@ -125,7 +126,9 @@ def test_the_file_says_what_it_is(tmp_path: Path) -> None:
 def test_torchscript_gets_what_torch_gets(tmp_path: Path) -> None:
     for kind, layout in (("unet", "none"), ("sonarnet", "fan")):
         given, out = weights(tmp_path, kind), tmp_path / f"{kind}.pt"
-        assert main([str(given), "--to", "torchscript", "--geometry", layout, "--out", str(out)]) == 0
+        assert (
+            main([str(given), "--to", "torchscript", "--geometry", layout, "--out", str(out)]) == 0
+        )
         assert str(Path(__file__).parents[3]).encode() not in out.read_bytes()
         extra = {"simnfnd.json": ""}
         loaded = torch.jit.load(out, _extra_files=extra)
@@ -134,7 +137,9 @@ def test_torchscript_gets_what_torch_gets(tmp_path: Path) -> None:
         for size in SIZES:
             inputs = arrays(graph, size)
             for values, expected in zip(
-                loaded(*map(torch.from_numpy, inputs.values())), of_torch(graph, inputs), strict=True
+                loaded(*map(torch.from_numpy, inputs.values())),
+                of_torch(graph, inputs),
+                strict=True,
             ):
                 np.testing.assert_allclose(values, expected, atol=1e-6)
 
