@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 import sqlite3
+import sys
 from pathlib import Path
 
 import lz4.frame
@@ -13,8 +14,13 @@ import pytest
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.recordings import open_recording, rosbag_bounds
 from simnfnd.factory.recordings.ros_messages import IMAGE, typestore
-from simnfnd.factory.recordings.rosbag_bounds import bound_the_library, unpacked_zstd, zstd
+from simnfnd.factory.recordings.rosbag_bounds import bound_the_library, unpacked_zstd
 from tests.factory.recordings.bag_files import image, write_bag
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
 
 SIDE = 512
 KINDS = [
