@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.recordings import open_recording, rosbag_bounds
+from simnfnd.factory.recordings import open_recording, rosbag_files
 from simnfnd.factory.recordings.ros_messages import IMAGE, typestore
-from simnfnd.factory.recordings.rosbag_bounds import bound_the_library, unpacked_zstd
+from simnfnd.factory.recordings.rosbag_files import bound_the_library, unpacked_zstd
 from tests.factory.recordings.bag_files import image, write_bag
 
 if sys.version_info >= (3, 14):
@@ -47,10 +47,10 @@ def test_what_a_bag_unpacks_into_is_bounded(
 ) -> None:
     path = black(tmp_path / name, compression)
     assert read(path) == 3
-    monkeypatch.setattr(rosbag_bounds, "MOST_RATIO", 0)
+    monkeypatch.setattr(rosbag_files, "MOST_RATIO", 0)
     # All messages together, then each alone.
     for most in (2.5, 0.5):
-        monkeypatch.setattr(rosbag_bounds, "MOST_CHUNK", int(most * SIDE * SIDE))
+        monkeypatch.setattr(rosbag_files, "MOST_CHUNK", int(most * SIDE * SIDE))
         with pytest.raises((FactoryError, FrameError)) as caught:
             read(path)
         said = str(caught.value)
@@ -64,7 +64,7 @@ def test_real_bombs_stop_at_the_bound() -> None:
     from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 
     bound_the_library()
-    zeros = bytes(rosbag_bounds.MOST_CHUNK + 1)
+    zeros = bytes(rosbag_files.MOST_CHUNK + 1)
     for content, unpack in (
         (zstd.compress(zeros), unpacked_zstd),
         (zstd.compress(zeros), lambda content: DECOMPRESSORS["zstd"](content, 10)),
