@@ -187,7 +187,7 @@ def _scenes(table: npt.NDArray[np.void]) -> list[str]:
 
 def _values(column: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
     """Its different finite values, ascending."""
-    return np.unique(column[np.isfinite(column)])
+    return np.asarray(np.unique(column[np.isfinite(column)]))
 
 
 def _opened(path: Path) -> Recording:

@@ -40,7 +40,7 @@ class PolarGrid:
 
 
 def polar_grid(
-    range_fraction: Tensor, azimuth_rad: Tensor, sector: Tensor, *, fan: bool | None = None
+    range_fraction: Tensor, azimuth_rad: Tensor, sector: Tensor, fan: bool | None = None
 ) -> PolarGrid | None:
     """The grid for fan pictures whose pixels have these maps, each (N, 1, H, W), H and W 2 or more.
 

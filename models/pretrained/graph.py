@@ -44,7 +44,7 @@ class Graph(nn.Module):
         self.inputs = ("noisy", *maps, *told)
         self.outputs = ("denoised", "weight") if network.has_heads else ("denoised",)
         if hasattr(network, "fan"):
-            network.fan = layout == "fan"
+            setattr(network, "fan", layout == "fan")  # noqa: B010  (of sonarnet alone)
         # Without gradients and choices of training, as tracing keeps both.
         self.requires_grad_(False).eval()
 

@@ -69,7 +69,7 @@ def write_torchscript(graph: Graph, path: Path, about: Mapping[str, object]) -> 
     words = json.dumps({**_facts(graph, about), "inputs": list(graph.inputs)}, sort_keys=True)
     torch.jit.save(_traced(graph), made, _extra_files={"simnfnd.json": words})
     content = _without_paths(made)
-    loaded = torch.jit.load(io.BytesIO(content))
+    loaded = torch.jit.load(io.BytesIO(content))  # type: ignore[no-untyped-call]
 
     def run(inputs: Mapping[str, Tensor]) -> list[np.ndarray]:
         return [values.numpy() for values in loaded(*inputs.values())]
@@ -107,7 +107,7 @@ def _traced(graph: Graph) -> torch.jit.ScriptModule:
     with warnings.catch_warnings(), torch.no_grad():
         # It warns of every choice that it keeps; `compared` sees whether one was wrong.
         warnings.simplefilter("ignore")
-        traced: torch.jit.ScriptModule = torch.jit.trace(
+        traced: torch.jit.ScriptModule = torch.jit.trace(  # type: ignore[no-untyped-call]
             graph, inputs, check_trace=False, _store_inputs=False
         )
         return traced
@@ -132,7 +132,7 @@ def _exported(graph: Graph) -> bytes:
         torch.onnx.export(
             _traced(graph),
             tuple(graph.example(*_TRACED).values()),
-            content,
+            content,  # type: ignore[arg-type]
             dynamo=False,
             opset_version=OPSET,
             input_names=list(graph.inputs),

@@ -124,7 +124,7 @@ def test_samples_are_found_by_scene_and_by_what_was_drawn(dataset: Path) -> None
         assert found(scene=scenes[4]) == [n for n in range(12) if scenes[n] == scenes[4]]
         middle = known[len(known) // 2]
         density = {"in_noise.background.density": f"..{middle}"}
-        low = [n for n, value in enumerate(drawn) if value is not None and value <= middle]
+        low = [n for n, value in enumerate(drawn) if value is not None and float(value) <= middle]
         assert found(**density) == low
         both = found(scene=scenes[4], **density, in_range_max_m="5..")
         assert both == [
