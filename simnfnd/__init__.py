@@ -1,9 +1,10 @@
 """SimNFND: pairs (noisy, clean) of forward-looking sonar pictures, and denoisers made of them.
 
-    from simnfnd import PairDataset, denoise, make_pair
+    from simnfnd import PairDataset, denoise, make_pair, open_recording
 
 PairDataset reads a dataset (numpy and h5py are enough), `denoise` takes a picture in memory,
-`make_pair` makes a pair of an RGBD frame in memory.  What a caller can mend is a FactoryError, one
+`make_pair` makes a pair of an RGBD frame in memory, `open_recording` reads the frames of a sonar's
+recording (docs/python.md).  What a caller can mend is a FactoryError, one
 line; a frame that cannot be used is a FrameError.
 
 Each name is imported when it is first used, so `import simnfnd` costs nothing.
@@ -20,25 +21,32 @@ if TYPE_CHECKING:
     from simnfnd.factory.dataset import PairDataset
     from simnfnd.factory.dataset.format.sample import Pair
     from simnfnd.factory.errors import FactoryError, FrameError
+    from simnfnd.recording import OpenRecording, RecordedFrame, open_recording
 
 __all__ = [
     "FactoryError",
     "FrameError",
+    "OpenRecording",
     "Pair",
     "PairDataset",
+    "RecordedFrame",
     "__version__",
     "denoise",
     "make_pair",
+    "open_recording",
 ]
 
 _MODULES = {
     "FactoryError": "simnfnd.factory.errors",
     "FrameError": "simnfnd.factory.errors",
+    "OpenRecording": "simnfnd.recording",
     "Pair": "simnfnd.factory.dataset.format.sample",
     "PairDataset": "simnfnd.factory.dataset",
+    "RecordedFrame": "simnfnd.recording",
     "__version__": "simnfnd.factory",
     "denoise": "simnfnd.api",
     "make_pair": "simnfnd.api",
+    "open_recording": "simnfnd.recording",
 }
 
 

@@ -1,4 +1,4 @@
-"""Pictures and pairs from arrays in memory: the functions of `simnfnd`."""
+"""Pictures and pairs from arrays in memory: `denoise` and `make_pair` of `simnfnd`."""
 
 from __future__ import annotations
 

@@ -174,9 +174,13 @@ VERBS: dict[str, Verb] = {
         needs=_NETWORK,
     ),
     "export-weights": Verb(
-        DENOISE, "trained weights in 16 bits, with a model card",
+        DENOISE, "trained weights in 16 bits with a model card, as ONNX or as TorchScript",
         "simnfnd.models.pretrained.export:main",
-        ("simnfnd export-weights outputs/models/nafnet/weights.safetensors --out own.safetensors",),
+        (
+            "simnfnd export-weights outputs/models/nafnet/weights.safetensors "
+            "--out own.safetensors",
+            "simnfnd export-weights simnfnd --to onnx --geometry fan --out fan.onnx",
+        ),
         needs=_NETWORK,
     ),
     "evaluate": Verb(

@@ -29,6 +29,8 @@ EXTRAS = {
     "distributed": "cluster",
     "huggingface_hub": "export",
     "webdataset": "export",
+    "onnx": "onnx",
+    "onnxruntime": "onnx",
     "rosbags": "ros",
     "hdf5plugin": "zstd",
 }

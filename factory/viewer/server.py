@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
+from urllib.parse import parse_qsl
 
 import cv2
 
@@ -50,20 +52,23 @@ class _Handler(BaseHTTPRequestHandler):
             return
         try:
             with self.server.lock:
-                kind, content = self._answer(self.path.split("?")[0])
+                kind, content = self._answer(*self.path.split("?", 1))
             self._send(200, kind, content)
         except LookupError:
             self._send(404, "text/plain", b"not found")
         except FactoryError as error:
             self._send(500, "text/plain; charset=utf-8", str(error).encode())
 
-    def _answer(self, path: str) -> tuple[str, bytes]:
+    def _answer(self, path: str, query: str = "") -> tuple[str, bytes]:
         shown = self.server.shown
         if path == "/":
             return "text/html; charset=utf-8", _PAGE.read_bytes()
         if path == "/about.json":
             about = {"title": shown.title, "count": len(shown), "layers": shown.layers}
-            return _json(about)
+            chosen_by = {"scenes": shown.filters.scenes, "ranges": shown.filters.ranges}
+            return _json(about | chosen_by)
+        if path == "/found.json":
+            return _json(shown.found(*_wanted(query)))
         if found := _PICTURE.fullmatch(path):
             number, layer = map(int, found.groups())
             if number >= len(shown) or layer >= len(shown.layers):
@@ -90,6 +95,25 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, *_: object) -> None:
         """Nothing: the terminal is the user's."""
+
+
+def _wanted(query: str) -> tuple[str | None, dict[str, tuple[float, float]]]:
+    """`scene=NAME&in:COLUMN=LEAST..MOST` in parts; LookupError for other words."""
+    scene, ranges = None, {}
+    for key, value in parse_qsl(query, max_num_fields=50):
+        if key == "scene":
+            scene = value
+            continue
+        kind, _, column = key.partition(":")
+        least, dots, most = value.partition("..")
+        try:
+            ends = float(least or -math.inf), float(most or math.inf)
+        except ValueError:
+            raise LookupError(value) from None
+        if kind != "in" or not dots:
+            raise LookupError(key)
+        ranges[column] = ends
+    return scene, ranges
 
 
 def _json(value: Any) -> tuple[str, bytes]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
@@ -22,6 +24,21 @@ Picture = npt.NDArray[np.uint8]
 """(H, W), or (H, W, 3) in the order of OpenCV."""
 Facts = dict[str, str | float | int | None]
 
+Ranges = Mapping[str, tuple[float, float]]
+"""Column -> least and largest value."""
+
+
+@dataclass(frozen=True)
+class Filters:
+    """What pictures may be chosen by.
+
+    scenes: their names.  ranges: columns of numbers that differ, with their least and largest.
+    """
+
+    scenes: tuple[str, ...] = ()
+    ranges: Ranges = field(default_factory=dict)
+
+
 _LABELS = ("segmentation", "instance")
 
 
@@ -33,6 +50,7 @@ class Shown(Protocol):
 
     title: str
     layers: tuple[str, ...]
+    filters: Filters
 
     def __len__(self) -> int:
         """How many there are."""
@@ -44,6 +62,13 @@ class Shown(Protocol):
 
     def facts(self, number: int) -> Facts:
         """Names and values, in the order to show them.  Raises FactoryError as well."""
+        ...
+
+    def found(self, scene: str | None, ranges: Ranges) -> list[int]:
+        """Numbers of those of a scene (None: any) whose values lie in all ranges, ends included.
+
+        Raises LookupError for a scene or column that `filters` does not have.
+        """
         ...
 
 
@@ -59,6 +84,17 @@ class ShownDataset:
         # Checked a moment ago.
         self._pairs = PairDataset(folder, "all", layers=self.layers, scaled=True, trusted=True)
         self._table = self._pairs.meta()
+        self._scenes = _scenes(self._table)
+        self._numbers = {
+            name: values
+            for name in self._table.dtype.names or ()
+            if (values := self._table[name]).dtype.kind in "iuf" and len(_values(values)) > 1
+        }
+        ranges = {name: _values(values)[[0, -1]] for name, values in self._numbers.items()}
+        self.filters = Filters(
+            tuple(sorted(set(self._scenes))),
+            {name: (float(least), float(most)) for name, (least, most) in ranges.items()},
+        )
 
     def __len__(self) -> int:
         return len(self._pairs)
@@ -80,9 +116,22 @@ class ShownDataset:
                 found[name] = value.item() if np.isfinite(value) else None
         return found
 
+    def found(self, scene: str | None, ranges: Ranges) -> list[int]:
+        """See `Shown`; a value that was not drawn lies in no range."""
+        if scene is not None and scene not in self.filters.scenes:
+            raise LookupError(scene)
+        fits = np.ones(len(self), bool)
+        if scene is not None:
+            fits &= np.array([name == scene for name in self._scenes])
+        for name, (least, most) in ranges.items():
+            fits &= (self._numbers[name] >= least) & (self._numbers[name] <= most)
+        return [int(number) for number in np.flatnonzero(fits)]
+
 
 class ShownRecording:
     """The frames of a recording, and of the same one denoised; a `Shown`."""
+
+    filters = Filters()
 
     def __init__(self, path: Path, after: Path | None = None) -> None:
         """Raises FactoryError when one cannot be read."""
@@ -110,6 +159,12 @@ class ShownRecording:
             found |= {name: value for name, value in vars(part).items() if value is not None}
         return found
 
+    def found(self, scene: str | None, ranges: Ranges) -> list[int]:
+        """See `Shown`: all, as there is nothing to choose by."""
+        if scene is not None or ranges:
+            raise LookupError("a recording is not filtered")
+        return list(range(len(self)))
+
 
 def open_shown(path: Path, after: Path | None = None) -> Shown:
     """A dataset by its manifest or else a recording.  Raises FactoryError when it is neither."""
@@ -118,6 +173,21 @@ def open_shown(path: Path, after: Path | None = None) -> Shown:
             raise FactoryError(f"{after}: a dataset is shown alone, its layers beside each other")
         return ShownDataset(path)
     return ShownRecording(path, after)
+
+
+def _scenes(table: npt.NDArray[np.void]) -> list[str]:
+    """`location/scene` of each row, or what of it there is."""
+    columns = [
+        [value.decode(errors="replace") for value in table[name].tolist()]
+        for name in ("location", "scene")
+        if name in (table.dtype.names or ()) and table[name].dtype.kind == "S"
+    ]
+    return ["/".join(filter(None, words)) for words in zip(*columns, strict=True)]
+
+
+def _values(column: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+    """Its different finite values, ascending."""
+    return np.asarray(np.unique(column[np.isfinite(column)]))
 
 
 def _opened(path: Path) -> Recording:

@@ -82,7 +82,7 @@ class Lines:
             torch.arange(shape[1], device=like.device),
             indexing="ij",
         )
-        count = len(like)
+        count = like.shape[0]
         weight = torch.ones(count, 1, shape[0] * shape[1], device=like.device, dtype=like.dtype)
         return cls(
             column.flatten()[None].expand(count, -1),
@@ -103,7 +103,7 @@ class Lines:
         flat, channels = x.float().flatten(2), x.shape[1]
         weight = self.weight.float()
         index = numbers[:, None]
-        zeros = torch.zeros(len(x), channels, count, device=x.device)
+        zeros = torch.zeros(x.shape[0], channels, count, device=x.device)
         total = zeros.scatter_add(2, index.expand(-1, channels, -1), flat * weight)
         cells = zeros[:, :1].scatter_add(2, index, weight)
         return total / cells.clamp_min(1)

@@ -67,11 +67,13 @@ class Network(nn.Module):
         image, known = self._prepared(noisy, extras)
         output = self.restore_with_heads(image, **known)
         height, width = noisy.shape[-2:]
-        logits = output.shadow_logits[..., :height, :width].reshape(len(noisy), -1, height, width)
+        logits = output.shadow_logits[..., :height, :width].reshape(
+            noisy.shape[0], -1, height, width
+        )
         return NetworkOutput(
             self._restored(output.image, noisy),
             logits.mean(dim=1, keepdim=True),
-            output.weight.reshape(len(noisy), -1).mean(dim=1),
+            output.weight.reshape(noisy.shape[0], -1).mean(dim=1),
         )
 
     def _prepared(

@@ -39,14 +39,19 @@ class PolarGrid:
         return _sampled(images, self.to_fan)
 
 
-def polar_grid(range_fraction: Tensor, azimuth_rad: Tensor, sector: Tensor) -> PolarGrid | None:
+def polar_grid(
+    range_fraction: Tensor, azimuth_rad: Tensor, sector: Tensor, fan: bool | None = None
+) -> PolarGrid | None:
     """The grid for fan pictures whose pixels have these maps, each (N, 1, H, W), H and W 2 or more.
 
+    fan: whether they are fans; None: seen from the maps.
     None for pictures that are polar already, or too small to tell.
     """
-    height, width = range_fraction.shape[-2:]
-    if min(height, width) < 2 or bool((range_fraction == range_fraction[..., :1]).all()):
+    if fan is None:
+        fan = _is_fan(range_fraction)
+    if not fan:
         return None
+    height, width = range_fraction.shape[-2:]
     radius, azimuth = range_fraction[:, 0], azimuth_rad[:, 0]
     # In a fan, right and ahead of the sonar are linear in column and row (see `sonar.fan`).
     right, ahead = radius * torch.sin(azimuth), radius * torch.cos(azimuth)
@@ -73,6 +78,14 @@ def polar_grid(range_fraction: Tensor, azimuth_rad: Tensor, sector: Tensor) -> P
         dim=-1,
     )
     return PolarGrid(to_polar, to_fan, cell_range[:, None], cell_azimuth[:, None])
+
+
+def _is_fan(range_fraction: Tensor) -> bool:
+    """Whether ranges differ along rows; False for pictures too small to tell."""
+    height, width = range_fraction.shape[-2:]
+    if min(height, width) < 2:
+        return False
+    return not bool((range_fraction == range_fraction[..., :1]).all())
 
 
 def _extent(values: Tensor, inside: Tensor) -> tuple[Tensor, Tensor]:

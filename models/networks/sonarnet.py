@@ -86,6 +86,8 @@ class SonarNet(Network):
         # Padding happens on the polar grid, which has a size of its own.
         super().__init__(settings.channels, stride=1)
         self.settings = settings
+        # Whether known geometries are those of fans; None: seen from the maps.
+        self.fan: bool | None = None
         widths, blocks = settings.widths, settings.blocks
         self.core_stride = 2 ** len(widths)
         self.intro = nn.Conv2d(4 * (1 + len(_MAPS)), widths[0], 3, padding=1)
@@ -133,7 +135,7 @@ class SonarNet(Network):
         remove = extras.get("remove")
         if remove is None:
             usual = torch.from_numpy(vector(DEFAULT)).to(noisy)
-            remove = usual.expand(len(noisy), -1)
+            remove = usual.expand(noisy.shape[0], -1)
         has_geometry = "range_fraction" in extras and "azimuth_rad" in extras
         if self.training and has_geometry and self.settings.forget:
             has_geometry = bool(torch.rand(()) >= self.settings.forget)
@@ -142,7 +144,9 @@ class SonarNet(Network):
             return NetworkOutput(self._gated(noisy + change, logits), logits, weight)
         range_fraction, azimuth_rad = extras["range_fraction"], extras["azimuth_rad"]
         sector = extras.get("sector", torch.ones_like(noisy))
-        grid = polar_grid(range_fraction, azimuth_rad, sector) if self.settings.polar else None
+        grid = None
+        if self.settings.polar:
+            grid = polar_grid(range_fraction, azimuth_rad, sector, fan=self.fan)
         if grid is None:
             found = (azimuth_rad, range_fraction, sector)
             maps = _known(range_fraction, azimuth_rad, sector)
@@ -173,7 +177,7 @@ class SonarNet(Network):
         x = torch.cat([padded(plane, self.core_stride) for plane in planes], dim=1)
         x = self.intro(functional.pixel_unshuffle(x, 2))
         if self.lines is not None:
-            shape = (int(x.shape[-2]), int(x.shape[-1]))
+            shape = (x.shape[-2], x.shape[-1])
             if maps is None:
                 lines = Lines.of_grid(x, shape)
             else:

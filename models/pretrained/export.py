@@ -1,18 +1,25 @@
-"""`simnfnd export-weights`: trained weights in 16 bits, with a model card."""
+"""`simnfnd export-weights`: trained weights in 16 bits with a card, or for other programs."""
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from simnfnd.factory import __version__
 from simnfnd.factory.cli import Parser
+from simnfnd.factory.cli.extras import Need, require
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import check_writable, write_atomically
+from simnfnd.models.pretrained import find_weights
+
+if TYPE_CHECKING:
+    from simnfnd.models.networks.network import Network
+    from simnfnd.models.pretrained.graph import Layout
 
 LIMIT_MB = 8.0
 """What ships must be small enough to live in the repository."""
@@ -63,11 +70,27 @@ _LIMITS = (
 )
 
 
+SUFFIXES = {"safetensors": ".safetensors", "onnx": ".onnx", "torchscript": ".pt"}
+"""What `--to` may say, and how the files end."""
+
+
 def main(arguments: Sequence[str]) -> int:
-    """Write the 16-bit weights and, beside them, a model card of their name."""
+    """Write the weights in the form that is asked for."""
     parser = Parser(prog="simnfnd export-weights")
-    parser.add_argument("weights", help="weights.safetensors of a training")
-    parser.add_argument("--out", required=True, help="file to write, NAME.safetensors")
+    parser.add_argument("weights", help="weights.safetensors of a training, or a name that ships")
+    parser.add_argument("--out", required=True, help="file to write")
+    parser.add_argument(
+        "--to",
+        choices=tuple(SUFFIXES),
+        default="safetensors",
+        help="safetensors: 16 bits with a model card (default); others: see docs/deploy.md",
+    )
+    parser.add_argument(
+        "--geometry",
+        choices=("none", "fan", "polar"),
+        default="none",
+        help="of the pictures that an onnx or torchscript file gets with their range and bearing",
+    )
     parser.add_argument(
         "--set",
         action="append",
@@ -79,12 +102,56 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--limits", help="Markdown file that replaces the card's words on limits")
     chosen = parser.parse_args(list(arguments))
     out = Path(chosen.out).expanduser()
-    if out.suffix != ".safetensors":
-        raise FactoryError(f"--out {out}: must end in .safetensors")
+    if out.suffix != SUFFIXES[chosen.to]:
+        raise FactoryError(f"--out {out}: must end in {SUFFIXES[chosen.to]} for --to {chosen.to}")
+    weights, changes = find_weights(chosen.weights), _changes(chosen.set)
+    if chosen.to != "safetensors":
+        if chosen.figures or chosen.limits:
+            raise FactoryError("--figures, --limits: are for the card, so for --to safetensors")
+        for line in export_graph(weights, out, chosen.to, chosen.geometry, changes):
+            print(line)
+        return 0
+    if chosen.geometry != "none":
+        raise FactoryError(f"--geometry {chosen.geometry}: is for --to onnx and torchscript")
     figures, limits = (_text(path) for path in (chosen.figures, chosen.limits))
-    size_mb = export(chosen.weights, out, figures, limits, changes=_changes(chosen.set))
+    size_mb = export(weights, out, figures, limits, changes=changes)
     print(f"weights: {out}, {size_mb:.2f} MB; card: {out.with_suffix('.md')}")
     return 0
+
+
+def export_graph(
+    weights: Path,
+    out: Path,
+    to: str,
+    layout: Layout = "none",
+    changes: Mapping[str, Any] | None = None,
+) -> Iterator[str]:
+    """Write a network with its weights for other programs; lines on what was written.
+
+    to: `onnx` or `torchscript`.  layout, changes: of the geometry, and of the network's settings.
+    Raises FactoryError when the weights cannot be read or do not fit the changed network, the
+    network does not use a geometry, or the file would not compute what torch does.
+    """
+    if to == "onnx":
+        require(Need("--to onnx", module) for module in ("onnx", "onnxruntime"))
+    from simnfnd.models.networks.weights import load_weights
+    from simnfnd.models.pretrained.graph import MAPS, Graph, described
+    from simnfnd.models.pretrained.traced import OPSET, write_onnx, write_torchscript
+
+    trained = load_weights(weights)
+    model = {**trained.model, **(changes or {})}
+    graph = Graph(_changed(trained.network, model, changes), layout)
+    digest = hashlib.sha256(weights.read_bytes()).hexdigest()
+    about = {"model": json.dumps(model, sort_keys=True), "weights_sha256": digest}
+    write = write_onnx if to == "onnx" else write_torchscript
+    difference = write(graph, out, about)
+    form = f"ONNX, opset {OPSET}" if to == "onnx" else "TorchScript"
+    size_mb = out.stat().st_size / 1e6
+    yield f"{out}: {form}, {size_mb:.2f} MB, within {difference:.1e} of torch"
+    for name, line in described(graph).items():
+        yield f"  {'in ' if name in graph.inputs else 'out'} {name}: {line}"
+    if layout == "none" and set(MAPS) <= set(graph.network.extras):
+        yield "  with --geometry fan or polar it is told where range and bearing lie"
 
 
 def export(
@@ -102,7 +169,6 @@ def export(
     """
     import torch  # slow; mistakes on the command line are reported before
 
-    from simnfnd.models.networks import build_network
     from simnfnd.models.networks.cost import count_macs
     from simnfnd.models.networks.weights import load_weights, save_weights
 
@@ -118,13 +184,7 @@ def export(
             "that may ship; train a smaller network"
         )
     model = {**trained.model, **(changes or {})}
-    try:
-        build_network(model).load_state_dict(trained.network.state_dict())
-    except RuntimeError as error:
-        raise FactoryError(
-            f"--set {', '.join(changes or {})}: the weights do not fit such a network; set only "
-            "what does not change its sizes"
-        ) from error
+    _changed(trained.network, model, changes)
     check_writable(out.parent, "--out")
     save_weights(out, trained.network, model, trained.training, half=True)
     facts = dict(trained.training)
@@ -151,6 +211,23 @@ def export(
     )
     write_atomically(out.with_suffix(".md"), card.encode(), key="--out")
     return out.stat().st_size / 1e6
+
+
+def _changed(
+    network: Network, model: Mapping[str, Any], changes: Mapping[str, Any] | None
+) -> Network:
+    """The network of the `model` group with these weights."""
+    from simnfnd.models.networks import build_network
+
+    changed = build_network(model)
+    try:
+        changed.load_state_dict(network.state_dict())
+    except RuntimeError as error:
+        raise FactoryError(
+            f"--set {', '.join(changes or {})}: the weights do not fit such a network; set only "
+            "what does not change its sizes"
+        ) from error
+    return changed
 
 
 def _changes(words: Sequence[str]) -> dict[str, Any]:

@@ -127,6 +127,7 @@ def test_the_entries_of_the_checkout_know_verbs_too(room: str, word: str, said: 
 # --- modules that are not installed -------------------------------------------------------------
 
 ANALYTIC = ("make", "render=analytic", "dataset.dir={out}")
+ONNX = ("export-weights", "simnfnd", "--to", "onnx")
 RECORDING = (*ANALYTIC, "scenes=csv_list", "scenes.root={in}/list.csv",
              "scenes.intrinsics=[100,100,60,40]")  # fmt: skip
 
@@ -150,6 +151,7 @@ RECORDING = (*ANALYTIC, "scenes=csv_list", "scenes.root={in}/list.csv",
         (("denoise", "{in}", "--out", "{out}"), "torch", "train"),
         (("denoise", "{in}", "--out", "{out}"), "safetensors", "train"),
         (("export-weights", "{in}/w.safetensors", "--out", "{out}"), "torch", "train"),
+        ((*ONNX, "--out", "{out}.onnx"), "onnxruntime", "onnx"),
         (("evaluate", "dataset={in}", "out={out}"), "pyarrow", "report"),
         (("evaluate", "dataset={in}", "out={out}", "models=[simnfnd]"), "torch", "train"),
         (("evaluate", "dataset={in}", "ablation.olddata_l1=simnfnd"), "torch", "train"),

@@ -233,7 +233,14 @@ ALLOWED = {
     },
     "models/losses": {"factory: ground"},
     "models/networks": {"conf", "factory/formation", "factory: ground", "models: ground"},
-    "models/pretrained": {"factory/cli", "factory: ground", "models/networks"},
+    "models/pretrained": {
+        "factory/cli",
+        "factory/formation",
+        "factory/sonar",
+        "factory: ground",
+        "models/networks",
+        "models: ground",
+    },
     "models/training": {
         "factory/cli",
         "factory: ground",

@@ -1,0 +1,49 @@
+"""Denoises a picture on any machine with numpy, onnxruntime and Pillow.
+
+simnfnd export-weights simnfnd --to onnx --out any.onnx
+python examples/onnx_denoise.py any.onnx picture.png denoised.png
+
+simnfnd export-weights simnfnd --to onnx --geometry fan --out fan.onnx
+simnfnd geometry picture.png > fans.csv
+python examples/onnx_denoise.py fan.onnx picture.png denoised.png fans.csv
+"""
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+from PIL import Image
+
+
+def maps(row, height, width):
+    """Range, bearing and sector of every pixel, from a line of the table of fans."""
+    apex_x, apex_y, slope, top, bottom, squeeze = (
+        float(row[name])
+        for name in ("apex_x", "apex_y", "edge_slope", "top_row", "bottom_row", "squeeze")
+    )
+    half, far = np.arctan(slope / squeeze), apex_y - top
+    near = (apex_y - bottom) / np.cos(half)
+    ahead = apex_y - np.arange(height)[:, None]
+    right = (np.arange(width)[None] - apex_x) / squeeze
+    range_fraction, azimuth_rad = np.hypot(ahead, right) / far, np.arctan2(right, ahead)
+    sector = (range_fraction >= near / far) & (range_fraction <= 1) & (abs(azimuth_rad) <= half)
+    return {"range_fraction": range_fraction, "azimuth_rad": azimuth_rad, "sector": sector}
+
+
+model, source, target, *table = sys.argv[1:]
+picture = np.asarray(Image.open(source).convert("L"))
+inputs = {"noisy": picture / 255}
+if table:
+    with open(table[0], newline="", encoding="utf-8") as file:
+        rows = {row["file"]: row for row in csv.DictReader(file)}
+    inputs |= maps(rows[Path(source).name], *picture.shape)
+inputs = {name: values[None, None].astype(np.float32) for name, values in inputs.items()}
+session = onnxruntime.InferenceSession(model)
+if "remove" in {value.name for value in session.get_inputs()}:
+    # What goes: speckle, haze, spokes, ghosts, blur, gains.
+    inputs["remove"] = np.array([[1, 0, 1, 1, 1, 0]], np.float32)
+denoised, *weight = session.run(None, inputs)
+Image.fromarray(np.rint(255 * denoised[0, 0]).astype(np.uint8)).save(target)
+print(f"{target}: {' x '.join(map(str, picture.shape))}", *weight)

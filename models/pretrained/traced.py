@@ -1,0 +1,167 @@
+"""Networks as files of other programs: ONNX and TorchScript, compared with torch before written.
+
+Both come of one trace.  torch's exporter by symbolic shapes (`dynamo=True`) gives the same ONNX
+graph of `sonarnet` after minutes where the trace takes seconds.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import warnings
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from simnfnd.factory import __version__
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import check_writable, write_atomically
+from simnfnd.models.pretrained.graph import Graph, described, wanted
+
+OPSET = 18
+"""ONNX operators: GridSample and sums by ScatterElements came with 16, LayerNormalization with 17.
+
+Newer runtimes read older opsets.
+"""
+TOLERANCE = 1e-4
+"""Largest difference from torch that is let through, in pictures of 0 to 1."""
+# Pictures of the trace and of the comparison: (height, width, how many).  The first divides by
+# nothing, so that padding is part of the trace.
+_TRACED = (75, 91, 2)
+_COMPARED = ((64, 64, 1), (50, 83, 2), (128, 70, 1))
+
+Run = Callable[[Mapping[str, Tensor]], list[np.ndarray]]
+
+
+def write_onnx(graph: Graph, path: Path, about: Mapping[str, object]) -> float:
+    """Write a `.onnx` file of any height, width and number of pictures; how far it is from torch.
+
+    about: what the file says of itself.  Raises FactoryError when onnxruntime does not get what
+    torch does, or the file cannot be written.
+    """
+    import onnxruntime
+
+    check_writable(path.parent, "--out")
+    content = _with_words(graph, _exported(graph), about)
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+
+    def run(inputs: Mapping[str, Tensor]) -> list[np.ndarray]:
+        found: list[np.ndarray] = session.run(
+            list(graph.outputs), {name: values.numpy() for name, values in inputs.items()}
+        )
+        return found
+
+    difference = compared(graph, run, "onnxruntime")
+    write_atomically(path, content, key="--out")
+    return difference
+
+
+def write_torchscript(graph: Graph, path: Path, about: Mapping[str, object]) -> float:
+    """Write a `.pt` file that `torch.jit.load` reads; otherwise as `write_onnx`."""
+    check_writable(path.parent, "--out")
+    made = io.BytesIO()
+    words = json.dumps({**_facts(graph, about), "inputs": list(graph.inputs)}, sort_keys=True)
+    torch.jit.save(_traced(graph), made, _extra_files={"simnfnd.json": words})
+    content = _without_paths(made)
+    loaded = torch.jit.load(io.BytesIO(content))  # type: ignore[no-untyped-call]
+
+    def run(inputs: Mapping[str, Tensor]) -> list[np.ndarray]:
+        return [values.numpy() for values in loaded(*inputs.values())]
+
+    difference = compared(graph, run, "TorchScript")
+    write_atomically(path, content, key="--out")
+    return difference
+
+
+def compared(graph: Graph, run: Run, who: str) -> float:
+    """Largest difference of `run` from the graph in torch, over pictures of several sizes.
+
+    Raises FactoryError when it is above TOLERANCE.
+    """
+    worst = 0.0
+    for seed, size in enumerate(_COMPARED):
+        inputs = graph.example(*size, seed=seed)
+        if seed and "remove" in inputs:
+            inputs["remove"] = torch.from_numpy(wanted(("haze", "gains")))
+        expected = [values.numpy() for values in graph(*inputs.values())]
+        for values, wished in zip(run(inputs), expected, strict=True):
+            # NaN must not pass.
+            distance = float(np.abs(values - wished).max())
+            worst = distance if not distance <= worst else worst
+    if not worst <= TOLERANCE:
+        raise FactoryError(
+            f"{who} differs from torch by {worst:.1e}, more than {TOLERANCE:.0e}; nothing was "
+            "written; please report this with the versions of both"
+        )
+    return worst
+
+
+def _traced(graph: Graph) -> torch.jit.ScriptModule:
+    inputs = tuple(graph.example(*_TRACED).values())
+    with warnings.catch_warnings(), torch.no_grad():
+        # It warns of every choice that it keeps; `compared` sees whether one was wrong.
+        warnings.simplefilter("ignore")
+        traced: torch.jit.ScriptModule = torch.jit.trace(  # type: ignore[no-untyped-call]
+            graph, inputs, check_trace=False, _store_inputs=False
+        )
+        return traced
+
+
+def _without_paths(made: io.BytesIO) -> bytes:
+    """The same archive without where the lines of its source stood on this machine."""
+    content = io.BytesIO()
+    with zipfile.ZipFile(made) as source, zipfile.ZipFile(content, "w") as target:
+        for member in source.infolist():
+            if not member.filename.endswith(".debug_pkl"):
+                target.writestr(member, source.read(member))
+    return content.getvalue()
+
+
+def _exported(graph: Graph) -> bytes:
+    axes = {0: "count", 2: "height", 3: "width"}
+    pictures = [name for name in (*graph.inputs, "denoised") if name != "remove"]
+    content = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            _traced(graph),
+            tuple(graph.example(*_TRACED).values()),
+            content,  # type: ignore[arg-type]
+            dynamo=False,
+            opset_version=OPSET,
+            input_names=list(graph.inputs),
+            output_names=list(graph.outputs),
+            dynamic_axes={**dict.fromkeys(pictures, axes), "weight": {0: "count"}},
+        )
+    return content.getvalue()
+
+
+def _with_words(graph: Graph, content: bytes, about: Mapping[str, object]) -> bytes:
+    """The same file with its inputs and itself explained."""
+    import onnx
+
+    model = onnx.load_model_from_string(content)
+    lines = described(graph)
+    for value in (*model.graph.input, *model.graph.output):
+        value.doc_string = lines[value.name]
+    for node in model.graph.node:
+        node.doc_string = ""
+    model.doc_string = (
+        f"A denoiser for forward-looking sonar pictures, made by SimNFND {__version__}."
+    )
+    onnx.helper.set_model_props(
+        model, {key: str(value) for key, value in sorted(_facts(graph, about).items())}
+    )
+    onnx.checker.check_model(model, full_check=True)
+    written: bytes = model.SerializeToString(deterministic=True)
+    return written
+
+
+def _facts(graph: Graph, about: Mapping[str, object]) -> dict[str, object]:
+    return {"simnfnd": __version__, "geometry": graph.layout, "opset": OPSET, **about}

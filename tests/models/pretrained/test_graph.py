@@ -1,0 +1,195 @@
+"""`simnfnd export-weights --to onnx` and `torchscript`: any size, as torch, and as `denoise`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import onnx
+import onnxruntime
+import pytest
+import torch
+
+from simnfnd import denoise
+from simnfnd.command import main as command
+from simnfnd.factory.errors import FactoryError
+from simnfnd.models.networks import build_network
+from simnfnd.models.networks.weights import load_weights, save_weights
+from simnfnd.models.pretrained.export import main
+from simnfnd.models.pretrained.graph import LAYOUTS, Graph, Layout
+from simnfnd.models.pretrained.traced import OPSET, compared
+from tests.factory.recordings.fan_pictures import fan, preset
+from tests.project.test_examples import run
+
+TINY: dict[str, dict[str, Any]] = {
+    "dae": {"widths": [4, 4]},
+    "nafnet": {"width": 4, "encoder": [1], "middle": 1, "decoder": [1]},
+    "restormer": {"width": 4, "blocks": [1, 1], "refinement": 1, "heads": [1, 2], "expansion": 2.0},
+    "sid_tgan": {
+        "width": 2, "blocks": 1, "heads": 2, "critic_width": 2,
+        "style": 1.0, "similarity": 0.1, "adversarial": 0.005,
+    },
+    "sonarnet": {
+        "widths": [4, 8], "blocks": [1, 1],
+        "polar": True, "lines": True, "mask": True, "forget": 0.1,
+    },
+    "unet": {"widths": [4, 8], "blocks": 1},
+}  # fmt: skip
+SIZES = ((1, 40, 56), (2, 57, 83), (1, 130, 33))
+
+
+def weights(folder: Path, kind: str) -> Path:
+    """A small network of this kind that changes pictures."""
+    model = {"kind": kind, **TINY[kind]}
+    torch.manual_seed(1)
+    network = build_network(model)
+    for parameter in network.parameters():
+        parameter.data.add_(torch.randn_like(parameter), alpha=0.1)
+    path = folder / f"{kind}.safetensors"
+    save_weights(path, network, model, {})
+    return path
+
+
+def arrays(graph: Graph, size: tuple[int, int, int]) -> dict[str, npt.NDArray[np.float32]]:
+    count, height, width = size
+    return {k: v.numpy() for k, v in graph.example(height, width, count, seed=9).items()}
+
+
+def of_torch(graph: Graph, inputs: dict[str, npt.NDArray[np.float32]]) -> list[np.ndarray]:
+    return [found.numpy() for found in graph(*map(torch.from_numpy, inputs.values()))]
+
+
+@pytest.mark.parametrize(
+    ("kind", "layout"),
+    [*((kind, "none") for kind in TINY), ("sonarnet", "fan"), ("sonarnet", "polar")],
+)
+def test_onnxruntime_gets_what_torch_gets_at_any_size(
+    kind: str, layout: Layout, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given, out = weights(tmp_path, kind), tmp_path / "network.onnx"
+    assert main([str(given), "--to", "onnx", "--geometry", layout, "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert f"ONNX, opset {OPSET}" in said
+    graph = Graph(load_weights(given).network, layout)
+    session = onnxruntime.InferenceSession(out.read_bytes())
+    assert tuple(value.name for value in session.get_inputs()) == graph.inputs
+    assert tuple(value.name for value in session.get_outputs()) == graph.outputs
+    for size in SIZES:
+        inputs = arrays(graph, size)
+        found = session.run(None, inputs)
+        assert found[0].shape == inputs["noisy"].shape
+        assert np.abs(found[0] - inputs["noisy"]).max() > 0.01
+        for values, expected in zip(found, of_torch(graph, inputs), strict=True):
+            np.testing.assert_allclose(values, expected, atol=1e-4, rtol=0)
+
+
+def test_the_graph_is_the_network_of_denoise(tmp_path: Path) -> None:
+    """With its weight and with what it is told; the choice of a layout changes nothing."""
+    given = weights(tmp_path, "sonarnet")
+    picture = np.random.default_rng(2).random((50, 64), np.float32)
+    for layout in ("none", "polar"):
+        graph = Graph(load_weights(given).network, layout)  # type: ignore[arg-type]
+        inputs = arrays(graph, (1, 50, 64))
+        inputs["noisy"] = picture[None, None]
+        inputs["remove"] = np.array([[0, 1, 0, 0, 0, 1]], np.float32)
+        image, weight = of_torch(graph, inputs)
+        assert 0 < weight[0] < 1
+        geometry: Any = "polar" if layout == "polar" else None
+        expected = denoise(picture, weights=given, remove=("haze", "gains"), geometry=geometry)
+        np.testing.assert_allclose(image[0, 0], expected, atol=1e-6)
+        usual = of_torch(graph, {**inputs, "remove": np.array([[1, 0, 1, 1, 1, 0]], np.float32)})
+        np.testing.assert_allclose(
+            usual[0][0, 0], denoise(picture, weights=given, geometry=geometry), atol=1e-6
+        )
+
+
+def test_the_file_says_what_it_is(tmp_path: Path) -> None:
+    given, out = weights(tmp_path, "sonarnet"), tmp_path / "network.onnx"
+    words = [str(given), "--to", "onnx", "--geometry", "fan", "--out", str(out)]
+    assert main([*words, "--set", "mirror=true"]) == 0
+    model = onnx.load(out)
+    facts = {entry.key: entry.value for entry in model.metadata_props}
+    assert (facts["opset"], facts["geometry"]) == (str(OPSET), "fan")
+    assert json.loads(facts["model"])["mirror"] is True
+    assert [entry.version for entry in model.opset_import] == [OPSET]
+    assert all(value.doc_string for value in (*model.graph.input, *model.graph.output))
+    sizes = [entry.dim_param for entry in model.graph.input[0].type.tensor_type.shape.dim]
+    assert sizes == ["count", "", "height", "width"]
+    assert str(Path(__file__).parents[3]).encode() not in out.read_bytes()
+
+
+def test_torchscript_gets_what_torch_gets(tmp_path: Path) -> None:
+    for kind, layout in (("unet", "none"), ("sonarnet", "fan")):
+        given, out = weights(tmp_path, kind), tmp_path / f"{kind}.pt"
+        assert (
+            main([str(given), "--to", "torchscript", "--geometry", layout, "--out", str(out)]) == 0
+        )
+        assert str(Path(__file__).parents[3]).encode() not in out.read_bytes()
+        extra = {"simnfnd.json": ""}
+        loaded = torch.jit.load(out, _extra_files=extra)
+        graph = Graph(load_weights(given).network, layout)  # type: ignore[arg-type]
+        assert json.loads(extra["simnfnd.json"])["inputs"] == list(graph.inputs)
+        for size in SIZES:
+            inputs = arrays(graph, size)
+            for values, expected in zip(
+                loaded(*map(torch.from_numpy, inputs.values())),
+                of_torch(graph, inputs),
+                strict=True,
+            ):
+                np.testing.assert_allclose(values, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("wrong", [1e-3, np.nan])
+def test_a_file_that_differs_from_torch_is_refused(tmp_path: Path, wrong: float) -> None:
+    graph = Graph(load_weights(weights(tmp_path, "unet")).network, "none")
+
+    def other(inputs: Any) -> list[np.ndarray]:
+        found = [values.numpy().copy() for values in graph(*inputs.values())]
+        found[0][0, 0, 5, 5] += wrong
+        return found
+
+    assert LAYOUTS == ("none", "fan", "polar")
+    with pytest.raises(FactoryError, match=r"somebody differs from torch by .*nothing was written"):
+        compared(graph, other, "somebody")
+
+
+def test_what_cannot_be_exported_costs_a_line(tmp_path: Path) -> None:
+    given, onnx_file = str(weights(tmp_path, "unet")), str(tmp_path / "a.onnx")
+    for words, said in (
+        (("--to", "onnx", "--out", "a.pt"), r"must end in \.onnx"),
+        (("--to", "onnx", "--geometry", "fan", "--out", onnx_file), "does not use the geometry"),
+        (("--geometry", "fan", "--out", "a.safetensors"), "for --to onnx and torchscript"),
+        (("--to", "onnx", "--limits", "a.md", "--out", onnx_file), "are for the card"),
+        (("--to", "onnx", "--set", "blocks=2", "--out", onnx_file), "do not fit such a network"),
+    ):
+        with pytest.raises(FactoryError, match=said):
+            main([given, *words])
+    assert not Path(onnx_file).exists()
+
+
+def test_the_example_denoises_as_the_command_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The shipped weights, on a fan found in its picture; pictures may round differently."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["simnfnd"])
+    cv2.imwrite("picture.png", fan(preset("aris_1800_lf", 128, 160), 0.3, holes=False)[0])
+    words = ("export-weights", "simnfnd", "--to", "onnx", "--geometry", "fan", "--out", "fan.onnx")
+    assert command(words) == 0
+    capsys.readouterr()
+    assert command(("geometry", "picture.png")) == 0
+    Path("fans.csv").write_text(capsys.readouterr().out, encoding="utf-8")
+    assert command(("denoise", "picture.png", "--geometry", "fans.csv", "--out", "out")) == 0
+    done = run("onnx_denoise.py", "fan.onnx", "picture.png", "a.png", "fans.csv", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    theirs, ours = (cv2.imread(str(path), 0).astype(int) for path in ("a.png", "out/picture.png"))
+    difference = np.abs(theirs - ours)
+    assert difference.max() <= 1
+    assert (difference > 0).mean() < 0.01
+    assert (np.abs(ours - cv2.imread("picture.png", 0).astype(int)) > 5).any()
