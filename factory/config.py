@@ -38,12 +38,14 @@ class FramesSettings:
     """Keys of `frames`.
 
     stride: use every n-th frame of a scene.  limit: at most so many frames a scene (after the
-    stride).  variants: pairs made of each frame, each with noise of its own.  only: names
-    (location/scene/frame) of the frames to use; null uses all.
+    stride).  total: at most so many frames in all, spread over the scenes (after stride and limit);
+    a larger total keeps the frames of a smaller one.  variants: pairs made of each frame, each with
+    noise of its own.  only: names (location/scene/frame) of the frames to use; null uses all.
     """
 
     stride: Annotated[int, Field(ge=1)] = 1
     limit: Annotated[int, Field(ge=1)] | None = None
+    total: Annotated[int, Field(ge=1)] | None = None
     variants: Annotated[int, Field(ge=1)] = 1
     only: tuple[str, ...] | None = None
 
@@ -156,6 +158,9 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
         # The view that all datasets had before there was another keeps their names.
         values["scenes"].pop("hfov_deg", None)
         values["scenes"].pop("vfov_deg", None)
+    if config.frames.total is None:
+        # Likewise what datasets are called from before there was a total.
+        values["frames"].pop("total")
     for key in ("dir", "on_existing", "name", "preview_pairs", "licence"):
         values["dataset"].pop(key, None)
     if config.devices is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +24,7 @@ from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.renders.cache import Limit
 from simnfnd.factory.renders.views import ViewMaker, check_views, with_cache
-from simnfnd.factory.selection import choose_frames, frames_digest, split_frames
+from simnfnd.factory.selection import choose_frames, frames_digest, split_frames, split_warnings
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -72,6 +73,8 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
             f"the first because: {first}"
         )
     _report_sector(job.directory, config)
+    # Again at the end: what was said first has scrolled away.
+    say_warnings(job.warnings)
     return report, job.directory
 
 
@@ -93,6 +96,8 @@ def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
         print(f"scenes: {count} skipped: {reason}")
     frames = choose_frames(discovery.frames, config)
     splits = split_frames(frames, config)
+    warnings = split_warnings(splits, config)
+    say_warnings(warnings)
     values = {**identity(config), "frames_found": frames_digest(frames)}
     config_hash = digest(values)
     directory = config.dataset.directory(config_hash)
@@ -113,7 +118,14 @@ def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
         skipped=discovery.skipped,
         on_prepared=Limit(working.cache),
         extension=lambda earlier: plan_extension(splits, *how, earlier),
+        warnings=warnings,
     )
+
+
+def say_warnings(warnings: Sequence[str]) -> None:
+    """One line each on stderr."""
+    for line in warnings:
+        print(f"warning: {line}", file=sys.stderr, flush=True)
 
 
 def _report_sector(directory: Path, config: FactoryConfig) -> None:
