@@ -21,6 +21,7 @@ from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings, blocks
 from simnfnd.factory.render.base import RenderSettings
 from simnfnd.factory.renders.cache import CacheSettings
 from simnfnd.factory.scenes import Scenes
+from simnfnd.factory.scenes.base import INTEGERS_PER_M
 from simnfnd.factory.scenes.seabed.reader import SeabedSettings, seeing
 from simnfnd.factory.settings import STRICT, build
 from simnfnd.factory.sonar.acoustics import WaterSettings
@@ -153,11 +154,19 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
     called, and how many workers do it.
     """
     values = plain(config)
-    values["scenes"].pop("root", None)
+    for key in ("root", "file"):
+        values["scenes"].pop(key, None)
     if values["scenes"].get("hfov_deg") is None:
         # The view that all datasets had before there was another keeps their names.
         values["scenes"].pop("hfov_deg", None)
         values["scenes"].pop("vfov_deg", None)
+    if (kind := config.scenes.kind) in INTEGERS_PER_M:
+        # The value that used to be the default, and the name that goes with it; one that is given
+        # divides floating-point depth, too.
+        if values["scenes"]["depth_scale"] is None:
+            values["scenes"]["depth_scale"] = INTEGERS_PER_M[kind]
+        else:
+            values["scenes"]["depth_scale_of"] = "all"
     if config.frames.total is None:
         # Likewise what datasets are called from before there was a total.
         values["frames"].pop("total")

@@ -61,7 +61,7 @@ VERBS: dict[str, Verb] = {
         MAKE, "a dataset as the configuration says; -m for a sweep", f"{_COMMANDS}.make:main",
         (
             "simnfnd make experiment=simnfnd scenes.root=flsea-vi dataset.dir=outputs/flsea",
-            "simnfnd make render=analytic scenes=csv_list scenes.root=frames.csv "
+            "simnfnd make render=analytic scenes=csv_list scenes.file=frames.csv "
             "scenes.intrinsics=[525,525,320,240]",
             "simnfnd make -m noise.background.density=0.1,0.5 resample.rate=0.1,0.3",
             "simnfnd make experiment=demo --cfg job",
