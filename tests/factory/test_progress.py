@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import time
+from itertools import pairwise
 
 import pytest
 
@@ -83,7 +84,7 @@ def test_lines_come_ever_more_rarely(monkeypatch):
         if lines.due():
             times.append(second)
     assert times[:6] == [0, 2, 4, 8, 16, 32]
-    assert all(later - earlier == 30 for earlier, later in zip(times[6:], times[7:], strict=False))
+    assert all(later - earlier == 30 for earlier, later in pairwise(times[6:]))
 
 
 def test_a_stage_is_named_only_when_it_lasts(capfd):
