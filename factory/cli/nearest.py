@@ -39,7 +39,7 @@ class Catalogue:
 def catalogue(name: str) -> Catalogue:
     """The catalogue of conf/<name>.yaml and the groups that it has."""
     conf = files("simnfnd.conf")
-    root = yaml.safe_load(conf.joinpath(f"{name}.yaml").read_text(encoding="utf-8"))
+    root = _load(conf.joinpath(f"{name}.yaml").read_text(encoding="utf-8"))
     named = [next(iter(entry)) for entry in root.get("defaults", ()) if isinstance(entry, dict)]
     keys: dict[str, tuple[str, ...]] = {}
     values: dict[str, Any] = {}
@@ -56,7 +56,8 @@ def catalogue(name: str) -> Catalogue:
             package = re.search(r"^# @package (\S+)", text, re.MULTILINE)
             if package and package[1] == "_global_":
                 continue  # it sets keys of others
-            inside = {package[1] if package else group: yaml.safe_load(text)}
+            chosen = {k: v for k, v in (_load(text) or {}).items() if k != "defaults"}
+            inside = {package[1] if package else group: chosen}
             for key, value in _flat(inside):
                 if key not in keys or keys[key]:
                     keys[key] = (*keys.get(key, ()), f"{group}={choice}")
@@ -147,3 +148,8 @@ def _flat(values: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 def _is_yaml(name: str) -> bool:
     return name.endswith(".yaml")
+
+
+def _load(text: str) -> Any:
+    # In C where it is there: a completion waits for it.
+    return yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
