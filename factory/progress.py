@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sized
 from contextlib import contextmanager
-from typing import Generic, Self, TypeVar
+from typing import Generic, Self, TypeVar, cast
 
 from tqdm import tqdm
 
@@ -124,9 +124,8 @@ def progress_bar(
     unit: what is counted, in the singular.  initial: so many of them were done before.
     """
     if sys.stderr.isatty():
-        return tqdm(
-            iterable, total=total, initial=initial, unit=unit, desc=desc, dynamic_ncols=True
-        )
+        steps = cast("Iterable[T]", iterable)  # or None: then `update` counts
+        return tqdm(steps, total=total, initial=initial, unit=unit, desc=desc, dynamic_ncols=True)
     if total is None:
         total = len(iterable) if isinstance(iterable, Sized) else 0
     return LineBar(iterable or (), total=total, initial=initial, unit=unit, desc=desc)
