@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import socket
 import sys
 import time
@@ -99,7 +100,10 @@ class ProgressBar:
         tty = sys.stderr.isatty()
         self._bar: tqdm[Any] | None = None
         if tty:
-            self._bar = tqdm(total=1.0, bar_format="{percentage:3.0f}%|{bar:20}| {desc}")
+            # A terminal that does not tell its size would get an empty line.
+            columns, rows = shutil.get_terminal_size()
+            form = "{percentage:3.0f}%|{bar:20}| {desc}"
+            self._bar = tqdm(total=1.0, bar_format=form, ncols=columns, nrows=rows)
             self._draw()
 
     def prepared(self, hit: bool, failed: bool, seconds: float = 0.0) -> None:

@@ -96,23 +96,48 @@ def test_a_stage_is_named_only_when_it_lasts(capfd):
     assert capfd.readouterr().err == ""
 
 
-def test_the_first_word_comes_at_once_on_a_terminal(tmp_path):
-    """A second, or a quarter of the command on a machine that is busy."""
-    command = [sys.executable, "-m", "simnfnd", "make", "scenes=flsea", "scenes.root=absent"]
+TERMINAL = """
+import sys
+from pathlib import Path
+from tests.factory.jobs.test_scheduler_stages import staged
+from tests.fake_source import FakeConfig
+staged(Path(sys.argv[1]), FakeConfig(delay_s=0.02), scheduler={"backend": "serial"})
+"""
+
+
+def test_on_a_terminal_one_bar_counts_both(tmp_path):
+    command = [sys.executable, "-c", TERMINAL, str(tmp_path / "dataset")]
+    _, shown = on_terminal(command)
+    assert "frames 1/16, pairs 0/32; " in shown
+    shares = [int(share) for share in re.findall(r"(\d+)%\|", shown)]
+    assert shares[0] == 0
+    assert shares[-1] == 100
+    assert shares == sorted(shares), "it never goes back"
+
+
+def on_terminal(command: list[str]) -> tuple[float, str]:
+    """Seconds until its first word and all that a command shows on a terminal."""
     parent, child = pty.openpty()
     begun = time.monotonic()
     process = subprocess.Popen(command, cwd=ROOT, stderr=child, stdout=child, close_fds=True)
     os.close(child)
-    first = os.read(parent, 1000).decode()
-    said_s = time.monotonic() - begun
-    rest = b""
+    shown = os.read(parent, 4096)
+    first_s = time.monotonic() - begun
     try:
-        while more := os.read(parent, 1000):
-            rest += more
+        while more := os.read(parent, 4096):
+            shown += more
     except OSError:  # the other end is closed
         pass
-    assert process.wait(timeout=60) == 2
+    process.wait(timeout=60)
     os.close(parent)
-    assert first.startswith("simnfnd make: starting")
-    assert "error: scenes.root=absent" in first + rest.decode()
-    assert said_s < max(1.0, (time.monotonic() - begun) / 4)
+    return first_s, shown.decode()
+
+
+def test_the_first_word_comes_at_once_on_a_terminal(tmp_path):
+    """A second, or a quarter of the command on a machine that is busy."""
+    command = [sys.executable, "-m", "simnfnd", "make", "scenes=flsea", "scenes.root=absent"]
+    begun = time.monotonic()
+    first_s, shown = on_terminal(command)
+    assert shown.startswith("simnfnd make: starting")
+    assert "error: scenes.root=absent" in shown
+    assert first_s < max(1.0, (time.monotonic() - begun) / 4)
