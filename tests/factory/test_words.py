@@ -9,6 +9,7 @@ from simnfnd.command import main
 from simnfnd.factory.cli.nearest import catalogue
 from simnfnd.factory.cli.words import readable
 from tests.factory.test_cli import FAST, ground, write_frame
+from tests.project_files import ROOT
 
 ROOTS = ("factory", "models", "evaluation", "real", "realism", "fit", "campaign")
 
@@ -76,9 +77,9 @@ def test_every_key_of_a_configuration_is_known(name):
 def test_paths_need_no_quotes(path, monkeypatch):
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
-    monkeypatch.setenv("HOME", "/home/me")
+    monkeypatch.setenv("HOME", str(ROOT))
     read = OverridesParser.create().parse_override
-    wanted = path.replace("~", "/home/me")
+    wanted = path.replace("~", str(ROOT))
     for word, value in (
         (f"scenes.root={path}", wanted),
         (f"models=[{path},b]", [wanted, "b"]),
