@@ -11,11 +11,9 @@ import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sized
 from contextlib import contextmanager
-from typing import Generic, Self, TypeVar, cast
+from typing import Any, Self
 
 from tqdm import tqdm
-
-T = TypeVar("T")
 
 _LINE_EVERY_S = 30.0
 
@@ -54,11 +52,11 @@ class Lines:
         return True
 
 
-class LineBar(Generic[T]):
+class LineBar:
     """A bar for files: one line now and then, and one at the end.  Used as a bar of tqdm."""
 
     def __init__(
-        self, iterable: Iterable[T] = (), *, total: int, initial: int, unit: str, desc: str
+        self, iterable: Iterable[Any] = (), *, total: int, initial: int, unit: str, desc: str
     ) -> None:
         self.n, self.total = initial, total
         self._iterable, self._initial, self._unit, self._desc = iterable, initial, unit, desc
@@ -98,7 +96,7 @@ class LineBar(Generic[T]):
         text = f"{self._desc}: {self.n} of {self.total} {self._unit}s in {clock(gone)}{more}"
         print(f"{text}{self._postfix}", file=sys.stderr, flush=True)
 
-    def __iter__(self) -> Iterator[T]:
+    def __iter__(self) -> Iterator[Any]:
         for item in self._iterable:
             yield item
             self.update()
@@ -112,19 +110,19 @@ class LineBar(Generic[T]):
 
 
 def progress_bar(
-    iterable: Iterable[T] | None = None,
+    iterable: Iterable[Any] | None = None,
     *,
     total: int | None = None,
     initial: int = 0,
     unit: str,
     desc: str,
-) -> tqdm[T] | LineBar[T]:
+) -> tqdm[Any] | LineBar:
     """A bar over `iterable`, or over `total` steps that `update` counts; fit for where stderr goes.
 
     unit: what is counted, in the singular.  initial: so many of them were done before.
     """
     if sys.stderr.isatty():
-        steps = cast("Iterable[T]", iterable)  # or None: then `update` counts
+        steps: Any = iterable  # None: `update` counts
         return tqdm(steps, total=total, initial=initial, unit=unit, desc=desc, dynamic_ncols=True)
     if total is None:
         total = len(iterable) if isinstance(iterable, Sized) else 0

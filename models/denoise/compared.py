@@ -43,7 +43,7 @@ def _name(text: str, like: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
     (long, _), _ = cv2.getTextSize(text, _FONT, 1.0, 1)
     size = min(0.45, (width - 6) / long)
     if size > 0:
-        cv2.putText(band, text, (3, CAPTION_PX - 6), _FONT, size, 235, 1, cv2.LINE_AA)
+        cv2.putText(band, text, (3, CAPTION_PX - 6), _FONT, size, (235,), 1, cv2.LINE_AA)
     if like.ndim == 2:
         return band
     name = np.full((CAPTION_PX, width, like.shape[2]), 255, np.uint8)  # an alpha stays opaque

@@ -18,7 +18,7 @@ def said(monkeypatch, capfd, *words: str) -> str:
     """The one line that a command of bad words ends with."""
     monkeypatch.setattr(sys, "argv", ["simnfnd"])
     assert main(words) == 2
-    error = capfd.readouterr().err
+    error: str = capfd.readouterr().err
     assert error.count("\n") == 1, error
     assert "struct" not in error
     assert "hydra" not in error

@@ -559,7 +559,7 @@ def test_the_list_of_frames_is_a_file(tmp_path: Path) -> None:
     write(tmp_path / "1.tif", DEPTH)
     path = tmp_path / "list.csv"
     path.write_text("1.png,1.tif\n")
-    named = build(Scenes, {"kind": "csv_list", "file": str(path), "intrinsics": PINHOLE})
+    named: Any = build(Scenes, {"kind": "csv_list", "file": str(path), "intrinsics": PINHOLE})
     assert len(open_reader(named).discover().frames) == 1
     with pytest.raises(FactoryError, match=r"scenes.file=frames.csv"):
         build(Scenes, {"kind": "csv_list", "intrinsics": PINHOLE})
