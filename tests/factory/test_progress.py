@@ -56,7 +56,7 @@ def test_the_time_left_is_that_of_both_stages():
     assert estimate.left_s(10, 100) == pytest.approx((40 + 100) / 4)
     assert estimate.left_s(100, 100) == pytest.approx(200)
     estimate.running([(3.0, 1), (9.0, 0)])
-    assert estimate.costs_s() == (4.0, pytest.approx(11 / 9))
+    assert estimate.costs_s() == pytest.approx((4.0, 11 / 9))
     assert estimate.left_s(0, 0) == 0
 
 

@@ -17,14 +17,8 @@ from tests.evaluation.report import browser
 @pytest.mark.parametrize("width_px", [390, 1280])
 def test_they_are_seen_whole(tmp_path: Path, width_px: int) -> None:
     picture = as_data_uri(np.linspace(0, 1, 1600 * 200, dtype=np.float32).reshape(200, 1600))
-    empty: dict[str, Any] = {
-        "verdicts": [],
-        "lines": [],
-        "names": [],
-        "columns": {},
-        "cells": {},
-        "notes": {},
-    }
+    lists, tables = ("verdicts", "lines", "names"), ("columns", "cells", "notes")
+    empty: dict[str, Any] = {**{name: [] for name in lists}, **{name: {} for name in tables}}
     strips = [("a dive", True, [("noisy", picture), ("median", picture)])]
     page = tmp_path / "real.html"
     page.write_text(
