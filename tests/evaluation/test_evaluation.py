@@ -55,8 +55,8 @@ def measured(dataset: Path, methods: list[Method], out: Path, **changes: Any) ->
 def test_one_command_writes_the_whole_report(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data", train=16, test=6, size=48)
     out = tmp_path / "report"
-    words = (f"dataset={dataset}", f"out={out}", "baselines=[median]", "tuning.pairs=2", "models=[]",
-             f"tuning.file={tmp_path / 'tuned.json'}")  # fmt: skip
+    words = (f"dataset={dataset}", f"out={out}", "baselines=[median]", "tuning.pairs=2",
+             "models=[]", f"tuning.file={tmp_path / 'tuned.json'}")  # fmt: skip
     done = evaluation(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "+ levels (size=" in done.stdout, "the best form of the median"
