@@ -51,7 +51,9 @@ def run_tune(config: DictConfig) -> None:
 
 def needs_of(settings: EvaluationSettings) -> Iterator[Need]:
     """What the networks of a report need beyond what every report does."""
-    networks = {"models": settings.models, "ablation": vars(settings.ablation).values()}
+    # The ones that ship are left out where there is nothing to run them.
+    named = () if settings.models == "auto" else settings.models
+    networks = {"models": named, "ablation": vars(settings.ablation).values()}
     for key, given in networks.items():
         if any(given):
             yield from (Need(f"{key}=", module) for module in ("torch", "safetensors"))

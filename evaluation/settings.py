@@ -61,7 +61,7 @@ class EvaluationSettings:
     seed: Annotated[int, Field(ge=0)]
     image_timeout_s: Annotated[float, Field(gt=0)]
     baselines: list[str]
-    models: list[str]
+    models: Literal["auto"] | list[str]
     ablation: AblationSettings
     device: Literal["auto", "cpu", "gpu"]
     texture: bool

@@ -22,6 +22,7 @@ from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings, blocks
 from simnfnd.factory.render.base import RenderSettings
 from simnfnd.factory.renders.cache import CacheSettings
 from simnfnd.factory.scenes import Scenes
+from simnfnd.factory.scenes.base import INTEGERS_PER_M
 from simnfnd.factory.scenes.seabed.reader import SeabedSettings, seeing
 from simnfnd.factory.settings import STRICT, build
 from simnfnd.factory.sonar.acoustics import WaterSettings
@@ -39,12 +40,14 @@ class FramesSettings:
     """Keys of `frames`.
 
     stride: use every n-th frame of a scene.  limit: at most so many frames a scene (after the
-    stride).  variants: pairs made of each frame, each with noise of its own.  only: names
-    (location/scene/frame) of the frames to use; null uses all.
+    stride).  total: at most so many frames in all, spread over the scenes (after stride and limit);
+    a larger total keeps the frames of a smaller one.  variants: pairs made of each frame, each with
+    noise of its own.  only: names (location/scene/frame) of the frames to use; null uses all.
     """
 
     stride: Annotated[int, Field(ge=1)] = 1
     limit: Annotated[int, Field(ge=1)] | None = None
+    total: Annotated[int, Field(ge=1)] | None = None
     variants: Annotated[int, Field(ge=1)] = 1
     only: tuple[str, ...] | None = None
 
@@ -181,7 +184,8 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
     called, and how many workers do it.
     """
     values = plain(config)
-    values["scenes"].pop("root", None)
+    for key in ("root", "file"):
+        values["scenes"].pop(key, None)
     if values["scenes"].get("hfov_deg") is None:
         # The view that all datasets had before there was another keeps their names.
         values["scenes"].pop("hfov_deg", None)
@@ -197,6 +201,18 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
         values["sonar"]["transfer"].pop("full_scale_db")
     if not config.dataset.columns:
         values["dataset"].pop("columns")
+    if config.acoustics.standing == 0:
+        values["acoustics"].pop("standing")
+    if (kind := config.scenes.kind) in INTEGERS_PER_M:
+        # The value that used to be the default, and the name that goes with it; one that is given
+        # divides floating-point depth, too.
+        if values["scenes"]["depth_scale"] is None:
+            values["scenes"]["depth_scale"] = INTEGERS_PER_M[kind]
+        else:
+            values["scenes"]["depth_scale_of"] = "all"
+    if config.frames.total is None:
+        # Likewise what datasets are called from before there was a total.
+        values["frames"].pop("total")
     for key in ("dir", "on_existing", "name", "preview_pairs", "licence"):
         values["dataset"].pop(key, None)
     if config.devices is None:

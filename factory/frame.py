@@ -9,6 +9,9 @@ import numpy.typing as npt
 
 from simnfnd.factory.errors import FrameError
 
+# No imaging sonar sees farther, and no camera nearer.
+_LIKELY_M = (0.005, 300.0)
+
 
 @dataclass(frozen=True)
 class Intrinsics:
@@ -74,6 +77,22 @@ class Frame:
         return self.depth_m > 0
 
 
+def _check_unit(name: str, depth_m: npt.NDArray[np.float32]) -> None:
+    """Raise FrameError when the depths can hardly be metres: said here, not as a lack of echoes."""
+    thinned = depth_m[::4, ::4]
+    # So few that all of them are looked at in no time.
+    measured = thinned[thinned > 0] if min(depth_m.shape) > 64 else depth_m[depth_m > 0]
+    if not len(measured):
+        return
+    median = float(np.median(measured))
+    if not _LIKELY_M[0] <= median <= _LIKELY_M[1]:
+        unit = "millimetres?" if median > _LIKELY_M[1] else "divided twice?"
+        raise FrameError(
+            f"{name}: median depth {median:,.4g} m: {unit} set scenes.depth_scale to what the "
+            "stored depth is divided by to give metres"
+        )
+
+
 def checked(frame: Frame, *, bad_depth: str = "reject", min_valid: int = 16) -> Frame:
     """Return `frame` with clean depth, or raise FrameError that says what is wrong with it.
 
@@ -110,4 +129,6 @@ def checked(frame: Frame, *, bad_depth: str = "reject", min_valid: int = 16) -> 
     valid = int((depth_m > 0).sum())
     if valid < min_valid:
         raise FrameError(f"{name}: depth has only {valid} valid pixels; nothing to render")
-    return replace(frame, depth_m=np.ascontiguousarray(depth_m, dtype=np.float32))
+    depth_m = np.ascontiguousarray(depth_m, dtype=np.float32)
+    _check_unit(name, depth_m)
+    return replace(frame, depth_m=depth_m)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 
+from simnfnd.factory.progress import stage_if_slow
+
 LOOPS = (
     "simnfnd.factory.formation.field.cell_loops",
     "simnfnd.factory.formation.field.display_loops",
@@ -23,5 +25,8 @@ LOOPS = (
 
 def compile_all() -> None:
     """Compile what is not on disk yet: once, before many workers would do it at once."""
-    for name in LOOPS:
-        importlib.import_module(name)
+    with stage_if_slow(
+        "loading the loops; the first time compiles them, about a minute", after_s=3.0
+    ):
+        for name in LOOPS:
+            importlib.import_module(name)

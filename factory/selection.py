@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import fnmatch
 import hashlib
+from collections.abc import Iterable, Mapping, Sequence
 
-from simnfnd.factory.config import FactoryConfig
+from simnfnd.factory.config import FactoryConfig, SplitSettings
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
 
+_Scene = tuple[str, str]
+
 
 def choose_frames(found: tuple[FrameRef, ...], config: FactoryConfig) -> tuple[FrameRef, ...]:
-    """The frames that stride, limit and `only` leave, in order.
+    """The frames that stride, limit, total and `only` leave, in order.
 
     Raises FactoryError when none is left or a name in `frames.only` is unknown.
     """
@@ -19,9 +22,8 @@ def choose_frames(found: tuple[FrameRef, ...], config: FactoryConfig) -> tuple[F
     by_scene: dict[tuple[str, str], list[FrameRef]] = {}
     for ref in found:
         by_scene.setdefault((ref.location, ref.scene), []).append(ref)
-    chosen = [
-        ref for refs in by_scene.values() for ref in refs[:: settings.stride][: settings.limit]
-    ]
+    thinned = [refs[:: settings.stride][: settings.limit] for refs in by_scene.values()]
+    chosen = _spread(thinned, settings.total)
     if settings.only is not None:
         unknown = set(settings.only) - {ref.name for ref in found}
         if unknown:
@@ -37,34 +39,103 @@ def choose_frames(found: tuple[FrameRef, ...], config: FactoryConfig) -> tuple[F
 def split_frames(
     frames: tuple[FrameRef, ...], config: FactoryConfig
 ) -> dict[str, tuple[FrameRef, ...]]:
-    """Train and test frames; a scene is in one of them, never in both.
-
-    Raises FactoryError when a name in split.test matches no scene of a whole data set.
-    """
-    scenes = sorted({(ref.location, ref.scene) for ref in frames})
+    """Train and test frames; a scene is in one of them, never in both."""
+    scenes = _scenes(frames)
     if config.split.test:
         testing = {
             scene
             for scene in scenes
-            if any(
-                fnmatch.fnmatch(name, pattern)
-                for pattern in config.split.test
-                for name in (scene[1], "/".join(scene))
-            )
+            if any(_matches(scene, pattern) for pattern in config.split.test)
         }
     else:
-        # By a hash of the name: a scene that is added later moves few others, and no order matters.
-        ranked = sorted(
-            scenes, key=lambda scene: hashlib.blake2b("/".join(scene).encode()).digest()
-        )
-        count = round(config.split.test_fraction * len(scenes))
-        if config.split.test_fraction > 0 and len(scenes) > 1:
-            count = max(count, 1)
-        testing = set(ranked[:count])
+        testing = set(_by_fraction(scenes, config.split.test_fraction))
     return {
         "train": tuple(ref for ref in frames if (ref.location, ref.scene) not in testing),
         "test": tuple(ref for ref in frames if (ref.location, ref.scene) in testing),
     }
+
+
+def split_warnings(
+    splits: Mapping[str, Sequence[FrameRef]], config: FactoryConfig
+) -> tuple[str, ...]:
+    """One line each: patterns of split.test that match nothing, and a split that stays empty.
+
+    A split that is empty because it was asked for (no limit above 0, `frames.only`) is none.
+    """
+    settings, limits = config.split, config.dataset.limits
+    if config.frames.only is not None:
+        return ()
+    scenes = _scenes([ref for refs in splits.values() for ref in refs])
+    said = []
+    lost = [p for p in settings.test if not any(_matches(scene, p) for scene in scenes)]
+    if lost:
+        said.append(f"split.test: {', '.join(lost)}: no scene of that name here")
+    wanted = bool(settings.test) or settings.test_fraction > 0
+    for split in ("train", "test"):
+        if not splits[split] and limits.get(split) != 0 and (wanted or split == "train"):
+            said.append(f"the {split} split is empty; {_offer(scenes)}")
+    return tuple(said)
+
+
+def _offer(scenes: Sequence[_Scene]) -> str:
+    """A split that works."""
+    if len(scenes) == 1:
+        return (
+            f"there is one scene, {scenes[0][1]}, and a scene is never in both; bring another, or "
+            "train and evaluate on the one split (evaluate split=train)"
+        )
+    testing = _by_fraction(scenes, SplitSettings().test_fraction)
+    named = ",".join(sorted(scene for _, scene in testing))
+    return (
+        f"split.test=[] would test on a quarter of the {len(scenes)} scenes, split.test=[{named}]"
+    )
+
+
+def _scenes(frames: Iterable[FrameRef]) -> list[_Scene]:
+    return sorted({(ref.location, ref.scene) for ref in frames})
+
+
+def _matches(scene: _Scene, pattern: str) -> bool:
+    return any(fnmatch.fnmatch(name, pattern) for name in (scene[1], "/".join(scene)))
+
+
+def _by_fraction(scenes: Sequence[_Scene], fraction: float) -> list[_Scene]:
+    # By a hash of the name: a scene that is added later moves few others, and no order matters.
+    ranked = sorted(scenes, key=lambda scene: hashlib.blake2b("/".join(scene).encode()).digest())
+    count = round(fraction * len(scenes))
+    if fraction > 0 and len(scenes) > 1:
+        count = max(count, 1)
+    return ranked[:count]
+
+
+def _spread(by_scene: Sequence[Sequence[FrameRef]], total: int | None) -> list[FrameRef]:
+    """At most `total` frames, as many of each scene as can be, each scene's evenly spread.
+
+    A larger total only adds to a smaller one.
+    """
+    refs = [ref for scene in by_scene for ref in scene]
+    if total is None:
+        return refs
+    places = [
+        (turn, scene)
+        for scene, own in zip(_spread_order(len(by_scene)), by_scene, strict=True)
+        for turn in _spread_order(len(own))
+    ]
+    order = sorted(range(len(refs)), key=places.__getitem__)
+    return [refs[place] for place in sorted(order[:total])]
+
+
+def _spread_order(count: int) -> list[int]:
+    """The turn of each of `count` places, so that those taken first lie apart.
+
+    By the reversed bits of the place: van der Corput's sequence.
+    """
+    bits = max(1, (count - 1).bit_length())
+    order = sorted(range(count), key=lambda place: f"{place:0{bits}b}"[::-1])
+    turns = [0] * count
+    for turn, place in enumerate(order):
+        turns[place] = turn
+    return turns
 
 
 def frames_digest(frames: tuple[FrameRef, ...]) -> str:

@@ -7,6 +7,7 @@ from a YAML file, the command line or Python.
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
@@ -37,7 +38,7 @@ def _one_line(error: ValidationError, values: Mapping[str, Any], prefix: str) ->
         key = ".".join(_keys(item["loc"], values, absent=item["type"] == "missing"))
         name = ".".join(part for part in (prefix, key) if part) or "config"
         if item["type"] == "unexpected_keyword_argument":
-            parts.append(f"{name}: unknown key")
+            parts.append(f"{name}: unknown key{_nearest(key, values)}")
         elif item["type"] == "missing":
             parts.append(f"{name}: a value is required")
         else:
@@ -46,6 +47,16 @@ def _one_line(error: ValidationError, values: Mapping[str, Any], prefix: str) ->
             shown = f" (given: {given!r})" if isinstance(given, str | int | float | bool) else ""
             parts.append(f"{name}: {message}{shown}")
     return "; ".join(dict.fromkeys(parts))
+
+
+def _nearest(key: str, values: Any) -> str:
+    """`; did you mean ...?` with the key beside it that is most like it."""
+    *parents, last = key.split(".")
+    for step in parents:
+        values = values.get(step, {}) if isinstance(values, Mapping) else {}
+    beside = [str(one) for one in values if one != last] if isinstance(values, Mapping) else []
+    close = difflib.get_close_matches(last, beside, n=1, cutoff=0.7)
+    return f"; did you mean {'.'.join([*parents, *close])}?" if close else ""
 
 
 def _keys(steps: tuple[int | str, ...], values: Any, *, absent: bool) -> list[str]:

@@ -140,10 +140,14 @@ class TrainSettings:
     parts: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
 
     def __post_init__(self) -> None:
+        """A training that is shorter than the interval is checked at its end."""
+        if self.steps < self.check_every:
+            object.__setattr__(self, "check_every", self.steps)
         if self.steps % self.check_every:
+            fits = next(n for n in range(self.check_every, 0, -1) if self.steps % n == 0)
             raise ValueError(
                 f"steps {self.steps} must be a multiple of check_every {self.check_every}, "
-                "so that training ends with a validation"
+                f"so that training ends with a validation; train.check_every={fits} fits"
             )
 
 

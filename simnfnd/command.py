@@ -10,8 +10,9 @@ from importlib import import_module
 from simnfnd.verbs import VERBS, Verb
 
 _HELP = ("-h", "--help")
+_COMPLETION = ("--shell-completion", "-sc")
 # Hydra prints something with these and does nothing.
-_SHOW = (*_HELP, "--cfg", "-c", "--info", "-i", "--hydra-help", "--shell-completion", "-sc")
+_SHOW = (*_HELP, "--cfg", "-c", "--info", "-i", "--hydra-help")
 # Options of Hydra whose next word is their value.
 _WITH_VALUE = (
     "--cfg", "-c", "--package", "-p", "--config-path", "-cp", "--config-name", "-cn",
@@ -28,6 +29,15 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
     given = list(sys.argv[1:] if words is None else words)
     if "--version" in given[:2]:
         return _print(f"simnfnd {_version()}")
+    if given[:1] == ["--complete"]:
+        from simnfnd.completion import complete
+
+        for offered in complete(given[1 + (given[1:2] == ["--"]) :]):
+            print(offered)
+        return 0
+    for option in _COMPLETION:
+        if option in given:
+            return _shell_completion(given[given.index(option) + 1 :])
     if default is not None and (
         not given or _is_option(given[0]) or given[0] in VERBS[default].verbs
     ):
@@ -45,11 +55,22 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
             print(f"{head(name, verb)}\n", flush=True)
         elif not any(word.split("=")[0] in _SHOW for word in rest):
             _check_installed(name, verb)
+            if sys.stderr.isatty() and (verb.hydra or verb.needs or name == "plan"):
+                # What follows imports for seconds; in a file nobody waits for the first word.
+                print(f"simnfnd {name}: starting", file=sys.stderr, flush=True)
         module, function = verb.target.split(":")
         code: int | None = getattr(import_module(module), function)([*verb.before, *rest])
         return code
 
     return guard(run, debug="debug=true" in given)
+
+
+def _shell_completion(words: Sequence[str]) -> int:
+    """Print the script that teaches a shell; also for words of Hydra's own, `install=bash`."""
+    from simnfnd.completion import script
+    from simnfnd.factory.cli import guard
+
+    return guard(lambda: _print(script(words[0] if words else "?")))
 
 
 def find(words: Sequence[str]) -> tuple[str, Verb, list[str]]:
@@ -116,7 +137,8 @@ def overview() -> str:
                 lines.append(f"  {name:<17} {verb.line}")
                 lines += _own_verbs(name, verb)
         lines.append("")
-    lines.append("`simnfnd VERB --help` tells more about one; `simnfnd --version` the version.")
+    lines.append("`simnfnd VERB --help` tells more about one; `simnfnd --version` the version;")
+    lines.append("`simnfnd --shell-completion bash` (zsh, fish) a script that completes all of it.")
     return "\n".join(lines)
 
 

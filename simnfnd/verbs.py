@@ -19,6 +19,7 @@ class Verb:
     before: words put before those of the user.
     needs: modules without which it can do nothing, each of an extra (`simnfnd.factory.cli.extras`).
     hydra: its words are overrides of a Hydra configuration, KEY=VALUE.
+    config: the one that the KEY=VALUE among its words are of, conf/<config>.yaml.
     places: how many words that are no KEY=VALUE a Hydra verb takes; None: any number.
     verbs: verbs of its own.
     """
@@ -30,6 +31,7 @@ class Verb:
     before: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     hydra: bool = False
+    config: str = ""
     places: int | None = 0
     verbs: Mapping[str, Verb] = field(default_factory=dict)
 
@@ -47,7 +49,7 @@ _TRAINING = ("torch", "lightning", "safetensors", "tensorboard")
 
 
 def _cache(action: str, line: str, *examples: str) -> Verb:
-    return Verb(MAKE, line, f"{_COMMANDS}.cache:main", examples, before=(action,))
+    return Verb(MAKE, line, f"{_COMMANDS}.cache:main", examples, before=(action,), config="factory")
 
 
 VERBS: dict[str, Verb] = {
@@ -55,23 +57,24 @@ VERBS: dict[str, Verb] = {
         MAKE, "a small dataset of procedural scenes, with a preview of it",
         f"{_COMMANDS}.make:main",
         ("simnfnd demo", "simnfnd demo render=analytic dataset.dir=outputs/first"),
-        before=("experiment=demo",), hydra=True,
+        before=("experiment=demo",), hydra=True, config="factory",
     ),
     "make": Verb(
         MAKE, "a dataset as the configuration says; -m for a sweep", f"{_COMMANDS}.make:main",
         (
             "simnfnd make experiment=simnfnd scenes.root=flsea-vi dataset.dir=outputs/flsea",
-            "simnfnd make render=analytic scenes=csv_list scenes.root=frames.csv "
+            "simnfnd make render=analytic scenes=csv_list scenes.file=frames.csv "
             "scenes.intrinsics=[525,525,320,240]",
             "simnfnd make -m noise.background.density=0.1,0.5 resample.rate=0.1,0.3",
             "simnfnd make experiment=demo --cfg job",
         ),
-        hydra=True,
+        hydra=True, config="factory",
     ),
     "plan": Verb(
         MAKE, "what `make` would make, and the disk, memory and time it would take",
         f"{_COMMANDS}.plan:main",
         ("simnfnd plan experiment=simnfnd scenes.root=flsea-vi", "simnfnd plan -m seed=1,2,3"),
+        config="factory",
     ),
     "cache": Verb(
         MAKE, "the renders that are kept on disk", f"{_COMMANDS}.cache:main",
@@ -146,7 +149,7 @@ VERBS: dict[str, Verb] = {
             "simnfnd train dataset=outputs/demo train.steps=200",
             "simnfnd train dataset=outputs/demo model=unet loss=charbonnier name=small",
         ),
-        needs=_TRAINING, hydra=True,
+        needs=_TRAINING, hydra=True, config="models",
     ),
     "denoise": Verb(
         DENOISE, "images, videos, datasets, recordings of sonars and bags",
@@ -190,13 +193,13 @@ VERBS: dict[str, Verb] = {
             "simnfnd evaluate dataset=outputs/demo",
             "simnfnd evaluate dataset=outputs/demo baselines=[all] models=[outputs/models/nafnet]",
         ),
-        needs=("pyarrow", "skimage"), hydra=True,
+        needs=("pyarrow", "skimage"), hydra=True, config="evaluation",
         verbs={
             "tune": Verb(
                 JUDGE, "the best parameters of the classical filters first",
                 "simnfnd.evaluation.command:tune",
                 ("simnfnd evaluate tune dataset=outputs/demo baselines=[median,nlm]",),
-                needs=("torch", "skimage"), hydra=True,
+                needs=("torch", "skimage"), hydra=True, config="evaluation",
             ),
             "compare": Verb(
                 JUDGE, "is one report's row better than another's",
@@ -209,13 +212,13 @@ VERBS: dict[str, Verb] = {
                 JUDGE, "what methods make of real pictures and recordings",
                 "simnfnd.evaluation.real.command:real",
                 ("simnfnd evaluate real mdd models=[simnfnd]",),
-                needs=("skimage",), hydra=True, places=1,
+                needs=("skimage",), hydra=True, places=1, config="real",
             ),
             "realism": Verb(
                 JUDGE, "how near datasets are to real pictures",
                 "simnfnd.evaluation.realism.command:realism",
                 ("simnfnd evaluate realism mdd outputs/demo outputs/aris",),
-                needs=("skimage",), hydra=True, places=None,
+                needs=("skimage",), hydra=True, places=None, config="realism",
             ),
             "fit": Verb(
                 JUDGE, "the noise parameters that come nearest to real pictures",
@@ -223,7 +226,7 @@ VERBS: dict[str, Verb] = {
                 ("simnfnd evaluate fit mdd name=mine trials=100",
                  "simnfnd evaluate fit mdd -- experiment=physical scenes=pack "
                  "scenes.root=views.pack"),
-                needs=("optuna", "skimage"), hydra=True, places=None,
+                needs=("optuna", "skimage"), hydra=True, places=None, config="fit",
             ),
         },
     ),
@@ -233,7 +236,7 @@ VERBS: dict[str, Verb] = {
             "simnfnd campaign show=true",
             "simnfnd campaign data.flsea=flsea-vi data.mdd=mdd out=outputs/campaign",
         ),
-        needs=(*_TRAINING, "pyarrow", "skimage"), hydra=True,
+        needs=(*_TRAINING, "pyarrow", "skimage"), hydra=True, config="campaign",
         verbs={
             "table": Verb(
                 JUDGE, "the table of what a campaign has found",

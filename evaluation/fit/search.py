@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import TypeAdapter
-from tqdm import tqdm
 
 from simnfnd.evaluation.fit.settings import FitSettings, Parameter
 from simnfnd.evaluation.fit.simulate import Simulation
@@ -20,6 +19,7 @@ from simnfnd.evaluation.realism.measure import Measured, measure
 from simnfnd.evaluation.realism.real import open_real
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import explain_os_errors
+from simnfnd.factory.progress import progress_bar
 from simnfnd.factory.seeds import spawn_key
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def search(settings: FitSettings) -> Result:
 
     finished = optuna.trial.TrialState.COMPLETE
     done = len(study.get_trials(deepcopy=False, states=(finished,)))
-    with tqdm(total=settings.trials, initial=done, unit="trial", desc=settings.name) as bar:
+    with progress_bar(total=settings.trials, initial=done, unit="trial", desc=settings.name) as bar:
         while done < settings.trials:
             if done == 0 and not study.get_trials(deepcopy=False):
                 study.enqueue_trial(_start(settings.parameters, simulation))

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from tqdm import tqdm
 
 from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.data.pairs import Item, picture
@@ -21,6 +20,7 @@ from simnfnd.evaluation.measurement.task import Task, measure_task
 from simnfnd.evaluation.methods.method import NOISY, Method
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.evaluation.settings import EvaluationSettings
+from simnfnd.factory.progress import progress_bar
 from simnfnd.factory.workers.tasks import TaskLost, TaskPool
 
 Values = npt.NDArray[np.float64]
@@ -148,7 +148,7 @@ def measure_rows(
     bench.plan(every)
     total = len(every) * len(items)
     left = sum(len(task.methods) * len(task.items) for task in bench.waiting)
-    with tqdm(total=total, initial=total - left, unit="image", desc=title) as bar:
+    with progress_bar(total=total, initial=total - left, unit="image", desc=title) as bar:
         for task, found in pool.run(measure_task, bench.waiting, bench.timeout_s):
             if isinstance(found, TaskLost):
                 bench.waiting.extendleft(bench.died(task, found.reason))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def networks_of(settings: EvaluationSettings) -> list[Method]:
-    """The rows of `models=[...]` and `ablation`, each named by its file or folder.
+    """The rows of `models` and `ablation`, each named by its file or folder.
 
     Raises FactoryError for a path without weights.
     """
@@ -28,7 +29,19 @@ def networks_of(settings: EvaluationSettings) -> list[Method]:
         "simnfnd_l1": settings.ablation.simnfnd_l1,
         "simnfnd_newloss": settings.ablation.simnfnd_newloss,
     }
-    return networks_at(settings.models, ablation)
+    auto = settings.models == "auto"
+    return networks_at(shipped_for(settings) if auto else settings.models, ablation)
+
+
+def shipped_for(settings: EvaluationSettings) -> list[str]:
+    """Name of the weights that `simnfnd denoise` takes for the pictures; [] without torch."""
+    if not all(map(find_spec, ("torch", "safetensors"))):
+        return []
+    from simnfnd.models.denoise.files import made_of_points
+    from simnfnd.models.pretrained import DEFAULT, POINTS
+
+    shard = next(Path(settings.dataset.dir).glob("*/shard-*.h5"), None)
+    return [POINTS if shard is not None and made_of_points(shard) else DEFAULT]
 
 
 def networks_at(models: Sequence[str], ablation: Mapping[str, str | None]) -> list[Method]:

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.baselines.base import Baseline, Gray, Parameters
@@ -26,6 +25,7 @@ from simnfnd.evaluation.metrics.levels import Levels, fit_levels
 from simnfnd.evaluation.settings import EvaluationSettings
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import explain_os_errors, write_atomically
+from simnfnd.factory.progress import progress_bar
 from simnfnd.factory.workers.tasks import TaskLost, TaskPool
 
 SCHEMA = "simnfnd-tuned/1"
@@ -73,7 +73,7 @@ def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: Task
     def timeout_s(_: _Task) -> float:
         return settings.image_timeout_s * len(items)
 
-    with tqdm(total=len(waiting), unit="point", desc="tuning") as bar:
+    with progress_bar(total=len(waiting), unit="point", desc="tuning") as bar:
         for task, found in pool.run(_measure_point, waiting, timeout_s):
             bar.update()
             name = task.baseline

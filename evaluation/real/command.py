@@ -85,14 +85,13 @@ def _downstream(
     settings: RealSettings, rows: Sequence[RealRow], shown: Mapping[int, Judged]
 ) -> Iterator[dict[str, Segmented]]:
     """Label -> what its network makes of the test pictures, after each row that was trained."""
-    from tqdm import tqdm
-
     from simnfnd.evaluation.real.downstream import segmented
+    from simnfnd.factory.progress import progress_bar
 
     labels = [shown[number].shot.classes() for number in sorted(shown)]
     alive = [row for row in rows if row.lost is None]
     found: dict[str, Segmented] = {}
-    with tqdm(total=len(alive) * settings.epochs, unit="epoch", desc="segmentation") as bar:
+    with progress_bar(total=len(alive) * settings.epochs, unit="epoch", desc="segmentation") as bar:
         for row in alive:
             found[row.label] = segmented(
                 [row.images[number] for number in sorted(shown)],

@@ -9,7 +9,6 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from simnfnd.evaluation.baselines.base import Baseline
 from simnfnd.evaluation.methods.method import NOISY, Method
@@ -28,6 +27,7 @@ from simnfnd.evaluation.real.shots import Shot, Stretch, spread
 from simnfnd.evaluation.real.summary import Groups, Summary, summaries
 from simnfnd.evaluation.real.tuning import Part, Task, Tuned, parts_of, tuned
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.progress import progress_bar
 from simnfnd.factory.workers.tasks import TaskLost, TaskPool
 
 TUNED = "tuned on others"
@@ -135,7 +135,7 @@ def judge(
     picked = set(
         np.linspace(0, count - 1, min(settings.examples, count)).round().astype(int).tolist()
     )
-    with tqdm(total=count * len(rows), unit="picture", desc="judging") as bar:
+    with progress_bar(total=count * len(rows), unit="picture", desc="judging") as bar:
         shown = measure(
             _batches(groups, parts, shots, settings.frames),
             rows,
@@ -166,7 +166,7 @@ def judge(
 def _searched(stretches: Sequence[Stretch], limit: int | None, pool: TaskPool) -> list[Searched]:
     waiting = deque((number, one, limit) for number, one in enumerate(stretches))
     found: dict[int, Searched] = {}
-    with tqdm(total=len(waiting), unit="folder", desc="static groups") as bar:
+    with progress_bar(total=len(waiting), unit="folder", desc="static groups") as bar:
         for (number, stretch, _), one in pool.run(search, waiting, lambda _: _SEARCH_S):
             bar.update()
             if isinstance(one, TaskLost):
@@ -196,7 +196,7 @@ def _rows_of_groups(
     points: dict[str, dict[int, Tuned]] = {one.name: {} for one in filters}
     lost: dict[str, str] = {}
     longest_s = settings.image_timeout_s * max(map(len, frames.values()))
-    with tqdm(total=len(waiting), unit="filter", desc="tuning") as bar:
+    with progress_bar(total=len(waiting), unit="filter", desc="tuning") as bar:
         for task, found in pool.run(tuned, waiting, lambda _: longest_s):
             bar.update()
             if isinstance(found, Tuned):

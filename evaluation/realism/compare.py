@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from tqdm import tqdm
 
 from simnfnd.evaluation.realism.distances import STATISTICS, Rows, Statistic, prepare
 from simnfnd.evaluation.realism.measure import Measured
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.progress import progress_bar
 from simnfnd.factory.seeds import stream
 
 _BLOCKS = 12
@@ -76,7 +76,7 @@ def compare(
     beside = {name: prepare(real, other) for name, other in simulated.items()}
     rng = stream(seed, "realism", "halves", halves)
     turns = range(resamples)
-    for turn in tqdm(turns, desc="distances", unit="resample") if progress else turns:
+    for turn in progress_bar(turns, desc="distances", unit="resample") if progress else turns:
         first, second = _halves(len(real), size, halves, rng)
         drawn = {name: rng.permutation(len(m))[:size] for name, m in simulated.items()}
         for statistic in statistics:

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from tqdm import tqdm
 
 from simnfnd.evaluation.realism.pictures import Collection
 from simnfnd.evaluation.realism.polar import Gray, Grid
 from simnfnd.evaluation.realism.statistics import artefacts, features, texture, windows
+from simnfnd.factory.progress import progress_bar
 
 Values = npt.NDArray[np.float64]
 
@@ -102,7 +102,7 @@ def joined(parts: Sequence[Measured]) -> Measured:
 
 def measure(collection: Collection, grid: Grid) -> Measured:
     """The numbers of every picture of a collection.  Raises FactoryError when one is unreadable."""
-    sources: Iterable = tqdm(collection.sources, desc=collection.name, unit="picture")
+    sources: Iterable = progress_bar(collection.sources, desc=collection.name, unit="picture")
     return joined(
         [measure_picture(source.polar(grid), source.geometry.range_span_m) for source in sources]
     )

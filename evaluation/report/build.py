@@ -13,7 +13,7 @@ from simnfnd.evaluation.measurement.store import FigureStore
 from simnfnd.evaluation.methods import tuning
 from simnfnd.evaluation.methods.method import NOISY, baselines_of, methods_of
 from simnfnd.evaluation.methods.networks import costs_of, networks_of
-from simnfnd.evaluation.report import figures, files, page, tables
+from simnfnd.evaluation.report import figures, files, page
 from simnfnd.evaluation.report.breakdown import breakdown_of
 from simnfnd.evaluation.report.content import content_of, shown_rows
 from simnfnd.evaluation.report.examples import examples_of
@@ -56,7 +56,8 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
         examples = examples_of(settings, items, rows[0], shown, pool)
         page.write(out / page.PAGE_NAME, content, examples)
         pictures = figures.write(settings, content, examples, shown, pool)
-    print(f"\n{tables.leaderboard(content['rows'])}\n\n{files.verdict(content)}")
+    told = (*files.folded(content["rows"]), content["facts"]["few_frames"], files.verdict(content))
+    print("", *filter(None, told), sep="\n\n")
     for line in [*content["ordering"], *content["ordering_3"]]:
         print(line)
     print(f"report: {out / page.PAGE_NAME} (and {', '.join(pictures)})")

@@ -11,7 +11,14 @@ import numpy as np
 from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.data.pairs import Item
 from simnfnd.evaluation.measurement.rows import Row
-from simnfnd.evaluation.metrics.statistics import Estimate, Paired, estimate, holm, paired
+from simnfnd.evaluation.metrics.statistics import (
+    Estimate,
+    Paired,
+    estimate,
+    frames_needed,
+    holm,
+    paired,
+)
 from simnfnd.evaluation.report import paper
 from simnfnd.evaluation.report.names import METRIC_NAMES
 from simnfnd.evaluation.settings import EvaluationSettings
@@ -50,7 +57,7 @@ def content_of(
     ordering_3 = paper.ordering(third, "Table 3", digits=3) if given else []
     return {
         "schema": SCHEMA,
-        "facts": dict(facts),
+        "facts": {**facts, "few_frames": few_frames(found, len(set(groups)))},
         "rows": found,
         "best_classical": {"row": best, "chosen_on": chosen_on},
         "table_2": second,
@@ -90,13 +97,32 @@ def best_classical(
     return max(measured, key=lambda label: measured[label], default=None), "these very pairs"
 
 
+def few_frames(rows: Sequence[Mapping[str, Any]], frames: int) -> str:
+    """What to say of the tests where so few frames can show nothing; else nothing."""
+    comparisons = sum("psnr" in row["against_noisy"] for row in rows)
+    needed = frames_needed(comparisons)
+    if not comparisons or frames >= needed:
+        return ""
+    return (
+        f"With {frames} frames and {comparisons} comparisons p (Holm) cannot fall below 0.05, "
+        f"however many wins there are: it takes {needed} frames. The intervals are rough, too."
+    )
+
+
+def best_forms(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Of each method the form with the best PSNR here; rows come best first, lost ones last."""
+    best: dict[str, Mapping[str, Any]] = {}
+    for row in rows:
+        if row["kind"] == "noisy" or row["name"] != "identity":
+            best.setdefault(row["name"], row)
+    return list(best.values())
+
+
 def shown_rows(rows: Sequence[Mapping[str, Any]], most: int) -> list[str]:
     """Labels for pictures and curves: noisy, then of each method its best form, best first."""
-    best: dict[str, str] = {}
-    for row in rows:  # which come best PSNR first
-        if row["lost"] is None and row["kind"] != "noisy" and row["name"] != "identity":
-            best.setdefault(row["name"], row["label"])
-    return ["noisy", *list(best.values())[:most]]
+    alive = [row for row in rows if row["lost"] is None]
+    best = [row["label"] for row in best_forms(alive) if row["kind"] != "noisy"]
+    return ["noisy", *best[:most]]
 
 
 def plain(value: float) -> float | None:

@@ -35,8 +35,10 @@ def cost(content: Content) -> Markup:
         lines=False,
         log_x=True,
     )
+    if len(series) < 2:
+        return Markup("")  # one point shows no trade
     networks = [row for row in content["rows"] if row["gmac"] and row["lost"] is None]
-    if networks:
+    if len(networks) > 1:
         series = []
         labels = shown_rows(content["rows"], 9)
         for row in networks:

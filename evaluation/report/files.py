@@ -14,7 +14,7 @@ from simnfnd.evaluation.data.pairs import Item
 from simnfnd.evaluation.measurement.rows import Row
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.evaluation.report import tables
-from simnfnd.evaluation.report.content import SCHEMA
+from simnfnd.evaluation.report.content import SCHEMA, best_forms
 from simnfnd.evaluation.report.names import written_p
 from simnfnd.factory.dataset.describe import markdown
 from simnfnd.factory.errors import FactoryError
@@ -105,8 +105,10 @@ def as_markdown(content: Mapping[str, Any]) -> str:
         f"{facts['pairs']} pairs of {facts['frames']} frames in {len(facts['scenes'])} scene(s) "
         f"({facts['image']}; config {facts['config_hash'] or 'unknown'}).",
         "## Leaderboard",
-        tables.leaderboard(rows),
+        *folded(rows),
+        facts["few_frames"],
         verdict(content),
+        *unfolded(rows),
         "## More metrics",
         tables.more_metrics(rows),
         "## The paper's Table 2",
@@ -122,7 +124,22 @@ def as_markdown(content: Mapping[str, Any]) -> str:
     if content["robustness"]:
         parts += ["## Other noise", *(_robustness(entry) for entry in content["robustness"])]
     parts += ["## How it was measured", *content["facts"]["rules"]]
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join(filter(None, parts)) + "\n"
+
+
+def folded(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The leaderboard of the best form of each method, and how many it leaves out."""
+    best = best_forms(rows)
+    more = len(rows) - len(best)
+    note = f"Of each method its best form here; {more} more in leaderboard.md." if more else ""
+    return [tables.leaderboard(best), *filter(None, [note])]
+
+
+def unfolded(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """All forms, where some were left out above."""
+    if len(best_forms(rows)) == len(rows):
+        return []
+    return ["## All forms", tables.leaderboard(rows)]
 
 
 def verdict(content: Mapping[str, Any]) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 from markupsafe import Markup
 
 from simnfnd.evaluation.report import curves, files
+from simnfnd.evaluation.report.content import best_forms
 from simnfnd.evaluation.report.examples import Example, as_data_uri
 from simnfnd.evaluation.report.names import METRIC_NAMES
 from simnfnd.evaluation.report.pages import own_file, render
@@ -39,6 +40,7 @@ def html(content: Content, examples: Sequence[Example]) -> str:
         script=own_file("page.js"),
         content=content,
         rows=rows,
+        best=best_forms(rows),
         title=f"{facts['dataset']}, {facts['split']} split",
         about=(
             f"{facts['pairs']} pairs of {facts['frames']} frames in {len(facts['scenes'])} "

@@ -51,7 +51,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.globals["METRICS"] = METRIC_NAMES
+    environment.globals |= {"METRICS": METRIC_NAMES, "own_file": own_file}
     environment.tests["finite"] = math.isfinite
     environment.filters |= {
         "chosen": chosen,

@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import errno
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from simnfnd.factory.cli.words import readable
 from simnfnd.factory.errors import FactoryError
 
 if TYPE_CHECKING:
@@ -50,6 +52,7 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
     # Without this Hydra prints its own multi-line text and exits with 1.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     debug = any(argument.replace(" ", "") in ("debug=true", "debug=True") for argument in sys.argv)
+    sys.argv[1:] = readable(sys.argv[1:])
     codes: list[int] = []
 
     def point(config: DictConfig) -> int:
@@ -68,7 +71,7 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
         except (HydraException, OmegaConfBaseException) as error:
             if debug:
                 raise
-            raise FactoryError(config_line(error)) from error
+            raise FactoryError(config_line(error, config_name)) from error
         except RuntimeError as error:
             if debug or '"srun"' not in str(error):
                 raise
@@ -138,11 +141,15 @@ def say_error(error: Exception) -> int:
     return EXIT_BAD_INPUT
 
 
-def config_line(error: Exception) -> str:
-    """Hydra's several lines in one, with the remedy."""
+def config_line(error: Exception, config_name: str) -> str:
+    """Hydra's several lines in one, with the remedy.  config_name: of conf/<config_name>.yaml."""
+    from simnfnd.factory.cli.nearest import explained
+
+    if line := explained(str(error), config_name):
+        return line
     reasons = [str(error)]
     if error.__cause__ is not None:
         reasons.append(str(error.__cause__))
     text = " ".join(" ".join(reasons).split())
-    text = text.replace("To append to your config use", "If you really mean a new key use")
+    text = re.sub(r"\s*See https://hydra\S+ for details", "", text)
     return f"config: {text} (see `--cfg job` for every key)"

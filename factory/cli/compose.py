@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from simnfnd.factory.cli.words import readable
 from simnfnd.factory.errors import FactoryError
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def compose_points(
     from simnfnd.factory.distribution import as_override
 
     sweep = any(word in ("-m", "--multirun") for word in words)
-    overrides = [as_override(word) for word in words if not word.startswith("-")]
+    overrides = [as_override(word) for word in readable(words) if not word.startswith("-")]
     try:
         with initialize_config_module("simnfnd.conf", version_base="1.3"):
             axes: list[list[str]] = [[word] for word in overrides]
@@ -75,7 +76,7 @@ def compose_points(
                 points.append((tuple(differs), config))
             return points
     except (HydraException, OmegaConfBaseException) as error:
-        raise FactoryError(config_line(error)) from error
+        raise FactoryError(config_line(error, "factory")) from error
 
 
 def _plain(overrides: list[str]) -> list[str]:

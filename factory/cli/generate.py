@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from simnfnd.factory.cli.extras import needs_of, require
 from simnfnd.factory.config import (
     FactoryConfig,
+    FramesSettings,
     composed_values,
     digest,
     from_mapping,
@@ -21,15 +23,19 @@ from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.pairs import pair_maker
+from simnfnd.factory.progress import stage_if_slow
 from simnfnd.factory.renders.cache import Limit
 from simnfnd.factory.renders.views import ViewMaker, check_views, with_cache
-from simnfnd.factory.selection import choose_frames, frames_digest, split_frames
+from simnfnd.factory.selection import choose_frames, frames_digest, split_frames, split_warnings
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from simnfnd.factory.jobs.job import Job
     from simnfnd.factory.jobs.ledger import RunReport
+
+# So many procedural frames take minutes.
+_MANY = 50
 
 
 def generate(composed: DictConfig) -> int:
@@ -72,6 +78,8 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
             f"the first because: {first}"
         )
     _report_sector(job.directory, config)
+    # Again at the end: what was said first has scrolled away.
+    say_warnings(job.warnings)
     return report, job.directory
 
 
@@ -86,13 +94,17 @@ def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
     from simnfnd.factory.jobs.plan import plan_shards
     from simnfnd.factory.scenes import open_reader
 
-    discovery = open_reader(config.scenes).discover()
+    with stage_if_slow(f"looking for the frames of scenes={config.scenes.kind}"):
+        discovery = open_reader(config.scenes).discover()
     for note in discovery.notes:
         print(f"scenes: {note}")
     for reason, count in sorted(discovery.skipped.items()):
         print(f"scenes: {count} skipped: {reason}")
     frames = choose_frames(discovery.frames, config)
     splits = split_frames(frames, config)
+    print(_told(frames, splits, config), flush=True)
+    warnings = split_warnings(splits, config)
+    say_warnings(warnings)
     values = {**identity(config), "frames_found": frames_digest(frames)}
     config_hash = digest(values)
     directory = config.dataset.directory(config_hash)
@@ -113,7 +125,30 @@ def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
         skipped=discovery.skipped,
         on_prepared=Limit(working.cache),
         extension=lambda earlier: plan_extension(splits, *how, earlier),
+        warnings=warnings,
     )
+
+
+def _told(
+    frames: Sequence[FrameRef], splits: Mapping[str, Sequence[FrameRef]], config: FactoryConfig
+) -> str:
+    """What is going to be made, before it is; and how to get less of what is made up anyway."""
+    scenes = len({(ref.location, ref.scene) for ref in frames})
+    limits = config.dataset.limits
+    counts = []
+    for split, refs in splits.items():
+        pairs, limit = len(refs) * config.frames.variants, limits.get(split)
+        counts.append(f"{pairs if limit is None else min(pairs, limit)} {split}")
+    text = f"frames: {len(frames)} of {scenes} scenes; pairs: {' and '.join(counts)}"
+    if config.scenes.kind == "seabed" and len(frames) > _MANY and config.frames == FramesSettings():
+        text += " (frames.total=8 makes a small dataset in less than a minute)"
+    return text
+
+
+def say_warnings(warnings: Sequence[str]) -> None:
+    """One line each on stderr."""
+    for line in warnings:
+        print(f"warning: {line}", file=sys.stderr, flush=True)
 
 
 def _report_sector(directory: Path, config: FactoryConfig) -> None:

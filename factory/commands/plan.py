@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from simnfnd.factory.cli import Parser
 from simnfnd.factory.cli.compose import compose_points
 from simnfnd.factory.cli.extras import needs_of, require
+from simnfnd.factory.cli.generate import say_warnings
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.jobs.plan import ShardTask, plan_shards
@@ -80,12 +81,13 @@ def main(words: list[str]) -> int:
 def _planned(config: FactoryConfig) -> tuple[tuple[FrameRef, ...], tuple[ShardTask, ...]]:
     from simnfnd.factory.renders.views import check_views
     from simnfnd.factory.scenes import open_reader
-    from simnfnd.factory.selection import choose_frames, split_frames
+    from simnfnd.factory.selection import choose_frames, split_frames, split_warnings
 
     require(needs_of(config))
     check_views(config, touch=False)
     frames = choose_frames(open_reader(config.scenes).discover().frames, config)
     splits = split_frames(frames, config)
+    say_warnings(split_warnings(splits, config))
     how = (config.frames.variants, config.scheduler.shard_size, config.dataset.limits)
     if config.dataset.on_existing == "extend" and (added := _added(config, frames, splits, how)):
         return frames, added[0]

@@ -61,6 +61,7 @@ class Job:
     extension: earlier shards -> all shards of a dataset that extends an earlier one; takes the
         place of `tasks` there.
     earlier: path -> what a shard states that was made before the dataset was extended.
+    warnings: what the user is told when planning, and once more at the end.
     """
 
     directory: Path
@@ -78,6 +79,7 @@ class Job:
     on_prepared: Callable[[int], None] = _nothing
     extension: Callable[[Sequence[Earlier]], tuple[ShardTask, ...]] | None = None
     earlier: Mapping[str, Provenance] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     @property
     def own_tasks(self) -> tuple[ShardTask, ...]:

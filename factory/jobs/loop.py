@@ -106,7 +106,9 @@ class Loop:
             self._backend.poll()
             self._lock.check()
             running = self._running.values()
-            shards = [journal for work, journal in running if isinstance(work, PendingShard)]
+            shards = [
+                (path, work.begun) for work, path in running if isinstance(work, PendingShard)
+            ]
             self._progress.show(shards, self._failed_frames)
 
     def _submit_what_fits(self) -> None:
@@ -119,6 +121,7 @@ class Loop:
     def _submit_shard(self, shard: PendingShard) -> None:
         task = shard.task
         shard.number += 1
+        shard.begun = time.monotonic()
         journal = self._journal(task.path, shard.number)
         recipe = self._recipe
         if task.path in self._job.earlier:
@@ -132,6 +135,7 @@ class Loop:
 
     def _submit_frame(self, frame: PendingFrame) -> None:
         frame.number += 1
+        frame.begun = time.monotonic()
         journal = self._journal(frame.ref.name, frame.number)
         attempt = FrameAttempt(frame.ref, self._recipe, journal)
         limit_s = 3 * self._scheduler.frame_timeout_s + 60.0
@@ -154,6 +158,8 @@ class Loop:
             elif result.missing:
                 self._need_again(work, result.missing)
             else:
+                seconds = time.monotonic() - work.begun
+                self._progress.estimate.pairs(seconds, state.samples)
                 self._settle(work, result)
             return
         kind, reason = self._cause(error, state.timed_out or future in self._expired)
@@ -215,7 +221,8 @@ class Loop:
 
     def _prepared(self, frame: PendingFrame, result: FrameResult) -> None:
         del self._needed[frame.ref.name]
-        self._progress.prepared(result.hit, result.failure is not None)
+        seconds = time.monotonic() - frame.begun
+        self._progress.prepared(result.hit, result.failure is not None, seconds)
         self._job.on_prepared(result.bytes)
         for shard in frame.waiting:
             if result.failure is not None:

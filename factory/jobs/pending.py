@@ -19,12 +19,13 @@ class PendingShard:
 
     needs: names of the frames that have to be prepared before the shard can be made.
     rounds: how often it was found that a prepared frame was gone again.
+    begun: when a worker was last given it (time.monotonic).
     """
 
     def __init__(self, task: ShardTask, retries: int) -> None:
         self.task = task
         self.number = 0
-        self.not_before = 0.0
+        self.not_before = self.begun = 0.0
         self.needs: set[str] = set()
         self.rounds = 0
         self._retries = retries
@@ -65,13 +66,13 @@ class PendingShard:
 class PendingFrame:
     """A frame that is to be prepared, and what happened to it so far.
 
-    waiting: the shards that need it.
+    waiting: the shards that need it.  begun: when a worker was last given it (time.monotonic).
     """
 
     def __init__(self, ref: FrameRef, retries: int) -> None:
         self.ref = ref
         self.number = 0
-        self.not_before = 0.0
+        self.not_before = self.begun = 0.0
         self.deaths = 0
         self.waiting: list[PendingShard] = []
         self._retries = retries

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import shutil
-import sys
 from contextlib import suppress
 from dataclasses import replace
-
-from tqdm import tqdm
 
 from simnfnd.factory.dataset.describe.card import write_card
 from simnfnd.factory.dataset.describe.croissant import write_croissant
@@ -27,6 +24,8 @@ from simnfnd.factory.jobs.lock import Lock
 from simnfnd.factory.jobs.loop import Loop
 from simnfnd.factory.jobs.progress import ProgressBar
 from simnfnd.factory.jobs.resume import take_up
+from simnfnd.factory.jobs.settings import Crew
+from simnfnd.factory.progress import stage
 from simnfnd.factory.workers.kept import leased
 from simnfnd.factory.workers.signals import Interrupted, stop_signals
 
@@ -71,7 +70,7 @@ def _open(job: Job) -> Manifest:
     emptied = on_existing == "overwrite" and empty_folder(job.directory)
     if on_existing == "extend" and job.extension:
         for note in begin_extension(job.directory, job.provenance, job.extension):
-            tqdm.write(note, file=sys.stderr)
+            stage(note)
     return open_folder(
         job.directory, job.config_values, job.provenance, job.shard.part, emptied=emptied
     )
@@ -96,12 +95,12 @@ def make_shards(job: Job, manifest: Manifest, lock: Lock) -> RunReport:
     tasks = job.own_tasks
     resumed = take_up(job.directory, tasks, manifest, whole=not job.shard.part)
     for note in resumed.notes:
-        tqdm.write(note, file=sys.stderr)
+        stage(note)
     todo = resumed.todo
     frames = len({ref.name for task in todo for ref, _ in task.items}) if job.preparer else 0
     crew, note = job.scheduler.within_limits(job.scheduler.crew(len(todo), frames))
     if note:
-        tqdm.write(note, file=sys.stderr)
+        stage(note)
     total = sum(task.samples for task in tasks)
     progress = ProgressBar(job, crew, total, total - sum(task.samples for task in todo))
     ledger = Ledger(job, resumed.manifest)
@@ -112,6 +111,7 @@ def make_shards(job: Job, manifest: Manifest, lock: Lock) -> RunReport:
         # Also when nothing is left to do: a run may have been killed after its last shard.
         _tidy(job)
         if todo:
+            stage(f"starting {_workers(crew)} for {sum(task.samples for task in todo)} pairs")
             largest = max(len(task.items) for task in todo)
             try:
                 with leased(job.scheduler.worker_settings(crew, largest)) as backend:
@@ -132,6 +132,12 @@ def make_shards(job: Job, manifest: Manifest, lock: Lock) -> RunReport:
     return ledger.report(already_done=len(tasks) - len(todo))
 
 
+def _workers(crew: Crew) -> str:
+    """Such as `2 workers (1 renders)`."""
+    count = f"{crew.total} worker{'s' if crew.total > 1 else ''}"
+    return f"{count} ({crew.render} of them for renders)" if crew.render else count
+
+
 def _tidy(job: Job) -> None:
     """Remove the workers' journals, and what dead writers left half written."""
     shutil.rmtree(work_folder(job.directory, job.shard), ignore_errors=True)
@@ -143,6 +149,7 @@ def _describe(job: Job, report: RunReport) -> None:
     """Write all that stands beside the shards."""
     finished = load_manifest(job.directory)
     if finished is not None and report.samples:
+        stage(f"writing index, card{' and preview' if job.dataset.preview_pairs else ''}")
         write_index(job.directory, finished)
         if job.dataset.preview_pairs:
             preview(job.directory, pairs=job.dataset.preview_pairs, trusted=True)

@@ -19,7 +19,9 @@ from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.scenes import Scenes
 
 # Which frames are chosen changes none of them.
-_NOT_PIXELS = ("root", "path", "locations", "first_location", "frames_per_location", "scenes")
+_NOT_PIXELS = (
+    *("root", "file", "path", "locations", "first_location", "frames_per_location", "scenes"),
+)
 # All code between the files of a recording and the rendered pixels.
 _CODE = ("compiled.py", "frame.py", "labels.py", "render", "renders", "scenes")
 _LIBRARY = {"cycles": "bpy", "embree": "open3d-cpu", "analytic": "numpy"}

@@ -11,6 +11,9 @@ from pydantic.dataclasses import dataclass
 from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.settings import STRICT
 
+INTEGERS_PER_M = {"csv_list": 1000.0, "redwood": 1000.0, "tum": 5000.0}
+"""scenes.kind -> what integer depth is divided by where `depth_scale` is null."""
+
 
 @dataclass(frozen=True, config=STRICT)
 class SceneSettings:

@@ -3,9 +3,9 @@
     rgb,depth,scene                          a header is optional, and so is the third column
     dive1/0001.png,dive1/0001_depth.tif,dive1
 
-Paths are relative to the CSV file.  Depth is a floating-point TIFF or .npy in metres, or an integer
-image divided by `depth_scale`.  `scene` is what train and test are split by; without it the whole
-list is one scene, named as the file.
+Paths are relative to the CSV file.  Depth is a TIFF, PNG or .npy: floating-point metres or integer
+millimetres where `depth_scale` says nothing else.  `scene` is what train and test are split by;
+without it the whole list is one scene, named as the file.
 """
 
 from __future__ import annotations
@@ -43,23 +43,40 @@ def _none_or_four(coefficients: tuple[float, ...]) -> tuple[float, ...]:
 class CsvListSettings(SceneSettings):
     """Keys of `scenes=csv_list`.
 
-    root: the CSV file.
+    file: the CSV file.  root: another name of the same key; give one of the two.
     intrinsics: fx, fy, cx, cy of the images as they are.
     distortion: k1, k2, p1, p2 of the lens (OpenCV), or empty.
     undistort: take that distortion out of colour and depth (same camera matrix).
-    depth_scale: what integer depths are divided by to give metres (1000: millimetres).
+    depth_scale: what the numbers in the depth files are divided by to give metres; None: integers
+        by 1000 (millimetres), and floating-point numbers are metres already.
     invalid_below_m: depths at or below this are pixels without a measurement; None: only 0 is.
     invalid_above_m: depths at or above this are, too (a rendered sky, for example).
     """
 
     kind: Literal["csv_list"] = "csv_list"
-    root: Root
+    file: Root | None = None
+    root: Root | None = None
     intrinsics: Pinhole
     distortion: Annotated[tuple[float, ...], AfterValidator(_none_or_four)] = ()
     undistort: bool = False
-    depth_scale: Annotated[float, Field(gt=0)] = 1000.0
+    depth_scale: Annotated[float, Field(gt=0)] | None = None
     invalid_below_m: float | None = 0.0
     invalid_above_m: Annotated[float, Field(gt=0)] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse no file, and two."""
+        if (self.file is None) == (self.root is None):
+            raise ValueError("give the CSV file of rgb,depth lines, scenes.file=frames.csv")
+
+    @property
+    def given(self) -> str:
+        """The file as the user wrote it, for messages."""
+        return f"scenes.root={self.root}" if self.file is None else f"scenes.file={self.file}"
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return Path(self.file or self.root or "").expanduser()
 
 
 class CsvListReader:
@@ -70,21 +87,17 @@ class CsvListReader:
 
     def discover(self) -> Discovery:
         """See `simnfnd.factory.scenes.base.Reader`."""
-        path = Path(self.settings.root).expanduser()
+        path = self.settings.path
         if not path.is_file():
             fault = "is a folder" if path.is_dir() else "no such file"
-            raise FactoryError(
-                f"scenes.root={self.settings.root}: {fault}; set scenes.root to {_EXPECTED}"
-            )
+            raise FactoryError(f"{self.settings.given}: {fault}; set scenes.file to {_EXPECTED}")
         rows = _rows(path)
         frames = _named(path.parent, rows)
         if not frames:
-            raise FactoryError(
-                f"scenes.root={self.settings.root}: no line lists a frame; give {_EXPECTED}"
-            )
+            raise FactoryError(f"{self.settings.given}: no line lists a frame; give {_EXPECTED}")
         if not any(Path(name).is_file() for ref in frames for name in ref.paths):
             raise FactoryError(
-                f"scenes.root={self.settings.root}: none of the {len(frames)} listed frames "
+                f"{self.settings.given}: none of the {len(frames)} listed frames "
                 f"exists, the first is {frames[0].paths[0]}; paths are relative to the CSV file"
             )
         twice = len(rows) - len(frames)

@@ -137,7 +137,7 @@ class FlseaReader:
         """See `simnfnd.factory.scenes.base.Reader`."""
         image, depth, *calibration = map(Path, ref.paths)
         rgb = read_rgb(image)
-        depth_m = read_depth(depth, units_per_m=1000.0)
+        depth_m = read_depth(depth, units_per_m=None)
         known = read_kalibr(calibration[0]) if calibration else BUILT_IN[ref.location]
         intrinsics = scaled(known, CALIBRATED_SIZE, (rgb.shape[1], rgb.shape[0]))
         return finished_frame(

@@ -40,21 +40,26 @@ def read_rgb(path: Path) -> npt.NDArray[np.uint8]:
     return np.ascontiguousarray(np.asarray(image.convert("RGB"), dtype=np.uint8))
 
 
-def read_depth(path: Path, units_per_m: float) -> npt.NDArray[np.float32]:
+def read_depth(
+    path: Path, units_per_m: float | None, integers_per_m: float = 1000.0
+) -> npt.NDArray[np.float32]:
     """(H, W) float32 depth in metres, exactly as stored: NaN, negatives and 0 are kept.
 
-    units_per_m: what integer files are divided by (1000: millimetres); floating-point files hold
-        metres already and are not scaled.
+    units_per_m: what the file's numbers are divided by (1000: millimetres); None: integers by
+        integers_per_m, and floating-point numbers are metres already.
     Raises FrameError when the file is missing, damaged or not a single-channel depth map.
     """
     stored = _load_array(path) if path.suffix.lower() == ".npy" else np.asarray(_decoded(path))
     if stored.ndim != 2:
         raise FrameError(f"{path}: depth must be one channel (H, W), got shape {stored.shape}")
     if stored.dtype.kind == "f":
+        if units_per_m is not None:
+            # Half floats would overflow at what many a scale is.
+            stored = stored.astype(np.promote_types(stored.dtype, np.float32)) / units_per_m
         with np.errstate(over="ignore"):  # too large for float32 becomes infinite: checked later
             return np.ascontiguousarray(stored, dtype=np.float32)
     if stored.dtype.kind in "iu" and stored.dtype.itemsize > 1:
-        return np.ascontiguousarray(stored / units_per_m, dtype=np.float32)
+        return np.ascontiguousarray(stored / (units_per_m or integers_per_m), dtype=np.float32)
     raise FrameError(
         f"{path}: depth is stored as {stored.dtype}, which holds no distances; "
         "give floating-point metres or integers of 16 bits or more"

@@ -39,13 +39,14 @@ class RedwoodSettings(SceneSettings):
     root: one recording or a folder of recordings; each is a scene.
     intrinsics: fx, fy, cx, cy of the images as they are; the default is the PrimeSense camera at
         640x480 that the Redwood sets use.
-    depth_scale: what the integers in the depth files are divided by to give metres.
+    depth_scale: what the numbers in the depth files are divided by to give metres; None: integers
+        by 1000 (millimetres), and floating-point numbers are metres already.
     """
 
     kind: Literal["redwood"] = "redwood"
     root: Root
     intrinsics: Pinhole = (525.0, 525.0, 319.5, 239.5)
-    depth_scale: Annotated[float, Field(gt=0)] = 1000.0
+    depth_scale: Annotated[float, Field(gt=0)] | None = None
 
 
 class RedwoodReader:

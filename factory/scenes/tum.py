@@ -21,7 +21,7 @@ from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
-from simnfnd.factory.scenes.base import Discovery, SceneSettings
+from simnfnd.factory.scenes.base import INTEGERS_PER_M, Discovery, SceneSettings
 from simnfnd.factory.scenes.calibration import Pinhole, scaled
 from simnfnd.factory.scenes.images import read_depth, read_rgb
 from simnfnd.factory.scenes.poses import numbered_lines, pose_at
@@ -47,14 +47,15 @@ class TumSettings(SceneSettings):
     root: one recording or a folder of recordings; each is a scene.
     intrinsics: fx, fy, cx, cy of the images; None takes the Freiburg 1, 2 or 3 camera that the
         folder's name tells (`freiburg1` or `fr1`).
-    depth_scale: what the integers in the depth files are divided by to give metres.
+    depth_scale: what the numbers in the depth files are divided by to give metres; None: integers
+        by 5000, and floating-point numbers are metres already.
     max_time_difference_s: colour, depth and pose further apart in time do not belong together.
     """
 
     kind: Literal["tum"] = "tum"
     root: Root
     intrinsics: Pinhole | None = None
-    depth_scale: Annotated[float, Field(gt=0)] = 5000.0
+    depth_scale: Annotated[float, Field(gt=0)] | None = None
     max_time_difference_s: Annotated[float, Field(ge=0)] = 0.02
 
 
@@ -96,7 +97,7 @@ class TumReader:
         """See `simnfnd.factory.scenes.base.Reader`."""
         image, depth, *trajectory = map(Path, ref.paths)
         rgb = read_rgb(image)
-        depth_m = read_depth(depth, self.settings.depth_scale)
+        depth_m = read_depth(depth, self.settings.depth_scale, INTEGERS_PER_M["tum"])
         intrinsics = self._camera(ref.scene)
         if self.settings.intrinsics is None:
             intrinsics = scaled(intrinsics, CALIBRATED_SIZE, (rgb.shape[1], rgb.shape[0]))

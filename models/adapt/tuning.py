@@ -12,9 +12,9 @@ from typing import cast
 import torch
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
-from tqdm import tqdm
 
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.progress import progress_bar
 from simnfnd.factory.seeds import stream
 from simnfnd.models.adapt.lessons import Lesson
 from simnfnd.models.networks.network import Network
@@ -78,7 +78,7 @@ def tune(network: Network, lesson: Lesson, kept: Lesson | None, pace: Pace, seed
     )
     steps = pace.steps
     begun = time.monotonic()
-    with tqdm(total=steps, unit="step", desc="adapting") as bar:
+    with progress_bar(total=steps, unit="step", desc="adapting") as bar:
         step = 0
         while steps is None or step < steps:
             _take_step(network, optimizer, lesson, kept, pace, seed, step, steps)

@@ -10,13 +10,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from simnfnd.factory.cli import Parser
 from simnfnd.factory.dataset.read.reader import open_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import check_writable
 from simnfnd.factory.formation.contract import ARTEFACTS
+from simnfnd.factory.progress import progress_bar
 from simnfnd.factory.recordings import open_recording
 from simnfnd.models.denoise.bags import denoise_bag, open_bag
 from simnfnd.models.denoise.denoiser import OVERLAP, TILE, Denoiser, load_denoiser
@@ -173,7 +172,7 @@ def _all(work: _Work, items: Sequence[Item]) -> int:
     """Denoise all files under a progress bar; returns how many could not be."""
     failures: list[str] = []
     warnings: list[str] = []
-    with tqdm(
+    with progress_bar(
         total=sum(_pictures(item, work.topics) for item in items), unit="image", desc="denoising"
     ) as bar:
         for item in items:

@@ -22,6 +22,7 @@ from simnfnd.factory.recordings.fans import fan_of, grey_of, polar_geometry
 from simnfnd.factory.recordings.video import VideoFile
 from simnfnd.factory.sonar.geometry import FanGeometry, recorded_sonar
 from simnfnd.models.data.images import FULL_SCALE, decode
+from simnfnd.models.denoise.compared import sheet
 from simnfnd.models.denoise.inputs import Item
 from simnfnd.models.denoise.steady import Steady, in_kind_of
 from simnfnd.models.denoise.videos import FrameFiles
@@ -281,16 +282,4 @@ def _write_image(path: Path, image: npt.NDArray[Any]) -> None:
 
 def write_compared(out: Path, relative: Path, rows: Sequence[Sequence[npt.NDArray[Any]]]) -> None:
     """Noisy, denoised (and clean) side by side, one row a sample."""
-    lines = []
-    for images in rows:
-        panels = [_shown(image) for image in images]
-        gap = np.full((*panels[0].shape[:1], 4, *panels[0].shape[2:]), 128, np.uint8)
-        line = [part for panel in panels for part in (gap, panel)][1:]
-        lines.append(np.concatenate(line, axis=1))
-    sheet = np.concatenate(lines, axis=0)
-    _write_image(out / "compare" / relative.with_suffix(".png"), sheet)
-
-
-def _shown(image: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    full = 1.0 if image.dtype.kind == "f" else FULL_SCALE[str(image.dtype)]
-    return np.asarray(np.rint(np.clip(image / full, 0, 1) * 255), dtype=np.uint8)
+    _write_image(out / "compare" / relative.with_suffix(".png"), sheet(rows))

@@ -15,10 +15,10 @@ import torch
 from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import Checkpoint
 from torch import Tensor
-from tqdm import tqdm
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
+from simnfnd.factory.progress import progress_bar
 from simnfnd.models import WEIGHTS_NAME
 from simnfnd.models.data.pairs import Batch
 from simnfnd.models.networks.weights import save_weights
@@ -55,7 +55,7 @@ class ValidationCallback(Checkpoint):
         self.shown, self.patience, self.tensorboard = tuple(shown), patience, tensorboard
         self.rows: list[Row] = []
         self._losses: list[Tensor] = []
-        self._bar: tqdm[Any] | None = None
+        self._bar: Any = None
         self._board: Any = None
         self._started = 0.0
 
@@ -65,7 +65,7 @@ class ValidationCallback(Checkpoint):
         self._started = time.monotonic()
         if not trainer.is_global_zero:
             return
-        self._bar = tqdm(
+        self._bar = progress_bar(
             total=module.settings.steps, initial=module.step, unit="step", desc="training"
         )
         if self.tensorboard:

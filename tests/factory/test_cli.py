@@ -131,7 +131,7 @@ def test_a_truncated_tiff_is_a_bad_frame(monkeypatch, tmp_path, flsea, capfd):
         (["noise.background.density={uniform: [3, 1]}"], "low 3 > high 1"),
         (["frames.only=[nowhere]"], "nowhere"),
         (["render=analytic", "sonar.mount.translation_m=[0,0,1]"], "casts no shadows"),
-        (["seed=="], "config"),
+        (["seed=="], "seed: "),
     ],
 )
 def test_bad_input_is_one_clear_line_and_exit_code_2(monkeypatch, tmp_path, words, said, capfd):

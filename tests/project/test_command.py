@@ -88,7 +88,7 @@ def test_the_version_is_ours(words: tuple[str, ...], monkeypatch, capsys) -> Non
         (("make", "demo"), "demo: not KEY=VALUE; see `simnfnd make --help`"),
         (("evaluate", "real", "a", "b"), "b: not KEY=VALUE"),
         (("make", "seed="), "seed: "),
-        (("make", "seed=="), "config: "),
+        (("make", "seed=="), "seed: "),
         (("train", "sed=1"), "sed"),
         (("export", "x"), "--to, --out (see `simnfnd export --help`)"),
         (("status", "x", "--verfy"), "unrecognized arguments: --verfy"),

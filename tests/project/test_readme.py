@@ -34,17 +34,18 @@ TABLE: dict[str, How] = {
         instead=(("scenes.root=flsea-vi", "scenes.root={shared}/data/flsea-vi"),),
         needs="{shared}/data/flsea-vi",
     ),
-    "simnfnd make -m noise.background.density=0.1,0.5 resample.rate=0.1,0.3": Run(
+    "simnfnd make -m noise.background.density=0.1,0.5 resample.rate=0.1,0.3 frames.total=6": Run(
         (*SMALL, "render=embree")
     ),
     "simnfnd make noise.range_spreading.alpha='{uniform: [0.01, 0.04]}' "
-    "noise.azimuth.count=3 dataset.dir=outputs/spread": Run((*SMALL, "render=embree")),
-    "simnfnd make -m experiment=noise_sweep": Run((*SMALL, "render=embree")),
-    "simnfnd make sonar=oculus_m750d_hf sonar.mount.translation_m='[0, 0, 0.5]' "
-    "dataset.dir=outputs/oculus": Run(SMALL),
-    "simnfnd make sonar.image.layout=polar sonar.transfer.kind=log dataset.dir=outputs/polar": Run(
+    "noise.azimuth.count=3 frames.total=6 dataset.dir=outputs/spread": Run(
         (*SMALL, "render=embree")
     ),
+    "simnfnd make -m experiment=noise_sweep": Run((*SMALL, "render=embree")),
+    "simnfnd make sonar=oculus_m750d_hf sonar.mount.translation_m='[0, 0, 0.5]' "
+    "frames.total=6 dataset.dir=outputs/oculus": Run(SMALL),
+    "simnfnd make sonar.image.layout=polar sonar.transfer.kind=log frames.total=6 "
+    "dataset.dir=outputs/polar": Run((*SMALL, "render=embree")),
     "simnfnd make --help": Run(),
     "simnfnd preview outputs/demo --out outputs/sheet.png --pairs 4": Run(),
     "simnfnd inspect outputs/demo": Run(),

@@ -34,6 +34,7 @@ ALLOWED = {
         "factory: ground",
     },
     "evaluation/fit": {
+        "factory/progress",
         "evaluation/realism",
         "evaluation: ground",
         "factory/cli",
@@ -46,6 +47,7 @@ ALLOWED = {
         "factory: upper",
     },
     "evaluation/measurement": {
+        "factory/progress",
         "evaluation/baselines",
         "evaluation/data",
         "evaluation/methods",
@@ -58,6 +60,7 @@ ALLOWED = {
         "models: ground",
     },
     "evaluation/methods": {
+        "factory/progress",
         "evaluation/baselines",
         "evaluation/data",
         "evaluation/metrics",
@@ -77,6 +80,7 @@ ALLOWED = {
         "factory: ground",
     },
     "evaluation/real": {
+        "factory/progress",
         "evaluation/baselines",
         "evaluation/methods",
         "evaluation/metrics",
@@ -92,6 +96,7 @@ ALLOWED = {
         "models/networks",
     },
     "evaluation/realism": {
+        "factory/progress",
         "evaluation/report",
         "evaluation: ground",
         "factory/dataset",
@@ -121,6 +126,7 @@ ALLOWED = {
         "factory: ground",
     },
     "factory/cli": {
+        "factory/progress",
         "conf",
         "factory/dataset",
         "factory/jobs",
@@ -168,7 +174,7 @@ ALLOWED = {
         "factory: ground",
         "factory: upper",
     },
-    "factory/jobs": {"factory/dataset", "factory/workers", "factory: ground"},
+    "factory/jobs": {"factory/progress", "factory/dataset", "factory/workers", "factory: ground"},
     "factory/noise": {"factory/dataset", "factory/formation", "factory/sonar", "factory: ground"},
     "factory/recordings": {"factory/sonar", "factory: ground"},
     "factory/render": {"factory: ground"},
@@ -178,6 +184,7 @@ ALLOWED = {
     "factory/viewer": {"factory/dataset", "factory/recordings", "factory: ground"},
     "factory/workers": {"factory: ground"},
     "factory: upper": {
+        "factory/progress",
         "factory/dataset",
         "factory/devices",
         "factory/formation",
@@ -191,6 +198,7 @@ ALLOWED = {
         "factory: ground",
     },
     "models/adapt": {
+        "factory/progress",
         "factory/cli",
         "factory/dataset",
         "factory/recordings",
@@ -219,6 +227,7 @@ ALLOWED = {
         "models: ground",
     },
     "models/denoise": {
+        "factory/progress",
         "factory/cli",
         "factory/dataset",
         "factory/formation",
@@ -242,6 +251,7 @@ ALLOWED = {
         "models: ground",
     },
     "models/training": {
+        "factory/progress",
         "factory/cli",
         "factory: ground",
         "models/data",

@@ -116,6 +116,12 @@ def _facts(
     return replace(facts, problems=tuple(problems))
 
 
+_INDEX_REMEDY = (
+    "remove it and run the command that made the dataset again, which writes it anew and makes "
+    "nothing else that is whole"
+)
+
+
 def _index_findings(
     process: IsolatedProcess, directory: Path, manifest: Manifest
 ) -> Iterator[Finding]:
@@ -135,7 +141,7 @@ def _index_findings(
     except FactoryError as error:
         problems = (str(error),)
     for problem in problems:
-        yield Finding("error", INDEX_NAME, problem)
+        yield Finding("error", INDEX_NAME, f"{problem}; {_INDEX_REMEDY}")
 
 
 def _strays(directory: Path, manifest: Manifest) -> Iterator[Finding]:

@@ -71,7 +71,8 @@ def preview(
     # Without the library's version in it, equal pictures are equal files.
     figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
     path = directory / PREVIEW_NAME if out is None else Path(out)
-    write_atomically(path, buffer.getvalue())
+    # Whoever asks for a preview alone has no key dataset.dir to change.
+    write_atomically(path, buffer.getvalue(), key="dataset.dir" if trusted else "--out")
     return path
 
 

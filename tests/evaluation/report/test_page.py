@@ -70,6 +70,10 @@ def test_a_reader_can_use_it(report: Path) -> None:
         assert page_.run("document.documentElement.scrollWidth") == 390, (
             "the page runs off the side"
         )
+        wide = "[...document.querySelectorAll('table.board')].map((table) => table.scrollWidth)"
+        assert max(page_.run(wide)) <= 390, "every figure is seen without a sideways scroll"
+        second = "document.querySelector('.board td:nth-child(2)')"
+        assert page_.run(f"getComputedStyle({second}, '::before').content") == '"PSNR, dB"'
         assert page_.pdf().startswith(b"%PDF"), "it prints"
         assert page_.complaints == []
         asked = [url for url in page_.events if not url.startswith(("data:", "file:"))]

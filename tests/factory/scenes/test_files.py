@@ -98,7 +98,7 @@ def samples() -> dict[str, tuple[bytes, Array]]:
 
 
 def read(path: Path) -> Array:
-    return read_depth(path, 1000.0) if path.name.startswith("depth") else read_rgb(path)
+    return read_depth(path, None) if path.name.startswith("depth") else read_rgb(path)
 
 
 def attempt(path: Path) -> tuple[Array | None, str]:
@@ -170,14 +170,14 @@ def test_a_truncated_real_tiff_is_refused(tmp_path: Path, fraction: float) -> No
         path = tmp_path / source.name
         path.write_bytes(data[: int(len(data) * fraction)])
         with pytest.raises(FrameError, match="truncated or damaged"):
-            read_rgb(path) if source.parent.name == "imgs" else read_depth(path, 1000.0)
+            read_rgb(path) if source.parent.name == "imgs" else read_depth(path, None)
 
 
 @REAL
 def test_real_tiffs_agree_with_opencv() -> None:
     image, depth = next((CANYONS / "imgs").iterdir()), next((CANYONS / "depth").iterdir())
     np.testing.assert_array_equal(read_rgb(image), cv2.imread(str(image))[:, :, ::-1])
-    np.testing.assert_array_equal(read_depth(depth, 1000.0), cv2.imread(str(depth), -1))
+    np.testing.assert_array_equal(read_depth(depth, None), cv2.imread(str(depth), -1))
 
 
 @pytest.mark.parametrize(
@@ -199,8 +199,11 @@ def test_arrays_that_are_no_depth(tmp_path: Path, array: Array, message: str) ->
 def test_depth_units_follow_the_type(tmp_path: Path) -> None:
     np.save(tmp_path / "whole.npy", np.array([[2500, 0]], np.int32))
     np.save(tmp_path / "double.npy", np.array([[2.5, 1e300]]))
-    np.testing.assert_array_equal(read_depth(tmp_path / "whole.npy", 5000.0), [[0.5, 0]])
-    np.testing.assert_array_equal(read_depth(tmp_path / "double.npy", 5000.0), [[2.5, np.inf]])
+    np.testing.assert_array_equal(read_depth(tmp_path / "whole.npy", None, 5000.0), [[0.5, 0]])
+    np.testing.assert_array_equal(
+        read_depth(tmp_path / "double.npy", None, 5000.0), [[2.5, np.inf]]
+    )
+    np.testing.assert_array_equal(read_depth(tmp_path / "double.npy", 5.0), [[0.5, np.inf]])
 
 
 def test_colour_is_rgb_whatever_the_file(tmp_path: Path) -> None:

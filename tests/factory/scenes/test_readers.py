@@ -420,22 +420,22 @@ def test_csv_list_reads_every_depth_kind(tmp_path: Path) -> None:
     write(tmp_path / "a/1.png", RGB)
     write(tmp_path / "a/2.png", RGB)
     write(tmp_path / "b/1.png", RGB)
-    write(tmp_path / "a/1.tif", np.where(DEPTH < 1, -1, DEPTH))
-    write(tmp_path / "a/2.png.png", (DEPTH * 200).astype(np.uint16))
-    np.save(tmp_path / "b/1.npy", np.where(DEPTH > 5, 1e4, DEPTH))
+    write(tmp_path / "a/1.tif", np.where(DEPTH < 1, -1, DEPTH) * np.float32(256))
+    write(tmp_path / "a/2.png.png", (DEPTH * 256).astype(np.uint16))
+    np.save(tmp_path / "b/1.npy", np.where(DEPTH > 5, 1e4, DEPTH) * np.float32(256))
     path = tmp_path / "list.csv"
     path.write_text(
         "\ufeffrgb, depth, scene\n# comment\n\n"
         f'b/1.png,b/1.npy,south\na/1.png,a/1.tif,\n{tmp_path}/a/2.png,"a/2.png.png"\n'
         "a/1.png,a/1.tif\n"
     )
-    values = {"intrinsics": PINHOLE, "depth_scale": 200, "invalid_above_m": 100}
+    values = {"intrinsics": PINHOLE, "depth_scale": 256, "invalid_above_m": 100}
     listed = reader("csv_list", path, **values)
     found = listed.discover()
     assert [ref.name for ref in found.frames] == ["list/2", "list/a-1", "south/1"]
     assert found.skipped == {"listed twice": 1}
     two, one, south = map(listed.load, found.frames)
-    np.testing.assert_allclose(two.depth_m, DEPTH, atol=1 / 200)
+    np.testing.assert_allclose(two.depth_m, DEPTH, atol=1 / 256)
     np.testing.assert_array_equal(one.depth_m, np.where(DEPTH < 1, 0, DEPTH))
     np.testing.assert_array_equal(south.depth_m, np.where(DEPTH > 5, 0, DEPTH))
     assert two.intrinsics.cx == 11.5
@@ -522,3 +522,44 @@ def test_configuration_alone_loads_no_heavy_library() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == []
+
+
+# --- units of depth ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stored", [DEPTH, (DEPTH * 1000).astype(np.uint16)])
+def test_depth_without_a_scale_is_metres_or_integer_millimetres(tmp_path: Path, stored) -> None:
+    write(tmp_path / "1.png", RGB)
+    write(tmp_path / "1.tif", stored)
+    (tmp_path / "list.csv").write_text("1.png,1.tif\n")
+    listed = reader("csv_list", tmp_path / "list.csv", intrinsics=PINHOLE)
+    (frame,) = map(listed.load, listed.discover().frames)
+    np.testing.assert_allclose(frame.depth_m, DEPTH, atol=1e-3)
+
+
+def test_float_millimetres_are_named_and_depth_scale_mends_them(tmp_path: Path) -> None:
+    write(tmp_path / "1.png", RGB)
+    write(tmp_path / "1.tif", DEPTH * np.float32(1000))
+    (tmp_path / "list.csv").write_text("1.png,1.tif\n")
+    listed = reader("csv_list", tmp_path / "list.csv", intrinsics=PINHOLE)
+    (ref,) = listed.discover().frames
+    with pytest.raises(
+        FrameError, match=r"median depth \d,\d+ m: millimetres\? set scenes.depth_sc"
+    ):
+        listed.load(ref)
+    mended = reader("csv_list", tmp_path / "list.csv", intrinsics=PINHOLE, depth_scale=1000)
+    np.testing.assert_allclose(mended.load(ref).depth_m, DEPTH, rtol=1e-5)
+    twice = reader("csv_list", tmp_path / "list.csv", intrinsics=PINHOLE, depth_scale=1e6)
+    with pytest.raises(FrameError, match="divided twice"):
+        twice.load(ref)
+
+
+def test_the_list_of_frames_is_a_file(tmp_path: Path) -> None:
+    write(tmp_path / "1.png", RGB)
+    write(tmp_path / "1.tif", DEPTH)
+    path = tmp_path / "list.csv"
+    path.write_text("1.png,1.tif\n")
+    named: Any = build(Scenes, {"kind": "csv_list", "file": str(path), "intrinsics": PINHOLE})
+    assert len(open_reader(named).discover().frames) == 1
+    with pytest.raises(FactoryError, match=r"scenes.file=frames.csv"):
+        build(Scenes, {"kind": "csv_list", "intrinsics": PINHOLE})

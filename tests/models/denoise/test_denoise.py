@@ -20,6 +20,7 @@ from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.recordings.video import VideoFile
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise.command import main
+from simnfnd.models.denoise.compared import CAPTION_PX
 from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.denoise.files import denoise_image
 from simnfnd.models.denoise.inputs import Item, find_items
@@ -124,7 +125,9 @@ def test_images_keep_name_size_and_dtype(
         assert not np.array_equal(result, image)
         sheet = cv2.imread(str((out / "compare" / name).with_suffix(".png")), cv2.IMREAD_UNCHANGED)
         assert sheet is not None
-        assert sheet.shape[:2] == (31, 2 * 40 + 4)
+        assert sheet.shape[:2] == (CAPTION_PX + 31, 2 * 40 + 4)
+        names = sheet[:CAPTION_PX, :, :3] if sheet.ndim == 3 else sheet[:CAPTION_PX]
+        assert names[:, :40].max() > 60 < names[:, 44:].max(), "each picture is named"
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     assert main(arguments) == 0
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
@@ -196,7 +199,7 @@ def test_shards_become_denoised_shards(weights: Path, tmp_path: Path) -> None:
             assert np.abs(done["denoised"][row] - expected).max() <= 0.51
     sheet = cv2.imread(str(out / "compare/train/shard-00000.png"))
     assert sheet is not None
-    assert sheet.shape[:2] == (4 * 32, 3 * 32 + 2 * 4)
+    assert sheet.shape[:2] == (CAPTION_PX + 4 * 32, 3 * 32 + 2 * 4)
 
 
 def test_a_bad_file_among_good_ones_is_skipped(

@@ -1,0 +1,40 @@
+"""Wide pictures on the page of `evaluate real`, in a real browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simnfnd.evaluation.report.examples import as_data_uri
+from simnfnd.evaluation.report.pages import own_file, render
+from tests.evaluation.report import browser
+
+
+@pytest.mark.skipif(browser.found() is None, reason="no browser here")
+@pytest.mark.parametrize("width_px", [390, 1280])
+def test_they_are_seen_whole(tmp_path: Path, width_px: int) -> None:
+    picture = as_data_uri(np.linspace(0, 1, 1600 * 200, dtype=np.float32).reshape(200, 1600))
+    lists, tables = ("verdicts", "lines", "names"), ("columns", "cells", "notes")
+    empty: dict[str, Any] = {**{name: [] for name in lists}, **{name: {} for name in tables}}
+    strips = [("a dive", True, [("noisy", picture), ("median", picture)])]
+    page = tmp_path / "real.html"
+    page.write_text(
+        render(
+            "real.html", css=own_file("page.css"), title="t", about="", truth=False,
+            by_group=([], []), rules=[], strips=strips, **empty,
+        ),
+        encoding="utf-8",
+    )  # fmt: skip
+    with browser.Browser() as shown:
+        shown.screen(width_px, 844, dark=False)
+        shown.open(page)
+        assert shown.run("document.documentElement.scrollWidth") == width_px
+        box = "(({width, height, right}) => [width, height, right])"
+        boxes = f"[...document.images].map((one) => {box}(one.getBoundingClientRect()))"
+        for width, height, right in shown.run(boxes):
+            assert right <= width_px
+            assert width / height == pytest.approx(8, rel=0.02)
+        assert shown.complaints == []

@@ -1,0 +1,143 @@
+"""What a command says while it works, on a terminal and in a file."""
+
+import os
+import pty
+import re
+import subprocess
+import sys
+import time
+from itertools import pairwise
+
+import pytest
+
+from simnfnd.factory import progress
+from simnfnd.factory.jobs.progress import Estimate
+from simnfnd.factory.jobs.settings import Crew
+from tests.factory.jobs.test_scheduler_stages import staged
+from tests.fake_source import FakeConfig
+from tests.project_files import ROOT
+from tests.run_fake import make
+
+COUNTS = re.compile(r"frames (\d+)/16.*, pairs (\d+)/32; \d+:\d\d gone(?:, \d+:\d\d left)?")
+
+
+def test_a_run_counts_frames_and_pairs_from_the_first_one_on(tmp_path, capfd):
+    staged(tmp_path / "dataset", FakeConfig(delay_s=0.01), scheduler={"backend": "serial"})
+    lines = capfd.readouterr().err.splitlines()
+    assert lines[0] == "starting 2 workers (2 of them for renders) for 32 pairs"
+    counted = [COUNTS.fullmatch(line) for line in lines if line.startswith("frames")]
+    assert counted[0] is not None
+    assert counted[0].groups() == ("1", "0")
+    assert "left" in counted[0].group()
+    assert counted[-1] is not None
+    assert counted[-1].groups() == ("16", "32")
+    assert lines[-1] == "writing index, card"
+
+
+def test_pairs_of_one_long_shard_are_foretold_before_it_lands(tmp_path, capfd, monkeypatch):
+    monkeypatch.setattr(progress.Lines, "due", lambda self: True)
+    make(tmp_path / "dataset", FakeConfig(delay_s=0.15), workers=1)
+    lines = [line for line in capfd.readouterr().err.splitlines() if line.startswith("pairs")]
+    first = int(lines[0].partition("/")[0].removeprefix("pairs "))
+    assert 0 < first < 8  # of the 8 of the first shard
+    assert "left" in lines[0]
+
+
+def test_the_time_left_is_that_of_both_stages():
+    estimate = Estimate(Crew(render=2, noise=2))
+    assert estimate.left_s(10, 100) is None
+    for _ in range(2):
+        estimate.frame(30.0)  # with Blender to load
+    assert estimate.left_s(10, 0) == pytest.approx(150)
+    for _ in range(4):
+        estimate.frame(4.0)
+    assert estimate.left_s(10, 0) == pytest.approx(20)  # two workers render
+    estimate.pairs(8.0, 8)
+    assert estimate.left_s(10, 100) == pytest.approx((40 + 100) / 4)
+    assert estimate.left_s(100, 100) == pytest.approx(200)
+    estimate.running([(3.0, 1), (9.0, 0)])
+    assert estimate.costs_s() == pytest.approx((4.0, 11 / 9))
+    assert estimate.left_s(0, 0) == 0
+
+
+def test_a_bar_in_a_file_is_a_few_whole_lines(capfd):
+    with progress.progress_bar(total=5000, unit="step", desc="training") as bar:
+        for step in range(5000):
+            bar.set_postfix(loss=step / 3)
+            bar.update()
+    text = capfd.readouterr().err
+    assert "\r" not in text
+    lines = text.splitlines()
+    assert len(lines) <= 3
+    assert lines[0].startswith("training: 1 of 5000 steps in 0:00, ")
+    assert lines[-1] == "training: 5000 of 5000 steps in 0:00; loss 1.67e+03"
+    assert list(progress.progress_bar(range(3), unit="draw", desc="draws")) == [0, 1, 2]
+    assert capfd.readouterr().err.splitlines()[-1] == "draws: 3 of 3 draws in 0:00"
+
+
+def test_lines_come_ever_more_rarely(monkeypatch):
+    now = 100.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    lines, times = progress.Lines(), []
+    for second in range(600):
+        now = 100.0 + second
+        if lines.due():
+            times.append(second)
+    assert times[:6] == [0, 2, 4, 8, 16, 32]
+    assert all(later - earlier == 30 for earlier, later in pairwise(times[6:]))
+
+
+def test_a_stage_is_named_only_when_it_lasts(capfd):
+    with progress.stage_if_slow("looking", 0.05):
+        time.sleep(0.3)
+    assert capfd.readouterr().err == "looking\n"
+    with progress.stage_if_slow("looking", 5.0):
+        pass
+    assert capfd.readouterr().err == ""
+
+
+TERMINAL = """
+import sys
+from pathlib import Path
+from tests.factory.jobs.test_scheduler_stages import staged
+from tests.fake_source import FakeConfig
+staged(Path(sys.argv[1]), FakeConfig(delay_s=0.02), scheduler={"backend": "serial"})
+"""
+
+
+def test_on_a_terminal_one_bar_counts_both(tmp_path):
+    command = [sys.executable, "-c", TERMINAL, str(tmp_path / "dataset")]
+    _, shown = on_terminal(command)
+    assert "frames 1/16, pairs 0/32; " in shown
+    shares = [int(share) for share in re.findall(r"(\d+)%\|", shown)]
+    assert shares[0] == 0
+    assert shares[-1] == 100
+    assert shares == sorted(shares), "it never goes back"
+
+
+def on_terminal(command: list[str]) -> tuple[float, str]:
+    """Seconds until its first word and all that a command shows on a terminal."""
+    parent, child = pty.openpty()
+    begun = time.monotonic()
+    process = subprocess.Popen(command, cwd=ROOT, stderr=child, stdout=child, close_fds=True)
+    os.close(child)
+    shown = os.read(parent, 4096)
+    first_s = time.monotonic() - begun
+    try:
+        while more := os.read(parent, 4096):
+            shown += more
+    except OSError:  # the other end is closed
+        pass
+    process.wait(timeout=60)
+    os.close(parent)
+    return first_s, shown.decode()
+
+
+def test_the_first_word_comes_at_once_on_a_terminal(tmp_path):
+    """A second, or a quarter of the command on a machine that is busy."""
+    command = [sys.executable, "-m", "simnfnd", "make", "scenes=flsea", "scenes.root=absent"]
+    begun = time.monotonic()
+    first_s, shown = on_terminal(command)
+    assert shown.startswith("simnfnd make: starting")
+    assert "error: scenes.root=absent" in shown
+    assert first_s < max(1.0, (time.monotonic() - begun) / 4)

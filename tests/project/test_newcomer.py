@@ -1,0 +1,76 @@
+"""Small things that cost a newcomer's first hour."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import h5py
+import pytest
+import yaml
+
+from simnfnd.command import main
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.settings import build
+from simnfnd.models.settings import TrainSettings
+from tests.fake_source import FakeConfig
+from tests.project_files import ROOT, modules
+from tests.run_fake import make
+
+
+def training(**given: Any) -> TrainSettings:
+    values = yaml.safe_load((ROOT / "conf/models.yaml").read_text(encoding="utf-8"))["train"]
+    settings: TrainSettings = build(TrainSettings, {**values, **given}, "train")
+    return settings
+
+
+def test_a_short_training_is_checked_at_its_end() -> None:
+    assert training(steps=10).check_every == 10
+    assert training(steps=400).check_every == 200
+    with pytest.raises(FactoryError, match=r"train\.check_every=150 fits"):
+        training(steps=450)
+
+
+def test_bars_of_logs_are_few_lines_for_every_verb() -> None:
+    """tqdm itself writes a line a step into a file; `progress_bar` does not."""
+    own = {Path("factory/progress/__init__.py"), Path("factory/jobs/progress.py")}
+    for path in set(modules("factory", "models", "evaluation", "simnfnd")) - own:
+        assert "tqdm" not in (ROOT / path).read_text(encoding="utf-8"), path
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Path:
+    make(tmp_path / "data", FakeConfig(), scheduler={"backend": "serial"})
+    return tmp_path / "data"
+
+
+def test_a_preview_that_cannot_be_written_names_its_option(
+    dataset: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = dataset / "manifest.json" / "sheet.png"
+    assert main(["preview", str(dataset), "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: --out: cannot write ")
+    assert "dataset.dir" not in said
+
+
+def test_a_stale_index_has_a_remedy_that_works(
+    dataset: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with h5py.File(dataset / "index.h5", "r+") as index:
+        del index["test"]
+    assert main(["validate", str(dataset)]) == 1
+    assert "run the command that made the dataset again" in capsys.readouterr().out
+    (dataset / "index.h5").unlink()
+    make(dataset, FakeConfig(), scheduler={"backend": "serial"})
+    assert main(["validate", str(dataset)]) == 0
+
+
+def test_the_h5py_sample_prints_text(capsys: pytest.CaptureFixture[str]) -> None:
+    """`/meta` holds bytes, which print as b'...' until they are decoded."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for sample in re.findall(r"```python\n(.*?)```", readme, re.DOTALL):
+        for line in sample.splitlines():
+            if "print" in line and '["scene"]' in line:
+                assert '["scene"].decode()' in line
