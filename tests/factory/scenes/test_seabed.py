@@ -18,10 +18,23 @@ from hypothesis import strategies as st
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.scenes.seabed import CLASSES, SeabedReader, SeabedSettings
+from simnfnd.factory.scenes.seabed.casting import directions, view, z_buffer
 from simnfnd.factory.scenes.seabed.fields import lookup, tiles, waves
 from simnfnd.factory.scenes.seabed.names import PLACE_NAMES
-from simnfnd.factory.scenes.seabed.objects.meshes import Mesh, box, lathe, rock, sphere, tube
-from simnfnd.factory.scenes.seabed.world import build_world, choose_pose
+from simnfnd.factory.scenes.seabed.objects.meshes import (
+    Mesh,
+    box,
+    grid_triangles,
+    lathe,
+    rock,
+    sphere,
+    tube,
+)
+from simnfnd.factory.scenes.seabed.optics import Optics, camera
+from simnfnd.factory.scenes.seabed.photo import Scene, _light
+from simnfnd.factory.scenes.seabed.terrain import view_mesh
+from simnfnd.factory.scenes.seabed.viewpoint import choose_pose
+from simnfnd.factory.scenes.seabed.world import _field_of_view, build_world
 from simnfnd.factory.settings import build
 from tests.project_files import ROOT
 
@@ -188,17 +201,95 @@ def test_ground_points_lie_on_the_terrain(frames: dict[tuple[int, int], Frame]) 
 
 @pytest.mark.parametrize("location", [0, 1, 3, 6, 12])
 def test_the_path_keeps_clear_of_everything(location: int) -> None:
-    import open3d
-
-    core: Any = open3d.core
+    open3d: Any = pytest.importorskip("open3d")
     world = build_world(location, PLACE_NAMES, 1.0, None)
+    side = np.arange(-36, 36, 0.3)
+    x, y = np.meshgrid(side, side, indexing="ij")
+    ground = np.stack([x, y, world.terrain.height_m(x, y)], axis=-1).reshape(-1, 3)
+    things = world.objects.mesh
+    meshes = ((ground, grid_triangles(len(side), len(side))), (things.vertices, things.triangles))
+    scenes = [ray_casting(open3d, *one) for one in meshes]
     for pose in (*range(0, 60, 6), 5000):
         eye = choose_pose(world, pose).eye
-        query = core.Tensor(eye[None].astype(np.float32))
-        for scene in (world.objects.scene, world.coarse):
+        query = open3d.core.Tensor(eye[None].astype(np.float32))
+        for scene in scenes:
             assert scene.compute_distance(query).numpy()[0] > 0.4
-        ground = world.terrain.height_m(eye[:1], eye[1:2])[0]
-        assert 0.7 <= eye[2] - ground <= 3.0
+        ground_m = world.terrain.height_m(eye[:1], eye[1:2])[0]
+        assert 0.7 <= eye[2] - ground_m <= 3.0
+
+
+def ray_casting(open3d: Any, vertices: npt.NDArray[Any], triangles: npt.NDArray[Any]) -> Any:
+    """Open3D's own ray-casting scene of a mesh: somebody else's arithmetic."""
+    scene = open3d.t.geometry.RaycastingScene(nthreads=1)
+    scene.add_triangles(
+        open3d.core.Tensor(np.ascontiguousarray(vertices, dtype=np.float32)),
+        open3d.core.Tensor(np.ascontiguousarray(triangles, dtype=np.uint32)),
+    )
+    return scene
+
+
+@pytest.mark.parametrize(
+    ("location", "optics"), [(2, camera(242, 152)), (6, camera(242, 152, 130, 20))]
+)
+def test_the_z_buffer_meets_what_rays_meet(location: int, optics: Optics) -> None:
+    """Depth and triangle of every pixel against Open3D's rays, near the lens and in wide views."""
+    open3d: Any = pytest.importorskip("open3d")
+    world = build_world(location, PLACE_NAMES, 1.0, None)
+    where = choose_pose(world, 1)
+    ground = view_mesh(world.terrain, where.eye, (-4.0, 4.0), (-0.9, 0.3), (80, 200)).points
+    objects, everything = world.objects, np.ones(len(world.objects.balls), dtype=np.bool_)
+    seen = z_buffer(where, optics, ground, objects, everything)
+    toward = directions(where.rotation, optics.intrinsics, optics.width, optics.height)
+    rays = np.concatenate([np.broadcast_to(where.eye, toward.shape), toward], axis=-1)
+    floor = grid_triangles(*ground.shape[:2])
+    answers = [
+        ray_casting(open3d, points, triangles).cast_rays(
+            open3d.core.Tensor(rays.astype(np.float32)), nthreads=1
+        )
+        for points, triangles in (
+            (ground.reshape(-1, 3), floor),
+            (objects.mesh.vertices, objects.mesh.triangles),
+        )
+    ]
+    floor_m, object_m = (answer["t_hit"].numpy() for answer in answers)
+    expected = np.minimum(floor_m, object_m)
+    met = seen.which >= 0
+    assert (met == np.isfinite(expected)).mean() > 0.9999
+    both = met & np.isfinite(expected)
+    error = np.abs(1 / seen.inverse[both] - expected[both]) / expected[both]
+    assert np.percentile(error, 99) < 1e-4
+    on_object = object_m < floor_m
+    assert ((seen.which >= len(floor)) == on_object)[both].mean() > 0.999
+
+
+def test_shadows_fall_where_rays_to_the_sun_are_blocked() -> None:
+    open3d: Any = pytest.importorskip("open3d")
+    world = build_world(4, PLACE_NAMES, 1.0, None)
+    optics, where = camera(484, 304), choose_pose(world, 1)
+    ground = view_mesh(world.terrain, where.eye, *_field_of_view(where, optics), (220, 160))
+    scene = Scene(
+        where, optics, ground, world.objects, world.finishes, world.palette, world.water, (0, 0)
+    )
+    hits = view(where, optics, ground, world.objects)
+    lit, free = _light(scene, hits)
+    assert 0 <= free.min() < 0.7
+    assert free.max() == 1
+    toward = directions(where.rotation, optics.intrinsics, optics.width, optics.height)[::2, ::2]
+    depth = hits.depth_m[::2, ::2, None]
+    near = np.isfinite(depth[..., 0]) & (depth[..., 0] < 10)
+    start = where.eye + np.where(near[..., None], depth, 1) * toward
+    start = start + (0.004 + 0.004 * depth) * hits.normals[::2, ::2]
+    sun = np.broadcast_to(world.water.sun_direction, start.shape)
+    rays = open3d.core.Tensor(np.concatenate([start, sun], axis=-1)[near].astype(np.float32))
+    dark = np.zeros(int(near.sum()), dtype=np.bool_)
+    things = world.objects.mesh
+    for points, triangles in (
+        (ground.points.reshape(-1, 3), ground.triangles),
+        (things.vertices, things.triangles),
+    ):
+        dark |= ray_casting(open3d, points, triangles).test_occlusions(rays, nthreads=1).numpy()
+    assert dark.mean() > 0.02  # there is something to find
+    assert ((lit[near] == 0) == dark).mean() > 0.97
 
 
 def test_a_frame_depends_on_its_name_alone() -> None:
