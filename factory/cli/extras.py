@@ -29,6 +29,7 @@ EXTRAS = {
     "distributed": "cluster",
     "huggingface_hub": "export",
     "webdataset": "export",
+    "matplotlib": "figures",
     "rosbags": "ros",
     "hdf5plugin": "zstd",
 }
