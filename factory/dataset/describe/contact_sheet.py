@@ -79,10 +79,11 @@ def _panel(
     full = 1.0 if name == "shadow" else sample.full_scale
     share = np.nan_to_num(np.asarray(sample.images[name], dtype=np.float32) / np.float32(full))
     codes = np.clip(np.rint(share * 255), 0, 255).astype(np.uint8)
-    picture = Image.fromarray(_table(colours)[codes])
+    picture = Image.fromarray(codes)
     smaller = width < picture.width or height < picture.height
     ways = Image.Resampling
-    sheet.paste(picture.resize((width, height), ways.BOX if smaller else ways.NEAREST), (left, top))
+    fitting = picture.resize((width, height), ways.BOX if smaller else ways.NEAREST)
+    sheet.paste(Image.fromarray(_table(colours)[np.asarray(fitting)]), (left, top))
     right, bottom = left + width - 1, top + height - 1
     pen.rectangle((left, top, right, bottom), outline=palette.LINE)
     pen.text((left, top - 4), name, palette.FAINT, _font(15), anchor="lb")

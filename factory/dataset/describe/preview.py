@@ -49,7 +49,7 @@ def preview(
     title = f"{manifest.samples('train')} train and {manifest.samples('test')} test pairs"
     shown = [_load(directory, sample) for sample in chosen]
     buffer = io.BytesIO()
-    draw(shown, title, f"config {manifest.config_hash[:8]}").save(buffer, "PNG", compress_level=3)
+    draw(shown, title, f"config {manifest.config_hash[:8]}").save(buffer, "PNG", compress_level=1)
     path = directory / PREVIEW_NAME if out is None else Path(out)
     write_atomically(path, buffer.getvalue())
     return path

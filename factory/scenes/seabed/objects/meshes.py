@@ -59,7 +59,9 @@ def rotation(axis: str, angle_rad: float) -> npt.NDArray[np.float64]:
 def mesh(vertices: npt.ArrayLike, triangles: npt.ArrayLike, colour: npt.ArrayLike = GREY) -> Mesh:
     """A mesh of one colour, or of one colour a vertex."""
     points = np.asarray(vertices, dtype=np.float32)
-    colours = np.array(np.broadcast_to(np.asarray(colour, dtype=np.float32), points.shape))
+    colours = np.array(
+        np.broadcast_to(np.asarray(colour, dtype=np.float32), points.shape), order="C"
+    )
     return Mesh(points, colours, np.asarray(triangles, dtype=np.int32))
 
 
