@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,6 +15,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Frame, FrameRef
@@ -85,6 +87,46 @@ def test_every_frame_is_measured_in_part_and_at_close_range(
         assert depth.min() > 0.5, name
         assert depth.max() < 20, name
         assert 1.0 < np.median(depth) < 8, name
+
+
+FACTS = ("depth_m", "measured", "slope", "objects", "on_objects", "contrast", "texture")
+
+
+def facts(frame: Frame) -> list[float]:
+    """What a frame is like, in the order of FACTS; slopes and texture away from gaps."""
+    valid, depth = frame.valid, frame.depth_m.astype(np.float64)
+    assert frame.instance is not None
+    assert frame.segmentation is not None
+    inner = valid[1:-1, 1:-1] & valid[1:-1, 2:] & valid[1:-1, :-2] & valid[2:, 1:-1]
+    inner &= valid[:-2, 1:-1]
+    light = frame.rgb.astype(np.float64).mean(axis=-1)
+
+    def steep(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        across, down = values[1:-1, 2:] - values[1:-1, :-2], values[2:, 1:-1] - values[:-2, 1:-1]
+        return np.asarray(np.hypot(across, down)[inner])
+
+    return [
+        float(np.median(depth[valid])),
+        float(valid.mean()),
+        float(np.median(steep(depth) / depth[1:-1, 1:-1][inner])),
+        len(np.unique(frame.instance)) - 1,
+        float((frame.segmentation > 0).mean()),
+        float(light[valid].std() / light[valid].mean()),
+        float(np.median(steep(light)) / light[valid].mean()),
+    ]
+
+
+@pytest.mark.parametrize("number", range(len(FACTS)), ids=FACTS)
+def test_frames_are_as_rich_as_those_of_cast_rays(
+    number: int, frames: dict[tuple[int, int], Frame]
+) -> None:
+    """The same 24 frames as made by Open3D's rays and numpy's passes, before z-buffers."""
+    before = np.array(json.loads((ROOT / "tests/factory/scenes/seabed_before.json").read_text()))
+    now = np.array([facts(frame) for frame in frames.values()])
+    assert now.shape == before.shape
+    one, other = now[:, number], before[:, number]
+    assert stats.ks_2samp(one, other).pvalue > 0.2
+    assert np.median(one) == pytest.approx(np.median(other), rel=0.12)
 
 
 def test_frames_have_the_types_that_readers_promise(frames: dict[tuple[int, int], Frame]) -> None:
