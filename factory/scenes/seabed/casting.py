@@ -124,7 +124,7 @@ def z_buffer(
     reach_m: float = 1e6,
 ) -> ZBuffer:
     """Paint the (R, C, 3) grid of the ground and the wanted objects, no further than `reach_m`."""
-    from simnfnd.factory.scenes.seabed.raster_loops import paint
+    from simnfnd.factory.scenes.seabed.loops.raster_loops import paint
 
     rows, columns = ground.shape[:2]
     lens = lens_of(optics)
@@ -180,7 +180,7 @@ class Hits:
 
 def view(where: Pose, optics: Optics, ground: GroundMesh, objects: Objects) -> Hits:
     """What every pixel of a camera meets on ground and objects."""
-    from simnfnd.factory.scenes.seabed.surface_loops import meet
+    from simnfnd.factory.scenes.seabed.loops.surface_loops import meet
 
     seen = z_buffer(
         where, optics, ground.points, objects, np.ones(len(objects.balls), dtype=np.bool_)

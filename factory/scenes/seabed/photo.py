@@ -36,7 +36,7 @@ class Scene:
 
 def photograph(rng: np.random.Generator, scene: Scene, hits: Hits) -> npt.NDArray[np.uint8]:
     """The (H, W, 3) picture of what a view meets."""
-    from simnfnd.factory.scenes.seabed import colour_loops
+    from simnfnd.factory.scenes.seabed.loops import colour_loops
 
     water, where = scene.water, scene.where
     lit, free = _light(scene, hits)
@@ -66,7 +66,7 @@ def _light(scene: Scene, hits: Hits) -> tuple[Floats, Floats]:
     coarse one.  Openness is the share of the near surroundings that is open: dark in corners and
     under things.
     """
-    from simnfnd.factory.scenes.seabed.surface_loops import light
+    from simnfnd.factory.scenes.seabed.loops.surface_loops import light
 
     shape = tuple(-(-size // 2) for size in hits.depth_m.shape)
     lit, free = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
@@ -85,7 +85,7 @@ def _light(scene: Scene, hits: Hits) -> tuple[Floats, Floats]:
 
 def _sun_map(scene: Scene, slope: Floats, side_m: float, ahead_m: float) -> tuple[Floats, Floats]:
     """Greatest height that the sun's light meets, around a place ahead of the camera, and where."""
-    from simnfnd.factory.scenes.seabed.raster_loops import cover
+    from simnfnd.factory.scenes.seabed.loops.raster_loops import cover
 
     cells = 1024 if scene.optics.width >= 600 else 512
     eye, forward = scene.where.eye, scene.where.rotation[:2, 2]
@@ -154,7 +154,7 @@ def develop(rng: np.random.Generator, colour: Floats, haze: Floats) -> npt.NDArr
 
     colour: (H, W, 3) linear.  haze: (3,) what the black level takes away.
     """
-    from simnfnd.factory.scenes.seabed.colour_loops import expose, through_lens
+    from simnfnd.factory.scenes.seabed.loops.colour_loops import expose, through_lens
 
     seen = np.empty_like(colour)
     through_lens(colour, haze.astype(np.float32), _blur_weights(), seen)

@@ -27,7 +27,7 @@ def choose_pose(world: World, frame: int) -> Pose:
     A good view has ground to throw shadows on, objects at middle range, something missing but not
     much, and nothing right before the lens.
     """
-    from simnfnd.factory.scenes.seabed.viewpoint_loops import judge
+    from simnfnd.factory.scenes.seabed.loops.viewpoint_loops import judge
 
     eye = world.path.eye(frame, world.terrain)
     heading, pitch, roll = world.path.attitude_deg(frame)

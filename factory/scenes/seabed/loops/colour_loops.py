@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from simnfnd.factory.compiled import compiled
-from simnfnd.factory.scenes.seabed.field_loops import ROWS
 from simnfnd.factory.scenes.seabed.fields import STEPS
+from simnfnd.factory.scenes.seabed.loops.field_loops import ROWS
 
 _F = np.float32
 _ROUND = _F(12582912)
