@@ -17,6 +17,7 @@ LOOPS = (
     "simnfnd.factory.scenes.seabed.loops.colour_loops",
     "simnfnd.factory.scenes.seabed.loops.field_loops",
     "simnfnd.factory.scenes.seabed.objects.mesh_loops",
+    "simnfnd.factory.scenes.seabed.loops.picture_loops",
     "simnfnd.factory.scenes.seabed.loops.raster_loops",
     "simnfnd.factory.scenes.seabed.loops.surface_loops",
     "simnfnd.factory.scenes.seabed.loops.viewpoint_loops",

@@ -20,7 +20,7 @@ def measured(
     depth_m, range_m: (H, W), inf where there is only water.  clear_m: how far the water lets
     matching work; the border is ragged.  At least 8 to 38 % are lost, small shares more often.
     """
-    from simnfnd.factory.scenes.seabed.loops.colour_loops import window
+    from simnfnd.factory.scenes.seabed.loops.picture_loops import window
 
     height, width = depth_m.shape
     scale = width / 968
@@ -49,7 +49,7 @@ def measured(
 
 def _edges(depth_m: Floats, noise: Floats, scale: float) -> npt.NDArray[np.bool_]:
     """Cracks along depth edges, on the far side, of a width that varies."""
-    from simnfnd.factory.scenes.seabed.loops.colour_loops import least_around
+    from simnfnd.factory.scenes.seabed.loops.picture_loops import least_around
 
     finite = np.where(np.isfinite(depth_m), depth_m, np.float32(1e4))
     size = max(round(9 * scale), 3) | 1

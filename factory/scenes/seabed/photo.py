@@ -154,7 +154,7 @@ def develop(rng: np.random.Generator, colour: Floats, haze: Floats) -> npt.NDArr
 
     colour: (H, W, 3) linear.  haze: (3,) what the black level takes away.
     """
-    from simnfnd.factory.scenes.seabed.loops.colour_loops import expose, through_lens
+    from simnfnd.factory.scenes.seabed.loops.picture_loops import expose, through_lens
 
     seen = np.empty_like(colour)
     through_lens(colour, haze.astype(np.float32), _blur_weights(), seen)

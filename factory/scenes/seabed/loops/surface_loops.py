@@ -155,7 +155,7 @@ def light(
             if not depth * np.sqrt(1 + x0 * x0 + y0 * y0) < farthest_m:
                 continue
             # Clear of the surface's own facets, coarser far away, or they would shade themselves.
-            lift = 0.004 + 0.004 * min(depth, 20)
+            lift = 0.004 + 0.004 * min(float(depth), 20.0)
             nx = np.float64(normals[row, column, 0])
             ny = np.float64(normals[row, column, 1])
             nz = np.float64(normals[row, column, 2])
