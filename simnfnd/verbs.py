@@ -45,6 +45,7 @@ MAKE, LOOK, PASS_ON, DENOISE, JUDGE = (
 )
 _COMMANDS = "simnfnd.factory.commands"
 _NETWORK = ("torch", "safetensors")
+_FIGURES = ("matplotlib",)
 _TRAINING = ("torch", "lightning", "safetensors", "tensorboard")
 
 
@@ -117,10 +118,11 @@ VERBS: dict[str, Verb] = {
     "gallery": Verb(
         LOOK, "the paper's figures, from procedural scenes", f"{_COMMANDS}.gallery:main",
         ("simnfnd gallery", "simnfnd gallery scenes=flsea scenes.root=flsea-vi --out figures"),
+        needs=_FIGURES,
     ),
     "physics": Verb(
         LOOK, "devices and effects of the physical profile", f"{_COMMANDS}.physics:main",
-        ("simnfnd physics --out outputs/physics",),
+        ("simnfnd physics --out outputs/physics",), needs=_FIGURES,
     ),
     "geometry": Verb(
         LOOK, "where range and bearing lie in fan pictures", f"{_COMMANDS}.geometry:main",

@@ -31,6 +31,7 @@ EXTRAS = {
     "webdataset": "export",
     "onnx": "onnx",
     "onnxruntime": "onnx",
+    "matplotlib": "figures",
     "rosbags": "ros",
     "hdf5plugin": "zstd",
 }
@@ -84,8 +85,6 @@ def needs_of(config: FactoryConfig) -> Iterator[Need]:
         yield Need("render=cycles", "bpy", "render=analytic or render=embree")
     if not packed and config.render.kind == "embree":
         yield Need("render=embree", "open3d", "render=analytic or render=cycles")
-    if config.scenes.kind == "seabed":
-        yield Need("scenes=seabed", "open3d", "a recording, for example scenes=csv_list")
     if config.resample.kind == "voxel":
         yield Need("resample=voxel", "open3d", "resample=random")
     if config.scheduler.backend == "dask":

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.cli import Parser
+from simnfnd.factory.cli.extras import Need, require
 from simnfnd.factory.dataset.describe.summary import DatasetSummary, summarize
 from simnfnd.factory.dataset.read.config_file import dataset_settings
 
@@ -23,6 +24,8 @@ def main(words: list[str]) -> None:
     parser.add_argument("--pairs", type=int, default=200, help="most pairs to measure (200)")
     parser.add_argument("--png", type=Path, help="draw the histograms into this file, too")
     given = parser.parse_args(words)
+    if given.png is not None:
+        require([Need("inspect --png", "matplotlib", "inspect without it")])
     found = summarize(given.path, given.pairs)
     print("\n".join(report(found, str(given.path))))
     if given.png is not None:

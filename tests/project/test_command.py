@@ -141,7 +141,9 @@ RECORDING = (*ANALYTIC, "scenes=csv_list", "scenes.root={in}/list.csv",
         (("gallery", "--out", "{out}"), "bpy", "blender"),
         (("physics", "--out", "{out}"), "bpy", "blender"),
         (("make", "render=embree", "dataset.dir={out}"), "open3d", "open3d"),
-        (ANALYTIC, "open3d", "open3d"),
+        (("gallery", "--out", "{out}"), "matplotlib", "figures"),
+        (("physics", "--out", "{out}"), "matplotlib", "figures"),
+        (("inspect", "{in}", "--png", "{out}"), "matplotlib", "figures"),
         ((*RECORDING, "resample=voxel"), "open3d", "open3d"),
         ((*RECORDING, "scheduler=dask"), "distributed", "cluster"),
         ((*RECORDING, "dataset.compression=zstd"), "hdf5plugin", "zstd"),
@@ -186,11 +188,11 @@ def test_a_module_that_is_absent_is_said_before_any_work(
 def test_all_that_is_absent_is_said_at_once(monkeypatch, tmp_path: Path, capsys) -> None:
     for module in ("bpy", "open3d"):
         monkeypatch.setitem(sys.modules, module, None)
-    assert run(monkeypatch, "demo", f"dataset.dir={tmp_path / 'out'}") == 2
+    assert run(monkeypatch, "demo", "resample=voxel", f"dataset.dir={tmp_path / 'out'}") == 2
     assert capsys.readouterr().err == (
-        "error: render=cycles needs bpy, scenes=seabed needs open3d: "
+        "error: render=cycles needs bpy, resample=voxel needs open3d: "
         'pip install "simnfnd[blender,open3d]", or choose render=analytic or render=embree; '
-        "a recording, for example scenes=csv_list\n"
+        "resample=random\n"
     )
 
 

@@ -28,7 +28,7 @@ TABLE: dict[str, How] = {
     ),
     "make test": Elsewhere(".ci/run", "make test"),
     ". .venv/bin/activate": NotRun("the tests run in that environment"),
-    'pip install ".[open3d,train]"': NotRun("the tests run in an environment that has all"),
+    'pip install ".[blender,train]"': NotRun("the tests run in an environment that has all"),
     "simnfnd make experiment=simnfnd scenes.root=flsea-vi dataset.dir=outputs/flsea": Run(
         ("frames.limit=1",),
         instead=(("scenes.root=flsea-vi", "scenes.root={shared}/data/flsea-vi"),),

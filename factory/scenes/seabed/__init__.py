@@ -1,7 +1,7 @@
 """Procedural seabed: FLSea-like RGBD frames of invented places, with labels and poses.
 
 A location is a number: it fixes the ground, the objects, the water and the camera's path.  Frames
-are ray-cast (Open3D), so depth, labels and pictures agree to the pixel.
+are drawn by one z-buffer, so depth, labels and pictures agree to the pixel.
 """
 
 from simnfnd.factory.labels import CLASSES

@@ -1,58 +1,25 @@
-"""Ray casting: what each pixel of a camera meets, and which points the sun reaches."""
+"""What a camera meets: poses, the objects of a location in one mesh, and the pixels of a view."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import Intrinsics
-from simnfnd.factory.scenes.seabed.fields import Arrays, Floats
-from simnfnd.factory.scenes.seabed.objects.meshes import Indices, Mesh, vertex_normals
+from simnfnd.factory.scenes.seabed.fields import Floats
+from simnfnd.factory.scenes.seabed.objects.meshes import (
+    Mesh,
+    grid_triangles,
+    join,
+    vertex_normals,
+)
+from simnfnd.factory.scenes.seabed.optics import Optics
 from simnfnd.factory.scenes.seabed.terrain import GroundMesh
 
-if TYPE_CHECKING:
-    from open3d.t.geometry import RaycastingScene
-
 Points = npt.NDArray[np.float64]
-
-
-def _open3d() -> Any:
-    """Open3D, imported late: it takes a second, and a run that only plans frames needs none."""
-    try:
-        import open3d
-    except (ImportError, OSError) as error:
-        raise FactoryError(
-            f'scenes=seabed needs Open3D ({error}): pip install "simnfnd[open3d]"'
-        ) from error
-    return open3d
-
-
-def raycasting_scene(vertices: Floats, triangles: Indices) -> RaycastingScene:
-    """An Open3D scene of one mesh, built by one thread so that ties always fall the same way."""
-    open3d = _open3d()
-    scene = open3d.t.geometry.RaycastingScene(nthreads=1)
-    scene.add_triangles(
-        open3d.core.Tensor(np.ascontiguousarray(vertices, dtype=np.float32)),
-        open3d.core.Tensor(np.ascontiguousarray(triangles, dtype=np.uint32)),
-    )
-    return scene
-
-
-def cast(scene: RaycastingScene, rays: Floats) -> dict[str, Any]:
-    """Open3D's answer for (..., 6) rays as numpy arrays; t_hit is in lengths of the direction."""
-    answer = scene.cast_rays(_open3d().core.Tensor(rays), nthreads=1)
-    return {name: tensor.numpy() for name, tensor in answer.items()}
-
-
-def blocked(scene: RaycastingScene, rays: Floats, reach: float) -> npt.NDArray[np.bool_]:
-    """(...) whether (..., 6) rays meet anything within `reach` lengths of their direction."""
-    tensor = scene.test_occlusions(_open3d().core.Tensor(rays), tnear=0.0, tfar=reach, nthreads=1)
-    return np.asarray(tensor.numpy())
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +47,8 @@ def pose(eye: Points, heading_deg: float, pitch_deg: float, roll_deg: float) -> 
     right = np.array([np.sin(heading), -np.cos(heading), 0.0])
     x = np.cos(roll) * right + np.sin(roll) * down
     y = -np.sin(roll) * right + np.cos(roll) * down
-    return Pose(np.asarray(eye, dtype=np.float64), np.stack([x, y, forward], axis=-1))
+    rotation = np.ascontiguousarray(np.stack([x, y, forward], axis=-1))
+    return Pose(np.asarray(eye, dtype=np.float64), rotation)
 
 
 def directions(
@@ -95,93 +63,138 @@ def directions(
     return np.asarray(x * rotation[:, 0] + y * rotation[:, 1] + rotation[:, 2], dtype=np.float32)
 
 
-def rays_from(origins: Arrays, toward: Arrays) -> Floats:
-    """(..., 6) rays from broadcast origins and directions, (..., 3) each."""
-    shape = np.broadcast_shapes(origins.shape, toward.shape)
-    rays = np.empty((*shape[:-1], 6), dtype=np.float32)
-    rays[..., :3], rays[..., 3:] = origins, toward
-    return rays
-
-
 @dataclass(frozen=True, eq=False)
 class Objects:
-    """All objects of a location as one mesh; owner: (T,) object number of each triangle."""
+    """All objects of a location as one mesh.
+
+    owner: (T,) object number of each triangle.  first_point, first_triangle: (N + 1,) where those
+    of an object begin.  balls: (N, 4) centre and radius around each.
+    """
 
     mesh: Mesh
     normals: Floats
     owner: npt.NDArray[np.uint16]
-    scene: RaycastingScene
+    first_point: npt.NDArray[np.int64]
+    first_triangle: npt.NDArray[np.int64]
+    balls: Points
+
+    def parts(self, wanted: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+        """(K, 4) first point, first triangle and the ends of both, of the wanted objects."""
+        points, triangles = self.first_point, self.first_triangle
+        columns = (points[:-1], triangles[:-1], points[1:], triangles[1:])
+        return np.ascontiguousarray(np.stack(columns, axis=-1)[wanted])
 
 
-def objects_scene(mesh: Mesh, owner: npt.NDArray[np.uint16]) -> Objects:
-    """Build the ray-casting scene of the objects."""
-    normals = vertex_normals(mesh.vertices, mesh.triangles)
-    return Objects(mesh, normals, owner, raycasting_scene(mesh.vertices, mesh.triangles))
+def objects_of(meshes: Sequence[Mesh]) -> Objects:
+    """Join the objects of a location."""
+    whole = join(meshes)
+    points = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
+    triangles = np.cumsum([0] + [len(mesh.triangles) for mesh in meshes])
+    low = np.minimum.reduceat(whole.vertices, points[:-1]).astype(np.float64)
+    high = np.maximum.reduceat(whole.vertices, points[:-1]).astype(np.float64)
+    radius = np.linalg.norm(high - low, axis=1, keepdims=True) / 2
+    return Objects(
+        mesh=whole,
+        normals=vertex_normals(whole.vertices, whole.triangles),
+        owner=np.repeat(np.arange(len(meshes), dtype=np.uint16), np.diff(triangles)),
+        first_point=points.astype(np.int64),
+        first_triangle=triangles.astype(np.int64),
+        balls=np.concatenate([(low + high) / 2, radius], axis=1),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class ZBuffer:
+    """What the pixels of a camera meet first.
+
+    inverse: (H, W) one over the depth along the optical axis, 0 where nothing is.  which: (H, W)
+    number of the triangle, those of the ground first, -1 where nothing is.
+    """
+
+    inverse: Floats
+    which: npt.NDArray[np.int32]
+
+
+def z_buffer(
+    where: Pose,
+    optics: Optics,
+    ground: Floats,
+    objects: Objects,
+    wanted: npt.NDArray[np.bool_],
+    reach_m: float = 1e6,
+) -> ZBuffer:
+    """Paint the (R, C, 3) grid of the ground and the wanted objects, no further than `reach_m`."""
+    from simnfnd.factory.scenes.seabed.loops.raster_loops import paint
+
+    rows, columns = ground.shape[:2]
+    lens = lens_of(optics)
+    inverse = np.zeros((optics.height, optics.width), dtype=np.float32)
+    which = np.full((optics.height, optics.width), -1, dtype=np.int32)
+    camera = where.eye, where.rotation, lens, inverse, which
+    triangles = grid_triangles(rows, columns)
+    paint(ground.reshape(-1, 3), triangles, whole(rows * columns, len(triangles)), 0, *camera)
+    parts = objects.parts(wanted & _in_sight(where, optics, objects.balls, reach_m))
+    paint(objects.mesh.vertices, objects.mesh.triangles, parts, len(triangles), *camera)
+    return ZBuffer(inverse, which)
+
+
+def whole(points: int, triangles: int) -> npt.NDArray[np.int64]:
+    """A mesh as its one part."""
+    return np.array([[0, 0, points, triangles]], dtype=np.int64)
+
+
+def _in_sight(where: Pose, optics: Optics, balls: Points, reach_m: float) -> npt.NDArray[np.bool_]:
+    """(N,) whether balls touch what a camera sees no further than `reach_m`."""
+    x, y, z = ((balls[:, :3] - where.eye)[:, None] * where.rotation.T).sum(axis=2).T
+    radius = balls[:, 3]
+    fx, fy, cx, cy = lens_of(optics)
+    seen = (z > -radius) & (z < reach_m + radius)
+    for offset, slope in ((x, (optics.width - 1 - cx) / fx), (-x, cx / fx),
+                          (y, (optics.height - 1 - cy) / fy), (-y, cy / fy)):  # fmt: skip
+        seen &= offset - slope * z < radius * np.hypot(1, slope)
+    return np.asarray(seen)
+
+
+def lens_of(optics: Optics) -> Points:
+    """(4,) focal lengths and principal point, pixels."""
+    camera = optics.intrinsics
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy], dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Hits:
     """What the pixels of a view meet.
 
-    depth_m: (H, W) along the optical axis, inf where there is nothing.
-    points, normals: (H, W, 3).  ground: (H, W, 3) attributes of `Terrain.surface`, where ground.
-    on_object: (H, W).  owner: (H, W) object number, where on an object.  colours: (H, W, 3) there.
+    depth_m: (H, W) along the optical axis, inf where there is nothing.  inverse: (H, W) one over
+    it.  normals: (H, W, 3).  base: (H, W, 3) attributes of `Terrain.surface` where ground is, the
+    object's colour where an object is.  owner: (H, W) one more than the object's number, 0 on
+    ground.
     """
 
     depth_m: Floats
-    points: Floats
+    inverse: Floats
     normals: Floats
-    ground: Floats
-    on_object: npt.NDArray[np.bool_]
+    base: Floats
     owner: npt.NDArray[np.uint16]
-    colours: Floats
 
 
-def view(
-    eye: Points, toward: Floats, ground: GroundMesh, ground_scene: RaycastingScene, objects: Objects
-) -> Hits:
-    """Cast the (H, W, 3) directions of a view from `eye` on ground and objects."""
-    rays = rays_from(eye, toward)
-    on_ground, on_objects = cast(ground_scene, rays), cast(objects.scene, rays)
-    nearer = on_objects["t_hit"] < on_ground["t_hit"]
-    depth = np.minimum(on_objects["t_hit"], on_ground["t_hit"])
-    reach = np.where(np.isfinite(depth), depth, np.float32(0))
-    points = eye.astype(np.float32) + reach[..., None] * toward
-    row, column = _grid_position(on_ground, ground.points.shape[1])
-    normals = _sampled(ground.normals, column, row)
-    attributes = _sampled(ground.attributes, column, row)
-    owner = np.zeros(depth.shape, dtype=np.uint16)
-    colours = np.zeros_like(points)
-    hit = on_objects["primitive_ids"][nearer].astype(np.int64)
-    owner[nearer] = objects.owner[hit]
-    corners = objects.mesh.triangles[hit]
-    uv = on_objects["primitive_uvs"][nearer]
-    weights = (1 - uv[:, 0] - uv[:, 1], uv[:, 0], uv[:, 1])
-    smooth = _blend(objects.normals, corners, weights)
-    # Thin sheets and inner sides are seen from behind: turn their normals to the camera.
-    away = (smooth * toward[nearer]).sum(axis=-1, keepdims=True) > 0
-    facing = on_objects["primitive_normals"][nearer]
-    behind = (facing * toward[nearer]).sum(axis=-1, keepdims=True) > 0
-    normals[nearer] = np.where(away & behind, -smooth, smooth)
-    colours[nearer] = _blend(objects.mesh.colours, corners, weights)
-    return Hits(depth, points, normals, attributes, nearer, owner, colours)
+def view(where: Pose, optics: Optics, ground: GroundMesh, objects: Objects) -> Hits:
+    """What every pixel of a camera meets on ground and objects."""
+    from simnfnd.factory.scenes.seabed.loops.surface_loops import meet
 
-
-def _sampled(picture: Floats, column: Floats, row: Floats) -> Floats:
-    return np.asarray(cv2.remap(picture, column, row, cv2.INTER_LINEAR), dtype=np.float32)
-
-
-def _blend(values: Floats, corners: Indices, weights: tuple[Floats, Floats, Floats]) -> Floats:
-    """Values at points inside triangles, from those at the corners."""
-    parts = [values[corners[:, k]] * weights[k][:, None] for k in range(3)]
-    return np.asarray(parts[0] + parts[1] + parts[2])
-
-
-def _grid_position(answer: dict[str, Any], columns: int) -> tuple[Floats, Floats]:
-    """Row and column, with fractions, where rays met a mesh with `grid_triangles`."""
-    triangle = answer["primitive_ids"].astype(np.int64)
-    cell, second = triangle >> 1, (triangle & 1).astype(bool)
-    u, v = answer["primitive_uvs"][..., 0], answer["primitive_uvs"][..., 1]
-    row = (cell // (columns - 1)).astype(np.float32) + np.where(second, u, u + v)
-    column = (cell % (columns - 1)).astype(np.float32) + np.where(second, u + v, v)
-    return np.asarray(row, dtype=np.float32), np.asarray(column, dtype=np.float32)
+    seen = z_buffer(
+        where, optics, ground.points, objects, np.ones(len(objects.balls), dtype=np.bool_)
+    )
+    shape = seen.which.shape
+    depth_m = np.empty(shape, dtype=np.float32)
+    normals, base = (np.zeros((*shape, 3), dtype=np.float32) for _ in range(2))
+    owner = np.zeros(shape, dtype=np.uint16)
+    mesh = objects.mesh
+    meet(
+        ground.points.reshape(-1, 3), ground.normals.reshape(-1, 3),
+        ground.attributes.reshape(-1, 3), ground.points.shape[1],
+        mesh.vertices, objects.normals, mesh.colours, mesh.triangles, objects.owner,
+        where.eye, where.rotation, lens_of(optics), seen.inverse, seen.which,
+        depth_m, normals, base, owner,
+    )  # fmt: skip
+    return Hits(depth_m, seen.inverse, normals, base, owner)

@@ -10,7 +10,6 @@ import functools
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -21,6 +20,7 @@ Arrays = npt.NDArray[np.floating[Any]]  # any precision
 
 WORLD_SEED = 0  # the procedural world is one and the same; a location number is a place in it
 TILE = 1024  # pixels a side of every noise picture
+STEPS = 25  # of a standard deviation, in the noise that pictures are painted with
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,16 +36,21 @@ class Waves:
 
     def __call__(self, *coordinates_m: Arrays) -> Floats:
         """The field at D coordinate arrays (metres, one shape), float32 of that shape."""
-        axes = [np.asarray(axis, dtype=np.float32) for axis in coordinates_m]
-        total = np.zeros_like(axes[0])
-        for vector, phase, amplitude in zip(
-            self.vectors, self.phases, self.amplitudes, strict=True
-        ):
-            angle = np.full_like(total, phase)
-            for axis, rate in zip(axes, vector, strict=True):
-                angle += np.float32(rate) * axis
-            total += np.float32(amplitude) * np.sin(angle)
-        return total
+        # Reading a configuration imports this module; only making frames needs numba.
+        from simnfnd.factory.scenes.seabed.loops.field_loops import add_waves
+
+        first = np.asarray(coordinates_m[0])
+        axes = np.stack([np.asarray(axis, dtype=np.float32).ravel() for axis in coordinates_m])
+        total = np.zeros(first.size, dtype=np.float32)
+        vectors, phases, amplitudes = self._singles
+        add_waves(axes, vectors, phases, amplitudes, total)
+        return total.reshape(first.shape)
+
+    @functools.cached_property
+    def _singles(self) -> tuple[Floats, Floats, Floats]:
+        parts = (self.vectors, self.phases, self.amplitudes)
+        vectors, phases, amplitudes = (np.ascontiguousarray(p, dtype=np.float32) for p in parts)
+        return vectors, phases, amplitudes
 
 
 def waves(
@@ -73,11 +78,6 @@ def waves(
     return Waves(vectors, rng.uniform(0, 2 * np.pi, count), amplitudes)
 
 
-def dot(a: Floats, b: Floats) -> Floats:
-    """Scalar products of (..., 3) vectors; BLAS-free, so the same on any number of threads."""
-    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
-
-
 def smoothstep(
     low: float | Arrays,
     high: float | Arrays,
@@ -92,14 +92,16 @@ def smoothstep(
 class Tiles:
     """Noise pictures, TILE pixels a side, that repeat without a seam; each channel has std 1.
 
-    texture: (S, S, 4) broad clouds, fine grain, cells (dark seams between lumps), speckle.
-    slope: (S, S, 2) gradient of a rough surface, for the light on detail too fine for the mesh.
+    texture: (S, S, 4) int8, broad clouds, fine grain, cells (dark seams between lumps), speckle,
+    in steps of 1 / STEPS: a picture looks up a million places all over it, which must be near.
+    fine: (S / 2, S / 2, 6) int8, every second pixel of the texture and, for the light on detail too
+    fine for the mesh, of the gradient of a rough surface.
     rock, sand: (S, S) relief, mean 0.
     caustics: (S, S) brightness of sunlight focused by waves, mean 1.
     """
 
-    texture: Floats
-    slope: Floats
+    texture: npt.NDArray[np.int8]
+    fine: npt.NDArray[np.int8]
     rock: Floats
     sand: Floats
     caustics: Floats
@@ -111,75 +113,33 @@ def lookup(
     v_m: Arrays,
     period_m: float,
 ) -> Floats:
-    """Values of a periodic `tile`, one period every `period_m`, at (H, W) coordinates."""
-    # OpenCV keeps pixel coordinates in 16 bits, so wrap them before it does.
-    u, v = (np.asarray(axis, dtype=np.float32) * np.float32(1 / period_m) for axis in (u_m, v_m))
-    u, v = ((axis - np.floor(axis)) * np.float32(tile.shape[0]) for axis in (u, v))
-    return np.asarray(cv2.remap(tile, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP))
+    """Values of a periodic (S, S) `tile`, one period every `period_m`, at coordinates."""
+    from simnfnd.factory.scenes.seabed.loops.field_loops import look_up
+
+    u, v = (np.ascontiguousarray(axis, dtype=np.float32) for axis in (u_m, v_m))
+    values = np.empty(u.shape, dtype=np.float32)
+    look_up(tile, u.ravel(), v.ravel(), np.float32(period_m), values.reshape(-1))
+    return values
 
 
 def wrapped(
     tile: Floats, points_m: Floats, normals: Floats, period_m: float, offset_m: tuple[float, float]
 ) -> Floats:
-    """Values of a tile on surfaces of any direction: (H, W) or (H, W, channels).
+    """(N,) values of a tile on surfaces of any direction, (N, 3) points and normals.
 
     The tile is laid on from the three axes and mixed by the normal, so nothing is stretched.
     """
-    total = np.zeros((*points_m.shape[:2], *tile.shape[2:]), dtype=np.float32)
+    total = np.zeros(len(points_m), dtype=np.float32)
     for share, (a, b) in zip(_shares(normals), _PLANES, strict=True):
-        values = lookup(
+        total += share * lookup(
             tile, points_m[..., a] + offset_m[0], points_m[..., b] + offset_m[1], period_m
         )
-        total += values * share.reshape(share.shape + (1,) * (tile.ndim - 2))
     return total
 
 
-@dataclass(frozen=True, eq=False)
-class Unwrapped:
-    """Plane coordinates of surfaces of any direction, to look up many tiles at the same points.
-
-    Where `wrapped` mixes the three axes, this picks one for each pixel, by chance in proportion.
-
-    axis: (H, W) uint8, the axis that the tile is laid on from.  u_m, v_m: (H, W).
-    """
-
-    axis: npt.NDArray[np.uint8]
-    u_m: Floats
-    v_m: Floats
-
-    def __call__(self, tile: Floats, period_m: float) -> Floats:
-        """Values of a tile, (H, W) or (H, W, channels)."""
-        return lookup(tile, self.u_m, self.v_m, period_m)
-
-    def gradient(self, tile: Floats, period_m: float) -> Floats:
-        """(H, W, 3) world gradient of a rough surface from a (S, S, 2) tile of its slopes."""
-        slope = lookup(tile, self.u_m, self.v_m, period_m)
-        along_u, along_v = slope[..., 0], slope[..., 1]
-        zero = np.float32(0)
-        return np.stack(
-            [
-                np.where(self.axis == 0, zero, along_u),
-                np.where(self.axis == 0, along_u, np.where(self.axis == 1, zero, along_v)),
-                np.where(self.axis == 2, zero, along_v),
-            ],
-            axis=-1,
-        )
-
-
-def unwrap(points_m: Floats, normals: Floats, offset_m: tuple[float, float]) -> Unwrapped:
-    """Choose the axis of each pixel; the chance is a fixed pattern of pixels, so it repeats."""
-    x, y, _ = _shares(normals)
-    height, width = x.shape
-    repeat = (-(-height // TILE), -(-width // TILE))
-    chance = np.tile(_dither(), repeat)[:height, :width]
-    axis = np.where(chance < x, np.uint8(0), np.where(chance < x + y, np.uint8(1), np.uint8(2)))
-    u = np.where(axis == 0, points_m[..., 1], points_m[..., 0]) + np.float32(offset_m[0])
-    v = np.where(axis == 2, points_m[..., 1], points_m[..., 2]) + np.float32(offset_m[1])
-    return Unwrapped(axis, u, v)
-
-
 @functools.cache
-def _dither() -> Floats:
+def dither() -> Floats:
+    """(TILE, TILE) numbers in [0, 1): a fixed pattern of pixels, so that chance repeats."""
     return stream(WORLD_SEED, "seabed", "dither").random((TILE, TILE), dtype=np.float32)
 
 
@@ -203,13 +163,18 @@ def tiles() -> Tiles:
     ridged = _unit(-np.abs(_fractal(rng, 3, 80, 1.0)))
     rock = _unit(ridged + 0.6 * _fractal(rng, 3, 160, 0.9) + 0.35 * _cells(rng, 500))
     sand = _unit(_fractal(rng, 6, 120, 0.9))
+    texture = _in_steps(np.stack([broad, fine, cells, speckle], axis=-1))
     return Tiles(
-        np.ascontiguousarray(np.stack([broad, fine, cells, speckle], axis=-1)),
-        np.ascontiguousarray(gradient / gradient.std()),
+        texture,
+        np.concatenate([texture, _in_steps(gradient / gradient.std())], axis=-1)[::2, ::2].copy(),
         rock,
         sand,
         _caustics(rng),
     )
+
+
+def _in_steps(values: Floats) -> npt.NDArray[np.int8]:
+    return np.ascontiguousarray(np.clip(np.rint(values * STEPS), -127, 127), dtype=np.int8)
 
 
 def _fractal(
@@ -225,14 +190,16 @@ def _fractal(
 
 def _cells(rng: np.random.Generator, count: int) -> Floats:
     """Periodic lumps: minus the distance to the nearest of `count` random points."""
-    from scipy.spatial import cKDTree  # loads slowly and is needed once a process
+    from simnfnd.factory.scenes.seabed.loops.field_loops import cell_borders
 
-    tree = cKDTree(rng.random((count, 2)), boxsize=1.0)
-    side = (np.arange(TILE // 2) + 0.5) / (TILE // 2)
-    distance, _ = tree.query(np.stack(np.meshgrid(side, side), axis=-1), k=2)
-    lumps = np.float32(distance[..., 1] - distance[..., 0])
-    large = cv2.resize(np.pad(lumps, 8, mode="wrap"), None, fx=2, fy=2)[16:-16, 16:-16]
-    return _unit(np.sqrt(np.maximum(large, 0)))
+    lumps = np.empty((TILE // 2, TILE // 2), dtype=np.float32)
+    cell_borders(rng.random((count, 2)), lumps)
+    for axis in (0, 1):  # twice as fine: each new value a quarter of a pixel from an old one
+        sides = [0.75 * lumps + 0.25 * np.roll(lumps, turn, axis) for turn in (1, -1)]
+        lumps = np.stack(sides, axis=axis + 1).reshape(
+            (TILE, TILE // 2) if axis == 0 else (TILE, TILE)
+        )
+    return _unit(np.sqrt(np.maximum(lumps, 0)))
 
 
 def _caustics(rng: np.random.Generator) -> Floats:

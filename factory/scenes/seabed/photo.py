@@ -3,86 +3,124 @@
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.scenes.seabed.casting import Hits, blocked, rays_from
-from simnfnd.factory.scenes.seabed.fields import TILE, WORLD_SEED, Floats, dot, lookup, tiles
-from simnfnd.factory.scenes.seabed.water import Water, seen_through
+from simnfnd.factory.scenes.seabed.appearance import Palette
+from simnfnd.factory.scenes.seabed.casting import Hits, Objects, Pose, lens_of, whole
+from simnfnd.factory.scenes.seabed.fields import TILE, WORLD_SEED, Floats, dither, tiles
+from simnfnd.factory.scenes.seabed.optics import Optics
+from simnfnd.factory.scenes.seabed.terrain import GroundMesh
+from simnfnd.factory.scenes.seabed.water import Water
 from simnfnd.factory.seeds import stream
 
-if TYPE_CHECKING:
-    from open3d.t.geometry import RaycastingScene
-
 _OCCLUSION_REACH_M = 0.45
+_NEAR_MAP_M, _FAR_MAP_M = 6.0, 36.0  # sides of the two maps of what the sun meets
 
 
-def photograph(
-    rng: np.random.Generator,
-    hits: Hits,
-    albedo: Floats,
-    normals: Floats,
-    toward: Floats,
-    water: Water,
-    scenes: tuple[RaycastingScene, ...],
-) -> npt.NDArray[np.uint8]:
-    """The (H, W, 3) picture; scenes are what casts shadows."""
-    distance = np.sqrt(dot(toward, toward))
-    range_m = hits.depth_m * distance
-    seen = range_m < 3 * water.clear_m
-    # Clear of the surface's own facets, which are coarser far away, or they would shade themselves.
-    lift = 0.004 + 0.004 * np.minimum(hits.depth_m, np.float32(20))
-    start = hits.points + lift[..., None] * hits.normals
-    sun = np.asarray(water.sun_direction, dtype=np.float32)
-    lit = _lit(scenes, start, sun, seen)
-    facing_sun = np.maximum(dot(normals, sun), 0) * lit
-    if water.caustics > 0:
-        facing_sun *= _caustics(hits.points, sun, water)
-    open_above = _openness(scenes, start, hits.normals, seen)
-    facing_up = open_above * (0.55 + 0.45 * normals[..., 2])
-    facing_lamp = np.zeros_like(facing_up)
-    if any(water.lamp):
-        facing_lamp = -dot(normals, toward) / distance
-        facing_lamp = np.maximum(facing_lamp, 0) * (0.4 + 0.6 * open_above) * _beam(distance)
-    upward = toward[..., 2] / distance
-    glow = np.asarray(0.72 + 0.9 * np.clip(upward + 0.35, 0, 1) ** 2, dtype=np.float32)
-    colour = seen_through(
-        water,
-        albedo,
-        facing_sun,
-        facing_up,
-        np.asarray(facing_lamp, dtype=np.float32),
-        np.where(seen, range_m, np.float32(np.inf)),
-        glow,
-    )
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What one view looks at, and with what."""
+
+    where: Pose
+    optics: Optics
+    ground: GroundMesh
+    objects: Objects
+    finishes: Floats
+    palette: Palette
+    water: Water
+    offset_m: tuple[float, float]
+
+
+def photograph(rng: np.random.Generator, scene: Scene, hits: Hits) -> npt.NDArray[np.uint8]:
+    """The (H, W, 3) picture of what a view meets."""
+    from simnfnd.factory.scenes.seabed.loops import colour_loops
+
+    water, where = scene.water, scene.where
+    lit, free = _light(scene, hits)
+    colour = np.empty_like(hits.base)
+    noise = tiles()
+    colour_loops.photograph(
+        hits.depth_m, hits.normals, hits.base, hits.owner, scene.finishes,
+        scene.palette.table, np.float32(scene.palette.turf),
+        where.eye, where.rotation, lens_of(scene.optics),
+        np.array(scene.offset_m, dtype=np.float32),
+        noise.texture, noise.fine, noise.caustics, dither(),
+        water.table, np.array(water.sun_direction, dtype=np.float32),
+        np.float32(water.caustics), np.float32(water.caustic_period_m),
+        np.float32(3 * water.clear_m), lit, free, colour,
+    )  # fmt: skip
     _add_motes(rng, colour, water)
     # The camera sets its black level on the haze, as far as the haze has one colour.
     veil = np.asarray(water.veil, dtype=np.float32) / max(water.veil)
     haze = np.percentile(colour[::4, ::4].max(axis=-1), 1)
-    return develop(rng, np.maximum(colour - np.float32(0.6 * haze) * veil, 0))
+    return develop(rng, colour, np.float32(0.6 * haze) * veil)
 
 
-def _lit(
-    scenes: tuple[RaycastingScene, ...], start: Floats, sun: Floats, seen: npt.NDArray[np.bool_]
-) -> Floats:
-    """1 where sunlight arrives; at half resolution, because water scatters light into shadows."""
-    rays = rays_from(np.ascontiguousarray(start[::2, ::2]), sun)
-    dark = ~seen[::2, ::2]
-    for scene in scenes:
-        dark |= blocked(scene, rays, 12.0)
-    return _enlarged((~dark).astype(np.float32), seen.shape)
+def _light(scene: Scene, hits: Hits) -> tuple[Floats, Floats]:
+    """Sunlight and openness of every second pixel: water scatters light into shadows.
+
+    Sunlight is looked up in two maps of heights along its rays, a fine one of what is near and a
+    coarse one.  Openness is the share of the near surroundings that is open: dark in corners and
+    under things.
+    """
+    from simnfnd.factory.scenes.seabed.loops.surface_loops import light
+
+    shape = tuple(-(-size // 2) for size in hits.depth_m.shape)
+    lit, free = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
+    sun = scene.water.sun_direction
+    slope = np.array([sun[0] / sun[2], sun[1] / sun[2]], dtype=np.float32)
+    wide = max(scene.optics.across, 1.0)
+    near = _sun_map(scene, slope, _NEAR_MAP_M * wide, 3.0)
+    far = _sun_map(scene, slope, _FAR_MAP_M, 15.0 if wide < 2 else 8.0)
+    light(
+        hits.depth_m, hits.normals, hits.inverse, scene.where.eye, scene.where.rotation,
+        lens_of(scene.optics), slope, *near, *far, np.float32(3 * scene.water.clear_m), _cap(32),
+        _OCCLUSION_REACH_M, lit, free,
+    )  # fmt: skip
+    return lit, _mean_of_patches(free)
 
 
-def _enlarged(half: Floats, shape: tuple[int, ...]) -> Floats:
-    """A picture of every second pixel back at full size."""
-    where_x = np.arange(shape[1], dtype=np.float32) / 2
-    where_y = np.arange(shape[0], dtype=np.float32) / 2
-    grid = np.meshgrid(where_x, where_y)
-    full = cv2.remap(half, grid[0], grid[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(full)
+def _sun_map(scene: Scene, slope: Floats, side_m: float, ahead_m: float) -> tuple[Floats, Floats]:
+    """Greatest height that the sun's light meets, around a place ahead of the camera, and where."""
+    from simnfnd.factory.scenes.seabed.loops.raster_loops import cover
+
+    cells = 1024 if scene.optics.width >= 600 else 512
+    eye, forward = scene.where.eye, scene.where.rotation[:2, 2]
+    points, objects = scene.ground.points, scene.objects
+    level = float(points[0, :, 2].mean())
+    middle = eye[:2] + ahead_m * forward / np.sqrt((forward**2).sum()) - level * slope
+    place = np.array([*(middle - side_m / 2), cells / side_m], dtype=np.float32)
+    tops = np.full((cells, cells), -np.inf, dtype=np.float32)
+    triangles = scene.ground.triangles
+    # Of the ground only what faces away from the sun can shade the rest.
+    parts = whole(points.shape[0] * points.shape[1], len(triangles))
+    cover(points.reshape(-1, 3), triangles, parts, slope, place, -_turn(points), tops)
+    centres, radius = objects.balls[:, :3], objects.balls[:, 3] * np.sqrt(1 + (slope**2).sum())
+    aside = centres[:, :2] - centres[:, 2:] * slope - middle
+    parts = objects.parts((np.abs(aside) < side_m / 2 + radius[:, None]).all(axis=1))
+    cover(objects.mesh.vertices, objects.mesh.triangles, parts, slope, place, 0, tops)
+    return tops, place
+
+
+def _turn(points: Floats) -> int:
+    """Which way the triangles of a level (R, C, 3) grid turn as seen from above: 1 or -1."""
+    (ax, ay), (bx, by), (cx, cy) = points[0, 0, :2], points[1, 0, :2], points[1, 1, :2]
+    return 1 if (bx - ax) * (cy - ay) > (by - ay) * (cx - ax) else -1
+
+
+def _mean_of_patches(values: Floats) -> Floats:
+    """Mean over 4 x 4 neighbours, so that the ways that a patch looks are joined."""
+    for axis in (0, 1):
+        sides = [(0, 0), (0, 0)]
+        sides[axis] = (2, 1)
+        padded = np.pad(values, sides, mode="reflect")
+        count = values.shape[axis]
+        cuts = [padded[k : k + count] if axis == 0 else padded[:, k : k + count] for k in range(4)]
+        values = (cuts[0] + cuts[1] + (cuts[2] + cuts[3])) * np.float32(0.25)
+    return np.ascontiguousarray(values)
 
 
 @functools.cache
@@ -94,46 +132,6 @@ def _cap(count: int) -> Floats:
     flat = np.sqrt(1 - z**2)
     cap = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=-1)
     return np.asarray(cap, dtype=np.float32)
-
-
-def _openness(
-    scenes: tuple[RaycastingScene, ...],
-    start: Floats,
-    normals: Floats,
-    seen: npt.NDArray[np.bool_],
-) -> Floats:
-    """Share of the near surroundings that is open, (H, W): dark in corners and under things.
-
-    Each pixel of a 4 x 4 patch looks another way, and a blur joins them.
-    """
-    small = start[::2, ::2], normals[::2, ::2], seen[::2, ::2]
-    rows, columns = small[2].shape
-    pattern = np.arange(16).reshape(4, 4)
-    which = np.tile(pattern, (rows // 4 + 1, columns // 4 + 1))[:rows, :columns]
-    free = np.zeros((rows, columns), dtype=np.float32)
-    picks = 2
-    for turn in range(picks):
-        toward = _cap(16 * picks)[which * picks + turn] + np.float32(0.9) * small[1]
-        rays = rays_from(small[0], toward)
-        dark = np.zeros((rows, columns), dtype=bool)
-        for scene in scenes:
-            dark |= blocked(scene, rays, _OCCLUSION_REACH_M)
-        free += (~dark).astype(np.float32)
-    blurred: Floats = cv2.blur(free / picks, (4, 4)).astype(np.float32, copy=False)
-    return _enlarged(blurred, seen.shape)
-
-
-def _caustics(points: Floats, sun: Floats, water: Water) -> Floats:
-    """Brightness of the sun's light, mean 1: nets of light that follow the sun's rays down."""
-    x = points[..., 0] - points[..., 2] * (sun[0] / sun[2])
-    y = points[..., 1] - points[..., 2] * (sun[1] / sun[2])
-    net = lookup(tiles().caustics, x, y, water.caustic_period_m)
-    return np.asarray(1 + np.float32(water.caustics) * (net - 1))
-
-
-def _beam(distance: Floats) -> Floats:
-    """A lamp's beam: bright in the middle of the picture."""
-    return np.asarray(np.exp(-((distance - 1) / 0.11)), dtype=np.float32)
 
 
 def _add_motes(rng: np.random.Generator, colour: Floats, water: Water) -> None:
@@ -151,25 +149,29 @@ def _add_motes(rng: np.random.Generator, colour: Floats, water: Water) -> None:
         patch += (spot[..., None] * (np.asarray(water.veil) + 0.25)).astype(np.float32)
 
 
-def develop(rng: np.random.Generator, colour: Floats) -> npt.NDArray[np.uint8]:
-    """Lens blur and vignette, exposure, sensor noise and sRGB-like gamma."""
-    height, width = colour.shape[:2]
-    colour = np.asarray(cv2.GaussianBlur(colour, (0, 0), 0.55), dtype=np.float32)
-    y = np.linspace(-1, 1, height, dtype=np.float32)[:, None] ** 2
-    x = np.linspace(-1, 1, width, dtype=np.float32)[None, :] ** 2
-    colour *= (1 - 0.16 * (x + y))[..., None]
+def develop(rng: np.random.Generator, colour: Floats, haze: Floats) -> npt.NDArray[np.uint8]:
+    """Lens blur and vignette, exposure, sensor noise and sRGB-like gamma.
+
+    colour: (H, W, 3) linear.  haze: (3,) what the black level takes away.
+    """
+    from simnfnd.factory.scenes.seabed.loops.picture_loops import expose, through_lens
+
+    seen = np.empty_like(colour)
+    through_lens(colour, haze.astype(np.float32), _blur_weights(), seen)
     # Exposure: the bright parts of the picture fill most of the scale, whatever the water.
-    bright = np.percentile(colour[::4, ::4].max(axis=-1), 97)
-    colour *= np.float32(rng.uniform(0.68, 0.92)) / max(float(bright), 1e-3)
-    dx, dy = rng.integers(0, TILE, 2)
-    noise = _sensor_noise()
-    noise = np.roll(noise, (int(dy), int(dx)), axis=(0, 1))
-    repeat = (-(-height // TILE), -(-width // TILE), 1)
-    noise = np.tile(noise, repeat)[:height, :width] if max(repeat) > 1 else noise[:height, :width]
-    colour += np.sqrt(np.maximum(colour, 0) * 2.2e-4 + 4e-6) * noise
-    colour = colour / (1 + np.maximum(colour - 0.75, 0))  # highlights roll off, they do not clip
-    levels = np.clip(colour * 4095, 0, 4095).astype(np.uint16)
-    return _gamma()[levels]
+    bright = np.percentile(seen[::4, ::4].max(axis=-1), 97)
+    gain = np.float32(rng.uniform(0.68, 0.92)) / max(float(bright), 1e-3)
+    right, down = rng.integers(0, TILE, 2)
+    picture = np.empty(colour.shape, dtype=np.uint8)
+    expose(seen, np.float32(gain), _sensor_noise(), int(down), int(right), _gamma(), picture)
+    return picture
+
+
+@functools.cache
+def _blur_weights() -> Floats:
+    """(2,) a Gaussian of 0.55 pixels: the pixel and each neighbour."""
+    beside = float(np.exp(-1 / (2 * 0.55**2)))
+    return np.array([1, beside], dtype=np.float32) / np.float32(1 + 2 * beside)
 
 
 @functools.cache

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -123,8 +122,10 @@ class Terrain:
         points = np.stack([x, y, height], axis=-1)
         normals = grid_normals(points)
         noise = tiles()
-        stone = wrapped(noise.rock, points, normals, 9.1, self.offset_m)
-        stone += 0.35 * wrapped(noise.rock, points, normals, 2.3, self.offset_m)
+        stone, bare = np.zeros_like(height), rock > 0
+        where = points[bare], normals[bare]
+        stone[bare] = wrapped(noise.rock, *where, 9.1, self.offset_m)
+        stone[bare] += 0.35 * wrapped(noise.rock, *where, 2.3, self.offset_m)
         sand = lookup(noise.sand, x + self.offset_m[0], y + self.offset_m[1], 6.7)
         pebbles = lookup(noise.rock, x + self.offset_m[0], y + self.offset_m[1], 1.7)
         relief = self.rock_relief_m * rock * stone + self.sand_relief_m * (1 - rock) * sand
@@ -219,16 +220,28 @@ def view_mesh(
     angle = np.abs(np.diff(seen, axis=0))
     share = 0.72 * angle / np.maximum(angle.sum(axis=0), 1e-6) + 0.28 / (len(ranges) - 1)
     # Neighbouring columns get nearly the same rows: a sheared grid has bad normals.
-    share = cv2.blur(share, (coarse // 2 | 1, 5), borderType=cv2.BORDER_REPLICATE)
+    share = _mean_along(_mean_along(share, coarse // 2 | 1, 1), 5, 0)
     share /= share.sum(axis=0)
     reached = np.concatenate([np.zeros((1, coarse)), np.cumsum(share, axis=0)])
     even = np.linspace(0, 1, rows)
     log_r = np.stack(
         [np.interp(even, reached[:, k], np.log(ranges)) for k in range(coarse)], axis=-1
     )
-    radius = np.exp(cv2.resize(log_r, (columns, rows), interpolation=cv2.INTER_LINEAR))
+    between = np.clip((np.arange(columns) + 0.5) * coarse / columns - 0.5, 0, coarse - 1)
+    low = np.minimum(between.astype(np.int64), coarse - 2)
+    radius = np.exp(log_r[:, low] + (between - low) * (log_r[:, low + 1] - log_r[:, low]))
     heading = np.linspace(*azimuths_rad, columns)
     points, attributes = terrain.surface(
         eye[0] + radius * np.cos(heading), eye[1] + radius * np.sin(heading)
     )
     return GroundMesh(points, grid_normals(points), attributes)
+
+
+def _mean_along(values: npt.NDArray[np.float64], width: int, axis: int) -> npt.NDArray[np.float64]:
+    """Mean over `width` (odd) neighbours along an axis, the border repeated."""
+    sides = [(0, 0), (0, 0)]
+    sides[axis] = (width // 2 + 1, width // 2)
+    total = np.cumsum(np.pad(values, sides, mode="edge"), axis=axis)
+    count = values.shape[axis]
+    low = np.take(total, np.arange(count), axis=axis)
+    return np.asarray((np.take(total, np.arange(count) + width, axis=axis) - low) / width)

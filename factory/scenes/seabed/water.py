@@ -1,7 +1,7 @@
 """Light and water: how bright and what colour the surface looks through the water.
 
 Image formation after Akkaynak & Treibitz (2018): the direct signal fades with one coefficient a
-colour, the veil of scattered light grows with another.
+colour, the veil of scattered light grows with another.  `colour_loops.photograph` computes it.
 """
 
 from __future__ import annotations
@@ -37,6 +37,12 @@ class Water:
     lamp: Triple
     clear_m: float
     motes: int
+
+    @property
+    def table(self) -> Floats:
+        """(6, 3) fade, growth of the veil, veil, sun, sky, lamp."""
+        rows = (self.fade_per_m, self.veil_per_m, self.veil, self.sun, self.sky, self.lamp)
+        return np.array(rows, dtype=np.float32)
 
 
 @dataclass(frozen=True)
@@ -95,32 +101,3 @@ def draw_water(rng: np.random.Generator, kinds: tuple[str, ...]) -> Water:
 def _triple(values: list[float]) -> Triple:
     red, green, blue = (float(value) for value in values)
     return red, green, blue
-
-
-def seen_through(
-    water: Water,
-    albedo: Floats,
-    facing_sun: Floats,
-    facing_up: Floats,
-    facing_lamp: Floats,
-    range_m: Floats,
-    glow: Floats,
-) -> Floats:
-    """Linear colour that reaches the camera, (H, W, 3).
-
-    albedo: (H, W, 3).  facing_sun, facing_up, facing_lamp: (H, W) light on the surface from the
-    sun, from all above and from the camera's lamp (before its spreading), each already shaded.
-    range_m: (H, W), inf where there is only water.  glow: (H, W) brightness of the veil.
-    """
-    colour = np.empty((*range_m.shape, 3), dtype=np.float32)
-    near = np.minimum(range_m, np.float32(200))
-    lamp = facing_lamp / np.maximum(near, 0.5) ** 2
-    for k in range(3):
-        fade = np.exp(np.float32(-water.fade_per_m[k]) * near)
-        veil = 1 - np.exp(np.float32(-water.veil_per_m[k]) * near)
-        light = np.float32(water.sun[k]) * facing_sun + np.float32(water.sky[k]) * facing_up
-        # The lamp's light fades on its way out as well as back; from above all light is filtered.
-        light += np.float32(water.lamp[k]) * lamp * fade
-        colour[..., k] = albedo[..., k] * light * fade
-        colour[..., k] += np.float32(water.veil[k]) * veil * glow
-    return colour

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,14 +15,28 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.scenes.seabed import CLASSES, SeabedReader, SeabedSettings
+from simnfnd.factory.scenes.seabed.casting import directions, view, z_buffer
 from simnfnd.factory.scenes.seabed.fields import lookup, tiles, waves
 from simnfnd.factory.scenes.seabed.names import PLACE_NAMES
-from simnfnd.factory.scenes.seabed.objects.meshes import Mesh, box, lathe, rock, sphere, tube
-from simnfnd.factory.scenes.seabed.world import build_world, choose_pose
+from simnfnd.factory.scenes.seabed.objects.meshes import (
+    Mesh,
+    box,
+    grid_triangles,
+    lathe,
+    rock,
+    sphere,
+    tube,
+)
+from simnfnd.factory.scenes.seabed.optics import Optics, camera
+from simnfnd.factory.scenes.seabed.photo import Scene, _light
+from simnfnd.factory.scenes.seabed.terrain import view_mesh
+from simnfnd.factory.scenes.seabed.viewpoint import choose_pose
+from simnfnd.factory.scenes.seabed.world import _field_of_view, build_world
 from simnfnd.factory.settings import build
 from tests.project_files import ROOT
 
@@ -72,6 +87,46 @@ def test_every_frame_is_measured_in_part_and_at_close_range(
         assert depth.min() > 0.5, name
         assert depth.max() < 20, name
         assert 1.0 < np.median(depth) < 8, name
+
+
+FACTS = ("depth_m", "measured", "slope", "objects", "on_objects", "contrast", "texture")
+
+
+def facts(frame: Frame) -> list[float]:
+    """What a frame is like, in the order of FACTS; slopes and texture away from gaps."""
+    valid, depth = frame.valid, frame.depth_m.astype(np.float64)
+    assert frame.instance is not None
+    assert frame.segmentation is not None
+    inner = valid[1:-1, 1:-1] & valid[1:-1, 2:] & valid[1:-1, :-2] & valid[2:, 1:-1]
+    inner &= valid[:-2, 1:-1]
+    light = frame.rgb.astype(np.float64).mean(axis=-1)
+
+    def steep(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        across, down = values[1:-1, 2:] - values[1:-1, :-2], values[2:, 1:-1] - values[:-2, 1:-1]
+        return np.asarray(np.hypot(across, down)[inner])
+
+    return [
+        float(np.median(depth[valid])),
+        float(valid.mean()),
+        float(np.median(steep(depth) / depth[1:-1, 1:-1][inner])),
+        len(np.unique(frame.instance)) - 1,
+        float((frame.segmentation > 0).mean()),
+        float(light[valid].std() / light[valid].mean()),
+        float(np.median(steep(light)) / light[valid].mean()),
+    ]
+
+
+@pytest.mark.parametrize("number", range(len(FACTS)), ids=FACTS)
+def test_frames_are_as_rich_as_those_of_cast_rays(
+    number: int, frames: dict[tuple[int, int], Frame]
+) -> None:
+    """The same 24 frames as made by Open3D's rays and numpy's passes, before z-buffers."""
+    before = np.array(json.loads((ROOT / "tests/factory/scenes/seabed_before.json").read_text()))
+    now = np.array([facts(frame) for frame in frames.values()])
+    assert now.shape == before.shape
+    one, other = now[:, number], before[:, number]
+    assert stats.ks_2samp(one, other).pvalue > 0.2
+    assert np.median(one) == pytest.approx(np.median(other), rel=0.12)
 
 
 def test_frames_have_the_types_that_readers_promise(frames: dict[tuple[int, int], Frame]) -> None:
@@ -188,17 +243,95 @@ def test_ground_points_lie_on_the_terrain(frames: dict[tuple[int, int], Frame]) 
 
 @pytest.mark.parametrize("location", [0, 1, 3, 6, 12])
 def test_the_path_keeps_clear_of_everything(location: int) -> None:
-    import open3d
-
-    core: Any = open3d.core
+    open3d: Any = pytest.importorskip("open3d")
     world = build_world(location, PLACE_NAMES, 1.0, None)
+    side = np.arange(-36, 36, 0.3)
+    x, y = np.meshgrid(side, side, indexing="ij")
+    ground = np.stack([x, y, world.terrain.height_m(x, y)], axis=-1).reshape(-1, 3)
+    things = world.objects.mesh
+    meshes = ((ground, grid_triangles(len(side), len(side))), (things.vertices, things.triangles))
+    scenes = [ray_casting(open3d, *one) for one in meshes]
     for pose in (*range(0, 60, 6), 5000):
         eye = choose_pose(world, pose).eye
-        query = core.Tensor(eye[None].astype(np.float32))
-        for scene in (world.objects.scene, world.coarse):
+        query = open3d.core.Tensor(eye[None].astype(np.float32))
+        for scene in scenes:
             assert scene.compute_distance(query).numpy()[0] > 0.4
-        ground = world.terrain.height_m(eye[:1], eye[1:2])[0]
-        assert 0.7 <= eye[2] - ground <= 3.0
+        ground_m = world.terrain.height_m(eye[:1], eye[1:2])[0]
+        assert 0.7 <= eye[2] - ground_m <= 3.0
+
+
+def ray_casting(open3d: Any, vertices: npt.NDArray[Any], triangles: npt.NDArray[Any]) -> Any:
+    """Open3D's own ray-casting scene of a mesh: somebody else's arithmetic."""
+    scene = open3d.t.geometry.RaycastingScene(nthreads=1)
+    scene.add_triangles(
+        open3d.core.Tensor(np.ascontiguousarray(vertices, dtype=np.float32)),
+        open3d.core.Tensor(np.ascontiguousarray(triangles, dtype=np.uint32)),
+    )
+    return scene
+
+
+@pytest.mark.parametrize(
+    ("location", "optics"), [(2, camera(242, 152)), (6, camera(242, 152, 130, 20))]
+)
+def test_the_z_buffer_meets_what_rays_meet(location: int, optics: Optics) -> None:
+    """Depth and triangle of every pixel against Open3D's rays, near the lens and in wide views."""
+    open3d: Any = pytest.importorskip("open3d")
+    world = build_world(location, PLACE_NAMES, 1.0, None)
+    where = choose_pose(world, 1)
+    ground = view_mesh(world.terrain, where.eye, (-4.0, 4.0), (-0.9, 0.3), (80, 200)).points
+    objects, everything = world.objects, np.ones(len(world.objects.balls), dtype=np.bool_)
+    seen = z_buffer(where, optics, ground, objects, everything)
+    toward = directions(where.rotation, optics.intrinsics, optics.width, optics.height)
+    rays = np.concatenate([np.broadcast_to(where.eye, toward.shape), toward], axis=-1)
+    floor = grid_triangles(*ground.shape[:2])
+    answers = [
+        ray_casting(open3d, points, triangles).cast_rays(
+            open3d.core.Tensor(rays.astype(np.float32)), nthreads=1
+        )
+        for points, triangles in (
+            (ground.reshape(-1, 3), floor),
+            (objects.mesh.vertices, objects.mesh.triangles),
+        )
+    ]
+    floor_m, object_m = (answer["t_hit"].numpy() for answer in answers)
+    expected = np.minimum(floor_m, object_m)
+    met = seen.which >= 0
+    assert (met == np.isfinite(expected)).mean() > 0.9999
+    both = met & np.isfinite(expected)
+    error = np.abs(1 / seen.inverse[both] - expected[both]) / expected[both]
+    assert np.percentile(error, 99) < 1e-4
+    on_object = object_m < floor_m
+    assert ((seen.which >= len(floor)) == on_object)[both].mean() > 0.999
+
+
+def test_shadows_fall_where_rays_to_the_sun_are_blocked() -> None:
+    open3d: Any = pytest.importorskip("open3d")
+    world = build_world(4, PLACE_NAMES, 1.0, None)
+    optics, where = camera(484, 304), choose_pose(world, 1)
+    ground = view_mesh(world.terrain, where.eye, *_field_of_view(where, optics), (220, 160))
+    scene = Scene(
+        where, optics, ground, world.objects, world.finishes, world.palette, world.water, (0, 0)
+    )
+    hits = view(where, optics, ground, world.objects)
+    lit, free = _light(scene, hits)
+    assert 0 <= free.min() < 0.7
+    assert free.max() == 1
+    toward = directions(where.rotation, optics.intrinsics, optics.width, optics.height)[::2, ::2]
+    depth = hits.depth_m[::2, ::2, None]
+    near = np.isfinite(depth[..., 0]) & (depth[..., 0] < 10)
+    start = where.eye + np.where(near[..., None], depth, 1) * toward
+    start = start + (0.004 + 0.004 * depth) * hits.normals[::2, ::2]
+    sun = np.broadcast_to(world.water.sun_direction, start.shape)
+    rays = open3d.core.Tensor(np.concatenate([start, sun], axis=-1)[near].astype(np.float32))
+    dark = np.zeros(int(near.sum()), dtype=np.bool_)
+    things = world.objects.mesh
+    for points, triangles in (
+        (ground.points.reshape(-1, 3), ground.triangles),
+        (things.vertices, things.triangles),
+    ):
+        dark |= ray_casting(open3d, points, triangles).test_occlusions(rays, nthreads=1).numpy()
+    assert dark.mean() > 0.02  # there is something to find
+    assert ((lit[near] == 0) == dark).mean() > 0.97
 
 
 def test_a_frame_depends_on_its_name_alone() -> None:
@@ -348,8 +481,8 @@ def test_waves_have_unit_variance(seed: int) -> None:
 
 def test_noise_pictures_repeat_without_a_seam_however_far_away() -> None:
     u, v = np.random.default_rng(0).uniform(0, 3, (2, 40, 50)).astype(np.float32)
-    near = lookup(tiles().texture, u, v, 3.0)
-    far = lookup(tiles().texture, u + 90, v - 60, 3.0)
+    near = lookup(tiles().rock, u, v, 3.0)
+    far = lookup(tiles().rock, u + 90, v - 60, 3.0)
     assert np.abs(near - far).mean() < 0.02
     rock_tile = tiles().rock
     step = np.abs(np.diff(rock_tile, axis=0)).mean()

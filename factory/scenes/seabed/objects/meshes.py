@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -58,7 +59,9 @@ def rotation(axis: str, angle_rad: float) -> npt.NDArray[np.float64]:
 def mesh(vertices: npt.ArrayLike, triangles: npt.ArrayLike, colour: npt.ArrayLike = GREY) -> Mesh:
     """A mesh of one colour, or of one colour a vertex."""
     points = np.asarray(vertices, dtype=np.float32)
-    colours = np.array(np.broadcast_to(np.asarray(colour, dtype=np.float32), points.shape))
+    colours = np.array(
+        np.broadcast_to(np.asarray(colour, dtype=np.float32), points.shape), order="C"
+    )
     return Mesh(points, colours, np.asarray(triangles, dtype=np.int32))
 
 
@@ -77,18 +80,11 @@ def join(parts: Iterable[Mesh]) -> Mesh:
 
 def vertex_normals(vertices: Floats, triangles: Indices) -> Floats:
     """(V, 3) unit normals, the area-weighted mean of the triangles around each vertex."""
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    face = np.cross(b - a, c - a)
-    corners = triangles.ravel()
-    normals = np.stack(
-        [
-            np.bincount(corners, np.repeat(face[:, axis], 3), minlength=len(vertices))
-            for axis in range(3)
-        ],
-        axis=-1,
-    )
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(normals / np.maximum(length, 1e-20), dtype=np.float32)
+    from simnfnd.factory.scenes.seabed.objects.mesh_loops import point_normals
+
+    normals = np.empty(vertices.shape, dtype=np.float32)
+    point_normals(np.ascontiguousarray(vertices), np.ascontiguousarray(triangles), normals)
+    return normals
 
 
 @functools.cache
@@ -150,7 +146,10 @@ def tube(
     if closed:
         tangents = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
     else:
-        tangents = np.gradient(points[2:-2], axis=0)[np.r_[0, 0, 0 : len(points) - 4, -1, -1]]
+        inner = points[2:-2]
+        tangents = np.empty_like(points)
+        tangents[3:-3] = (inner[2:] - inner[:-2]) / 2
+        tangents[:3], tangents[-3:] = inner[1] - inner[0], inner[-1] - inner[-2]
     side, up = _frames(tangents)
     angle = np.arange(segments) * (2 * np.pi / segments)
     ring = side[:, None] * np.cos(angle)[:, None] + up[:, None] * np.sin(angle)[:, None]
@@ -164,14 +163,12 @@ def _frames(
     tangents: npt.NDArray[np.float64],
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Two unit vectors across each tangent that do not spin along the path."""
-    tangents = tangents / np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
-    side = np.empty_like(tangents)
-    start = np.eye(3)[int(np.argmin(np.abs(tangents[0])))]
-    for k, tangent in enumerate(tangents):
-        start = start - tangent * float((start * tangent).sum())
-        start = start / max(float(np.sqrt((start * start).sum())), 1e-12)
-        side[k] = start
-    return side, np.cross(tangents, side)
+    from simnfnd.factory.scenes.seabed.objects.mesh_loops import frames
+
+    tangents = np.array(tangents, dtype=np.float64, order="C")
+    side, up = np.empty_like(tangents), np.empty_like(tangents)
+    frames(tangents, side, up)
+    return side, up
 
 
 def bar(start: npt.ArrayLike, end: npt.ArrayLike, radius: float, segments: int = 8) -> Mesh:
@@ -215,11 +212,12 @@ def _unit_sphere(subdivisions: int) -> tuple[npt.NDArray[np.float64], Indices]:
         + [(s, t, 0) for s, t in corners]
         + [(t, 0, s) for s, t in corners]
     )
-    from scipy.spatial import ConvexHull  # loads slowly; the sphere is made once a process
-
-    hull = ConvexHull(points)
-    outward = np.einsum("ij,ij->i", _normals(points[hull.simplices]), points[hull.simplices[:, 0]])
-    faces = np.where(outward[:, None] > 0, hull.simplices, hull.simplices[:, ::-1]).astype(np.int32)
+    apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    sides = np.abs(apart - apart[apart > 0].min()) < 1e-9
+    triples = itertools.combinations(range(len(points)), 3)
+    faces = np.array([t for t in triples if all(sides[t[k], t[k - 1]] for k in range(3))], np.int32)
+    outward = np.einsum("ij,ij->i", _normals(points[faces]), points[faces[:, 0]])
+    faces = np.where(outward[:, None] > 0, faces, faces[:, ::-1]).astype(np.int32)
     for _ in range(subdivisions):
         edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
         unique, which = np.unique(edges, axis=0, return_inverse=True)

@@ -1,0 +1,1 @@
+"""Compiled loops that make procedural frames; imported inside the functions that need them."""
