@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.outlets import put_out
 from simnfnd.factory.ownership import check_fences, space
 
 _TEMPORARY = re.compile(
@@ -50,6 +51,8 @@ def write_atomically(
             raise
         if durable:
             sync_folder(path.parent)
+    if durable:
+        put_out(path, content)
 
 
 def sync_folder(folder: Path) -> None:

@@ -24,6 +24,7 @@ from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.renders.cache import Limit
 from simnfnd.factory.renders.views import ViewMaker, check_views, with_cache
 from simnfnd.factory.selection import choose_frames, frames_digest, split_frames
+from simnfnd.factory.storage.copies import shown
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -45,7 +46,7 @@ def generate(composed: DictConfig) -> int:
     code = 1 if report.failures else 0
     if config.shard.count == 1:
         note_result(directory, config, report, code)
-    print(f"dataset: {directory}")
+    print(f"dataset: {shown(directory)}")
     return code
 
 
@@ -95,7 +96,7 @@ def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
     splits = split_frames(frames, config)
     values = {**identity(config), "frames_found": frames_digest(frames)}
     config_hash = digest(values)
-    directory = config.dataset.directory(config_hash)
+    directory = config.dataset.directory(config_hash, config.shard.part)
     how = (config.frames.variants, config.scheduler.shard_size, config.dataset.limits)
     working = with_cache(config, work_folder(directory, config.shard))
     return Job(
@@ -133,5 +134,5 @@ def _rerun_command(ref: FrameRef, arguments: list[str], directory: Path) -> str:
         if not word.startswith(("dataset.dir=", "dataset.on_existing=", "frames.only="))
         and word not in ("-m", "--multirun")
     ]
-    again = [*words, f"frames.only=[{ref.name}]", f"dataset.dir={directory}-retry"]
+    again = [*words, f"frames.only=[{ref.name}]", f"dataset.dir={shown(directory)}-retry"]
     return " ".join(["simnfnd make", *map(shlex.quote, again)])

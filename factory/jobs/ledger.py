@@ -17,6 +17,7 @@ from simnfnd.factory.files import explain_os_errors
 from simnfnd.factory.jobs.job import Job
 from simnfnd.factory.jobs.plan import ShardTask
 from simnfnd.factory.jobs.worker import ShardResult
+from simnfnd.factory.outlets import remove_file
 from simnfnd.factory.ownership import check_fences
 
 # manifest.json is written so seldom that it takes at most this part of the time.
@@ -72,7 +73,7 @@ class Ledger:
             path = self._job.recipe.directory / task.path
             check_fences(path)
             with explain_os_errors(path):
-                path.unlink(missing_ok=True)
+                remove_file(path)
         self._failures[task.path] = result.failures
         # In this order: a shard in the manifest always has its failures on record.
         if result.failures:

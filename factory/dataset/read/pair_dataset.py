@@ -35,6 +35,7 @@ from simnfnd.factory.dataset.read.reader import (
 )
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
+from simnfnd.factory.storage.copies import local_folder
 
 Sample = dict[str, Image]
 Verify = Literal["checksums", "hash"]
@@ -82,7 +83,9 @@ class PairDataset:
     through fork, spawn and pickling and into a torch DataLoader as it is.  `close()`, or leaving a
     `with` block, closes what this process has open.
 
-    folder: of the dataset, or the index.h5 in it.  layers: as `format.schema` names them.
+    folder: of the dataset, or the index.h5 in it; or its URL on a storage (s3://bucket/folder),
+    from where shards are fetched when they are needed (`factory.storage.copies`).
+    layers: as `format.schema` names them.
     manifest.json decides which shards count; while a run adds some, the ones of the moment of
     opening stay.
 
@@ -110,7 +113,7 @@ class PairDataset:
     ) -> None:
         if verify not in get_args(Verify):
             raise FactoryError(f"verify={verify!r}: checksums or hash")
-        self.folder = _folder(Path(folder))
+        self.folder = _folder(local_folder(folder))
         self.split, self.layers, self.scaled = split, tuple(layers), scaled
         _check_names(self.layers)
         manifest = load_manifest(self.folder)
