@@ -106,7 +106,9 @@ def make_shards(
     for note in resumed.notes:
         tqdm.write(note, file=sys.stderr)
     todo = resumed.todo
-    frames = len({ref.name for task in todo for ref, _ in task.items}) if job.preparer else 0
+    # Workers that share no folder prepare what they need themselves.
+    prepares = job.preparer and not (publication and publication.apart)
+    frames = len({ref.name for task in todo for ref, _ in task.items}) if prepares else 0
     crew, note = job.scheduler.within_limits(job.scheduler.crew(len(todo), frames))
     if note:
         tqdm.write(note, file=sys.stderr)

@@ -11,7 +11,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -118,9 +118,10 @@ def shard_names(sizes: Mapping[str, int]) -> list[str]:
     return [name for name in sorted(sizes) if _SHARD.fullmatch(name)]
 
 
-def fetched(path: Path) -> bool:
+def fetched(path: Path, look: Callable[[Path], None] | None = None) -> bool:
     """Fetch the shard of a copy that is not here; returns whether it was fetched.
 
+    look: called with the file before it gets its name; what it raises leaves nothing behind.
     Nothing is done about any other file, or where the storage does not have it.
     """
     folder = path.parent.parent
@@ -135,16 +136,11 @@ def fetched(path: Path) -> bool:
     content = Store(url).get(name)
     if content is None:
         return False
-    keep(path, content)
-    return True
-
-
-def keep(path: Path, content: bytes) -> None:
-    """Write a shard into its copy, and let others go when it gets too much."""
     with explain_os_errors(path, "SIMNFND_CLOUD_CACHE"):
         path.parent.mkdir(parents=True, exist_ok=True)
-        _write(path, content)
+        _write(path, content, look)
         make_room(spare=path)
+    return True
 
 
 def make_room(spare: Path) -> None:
@@ -171,10 +167,12 @@ def forget_copy(folder: Path) -> None:
         _told.cache_clear()
 
 
-def _write(path: Path, content: bytes) -> None:
+def _write(path: Path, content: bytes, look: Callable[[Path], None] | None = None) -> None:
     aside = path.with_name(f".{path.name}.{secrets.token_hex(6)}.part")
     try:
         aside.write_bytes(content)
+        if look:
+            look(aside)
         os.replace(aside, path)
     finally:
         aside.unlink(missing_ok=True)

@@ -101,6 +101,19 @@ class DaskBackend:
                 raise ValueError(f"no worker was started with --resources {pool.name}=1")
         return len(found), serving
 
+    def _recount(self) -> None:
+        """Take in workers of a cluster of others that have come or gone."""
+        with suppress(Exception):
+            found = self._client.sync(
+                self._client.scheduler.identity, n_workers=-1, callback_timeout=_RESTART_S
+            )["workers"].values()
+            if found:
+                self._total = len(found)
+                self._serving = {
+                    name: sum(name in worker.get("resources", {}) for worker in found)
+                    for name in self._restricted
+                }
+
     def free(self, pool: str) -> bool:
         """Whether fewer tasks are under way than there are workers for them."""
         with self._lock:
@@ -168,9 +181,12 @@ class DaskBackend:
     def poll(self) -> None:
         """End tasks that are too late: Dask cannot stop a function, so its worker is restarted."""
         now = time.monotonic()
-        if self._cluster is not None and now - self._revived > _REVIVE_EVERY_S:
+        if now - self._revived > _REVIVE_EVERY_S:
             self._revived = now
-            self._revive()
+            if self._cluster is None:
+                self._recount()
+            else:
+                self._revive()
         with self._lock:
             late = [task for task in self._tasks.values() if now > task.deadline]
             for task in late:

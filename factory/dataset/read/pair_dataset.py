@@ -33,8 +33,10 @@ from simnfnd.factory.dataset.read.reader import (
     listed_shards,
     reading,
 )
+from simnfnd.factory.dataset.read.stream import WINDOW, Windows
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
+from simnfnd.factory.seeds import stream
 from simnfnd.factory.storage.copies import local_folder
 
 Sample = dict[str, Image]
@@ -154,6 +156,21 @@ class PairDataset:
     def __iter__(self) -> Iterator[Sample]:
         """All samples in order."""
         return (self[index] for index in range(len(self)))
+
+    def shuffled(self, seed: int = 0, epoch: int = 0, *, window: int = WINDOW) -> Iterator[Sample]:
+        """All samples once, in a random order that `seed` and `epoch` give, for training.
+
+        Shards come in random order, `window` of them at a time, and the samples of a window in
+        random order; the shards of the next are fetched meanwhile where they lie at a URL.
+        """
+        counts = zip(self.paths, self._counts, strict=True)
+        windows = Windows([path for path, count in counts for _ in range(count)], window)
+        try:
+            for position, index in enumerate(windows.order(stream(seed, "shuffled", epoch))):
+                windows.reach(position)
+                yield self[index]
+        finally:
+            windows.close()
 
     def place(self, index: SupportsIndex) -> tuple[Path, int]:
         """The shard that holds a sample, and its row there."""

@@ -145,14 +145,25 @@ def check_split(path: Path, file: h5py.File) -> None:
         )
 
 
+def bring(path: Path) -> None:
+    """Fetch a shard of a copy that is not here, and have another process look at it first."""
+
+    def look(aside: Path) -> None:
+        try:
+            _fetched_shards.look(aside)
+        except FactoryError as error:
+            raise FactoryError(str(error).replace(str(aside), str(path))) from error
+
+    fetched(path, look)
+
+
 def open_shard(path: Path) -> h5py.File:
     """Open one shard for reading and check how it is laid out (`format.layout`).
 
     Shards of a dataset come from `shard_paths`; for any other file call `check_in_isolation` first.
     Raises FactoryError when the file is absent, damaged or of another schema.
     """
-    if fetched(path):
-        _fetched_shards.look(path)
+    bring(path)
     try:
         # A pipe would wait for a writer for ever.
         regular = stat.S_ISREG(path.stat().st_mode)
