@@ -29,7 +29,7 @@ _WORDS = ("render=analytic", "scenes.frames_per_location=2", "scenes.width=242",
 
 def measure(options: Options) -> Section:
     """Make a dataset in a folder and by the three hosts; every byte is compared."""
-    locations = options.amount(24, 6)
+    locations = options.amount(12, 6)
     rows = []
     with tempfile.TemporaryDirectory(prefix="hosts-") as name, ExitStack() as held:
         base = Path(name)

@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 from simnfnd.factory.dataset.format.manifest import Additions, Manifest, save_manifest
 from simnfnd.factory.dataset.format.schema import SPLITS
 from simnfnd.factory.dataset.write.failures import Failure, save_failures
-from simnfnd.factory.files import explain_os_errors
+from simnfnd.factory.files import explain_os_errors, remove_file
 from simnfnd.factory.jobs.job import Job
 from simnfnd.factory.jobs.plan import ShardTask
 from simnfnd.factory.jobs.worker import ShardResult
-from simnfnd.factory.outlets import remove_file
 from simnfnd.factory.ownership import check_fences
 
 # manifest.json is written so seldom that it takes at most this part of the time.

@@ -18,7 +18,6 @@ from typing import Any
 from simnfnd.factory.dataset.write.failures import FailureKind
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.jobs.distant import Distant
 from simnfnd.factory.jobs.job import Job
 from simnfnd.factory.jobs.journal import read_journal
 from simnfnd.factory.jobs.ledger import Ledger
@@ -38,6 +37,7 @@ from simnfnd.factory.jobs.worker import (
     run_frame,
     run_shard,
 )
+from simnfnd.factory.storage.distant import Distant
 from simnfnd.factory.storage.publish import Publication
 from simnfnd.factory.workers.contract import Backend
 

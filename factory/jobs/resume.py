@@ -12,9 +12,8 @@ from pathlib import Path
 from simnfnd.factory.dataset.format.manifest import Manifest, damage
 from simnfnd.factory.dataset.format.schema import SPLITS
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import explain_os_errors
+from simnfnd.factory.files import explain_os_errors, names_outside, remove_file
 from simnfnd.factory.jobs.plan import ShardTask
-from simnfnd.factory.outlets import names_outside, remove_file
 from simnfnd.factory.ownership import check_fences
 
 _SHARD_NAME = re.compile(r"shard-\d{5,}\.h5")

@@ -16,11 +16,11 @@ from simnfnd.factory.dataset.format.schema import check_pair
 from simnfnd.factory.dataset.write.failures import Failure, FailureKind
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError, NotRendered
+from simnfnd.factory.files import outlet
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.jobs.job import Recipe
 from simnfnd.factory.jobs.journal import AttemptJournal, open_journal
 from simnfnd.factory.jobs.plan import FrameVariants, ShardTask
-from simnfnd.factory.outlets import outlet
 from simnfnd.factory.ownership import fenced
 from simnfnd.factory.storage.publish import apart_copy
 

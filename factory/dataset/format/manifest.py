@@ -16,8 +16,13 @@ from typing import Any
 
 from simnfnd.factory.dataset.format.schema import SCHEMA, SPLITS
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import explain_os_errors, sha256_of, write_atomically
-from simnfnd.factory.outlets import put_out, remove_file
+from simnfnd.factory.files import (
+    explain_os_errors,
+    put_out,
+    remove_file,
+    sha256_of,
+    write_atomically,
+)
 from simnfnd.factory.ownership import check_fences
 from simnfnd.factory.small_files import one_line, parse_json, read_regular
 from simnfnd.factory.storage.copies import fetched

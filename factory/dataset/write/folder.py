@@ -28,10 +28,10 @@ from simnfnd.factory.files import (
     check_writable,
     explain_os_errors,
     is_temporary,
+    remove_file,
     remove_stale_temporaries,
     write_atomically,
 )
-from simnfnd.factory.outlets import remove_file
 from simnfnd.factory.ownership import check_fences
 from simnfnd.factory.small_files import read_regular
 
