@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import logging
+import importlib
 import os
 import pickle
 import shutil
@@ -21,14 +21,17 @@ import pytest
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.check.validate import validate
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.jobs import run
 from simnfnd.factory.jobs.ledger import RunReport
 from simnfnd.factory.jobs.settings import ShardSlice
 from simnfnd.factory.storage import copies
-from simnfnd.factory.storage.copies import folder_of, local_folder, url_of
+from simnfnd.factory.storage.copies import folder_of, forget_copy, local_folder, url_of
 from simnfnd.factory.storage.lock import StoreLock
+from simnfnd.factory.storage.publish import Publication
 from simnfnd.factory.storage.store import Store
 from tests import run_fake
 from tests.cloud_storage import contents, manifest_of, s3_server, shards_of
+from tests.fake_source import FakeConfig, FakePreparer, GentleSource
 from tests.project_files import ROOT
 
 pytest.importorskip("s3fs")
@@ -42,7 +45,6 @@ def make(folder: Path, **changes: Any) -> RunReport:
 
 @pytest.fixture(scope="module", autouse=True)
 def bucket(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    logging.getLogger("werkzeug").setLevel(logging.ERROR)
     with s3_server(tmp_path_factory.mktemp("copies")) as url:
         yield url
 
@@ -229,3 +231,62 @@ def test_a_storage_without_conditions_is_refused(monkeypatch: Any) -> None:
     monkeypatch.setattr(Store, "create", lambda self, name, content: True)
     with pytest.raises(FactoryError, match="overwrites where it is told not to"):
         make(folder_of("memory://sonar/unconditional"))
+
+
+def test_workers_that_share_no_folder_prepare_put_and_tell(
+    bucket: str, tmp_path: Path, monkeypatch: Any
+) -> None:
+    config = FakeConfig(prepared=str(tmp_path / "prepared"), bad=("reef/alpha/0003",))
+    how = {"source": GentleSource, "preparer": FakePreparer, "config": config}
+    make(tmp_path / "dataset", **how)
+    shutil.rmtree(tmp_path / "prepared")
+    told: list[str] = []
+    tell = Publication.tell
+
+    def note(self: Publication, journal: Path, content: bytes) -> None:
+        told.append(content.decode().splitlines()[-1])
+        tell(self, journal, content)
+        assert not journal.is_relative_to(folder_of(url)), "nothing of the run's is seen"
+
+    url = f"{bucket}/apart"
+    monkeypatch.setattr(Publication, "tell", note)
+    publishing = run.publishing
+    monkeypatch.setattr(
+        run, "publishing", lambda folder, part, apart: publishing(folder, part, apart=True)
+    )
+    report = make(folder_of(url), **how)
+    assert [failure.ref.name for failure in report.failures] == ["reef/alpha/0003"]
+    assert shards_of(url) == local_shards(tmp_path / "dataset")
+    assert told[:4] == ["start 0", "start 1", "start 2", "start 3"]
+    assert len(told) == 16
+    assert not [name for name in contents(url) if name.startswith(".")]
+
+
+def test_shuffled_samples_come_once_by_windows_of_shards(bucket: str, local: Path) -> None:
+    with PairDataset(local) as pairs:
+        every = [sample["noisy"].tobytes() for sample in pairs]
+        orders = [
+            [every.index(sample["noisy"].tobytes()) for sample in pairs.shuffled(seed, window=2)]
+            for seed in (0, 0, 1)
+        ]
+    assert sorted(orders[0]) == list(range(24))
+    assert orders[0] == orders[1] != orders[2]
+    # Three shards of eight: the first sixteen are of two of them, and mixed.
+    first = [number // 8 for number in orders[0][:16]]
+    assert len(set(first)) == 2
+    assert first != sorted(first)
+    assert first != sorted(first, reverse=True)
+    url = f"{bucket}/shuffled"
+    make(folder_of(url))
+    forget_copy(folder_of(url))
+    with PairDataset(url) as pairs:
+        found = [every.index(sample["noisy"].tobytes()) for sample in pairs.shuffled(0, window=2)]
+    assert found == orders[0]
+
+
+@pytest.mark.parametrize("verb", ["status", "merge", "view"])
+def test_verbs_that_need_files_say_so(verb: str) -> None:
+    main = importlib.import_module(f"simnfnd.factory.commands.{verb}").main
+    more = ["--out", "x"] if verb == "merge" else []
+    with pytest.raises(FactoryError, match="works on files of this machine"):
+        main(["s3://sonar/data", *more])
