@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from benchmarks.report import Options, Section, Table
+from benchmarks.report import Cell, Options, Section, Table
 
 HERE = "10.77.3.1"
 HOSTS = ("dies", "slow", "late")
@@ -30,7 +30,7 @@ _WORDS = ("render=analytic", "scenes.frames_per_location=2", "scenes.width=242",
 def measure(options: Options) -> Section:
     """Make a dataset in a folder and by the three hosts; every byte is compared."""
     locations = options.amount(12, 6)
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     with tempfile.TemporaryDirectory(prefix="hosts-") as name, ExitStack() as held:
         base = Path(name)
         words = [*_WORDS, f"scenes.locations={locations}"]

@@ -28,13 +28,14 @@ from tests.cloud_storage import s3_server
 from tests.factory.dataset.hostile import whole
 
 SHARD = "train/shard-00000.h5"
+SHARDS, PAIRS, FEW = 10_000, 10_000, 300
 WINDOW = 16
 KEPT_SHARDS = 3 * WINDOW
 
 
 def measure(options: Options) -> Section:
     """One shard under many names: what is read differs in nothing but its place."""
-    shards, most = options.amount(10_000, 20), options.amount(10_000, 60)
+    shards, most = options.amount(SHARDS, 20), options.amount(PAIRS, 60)
     rows: list[tuple[Cell, ...]] = []
     bad: list[str] = []
     with tempfile.TemporaryDirectory(prefix="streams-") as name:
@@ -47,7 +48,7 @@ def measure(options: Options) -> Section:
             _upload(folder, url)
             size = (folder / SHARD).stat().st_size
             os.environ["SIMNFND_CLOUD_CACHE_BYTES"] = str(KEPT_SHARDS * size)
-            few = min(most, options.amount(300, 20))
+            few = min(most, options.amount(FEW, 20))
             rows.append(("URL, any order", *in_own_process(_any, url, few)))
             shutil.rmtree(base / "copies", ignore_errors=True)
             rows.append(("URL, windows", *in_own_process(_windows, url, most)))
