@@ -99,9 +99,13 @@ class _Fetched:
     """Looks at shards that were just fetched, in a process that lasts; for each process anew."""
 
     def __init__(self) -> None:
+        self._forget()
+        if hasattr(os, "register_at_fork"):
+            os.register_at_fork(after_in_child=self._forget)
+
+    def _forget(self) -> None:
         self._lock = threading.Lock()
         self._process: IsolatedProcess | None = None
-        os.register_at_fork(after_in_child=self.__init__)  # type: ignore[misc]
 
     def look(self, path: Path) -> None:
         with self._lock:
