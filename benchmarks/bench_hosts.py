@@ -1,6 +1,6 @@
 """Three hosts that share nothing but a URL: one dies, one is slow, one comes late.
 
-Each host is a network name space of this machine with a /tmp of its own and a Dask worker in it;
+Each host is a network name space of this machine with a folder for temporary files of its own and a Dask worker in it;
 datasets go to an S3 server on the bridge between them.  Needs root, iproute2 and util-linux.
 """
 
@@ -185,13 +185,14 @@ def _worker(
     host: str, address: str, environment: dict[str, str]
 ) -> Iterator[subprocess.Popen[bytes]]:
     """A Dask worker with its nanny on a host; ends with all that it has started."""
-    own = 'mount -t tmpfs tmpfs /tmp && cd /tmp && exec "$@"'
+    here = tempfile.gettempdir()
+    own = f'mount -t tmpfs tmpfs {here} && cd {here} && exec "$@"'
     if host == "slow":
         own = f"tc qdisc add dev eth0 root netem delay {DELAY_MS}ms || renice -n 15 $$; {own}"
     words = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nworkers", "1",
              "--nthreads", "1", "--memory-limit", "0", "--no-dashboard",
              "--preload", "simnfnd.factory.workers.dask_preload"]  # fmt: skip
-    there = {**environment, "SIMNFND_CLOUD_CACHE": "/tmp/copies", "HOME": "/tmp", "TMPDIR": "/tmp"}
+    there = {**environment, "SIMNFND_CLOUD_CACHE": f"{here}/copies", "HOME": here, "TMPDIR": here}
     process = subprocess.Popen(
         ["ip", "netns", "exec", f"sonar-{host}", "unshare", "-m", "sh", "-c", own, "sh", *words],
         env=there,
