@@ -1,7 +1,7 @@
 """Three hosts that share nothing but a URL: one dies, one is slow, one comes late.
 
-Each host is a network name space of this machine with a folder for temporary files of its own and a Dask worker in it;
-datasets go to an S3 server on the bridge between them.  Needs root, iproute2 and util-linux.
+Each host is a network name space of this machine with temporary files of its own and a Dask worker
+in it; datasets go to an S3 server on the bridge between them.  Needs root, iproute2 and util-linux.
 """
 
 from __future__ import annotations
