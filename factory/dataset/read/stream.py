@@ -45,7 +45,7 @@ class Windows:
         rank[shards] = np.arange(len(shards))
         windows = rank[self._shard] // self._window
         # Random within each window: a key of its own for every sample.
-        order = np.lexsort((rng.random(len(windows)), windows))
+        order: npt.NDArray[np.int64] = np.lexsort((rng.random(len(windows)), windows))
         first = np.searchsorted(windows[order], np.arange(windows.max(initial=-1) + 2))
         groups = [
             [self._paths[number] for number in shards[k : k + self._window]]
