@@ -73,10 +73,10 @@ def _many(base: Path, shards: int) -> Path:
     digest, size = sha256_of(first), first.stat().st_size
     infos = {}
     for number in range(shards):
-        path = f"train/shard-{number:05d}.h5"
+        name = f"train/shard-{number:05d}.h5"
         if number:
-            os.link(first, folder / path)
-        infos[path] = ShardInfo(path, "train", samples, size, digest)
+            os.link(first, folder / name)
+        infos[name] = ShardInfo(name, "train", samples, size, digest)
     save_manifest(folder, Manifest(config_hash, "simnfnd streams", {}, infos))
     return folder
 

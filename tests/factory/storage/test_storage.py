@@ -27,7 +27,7 @@ from simnfnd.factory.jobs.settings import ShardSlice
 from simnfnd.factory.storage import copies
 from simnfnd.factory.storage.copies import folder_of, forget_copy, local_folder, url_of
 from simnfnd.factory.storage.lock import StoreLock
-from simnfnd.factory.storage.publish import Publication
+from simnfnd.factory.storage.publish import Publication, publishing
 from simnfnd.factory.storage.store import Store
 from tests import run_fake
 from tests.cloud_storage import contents, manifest_of, s3_server, shards_of
@@ -241,16 +241,16 @@ def test_workers_that_share_no_folder_prepare_put_and_tell(
     make(tmp_path / "dataset", **how)
     shutil.rmtree(tmp_path / "prepared")
     told: list[str] = []
+    place = f"{bucket}/apart"
     tell = Publication.tell
 
     def note(self: Publication, journal: Path, content: bytes) -> None:
         told.append(content.decode().splitlines()[-1])
         tell(self, journal, content)
-        assert not journal.is_relative_to(folder_of(url)), "nothing of the run's is seen"
+        assert not journal.is_relative_to(folder_of(place)), "nothing of the run's is seen"
 
-    url = f"{bucket}/apart"
+    url = place
     monkeypatch.setattr(Publication, "tell", note)
-    publishing = run.publishing
     monkeypatch.setattr(
         run, "publishing", lambda folder, part, apart: publishing(folder, part, apart=True)
     )
