@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -12,6 +13,7 @@ from simnfnd.evaluation.app import hydra_verb
 from simnfnd.factory.cli.extras import Need, require
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.settings import build
+from simnfnd.factory.storage.copies import local_folder
 
 if TYPE_CHECKING:
     from simnfnd.evaluation.settings import EvaluationSettings
@@ -67,6 +69,8 @@ def settings_of(config: DictConfig) -> EvaluationSettings:
         raise FactoryError("dataset: give the folder that `simnfnd make` made, dataset=DIR")
     values = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     settings: EvaluationSettings = build(EvaluationSettings, values)
+    folder = str(local_folder(settings.dataset.dir))
+    settings = replace(settings, dataset=replace(settings.dataset, dir=folder))
     for key, folders in (("dataset", [settings.dataset.dir]), ("robustness", settings.robustness)):
         for folder in folders:
             if not Path(folder).is_dir():

@@ -1,4 +1,7 @@
-"""Files that are wholly there or not at all: temp file, fsync, rename, fsync of the folder."""
+"""Files that are wholly there or not at all: temp file, fsync, rename, fsync of the folder.
+
+What is written into a folder that has an outlet goes there, too (`simnfnd.factory.storage`).
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Protocol
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.ownership import check_fences, space
@@ -50,6 +54,8 @@ def write_atomically(
             raise
         if durable:
             sync_folder(path.parent)
+    if durable:
+        put_out(path, content)
 
 
 def sync_folder(folder: Path) -> None:
@@ -173,3 +179,62 @@ def whole_folder(folder: Path) -> Iterator[Path]:
             os.replace(partial, folder)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
+
+
+class Outlet(Protocol):
+    """Where the files of a folder go."""
+
+    @property
+    def folder(self) -> Path:
+        """The folder, absolute."""
+
+    def put(self, path: Path, content: bytes) -> None:
+        """A file of the folder was written.  Raises FactoryError when it cannot be passed on."""
+
+    def remove(self, path: Path) -> None:
+        """A file of the folder was removed, or was found absent."""
+
+    def names(self) -> list[str]:
+        """The shards that are there, below the folder, with forward slashes."""
+
+
+# Of this process.
+_outlets: list[Outlet] = []
+
+
+@contextmanager
+def outlet(one: Outlet | None) -> Iterator[None]:
+    """Within the block, what this process writes into the folder goes through this one, too."""
+    if one is None:
+        yield
+        return
+    _outlets.append(one)
+    try:
+        yield
+    finally:
+        _outlets.remove(one)
+
+
+def put_out(path: Path, content: bytes | None = None) -> None:
+    """Pass a file on that was written; without `content` it is read."""
+    for one in _of(path):
+        one.put(path, path.read_bytes() if content is None else content)
+
+
+def remove_file(path: Path) -> None:
+    """Remove a file, which may be absent, here and wherever it went."""
+    path.unlink(missing_ok=True)
+    for one in _of(path):
+        one.remove(path)
+
+
+def names_outside(folder: Path, split: str) -> list[str]:
+    """The shards of a split that lie wherever the files of this folder go."""
+    return [name for one in _of(folder) for name in one.names() if name.startswith(f"{split}/")]
+
+
+def _of(path: Path) -> list[Outlet]:
+    if not _outlets:
+        return []
+    place = Path(os.path.abspath(path))
+    return [one for one in _outlets if place.is_relative_to(one.folder)]

@@ -17,7 +17,15 @@ from simnfnd.evaluation.baselines.base import Gray
 from simnfnd.evaluation.data import image_pairs
 from simnfnd.evaluation.data.picture import Picture, sector_of
 from simnfnd.factory.dataset.format.manifest import load_manifest
-from simnfnd.factory.dataset.read.reader import Split, open_shard, shard_paths, value_range
+from simnfnd.factory.dataset.read.image_stack import ImageStack
+from simnfnd.factory.dataset.read.reader import (
+    Split,
+    open_shard,
+    reading,
+    shard_paths,
+    value_range,
+)
+from simnfnd.factory.dataset.read.source import CORE, read_image
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
 
@@ -123,12 +131,9 @@ def picture(place: Place) -> Picture:
         shadow = np.zeros(clean.shape, bool) if mask is None else mask
         sector = sector_of(noisy, clean, shadow)
         return Picture(noisy, clean, shadow, sector, has_shadow=mask is not None)
-    with open_shard(Path(path)) as file:
+    with reading(Path(path)) as file:
         full = value_range(file)
-        try:
-            noisy, clean, shadow = (file[key][row] for key in ("noisy", "clean", "shadow"))
-        except OSError as error:
-            raise FactoryError(f"{path}: sample {row} is damaged; generate it again") from error
+        noisy, clean, shadow = (read_image(ImageStack(file[key]), key, row) for key in CORE)
     for name, image in (("noisy", noisy), ("clean", clean)):
         if not np.isfinite(image).all():
             raise FactoryError(f"{path}: sample {row}: {name} has NaN or infinite pixels")

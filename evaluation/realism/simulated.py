@@ -5,13 +5,20 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-import h5py
 import numpy as np
 import yaml
 
 from simnfnd.evaluation.realism.pictures import Collection, Source, label_of
 from simnfnd.evaluation.realism.polar import Gray
-from simnfnd.factory.dataset.read.reader import Split, open_shard, shard_paths, value_range
+from simnfnd.factory.dataset.read.image_stack import ImageStack
+from simnfnd.factory.dataset.read.reader import (
+    Split,
+    open_shard,
+    reading,
+    shard_paths,
+    value_range,
+)
+from simnfnd.factory.dataset.read.source import read_image
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry, recorded_sonar
 from simnfnd.factory.sonar.settings import SonarSettings
@@ -51,11 +58,8 @@ def open_dataset(folder: str | Path, split: Split, layer: str = "noisy") -> Coll
 
 
 def _read(path: Path, layer: str, row: int, full: np.float32) -> Gray:
-    with h5py.File(path, "r") as file:
-        try:
-            picture = file[layer][row]
-        except OSError as error:
-            raise FactoryError(f"{path}: sample {row} is damaged; generate it again") from error
+    with reading(path) as file:
+        picture = read_image(ImageStack(file[layer]), layer, row)
     return np.asarray(picture, np.float32) / full
 
 

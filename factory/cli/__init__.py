@@ -9,6 +9,7 @@ import re
 import signal
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from simnfnd.factory.cli.words import readable
@@ -28,12 +29,28 @@ _HINTS = {
 }
 
 
+# Of which pathlib has left one slash.
+_URL = re.compile(r"[a-z][a-z0-9+.-]+:/")
+
+
 class Parser(argparse.ArgumentParser):
     """For verbs with options: `simnfnd VERB` as `prog`, and mistakes as one line."""
 
     def error(self, message: str) -> NoReturn:
         """Raise FactoryError, like every other mistake of the user."""
         raise FactoryError(f"{self.prog}: {message} (see `{self.prog} --help`)")
+
+    def parse_args(self, *words: Any, **more: Any) -> Any:
+        """As argparse has it; a URL where a path is asked for is an error of its own."""
+        given = super().parse_args(*words, **more)
+        for value in vars(given).values():
+            for path in value if isinstance(value, list) else [value]:
+                if isinstance(path, Path) and _URL.match(str(path)):
+                    raise FactoryError(
+                        f"{self.prog}: {path}: works on files of this machine; fetch the dataset "
+                        "first, for example with `aws s3 sync` or `rclone copy`"
+                    )
+        return given
 
 
 def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:

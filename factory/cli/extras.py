@@ -34,6 +34,7 @@ EXTRAS = {
     "matplotlib": "figures",
     "rosbags": "ros",
     "hdf5plugin": "zstd",
+    "s3fs": "cloud",
 }
 """Module -> the extra of pyproject.toml that installs it."""
 
@@ -89,5 +90,7 @@ def needs_of(config: FactoryConfig) -> Iterator[Need]:
         yield Need("resample=voxel", "open3d", "resample=random")
     if config.scheduler.backend == "dask":
         yield Need("scheduler=dask", "distributed", "scheduler=local")
+    if (config.dataset.dir or "").startswith("s3://"):
+        yield Need("dataset.dir=s3://...", "s3fs", "a folder of this machine")
     if config.dataset.compression == "zstd":
         yield Need("dataset.compression=zstd", "hdf5plugin", "gzip, lzf or none")

@@ -27,6 +27,7 @@ from simnfnd.factory.progress import stage_if_slow
 from simnfnd.factory.renders.cache import Limit
 from simnfnd.factory.renders.views import ViewMaker, check_views, with_cache
 from simnfnd.factory.selection import choose_frames, frames_digest, split_frames, split_warnings
+from simnfnd.factory.storage.copies import shown
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -51,7 +52,7 @@ def generate(composed: DictConfig) -> int:
     code = 1 if report.failures else 0
     if config.shard.count == 1:
         note_result(directory, config, report, code)
-    print(f"dataset: {directory}")
+    print(f"dataset: {shown(directory)}")
     return code
 
 
@@ -107,7 +108,7 @@ def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
     say_warnings(warnings)
     values = {**identity(config), "frames_found": frames_digest(frames)}
     config_hash = digest(values)
-    directory = config.dataset.directory(config_hash)
+    directory = config.dataset.directory(config_hash, config.shard.part)
     how = (config.frames.variants, config.scheduler.shard_size, config.dataset.limits)
     working = with_cache(config, work_folder(directory, config.shard))
     return Job(
@@ -168,5 +169,5 @@ def _rerun_command(ref: FrameRef, arguments: list[str], directory: Path) -> str:
         if not word.startswith(("dataset.dir=", "dataset.on_existing=", "frames.only="))
         and word not in ("-m", "--multirun")
     ]
-    again = [*words, f"frames.only=[{ref.name}]", f"dataset.dir={directory}-retry"]
+    again = [*words, f"frames.only=[{ref.name}]", f"dataset.dir={shown(directory)}-retry"]
     return " ".join(["simnfnd make", *map(shlex.quote, again)])

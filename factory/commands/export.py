@@ -10,6 +10,7 @@ from simnfnd.factory.dataset.format.schema import SPLITS
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export import FORMATS, export
 from simnfnd.factory.export.hub import check_hub, push
+from simnfnd.factory.storage.copies import local_folder
 
 # Format -> the module of the export extra that writes it.
 _NEEDS = {"webdataset": "webdataset", "huggingface": "pyarrow"}
@@ -18,7 +19,7 @@ _NEEDS = {"webdataset": "webdataset", "huggingface": "pyarrow"}
 def main(words: list[str]) -> None:
     """Write the export that `words` ask for."""
     parser = Parser(prog="simnfnd export")
-    parser.add_argument("dir", type=Path, help="folder of a dataset (or of MDD, to coco and yolo)")
+    parser.add_argument("dir", help="folder or URL of a dataset (or of MDD, to coco and yolo)")
     parser.add_argument("--to", required=True, choices=FORMATS, help="format")
     parser.add_argument("--out", required=True, type=Path, help="new or empty folder to fill")
     parser.add_argument("--split", choices=(*SPLITS, "all"), default="all", help="default: all")
@@ -34,7 +35,7 @@ def main(words: list[str]) -> None:
     require([Need(what, module, extra="export") for what, module in needs if module])
     if given.push is not None:
         check_hub(given.push)
-    print(f"export: {export(given.dir, given.to, given.out, given.split)}")
+    print(f"export: {export(local_folder(given.dir), given.to, given.out, given.split)}")
     print(f"folder: {given.out}")
     if given.push is not None:
         print(f"hub: {push(given.out, given.push, private=given.private)}")

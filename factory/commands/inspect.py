@@ -12,6 +12,7 @@ from simnfnd.factory.cli import Parser
 from simnfnd.factory.cli.extras import Need, require
 from simnfnd.factory.dataset.describe.summary import DatasetSummary, summarize
 from simnfnd.factory.dataset.read.config_file import dataset_settings
+from simnfnd.factory.storage.copies import local_folder
 
 _BAR = 40
 _BINS = 10
@@ -20,13 +21,13 @@ _BINS = 10
 def main(words: list[str]) -> None:
     """Print (and draw) what `words` ask for."""
     parser = Parser(prog="simnfnd inspect")
-    parser.add_argument("path", type=Path, help="folder of a dataset, index.h5 or a shard")
+    parser.add_argument("path", help="folder or URL of a dataset, index.h5 or a shard")
     parser.add_argument("--pairs", type=int, default=200, help="most pairs to measure (200)")
     parser.add_argument("--png", type=Path, help="draw the histograms into this file, too")
     given = parser.parse_args(words)
     if given.png is not None:
         require([Need("inspect --png", "matplotlib", "inspect without it")])
-    found = summarize(given.path, given.pairs)
+    found = summarize(local_folder(given.path), given.pairs)
     print("\n".join(report(found, str(given.path))))
     if given.png is not None:
         from simnfnd.factory.dataset.describe.summary_figure import draw

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from simnfnd.factory.cli import Parser
 from simnfnd.factory.dataset.check.validate import validate
+from simnfnd.factory.storage.copies import local_folder
 
 
 def main(words: list[str]) -> int:
     """Print what is wrong with the dataset; 0 when nothing is, else 1."""
     parser = Parser(prog="simnfnd validate")
-    parser.add_argument("dir", type=Path, help="folder of a dataset")
+    parser.add_argument("dir", help="folder or URL of a dataset")
     parser.add_argument("--deep", action="store_true", help="read every picture, too")
     given = parser.parse_args(words)
-    report = validate(given.dir, given.deep)
+    report = validate(local_folder(given.dir, fresh=True), given.deep)
     for finding in report.findings:
         print(finding)
     what = f"{report.samples} samples in {report.shards} shards"

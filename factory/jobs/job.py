@@ -17,6 +17,7 @@ from simnfnd.factory.jobs.earlier import Earlier
 from simnfnd.factory.jobs.plan import ShardTask
 from simnfnd.factory.jobs.settings import SchedulerSettings, ShardSlice
 from simnfnd.factory.ownership import Fence
+from simnfnd.factory.storage.publish import Publication
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,7 @@ class Recipe:
         nothing is to be prepared.
     work_folder: where workers write how far they are, and what only this run needs.
     fence: asked before a shard is put in its place.
+    publication: where the dataset goes when its folder is the copy of a URL.
     """
 
     directory: Path
@@ -40,6 +42,7 @@ class Recipe:
     frame_timeout_s: float
     work_folder: Path
     fence: Fence | None = None
+    publication: Publication | None = None
 
 
 def _nothing(added_bytes: int) -> None:

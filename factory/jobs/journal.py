@@ -12,7 +12,7 @@ import faulthandler
 import multiprocessing
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +23,8 @@ _START, _DONE, _FAILED = "start", "done", "failed"
 # Any other line is the interpreter's traceback, or was cut off.
 _LINE = re.compile(r"(start|done|failed)((?: [0-9]{1,9})+)", re.ASCII)
 _TIMEOUT_MARK = "Timeout ("
+
+Tell = Callable[[Path, bytes], None]
 
 
 @dataclass(frozen=True)
@@ -45,8 +47,10 @@ class AttemptState:
 class AttemptJournal:
     """The writing side, in the worker."""
 
-    def __init__(self, path: Path, descriptor: int, frame_timeout_s: float) -> None:
-        self._path, self._descriptor = path, descriptor
+    def __init__(
+        self, path: Path, descriptor: int, frame_timeout_s: float, tell: Tell | None = None
+    ) -> None:
+        self._path, self._descriptor, self._tell = path, descriptor, tell
         self._frame_timeout_s = frame_timeout_s
         # Only a process of its own may be ended from within; a test that calls may not.
         self._may_exit = multiprocessing.parent_process() is not None
@@ -69,6 +73,8 @@ class AttemptJournal:
     def start(self, index: int) -> None:
         """Frame `index` of the shard is begun."""
         self._write(_START, index)
+        if self._tell:
+            self._tell(self._path, self._path.read_bytes())
 
     def done(self, index: int, samples: int) -> None:
         """Frame `index` gave `samples` samples."""
@@ -85,8 +91,13 @@ class AttemptJournal:
 
 
 @contextmanager
-def open_journal(path: Path, frame_timeout_s: float) -> Iterator[AttemptJournal]:
-    """Open a new journal at `path` for the time of one attempt."""
+def open_journal(
+    path: Path, frame_timeout_s: float, tell: Tell | None = None
+) -> Iterator[AttemptJournal]:
+    """Open a new journal at `path` for the time of one attempt.
+
+    tell: called with path and content before each frame, where the run does not see the file.
+    """
     with explain_os_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
@@ -94,7 +105,7 @@ def open_journal(path: Path, frame_timeout_s: float) -> Iterator[AttemptJournal]
     try:
         if crash_reports:
             faulthandler.enable(file=descriptor)
-        yield AttemptJournal(path, descriptor, frame_timeout_s)
+        yield AttemptJournal(path, descriptor, frame_timeout_s, tell)
     finally:
         if crash_reports:
             faulthandler.disable()

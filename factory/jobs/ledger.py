@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from simnfnd.factory.dataset.format.manifest import Additions, Manifest, save_manifest
 from simnfnd.factory.dataset.format.schema import SPLITS
 from simnfnd.factory.dataset.write.failures import Failure, save_failures
-from simnfnd.factory.files import explain_os_errors
+from simnfnd.factory.files import explain_os_errors, remove_file
 from simnfnd.factory.jobs.job import Job
 from simnfnd.factory.jobs.plan import ShardTask
 from simnfnd.factory.jobs.worker import ShardResult
@@ -72,7 +72,7 @@ class Ledger:
             path = self._job.recipe.directory / task.path
             check_fences(path)
             with explain_os_errors(path):
-                path.unlink(missing_ok=True)
+                remove_file(path)
         self._failures[task.path] = result.failures
         # In this order: a shard in the manifest always has its failures on record.
         if result.failures:

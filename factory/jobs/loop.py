@@ -37,6 +37,8 @@ from simnfnd.factory.jobs.worker import (
     run_frame,
     run_shard,
 )
+from simnfnd.factory.storage.distant import Distant
+from simnfnd.factory.storage.publish import Publication
 from simnfnd.factory.workers.contract import Backend
 
 _POLL_S = 0.2
@@ -59,9 +61,13 @@ class Loop:
         progress: ProgressBar,
         lock: Lock,
         backend: Backend,
+        publication: Publication | None = None,
     ) -> None:
         self._job, self._scheduler = job, job.scheduler
-        self._recipe = replace(job.recipe, fence=lock.fence)
+        self._recipe = replace(job.recipe, fence=lock.fence, publication=publication)
+        self._distant = Distant(publication)
+        # Who shares no folder shares no renders either, and makes those of its own shard.
+        self._prepares = job.preparer is not None and not self._distant
         self._lacking = resumed.lacking
         self._ledger, self._progress, self._lock = ledger, progress, lock
         self._backend = backend
@@ -81,7 +87,7 @@ class Loop:
 
     def _add(self, task: ShardTask) -> None:
         shard = PendingShard(task, self._scheduler.retries)
-        if self._recipe.preparer is None:
+        if not self._prepares:
             self._ready.append(shard)
             return
         lacking = self._lacking.get(task.path)
@@ -97,7 +103,9 @@ class Loop:
             done, _ = wait(self._running, timeout=_POLL_S, return_when=FIRST_COMPLETED)
             if not self._running:
                 time.sleep(0.01)  # all that is left waits for its next try
+            self._distant.hear([journal for _, journal in self._running.values()])
             for future in done:
+                self._distant.hear([self._running[future][1]], at_once=True)
                 self._take_result(*self._running.pop(future), future)
                 self._expired.discard(future)
             for future in self._standstill.among(self._running, time.monotonic()):
@@ -151,7 +159,7 @@ class Loop:
         if state.begun or error is None:
             self._barren_deaths = 0
         if error is None:
-            journal.unlink(missing_ok=True)
+            self._forget(journal)
             result = future.result()
             if isinstance(work, PendingFrame):
                 self._prepared(work, result)
@@ -164,7 +172,7 @@ class Loop:
             return
         kind, reason = self._cause(error, state.timed_out or future in self._expired)
         self._log.death(work, reason, journal)
-        journal.unlink(missing_ok=True)
+        self._forget(journal)
         if not state.begun:
             # Nothing of it was touched yet, so nothing of it is to blame.
             self._barren_deaths += 1
@@ -182,6 +190,10 @@ class Loop:
                 self._give_up(work)
         if again:
             self._retry_later(work, work.deaths if state.begun else self._barren_deaths)
+
+    def _forget(self, journal: Path) -> None:
+        journal.unlink(missing_ok=True)
+        self._distant.forget(journal)
 
     def _retry_later(self, work: Pending, deaths: int) -> None:
         work.not_before = time.monotonic() + backoff_s(self._scheduler.backoff_s, deaths)

@@ -12,7 +12,7 @@ from pathlib import Path
 from simnfnd.factory.dataset.format.manifest import Manifest, damage
 from simnfnd.factory.dataset.format.schema import SPLITS
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import explain_os_errors
+from simnfnd.factory.files import explain_os_errors, names_outside, remove_file
 from simnfnd.factory.jobs.plan import ShardTask
 from simnfnd.factory.ownership import check_fences
 
@@ -87,7 +87,9 @@ def _remove_unplanned(directory: Path, planned: Mapping[str, ShardTask]) -> None
     """Shards of an earlier cut of the same frames would be read as part of the dataset."""
     check_fences(directory)
     for split in SPLITS:
-        for path in sorted((directory / split).glob("shard-*.h5")):
-            if _SHARD_NAME.fullmatch(path.name) and f"{split}/{path.name}" not in planned:
-                with explain_os_errors(path):
-                    path.unlink()
+        found = {path.name for path in (directory / split).glob("shard-*.h5")}
+        found |= {name.rpartition("/")[2] for name in names_outside(directory, split)}
+        for name in sorted(found):
+            if _SHARD_NAME.fullmatch(name) and f"{split}/{name}" not in planned:
+                with explain_os_errors(directory / split / name):
+                    remove_file(directory / split / name)

@@ -26,6 +26,7 @@ from simnfnd.factory.jobs.progress import ProgressBar
 from simnfnd.factory.jobs.resume import take_up
 from simnfnd.factory.jobs.settings import Crew
 from simnfnd.factory.progress import stage
+from simnfnd.factory.storage.publish import Publication, publishing
 from simnfnd.factory.workers.kept import leased
 from simnfnd.factory.workers.signals import Interrupted, stop_signals
 
@@ -54,10 +55,15 @@ def make_dataset(job: Job) -> RunReport:
     compression_filter(job.dataset)
     if job.shard.part and job.dataset.on_existing != "resume":
         raise FactoryError(_NO_SLICES[job.dataset.on_existing])
-    with stop_signals(), Lock(job.directory, job.shard.part) as lock:
+    apart = job.scheduler.address is not None
+    with (
+        stop_signals(),
+        Lock(job.directory, job.shard.part) as lock,
+        publishing(job.directory, job.shard.part, apart=apart) as publication,
+    ):
         manifest = _open(job)
         job = _with_earlier(job, manifest)
-        report = make_shards(job, manifest, lock)
+        report = make_shards(job, manifest, lock, publication)
         if not job.shard.part:
             forget_slices(job.directory)
             _describe(job, report)
@@ -86,7 +92,9 @@ def _with_earlier(job: Job, manifest: Manifest) -> Job:
     return replace(job, tasks=job.extension(earlier), earlier=provenances(manifest, earlier))
 
 
-def make_shards(job: Job, manifest: Manifest, lock: Lock) -> RunReport:
+def make_shards(
+    job: Job, manifest: Manifest, lock: Lock, publication: Publication | None = None
+) -> RunReport:
     """Make every shard of the job that `manifest` does not hold whole already.
 
     Raises as `make_dataset` does.  No worker process outlives the call, unless it ended well and
@@ -97,7 +105,9 @@ def make_shards(job: Job, manifest: Manifest, lock: Lock) -> RunReport:
     for note in resumed.notes:
         stage(note)
     todo = resumed.todo
-    frames = len({ref.name for task in todo for ref, _ in task.items}) if job.preparer else 0
+    # Workers that share no folder prepare what they need themselves.
+    prepares = job.preparer and not (publication and publication.apart)
+    frames = len({ref.name for task in todo for ref, _ in task.items}) if prepares else 0
     crew, note = job.scheduler.within_limits(job.scheduler.crew(len(todo), frames))
     if note:
         stage(note)
@@ -115,7 +125,7 @@ def make_shards(job: Job, manifest: Manifest, lock: Lock) -> RunReport:
             largest = max(len(task.items) for task in todo)
             try:
                 with leased(job.scheduler.worker_settings(crew, largest)) as backend:
-                    Loop(job, resumed, ledger, progress, lock, backend).run()
+                    Loop(job, resumed, ledger, progress, lock, backend, publication).run()
             finally:
                 _tidy(job)
         ledger.save()

@@ -19,6 +19,8 @@ from simnfnd.factory.jobs.settings import SchedulerSettings
 _GRACE_S = {"local": 10.0, "dask": 60.0}
 # Without a frame in hand a process starts, or a shard is written to a slow disk.
 _BETWEEN_FRAMES_S = 60.0
+# What was asked to end and did not is asked again.
+_AGAIN_S = 30.0
 
 
 class Standstill:
@@ -28,25 +30,30 @@ class Standstill:
         self._limit_s = scheduler.frame_timeout_s
         self._grace_s = _GRACE_S.get(scheduler.backend, 0.0)
         self._seen: dict[Path, tuple[int, float]] = {}
+        self._named: dict[Path, float] = {}
 
     def among(
         self, running: Mapping[Future[Any], tuple[Any, Path]], now: float
     ) -> Iterator[Future[Any]]:
-        """The futures of those tasks; each is named once.
+        """The futures of those tasks; each is named again while it lasts, every half minute.
 
         running: future -> (work, journal).  now: of a clock that never goes back, in seconds.
         """
         journals = {journal for _, journal in running.values()}
         self._seen = {path: seen for path, seen in self._seen.items() if path in journals}
+        self._named = {path: when for path, when in self._named.items() if path in journals}
         for future, (_, journal) in running.items():
             size = _size(journal)
             before, since = self._seen.get(journal, (-2, now))
             if size != before:
                 self._seen[journal] = (size, now)
+                self._named.pop(journal, None)
+            elif now - self._named.get(journal, -_AGAIN_S) < _AGAIN_S:
+                continue
             elif now - since > self._limit_s + self._grace_s and self._is_late(
                 journal, now - since
             ):
-                self._seen[journal] = (size, float("inf"))
+                self._named[journal] = now
                 yield future
 
     def _is_late(self, journal: Path, silent_s: float) -> bool:

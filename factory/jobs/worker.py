@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import traceback
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,11 +16,13 @@ from simnfnd.factory.dataset.format.schema import check_pair
 from simnfnd.factory.dataset.write.failures import Failure, FailureKind
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError, NotRendered
+from simnfnd.factory.files import outlet
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.jobs.job import Recipe
 from simnfnd.factory.jobs.journal import AttemptJournal, open_journal
 from simnfnd.factory.jobs.plan import FrameVariants, ShardTask
 from simnfnd.factory.ownership import fenced
+from simnfnd.factory.storage.publish import apart_copy
 
 T = TypeVar("T")
 
@@ -131,14 +134,19 @@ def make_shard(attempt: ShardAttempt) -> ShardResult:
 
     Raises FactoryError for what no other frame can do better: a missing renderer, a full disk.
     """
-    recipe = attempt.recipe
-    with (
-        fenced(recipe.fence),
-        open_journal(attempt.journal, recipe.frame_timeout_s) as journal,
-    ):
+    with ExitStack() as here:
+        attempt = _at_hand(attempt, here)
+        recipe = attempt.recipe
+        tell = recipe.publication and recipe.publication.apart and recipe.publication.tell
+        journal = here.enter_context(
+            open_journal(attempt.journal, recipe.frame_timeout_s, tell or None)
+        )
         with journal.watched():
             source: PairSource = _build(recipe.source, recipe)
-            frames = _Frames(attempt, source, journal, source.axes(), source.columns())
+            preparer = None
+            if tell and recipe.preparer:
+                preparer = _build(recipe.preparer, recipe)
+            frames = _Frames(attempt, source, journal, source.axes(), source.columns(), preparer)
         lacking = [
             item for item in enumerate(attempt.task.items) if item[1][0].name in attempt.lacking
         ]
@@ -147,6 +155,18 @@ def make_shard(attempt: ShardAttempt) -> ShardResult:
         except NotRendered as error:
             gone = tuple(ref for ref, _ in attempt.task.items if ref.name == error.frame)
             return ShardResult(None, (), missing=gone)
+
+
+def _at_hand(attempt: ShardAttempt, here: ExitStack) -> ShardAttempt:
+    """The attempt as this process can work on it: who shares no folder has one of its own."""
+    publication = attempt.recipe.publication
+    if publication is None or not publication.apart:
+        here.enter_context(fenced(attempt.recipe.fence))
+        here.enter_context(outlet(publication))
+        return attempt
+    publication = here.enter_context(apart_copy(publication))
+    recipe = replace(attempt.recipe, directory=publication.folder, publication=publication)
+    return replace(attempt, recipe=recipe, journal=publication.folder / attempt.journal.name)
 
 
 def _made(
@@ -159,6 +179,8 @@ def _made(
     given_up = {failure.ref.name for failure in attempt.given_up}
 
     def missing(items: Iterable[FrameVariants]) -> ShardResult | None:
+        if frames.prepares:
+            return None
         gone = [ref for ref, _ in items if ref.name not in given_up and not source.ready(ref)]
         return ShardResult(None, (), missing=tuple(gone)) if gone else None
 
@@ -211,11 +233,18 @@ class _Frames:
         journal: AttemptJournal,
         axes: tuple[Axis, Axis],
         columns: tuple[Column, ...],
+        preparer: Preparer | None = None,
     ) -> None:
+        self._preparer = preparer
         self.axes, self.columns = axes, columns
         self.failures: list[Failure] = []
         self._attempt, self._source, self._journal = attempt, source, journal
         self._given_up = {failure.ref.name: failure for failure in attempt.given_up}
+
+    @property
+    def prepares(self) -> bool:
+        """Whether what a frame needs is made here, too."""
+        return self._preparer is not None
 
     def pairs(self) -> Iterator[Pair]:
         """The pairs of all frames in order; frames without go to `failures`."""
@@ -235,6 +264,9 @@ class _Frames:
             return [], self._given_up[ref.name]
         self._journal.start(index)
         try:
+            if self._preparer is not None:
+                with self._journal.watched():
+                    self._preparer.prepare(ref)
             with self._journal.watched():
                 pairs = self._source.pairs(ref, variants)
             if len(pairs) != len(variants):

@@ -28,6 +28,10 @@ _LOGGING = "DASK_LOGGING__DISTRIBUTED"
 _CONNECT_S = 20.0
 _STOP_S = 4.0
 _REVIVE_EVERY_S = 2.0
+# A worker's start, and the way of a result that a worker has ready.
+_START_S = 120
+_RESULT_S = 60
+_RESTART_S = 30
 _STARTS = 5
 
 
@@ -84,7 +88,7 @@ class DaskBackend:
     def _count(self, settings: WorkerSettings) -> tuple[int, dict[str, int]]:
         """How many workers there are, and of them for each pool that not all of them serve."""
         if self._cluster is not None:
-            self._client.wait_for_workers(settings.total, timeout=120)
+            self._client.wait_for_workers(settings.total, timeout=_START_S)
         found = self._client.scheduler_info(n_workers=-1)["workers"].values()
         if not found:
             raise ValueError("it has no workers")
@@ -96,6 +100,19 @@ class DaskBackend:
             if pool.workers and serving.get(pool.name) == 0:
                 raise ValueError(f"no worker was started with --resources {pool.name}=1")
         return len(found), serving
+
+    def _recount(self) -> None:
+        """Take in workers of a cluster of others that have come or gone."""
+        with suppress(Exception):
+            found = self._client.sync(
+                self._client.scheduler.identity, n_workers=-1, callback_timeout=_RESTART_S
+            )["workers"].values()
+            if found:
+                self._total = len(found)
+                self._serving = {
+                    name: sum(name in worker.get("resources", {}) for worker in found)
+                    for name in self._restricted
+                }
 
     def free(self, pool: str) -> bool:
         """Whether fewer tasks are under way than there are workers for them."""
@@ -124,15 +141,25 @@ class DaskBackend:
         return future
 
     def _done(self, task: _Task) -> None:
+        result, error = None, None
+        try:
+            if task.remote.status == "finished":
+                result = task.remote.result(timeout=_RESULT_S)
+            elif task.remote.status == "error":
+                error = task.remote.exception(timeout=_RESULT_S)
+            else:
+                error = _Lost("its task was lost")
+        except Exception as failed:
+            # What ran raises plain errors, and `poll` has the time limit of the task itself.
+            late = isinstance(failed, TimeoutError)
+            error = _Lost("its result did not arrive") if late else failed
         with self._lock:
             if self._tasks.pop(task.future, None) is None:
                 return
-        status = task.remote.status
-        if status == "finished":
-            task.future.set_result(task.remote.result())
+        if error is None:
+            task.future.set_result(result)
         else:
-            error = task.remote.exception() if status == "error" else None
-            task.future.set_exception(error or _Lost("its task was lost"))
+            task.future.set_exception(error)
 
     def why_died(self, error: BaseException) -> str | None:
         """What killed the worker, if that is what `error` of a future means; else None."""
@@ -154,21 +181,23 @@ class DaskBackend:
     def poll(self) -> None:
         """End tasks that are too late: Dask cannot stop a function, so its worker is restarted."""
         now = time.monotonic()
-        if self._cluster is not None and now - self._revived > _REVIVE_EVERY_S:
+        if now - self._revived > _REVIVE_EVERY_S:
             self._revived = now
-            self._revive()
+            if self._cluster is None:
+                self._recount()
+            else:
+                self._revive()
         with self._lock:
             late = [task for task in self._tasks.values() if now > task.deadline]
             for task in late:
                 self._tasks.pop(task.future)
         for task in late:
             with suppress(Exception):
-                where = [
-                    worker
-                    for worker, keys in self._client.processing().items()
-                    if task.remote.key in keys
-                ]
-                self._client.restart_workers(where, timeout=30, raise_for_error=False)
+                processing = self._client.sync(
+                    self._client.scheduler.processing, workers=None, callback_timeout=_RESTART_S
+                )
+                where = [worker for worker, keys in processing.items() if task.remote.key in keys]
+                self._client.restart_workers(where, timeout=_RESTART_S, raise_for_error=False)
             task.future.set_exception(TimeoutError())
 
     def _revive(self) -> None:
@@ -228,6 +257,7 @@ def _start_cluster(distributed: Any, settings: WorkerSettings) -> Any:
             "nthreads": 1,
             "env": env,
             "memory_limit": 0,
+            "death_timeout": _START_S,
             "resources": {name: 1 for name in restricted if pool.takes(name)},
             "preload": ["simnfnd.factory.workers.dask_preload"],
             "dashboard": False,

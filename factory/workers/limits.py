@@ -6,7 +6,7 @@ import psutil
 
 from simnfnd.factory.errors import FactoryError
 
-# Measured of 48: what a worker costs the process that starts it, pipes and three threads, and what
+# Measured of 48: what a worker costs the process that starts it, pipes and threads, and what
 # else a run opens or loads.
 _FILES_A_WORKER, _OTHER_FILES = 8, 40
 _BYTES_A_WORKER, _OTHER_BYTES = 128 << 20, 512 << 20

@@ -14,6 +14,7 @@ import torch
 from torch import distributed
 from torch.utils.data import Dataset, Sampler
 
+from simnfnd.factory.dataset.read.stream import Windows
 from simnfnd.factory.seeds import stream
 from simnfnd.factory.sonar.geometry import Maps
 from simnfnd.models.data.pairs import Batch, Sample, Source
@@ -139,8 +140,20 @@ class VisitSampler(Sampler[list[Visit]]):
     for whole intervals.  Several devices share every step.
     """
 
-    def __init__(self, images: int, data: DataSettings, intervals: int, steps: int, seed: int):
-        """images: how many there are.  steps: of one interval."""
+    def __init__(
+        self,
+        images: int,
+        data: DataSettings,
+        intervals: int,
+        steps: int,
+        seed: int,
+        windows: Windows | None = None,
+    ):
+        """images: how many there are.  steps: of one interval.
+
+        windows: of images whose shards are fetched; their order then is not wholly random.
+        """
+        self._windows = windows
         self.images, self.steps, self.crops, self.seed = images, steps, data.crops, seed
         self.sizes = interval_sizes(data, intervals)
         # Lightning calls `set_epoch` of a batch sampler's sampler.
@@ -165,7 +178,12 @@ class VisitSampler(Sampler[list[Visit]]):
             for _ in range(batch // self.crops):
                 if number // self.images != round_:
                     round_ = number // self.images
-                    order = stream(self.seed, "order", round_).permutation(self.images)
+                    rng = stream(self.seed, "order", round_)
+                    order = (
+                        self._windows.order(rng) if self._windows else rng.permutation(self.images)
+                    )
+                if self._windows:
+                    self._windows.reach(number % self.images)
                 image = int(order[number % self.images])
                 visits.append(Visit(number, image, round_, patch))
                 number += 1

@@ -18,10 +18,12 @@ from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.read.open_shards import OpenShards
 from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
 from simnfnd.factory.dataset.read.reader import Split, open_shard
+from simnfnd.factory.dataset.read.stream import Windows
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.seeds import stream
 from simnfnd.factory.sonar.geometry import FanGeometry, recorded_sonar
 from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.factory.storage.copies import url_of
 
 Image = npt.NDArray[np.float32]
 Anything = TypeVar("Anything")
@@ -176,6 +178,16 @@ class PairReader:
         names = ("noisy", "clean", "shadow")
         noisy, clean, shadow = self._open.read(sample.path, names, sample.row)
         return in_unit_range(noisy), in_unit_range(clean), shadow.astype(np.float32)
+
+
+def windows_of(source: Source) -> Windows | None:
+    """The windows in which the pairs of a dataset at a URL are visited; None for any other source.
+
+    From a disk any picture can be read at any time, so that all of them are mixed.
+    """
+    if not isinstance(source, PairSource) or url_of(source.samples[0].path.parent.parent) is None:
+        return None
+    return Windows([sample.path for sample in source.samples])
 
 
 class PairSource:

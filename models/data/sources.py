@@ -9,6 +9,7 @@ from typing import Any
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
+from simnfnd.factory.storage.copies import local_folder
 from simnfnd.models.data.composed import composed
 from simnfnd.models.data.images import NoisySource, list_images, smallest_side
 from simnfnd.models.data.pairs import PairSource, SampleRef, Source, hold_out, read_table, spread
@@ -81,6 +82,7 @@ def _of_dataset(data: PairsData | RendersData, settings: ModelsSettings) -> Data
         raise FactoryError(
             f"dataset: data={data.kind} needs the folder that `simnfnd make` made, dataset=DIR"
         )
+    folder = str(local_folder(folder))
     table = read_table(folder, "train")
     if not (isinstance(data, RendersData) and data.experiment is not None):
         least = min(data.scales) if isinstance(data, RendersData) else 1.0

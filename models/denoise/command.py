@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from simnfnd.factory.cli import Parser
-from simnfnd.factory.dataset.read.reader import open_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import check_writable
 from simnfnd.factory.formation.contract import ARTEFACTS
@@ -23,12 +22,11 @@ from simnfnd.models.denoise.files import (
     Tick,
     denoise_file,
     denoise_pings,
-    denoise_shard,
     denoise_video,
-    made_of_points,
 )
 from simnfnd.models.denoise.geometries import FIND, Geometries
 from simnfnd.models.denoise.inputs import Item, find_items
+from simnfnd.models.denoise.shards import denoise_shard, made_of_points, opened_shard
 from simnfnd.models.denoise.steady import Steady
 from simnfnd.models.denoise.watch import Watched, watch
 from simnfnd.models.pretrained import POINTS
@@ -149,7 +147,7 @@ class _Work:
         out, denoise, compare = self.out, self.denoise, self.compare
         find, steady = self.geometries.of, self.steady
         if item.kind == "shard":
-            if self.points is not None and made_of_points(item.source):
+            if self.points is not None and made_of_points(item):
                 denoise = self.points()
             denoise_shard(
                 item, out, denoise, weights_sha256=denoise.digest, compare=compare, tick=tick
@@ -219,7 +217,7 @@ def _pictures(item: Item, topics: Sequence[str]) -> int:
         return 1
     try:
         if item.kind == "shard":
-            with open_shard(item.source) as shard:
+            with opened_shard(item) as shard:
                 return len(shard["noisy"])
         if item.kind == "bag":
             return len(open_bag(item, topics))

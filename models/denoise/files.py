@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import cv2
-import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.read.reader import open_shard, value_range
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import write_atomically
 from simnfnd.factory.recordings import Frame, Recording, open_recording
 from simnfnd.factory.recordings.aris import ArisFile
 from simnfnd.factory.recordings.fans import fan_of, grey_of, polar_geometry
 from simnfnd.factory.recordings.video import VideoFile
-from simnfnd.factory.sonar.geometry import FanGeometry, recorded_sonar
+from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.data.images import FULL_SCALE, decode
 from simnfnd.models.denoise.compared import sheet
 from simnfnd.models.denoise.inputs import Item
@@ -188,86 +185,6 @@ def _opened(item: Item) -> Recording:
         return open_recording(item.source)
     except FactoryError as error:
         raise FrameError(str(error)) from error
-
-
-def denoise_shard(
-    item: Item, out: Path, denoise: Denoise, *, weights_sha256: str, compare: bool, tick: Tick
-) -> None:
-    """Denoise /noisy of a shard into /denoised of a file of its name; /meta and /axes go along.
-
-    Raises FrameError when it is not a shard of this program, or damaged.
-    """
-    try:
-        source = open_shard(item.source)
-    except FactoryError as error:
-        raise FrameError(str(error)) from error
-    # Made in memory and written in one go, like the shards themselves.
-    with (
-        source,
-        h5py.File("denoised.h5", "w", driver="core", backing_store=False) as target,
-    ):
-        noisy, full = source["noisy"], value_range(source)
-        target.attrs["schema"] = SCHEMA
-        target.attrs["config_hash"] = source.attrs["config_hash"]
-        target.attrs["weights_sha256"] = weights_sha256
-        for name in ("meta", "axes"):
-            if name in source:
-                source.copy(name, target)
-        denoised = target.create_dataset(
-            "denoised",
-            shape=noisy.shape,
-            dtype=noisy.dtype,
-            chunks=(1, *noisy.shape[1:]),
-            compression="gzip",
-            compression_opts=1,
-            fletcher32=True,
-            track_times=False,
-        )
-        shown = []
-        geometry = _geometry_of(source)
-        for row in range(len(noisy)):
-            try:
-                image = noisy[row]
-                denoised[row] = denoise_image(image, denoise, geometry(row))
-            except (OSError, ValueError) as error:
-                raise FrameError(f"{item.source}: sample {row} is damaged ({error})") from error
-            if row < COMPARED:
-                shown.append(tuple(x / full for x in (image, denoised[row], source["clean"][row])))
-            tick()
-        target.flush()
-        content = target.id.get_file_image()
-    path = out / item.relative
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, content)
-    if compare and shown:
-        write_compared(out, item.relative, shown)
-
-
-def made_of_points(path: Path) -> bool:
-    """Whether the pictures of a shard have the paper's noise: acoustics.formation=points.
-
-    Raises FrameError when it is not a shard of this program, or damaged.
-    """
-    try:
-        with open_shard(path) as shard:
-            config = json.loads(shard.attrs["config"])
-            return config.get("devices") is None and "acoustics" not in config
-    except (KeyError, TypeError, ValueError):
-        return False
-    except FactoryError as error:
-        raise FrameError(str(error)) from error
-
-
-def _geometry_of(shard: h5py.File) -> Callable[[int], FanGeometry | None]:
-    """Row -> where range and bearing are, if the shard says so."""
-    try:
-        sonar = recorded_sonar(json.loads(shard.attrs["config"]))
-        if sonar is None:
-            return lambda row: None
-        FanGeometry.from_record(sonar, shard["meta"][0])
-    except (KeyError, TypeError, ValueError, IndexError):
-        return lambda row: None
-    return lambda row: FanGeometry.from_record(sonar, shard["meta"][row])
 
 
 def _write_image(path: Path, image: npt.NDArray[Any]) -> None:

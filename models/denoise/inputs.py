@@ -26,10 +26,14 @@ SUFFIXES = (
 
 @dataclass(frozen=True)
 class Item:
-    """One input file (or a folder that is a bag) and its name below the output folder."""
+    """One input file (or a folder that is a bag) and its name below the output folder.
+
+    checked: a shard that another process has opened without harm.
+    """
 
     source: Path
     relative: Path
+    checked: bool = False
 
     @property
     def kind(self) -> Literal["image", "shard", "video", "pings", "bag"]:
@@ -79,7 +83,7 @@ def _of_input(path: Path, out: Path) -> Iterator[Item]:
         yield Item(path, Path(path.resolve().name))
     elif (path / MANIFEST_NAME).is_file():
         for shard in shard_paths(path, "all"):
-            yield Item(shard, shard.relative_to(path))
+            yield Item(shard, shard.relative_to(path), checked=True)
     else:
         found = items_below(path, out)
         if not found:

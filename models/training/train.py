@@ -25,7 +25,7 @@ from simnfnd.models.data.crops import (
     concatenate,
     whole_image_batch,
 )
-from simnfnd.models.data.pairs import Batch
+from simnfnd.models.data.pairs import Batch, windows_of
 from simnfnd.models.data.sources import Data, open_data
 from simnfnd.models.losses import build_loss
 from simnfnd.models.networks import build_network
@@ -228,6 +228,7 @@ def _loaders(
         chosen.steps // chosen.check_every,
         chosen.check_every,
         settings.seed,
+        windows_of(data.learning),
     )
     return (
         DataLoader(crops, batch_sampler=visits, collate_fn=concatenate, **shared),

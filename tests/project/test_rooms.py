@@ -14,7 +14,9 @@ MAX_MODULES = 16
 # Room -> the rooms that it may use; `python -m tests.project.rooms` prints the table as it is.
 # The room simnfnd (command, verbs, api and the entries) stands on top and may use all.
 ALLOWED = {
-    "evaluation/baselines": {"factory: ground"},
+    "evaluation/baselines": {
+        "factory: ground",
+    },
     "evaluation/campaign": {
         "evaluation/methods",
         "evaluation/metrics",
@@ -114,7 +116,10 @@ ALLOWED = {
         "factory/workers",
         "factory: ground",
     },
-    "evaluation: ground": {"factory/cli", "factory: ground"},
+    "evaluation: ground": {
+        "factory/cli",
+        "factory: ground",
+    },
     "evaluation: upper": {
         "evaluation/methods",
         "evaluation/metrics",
@@ -122,6 +127,7 @@ ALLOWED = {
         "evaluation: ground",
         "factory/cli",
         "factory/dataset",
+        "factory/storage",
         "factory/workers",
         "factory: ground",
     },
@@ -132,6 +138,7 @@ ALLOWED = {
         "factory/jobs",
         "factory/renders",
         "factory/scenes",
+        "factory/storage",
         "factory/workers",
         "factory: ground",
         "factory: upper",
@@ -149,12 +156,16 @@ ALLOWED = {
         "factory/renders",
         "factory/scenes",
         "factory/sonar",
+        "factory/storage",
         "factory/viewer",
         "factory/workers",
         "factory: ground",
         "factory: upper",
     },
-    "factory/dataset": {"factory: ground"},
+    "factory/dataset": {
+        "factory/storage",
+        "factory: ground",
+    },
     "factory/devices": {
         "factory/dataset",
         "factory/formation",
@@ -162,8 +173,16 @@ ALLOWED = {
         "factory/sonar",
         "factory: ground",
     },
-    "factory/export": {"factory/dataset", "factory/recordings", "factory: ground"},
-    "factory/formation": {"factory/render", "factory/sonar", "factory: ground"},
+    "factory/export": {
+        "factory/dataset",
+        "factory/recordings",
+        "factory: ground",
+    },
+    "factory/formation": {
+        "factory/render",
+        "factory/sonar",
+        "factory: ground",
+    },
     "factory/gallery": {
         "factory/cli",
         "factory/dataset",
@@ -174,15 +193,50 @@ ALLOWED = {
         "factory: ground",
         "factory: upper",
     },
-    "factory/jobs": {"factory/progress", "factory/dataset", "factory/workers", "factory: ground"},
-    "factory/noise": {"factory/dataset", "factory/formation", "factory/sonar", "factory: ground"},
-    "factory/recordings": {"factory/sonar", "factory: ground"},
-    "factory/render": {"factory: ground"},
-    "factory/renders": {"factory/dataset", "factory/render", "factory/scenes", "factory: ground"},
-    "factory/scenes": {"factory/render", "factory: ground"},
-    "factory/sonar": {"factory/render", "factory: ground"},
-    "factory/viewer": {"factory/dataset", "factory/recordings", "factory: ground"},
-    "factory/workers": {"factory: ground"},
+    "factory/jobs": {
+        "factory/dataset",
+        "factory/storage",
+        "factory/workers",
+        "factory: ground",
+    },
+    "factory/noise": {
+        "factory/dataset",
+        "factory/formation",
+        "factory/sonar",
+        "factory: ground",
+    },
+    "factory/recordings": {
+        "factory/sonar",
+        "factory: ground",
+    },
+    "factory/render": {
+        "factory: ground",
+    },
+    "factory/renders": {
+        "factory/dataset",
+        "factory/render",
+        "factory/scenes",
+        "factory: ground",
+    },
+    "factory/scenes": {
+        "factory/render",
+        "factory: ground",
+    },
+    "factory/sonar": {
+        "factory/render",
+        "factory: ground",
+    },
+    "factory/storage": {
+        "factory: ground",
+    },
+    "factory/viewer": {
+        "factory/dataset",
+        "factory/recordings",
+        "factory: ground",
+    },
+    "factory/workers": {
+        "factory: ground",
+    },
     "factory: upper": {
         "factory/progress",
         "factory/dataset",
@@ -222,6 +276,7 @@ ALLOWED = {
         "factory/renders",
         "factory/scenes",
         "factory/sonar",
+        "factory/storage",
         "factory: ground",
         "factory: upper",
         "models: ground",
@@ -240,15 +295,19 @@ ALLOWED = {
         "models/training",
         "models: ground",
     },
-    "models/losses": {"factory: ground"},
-    "models/networks": {"conf", "factory/formation", "factory: ground", "models: ground"},
+    "models/losses": {
+        "factory: ground",
+    },
+    "models/networks": {
+        "conf",
+        "factory/formation",
+        "factory: ground",
+        "models: ground",
+    },
     "models/pretrained": {
         "factory/cli",
-        "factory/formation",
-        "factory/sonar",
         "factory: ground",
         "models/networks",
-        "models: ground",
     },
     "models/training": {
         "factory/progress",
@@ -260,7 +319,10 @@ ALLOWED = {
         "models/pretrained",
         "models: ground",
     },
-    "models: ground": {"factory/formation", "factory: ground"},
+    "models: ground": {
+        "factory/formation",
+        "factory: ground",
+    },
 }
 FLOORS = ("factory", "models", "evaluation")
 

@@ -16,9 +16,16 @@ from typing import Any
 
 from simnfnd.factory.dataset.format.schema import SCHEMA, SPLITS
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import explain_os_errors, sha256_of, write_atomically
+from simnfnd.factory.files import (
+    explain_os_errors,
+    put_out,
+    remove_file,
+    sha256_of,
+    write_atomically,
+)
 from simnfnd.factory.ownership import check_fences
 from simnfnd.factory.small_files import one_line, parse_json, read_regular
+from simnfnd.factory.storage.copies import fetched
 
 MANIFEST_NAME = "manifest.json"
 # What was settled since manifest.json was written; gone when a run has ended.
@@ -142,7 +149,7 @@ def save_manifest(directory: Path, manifest: Manifest, part: str = "") -> None:
     text = json.dumps(document, indent=1) + "\n"
     write_atomically(directory / part_name(MANIFEST_NAME, part), text.encode())
     # Should we die before this, its first line tells that it is of an older manifest.json.
-    (directory / part_name(ADDED_NAME, part)).unlink(missing_ok=True)
+    remove_file(directory / part_name(ADDED_NAME, part))
 
 
 class Additions:
@@ -164,6 +171,7 @@ class Additions:
                 first = {"manifest": sha256_of(self._manifest)}
                 file.write(json.dumps(first).encode() + b"\n")
             file.write(json.dumps(entry).encode() + b"\n")
+        put_out(self._path)
 
 
 def load_manifest(directory: Path, part: str = "") -> Manifest | None:
@@ -219,6 +227,7 @@ def _take_in(added: Path, manifest_sha256: str, shards: dict[str, ShardInfo]) ->
 def damage(directory: Path, info: ShardInfo) -> str | None:
     """What is wrong with a finished shard on disk (absent, size, SHA-256), or None."""
     path = directory / info.path
+    fetched(path)
     try:
         size = path.stat().st_size
         if size != info.bytes:

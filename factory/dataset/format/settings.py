@@ -10,6 +10,8 @@ from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.dataset.format.schema import DATASET_NAME
 from simnfnd.factory.settings import STRICT
+from simnfnd.factory.storage.copies import folder_of
+from simnfnd.factory.storage.store import is_url
 
 LayerName = Literal[
     "effects",
@@ -84,8 +86,13 @@ class DatasetSettings:
         if self.on_existing == "extend" and self.dir is None:
             raise ValueError("on_existing=extend needs dir, the folder of the dataset to extend")
 
-    def directory(self, config_hash: str) -> Path:
-        """The folder that this dataset goes to."""
+    def directory(self, config_hash: str, part: str = "") -> Path:
+        """The folder that this dataset goes to, or the local copy of the URL.
+
+        part: of a run that makes a slice.  Raises FactoryError for a URL that is none.
+        """
+        if self.dir is not None and is_url(self.dir):
+            return folder_of(self.dir, part)
         return Path(self.dir or Path("outputs") / f"{self.name}-{config_hash[:8]}").expanduser()
 
     @property

@@ -33,8 +33,11 @@ from simnfnd.factory.dataset.read.reader import (
     listed_shards,
     reading,
 )
+from simnfnd.factory.dataset.read.stream import WINDOW, Windows
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
+from simnfnd.factory.seeds import stream
+from simnfnd.factory.storage.copies import local_folder
 
 Sample = dict[str, Image]
 Verify = Literal["checksums", "hash"]
@@ -82,7 +85,9 @@ class PairDataset:
     through fork, spawn and pickling and into a torch DataLoader as it is.  `close()`, or leaving a
     `with` block, closes what this process has open.
 
-    folder: of the dataset, or the index.h5 in it.  layers: as `format.schema` names them.
+    folder: of the dataset, or the index.h5 in it; or its URL on a storage (s3://bucket/folder),
+    from where shards are fetched when they are needed (`factory.storage.copies`).
+    layers: as `format.schema` names them.
     manifest.json decides which shards count; while a run adds some, the ones of the moment of
     opening stay.
 
@@ -110,7 +115,7 @@ class PairDataset:
     ) -> None:
         if verify not in get_args(Verify):
             raise FactoryError(f"verify={verify!r}: checksums or hash")
-        self.folder = _folder(Path(folder))
+        self.folder = _folder(local_folder(folder))
         self.split, self.layers, self.scaled = split, tuple(layers), scaled
         _check_names(self.layers)
         manifest = load_manifest(self.folder)
@@ -151,6 +156,21 @@ class PairDataset:
     def __iter__(self) -> Iterator[Sample]:
         """All samples in order."""
         return (self[index] for index in range(len(self)))
+
+    def shuffled(self, seed: int = 0, epoch: int = 0, *, window: int = WINDOW) -> Iterator[Sample]:
+        """All samples once, in a random order that `seed` and `epoch` give, for training.
+
+        Shards come in random order, `window` of them at a time, and the samples of a window in
+        random order; the shards of the next are fetched meanwhile where they lie at a URL.
+        """
+        counts = zip(self.paths, self._counts, strict=True)
+        windows = Windows([path for path, count in counts for _ in range(count)], window)
+        try:
+            for position, index in enumerate(windows.order(stream(seed, "shuffled", epoch))):
+                windows.reach(position)
+                yield self[index]
+        finally:
+            windows.close()
 
     def place(self, index: SupportsIndex) -> tuple[Path, int]:
         """The shard that holds a sample, and its row there."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
+import os
 import stat
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,6 +21,7 @@ from simnfnd.factory.dataset.format.manifest import Manifest, load_manifest
 from simnfnd.factory.dataset.format.schema import SPLITS
 from simnfnd.factory.dataset.read.isolated import IsolatedProcess
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.storage.copies import fetched, url_of
 
 Split = Literal["train", "test", "all"]
 
@@ -58,6 +62,8 @@ def listed_shards(root: Path, split: Split, manifest: Manifest | None) -> tuple[
             f"{other} (split={other})"
         )
     for path in paths:
+        if url_of(root):
+            continue  # it is fetched, and looked at, when it is opened
         if not path.exists():
             raise FactoryError(
                 f"{path}: listed in the manifest but absent; run the command that made the "
@@ -76,12 +82,40 @@ def check_in_isolation(paths: Sequence[Path]) -> None:
     """
     with IsolatedProcess() as process:
         for path in paths:
-            try:
-                process.call(check_readable, path, limit_s=_LIMIT_S)
-            except FactoryError as error:
-                # What the process itself says names no file.
-                text = str(error).removeprefix(f"{path}: ")
-                raise FactoryError(f"{path}: {text}") from error
+            if path.exists() or not url_of(path.parent.parent):
+                _look(process, path)
+
+
+def _look(process: IsolatedProcess, path: Path) -> None:
+    try:
+        process.call(check_readable, path, limit_s=_LIMIT_S)
+    except FactoryError as error:
+        # What the process itself says names no file.
+        text = str(error).removeprefix(f"{path}: ")
+        raise FactoryError(f"{path}: {text}") from error
+
+
+class _Fetched:
+    """Looks at shards that were just fetched, in a process that lasts; for each process anew."""
+
+    def __init__(self) -> None:
+        self._forget()
+        if hasattr(os, "register_at_fork"):
+            os.register_at_fork(after_in_child=self._forget)
+
+    def _forget(self) -> None:
+        self._lock = threading.Lock()
+        self._process: IsolatedProcess | None = None
+
+    def look(self, path: Path) -> None:
+        with self._lock:
+            if self._process is None:
+                self._process = IsolatedProcess()
+                atexit.register(self._process.__exit__)
+            _look(self._process, path)
+
+
+_fetched_shards = _Fetched()
 
 
 def check_readable(path: Path) -> None:
@@ -115,12 +149,25 @@ def check_split(path: Path, file: h5py.File) -> None:
         )
 
 
+def bring(path: Path) -> None:
+    """Fetch a shard of a copy that is not here, and have another process look at it first."""
+
+    def look(aside: Path) -> None:
+        try:
+            _fetched_shards.look(aside)
+        except FactoryError as error:
+            raise FactoryError(str(error).replace(str(aside), str(path))) from error
+
+    fetched(path, look)
+
+
 def open_shard(path: Path) -> h5py.File:
     """Open one shard for reading and check how it is laid out (`format.layout`).
 
     Shards of a dataset come from `shard_paths`; for any other file call `check_in_isolation` first.
     Raises FactoryError when the file is absent, damaged or of another schema.
     """
+    bring(path)
     try:
         # A pipe would wait for a writer for ever.
         regular = stat.S_ISREG(path.stat().st_mode)

@@ -28,6 +28,7 @@ from simnfnd.factory.files import (
     check_writable,
     explain_os_errors,
     is_temporary,
+    remove_file,
     remove_stale_temporaries,
     write_atomically,
 )
@@ -49,6 +50,9 @@ _OURS = (
     CARD_NAME, PREVIEW_NAME, STATUS_NAME, FAILURES_NAME, "index.h5", "croissant.json",
     EXTENDED_NAME, CONFIG_NAME, ADDED_NAME, MANIFEST_NAME,
 )  # fmt: skip
+
+# Names of what comes and goes with runs, and of where a copy comes from.
+_COMING = (".lock", ".claim-", ".dead-", ".origin", WORK_NAME)
 
 # Keys that choose frames and how they are cut into shards: no picture of a frame depends on them,
 # so they may change where something is added.
@@ -122,7 +126,7 @@ def with_slices(directory: Path, manifest: Manifest) -> Manifest:
 
 def _passes(name: str) -> bool:
     """Whether a file comes and goes with runs."""
-    return is_temporary(name) or name.startswith((".lock", ".claim-", ".dead-", WORK_NAME))
+    return is_temporary(name) or name.startswith(_COMING)
 
 
 def _foreign_files(directory: Path) -> str:
@@ -146,7 +150,7 @@ def forget_slices(directory: Path) -> None:
     check_fences(directory)
     for name in (MANIFEST_NAME, ADDED_NAME, FAILURES_NAME, STATUS_NAME):
         for path in directory.glob(part_name(name, "*-of-*")):
-            path.unlink(missing_ok=True)
+            remove_file(path)
 
 
 def empty_folder(directory: Path) -> bool:
@@ -159,10 +163,10 @@ def empty_folder(directory: Path) -> bool:
     with explain_os_errors(directory):
         for split in SPLITS:
             for path in (directory / split).glob("shard-*.h5"):
-                path.unlink(missing_ok=True)
+                remove_file(path)
         forget_slices(directory)
         for name in _OURS:
-            (directory / name).unlink(missing_ok=True)
+            remove_file(directory / name)
         shutil.rmtree(directory / LOGS_NAME, ignore_errors=True)
         for split in SPLITS:
             if (directory / split).is_dir() and not any((directory / split).iterdir()):

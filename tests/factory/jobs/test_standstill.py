@@ -49,5 +49,6 @@ def test_how_long_nothing_may_happen(
         assert list(watch.among(running, 2 * found_s)) == []
     after = 2 * found_s if text is not None else found_s
     assert list(watch.among(running, after + 0.1)) == [future]
-    assert list(watch.among(running, after + 9.9)) == [], "once"
+    assert list(watch.among(running, after + 9.9)) == []
+    assert list(watch.among(running, after + 30.2)) == [future], "it did not end"
     assert list(watch.among({}, after)) == []

@@ -47,8 +47,10 @@ _KEYS = """
 def served(shown: Shown) -> Iterator[str]:
     with Viewer(shown) as viewer:
         threading.Thread(target=viewer.serve_forever, daemon=True).start()
-        yield viewer.url
-        viewer.shutdown()
+        try:
+            yield viewer.url
+        finally:
+            viewer.shutdown()
 
 
 def fetched(url: str, host: str | None = None) -> bytes:

@@ -6,12 +6,14 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections import deque
 
 import psutil
 import pytest
 
+from simnfnd.factory.workers import slot
 from simnfnd.factory.workers.backends import open_backend
 from simnfnd.factory.workers.contract import BackendName, Pool, WorkerSettings
 from simnfnd.factory.workers.tasks import TaskLost, TaskPool
@@ -51,6 +53,60 @@ def test_a_task_that_dies_or_sleeps_costs_itself_alone() -> None:
     assert "SIGKILL" in died.reason
     assert slept == TaskLost("took longer than 2 s")
     assert not children()
+
+
+def large(name: str) -> bytes:
+    """More than any buffer on the way holds; or death with half of it told."""
+    if name == "half":
+        threading.Timer(0.15, os.kill, (os.getpid(), signal.SIGKILL)).start()
+        # Whoever pickles this is at it when the time comes.
+        return bytes(1 << 28)
+    return bytes(1 << 22)
+
+
+def test_death_in_the_middle_of_an_answer_costs_its_task_alone() -> None:
+    with TaskPool(2) as pool:
+        found = dict(pool.run(large, deque(["half", "a", "half", "b"]), lambda _: 60.0))
+    assert isinstance(found["half"], TaskLost)
+    assert found["a"] == found["b"] == bytes(1 << 22)
+
+
+def test_a_worker_that_is_stopped_before_it_has_its_task_is_replaced(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(slot, "_START_S", 3.0)
+    workers = slot.Slot(LIGHT)
+    try:
+        assert workers.submit(task, "a", 60.0).result(60)[0] == "a"
+        (process,) = children()
+        process.suspend()
+        # Larger than the buffer between the two: sending it waits for the stopped process.
+        with pytest.raises(slot.WorkerDied, match="begun nothing after 3 s"):
+            workers.submit(len, bytes(1 << 24), 60.0).result(30)
+        assert workers.submit(len, bytes(1 << 24), 60.0).result(60) == 1 << 24
+        (other,) = children()
+        assert other.pid != process.pid
+    finally:
+        slot.stop_all([workers], 10.0)
+    assert not children()
+
+
+def test_a_worker_that_dies_idle_or_cannot_send_its_answer_is_no_end() -> None:
+    workers = slot.Slot(LIGHT)
+    try:
+        _, pid = workers.submit(task, "a", 60.0).result(60)
+        os.kill(pid, signal.SIGKILL)
+        died = "no"
+        try:
+            _, pid = workers.submit(task, "b", 60.0).result(60)
+        except slot.WorkerDied as error:  # found out only when it is asked
+            died = str(error)
+        assert died == "no" or "SIGKILL" in died
+        with pytest.raises(TypeError, match="cannot pickle"):
+            workers.submit(open, os.devnull, 60.0).result(60)
+        assert workers.submit(task, "c", 60.0).result(60)[0] == "c"
+    finally:
+        slot.stop_all([workers], 10.0)
 
 
 def test_tasks_may_be_added_between_results() -> None:

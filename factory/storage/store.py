@@ -1,0 +1,157 @@
+"""A place on a storage, by its URL: named objects that are put whole and got whole."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime
+from functools import cached_property
+from typing import Any
+
+from simnfnd.factory.errors import FactoryError
+
+_URL = re.compile(r"([a-z][a-z0-9+.-]*)://(.+)")
+# What pip has to bring for a protocol.
+_PACKAGES = {
+    "s3": "simnfnd[cloud]",
+    "gs": "gcsfs",
+    "gcs": "gcsfs",
+    "ssh": "paramiko",
+    "sftp": "paramiko",
+}
+
+
+def is_url(name: object) -> bool:
+    """Whether a name is a URL of a storage, and no path."""
+    return isinstance(name, str) and _URL.fullmatch(name) is not None
+
+
+@dataclass(frozen=True)
+class Store:
+    """The objects below `url`; names are relative to it, with forward slashes.
+
+    Every method raises FactoryError, one line, when the storage refuses or cannot be reached.
+    Credentials and addresses are the library's own matter: AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL,
+    ~/.aws, or what fsspec's configuration says.
+    """
+
+    url: str
+
+    def __post_init__(self) -> None:
+        match = _URL.fullmatch(self.url)
+        if match is None or "::" in self.url or "?" in self.url or "#" in self.url:
+            raise FactoryError(f"{self.url}: no URL of a storage, such as s3://bucket/folder")
+        object.__setattr__(self, "url", self.url.rstrip("/"))
+
+    # Asked for anew in every process and thread that uses it: fsspec keeps one for each.
+    @property
+    def _place(self) -> tuple[Any, str]:
+        protocol = self.url.partition(":")[0]
+        try:
+            import fsspec
+
+            system, root = fsspec.core.url_to_fs(self.url)
+        except ImportError as error:
+            package = _PACKAGES.get(protocol, "simnfnd[cloud]")
+            raise FactoryError(
+                f"{self.url}: {protocol} needs another package: pip install '{package}'"
+            ) from error
+        except ValueError as error:
+            raise FactoryError(f"{self.url}: fsspec knows no {protocol}://") from error
+        return system, str(root).rstrip("/")
+
+    def sizes(self) -> dict[str, int]:
+        """Name -> bytes of every object."""
+        with self._explained("read"):
+            system, root = self._place
+            system.invalidate_cache()
+            found = system.find(root, detail=True)
+            return {
+                name[len(root) :].lstrip("/"): int(entry["size"] or 0)
+                for name, entry in found.items()
+            }
+
+    def get(self, name: str) -> bytes | None:
+        """The content of an object, or None when there is none."""
+        with self._explained("read", name):
+            system, root = self._place
+            try:
+                return bytes(system.cat_file(f"{root}/{name}"))
+            except FileNotFoundError:
+                return None
+
+    def put(self, name: str, content: bytes) -> None:
+        """Write an object; readers see the old one or the new one, and never a part."""
+        with self._explained("written", name):
+            system, root = self._place
+            if self._whole:
+                system.pipe_file(f"{root}/{name}", content)
+                return
+            # A file system: written aside and moved.
+            path = f"{root}/{name}"
+            aside = f"{path.rpartition('/')[0]}/.{name.rpartition('/')[2]}.part"
+            system.makedirs(path.rpartition("/")[0], exist_ok=True)
+            system.pipe_file(aside, content)
+            system.mv(aside, path)
+
+    def create(self, name: str, content: bytes) -> bool:
+        """Write an object that is not there yet; returns whether it was not.
+
+        Of two that try at once one succeeds.  Raises FactoryError where the storage cannot tell.
+        """
+        with self._explained("written", name):
+            system, root = self._place
+            if not self._whole:
+                system.makedirs(f"{root}/{name}".rpartition("/")[0], exist_ok=True)
+            try:
+                system.pipe_file(f"{root}/{name}", content, mode="create")
+            except FileExistsError:
+                return False
+            except (NotImplementedError, TypeError, ValueError) as error:
+                raise FactoryError(
+                    f"{self.url}: this storage cannot write an object only where there is none, so "
+                    "nothing would keep two runs apart; make the dataset in a folder and copy it"
+                ) from error
+            return True
+
+    def remove(self, name: str) -> None:
+        """Remove an object, which may be absent."""
+        with self._explained("removed", name):
+            system, root = self._place
+            try:
+                system.rm_file(f"{root}/{name}")
+            except FileNotFoundError:
+                return
+
+    def changed(self, name: str) -> datetime | None:
+        """When an object was written, by the clock of the storage; None when there is none."""
+        with self._explained("read", name):
+            system, root = self._place
+            system.invalidate_cache()
+            try:
+                when: datetime = system.modified(f"{root}/{name}")
+            except FileNotFoundError:
+                return None
+            return when
+
+    @cached_property
+    def _whole(self) -> bool:
+        """Whether an object appears only when all of it has arrived."""
+        return self.url.partition(":")[0] not in ("file", "local", "ssh", "sftp")
+
+    @contextmanager
+    def _explained(self, done: str, name: str = "") -> Iterator[None]:
+        try:
+            yield
+        except FactoryError:
+            raise
+        # Each storage's library has errors of its own.
+        except Exception as error:
+            where = f"{self.url}/{name}" if name else self.url
+            reason = " ".join(str(error).split())[:200] or type(error).__name__
+            raise FactoryError(
+                f"{where}: cannot be {done} ({reason}); look at the address, the credentials and "
+                "the network, and run the same command again"
+            ) from error

@@ -1,0 +1,292 @@
+"""Datasets on storage that is no disk: made, resumed, read; two runs kept apart."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import pytest
+
+from simnfnd.factory.dataset import PairDataset
+from simnfnd.factory.dataset.check.validate import validate
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.jobs import run
+from simnfnd.factory.jobs.ledger import RunReport
+from simnfnd.factory.jobs.settings import ShardSlice
+from simnfnd.factory.storage import copies
+from simnfnd.factory.storage.copies import folder_of, forget_copy, local_folder, url_of
+from simnfnd.factory.storage.lock import StoreLock
+from simnfnd.factory.storage.publish import Publication, publishing
+from simnfnd.factory.storage.store import Store
+from tests import run_fake
+from tests.cloud_storage import contents, manifest_of, s3_server, shards_of
+from tests.fake_source import FakeConfig, FakePreparer, GentleSource
+from tests.project_files import ROOT
+
+pytest.importorskip("s3fs")
+pytest.importorskip("moto")
+
+
+def make(folder: Path, **changes: Any) -> RunReport:
+    """Without worker processes, which cost seconds; the killed run has some."""
+    return run_fake.make(folder, scheduler={"backend": "serial"}, **changes)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def bucket(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    with s3_server(tmp_path_factory.mktemp("copies")) as url:
+        yield url
+
+
+@pytest.fixture(scope="module")
+def local(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same dataset in a folder."""
+    folder = tmp_path_factory.mktemp("local") / "dataset"
+    make(folder)
+    return folder
+
+
+def local_shards(folder: Path) -> dict[str, bytes]:
+    found = {path.relative_to(folder).as_posix(): path for path in folder.glob("t*/*.h5")}
+    return {name: path.read_bytes() for name, path in found.items()}
+
+
+@pytest.fixture(params=["s3", "memory", "file"])
+def url(request: pytest.FixtureRequest, bucket: str, tmp_path: Path) -> str:
+    name = f"data-{tmp_path.name}"
+    places = {"s3": bucket, "memory": "memory://sonar", "file": f"file://{tmp_path}/store"}
+    return f"{places[request.param]}/{name}"
+
+
+def test_a_dataset_on_a_storage_is_that_of_a_folder(url: str, local: Path) -> None:
+    report = make(folder_of(url))
+    assert (report.samples, report.shards) == (32, 4)
+    found = contents(url)
+    assert {name: found[name] for name in found if "/" in name} == local_shards(local)
+    there = {path.name for path in local.iterdir() if path.is_file()}
+    assert {name for name in found if "/" not in name} == there - {"status.json"}
+    for name in ("manifest.json", "README.md", "croissant.json", "failed.jsonl"):
+        assert (name in found) == (local / name).exists()
+    assert found["manifest.json"] == (local / "manifest.json").read_bytes()
+    shutil.rmtree(folder_of(url))
+    copies._told.cache_clear()
+    with PairDataset(url, verify="hash") as pairs, PairDataset(local) as expected:
+        assert not list(pairs.folder.glob("t*/*.h5")), "nothing is fetched before it is asked for"
+        assert len(pairs) == len(expected) == 24
+        np.testing.assert_array_equal(pairs[17]["noisy"], expected[17]["noisy"])
+        assert len(list(pairs.folder.glob("t*/*.h5"))) == 1
+        other = pickle.loads(pickle.dumps(pairs))
+        np.testing.assert_array_equal(other[3:9]["clean"], expected[3:9]["clean"])
+    assert not validate(local_folder(url, fresh=True), deep=True).errors
+    again = make(folder_of(url))
+    assert (again.kept, again.samples) == (4, 32)
+
+
+def test_what_is_damaged_or_gone_there_is_made_again(bucket: str, local: Path) -> None:
+    url = f"{bucket}/damaged"
+    make(folder_of(url))
+    store = Store(url)
+    store.remove("train/shard-00001.h5")
+    content = bytearray(shards_of(url)["train/shard-00000.h5"])
+    content[-100] ^= 1
+    store.put("train/shard-00000.h5", bytes(content))
+    store.put("train/shard-00009.h5", b"of an earlier cut")
+    with pytest.raises(FactoryError, match=r"SHA-256 differs|damaged"):
+        PairDataset(local_folder(url, fresh=True), verify="hash")[0]
+    assert make(folder_of(url)).kept == 2
+    assert shards_of(url) == local_shards(local)
+
+
+def test_a_killed_run_goes_on_on_another_machine(bucket: str, local: Path, tmp_path: Path) -> None:
+    url = f"{bucket}/killed"
+    code = (
+        "import sys; from tests.run_fake import make; from tests.fake_source import FakeConfig\n"
+        "from simnfnd.factory.storage.copies import folder_of\n"
+        "make(folder_of(sys.argv[1]), FakeConfig(delay_s=0.2))"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, url], cwd=ROOT, stderr=subprocess.DEVNULL
+    )
+    deadline = time.monotonic() + 60
+    while not shards_of(url) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    process.send_signal(signal.SIGKILL)
+    process.wait(20)
+    assert ".lock" in contents(url)
+    assert 1 <= len(shards_of(url)) < 4
+    # Another machine has no copy.
+    with mock.patch.dict(os.environ, {"SIMNFND_CLOUD_CACHE": str(tmp_path / "copies")}):
+        report = make(folder_of(url))
+        assert report.samples == 32
+        assert report.kept >= 1
+        left = {name for name in contents(url) if name.startswith(".")}
+    assert left == set()
+    assert shards_of(url) == local_shards(local)
+    assert manifest_of(url).keys() == local_shards(local).keys()
+
+
+def test_two_runs_do_not_write_at_once(bucket: str) -> None:
+    url = f"{bucket}/two"
+    store = Store(url)
+    with StoreLock(store) as first:
+        with pytest.raises(FactoryError, match="is being written by process"):
+            make(folder_of(url))
+        with pytest.raises(FactoryError, match="is being written"), StoreLock(store, "0-of-2"):
+            pass
+        assert contents(url).keys() == {".lock"}
+        # Taken over while it stood still: it writes no more, and leaves the other's lock alone.
+        theirs = first._text().replace(first.token.encode(), b"0" * 32)
+        store.put(".lock", theirs)
+    assert contents(url) == {".lock": theirs}
+
+
+def test_a_run_that_lost_its_url_writes_no_more(bucket: str, monkeypatch: Any) -> None:
+    url = f"{bucket}/lost"
+    put = Store.put
+
+    def steal(self: Store, name: str, content: bytes) -> None:
+        put(self, name, content)
+        if name.startswith("train/"):
+            put(self, ".lock", b'{"token": "another", "pid": 1, "host": "elsewhere"}')
+
+    monkeypatch.setattr(Store, "put", steal)
+    with pytest.raises(FactoryError, match="taken by process 1 on elsewhere"):
+        make(folder_of(url))
+    assert [name for name in contents(url) if name.startswith("train/")] == ["train/shard-00000.h5"]
+    assert "another" in contents(url)[".lock"].decode()
+
+
+def test_slices_make_one_dataset(bucket: str, local: Path) -> None:
+    url = f"{bucket}/slices"
+    for index in range(2):
+        part = ShardSlice(index, 2)
+        make(folder_of(url, part.part), shard=part)
+    report = make(folder_of(url))
+    assert (report.kept, report.samples) == (4, 32)
+    assert shards_of(url) == local_shards(local)
+    assert not [name for name in contents(url) if "-of-" in name]
+
+
+def test_copies_stay_small(bucket: str, monkeypatch: Any) -> None:
+    url = f"{bucket}/small"
+    make(folder_of(url))
+    folder = local_folder(url, fresh=True)
+    size = len(shards_of(url)["train/shard-00000.h5"])
+    shutil.rmtree(copies.copies_folder())
+    copies._told.cache_clear()
+    monkeypatch.setenv("SIMNFND_CLOUD_CACHE_BYTES", str(2 * size + size // 2))
+    with PairDataset(url) as pairs:
+        first = [sample["noisy"].tobytes() for sample in pairs]
+        kept = list(folder.glob("t*/*.h5"))
+        assert len(kept) == 2
+        assert [sample["noisy"].tobytes() for sample in pairs] == first
+
+
+@pytest.mark.parametrize(
+    ("url", "why"),
+    [
+        ("s3://sonar/none", "holds no manifest.json"),
+        ("s3://no-such-bucket/data", "cannot be read"),
+        ("nonsense://sonar/data", "fsspec knows no nonsense://|Protocol not known"),
+        ("gcs://sonar/data", "pip install 'gcsfs'"),
+        ("simplecache::s3://sonar/data", "no such folder"),
+    ],
+)
+def test_urls_that_are_none_are_one_line(bucket: str, url: str, why: str) -> None:
+    with pytest.raises(FactoryError, match=why) as found:
+        PairDataset(url)
+    assert "\n" not in str(found.value)
+
+
+def test_a_url_with_other_files_is_left_alone(bucket: str) -> None:
+    url = f"{bucket}/foreign"
+    Store(url).put("holiday.jpg", b"1")
+    with pytest.raises(FactoryError, match=r"holds other files \(holiday.jpg\) and no dataset"):
+        make(folder_of(url))
+    assert contents(url) == {"holiday.jpg": b"1"}
+
+
+def test_a_folder_cannot_pass_for_a_copy(local: Path, tmp_path: Path) -> None:
+    """A stranger's dataset must not send us to places of its choice."""
+    folder = Path(shutil.copytree(local, tmp_path / "stranger"))
+    (folder / ".origin").write_text("s3://sonar/two")
+    assert url_of(folder) is None
+    (folder / "train/shard-00000.h5").unlink()
+    with pytest.raises(FactoryError, match="listed in the manifest but absent"):
+        PairDataset(folder)
+
+
+def test_a_storage_without_conditions_is_refused(monkeypatch: Any) -> None:
+    monkeypatch.setattr(Store, "create", lambda self, name, content: True)
+    with pytest.raises(FactoryError, match="overwrites where it is told not to"):
+        make(folder_of("memory://sonar/unconditional"))
+
+
+def test_workers_that_share_no_folder_prepare_put_and_tell(
+    bucket: str, tmp_path: Path, monkeypatch: Any
+) -> None:
+    config = FakeConfig(prepared=str(tmp_path / "prepared"), bad=("reef/alpha/0003",))
+    how = {"source": GentleSource, "preparer": FakePreparer, "config": config}
+    make(tmp_path / "dataset", **how)
+    shutil.rmtree(tmp_path / "prepared")
+    told: list[str] = []
+    place = f"{bucket}/apart"
+    tell = Publication.tell
+
+    def note(self: Publication, journal: Path, content: bytes) -> None:
+        told.append(content.decode().splitlines()[-1])
+        tell(self, journal, content)
+        assert not journal.is_relative_to(folder_of(place)), "nothing of the run's is seen"
+
+    url = place
+    monkeypatch.setattr(Publication, "tell", note)
+    monkeypatch.setattr(
+        run, "publishing", lambda folder, part, apart: publishing(folder, part, apart=True)
+    )
+    report = make(folder_of(url), **how)
+    assert [failure.ref.name for failure in report.failures] == ["reef/alpha/0003"]
+    assert shards_of(url) == local_shards(tmp_path / "dataset")
+    assert told[:4] == ["start 0", "start 1", "start 2", "start 3"]
+    assert len(told) == 16
+    assert not [name for name in contents(url) if name.startswith(".")]
+
+
+def test_shuffled_samples_come_once_by_windows_of_shards(bucket: str, local: Path) -> None:
+    with PairDataset(local) as pairs:
+        every = [sample["noisy"].tobytes() for sample in pairs]
+        orders = [
+            [every.index(sample["noisy"].tobytes()) for sample in pairs.shuffled(seed, window=2)]
+            for seed in (0, 0, 1)
+        ]
+    assert sorted(orders[0]) == list(range(24))
+    assert orders[0] == orders[1] != orders[2]
+    # Three shards of eight: the first sixteen are of two of them, and mixed.
+    first = [number // 8 for number in orders[0][:16]]
+    assert len(set(first)) == 2
+    assert first != sorted(first)
+    assert first != sorted(first, reverse=True)
+    url = f"{bucket}/shuffled"
+    make(folder_of(url))
+    forget_copy(folder_of(url))
+    with PairDataset(url) as pairs:
+        found = [every.index(sample["noisy"].tobytes()) for sample in pairs.shuffled(0, window=2)]
+    assert found == orders[0]
+
+
+@pytest.mark.parametrize("verb", ["status", "merge", "view"])
+def test_verbs_that_need_files_say_so(verb: str) -> None:
+    main = importlib.import_module(f"simnfnd.factory.commands.{verb}").main
+    more = ["--out", "x"] if verb == "merge" else []
+    with pytest.raises(FactoryError, match="works on files of this machine"):
+        main(["s3://sonar/data", *more])
