@@ -144,7 +144,7 @@ def _yaml(value: Any) -> str:
 
 
 def _explained(settings: type) -> dict[str, str]:
-    """Field -> what the docstrings of the class and its bases say: `name, other: words.`"""
+    """By field, what the docstrings of the class and its bases say of it."""
     found: dict[str, str] = {}
     for kind in reversed(settings.__mro__):
         if not is_dataclass(kind):

@@ -75,7 +75,9 @@ def _make() -> Iterator[Part]:
     physical = composed("factory", "noise=physical", "acoustics=field")["noise"]
     values["noise"] |= {name: physical[name] for name in FIELD_EFFECTS if name in physical}
     drawn = composed("factory", "devices=any_sonar", "noise=any_sonar")["devices"]
-    found = [key for key in keys(FactoryConfig, values, said) if key.name.split(".")[0] != "devices"]
+    found = [
+        key for key in keys(FactoryConfig, values, said) if key.name.split(".")[0] != "devices"
+    ]
     groups = dict.fromkeys(key.name.split(".")[0] for key in found if "." in key.name)
     yield Part("", tuple(key for key in found if "." not in key.name))
     for kind in get_args(get_args(Scenes)[0]):
