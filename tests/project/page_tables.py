@@ -105,14 +105,14 @@ PAGES: dict[str, dict[str, How]] = {
 
 
 def small_recording(path: Path) -> None:
-    """The recording of examples/didson with half the rows and columns, as a video without loss."""
+    """The recording of examples/didson with a third of the rows and columns, as a video without loss."""
     import cv2
 
     path.parent.mkdir(parents=True)
     video = cv2.VideoCapture(str(ROOT / "examples" / "didson" / "lamprey.avi"))
     out = None
     while (found := video.read())[0]:
-        frame = cv2.resize(found[1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        frame = cv2.resize(found[1], None, fx=0.3, fy=0.3, interpolation=cv2.INTER_AREA)
         if out is None:
             size = (frame.shape[1], frame.shape[0])
             out = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), 10, size)
