@@ -105,7 +105,7 @@ PAGES: dict[str, dict[str, How]] = {
 
 
 def small_recording(path: Path) -> None:
-    """The recording of examples/didson with a third of the rows and columns, as a video without loss."""
+    """The recording of examples/didson at a third of its size, as a video without loss."""
     import cv2
 
     path.parent.mkdir(parents=True)
