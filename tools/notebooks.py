@@ -26,7 +26,7 @@ def executed(notebook: Path, folder: Path, timeout_s: float = 300) -> nbformat.N
     """
     if not (folder / "examples").exists():
         shutil.copytree(ROOT / "examples" / "didson", folder / "examples" / "didson")
-    document = nbformat.read(notebook, as_version=4)
+    document = nbformat.read(notebook, as_version=4)  # type: ignore[no-untyped-call]
     # `!simnfnd` is the command of this environment, and the module that of this checkout.
     path = os.environ["PATH"]
     os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{path}"
@@ -66,7 +66,7 @@ def main(names: Sequence[str]) -> None:
         if not names or notebook.stem in names:
             with tempfile.TemporaryDirectory() as folder:
                 document = executed(notebook, Path(folder))
-            nbformat.write(document, notebook)
+            nbformat.write(document, notebook)  # type: ignore[no-untyped-call]
             print(f"{notebook.relative_to(ROOT)}: {notebook.stat().st_size} bytes")
 
 
