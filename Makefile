@@ -13,7 +13,7 @@ python := $(VENV)/bin/python
 stamp := $(VENV)/.simnfnd-installed
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check bench constraints clean
+.PHONY: help setup demo test check docs release bench constraints clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
@@ -33,7 +33,7 @@ $(stamp): pyproject.toml constraints.txt
 	@$(python) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' \
 		|| { echo "error: $(VENV) is not Python 3.11; remove it and run make setup again" >&2; exit 2; }
 	$(python) -m pip install --disable-pip-version-check --quiet $(PIP_ARGS) \
-		-c constraints.txt -e '.[all,dev]'
+		-c constraints.txt -e '.[all,dev,docs]'
 	@$(MAKE) --no-print-directory names
 	@touch $@
 
@@ -55,6 +55,13 @@ check: $(stamp) ## lint, formatting and types
 	$(python) -m ruff check
 	$(python) -m ruff format --check
 	MYPYPATH=$(VENV)/names:. $(python) -m mypy
+
+docs: $(stamp) ## build the docs site into build/docs
+	NO_MKDOCS_2_WARNING=1 $(python) -m mkdocs build --quiet --strict $(ARGS)
+	@echo "Ready: build/docs/index.html"
+
+release: $(stamp) ## check, build and try what a release consists of, and upload nothing
+	@PYTHON="$(CURDIR)/$(python)" PIP_ARGS="$(PIP_ARGS)" bash tools/release.sh
 
 bench: $(stamp) ## run every benchmark, or those named in ARGS
 	$(python) -m benchmarks $(ARGS)

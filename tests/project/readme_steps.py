@@ -1,7 +1,8 @@
-"""The commands of README.md as data, and how a test runs them: small, and away from the checkout.
+"""The commands of a page as data, and how a test runs them: small, and away from the checkout.
 
-Every line of a ```sh block and every ```python block is a step.  tests/project/test_readme.py holds
-the table that says how each is run; a step that is missing from the table fails the tests.
+Every line of a ```sh block and every ```python block is a step.  Tables in
+tests/project/test_readme.py and tests/project/page_tables.py say how each is run; a step that is
+missing from the table of its page fails the tests.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ LANGUAGES = frozenset({"sh", "python", "text", "yaml", "bibtex"})
 
 _FENCE = re.compile(r"^\s*```+\s*(\S*)")
 _COMMENT = re.compile(r"(^|\s+)#(\s.*|$)")
+_TIME = re.compile(r"#\s.*?\b(\d+(?:\.\d+)?) (s|min)\b")
 
 
 @dataclass(frozen=True)
@@ -32,11 +34,15 @@ class Step:
 
     kind: sh (one command, continuation lines joined) or python (a whole block).
     line: where it starts in the file, counted from 1.
+    time_s: how long it takes, as the comment beside it says (`# 20 s`, `# 3 min`).
+    page: the file, relative to the root.
     """
 
     kind: str
     text: str
     line: int
+    time_s: float | None = None
+    page: str = "README.md"
 
     @property
     def key(self) -> str:
@@ -94,29 +100,33 @@ def fences(markdown: str) -> list[tuple[str, int, list[str]]]:
     return blocks
 
 
-def steps(markdown: str) -> list[Step]:
+def steps(markdown: str, page: str = "README.md") -> list[Step]:
     """Everything to run, in the order of reading."""
     found: list[Step] = []
     for language, first, lines in fences(markdown):
         if language == "python":
-            found.append(Step("python", textwrap.dedent("\n".join(lines)), first))
+            found.append(Step("python", textwrap.dedent("\n".join(lines)), first, page=page))
         elif language == "sh":
-            found += _commands(lines, first)
+            found += _commands(lines, first, page)
     return found
 
 
-def _commands(lines: list[str], first: int) -> list[Step]:
+def _commands(lines: list[str], first: int, page: str) -> list[Step]:
     found: list[Step] = []
     waiting = ""
     start = first
+    time_s: float | None = None
     for number, line in enumerate(lines, start=first):
         text = line.strip() if waiting else _COMMENT.sub("", line).strip()
         start = start if waiting else number
+        if said := _TIME.search(line):
+            time_s = float(said.group(1)) * {"s": 1, "min": 60}[said.group(2)]
         waiting = f"{waiting} {text.removesuffix(chr(92)).strip()}".strip()
         if text.endswith("\\"):
             continue
         if waiting:
-            found.append(Step("sh", waiting, start))
+            found.append(Step("sh", waiting, start, time_s, page))
+            time_s = None
         waiting = ""
     if waiting:
         raise ValueError(f"line {start}: the command goes on after the block's end")
@@ -124,13 +134,13 @@ def _commands(lines: list[str], first: int) -> list[Step]:
 
 
 def untold(found: list[Step], table: Mapping[str, How]) -> list[str]:
-    """What the table and the README do not agree on, as sentences."""
+    """What the table and the page do not agree on, as sentences."""
     keys = {step.key for step in found}
     return [
-        f"README.md:{step.line}: `{step.key}` is not in the table of tests/project/test_readme.py"
+        f"{step.page}:{step.line}: `{step.key}` is not in the table of tests/project"
         for step in found
         if step.kind == "sh" and step.key not in table
-    ] + [f"the table names `{key}`, which README.md has not" for key in table if key not in keys]
+    ] + [f"the table names `{key}`, which the page has not" for key in table if key not in keys]
 
 
 def _filled(text: str, sandbox: Path) -> str:
@@ -154,7 +164,7 @@ def command(step: Step, how: Run, sandbox: Path) -> list[str]:
     for old, new in how.instead:
         if old not in text:
             raise ValueError(
-                f"README.md:{step.line}: the table replaces `{old}`, which is not there"
+                f"{step.page}:{step.line}: the table replaces `{old}`, which is not there"
             )
         text = text.replace(old, new)
     text = _filled(text, sandbox)

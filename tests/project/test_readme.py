@@ -1,4 +1,8 @@
-"""Every command of README.md runs; the table says with what sizes."""
+"""Every command of README.md, of the tutorials and of the how-to pages runs, smaller.
+
+The tables say with what sizes: that of README.md here, the others in page_tables.py.  All run in
+one folder, so that a page may use what an earlier one made.
+"""
 
 from __future__ import annotations
 
@@ -7,99 +11,68 @@ from pathlib import Path
 
 import pytest
 
-from tests.project import readme_steps
+from tests.project import page_tables, readme_steps
+from tests.project.page_tables import SMALL
 from tests.project.readme_steps import Elsewhere, How, NotRun, Run, Step
 from tests.project_files import ROOT
 
-README = ROOT / "README.md"
-STEPS = readme_steps.steps(README.read_text(encoding="utf-8")) if README.exists() else []
-
-# README command -> how it is run here, in README order.  Later steps may use what earlier ones
-# wrote: all run in one folder.
-SMALL = (
-    "scenes.locations=2",
-    "scenes.frames_per_location=1",
-    "scenes.width=484",
-    "scenes.height=304",
-)
+# README command -> how it is run here, in README order.
 TABLE: dict[str, How] = {
     "make demo": Run(
         (*SMALL, "scenes.frames_per_location=2", "dataset.dir={sandbox}/outputs/demo")
     ),
-    "make test": Elsewhere(".ci/run", "make test"),
-    ". .venv/bin/activate": NotRun("the tests run in that environment"),
-    'pip install ".[blender,train]"': NotRun("the tests run in an environment that has all"),
-    "simnfnd make experiment=simnfnd scenes.root=flsea-vi dataset.dir=outputs/flsea": Run(
-        ("frames.limit=1",),
-        instead=(("scenes.root=flsea-vi", "scenes.root={shared}/data/flsea-vi"),),
-        needs="{shared}/data/flsea-vi",
+    ".venv/bin/simnfnd denoise examples/didson/lamprey.avi --out outputs/lamprey --compare": Run(
+        instead=((".venv/bin/", ""),)
     ),
-    "simnfnd make -m noise.background.density=0.1,0.5 resample.rate=0.1,0.3 frames.total=6": Run(
-        (*SMALL, "render=embree")
-    ),
-    "simnfnd make noise.range_spreading.alpha='{uniform: [0.01, 0.04]}' "
-    "noise.azimuth.count=3 frames.total=6 dataset.dir=outputs/spread": Run(
-        (*SMALL, "render=embree")
-    ),
-    "simnfnd make -m experiment=noise_sweep": Run((*SMALL, "render=embree")),
-    "simnfnd make sonar=oculus_m750d_hf sonar.mount.translation_m='[0, 0, 0.5]' "
-    "frames.total=6 dataset.dir=outputs/oculus": Run(SMALL),
-    "simnfnd make sonar.image.layout=polar sonar.transfer.kind=log frames.total=6 "
-    "dataset.dir=outputs/polar": Run((*SMALL, "render=embree")),
-    "simnfnd make --help": Run(),
-    "simnfnd preview outputs/demo --out outputs/sheet.png --pairs 4": Run(),
-    "simnfnd inspect outputs/demo": Run(),
-    "simnfnd export outputs/demo --to huggingface --out outputs/hub": Run(),
-    "simnfnd train dataset=outputs/demo train.steps=200": Run(
-        ("data.patch=64", "data.batch=2", "train.check_every=2"),
-        instead=(("train.steps=200", "train.steps=4"),),
-    ),
-    "simnfnd denoise outputs/demo --out outputs/denoised": Run(),
-    "simnfnd denoise dive.aris --out outputs/dive": Run(
-        instead=(("dive.aris", "{shared}/data/aris-sdk/sample.aris"),),
-        needs="{shared}/data/aris-sdk/sample.aris",
-    ),
-    "simnfnd denoise mdd/Images --out outputs/mdd --compare": Run(needs="{sandbox}/mdd"),
-    "simnfnd geometry mdd/Images --out outputs/fans": Run(needs="{sandbox}/mdd"),
-    "simnfnd denoise outputs/demo --out outputs/denoised-own "
-    "--weights outputs/models/nafnet/weights.safetensors": Run(),
-    "simnfnd evaluate dataset=outputs/demo": Run(),
-    "simnfnd evaluate tune dataset=outputs/demo": Run(("tuning.pairs=2", "baselines=[median]")),
-    "simnfnd evaluate dataset=outputs/demo baselines=[all] models=[outputs/models/nafnet]": Run(
-        instead=(("baselines=[all]", "baselines=[median]"),)
-    ),
-    "simnfnd evaluate compare outputs/evaluation/demo-test outputs/evaluation/demo-test "
-    "--row-b noisy": Run(),
-    "simnfnd evaluate real mdd models=[simnfnd]": Run(
-        ("workers=1", "baselines=[median]"), needs="{sandbox}/mdd"
-    ),
-    "simnfnd validate outputs/demo --deep": Run(),
+}
+PAGES: dict[str, dict[str, How]] = {"README.md": TABLE, **page_tables.PAGES}
+STEPS = {
+    page: readme_steps.steps((ROOT / page).read_text(encoding="utf-8"), page) for page in PAGES
 }
 
 TIMEOUT_S = 300.0
 
 
-def test_readme_and_table_agree() -> None:
-    assert README.exists(), "README.md is missing"
-    assert STEPS, "README.md tells nobody how to start: no ```sh block"
-    assert readme_steps.untold(STEPS, TABLE) == []
+@pytest.mark.parametrize("page", PAGES)
+def test_page_and_table_agree(page: str) -> None:
+    assert STEPS[page], f"{page} tells nobody what to do: no ```sh block"
+    assert readme_steps.untold(STEPS[page], PAGES[page]) == []
 
 
-def test_readme_has_no_block_that_hides_commands() -> None:
-    blocks = readme_steps.fences(README.read_text(encoding="utf-8"))
+def test_every_tutorial_and_how_to_page_is_run() -> None:
+    folders = [ROOT / "docs" / name for name in ("tutorials", "how-to")]
+    pages = {file.relative_to(ROOT).as_posix() for folder in folders for file in folder.iterdir()}
+    assert pages - {"docs/tutorials/index.md"} == set(PAGES) - {"README.md"}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_no_block_hides_commands(page: str) -> None:
+    blocks = readme_steps.fences((ROOT / page).read_text(encoding="utf-8"))
     assert {language for language, _, _ in blocks} <= readme_steps.LANGUAGES
 
 
+@pytest.mark.parametrize("page", PAGES)
+def test_every_command_says_how_long_it_takes(page: str) -> None:
+    silent = [
+        f"{page}:{step.line}: {step.key}"
+        for step in STEPS[page]
+        if step.kind == "sh" and not step.time_s and isinstance(PAGES[page][step.key], Run)
+    ]
+    assert silent == []
+
+
 def test_steps_run_elsewhere_really_are() -> None:
-    for key, how in TABLE.items():
-        if isinstance(how, Elsewhere):
-            text = (ROOT / how.file).read_text(encoding="utf-8")
-            assert how.text in text, f"`{key}`: {how.file} has no `{how.text}`"
+    for table in PAGES.values():
+        for key, how in table.items():
+            if isinstance(how, Elsewhere):
+                text = (ROOT / how.file).read_text(encoding="utf-8")
+                assert how.text in text, f"`{key}`: {how.file} has no `{how.text}`"
 
 
 @pytest.fixture(scope="module")
 def sandbox(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("readme")
+    page_tables.small_recording(folder / "examples" / "didson" / "lamprey.avi")
     mdd = readme_steps.SHARED / "data" / "mdd"
     if mdd.is_dir():
         # Two of its pictures.
@@ -112,29 +85,35 @@ def sandbox(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def how_to_run(step: Step) -> How:
-    return TABLE.get(step.key, Run() if step.kind == "python" else NotRun("not in the table"))
+    otherwise = Run() if step.kind == "python" else NotRun("not in the table")
+    return PAGES[step.page].get(step.key, otherwise)
 
 
 # The others are answered for by the tests above, and are no test that passes here.
-RUN_HERE = [(step, how) for step in STEPS if isinstance(how := how_to_run(step), Run)]
+RUN_HERE = [
+    (step, how)
+    for page in PAGES
+    for step in STEPS[page]
+    if isinstance(how := how_to_run(step), Run)
+]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("step", "how"), RUN_HERE, ids=[f"line-{step.line}" for step, _ in RUN_HERE]
+    ("step", "how"), RUN_HERE, ids=[f"{Path(step.page).stem}-{step.line}" for step, _ in RUN_HERE]
 )
 def test_step_runs(step: Step, how: Run, sandbox: Path) -> None:
     if lacking := readme_steps.missing(how, sandbox):
         pytest.skip(f"needs {lacking}")
     done = readme_steps.run(step, how, sandbox, TIMEOUT_S)
-    assert done.returncode == 0, f"README.md:{step.line}: {step.text}\n{done.stdout[-4000:]}"
+    assert done.returncode == 0, f"{step.page}:{step.line}: {step.text}\n{done.stdout[-4000:]}"
 
 
 # The machinery above, on a text of our own.
 
 SAMPLE = """# Title
 ```sh
-make setup            # once
+make setup            # once, 2 min
 # a comment
 echo one \\
     two
@@ -162,6 +141,7 @@ def test_steps_are_found_in_order() -> None:
         ("python", "import sys", 10),
         ("sh", "cat there.txt", 18),
     ]
+    assert [step.time_s for step in found] == [120, None, None, None]
     assert found[2].text == "import sys\n\nprint(sys.argv)"
 
 

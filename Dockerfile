@@ -1,0 +1,31 @@
+# An image that runs `simnfnd`, by default `simnfnd demo`:
+#   docker build -t simnfnd .
+#   docker run --rm -v "$PWD/outputs:/data/outputs" simnfnd
+FROM python:3.11-slim-bookworm
+
+# What Blender's and Open3D's wheels load and do not carry.
+RUN apt-get update \
+    && apt-get install -y --no-install-recommends \
+        libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1 \
+        libegl1 libusb-1.0-0 libgomp1 \
+    && rm -rf /var/lib/apt/lists/*
+
+# Everything in one call, so that numpy stays where bpy can load it.  PIP_ARGS: options of that call;
+# name the index of torch's CPU builds there, or torch brings gigabytes of CUDA libraries:
+#   docker build --build-arg PIP_ARGS="--extra-index-url URL" -t simnfnd .
+ARG PIP_ARGS=""
+COPY pyproject.toml setup.py constraints.txt README.md LICENSE /src/
+COPY simnfnd /src/simnfnd
+COPY factory /src/factory
+COPY models /src/models
+COPY evaluation /src/evaluation
+COPY conf /src/conf
+RUN pip install --no-cache-dir ${PIP_ARGS} -c /src/constraints.txt "/src[all]" \
+    && rm -rf /src
+
+RUN useradd --create-home user && mkdir -p /data/outputs && chown -R user /data
+USER user
+WORKDIR /data
+VOLUME /data/outputs
+ENTRYPOINT ["simnfnd"]
+CMD ["demo"]

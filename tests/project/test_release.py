@@ -1,0 +1,140 @@
+"""What a release needs: one version, files that say what they must, and a check of these."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from simnfnd import __version__
+from tests.project_files import ROOT, files, project
+from tools.release_check import problems
+
+
+def test_citation_and_changelog_know_the_version() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == __version__
+    assert citation["license"] == project()["project"]["license"]
+    (paper,) = citation["references"]
+    assert paper["doi"] == "10.3390/rs16152815"
+    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    first = re.findall(r"^## (.+)$", changelog, flags=re.MULTILINE)[0]
+    assert first == "Unreleased" or first.startswith(f"{__version__}, ")
+
+
+def test_pre_commit_runs_what_make_check_runs() -> None:
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
+    (repository,) = hooks["repos"]
+    assert repository["repo"] == "local"
+    entries = " ".join(hook["entry"] for hook in repository["hooks"])
+    assert "ruff check" in entries
+    assert "ruff format --check" in entries
+    for path in re.findall(r"tests/\S+", entries):
+        assert (ROOT / path).is_file()
+
+
+def test_the_image_has_what_the_wheels_load_and_the_install_reads() -> None:
+    text = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+    script = (ROOT / "tools" / "debian_packages.sh").read_text(encoding="utf-8")
+    for name in ("for_bpy", "for_open3d"):
+        (packages,) = re.findall(rf"^{name}=\((.+)\)$", script, flags=re.MULTILINE)
+        assert set(packages.split()) <= set(text.split())
+    copied = {
+        word for line in re.findall(r"^COPY (.+)$", text, re.MULTILINE) for word in line.split()
+    }
+    setup = (ROOT / "setup.py").read_text(encoding="utf-8")
+    (rooms,) = re.findall(r"^ROOMS = \((.+)\)$", setup, flags=re.MULTILINE)
+    wanted = {
+        "pyproject.toml",
+        "setup.py",
+        "constraints.txt",
+        "simnfnd",
+        *re.findall(r"\w+", rooms),
+    }
+    wanted |= {project()["project"]["readme"], *project()["project"]["license-files"]}
+    assert wanted <= copied
+    assert 'ENTRYPOINT ["simnfnd"]' in text
+    assert 'CMD ["demo"]' in text
+
+
+def test_the_release_script_is_sound() -> None:
+    script = ROOT / "tools" / "release.sh"
+    assert script.stat().st_mode & 0o111
+    subprocess.run(["bash", "-n", str(script)], check=True)
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert "bash tools/release.sh" in makefile
+    assert "upload" not in re.sub(r"#.*", "", script.read_text(encoding="utf-8"))
+
+
+def test_templates_are_whole() -> None:
+    templates = [path for path in files() if path.match(".github/ISSUE_TEMPLATE/*.md")]
+    assert len(templates) == 2
+    for path in templates:
+        head = (ROOT / path).read_text(encoding="utf-8").split("---")[1]
+        assert set(yaml.safe_load(head)) == {"name", "about"}
+    for name in ("SECURITY.md", "CODE_OF_CONDUCT.md", ".github/PULL_REQUEST_TEMPLATE.md"):
+        assert (ROOT / name).stat().st_size > 300
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """A checkout that is ready for the release 1.2.3."""
+    shutil.copytree(
+        ROOT / "tools", tmp_path / "tools", ignore=shutil.ignore_patterns("__pycache__")
+    )
+    (tmp_path / "factory").mkdir()
+    (tmp_path / "factory" / "__init__.py").write_text('__version__ = "1.2.3"\n')
+    (tmp_path / "CITATION.cff").write_text("version: 1.2.3\ndate-released: 2026-01-02\n")
+    (tmp_path / "CHANGELOG.md").write_text(
+        "# Log\n\n## Unreleased\n\n## 1.2.3, 2026-01-02\n\nNew.\n"
+    )
+    git(tmp_path, "init", "--quiet")
+    git(tmp_path, "add", ".")
+    git(tmp_path, "-c", "user.name=T", "-c", "user.email=t@t", "commit", "--quiet", "-m", "All")
+    return tmp_path
+
+
+def git(folder: Path, *words: str) -> None:
+    subprocess.run(["git", *words], cwd=folder, check=True)
+
+
+def test_a_tree_that_is_ready_has_no_problems(tree: Path) -> None:
+    assert list(problems(tree)) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "said"),
+    [
+        ("factory/__init__.py", "1.2.3", "1.2", "expected three numbers"),
+        ("CITATION.cff", "version: 1.2.3", "version: 1.2.2", "version is 1.2.2"),
+        ("CITATION.cff", "2026-01-02", "soon", "no date-released"),
+        ("CHANGELOG.md", "## 1.2.3, 2026-01-02", "## 1.2.3", "no heading"),
+        ("CHANGELOG.md", "## Unreleased\n", "## Unreleased\n\n- One more.\n", "under Unreleased"),
+    ],
+)
+def test_what_is_not_ready_is_named(tree: Path, file: str, old: str, new: str, said: str) -> None:
+    text = (tree / file).read_text(encoding="utf-8")
+    assert old in text
+    (tree / file).write_text(text.replace(old, new, 1), encoding="utf-8")
+    found = list(problems(tree))
+    assert any(said in line for line in found)
+    assert any("not committed" in line for line in found)
+    done = subprocess.run(
+        [sys.executable, "-m", "tools.release_check"],
+        cwd=tree,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert said in done.stderr
+
+
+def test_a_release_is_made_once(tree: Path) -> None:
+    git(tree, "tag", "v1.2.3")
+    assert any("tag v1.2.3" in line for line in problems(tree))
