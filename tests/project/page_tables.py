@@ -22,7 +22,7 @@ PAGES: dict[str, dict[str, How]] = {
         "make setup": Elsewhere(".ci/run", "make setup"),
         "make test": Elsewhere(".ci/run", "make test"),
         ". .venv/bin/activate": NotRun("the tests run in that environment"),
-        'pip install ".[open3d,train]"': NotRun("the tests run in an environment that has all"),
+        'pip install ".[blender,train]"': NotRun("the tests run in an environment that has all"),
     },
     "docs/tutorials/first-dataset.md": {
         # README.md has made it: the command finds it whole.
