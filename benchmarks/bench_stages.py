@@ -22,9 +22,9 @@ from simnfnd.factory import pairs, seeds
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.formation import resample
 from simnfnd.factory.formation.clouds import effect_clouds, noisy_cloud
+from simnfnd.factory.meta.record import columns as sample_columns
+from simnfnd.factory.meta.record import image_axes
 from simnfnd.factory.noise.draws import StreamNames, draw
-from simnfnd.factory.record import columns as sample_columns
-from simnfnd.factory.record import image_axes
 from simnfnd.factory.render import open_renderer
 from simnfnd.factory.render.cloud import back_project
 from simnfnd.factory.render.view import decode, encode, view_of

@@ -141,7 +141,7 @@ _RECEIVED = ("intensity_db", "field")
 def check_received(config: FactoryConfig) -> None:
     """Raise ValueError when layers or columns are asked for that the formation does not have."""
     dataset = config.dataset
-    asked = [name for name in _RECEIVED if name in dataset.layers]
+    asked: list[str] = [name for name in _RECEIVED if name in dataset.layers]
     if config.devices is not None and (asked or dataset.columns):
         raise ValueError(
             "dataset.layers: intensity_db, field and dataset.columns need one device; leave them "

@@ -17,8 +17,8 @@ from simnfnd.factory.dataset.format.schema import (
     stores_grey,
 )
 from simnfnd.factory.labels import CLASSES
+from simnfnd.factory.meta.record import columns, requested
 from simnfnd.factory.noise.registry import NoiseSettings
-from simnfnd.factory.record import columns, requested
 
 _HEAD = f"""\
 # The dataset format `{SCHEMA}`

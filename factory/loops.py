@@ -7,11 +7,12 @@ import importlib
 from simnfnd.factory.progress import stage_if_slow
 
 LOOPS = (
-    "simnfnd.factory.formation.field.cell_loops",
+    "simnfnd.factory.formation.field.cells.cell_loops",
     "simnfnd.factory.formation.field.display_loops",
     "simnfnd.factory.formation.field.kernels",
+    "simnfnd.factory.formation.field.cells.path_loops",
     "simnfnd.factory.formation.field.placing",
-    "simnfnd.factory.formation.field.world_loops",
+    "simnfnd.factory.formation.field.cells.world_loops",
     "simnfnd.factory.render.albedo",
     "simnfnd.factory.render.cloud.joints",
     "simnfnd.factory.render.cloud.planes",

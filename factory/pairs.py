@@ -23,8 +23,8 @@ from simnfnd.factory.formation import layers as truth
 from simnfnd.factory.formation.contract import Floats, Scene
 from simnfnd.factory.formation.registry import FORMATIONS
 from simnfnd.factory.frame import Frame, FrameRef
+from simnfnd.factory.meta.record import columns, image_axes, record, requested, requested_row
 from simnfnd.factory.noise.draws import StreamNames, draw
-from simnfnd.factory.record import columns, image_axes, record, requested, requested_row
 from simnfnd.factory.renders.views import Views, open_views
 from simnfnd.factory.sonar import polar, surface, transfer
 from simnfnd.factory.sonar.fan import lay_out, lay_out_nearest
@@ -224,6 +224,6 @@ def make_pair(
             config.acoustics.formation if device is None else "field",
         )
         | ({} if device is None else device.row())
-        | observed.columns,
+        | dict(observed.columns),
         layers=layers,
     )

@@ -37,7 +37,7 @@ def shipped_for(settings: EvaluationSettings) -> list[str]:
     """Name of the weights that `simnfnd denoise` takes for the pictures; [] without torch."""
     if not all(map(find_spec, ("torch", "safetensors"))):
         return []
-    from simnfnd.models.denoise.files import made_of_points
+    from simnfnd.models.denoise.shards import made_of_points
     from simnfnd.models.pretrained import DEFAULT, POINTS
 
     shard = next(Path(settings.dataset.dir).glob("*/shard-*.h5"), None)

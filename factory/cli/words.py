@@ -32,6 +32,8 @@ def _readable(word: str, sweep: bool) -> str:
     if not equals or not _KEY.fullmatch(key):
         return word
     if value.startswith("[") and value.endswith("]"):
+        if re.search("['\"]", value) and _reads(word):
+            return word  # a comma between quotes parts nothing
         parts = [_home(part.strip()) for part in value[1:-1].split(",")]
         if _reads(f"{key}=[{','.join(parts)}]"):
             return f"{key}=[{','.join(parts)}]"

@@ -20,7 +20,7 @@ import struct
 import sys
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -186,12 +186,13 @@ def decode(content: bytes) -> View:
         camera = {**head["intrinsics"], "distortion": tuple(head["intrinsics"]["distortion"])}
         mount = {**head["mount"], "translation_m": tuple(head["mount"]["translation_m"])}
         pose = head["world_from_camera"]
+        numbers: dict[str, Any] = {name: _finite(head.get(name)) for name in _NUMBERS}
         view = View(
             *_values(parts, (height, width), precision),
             _checked_intrinsics(Intrinsics(**camera)),
             Mount(**mount),
             world_from_camera=None if pose is None else np.array(pose, np.float64).reshape(4, 4),
-            **{name: _finite(head.get(name)) for name in _NUMBERS},
+            **numbers,
         )
         if not head["labelled"]:
             return view

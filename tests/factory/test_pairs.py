@@ -6,7 +6,7 @@ import pytest
 from simnfnd.factory import pairs
 from simnfnd.factory.config import FactoryConfig, from_mapping
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.record import columns, image_axes
+from simnfnd.factory.meta.record import columns, image_axes
 from simnfnd.factory.sonar.fan import fan_table
 from tests.frames import POST_M, ground_and_post, plain_render
 

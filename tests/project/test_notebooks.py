@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from pathlib import Path
 
 import nbformat
@@ -17,9 +18,14 @@ def test_there_are_two() -> None:
 
 
 def shown(document: nbformat.NotebookNode) -> list[list[str]]:
-    """For each cell of code: what kinds of things it shows."""
+    """For each cell of code: what kinds of things it shows; text may come in pieces."""
     return [
-        [*(o.get("name") or "+".join(o.get("data", {})) for o in cell.outputs)]
+        [
+            kind
+            for kind, _ in groupby(
+                o.get("name") or "+".join(o.get("data", {})) for o in cell.outputs
+            )
+        ]
         for cell in document.cells
         if cell.cell_type == "code"
     ]

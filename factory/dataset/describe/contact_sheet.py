@@ -135,4 +135,4 @@ def _table(colours: tuple[str, ...]) -> npt.NDArray[np.uint8]:
     where = np.linspace(0, 1, 256)
     even = np.linspace(0, 1, len(stops))
     channels = [np.interp(where, even, stops[:, k]) for k in range(3)]
-    return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
+    return np.asarray(np.rint(np.stack(channels, axis=-1)), np.uint8)

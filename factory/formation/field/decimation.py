@@ -62,9 +62,11 @@ def averaged_expected(state: Expected, kernel: Floats, samples: int) -> Expected
     """The expected intensities of range bins, from those of raw samples."""
     if samples == 1:
         return state
-    planes = (state.echo, state.noise, state.steady, state.textured)
-    return Expected(
-        *(averaged(plane, samples) for plane in planes),
+    return replace(
+        state,
+        echo=averaged(state.echo, samples),
+        noise=averaged(state.noise, samples),
+        steady=averaged(state.steady, samples),
+        textured=averaged(state.textured, samples),
         looks=state.looks * looks(kernel, samples),
-        shape=state.shape,
     )

@@ -82,7 +82,7 @@ class Scatterers:
     def world_cells(self, edge_m: float) -> Cells:
         """The world cells of this edge in which the scatterers lie."""
         if edge_m not in self._cells:
-            from simnfnd.factory.formation.field import cell_loops
+            from simnfnd.factory.formation.field.cells import cell_loops
 
             across, down = directions(self.frame)
             pose = np.ascontiguousarray(self.world_from_camera[:3])
@@ -111,7 +111,7 @@ class Scatterers:
 
     @cached_property
     def _surface(self) -> tuple[npt.NDArray[np.int32], Floats]:
-        from simnfnd.factory.formation.field import world_loops
+        from simnfnd.factory.formation.field.cells import world_loops
 
         size = self.owner.size
         bins, points_m = np.empty(size, np.int32), np.empty((3, size), np.float32)
@@ -126,7 +126,7 @@ def shares(
     names: npt.NDArray[np.uint32], places: npt.NDArray[np.uint32], ends: npt.NDArray[np.int32]
 ) -> Floats:
     """(runs,) float32: see `Cells.shares`; the arguments are what `cell_loops.runs` gives."""
-    from simnfnd.factory.formation.field import cell_loops
+    from simnfnd.factory.formation.field.cells import cell_loops
 
     made, work = np.empty(len(names), np.float32), np.empty((4, len(names)), np.uint32)
     slots = 1 << (1 + len(names).bit_length())

@@ -71,7 +71,7 @@ def _with_images(
     signal: Signal, ping: Ping, height_m: float, loss_db: float, tilt_deg: float
 ) -> Signal:
     """Echoes by way of a level plane `height_m` above the sonar (negative: below)."""
-    from simnfnd.factory.formation.field import world_loops  # loads numba
+    from simnfnd.factory.formation.field.cells import world_loops  # loads numba
 
     scene, mount, tilt_rad = ping.scatterers, ping.sonar.mount, np.deg2rad(tilt_deg)
     bins = signal.power.size

@@ -34,8 +34,8 @@ def path_speckle(
     signal: Signal, ping: Ping, rng: np.random.Generator, *, looks: float, scatterer_m: float
 ) -> Signal:
     """The field of the cells instead of the mean power of the echoes."""
-    from simnfnd.factory.formation.field import cell_loops, path_loops
-    from simnfnd.factory.formation.field.path_cells import edge_m, path_cells, turns
+    from simnfnd.factory.formation.field.cells import cell_loops, path_loops
+    from simnfnd.factory.formation.field.cells.path_cells import edge_m, path_cells, turns
 
     scene, amplitude = ping.scatterers, np.sqrt(ping.scatterers.loss)
     cells = path_cells(ping, scatterer_m or edge_m(ping))

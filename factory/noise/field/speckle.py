@@ -50,7 +50,7 @@ def speckle(
     signal: Signal, ping: Ping, rng: np.random.Generator, *, looks: float, scatterer_m: float
 ) -> Signal:
     """The scatterers' complex field instead of the mean power of the echoes."""
-    from simnfnd.factory.formation.field import cell_loops
+    from simnfnd.factory.formation.field.cells import cell_loops
 
     scene, amplitude = ping.scatterers, np.sqrt(ping.scatterers.loss)
     cells = scene.world_cells(scatterer_m or _CELL * min(ping.bin_m, ping.resolution_m))

@@ -64,7 +64,7 @@ def realise_spokes(
     spacing: str = "random",
 ) -> None:
     """The spokes of this sample, with the mean intensity of their noise."""
-    looks = expected.looks
+    looks = round(expected.looks)
     for across, _, amplitude in _each(ping, rng, looks, count, level_db, width_beams, spacing):
         expected.noise[:, across] += 2 * amplitude**2
 

@@ -44,7 +44,7 @@ def measured(
         count = min(round(missing * keep.size), len(among))
         if count:
             keep &= doubt < np.partition(among, len(among) - count)[len(among) - count]
-    return keep
+    return np.asarray(keep, np.bool_)
 
 
 def _edges(depth_m: Floats, noise: Floats, scale: float) -> npt.NDArray[np.bool_]:

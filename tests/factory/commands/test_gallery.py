@@ -110,6 +110,6 @@ def test_sonar_panels_have_one_scale() -> None:
 def test_the_page_shows_every_figure() -> None:
     docs = ROOT / "docs"
     shown = re.findall(r"\]\(images/([\w-]+)\.png\)", (docs / "gallery.md").read_text())
-    assert sorted(shown) == sorted(FILES)
-    for name in shown:
+    assert set(shown) >= set(FILES)
+    for name in FILES:
         assert 10_000 < (docs / "images" / f"{name}.png").stat().st_size < 400_000, name

@@ -20,7 +20,7 @@ from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.labels import CLASSES
-from simnfnd.factory.record import columns, image_axes
+from simnfnd.factory.meta.record import columns, image_axes
 from simnfnd.factory.sonar.fan import fan_table
 from tests.fake_source import FakeConfig, FakeSource, refs
 from tests.frames import HEIGHT_M, POST_M, ground_and_post, plain_render

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from simnfnd.factory.formation.field import world_loops
+from simnfnd.factory.formation.field.cells import world_loops
 from simnfnd.factory.formation.field.received import received
 from simnfnd.factory.formation.field.scatterers import Scatterers, shares
 from simnfnd.factory.formation.field.signal import beamform_power, gaussian_table, white_noise

@@ -9,16 +9,18 @@ import h5py
 import numpy as np
 import pytest
 
-from simnfnd.factory import pairs, pose
+from simnfnd.factory import pairs
 from simnfnd.factory.config import digest, from_mapping, identity
 from simnfnd.factory.dataset.check.facts import shard_facts
 from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.labels import CLASSES
+from simnfnd.factory.meta import pose
 from simnfnd.factory.pairs import PairMaker
 from simnfnd.factory.render.mount import Mount
-from simnfnd.factory.renders.views import OneView, view_of
+from simnfnd.factory.render.view import view_of
+from simnfnd.factory.renders.views import OneView
 from tests.frames import HEIGHT_M, PITCH_RAD, POST_M, ground_and_post, plain_render
 from tests.project_files import ROOT
 

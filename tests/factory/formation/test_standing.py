@@ -32,7 +32,7 @@ def pictures(standing: float) -> Pictures:
 
 def intensity(picture: np.ndarray) -> np.ndarray:
     """Over that of the mean picture, so that range has no part in it."""
-    return (picture.astype(np.float64) / pictures(0.0)[1]) ** 2
+    return np.asarray((picture.astype(np.float64) / pictures(0.0)[1]) ** 2)
 
 
 def likeness(one: np.ndarray, other: np.ndarray) -> float:

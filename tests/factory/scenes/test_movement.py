@@ -66,6 +66,8 @@ def test_frames_are_the_lines(tmp_path):
     assert first.altitude_m is not None
     assert first.altitude_m > 0.5
     there, here = first.world_from_camera, second.world_from_camera
+    assert there is not None
+    assert here is not None
     assert np.linalg.norm(here[:2, 3] - there[:2, 3]) == pytest.approx(0.5)
     assert here[2, 3] - there[2, 3] == pytest.approx(0.1)
     known = identity(config)["scenes"]["path"]

@@ -93,7 +93,7 @@ def test_the_graph_is_the_network_of_denoise(tmp_path: Path) -> None:
     given = weights(tmp_path, "sonarnet")
     picture = np.random.default_rng(2).random((50, 64), np.float32)
     for layout in ("none", "polar"):
-        graph = Graph(load_weights(given).network, layout)  # type: ignore[arg-type]
+        graph = Graph(load_weights(given).network, layout)
         inputs = arrays(graph, (1, 50, 64))
         inputs["noisy"] = picture[None, None]
         inputs["remove"] = np.array([[0, 1, 0, 0, 0, 1]], np.float32)

@@ -50,7 +50,7 @@ def path_cells(ping: Ping, cell_m: float) -> PathCells:
 
     Raises FrameError when they are too many.
     """
-    from simnfnd.factory.formation.field import path_loops
+    from simnfnd.factory.formation.field.cells import path_loops
 
     scene, sonar, window = ping.scatterers, ping.sonar, ping.window
     across, down = directions(scene.frame)

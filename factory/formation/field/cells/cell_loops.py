@@ -143,8 +143,8 @@ def count(
         ends[np.uint32((place_of[run] >> shift) & last) + np.uint32(1)] += 1
     if ends.max() > np.int64(mask):
         return False
-    for part in range(parts):
-        ends[part + 1] += ends[part]
+    for number in range(parts):
+        ends[number + 1] += ends[number]
     free, begin = ends[:-1].copy(), np.int32(0)
     for run in range(name_of.shape[0]):
         part = np.uint32((place_of[run] >> shift) & last)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.compiled import compiled
-from simnfnd.factory.formation.field.cell_loops import lattice_sum
+from simnfnd.factory.formation.field.cells.cell_loops import lattice_sum
 from simnfnd.factory.formation.field.kernels import mixed
 
 Floats = npt.NDArray[np.float32]
@@ -68,12 +68,12 @@ def gather(
         row, column = pixel // width, pixel % width
         z = np.float64(depth_m[row, column])
         x, y = np.float64(across[column]) * z, np.float64(down[row]) * z
-        dx, dy, dz = 0.0, 0.0, 0.0
+        dx = dy = dz = np.float64(0)
         if parts[first] != 0 and row + 1 < height:
             below = np.float64(depth_m[row + 1, column])
             dx = np.float64(across[column]) * below - x
             dy, dz = np.float64(down[row + 1]) * below - y, below - z
-        ex, ey, ez = 0.0, 0.0, 0.0
+        ex = ey = ez = np.float64(0)
         if column + 1 < width:
             right = np.float64(depth_m[row, column + 1])
             if abs(right - z) < _STEP * z:

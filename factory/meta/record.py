@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simnfnd.factory import calibration, pose, seeds
+from simnfnd.factory import seeds
 from simnfnd.factory.dataset.format.sample import Axis, Column
 from simnfnd.factory.formation.contract import Sample
 from simnfnd.factory.frame import Frame, FrameRef
+from simnfnd.factory.meta import calibration, pose
 from simnfnd.factory.noise import draws as drawn
 from simnfnd.factory.noise.draws import Draws
 from simnfnd.factory.noise.registry import NoiseSettings

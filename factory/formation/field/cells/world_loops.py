@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.compiled import compiled
-from simnfnd.factory.formation.field.cell_loops import STEPS_X, STEPS_Y, STEPS_Z, lattice_sum
+from simnfnd.factory.formation.field.cells.cell_loops import STEPS_X, STEPS_Y, STEPS_Z, lattice_sum
 from simnfnd.factory.formation.field.kernels import mixed
 
 Floats = npt.NDArray[np.float32]

@@ -1,0 +1,1 @@
+"""The rows of /meta: what is recorded of every pair, and what `dataset.columns` adds."""
