@@ -37,11 +37,14 @@ def shipped_for(settings: EvaluationSettings) -> list[str]:
     """Name of the weights that `simnfnd denoise` takes for the pictures; [] without torch."""
     if not all(map(find_spec, ("torch", "safetensors"))):
         return []
+    from simnfnd.models.denoise.inputs import Item
     from simnfnd.models.denoise.shards import made_of_points
     from simnfnd.models.pretrained import DEFAULT, POINTS
 
     shard = next(Path(settings.dataset.dir).glob("*/shard-*.h5"), None)
-    return [POINTS if shard is not None and made_of_points(shard) else DEFAULT]
+    return [
+        POINTS if shard is not None and made_of_points(Item(shard, Path(shard.name))) else DEFAULT
+    ]
 
 
 def networks_at(models: Sequence[str], ablation: Mapping[str, str | None]) -> list[Method]:

@@ -147,9 +147,9 @@ def count(
         ends[number + 1] += ends[number]
     free, begin = ends[:-1].copy(), np.int32(0)
     for run in range(name_of.shape[0]):
-        part = np.uint32((place_of[run] >> shift) & last)
-        at = np.uint32(free[part])
-        free[part] += 1
+        among = np.uint32((place_of[run] >> shift) & last)
+        at = np.uint32(free[among])
+        free[among] += 1
         runs_of[at], names[at], places[at] = run, name_of[run], place_of[run] & mask
         points[at] = np.uint32(end_of[run] - begin)
         begin = end_of[run]
