@@ -100,8 +100,11 @@ VERBS: dict[str, Verb] = {
         ("simnfnd failed outputs/flsea", "simnfnd failed outputs/flsea --rerun"),
     ),
     "preview": Verb(
-        LOOK, "contact sheet of a dataset", f"{_COMMANDS}.preview:main",
-        ("simnfnd preview outputs/demo --out outputs/sheet.png --pairs 4",),
+        LOOK, "contact sheet of a dataset or recording", f"{_COMMANDS}.preview:main",
+        (
+            "simnfnd preview outputs/demo --out outputs/sheet.png --pairs 4",
+            "simnfnd preview dive.aris --out outputs/dive.png",
+        ),
     ),
     "view": Verb(
         LOOK, "a dataset or recording in the browser, before and after", f"{_COMMANDS}.view:main",

@@ -37,8 +37,9 @@ def run(config: DictConfig) -> None:
     from simnfnd.evaluation.methods.tuning import load_tuned
     from simnfnd.evaluation.real import report
     from simnfnd.evaluation.real.judging import judge
-    from simnfnd.evaluation.real.shots import close_last, open_input
+    from simnfnd.evaluation.real.shots import open_input
     from simnfnd.factory.files import check_writable
+    from simnfnd.factory.recordings.fans import close_last
     from simnfnd.factory.workers.tasks import TaskPool
 
     if settings.tuned is not None and not Path(settings.tuned).is_file():

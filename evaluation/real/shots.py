@@ -13,9 +13,9 @@ import numpy.typing as npt
 from simnfnd.evaluation.baselines.base import Gray
 from simnfnd.evaluation.realism.real import GEOMETRY_FILE, open_real
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import Recording, kind_of, open_recording
+from simnfnd.factory.recordings import kind_of, open_recording
 from simnfnd.factory.recordings.fan_finder import find_fan
-from simnfnd.factory.recordings.fans import fan_of, grey_of
+from simnfnd.factory.recordings.fans import frame_picture
 from simnfnd.factory.recordings.pictures import SUFFIXES
 from simnfnd.factory.sonar.geometry import FanGeometry
 
@@ -44,15 +44,9 @@ class Shot:
 
         Raises FactoryError when it cannot be read.
         """
-        frame = _opened(self.path)[self.number]
-        grey = grey_of(frame)
-        if not np.isfinite(grey).all():
-            raise FactoryError(f"{self.path}: {self.name} has NaN or infinite pixels")
-        if frame.beams is not None:
-            return fan_of(grey, frame.beams)
-        if grey.ndim == 3:
-            grey = _luminance(grey)
-        picture = np.ascontiguousarray(np.clip(grey, 0, 1))
+        picture, geometry = frame_picture(self.path, self.number)
+        if geometry is not None:
+            return picture, geometry
         return picture, None if self.told is None else self.told.with_size(*picture.shape)
 
     def classes(self) -> npt.NDArray[np.uint8]:
@@ -160,31 +154,3 @@ def _recording(path: Path, name: str) -> Stretch:
     if kind_of(path) == "pictures":
         return Stretch(name, (Shot(path, 0, path.name),))
     return Stretch(name, tuple(Shot(path, n, f"{path.name}#{n}") for n in range(count)))
-
-
-_LAST: dict[Path, Recording] = {}
-"""The recording that this process read last, kept open for its next frame."""
-
-
-def close_last() -> None:
-    """Let go of the recording that was read last."""
-    for recording in _LAST.values():
-        recording.close()
-    _LAST.clear()
-
-
-def _opened(path: Path) -> Recording:
-    if path not in _LAST:
-        close_last()
-        _LAST[path] = open_recording(path)
-    return _LAST[path]
-
-
-def _luminance(colours: npt.NDArray[np.float32]) -> Gray:
-    if colours.shape[2] < 3:
-        return colours[..., 0]
-    blue_green_red = np.ascontiguousarray(colours[..., :3])
-    # Equal channels stay exactly what they are.
-    if (blue_green_red == blue_green_red[..., :1]).all():
-        return blue_green_red[..., 0]
-    return np.asarray(cv2.cvtColor(blue_green_red, cv2.COLOR_BGR2GRAY), np.float32)

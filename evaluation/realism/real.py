@@ -17,7 +17,9 @@ import numpy.typing as npt
 
 from simnfnd.evaluation.realism.pictures import Collection, Source, label_of
 from simnfnd.evaluation.realism.polar import Gray
+from simnfnd.evaluation.realism.recorded import recorded
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.recordings import is_recording
 from simnfnd.factory.sonar.geometry import FanGeometry
 
 GEOMETRY_FILE = "geometry.csv"
@@ -50,16 +52,27 @@ _SAME = 0.9
 
 
 def open_real(folder: str | Path) -> Collection:
-    """The pictures of a folder, in the order of their names.
+    """The pictures of a folder in the order of their names, or the frames of recordings.
 
+    folder: of pictures, or of recordings; or one recording.
     Raises FactoryError when there is none, or none that says where range and bearing are.
     """
     root = Path(folder).expanduser()
+    if is_recording(root):
+        return Collection(label_of(root), recorded(root))
     if not root.is_dir():
-        raise FactoryError(f"real={root}: no such folder; give one of real sonar pictures")
+        raise FactoryError(
+            f"real={root}: no such folder or recording; give one of real sonar pictures"
+        )
     table = root / GEOMETRY_FILE
     images = root / "Images" if (root / "Images").is_dir() else root
     paths = sorted(path for path in images.iterdir() if path.suffix.lower() in _SUFFIXES)
+    if not paths and (
+        recordings := [path for path in sorted(root.iterdir()) if is_recording(path)]
+    ):
+        return Collection(
+            label_of(root), tuple(one for path in recordings for one in recorded(path))
+        )
     if not paths:
         raise FactoryError(
             f"real={root}: no pictures ({', '.join(sorted(_SUFFIXES))}) there or in its Images/"

@@ -13,7 +13,16 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings.base import Beams, Device, Frame, Pose, Recording
 from simnfnd.factory.recordings.rosbag_files import is_bag_folder
 
-__all__ = ["Beams", "Device", "Frame", "Pose", "Recording", "kind_of", "open_recording"]
+__all__ = [
+    "Beams",
+    "Device",
+    "Frame",
+    "Pose",
+    "Recording",
+    "is_recording",
+    "kind_of",
+    "open_recording",
+]
 
 _ROOM = "simnfnd.factory.recordings"
 
@@ -42,6 +51,11 @@ def kind_of(path: Path) -> str | None:
         if path.suffix.lower() in suffixes:
             return kind
     return None
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a file or folder is one by its name: of a sonar, a bag or a video, not pictures."""
+    return path.exists() and kind_of(path) not in (None, "pictures")
 
 
 def open_recording(path: str | Path) -> Recording:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from pathlib import Path
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.recordings.base import Beams, Frame
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.recordings import open_recording
+from simnfnd.factory.recordings.base import Beams, Frame, Recording
 from simnfnd.factory.sonar.fan import fan_table
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
@@ -83,3 +87,47 @@ def _edges_rad(beams: Beams) -> tuple[float, float]:
     left = centres[0] - (centres[1] - centres[0]) / 2
     right = centres[-1] + (centres[-1] - centres[-2]) / 2
     return max(left, -math.pi / 2), min(right, math.pi / 2)
+
+
+def frame_picture(path: Path, number: int) -> tuple[npt.NDArray[np.float32], FanGeometry | None]:
+    """(H, W) float32 in 0..1, a ping as a fan; and the geometry, None where the file has none.
+
+    Raises FactoryError when it cannot be read.
+    """
+    frame = _opened(path)[number]
+    grey = grey_of(frame)
+    if not np.isfinite(grey).all():
+        raise FactoryError(f"{path}: frame {number} has NaN or infinite pixels")
+    if frame.beams is not None:
+        return fan_of(grey, frame.beams)
+    if grey.ndim == 3:
+        grey = _luminance(grey)
+    return np.ascontiguousarray(np.clip(grey, 0, 1)), None
+
+
+_LAST: dict[Path, Recording] = {}
+"""The recording that this process read last, kept open for its next frame."""
+
+
+def close_last() -> None:
+    """Let go of the recording that was read last."""
+    for recording in _LAST.values():
+        recording.close()
+    _LAST.clear()
+
+
+def _opened(path: Path) -> Recording:
+    if path not in _LAST:
+        close_last()
+        _LAST[path] = open_recording(path)
+    return _LAST[path]
+
+
+def _luminance(colours: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    if colours.shape[2] < 3:
+        return colours[..., 0]
+    blue_green_red = np.ascontiguousarray(colours[..., :3])
+    # Equal channels stay exactly what they are.
+    if (blue_green_red == blue_green_red[..., :1]).all():
+        return blue_green_red[..., 0]
+    return np.asarray(cv2.cvtColor(blue_green_red, cv2.COLOR_BGR2GRAY), np.float32)

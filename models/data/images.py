@@ -1,4 +1,4 @@
-"""Folders of real sonar images as training data."""
+"""Real sonar images as training data: pictures of folders, and frames of recordings."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.recordings import is_recording, open_recording
+from simnfnd.factory.recordings.fans import frame_picture
+from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.data.pairs import Image, Sample, SampleRef
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
@@ -18,23 +21,43 @@ FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 
 
 def list_images(folder: str | Path, key: str = "data.folder") -> tuple[SampleRef, ...]:
-    """The images of a folder and its subfolders, in the order of their names.
+    """The images of a folder and its subfolders and the frames of recordings in it, by name.
 
-    `scene` is the subfolder.  Raises FactoryError, naming `key`, when there is none.
+    folder: or one recording.  `scene` is the subfolder, and of a frame the recording.
+    Raises FactoryError, naming `key`, when there is none.
     """
     root = Path(folder).expanduser()
+    if is_recording(root):
+        return _frames(root, root.name)
     if not root.is_dir():
-        raise FactoryError(f"{key}={folder}: no such folder")
-    found = [
-        path
-        for path in sorted(root.rglob("*"))
-        if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file()
-    ]
+        raise FactoryError(f"{key}={folder}: no such folder or recording")
+    found: list[SampleRef] = []
+    for path in sorted(root.rglob("*")):
+        place = path.parent.relative_to(root).as_posix()
+        if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file():
+            found.append(SampleRef(path, 0, place, path.name))
+        elif path.is_file() and is_recording(path):
+            found += _frames(path, path.relative_to(root).as_posix())
     if not found:
-        raise FactoryError(f"{key}={folder}: holds no image ({', '.join(IMAGE_SUFFIXES)})")
-    return tuple(
-        SampleRef(path, 0, path.parent.relative_to(root).as_posix(), path.name) for path in found
-    )
+        kinds = ", ".join(IMAGE_SUFFIXES)
+        raise FactoryError(f"{key}={folder}: holds no image ({kinds}) and no recording")
+    return tuple(found)
+
+
+def _frames(path: Path, scene: str) -> tuple[SampleRef, ...]:
+    with open_recording(path) as recording:
+        count = len(recording)
+    return tuple(SampleRef(path, row, scene, f"{path.name}#{row}") for row in range(count))
+
+
+def read_sample(sample: SampleRef) -> tuple[Image, FanGeometry | None]:
+    """An image as (H, W) float32 in 0..1, and its geometry where its recording tells it.
+
+    A ping becomes a fan.  Raises FactoryError when it cannot be read.
+    """
+    if not is_recording(sample.path):
+        return read_grey(sample.path), None
+    return frame_picture(sample.path, sample.row)
 
 
 def decode(path: Path) -> npt.NDArray[Any]:
@@ -65,8 +88,19 @@ def read_grey(path: Path) -> Image:
 
 def smallest_side(samples: tuple[SampleRef, ...]) -> tuple[int, SampleRef]:
     """The shortest side of all images, pixels, and the image that has it."""
-    sides = [(min(decode(sample.path).shape[:2]), sample) for sample in samples]
+    # The frames of a recording are of one size, or nearly.
+    sides = [
+        (min(_shape(sample)), sample)
+        for sample in samples
+        if sample.row == 0 or not is_recording(sample.path)
+    ]
     return min(sides, key=lambda found: found[0])
+
+
+def _shape(sample: SampleRef) -> tuple[int, ...]:
+    if is_recording(sample.path):
+        return read_sample(sample)[0].shape
+    return decode(sample.path).shape[:2]
 
 
 class NoisySource:
@@ -80,4 +114,4 @@ class NoisySource:
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
-        return Sample(read_grey(self.samples[index].path))
+        return Sample(read_sample(self.samples[index])[0])

@@ -15,11 +15,12 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.formation.clouds import effect_clouds, noisy_cloud
 from simnfnd.factory.noise.draws import Draws, StreamNames, draw
 from simnfnd.factory.noise.registry import NoiseSettings
+from simnfnd.factory.recordings import is_recording
 from simnfnd.factory.sonar.echoes import Echoes, in_plane
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.window import Window
 from simnfnd.models.data.fans import read_fans
-from simnfnd.models.data.images import read_grey
+from simnfnd.models.data.images import read_sample
 from simnfnd.models.data.pairs import Image, Sample, SampleRef, weakened
 
 _FAR_M = 10.0
@@ -49,7 +50,11 @@ class OldDataSource:
         self.samples, self.settings, self.looks = samples, settings, looks
         self.weaker, self.seed = weaker, seed
         self.fans: Mapping[str, FanGeometry] = {} if geometry == "polar" else read_fans(geometry)
-        unknown = [s.frame for s in samples if self.fans and s.frame not in self.fans]
+        unknown = [
+            sample.frame
+            for sample in samples
+            if self.fans and sample.frame not in self.fans and not is_recording(sample.path)
+        ]
         if unknown:
             raise FactoryError(
                 f"data.geometry={geometry}: says nothing about {unknown[0]} and "
@@ -62,8 +67,8 @@ class OldDataSource:
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
         ref = self.samples[index]
-        clean = read_grey(ref.path)
-        geometry = self.fans.get(ref.frame, FanGeometry.polar()).with_size(*clean.shape)
+        clean, told = read_sample(ref)
+        geometry = self.fans.get(ref.frame, told or FanGeometry.polar()).with_size(*clean.shape)
         sector = geometry.maps(0, 0, *clean.shape)["sector"]
         clean = clean * sector
         number = "validation" if visit is None else visit

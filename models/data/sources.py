@@ -114,7 +114,8 @@ def _of_dataset(data: PairsData | RendersData, settings: ModelsSettings) -> Data
 
 def _digest(samples: tuple[SampleRef, ...]) -> str:
     """Changes with the names and the content of image files, not with where they lie."""
-    found = [(sample.scene, sample.frame, sha256_of(sample.path)) for sample in samples]
+    hashes = {path: sha256_of(path) for path in {sample.path for sample in samples}}
+    found = [(sample.scene, sample.frame, hashes[sample.path]) for sample in samples]
     return hashlib.blake2b(repr(found).encode(), digest_size=8).hexdigest()
 
 

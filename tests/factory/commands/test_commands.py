@@ -5,10 +5,12 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import cv2
 import pytest
 
 from simnfnd.command import main
 from tests.factory.export.export_dataset import write
+from tests.project_files import ROOT
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
@@ -53,3 +55,16 @@ def test_mistakes_are_one_line_and_exit_code_two(words, monkeypatch, capsys, tmp
     assert len(told) == 1
     assert told[0].startswith("error: ")
     assert not Path(nothing).exists()
+
+
+def test_the_preview_of_a_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = ROOT / "examples" / "didson" / "lamprey.avi"
+    out = tmp_path / "sheet.png"
+    assert run(monkeypatch, "preview", str(recording), "--out", str(out), "--pairs", "3") == 0
+    sheet = cv2.imread(str(out))
+    assert sheet is not None
+    assert sheet.std() > 15
+    assert run(monkeypatch, "preview", str(recording)) == 2
+    assert "give --out FILE.png" in capsys.readouterr().err

@@ -1,0 +1,42 @@
+"""Frames of recordings as real pictures, with the fan that the file or the picture tells."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from simnfnd.evaluation.realism.pictures import Source
+from simnfnd.evaluation.realism.polar import Gray
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.recordings import open_recording
+from simnfnd.factory.recordings.fan_finder import find_fan
+from simnfnd.factory.recordings.fans import frame_picture
+from simnfnd.factory.sonar.geometry import FanGeometry
+
+
+def recorded(path: Path) -> tuple[Source, ...]:
+    """All frames of a recording; the fan of a video is found in its first frame.
+
+    Raises FactoryError when it cannot be read, or nothing tells where range and bearing are.
+    """
+    sources: list[Source] = []
+    found: FanGeometry | None = None
+    with open_recording(path) as recording:
+        count = len(recording)
+    for number in range(count):
+        picture, geometry = frame_picture(path, number)
+        if geometry is None and found is None:
+            seen = find_fan(picture)
+            found = None if seen is None else seen.geometry
+        geometry = geometry or found
+        if geometry is None:
+            raise FactoryError(
+                f"real={path}: no fan is seen in its pictures; save its frames as pictures beside "
+                "a geometry.csv (docs/realism.md says how)"
+            )
+        sources.append(Source(f"{path.name}#{number}", geometry, partial(_picture, path, number)))
+    return tuple(sources)
+
+
+def _picture(path: Path, number: int) -> Gray:
+    return frame_picture(path, number)[0]

@@ -1,0 +1,43 @@
+"""Recordings where folders of real pictures are asked for."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simnfnd.evaluation.realism.real import open_real
+from simnfnd.factory.errors import FactoryError
+from tests.project_files import ROOT
+
+LAMPREY = ROOT / "examples" / "didson" / "lamprey.avi"
+ARIS = ROOT.parent / "shared" / "data" / "aris-sdk" / "sample.aris"
+
+
+def test_the_fan_of_a_video_is_found_in_it(tmp_path: Path) -> None:
+    shutil.copy(LAMPREY, tmp_path / "dive.avi")
+    one, folder = open_real(LAMPREY), open_real(tmp_path)
+    assert len(one.sources) == len(folder.sources) == 8
+    assert folder.sources[7].name == "dive.avi#7"
+    first = one.sources[0]
+    sector = first.geometry.sector_mask(*first.read().shape)
+    assert first.read()[sector].mean() > 20 * first.read()[~sector].mean()
+    assert one.sources[0].geometry == one.sources[7].geometry
+
+
+@pytest.mark.skipif(not ARIS.is_file(), reason="no shared data")
+def test_a_recording_says_where_range_and_bearing_are() -> None:
+    found = open_real(ARIS)
+    assert len(found.sources) == 6
+    assert found.sources[0].geometry.range_max_m == pytest.approx(23.3, abs=0.5)
+    assert not np.array_equal(found.sources[0].read(), found.sources[5].read())
+
+
+def test_a_recording_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "dive.aris").write_bytes(b"no recording")
+    with pytest.raises(FactoryError, match=r"dive\.aris"):
+        open_real(tmp_path / "dive.aris")
+    with pytest.raises(FactoryError, match="no such folder or recording"):
+        open_real(tmp_path / "absent.aris")

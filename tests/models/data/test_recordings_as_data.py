@@ -1,0 +1,39 @@
+"""Frames of recordings as training data: data.folder may be a recording, or hold some."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from simnfnd.factory.noise.registry import NoiseSettings
+from simnfnd.models.data.images import NoisySource, list_images, read_sample, smallest_side
+from simnfnd.models.data.olddata import OldDataSource
+from tests.project_files import ROOT
+
+LAMPREY = ROOT / "examples" / "didson" / "lamprey.avi"
+
+
+def test_frames_stand_beside_pictures(tmp_path: Path) -> None:
+    shutil.copy(LAMPREY, tmp_path / "dive.avi")
+    cv2.imwrite(str(tmp_path / "one.png"), np.full((300, 500), 90, np.uint8))
+    found = list_images(tmp_path)
+    assert [sample.frame for sample in found] == [*(f"dive.avi#{n}" for n in range(8)), "one.png"]
+    assert found[0].scene == "dive.avi"
+    side, smallest = smallest_side(found)
+    assert (side, smallest.frame) == (300, "one.png")
+    source = NoisySource(found)
+    frames = [source.sample(number, None).noisy for number in (7, 0, 8)]
+    assert [frame.shape for frame in frames] == [(774, 400), (774, 400), (300, 500)]
+    assert 0 <= frames[0].min() < frames[0].max() <= 1
+    np.testing.assert_array_equal(frames[1], read_sample(list_images(LAMPREY)[0])[0])
+
+
+def test_old_data_takes_frames() -> None:
+    samples = list_images(LAMPREY)[:2]
+    source = OldDataSource(samples, "polar", NoiseSettings(), looks=1, weaker=0.0, seed=0)
+    sample = source.sample(1, None)
+    assert sample.clean is not None
+    assert sample.noisy.shape == sample.clean.shape == (774, 400)
