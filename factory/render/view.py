@@ -186,14 +186,11 @@ def decode(content: bytes) -> View:
         camera = {**head["intrinsics"], "distortion": tuple(head["intrinsics"]["distortion"])}
         mount = {**head["mount"], "translation_m": tuple(head["mount"]["translation_m"])}
         pose = head["world_from_camera"]
-        numbers: dict[str, Any] = {name: _finite(head.get(name)) for name in _NUMBERS}
-        view = View(
-            *_values(parts, (height, width), precision),
-            _checked_intrinsics(Intrinsics(**camera)),
-            Mount(**mount),
-            world_from_camera=None if pose is None else np.array(pose, np.float64).reshape(4, 4),
-            **numbers,
-        )
+        more: dict[str, Any] = {name: _finite(head.get(name)) for name in _NUMBERS}
+        if pose is not None:
+            more["world_from_camera"] = np.array(pose, np.float64).reshape(4, 4)
+        planes = _values(parts, (height, width), precision)
+        view = View(*planes, _checked_intrinsics(Intrinsics(**camera)), Mount(**mount), **more)
         if not head["labelled"]:
             return view
         segmentation = np.frombuffer(parts[-2], np.uint8).reshape(height, width)
