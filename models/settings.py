@@ -79,6 +79,7 @@ class RendersData(DataSettings):
     scales: Annotated[tuple[Scale, ...], Field(min_length=1)]
     experiment: str | None
     choices: Share
+    reuse: Annotated[int, Field(ge=1, le=1000)] = 1
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)

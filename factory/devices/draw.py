@@ -28,6 +28,8 @@ _FEWEST_BINS = 64
 _LARGEST_POINTS_PX = 512
 """Beyond, a picture of points has fewer echoes than pixels."""
 _POINTS_HFOV_DEG = 30.0
+_ODD = ("spokes", "ghosts", "gains")
+"""Artefacts that many recordings do not have; seen always, they teach to take detail for them."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class Device:
     """What was drawn for one picture.
 
     values: by the keys of `DeviceSettings`; shares are drawn as 1 or 0.
-    coins: effect -> whether a coin of `fewer_share` leaves it on.
+    coins: effect -> whether a coin leaves it on, of `fewer_share` or, for odd ones, `odd_share`.
     """
 
     values: Mapping[str, float]
@@ -209,7 +211,10 @@ def _of_formation(noise: NoiseSettings, device: Device) -> NoiseSettings:
     for name, block in blocks(noise).items():
         on = block.enabled and (EFFECTS[name].stage == "points") == points
         on = on and not device.values["quiet_share"]
-        if device.values["fewer_share"]:
+        odd = EFFECTS[name].artefact in _ODD and not points
+        if device.values["fewer_share"] or odd:
             on = on and device.coins[name]
+        if odd:
+            on = on and bool(device.values["odd_share"])
         changed[name] = replace(block, enabled=on)
     return replace(noise, **changed)

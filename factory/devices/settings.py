@@ -41,6 +41,8 @@ class DeviceSettings:
         instead of its level_db.
     quiet_share: part of the pictures without any noise; fewer_share: part of them in which each
         effect is switched off by a coin.
+    odd_share: part of the pictures of the field that have the effects of spokes, ghosts and wrong
+        gains, each by a coin; the others have grain and haze alone.
     nearest_share: part of the fans whose pixels show the nearest sample as it is, as makers'
         pictures do; the others interpolate.
     enlarged_share: part of the pictures that are made larger and shrunk to their size, by
@@ -74,6 +76,7 @@ class DeviceSettings:
     receiver_db: AnyNumber
     quiet_share: Fraction
     fewer_share: Fraction
+    odd_share: Fraction
     nearest_share: Fraction
     enlarged_share: Fraction
     enlarged: Positive

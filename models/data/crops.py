@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import distributed
 from torch.utils.data import Dataset, Sampler
@@ -17,9 +18,10 @@ from torch.utils.data import Dataset, Sampler
 from simnfnd.factory.dataset.read.stream import Windows
 from simnfnd.factory.seeds import stream
 from simnfnd.factory.sonar.geometry import Maps
+from simnfnd.models.data.kept import KEPT, drawn
 from simnfnd.models.data.pairs import Batch, Sample, Source
 from simnfnd.models.removal import DEFAULT, vector
-from simnfnd.models.settings import DataSettings
+from simnfnd.models.settings import DataSettings, RendersData
 
 
 class Visit(NamedTuple):
@@ -156,6 +158,8 @@ class VisitSampler(Sampler[list[Visit]]):
         self._windows = windows
         self.images, self.steps, self.crops, self.seed = images, steps, data.crops, seed
         self.sizes = interval_sizes(data, intervals)
+        self.reuse = data.reuse if isinstance(data, RendersData) else 1
+        self._orders: dict[int, npt.NDArray[np.int64]] = {}
         # Lightning calls `set_epoch` of a batch sampler's sampler.
         self.sampler = self
         self._interval = 0
@@ -167,25 +171,27 @@ class VisitSampler(Sampler[list[Visit]]):
     def __len__(self) -> int:
         return self.steps
 
+    def _order(self, round_: int) -> npt.NDArray[np.int64]:
+        if round_ not in self._orders:
+            rng = stream(self.seed, "order", round_)
+            order = self._windows.order(rng) if self._windows else rng.permutation(self.images)
+            # A kept picture can be one of the round before, and of few images of earlier ones.
+            self._orders = {r: o for r, o in self._orders.items() if r >= round_ - KEPT}
+            self._orders[round_] = order
+        return self._orders[round_]
+
     def __iter__(self) -> Iterator[list[Visit]]:
         before = sum(batch for _, batch in self.sizes[: self._interval])
         patch, batch = self.sizes[self._interval]
         number = before * self.steps // self.crops
         rank, ranks = _rank()
-        round_, order = -1, np.empty(0, dtype=np.int64)
         for _ in range(self.steps):
             visits = []
             for _ in range(batch // self.crops):
-                if number // self.images != round_:
-                    round_ = number // self.images
-                    rng = stream(self.seed, "order", round_)
-                    order = (
-                        self._windows.order(rng) if self._windows else rng.permutation(self.images)
-                    )
+                round_, place = divmod(drawn(number, self.reuse, self.seed), self.images)
                 if self._windows:
-                    self._windows.reach(number % self.images)
-                image = int(order[number % self.images])
-                visits.append(Visit(number, image, round_, patch))
+                    self._windows.reach(place)
+                visits.append(Visit(number, int(self._order(round_)[place]), round_, patch))
                 number += 1
             yield visits[rank::ranks]
 

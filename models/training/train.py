@@ -25,6 +25,7 @@ from simnfnd.models.data.crops import (
     concatenate,
     whole_image_batch,
 )
+from simnfnd.models.data.kept import KeptSource
 from simnfnd.models.data.pairs import Batch, windows_of
 from simnfnd.models.data.sources import Data, open_data
 from simnfnd.models.losses import build_loss
@@ -215,8 +216,9 @@ def _loaders(
     shared: dict[str, Any] = {"num_workers": workers, "pin_memory": accelerator != "cpu"}
     if workers:
         shared |= {"multiprocessing_context": "spawn", "persistent_workers": True}
+    reuse = kind.reuse if isinstance(kind, RendersData) else 1
     crops = Crops(
-        data.learning,
+        KeptSource(data.learning) if reuse > 1 else data.learning,
         crops=kind.crops,
         flip=kind.flip,
         seed=settings.seed,

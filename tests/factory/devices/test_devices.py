@@ -13,6 +13,7 @@ from simnfnd.factory.config import identity
 from simnfnd.factory.devices import draw as devices
 from simnfnd.factory.devices.raster import Raster
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.noise.registry import blocks
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
 from simnfnd.factory.sonar.window import Window
 
@@ -38,7 +39,7 @@ def _words() -> tuple[str, ...]:
 
 def test_every_variant_has_a_device_of_its_own_and_says_which() -> None:
     rows = [pair(variant=number).record for number in range(6)]
-    assert len({row["device.hfov_deg"] for row in rows}) == 6
+    assert len({row["device.bins_per_px"] for row in rows}) == 6
     assert {row["device.field_share"] for row in rows} <= {0.0, 1.0}
     assert all(20 <= row["device.hfov_deg"] <= 45 for row in rows)
     # Effects of the other formation are off, and the table says so.
@@ -77,6 +78,25 @@ def test_a_quiet_picture_has_no_noise() -> None:
     np.testing.assert_array_equal(quiet.noisy, quiet.clean)
     loud = pair("devices.quiet_share=0", "devices.jpeg_share=0", "devices.field_share=0")
     assert (loud.noisy != loud.clean).any()
+
+
+def test_odd_effects_are_those_of_a_share_of_the_pictures() -> None:
+    words = ("devices.field_share=1", "devices.quiet_share=0", "devices.fewer_share=0")
+    odd = ("spokes", "ring_down", "surface_multipath", "sidelobe_arcs", "tvg_error", "beam_gain")
+
+    def on(share: int, variant: int) -> dict[str, bool]:
+        config = compose_config(["experiment=any_sonar", *words, f"devices.odd_share={share}"])
+        assert config.devices is not None
+        device = devices.draw(config.devices, 0, variant)
+        noise = devices.configured(config, device, any_size=True).noise
+        return {name: block.enabled for name, block in blocks(noise).items()}
+
+    for variant in range(4):
+        without = on(0, variant)
+        assert not any(without[name] for name in odd)
+        assert all(without[name] for name in ("speckle", "receiver", "volume"))
+    share = np.mean([on(1, variant)[name] for variant in range(40) for name in odd])
+    assert share == pytest.approx(0.5, abs=0.15)
 
 
 def test_the_receivers_noise_follows_the_echoes() -> None:

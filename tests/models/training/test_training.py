@@ -206,10 +206,10 @@ def visits(images: int, data: Any, steps: int = 5, intervals: int = 7) -> list[l
     return found
 
 
-def data_settings(**changes: Any) -> Any:
+def data_settings(kind: str = "pairs", **changes: Any) -> Any:
     with initialize_config_module("simnfnd.conf", version_base="1.3"):
-        values: Any = OmegaConf.to_container(compose("models").data)
-    return build(DATA["pairs"], {**values, **changes})
+        values: Any = OmegaConf.to_container(compose("models", [f"data={kind}"]).data)
+    return build(DATA[kind], {**values, **changes})
 
 
 def test_every_image_is_visited_before_any_is_visited_again() -> None:
