@@ -11,6 +11,11 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import settings
 
+# Two test processes share two cores: threads of libraries would only wait for each other.  Before
+# anything imports numpy or torch; processes that tests start take it over.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
 # Shared machines are slow now and then, so no deadline.  In CI the same examples every time: a
 # change must not fail on an example that it did not cause; at home the search goes on.
 settings.register_profile("simnfnd", deadline=None, derandomize="CI" in os.environ)

@@ -16,7 +16,7 @@ _ZERO = np.float32(0)
 
 
 @compiled()
-def _normal(
+def unit_normal(
     depth_m: Floats, bits: Bits, row: int, column: int, across: Doubles, down: Doubles
 ) -> tuple[np.float32, np.float32, np.float32]:
     """Unit normal of one pixel, (0, 0, 0) where it has none; see `cloud.normals`."""
@@ -85,7 +85,7 @@ def orient(
             points_m[i, j, 0] = across[column] * z
             points_m[i, j, 1] = down[row] * z
             points_m[i, j, 2] = z
-            x, y, z = _normal(depth_m, bits, row, column, across, down)
+            x, y, z = unit_normal(depth_m, bits, row, column, across, down)
             normals[i, j, 0], normals[i, j, 1], normals[i, j, 2] = x, y, z
 
 
@@ -163,7 +163,7 @@ def shade(
         for column in range(width):
             # Neighbours along one direction alone: the surface faces the camera as far as it can.
             if inside[column] and shine[column] == 0:
-                nx, ny, nz = _normal(depth_m, bits, row, column, across, down)
+                nx, ny, nz = unit_normal(depth_m, bits, row, column, across, down)
                 tx, ty = sonar_x_m - x[column], sonar_y_m - y[column]
                 tz = sonar_z_m - z[column]
                 square_m2 = tx * tx + ty * ty + tz * tz

@@ -91,9 +91,7 @@ def response(argument: npt.ArrayLike, taper: Taper) -> Floats:
     Any shape.  For the uniform window it is the normalised sinc (Urick 1983, ch. 3).
     """
     given = np.abs(np.asarray(argument, np.float64))
-    elements = _ELEMENTS
-    while elements < 2 * given.max(initial=0):
-        elements *= 2
+    elements = _elements(given.max(initial=0))
     # The elements are symmetric, so half of them tell all.
     half = slice(elements // 2, None)
     position = ((np.arange(elements) + 0.5) / elements - 0.5)[half]
@@ -103,6 +101,31 @@ def response(argument: npt.ArrayLike, taper: Taper) -> Floats:
         some = given.reshape(-1)[first : first + _CHUNK, None]
         found[first : first + _CHUNK] = np.cos(2 * np.pi * some * position) @ shading
     return found.reshape(given.shape)
+
+
+def _elements(furthest: float) -> int:
+    """Elements of an array whose response is asked for up to this argument."""
+    elements = _ELEMENTS
+    while elements < 2 * furthest:
+        elements *= 2
+    return elements
+
+
+def _response_table(count: int, taper: Taper) -> Floats:
+    """(count,) the response at -1, 0, 1 ... steps of 1 / 128.
+
+    Devices that are drawn for every picture differ in how far they look alone, so all whole chunks
+    are kept; the rest is computed as ever, to the same bits.
+    """
+    steps = np.arange(-1, count - 1) / _STEPS
+    whole = count // _CHUNK * _CHUNK
+    kept = _whole_chunks(taper, _elements(steps[-1]))
+    return np.concatenate([kept[:whole], response(steps[whole:], taper)])
+
+
+@lru_cache(maxsize=8)
+def _whole_chunks(taper: Taper, elements: int) -> Floats:
+    return response(np.arange(-1, elements // 2 * _STEPS - 1) / _STEPS, taper)
 
 
 @lru_cache(maxsize=32)
@@ -135,7 +158,7 @@ def beam_mixing(beams_rad: Floats, array: ArraySettings) -> npt.NDArray[np.float
     length = aperture_wavelengths(array.beamwidth_deg, array.horizontal)
     apart = np.abs(sine[:, None] - sine[None, :]) * length
     # Cubic between 128 points a null: 3e-8 off, and a hundred times faster.
-    table = response(np.arange(-1, int(apart.max() * _STEPS) + 3) / _STEPS, array.horizontal)
+    table = _response_table(int(apart.max() * _STEPS) + 4, array.horizontal)
     step = (apart * _STEPS).astype(np.intp)
     u = apart * _STEPS - step
     before, here, after, beyond = (table[step + by] for by in range(4))

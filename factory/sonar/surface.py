@@ -22,6 +22,7 @@ from simnfnd.factory.sonar.window import Window
 
 # Beyond this a surface is seen edge on and its area is not known.
 _GRAZING_COSINE = 0.05
+_EDGE_RATIO = 0.1
 
 Pixels = npt.NDArray[np.int32]
 
@@ -123,20 +124,24 @@ def mount_weight(frame: Frame, mount: Mount, exponent: float) -> npt.NDArray[np.
     r_c^2 dO / cos_c with the camera's, and backscatter by cos_s^n leaves cos_s^n / r_s^4 of it:
     cos_s^(n - 1) / cos_c (r_c / r_s)^2.
     """
-    from simnfnd.factory.render.cloud import back_project, normals
+    # Both load numba.
+    from simnfnd.factory.render.cloud.joints import joints
+    from simnfnd.factory.sonar.mount_loops import facing
 
-    points_m = back_project(frame.depth_m, frame.intrinsics)
+    camera = frame.intrinsics
+    depth_m = np.ascontiguousarray(frame.depth_m, np.float32)
+    height, width = depth_m.shape
+    across = (np.arange(width) - camera.cx) / camera.fx
+    down = (np.arange(height) - camera.cy) / camera.fy
+    sonar_m = mount.position_camera_m().astype(np.float32)
+    cosine_camera, cosine, nearer = (np.empty((height, width), np.float32) for _ in range(3))
     # Frames of a cache have lost what was no surface, so every neighbour here may be joined.
-    normal = normals(points_m, 0.1)
-    camera_m2 = np.maximum(np.einsum("hwc,hwc->hw", points_m, points_m), np.float32(1e-12))
-    cosine_camera = -np.einsum("hwc,hwc->hw", normal, points_m) / np.sqrt(camera_m2)
-    to_sonar_m = mount.position_camera_m().astype(np.float32) - points_m
-    sonar_m2 = np.maximum(np.einsum("hwc,hwc->hw", to_sonar_m, to_sonar_m), np.float32(1e-12))
-    cosine = np.einsum("hwc,hwc->hw", normal, to_sonar_m) / np.sqrt(sonar_m2)
+    bits = joints(depth_m, _EDGE_RATIO)
+    facing(depth_m, bits, across, down, sonar_m, cosine_camera, cosine, nearer)
     cosine_camera = np.maximum(cosine_camera, np.float32(_GRAZING_COSINE))
     cosine = np.maximum(cosine, np.float32(_GRAZING_COSINE))
     power = np.float32(exponent - 1)
-    return np.asarray(cosine**power / cosine_camera * (camera_m2 / sonar_m2), np.float32)
+    return np.asarray(cosine**power / cosine_camera * nearer, np.float32)
 
 
 def _pixels(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> tuple[Any, ...]:

@@ -108,6 +108,15 @@ def test_sidelobes_are_those_of_the_window(taper, golden_db, within_db):
     assert level_db[null:].max() == pytest.approx(golden_db, abs=within_db)
 
 
+@pytest.mark.parametrize("count", [4, 4095, 4096, 4097, 16386, 16387, 20000, 40001])
+def test_the_kept_table_of_a_window_is_its_response_to_the_bit(count: int) -> None:
+    steps = np.arange(-1, count - 1) / array._STEPS
+    for taper in (Taper(), Taper(window="uniform")):
+        np.testing.assert_array_equal(
+            array._response_table(count, taper), array.response(steps, taper)
+        )
+
+
 def test_a_point_leaks_into_other_beams_at_the_sidelobe_level() -> None:
     """One way -13.26 dB, on intensity, through the whole mixing matrix."""
     device = ArraySettings(beamwidth_deg=3, horizontal=Taper(window="uniform"))
