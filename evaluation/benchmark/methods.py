@@ -69,8 +69,9 @@ class Entrant(ABC):
             except Exception as error:  # of somebody else's program
                 raise FactoryError(f"{where}: the method failed: {reason(error)[:300]}") from error
             if found.shape != noisy.shape:
-                sizes = [" x ".join(map(str, shape)) for shape in (found.shape, noisy.shape)]
-                raise FactoryError(f"{where}: the method gave {sizes[0]} pixels for {sizes[1]}")
+                raise FactoryError(
+                    f"{where}: the method gave an array {found.shape} for a picture {noisy.shape}"
+                )
             yield one, given, pictures.in_8_bits(found, where), seconds
 
 
