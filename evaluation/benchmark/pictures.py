@@ -40,7 +40,7 @@ def in_8_bits(picture: Pixels, what: str) -> Gray8:
     if not np.isfinite(picture).all():
         raise FactoryError(f"{what}: has NaN or infinite pixels")
     full = 1.0 if picture.dtype.kind == "f" else 65535.0
-    return np.rint(np.clip(picture / full, 0, 1) * 255).astype(np.uint8)
+    return np.asarray(np.rint(np.clip(picture / full, 0, 1) * 255), np.uint8)
 
 
 def in_unit_range(picture: Pixels) -> npt.NDArray[np.float32]:
