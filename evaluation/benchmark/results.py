@@ -19,6 +19,7 @@ from simnfnd.evaluation.benchmark.measure import METRICS, Figures
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
 from simnfnd.factory.settings import STRICT, build
+from simnfnd.factory.small_files import one_line
 
 SCHEMA = "simnfnd-benchmark-result/1"
 ABOUT_MOST = 300
@@ -119,7 +120,7 @@ def read(path: Path, benchmark: Benchmark) -> Result:
     seal = content.pop(_SEAL, None)
     if content.get("version") != VERSION:
         raise FactoryError(
-            f"{path}: of version {content.get('version')!r} of the benchmark, this is {VERSION}; "
+            f"{path}: of version {str(content.get('version'))[:20]} of the benchmark, this is {VERSION}; "
             "enter the method again"
         )
     try:
@@ -134,7 +135,7 @@ def read(path: Path, benchmark: Benchmark) -> Result:
     try:
         found: Result = build(Result, content)
     except FactoryError as error:
-        raise FactoryError(f"{path}: {error}") from error
+        raise FactoryError(f"{path}: {one_line(error)}") from error
     if path.stem != found.name:
         raise FactoryError(f"{path}: is the result of {found.name}; call it {found.name}.json")
     _check(path, found, benchmark)

@@ -20,7 +20,9 @@ from simnfnd.evaluation.benchmark.pictures import digest_of, in_8_bits, read
 from simnfnd.evaluation.metrics.fidelity import psnr
 from simnfnd.factory.errors import FactoryError
 from tests.evaluation.real.static_scenes import shuffled
+from tests.project_files import ROOT
 
+FLSEA = ROOT.parent / "shared" / "data" / "flsea-vi"
 SETS = ("places-64", "physical-64", "real-scenes")
 
 
@@ -134,6 +136,15 @@ def test_the_published_pictures_are_made_again(tmp_path: Path) -> None:
     for recipe in sets.recipes((256,), sets.PAIRS, sets.SEED, None)[:1]:
         found = sets.make(recipe, sets.PAIRS, tmp_path / "n", tmp_path / "r", sets.Renders())
         assert found.digest == sets.PUBLISHED[recipe.name]
+
+
+@pytest.mark.skipif(not FLSEA.is_dir(), reason="needs ../shared/data/flsea-vi")
+def test_frames_of_flsea_make_a_set(tmp_path: Path) -> None:
+    recipe = sets.recipes((64,), 4, sets.SEED, FLSEA)[-1]
+    found = sets.make(recipe, 4, tmp_path / "n", tmp_path / "r", sets.Renders())
+    assert (recipe.name, recipe.practice) == ("flsea-64", "places-64")
+    assert len(found.pictures) == 4
+    assert len({one.group for one in found.pictures}) == 2
 
 
 def test_all_doors_give_the_same_pictures_the_same_figures(
