@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +31,7 @@ from simnfnd.factory.small_files import one_line, parse_json, read_regular
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.data.fans import read_fans
 
-SCHEMA = "simnfnd-benchmark/1"
+SCHEMA: Final = "simnfnd-benchmark/1"
 VERSION = 1
 """Of the sets and of the figures: results of different versions do not stand in one table."""
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ from simnfnd.factory.files import write_atomically
 from simnfnd.factory.settings import STRICT, build
 from simnfnd.factory.small_files import one_line
 
-SCHEMA = "simnfnd-benchmark-result/1"
+SCHEMA: Final = "simnfnd-benchmark-result/1"
 ABOUT_MOST = 300
 _SEAL = "sha256"
 
@@ -119,9 +119,9 @@ def read(path: Path, benchmark: Benchmark) -> Result:
     content = load_json(path)
     seal = content.pop(_SEAL, None)
     if content.get("version") != VERSION:
+        given = str(content.get("version"))[:20]
         raise FactoryError(
-            f"{path}: of version {str(content.get('version'))[:20]} of the benchmark, this is {VERSION}; "
-            "enter the method again"
+            f"{path}: of version {given} of the benchmark, this is {VERSION}; enter it again"
         )
     try:
         right = sealed(content)
