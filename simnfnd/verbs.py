@@ -46,6 +46,7 @@ MAKE, LOOK, PASS_ON, DENOISE, JUDGE = (
 _COMMANDS = "simnfnd.factory.commands"
 _NETWORK = ("torch", "safetensors")
 _FIGURES = ("matplotlib",)
+_BENCHMARK = ("skimage", "jinja2")
 _TRAINING = ("torch", "lightning", "safetensors", "tensorboard")
 
 
@@ -232,6 +233,44 @@ VERBS: dict[str, Verb] = {
                  "simnfnd evaluate fit mdd -- experiment=physical scenes=pack "
                  "scenes.root=views.pack"),
                 needs=("optuna", "skimage"), hydra=True, places=None, config="fit",
+            ),
+        },
+    ),
+    "benchmark": Verb(
+        JUDGE, "fixed test sets, and a table of the methods that enter",
+        "simnfnd.evaluation.benchmark.command:main",
+        (
+            "simnfnd benchmark make --real dive.aris",
+            "simnfnd benchmark enter mine --denoised outputs/mine",
+            "simnfnd benchmark table",
+        ),
+        verbs={
+            "make": Verb(
+                JUDGE, "make the sets: noisy pictures, references, practice pairs",
+                "simnfnd.evaluation.benchmark.command:make",
+                (
+                    "simnfnd benchmark make",
+                    "simnfnd benchmark make --flsea flsea-vi --real mdd-groups lamprey.avi",
+                ),
+                needs=_BENCHMARK,
+            ),
+            "enter": Verb(
+                JUDGE, "measure a method on all sets: pictures, function, ONNX, program",
+                "simnfnd.evaluation.benchmark.command:enter",
+                (
+                    "simnfnd benchmark enter mine --denoised outputs/mine",
+                    "simnfnd benchmark enter mine --function package.module:denoise",
+                    "simnfnd benchmark enter mine --onnx mine.onnx",
+                    "simnfnd benchmark enter mine --command 'mine {in} {out}'",
+                    "simnfnd benchmark enter tv --baseline tv --tuned",
+                ),
+                needs=_BENCHMARK,
+            ),
+            "table": Verb(
+                JUDGE, "the table of all results whose hashes are right",
+                "simnfnd.evaluation.benchmark.command:table",
+                ("simnfnd benchmark table --benchmark outputs/benchmark",),
+                needs=_BENCHMARK,
             ),
         },
     ),

@@ -15,6 +15,26 @@ MAX_MODULES = 16
 # The room simnfnd (command, verbs, api and the entries) stands on top and may use all.
 ALLOWED = {
     "evaluation/baselines": {"factory: ground"},
+    "evaluation/benchmark": {
+        "evaluation/baselines",
+        "evaluation/data",
+        "evaluation/methods",
+        "evaluation/metrics",
+        "evaluation/real",
+        "evaluation/report",
+        "factory/cli",
+        "factory/dataset",
+        "factory/progress",
+        "factory/recordings",
+        "factory/render",
+        "factory/renders",
+        "factory/scenes",
+        "factory/sonar",
+        "factory: ground",
+        "factory: upper",
+        "models/data",
+        "models: ground",
+    },
     "evaluation/campaign": {
         "evaluation/methods",
         "evaluation/metrics",

@@ -1,0 +1,1 @@
+"""`simnfnd benchmark`: fixed test sets, methods that enter by one door, results and their table."""
