@@ -105,7 +105,12 @@ def _parts(path: Path) -> tuple[list[int], list[str]]:
     found = {0: rest}
     with h5py.File(path) as file:
         stacks: list[h5py.Dataset] = []
-        file.visititems(lambda _, item: stacks.append(item) if hasattr(item, "dtype") else None)
+
+        def keep(_: str, item: object) -> None:
+            if isinstance(item, h5py.Dataset):
+                stacks.append(item)
+
+        file.visititems(keep)
         for stack in stacks:
             if stack.chunks:
                 infos = [stack.id.get_chunk_info(k) for k in range(stack.id.get_num_chunks())]
