@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 _ONE_KEYPRESS_S = 0.3
+_ASK_AGAIN_S = 0.01
 
 
 class Interrupted(KeyboardInterrupt):
@@ -29,6 +31,9 @@ def stop_signals() -> Iterator[None]:
     and the next run removes what is left behind.  Both signals of one keypress (a shell's and a
     terminal's) count as one.  In a thread that is not the main one, where Python delivers no
     signals, nothing is changed.
+
+    Python throws away what is raised in the callback of a weak reference, and h5py has thousands of
+    them while it reads a shard: a signal that came there is sent again a moment later.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -42,11 +47,33 @@ def stop_signals() -> Iterator[None]:
         if time.monotonic() - first[0] > _ONE_KEYPRESS_S:
             os._exit(128 + number)
 
+    again: list[threading.Timer] = []
+    lost: list[Interrupted] = []
+    tell = sys.unraisablehook
+
+    def thrown_away(what: sys.UnraisableHookArgs) -> None:
+        if not isinstance(what.exc_value, Interrupted):
+            tell(what)
+            return
+        first.clear()
+        lost[:] = [what.exc_value]
+        number = what.exc_value.exit_code - 128
+        # To the main thread: it may wait in a system call that has to end.
+        where = threading.get_ident()
+        again[:] = [threading.Timer(_ASK_AGAIN_S, signal.pthread_kill, (where, number))]
+        again[0].start()
+
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         for number in before:
             signal.signal(number, handle)
+        sys.unraisablehook = thrown_away
         yield
+        if lost and not first:  # the block ended within the moment
+            raise lost[0]
     finally:
+        for timer in again:
+            timer.cancel()
+        sys.unraisablehook = tell
         for number, handler in before.items():
             signal.signal(number, handler)

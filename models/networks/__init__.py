@@ -52,7 +52,7 @@ def build_network(config: Mapping[str, Any]) -> Network:
     Raises FactoryError for an unknown kind or key.
     """
     kind = config.get("kind")
-    if kind not in NETWORKS:
+    if not isinstance(kind, str) or kind not in NETWORKS:
         raise FactoryError(f"model.kind: {kind!r} is none of {', '.join(sorted(NETWORKS))}")
     module_name, settings_name, network_name = NETWORKS[kind]
     module = import_module(module_name)

@@ -65,7 +65,7 @@ def load_weights(path: str | Path) -> Trained:
     """Rebuild the network of a weights file, on the CPU, in 32 bits, in evaluation mode.
 
     Nothing in the file is executed.  Raises FactoryError when it is absent, not a weights file, of
-    another program, or does not fit the network that it describes.
+    another program, does not fit the network that it describes, or holds NaN or infinity.
     """
     if not Path(path).is_file():
         raise FactoryError(f"weights={path}: no such file; train one with `simnfnd train`")
@@ -77,7 +77,7 @@ def load_weights(path: str | Path) -> Trained:
                 name: tensor.float() if tensor.is_floating_point() else tensor
                 for name, tensor in tensors.items()
             }
-    except (SafetensorError, OSError, ValueError) as error:
+    except (SafetensorError, OSError, RecursionError, ValueError) as error:
         raise FactoryError(f"weights={path}: not a safetensors file, or a damaged one") from error
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise FactoryError(
@@ -86,7 +86,13 @@ def load_weights(path: str | Path) -> Trained:
     try:
         network = build_network(header["model"])
         network.load_state_dict(tensors)
-    except (FactoryError, RuntimeError, KeyError, AttributeError) as error:
+    except (FactoryError, RuntimeError, KeyError, AttributeError, TypeError) as error:
         reason = " ".join(str(error).split())[:160]
         raise FactoryError(f"weights={path}: do not fit their network: {reason}") from error
+    for name, tensor in tensors.items():
+        # A picture made with them would be all NaN, or black, and nothing would say why.
+        if tensor.is_floating_point() and not torch.isfinite(tensor).all():
+            raise FactoryError(
+                f"weights={path}: {name} holds NaN or infinity; train again, or take another file"
+            )
     return Trained(channels_last(network).eval(), header["model"], header.get("training", {}))

@@ -85,6 +85,18 @@ def whole(root: Path, **changes: Any) -> Path:
     return root
 
 
+def keep_only(root: Path, relative: str) -> Path:
+    """The dataset with one of its shards, and without an index; where one reader is asked often."""
+    manifest = load_manifest(root)
+    assert manifest is not None
+    for path in manifest.shards:
+        if path != relative:
+            (root / path).unlink()
+    (root / "index.h5").unlink()
+    save_manifest(root, replace(manifest, shards={relative: manifest.shards[relative]}))
+    return root
+
+
 def reseal(file: h5py.File) -> None:
     """Make the checksums of a shard tell the truth, as who changed it on purpose would."""
     names = file["checksums"].dtype.names

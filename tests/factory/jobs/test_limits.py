@@ -10,6 +10,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+import yaml
 
 from simnfnd.factory.cli import guard
 from simnfnd.factory.jobs.settings import Crew, SchedulerSettings
@@ -82,6 +83,30 @@ def test_a_limit_on_memory_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 4 < fitting < 30
     assert words == f"ulimit -v is {space // 1024}"
     assert limits.workers_that_fit(0) == (0, "")
+
+
+@pytest.mark.parametrize("which", ["n", "v"])
+def test_the_papers_48_processes_in_a_narrow_shell(
+    monkeypatch: pytest.MonkeyPatch, which: str
+) -> None:
+    import resource
+
+    kinds = {"n": resource.RLIMIT_NOFILE, "v": resource.RLIMIT_AS}
+    most = {"n": 256, "v": psutil.Process().memory_info().vms + (3 << 30)}[which]
+    monkeypatch.setattr(
+        resource, "getrlimit", lambda kind: (most, most) if kind == kinds[which] else (-1, -1)
+    )
+    values = yaml.safe_load((ROOT / "conf/scheduler/paper48.yaml").read_text())
+    del values["defaults"]
+    settings = SchedulerSettings(**values)
+    crew = settings.crew(480, 480)
+    assert crew.total == 48
+    found, note = settings.within_limits(crew)
+    assert 4 < found.total < 40
+    shown = most if which == "n" else most // 1024
+    assert note.startswith(
+        f"ulimit -{which} is {shown}: {found.total} of 48 workers fit and are used; raise it"
+    )
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from importlib import import_module
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from safetensors.torch import save
 from torch import Tensor
 
 from simnfnd.factory.errors import FactoryError
@@ -22,7 +24,7 @@ from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.polar import polar_grid
 from simnfnd.models.networks.restormer import ChannelAttention
 from simnfnd.models.networks.sonarnet import SonarNet
-from simnfnd.models.networks.weights import load_weights, save_weights
+from simnfnd.models.networks.weights import FORMAT, load_weights, save_weights
 from simnfnd.models.removal import DEFAULT, vector
 from tests.project_files import ROOT
 
@@ -142,6 +144,33 @@ def test_weights_on_disk_are_the_network(kind: str, tmp_path: Path) -> None:
     save_weights(tmp_path / "w.safetensors", network, config, {})
     loaded = load_weights(tmp_path / "w.safetensors").network.eval()
     torch.testing.assert_close(loaded(image), network(image))
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_weights_that_are_no_numbers_are_refused(tmp_path: Path, value: float) -> None:
+    network, path = tiny("nafnet"), tmp_path / "w.safetensors"
+    last = list(network.parameters())[-1]
+    for tensors in ([last], network.parameters()):
+        with torch.no_grad():
+            for tensor in tensors:
+                tensor.fill_(value)
+        save_weights(path, network, {"kind": "nafnet", **TINY["nafnet"]}, {})
+        with pytest.raises(FactoryError, match=r"^weights=.*: \S+ holds NaN or infinity") as caught:
+            load_weights(path)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [{"kind": ["nafnet"]}, {"kind": {"a": 1}}, {"kind": None}, {}, [], "nafnet", 7,
+     {"kind": "nafnet", "width": [4]}, {"kind": "nafnet", "encoder": {"a": 1}}],
+)  # fmt: skip
+def test_a_description_that_makes_no_sense_is_refused(tmp_path: Path, model: Any) -> None:
+    path, header = tmp_path / "w.safetensors", {"format": FORMAT, "model": model, "training": {}}
+    path.write_bytes(save({"a": torch.zeros(1)}, {"simnfnd": json.dumps(header)}))
+    with pytest.raises(FactoryError, match=r"^weights=.*: do not fit their network") as caught:
+        load_weights(path)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
