@@ -37,7 +37,7 @@ def decided(
     Raises FactoryError for 16-mixed on a CPU.
     """
     asked = settings.train.precision
-    chosen, why = asked, ""
+    chosen: str = asked
     if asked == "auto":
         chosen, why = (stored, "as before") if stored else _fastest(settings, accelerator)
         _tell(f"train.precision=auto: {chosen} ({why})")
@@ -64,7 +64,7 @@ def cpu_has_bf16() -> bool:
 
 def gpu_has_bf16() -> bool:
     """Whether the GPU has bfloat16 in hardware; emulated it is slower than float32."""
-    return torch.cuda.is_bf16_supported(including_emulation=False)
+    return bool(torch.cuda.is_bf16_supported(including_emulation=False))
 
 
 def _fastest(settings: ModelsSettings, accelerator: str) -> tuple[str, str]:

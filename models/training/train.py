@@ -164,6 +164,7 @@ def _fit(
     data: Data,
 ) -> None:
     chosen = settings.train
+    assert chosen.precision != "auto"  # `with_precision` decided
     with warnings.catch_warnings():
         # Lightning's advice on loggers, worker counts and checkpoints does not apply here.
         warnings.filterwarnings("ignore", module=r"lightning\.")
