@@ -30,6 +30,7 @@ from simnfnd.factory.dataset.format.manifest import (
 )
 from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.write.failures import Failure, add_failures, save_failures
 from simnfnd.factory.dataset.write.index import write_index
 from simnfnd.factory.files import sha256_of
 from simnfnd.factory.frame import FrameRef
@@ -39,28 +40,29 @@ PAIRS = (100, 1_000, 10_000)
 SHARDS = (1_000, 10_000, 100_000)
 INDEXED = (100, 1_000, 10_000)
 TASKS = (100, 1_000, 2_000)
+FAILED = (250, 500, 1_000)
 FRAMES = 20
 
 
 def measure(options: Options) -> Section:
-    """Three tables."""
-    pairs, shards, indexed, tasks = (
+    """Five tables."""
+    pairs, shards, indexed, tasks, failed = (
         (tuple(amount // 100 for amount in amounts) if options.quick else amounts)
-        for amounts in (PAIRS, SHARDS, INDEXED, TASKS)
+        for amounts in (PAIRS, SHARDS, INDEXED, TASKS, FAILED)
     )
     return Section(
         (
             _warm_pairs([max(n, FRAMES) for n in pairs]),
             Table(
                 (
-                    *("shards", "manifest, MB", "write it, s", "read it, s"),
+                    *("shards", "plan them, s", "manifest, MB", "write it, s", "read it, s"),
                     *("a line, ms", "check on resume, s", "peak memory, MB"),
                 ),
                 tuple(in_own_process(manifest_row, count) for count in shards),
                 "manifest and resume",
                 "CPU seconds.  A line: adding a finished shard to manifest.jsonl.  Check: size and "
                 "SHA-256 of every shard; files of a kilobyte, from memory.",
-                lines=("shards", "write it, s", "read it, s", "check on resume, s"),
+                lines=("shards", "plan them, s", "write it, s", "read it, s", "check on resume, s"),
             ),
             Table(
                 (
@@ -75,6 +77,13 @@ def measure(options: Options) -> Section:
                 "index.h5",
                 "CPU seconds.  PairDataset: to open the dataset, trusted, and read one pair.",
                 lines=("shards", "write it, s", "open and read one, s", "PairDataset, s"),
+            ),
+            Table(
+                ("failures", "ms a failure", "ms to write them all"),
+                tuple(in_own_process(failures_row, count) for count in failed),
+                "failed.jsonl",
+                "CPU ms; a failure: adding it during a run.",
+                lines=("failures", "ms a failure", "ms to write them all"),
             ),
             Table(
                 ("shards", "loop alone, CPU ms a shard", "serial, CPU ms", "local, wall ms"),
@@ -166,7 +175,10 @@ def manifest_row(shards: int) -> tuple[Cell, ...]:
     """Manifest and resume of a dataset of that many shards."""
     from simnfnd.factory.jobs.resume import take_up
 
+    clock = Laps()
     tasks = plan_shards({"train": [FrameRef("reef", "a", f"{n:07d}") for n in range(shards)]}, 1, 1)
+    assert all(task.digest for task in tasks)
+    planned = clock.lap()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "train").mkdir()
@@ -179,7 +191,7 @@ def manifest_row(shards: int) -> tuple[Cell, ...]:
             for task in tasks
         }
         manifest = Manifest("0" * 16, "benchmark", {}, infos)
-        clock = Laps()
+        clock.lap()
         save_manifest(folder, manifest)
         written = clock.lap()
         size = (folder / "manifest.json").stat().st_size
@@ -193,7 +205,22 @@ def manifest_row(shards: int) -> tuple[Cell, ...]:
         for task in tasks[:lines]:
             added.note(task.path, infos[task.path])
         a_line = 1e3 * clock.lap() / lines
-    return (shards, size / 1e6, written, read, a_line, checked, round(peak_memory_mb()))
+    return (shards, planned, size / 1e6, written, read, a_line, checked, round(peak_memory_mb()))
+
+
+def failures_row(count: int) -> tuple[Cell, ...]:
+    """failed.jsonl while so many frames fail, one after another."""
+    found = [
+        Failure(FrameRef("reef", "a", f"{n:07d}"), "frame", "no depth", f"train/shard-{n:05d}.h5")
+        for n in range(count)
+    ]
+    with tempfile.TemporaryDirectory() as name:
+        clock = Laps()
+        for failure in found:
+            add_failures(Path(name), [failure], lambda ref: ref.name)
+        each = 1e3 * clock.lap() / count
+        save_failures(Path(name), found, lambda ref: ref.name)
+        return (count, each, 1e3 * clock.lap())
 
 
 def index_row(shards: int) -> tuple[Cell, ...]:

@@ -137,7 +137,7 @@ class TrainSettings:
     warmup: Annotated[int, Field(ge=0)]
     clip: Annotated[float, Field(gt=0)]
     ema: Annotated[float, Field(ge=0, lt=1)]
-    precision: Literal["32-true", "bf16-mixed", "16-mixed"]
+    precision: Literal["auto", "32-true", "bf16-mixed", "16-mixed"]
     parts: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
 
     def __post_init__(self) -> None:

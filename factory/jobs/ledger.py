@@ -1,7 +1,8 @@
 """What a run has settled: kept in memory, and on disk so that a killed run loses none of it.
 
 manifest.json is written at the start, now and then, and at the end; manifest.jsonl has what came
-since; failed.jsonl is written before the shard that it is about counts as settled.
+since; failed.jsonl takes the failures of a shard before the shard counts as settled, and is put in
+order at the end.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from simnfnd.factory.dataset.format.manifest import Additions, Manifest, save_manifest
 from simnfnd.factory.dataset.format.schema import SPLITS
-from simnfnd.factory.dataset.write.failures import Failure, save_failures
+from simnfnd.factory.dataset.write.failures import Failure, add_failures, save_failures
 from simnfnd.factory.files import explain_os_errors, remove_file
 from simnfnd.factory.jobs.job import Job
 from simnfnd.factory.jobs.plan import ShardTask
@@ -76,7 +77,8 @@ class Ledger:
         self._failures[task.path] = result.failures
         # In this order: a shard in the manifest always has its failures on record.
         if result.failures:
-            self.save_failures()
+            job = self._job
+            add_failures(job.directory, result.failures, job.rerun_command, job.shard.part)
         if time.monotonic() >= self._save_from:
             self.save()
         else:
@@ -90,7 +92,7 @@ class Ledger:
         self._save_from = ended + max(_SAVING_EVERY_S, (ended - begun) / _SAVING_SHARE)
 
     def save_failures(self) -> None:
-        """Write failed.jsonl."""
+        """Write failed.jsonl anew: in order, each failure once."""
         job = self._job
         save_failures(job.directory, self.failures, job.rerun_command, job.shard.part)
 

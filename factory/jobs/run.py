@@ -128,6 +128,7 @@ def make_shards(
                     Loop(job, resumed, ledger, progress, lock, backend, publication).run()
             finally:
                 _tidy(job)
+        ledger.save_failures()
         ledger.save()
         state = "finished"
     except BaseException as error:
@@ -135,6 +136,7 @@ def make_shards(
         # What ended the run is reported, not that a full disk has no room for this either:
         # manifest.jsonl has it all.
         with suppress(FactoryError):
+            ledger.save_failures()
             ledger.save()
         raise
     finally:

@@ -35,6 +35,7 @@ from simnfnd.models.networks.weights import load_weights
 from simnfnd.models.pretrained import find_weights
 from simnfnd.models.settings import ModelsSettings, RendersData, SelfSupervisedData
 from simnfnd.models.training.module import DenoisingModule, Row
+from simnfnd.models.training.precision import with_precision
 from simnfnd.models.training.samples import write_samples
 from simnfnd.models.training.self_supervised import SelfSupervisedModule
 from simnfnd.models.training.validation import (
@@ -59,6 +60,7 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
     out = output_folder(settings)
     accelerator = _accelerator(settings)
     data = open_data(settings)
+    settings = with_precision(settings, accelerator, out)
     # Everything that decides the weights, and nothing that does not.
     recipe = _recipe(settings, data)
     check_writable(out, "out")
@@ -83,7 +85,9 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
         print(f"{out} holds this training already, finished; resume=false trains it afresh")
         callback.rows = rows
     else:
-        text = yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True)
+        # With the precision that was chosen: the file is to make the same weights elsewhere.
+        values = {**config, "train": {**config["train"], "precision": settings.train.precision}}
+        text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
         write_atomically(out / "config.yaml", text.encode())
         _fit(module, callback, checkpoint, settings, accelerator, data)
     if not is_main_process():
@@ -161,6 +165,7 @@ def _fit(
     data: Data,
 ) -> None:
     chosen = settings.train
+    assert chosen.precision != "auto"  # `with_precision` decided
     with warnings.catch_warnings():
         # Lightning's advice on loggers, worker counts and checkpoints does not apply here.
         warnings.filterwarnings("ignore", module=r"lightning\.")
@@ -292,8 +297,6 @@ def _accelerator(settings: ModelsSettings) -> str:
     if settings.device == "gpu" and not has_gpu:
         raise FactoryError("device=gpu: no usable GPU here; train with device=cpu")
     device = ("gpu" if has_gpu else "cpu") if settings.device == "auto" else settings.device
-    if device == "cpu" and settings.train.precision == "16-mixed":
-        raise FactoryError("train.precision=16-mixed needs a GPU; on a CPU use 32-true")
     if device == "gpu" and settings.devices > torch.cuda.device_count():
         raise FactoryError(
             f"devices={settings.devices}: there are {torch.cuda.device_count()} GPUs here"

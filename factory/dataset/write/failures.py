@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,8 +11,9 @@ from typing import Literal
 
 from simnfnd.factory.dataset.format.manifest import part_name
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import write_atomically
+from simnfnd.factory.files import explain_os_errors, put_out, write_atomically
 from simnfnd.factory.frame import FrameRef
+from simnfnd.factory.ownership import check_fences
 from simnfnd.factory.small_files import one_line, parse_json, read_regular
 
 FAILURES_NAME = "failed.jsonl"
@@ -48,6 +50,33 @@ def save_failures(
 
     `rerun_command(ref)` is the command line that tries that one frame again.
     """
+    found = sorted(failures, key=lambda item: (item.shard, item.ref.name))
+    path = directory / part_name(FAILURES_NAME, part)
+    write_atomically(path, _lines(found, rerun_command))
+
+
+def add_failures(
+    directory: Path,
+    failures: Iterable[Failure],
+    rerun_command: Callable[[FrameRef], str],
+    part: str = "",
+) -> None:
+    """Add lines to failed.jsonl while a run goes on; `save_failures` puts all in order at its end.
+
+    On the disk when this returns, and passed on.  A run that is killed meanwhile may leave half a
+    last line, of a shard that is not settled yet: `load_failures` passes it over.
+    Raises FactoryError when it cannot be written, or another run has taken over the folder.
+    """
+    path = directory / part_name(FAILURES_NAME, part)
+    check_fences(path)
+    with explain_os_errors(path), path.open("ab") as file:
+        file.write(_lines(failures, rerun_command))
+        file.flush()
+        os.fsync(file.fileno())
+    put_out(path)
+
+
+def _lines(failures: Iterable[Failure], rerun_command: Callable[[FrameRef], str]) -> bytes:
     lines = [
         json.dumps(
             {
@@ -58,15 +87,15 @@ def save_failures(
                 "command": rerun_command(failure.ref),
             }
         )
-        for failure in sorted(failures, key=lambda item: (item.shard, item.ref.name))
+        for failure in failures
     ]
-    path = directory / part_name(FAILURES_NAME, part)
-    write_atomically(path, "".join(f"{line}\n" for line in lines).encode())
+    return "".join(f"{line}\n" for line in lines).encode()
 
 
 def load_failures(directory: Path) -> list[dict[str, str]]:
     """The lines of failed.jsonl (and of those of slices): frame, shard, kind, reason, command.
 
+    A last line without an end was being written when its run was killed: it is passed over.
     Raises FactoryError when one is damaged.
     """
     items: list[dict[str, str]] = []
@@ -74,7 +103,7 @@ def load_failures(directory: Path) -> list[dict[str, str]]:
         {*directory.glob(FAILURES_NAME), *directory.glob(part_name(FAILURES_NAME, "*-of-*"))}
     ):
         try:
-            lines = read_regular(path, _MOST_BYTES).decode().splitlines()
+            lines = read_regular(path, _MOST_BYTES).decode().split("\n")[:-1]
         except (OSError, ValueError) as error:
             raise FactoryError(
                 f"{path}: cannot be read ({one_line(error)}); run the dataset's command again, it "
