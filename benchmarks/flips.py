@@ -16,7 +16,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from benchmarks.report import Table
+from benchmarks.report import Cell, Table
 from simnfnd.factory.dataset.read.isolated import IsolatedProcess
 from simnfnd.factory.errors import FactoryError
 from tests.factory.dataset.flips import LAYERS, flip, given_out, outcome
@@ -77,7 +77,9 @@ def flipped(count: int) -> tuple[Table, list[str]]:
                             f"{who}: {said}"
                         )
     kinds = ("refused", "same", "another")
-    rows = tuple((who, *(found[kind] for kind in kinds)) for who, found in counts.items())
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
+        (who, *(found[kind] for kind in kinds)) for who, found in counts.items()
+    )
     told = ", ".join(f"{number} in {part}" for part, number in sorted(parts.items()))
     title = f"{sum(parts.values())} single bits flipped, one at a time: {told}"
     note = "Another: a picture, mask, table, axis or text that is not the sound one was given out."
