@@ -17,15 +17,12 @@ _CENTRE = 1.5
 _LEAST = 1e-7
 """Added to mean squares of grey values (70 dB), so that 0 has a logarithm."""
 _STATISTICS = 5
-_CELL_PX = 4
-"""Side of a place that gets a weight."""
 
 
 class BlendHead(nn.Module):
     """Weighs the change of a whole picture, 0 to 1, from the picture, the change and its features.
 
-    features: channels of the last features, whose cells are 2 or 4 (cell_px) pixels wide.
-    width: channels of the head itself.
+    features: channels of the last features.  width: channels of the head itself.
     A picture with hardly any noise is harmed by a network that has learned to undo a lot of it; the
     weight falls smoothly to zero there, and nothing is ever returned all or nothing.  The head also
     gets the logarithm of the picture, in which a blur looks the same in bright and in dim places,
@@ -39,11 +36,9 @@ class BlendHead(nn.Module):
     No gradient goes back into the network, so the head cannot harm the pictures.
     """
 
-    def __init__(self, features: int, cell_px: int = 2, width: int = 32) -> None:
+    def __init__(self, features: int, width: int = 32) -> None:
         super().__init__()
-        self.cell_px = cell_px
-        planes = features + cell_px**2 * 3
-        self.near = nn.Conv2d(planes, width, 3, stride=_CELL_PX // cell_px, padding=1)
+        self.near = nn.Conv2d(features + 4 * 3, width, 3, stride=2, padding=1)
         self.far = nn.Conv2d(width, width, 3, padding=1)
         self.weight = nn.Conv2d(width, width, 1)
         self.mixed = nn.Linear(3 * width + _STATISTICS, width)
@@ -52,20 +47,20 @@ class BlendHead(nn.Module):
         nn.init.constant_(self.logit.bias, _FIRST)
 
     def forward(self, features: Tensor, noisy: Tensor, change: Tensor, sector: Tensor) -> Tensor:
-        """(N, F, h, w), three times (N, 1, H, W) -> (N,) weight, 0 to 1.
+        """(N, F, h, w) at half resolution, three times (N, 1, H, W) -> (N,) weight, 0 to 1.
 
-        h and w may be the cells of the pictures after padding.
+        h and w may be half the size of the pictures after padding.
         sector: 1 where insonified, else 0.
         """
         features, noisy, change = features.detach(), noisy.detach(), change.detach()
-        height, width = (self.cell_px * size for size in features.shape[-2:])
+        height, width = (2 * size for size in features.shape[-2:])
         padding = (0, width - noisy.shape[-1], 0, height - noisy.shape[-2])
         logarithm = torch.log10(noisy.clamp_min(0) + _DARK) + _CENTRE
         planes = functional.pad(torch.cat([noisy, change, logarithm], dim=1), padding)
-        planes = functional.pixel_unshuffle(planes, self.cell_px)
+        planes = functional.pixel_unshuffle(planes, 2)
         x = functional.relu(self.near(torch.cat([features, planes], dim=1)))
         x = functional.relu(self.far(x))
-        inside = functional.avg_pool2d(padded(functional.pad(sector, padding), _CELL_PX), _CELL_PX)
+        inside = functional.avg_pool2d(padded(functional.pad(sector, padding), 4), 4)
         weight = torch.sigmoid(self.weight(x)).float() * inside
         x = x.float() * inside
         pooled = [

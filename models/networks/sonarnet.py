@@ -10,8 +10,7 @@
   that.
 - A third (`networks.blend_head`) weighs the change of the whole picture, which falls to nothing
   where hardly anything is wrong with it.
-- Plain 3x3 convolutions from half resolution down (a quarter, for speed): they are what a CPU does
-  fastest, with many channels more so than with few.
+- Plain 3x3 convolutions from half resolution down: they are what a CPU does fastest.
 
 Without geometry it works on the picture as it is; in training the geometry is withheld now and then
 (`forget`).
@@ -47,8 +46,7 @@ _FIRST, _OUTSIDE = -2.0, -10.0
 class SonarNetSettings:
     """Keys of conf/model/sonarnet.yaml.
 
-    widths: channels at the finest resolution inside and at each coarser one.
-    cell_px: pixels along the side of a cell of that finest resolution.
+    widths: channels at half resolution and at each coarser one.
     blocks: residual blocks at each of these; but for the coarsest, again on the way up.
     polar: whether fan pictures of known geometry are processed on a polar grid.
     lines: whether features get the means along whole beams and arcs.
@@ -69,7 +67,6 @@ class SonarNetSettings:
     forget: Annotated[float, Field(ge=0, le=1)]
     mirror: bool = False
     told: bool = True
-    cell_px: Literal[2, 4] = 2
     channels: Literal[1] = 1
 
     def __post_init__(self) -> None:
@@ -92,9 +89,8 @@ class SonarNet(Network):
         # Whether known geometries are those of fans; None: seen from the maps.
         self.fan: bool | None = None
         widths, blocks = settings.widths, settings.blocks
-        cell = settings.cell_px
-        self.core_stride = cell * 2 ** (len(widths) - 1)
-        self.intro = nn.Conv2d(cell**2 * (1 + len(_MAPS)), widths[0], 3, padding=1)
+        self.core_stride = 2 ** len(widths)
+        self.intro = nn.Conv2d(4 * (1 + len(_MAPS)), widths[0], 3, padding=1)
         self.extras = (*_MAPS, "remove") if settings.told else _MAPS
         if settings.told:
             self.told = nn.Sequential(nn.Linear(len(ARTEFACTS), _TOLD), nn.ReLU())
@@ -108,12 +104,12 @@ class SonarNet(Network):
             self.ups.insert(0, nn.ConvTranspose2d(coarse, fine, 2, stride=2))
             self.decoders.insert(0, residual_blocks(fine, count))
         self.middle = residual_blocks(widths[-1], blocks[-1])
-        self.outro = nn.Conv2d(widths[0], cell**2 * 2, 3, padding=1)
+        self.outro = nn.Conv2d(widths[0], 4 * 2, 3, padding=1)
         nn.init.zeros_(self.outro.weight)
         assert self.outro.bias is not None
-        nn.init.constant_(self.outro.bias[: cell**2], 0.0)
-        nn.init.constant_(self.outro.bias[cell**2 :], _FIRST)
-        self.blend = BlendHead(widths[0], cell)
+        nn.init.constant_(self.outro.bias[:4], 0.0)
+        nn.init.constant_(self.outro.bias[4:], _FIRST)
+        self.blend = BlendHead(widths[0])
 
     def restore_with_heads(self, noisy: Tensor, **extras: Tensor) -> NetworkOutput:
         """Picture (N, 1, H, W), logits (N, 1, H, W) of shadow, (N,) weight, for any H and W.
@@ -179,7 +175,7 @@ class SonarNet(Network):
         """
         height, width = planes[0].shape[-2:]
         x = torch.cat([padded(plane, self.core_stride) for plane in planes], dim=1)
-        x = self.intro(functional.pixel_unshuffle(x, self.settings.cell_px))
+        x = self.intro(functional.pixel_unshuffle(x, 2))
         if self.lines is not None:
             shape = (x.shape[-2], x.shape[-1])
             if maps is None:
@@ -196,7 +192,7 @@ class SonarNet(Network):
             encoders = [_after(*both) for both in zip(films, encoders, strict=True)]
             middle = _after(coarsest, middle)
         x = down_and_up(x, encoders, self.downs, middle, self.ups, self.decoders)
-        heads = functional.pixel_shuffle(self.outro(x), self.settings.cell_px)[..., :height, :width]
+        heads = functional.pixel_shuffle(self.outro(x), 2)[..., :height, :width]
         noisy, change, logits = planes[0], heads[:, :1], heads[:, 1:]
         # The last plane is the sector's complement, or -1 where it is unknown.
         sector = 1 - planes[-1].clamp_min(0)

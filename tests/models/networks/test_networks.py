@@ -363,23 +363,6 @@ def test_a_network_that_looks_twice_does_not_care_for_left_and_right() -> None:
         torch.testing.assert_close(again.shadow_logits.flip(-1), logits)
 
 
-@pytest.mark.parametrize("size", [1, 30, 64])
-def test_wider_cells_take_any_size_and_know_the_geometry(size: int) -> None:
-    network = tiny("sonarnet", cell_px=4, polar=False)
-    assert isinstance(network, SonarNet)
-    assert network.core_stride == 8
-    image, extras = told(network, size)
-    # Before anything is learned a picture is gated by the first guess of shadow, and nothing else.
-    gated = image * torch.sigmoid(torch.tensor(2.0))
-    torch.testing.assert_close(network.with_heads(image).image, gated)
-    stirred(network)
-    restored = network(image, **extras)
-    assert restored.shape == image.shape
-    assert torch.isfinite(restored).all()
-    if size > 1:
-        assert not torch.allclose(restored, network(image))
-
-
 def test_geometry_is_forgotten_in_training_alone() -> None:
     network = stirred(tiny("sonarnet", forget=1.0))
     image, extras = told(network, 32)
