@@ -26,7 +26,6 @@ LOOPS = (
     "simnfnd.factory.scenes.seabed.loops.viewpoint_loops",
     "simnfnd.factory.sonar.echo_loops",
     "simnfnd.factory.recordings.fan_loops",
-    "simnfnd.factory.sonar.mount_loops",
     "simnfnd.factory.sonar.number_loops",
     "simnfnd.factory.sonar.picture_loops",
 )

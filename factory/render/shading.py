@@ -1,7 +1,8 @@
 """Normals and light of all pixels, in compiled loops.
 
 `cloud.normals` and `surface.shade` are the same in numpy, and what the tests
-hold these to.  Importing this module loads numba.
+hold these to; `facing` is for a sonar beside the camera (`simnfnd.factory.sonar.surface`).
+Importing this module loads numba.
 """
 
 from __future__ import annotations
@@ -13,10 +14,11 @@ from simnfnd.factory.compiled import compiled
 from simnfnd.factory.render.cloud.joints import DOWN, READ, RIGHT, Bits, Doubles, Floats
 
 _ZERO = np.float32(0)
+_LEAST_M2 = np.float32(1e-12)
 
 
 @compiled()
-def unit_normal(
+def _normal(
     depth_m: Floats, bits: Bits, row: int, column: int, across: Doubles, down: Doubles
 ) -> tuple[np.float32, np.float32, np.float32]:
     """Unit normal of one pixel, (0, 0, 0) where it has none; see `cloud.normals`."""
@@ -85,8 +87,43 @@ def orient(
             points_m[i, j, 0] = across[column] * z
             points_m[i, j, 1] = down[row] * z
             points_m[i, j, 2] = z
-            x, y, z = unit_normal(depth_m, bits, row, column, across, down)
+            x, y, z = _normal(depth_m, bits, row, column, across, down)
             normals[i, j, 0], normals[i, j, 1], normals[i, j, 2] = x, y, z
+
+
+@compiled(
+    f"void({READ}, uint8[:, ::1], float64[::1], float64[::1], float32[::1],"
+    "float32[:, ::1], float32[:, ::1], float32[:, ::1])"
+)
+def facing(
+    depth_m: Floats,
+    bits: Bits,
+    across: Doubles,
+    down: Doubles,
+    sonar_m: Floats,
+    to_camera: Floats,
+    to_sonar: Floats,
+    nearer: Floats,
+) -> None:
+    """Fill the cosines of incidence from camera and sonar, and (range to camera / to sonar)^2.
+
+    `simnfnd.factory.sonar.surface.mount_weight` says what for.
+
+    depth_m, and what is filled: (H, W).  bits: `joints` of the depth.  across, down: direction of
+    each column and row, as depth multiplies it.  sonar_m: (3,) position in camera axes, metres.
+    """
+    height, width = depth_m.shape
+    for row in range(height):
+        for column in range(width):
+            z = depth_m[row, column]
+            x, y = np.float32(across[column] * z), np.float32(down[row] * z)
+            nx, ny, nz = _normal(depth_m, bits, row, column, across, down)
+            camera_m2 = max(x * x + y * y + z * z, _LEAST_M2)
+            to_camera[row, column] = -(nx * x + ny * y + nz * z) / np.sqrt(camera_m2)
+            tx, ty, tz = sonar_m[0] - x, sonar_m[1] - y, sonar_m[2] - z
+            sonar_m2 = max(tx * tx + ty * ty + tz * tz, _LEAST_M2)
+            to_sonar[row, column] = (nx * tx + ny * ty + nz * tz) / np.sqrt(sonar_m2)
+            nearer[row, column] = camera_m2 / sonar_m2
 
 
 @compiled()
@@ -163,7 +200,7 @@ def shade(
         for column in range(width):
             # Neighbours along one direction alone: the surface faces the camera as far as it can.
             if inside[column] and shine[column] == 0:
-                nx, ny, nz = unit_normal(depth_m, bits, row, column, across, down)
+                nx, ny, nz = _normal(depth_m, bits, row, column, across, down)
                 tx, ty = sonar_x_m - x[column], sonar_y_m - y[column]
                 tz = sonar_z_m - z[column]
                 square_m2 = tx * tx + ty * ty + tz * tz

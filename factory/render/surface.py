@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from simnfnd.factory.frame import Frame, Intrinsics
 from simnfnd.factory.render import shading
 from simnfnd.factory.render.albedo import albedo
 from simnfnd.factory.render.base import RenderSettings
+from simnfnd.factory.render.cloud import directions
 from simnfnd.factory.render.cloud import joints as edges
 
 # Traced and closed-form light differ by rounding; a ratio of anything fainter tells nothing.
@@ -68,7 +68,7 @@ class Pixels:
         chosen = self.albedo[self.traced, self.traced]
         points_m = np.empty((*chosen.shape, 3), np.float32)
         normals = np.empty_like(points_m)
-        across, down = _directions(self.intrinsics, *self.depth_m.shape)
+        across, down = directions(self.intrinsics, *self.depth_m.shape)
         shading.orient(
             self.depth_m, self.joints, across, down, first, self.stride, points_m, normals
         )
@@ -92,7 +92,7 @@ class Pixels:
 
     def radiance(self, sonar_m: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float32]:
         """(H, W) float32 of `shade` at full resolution, in compiled loops: no shadows."""
-        across, down = _directions(self.intrinsics, *self.depth_m.shape)
+        across, down = directions(self.intrinsics, *self.depth_m.shape)
         x, y, z = np.asarray(sonar_m, np.float32)
         return shading.shade(
             self.depth_m, self.joints, self.mask, self.albedo, across, down, x, y, z
@@ -144,13 +144,3 @@ def shade(surface: Surface, sonar_m: npt.NDArray[np.floating[Any]]) -> npt.NDArr
     square_m2 = np.where(lit, square_m2, np.float32(1))
     radiance = surface.albedo * facing_m / (square_m2 * np.sqrt(square_m2))
     return np.where(lit, radiance, np.float32(0))
-
-
-@lru_cache(maxsize=8)
-def _directions(
-    intrinsics: Intrinsics, height: int, width: int
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """What depth is multiplied by to give x in each column and y in each row."""
-    across = (np.arange(width) - intrinsics.cx) / intrinsics.fx
-    down = (np.arange(height) - intrinsics.cy) / intrinsics.fy
-    return across, down

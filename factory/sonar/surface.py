@@ -124,17 +124,16 @@ def mount_weight(frame: Frame, mount: Mount, exponent: float) -> npt.NDArray[np.
     r_c^2 dO / cos_c with the camera's, and backscatter by cos_s^n leaves cos_s^n / r_s^4 of it:
     cos_s^(n - 1) / cos_c (r_c / r_s)^2.
     """
+    from simnfnd.factory.render.cloud import directions
+
     # Both load numba.
     from simnfnd.factory.render.cloud.joints import joints
-    from simnfnd.factory.sonar.mount_loops import facing
+    from simnfnd.factory.render.shading import facing
 
-    camera = frame.intrinsics
     depth_m = np.ascontiguousarray(frame.depth_m, np.float32)
-    height, width = depth_m.shape
-    across = (np.arange(width) - camera.cx) / camera.fx
-    down = (np.arange(height) - camera.cy) / camera.fy
+    across, down = directions(frame.intrinsics, *depth_m.shape)
     sonar_m = mount.position_camera_m().astype(np.float32)
-    cosine_camera, cosine, nearer = (np.empty((height, width), np.float32) for _ in range(3))
+    cosine_camera, cosine, nearer = (np.empty(depth_m.shape, np.float32) for _ in range(3))
     # Frames of a cache have lost what was no surface, so every neighbour here may be joined.
     bits = joints(depth_m, _EDGE_RATIO)
     facing(depth_m, bits, across, down, sonar_m, cosine_camera, cosine, nearer)

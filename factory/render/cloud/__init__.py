@@ -8,6 +8,7 @@ stretched over a depth discontinuity or over unmeasured pixels.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -24,6 +25,16 @@ LARGE_STEP = 0.2
 SLOPE_CHANGE = 3.0
 
 
+@lru_cache(maxsize=8)
+def directions(
+    intrinsics: Intrinsics, height: int, width: int
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """(W,) and (H,): what depth is multiplied by to give x in each column and y in each row."""
+    across = (np.arange(width) - intrinsics.cx) / intrinsics.fx
+    down = (np.arange(height) - intrinsics.cy) / intrinsics.fy
+    return across, down
+
+
 def back_project(
     depth_m: npt.NDArray[np.floating[Any]], intrinsics: Intrinsics
 ) -> npt.NDArray[np.float32]:
@@ -34,8 +45,7 @@ def back_project(
     Returns (H, W, 3) float32; pixels without a measurement are (0, 0, 0).
     """
     height, width = depth_m.shape
-    across = (np.arange(width) - intrinsics.cx) / intrinsics.fx
-    down = (np.arange(height) - intrinsics.cy) / intrinsics.fy
+    across, down = directions(intrinsics, height, width)
     points_m = np.empty((height, width, 3), np.float32)
     points_m[..., 0] = across * depth_m
     points_m[..., 1] = down[:, None] * depth_m
