@@ -123,6 +123,9 @@ def configured(config: FactoryConfig, device: Device, *, any_size: bool) -> Fact
     if points:
         sonar = _points(sonar, any_size)
     noise = _of_formation(config.noise, device)
+    if not acoustics.standing and noise.scintillation is not None:
+        # What trembles beside speckle that is new in every ping cannot be told from it.
+        noise = replace(noise, scintillation=replace(noise.scintillation, enabled=False))
     return replace(config, sonar=sonar, acoustics=acoustics, noise=noise, devices=None)
 
 

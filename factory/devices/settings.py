@@ -31,8 +31,8 @@ class DeviceSettings:
     auto_range_share: part of the pictures whose window is fitted to the scene; range_min_m,
         range_max_m: the window of the others, metres.
     tvg_log, lambert_exponent, background_db: see `acoustics`.
-    standing_share: part of the pictures of the field in which speckle stands still in part;
-        standing: which part of its power (`acoustics.standing`).
+    standing_share: part of the pictures of the field in which speckle stands still in part, and
+        `noise.scintillation` acts; standing: which part of its power (`acoustics.standing`).
     log_share: part of the pictures of the field with a logarithmic display: dynamic_range_db, and
         the grey value of the median echo, log_reference.  The others show level ** exponent, the
         echoes' 95th percentile at power_reference.

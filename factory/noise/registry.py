@@ -32,6 +32,7 @@ from simnfnd.factory.noise.field.near_range import (
 from simnfnd.factory.noise.field.path_speckle import PATH_SPECKLE, PathSpeckleSettings
 from simnfnd.factory.noise.field.receiver import RECEIVER, ReceiverSettings
 from simnfnd.factory.noise.field.saturation import SATURATION, SaturationSettings
+from simnfnd.factory.noise.field.scintillation import SCINTILLATION, ScintillationSettings
 from simnfnd.factory.noise.field.sidelobe_arcs import SIDELOBE_ARCS, SidelobeArcsSettings
 from simnfnd.factory.noise.field.speckle import SPECKLE, SpeckleSettings
 from simnfnd.factory.noise.field.spokes import SPOKES, SpokesSettings
@@ -72,6 +73,7 @@ class NoiseSettings:
     crosstalk: Annotated[CrosstalkSettings | None, CROSSTALK] = None
     receiver: Annotated[ReceiverSettings | None, RECEIVER] = None
     tvg_error: Annotated[TvgErrorSettings | None, TVG_ERROR] = None
+    scintillation: Annotated[ScintillationSettings | None, SCINTILLATION] = None
     beam_gain: Annotated[BeamGainSettings | None, BEAM_GAIN] = None
     spokes: Annotated[SpokesSettings | None, SPOKES] = None
     ring_down: Annotated[RingDownSettings | None, RING_DOWN] = None

@@ -38,6 +38,7 @@ class Expected:
     looks: independent fields whose intensities are averaged, whole or not.  shape: nu of the
         texture.
     standing: part of the speckle's power that is the same in every ping.
+    scintillation_nepers2: variance of the logarithm of the intensity that comes on top of all.
     """
 
     echo: Floats
@@ -47,6 +48,7 @@ class Expected:
     looks: float = 1
     shape: float = np.inf
     standing: float = 0.0
+    scintillation_nepers2: float = 0.0
 
     def scale(self, factor: npt.NDArray[np.floating]) -> None:
         """Multiply all intensities; factor: of a shape that broadcasts."""
@@ -92,6 +94,8 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
     """
     from simnfnd.factory.formation.field import display_loops  # loads numba
 
+    # E[x^p]^(1/p) of a log-normal x of median 1.
+    full_scale /= float(np.exp(_power(settings) * state.scintillation_nepers2 / 2))
     if not (state.echo.any() or state.noise.any()):
         return transfer.grey(np.sqrt(state.steady), float(np.sqrt(full_scale)), settings)
     grey = np.empty_like(state.echo)

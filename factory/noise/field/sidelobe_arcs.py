@@ -67,5 +67,5 @@ SIDELOBE_ARCS = Effect(
     "beam",
     systematic=True,
     expected=expect_sidelobe_arcs,
-    artefact="spokes",
+    artefact="ghosts",
 )

@@ -99,6 +99,17 @@ def test_odd_effects_are_those_of_a_share_of_the_pictures() -> None:
     assert share == pytest.approx(0.5, abs=0.15)
 
 
+def test_samples_tremble_where_speckle_stands_still() -> None:
+    words = ("devices.field_share=1", "devices.quiet_share=0", "devices.fewer_share=0")
+    for share in (0, 1):
+        config = compose_config(["experiment=any_sonar", *words, f"devices.standing_share={share}"])
+        assert config.devices is not None
+        device = devices.draw(config.devices, 0, 1)
+        made = devices.configured(config, device, any_size=True)
+        assert made.noise.scintillation is not None
+        assert (made.acoustics.standing > 0) == made.noise.scintillation.enabled == bool(share)
+
+
 def test_the_receivers_noise_follows_the_echoes() -> None:
     words = ("devices.field_share=1", "devices.quiet_share=0", "devices.fewer_share=0")
     levels = [

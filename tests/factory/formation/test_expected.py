@@ -58,6 +58,7 @@ NOISE: dict[str, dict[str, Any]] = {
     "beam_gain": {"sigma_db": 2},
     "ring_down": {"level_db": 20, "decay_db_per_m": 10},
     "comb_lines": {"level_db": 0, "spacing_m": 0.5, "decay_db": 1},
+    "scintillation": {"sigma_db": 2},
     "saturation": {"level_db": 3},
 }
 
@@ -113,7 +114,7 @@ def test_restored_has_no_systematic_effect_and_mean_log_has_them() -> None:
 
 def test_every_systematic_effect_says_what_it_is_on_average() -> None:
     random = {name for name in FIELD_EFFECTS if not EFFECTS[name].systematic}
-    assert random == {"speckle", "path_speckle", "texture", "spokes"}
+    assert random == {"speckle", "path_speckle", "texture", "scintillation", "spokes"}
     for name in FIELD_EFFECTS:
         assert (EFFECTS[name].expected is not None) == (name != "spokes")
 

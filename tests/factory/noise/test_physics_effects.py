@@ -21,6 +21,7 @@ from simnfnd.factory.noise.field.image_source import bottom_multipath, surface_m
 from simnfnd.factory.noise.field.near_range import comb_lines, ring_down
 from simnfnd.factory.noise.field.receiver import receiver
 from simnfnd.factory.noise.field.saturation import saturation
+from simnfnd.factory.noise.field.scintillation import scintillation
 from simnfnd.factory.noise.field.sidelobe_arcs import sidelobe_arcs
 from simnfnd.factory.noise.field.spokes import spokes
 from simnfnd.factory.noise.field.tvg_error import tvg_error
@@ -61,8 +62,9 @@ def intensity(field: np.ndarray) -> np.ndarray:
 def test_the_registry_and_the_settings_name_the_same_effects() -> None:
     assert [item.name for item in fields(NoiseSettings)] == list(EFFECTS)
     given = compose_config(["experiment=physical"]).noise
-    # Speckle by the phase of the path is asked for by name (noise=moving).
-    assert list(blocks(given)) == [name for name in EFFECTS if name != "path_speckle"]
+    # Two are asked for by name (noise=moving, noise=any_sonar).
+    others = ("path_speckle", "scintillation")
+    assert list(blocks(given)) == [name for name in EFFECTS if name not in others]
     for name, block in blocks(given).items():
         assert type(block) is EFFECTS[name].settings
         names = [item.name for item in fields(block)]
@@ -202,6 +204,21 @@ def test_a_wrong_gain_tilts_the_picture_about_its_middle() -> None:
     rows = decibels(intensity(tvg_error(ones, of, rng(), db_per_decade=10, db_per_m=0.5))[:, 0] / 2)
     expected = 10 * np.log10(of.range_m / 6) + 0.5 * (of.range_m - 6)
     np.testing.assert_allclose(rows, expected, atol=1e-3)
+
+
+def test_samples_tremble_alike_at_every_level_and_each_for_itself() -> None:
+    of = ping()
+    field = silence(of, looks=2) + 1
+    field[..., of.shape[1] // 2 :] *= 100
+    level_db = decibels(intensity(scintillation(field.copy(), of, rng(), sigma_db=3) / field))
+    for half in np.array_split(level_db, 2, axis=1):
+        assert np.median(half) == pytest.approx(decibels(2), abs=0.1)
+        assert half.std() == pytest.approx(3, rel=0.03)
+    level_db -= level_db.mean()
+    for near, far in ((level_db[1:], level_db[:-1]), (level_db[:, 1:], level_db[:, :-1])):
+        assert abs((near * far).mean()) < 0.03 * level_db.var()
+    still = scintillation(field.copy(), of, rng(), sigma_db=0)
+    np.testing.assert_array_equal(still, field)
 
 
 def test_beams_differ_and_some_are_dead() -> None:

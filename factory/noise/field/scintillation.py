@@ -1,0 +1,56 @@
+"""Scintillation: every sample's level trembles from ping to ping, whatever its level is.
+
+Recordings of a scene at rest show it: the speckle of the ground stands still, and what changes is a
+nearly Gaussian part of the decibels, as strong in bright bins as in dark ones and with a grain of
+single samples (docs/denoising.md has the figures of four devices).  Here the intensity of each
+sample is multiplied by a log-normal number whose median is 1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic.dataclasses import dataclass
+
+from simnfnd.factory.distribution import NonNegative
+from simnfnd.factory.formation.field.expected import Expected
+from simnfnd.factory.formation.field.signal import Floats, Ping
+from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
+from simnfnd.factory.settings import STRICT
+
+_NEPERS_PER_DB = np.log(10) / 10  # of intensity
+
+
+@dataclass(frozen=True, config=STRICT)
+class ScintillationSettings(EffectSettings):
+    """Keys of `noise.scintillation`.
+
+    sigma_db: standard deviation of a sample's level, dB.
+    """
+
+    sigma_db: NonNegative = parameter(3, "dB")
+
+
+def scintillation(
+    field: Floats, ping: Ping, rng: np.random.Generator, *, sigma_db: float
+) -> Floats:
+    """The field, every sample weakened or strengthened."""
+    level_nepers = rng.standard_normal(field.shape[-2:], np.float32)
+    level_nepers *= np.float32(sigma_db * _NEPERS_PER_DB / 2)  # of amplitude
+    field *= np.exp(level_nepers, out=level_nepers)
+    return field
+
+
+def expect_scintillation(
+    expected: Expected, ping: Ping, rng: np.random.Generator, *, sigma_db: float
+) -> None:
+    """A display of levels shows the median; one of powers shows a little more."""
+    expected.scintillation_nepers2 += (sigma_db * _NEPERS_PER_DB) ** 2
+
+
+SCINTILLATION = Effect(
+    ScintillationSettings,
+    scintillation,
+    "picture",
+    expected=expect_scintillation,
+    artefact="speckle",
+)
