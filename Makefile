@@ -48,8 +48,9 @@ names:
 demo: $(stamp) ## make a small dataset from nothing and a preview of it
 	$(VENV)/bin/simnfnd demo $(ARGS)
 
+# Of its own xdist begins with the files of most tests, and ends with the slowest ones.
 test: $(stamp) ## run the tests
-	$(python) -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
+	$(python) -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
 check: $(stamp) ## lint, formatting and types
 	$(python) -m ruff check

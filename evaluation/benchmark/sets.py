@@ -24,7 +24,7 @@ from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.pairs import PairMaker
 from simnfnd.factory.render.view import View
 from simnfnd.factory.renders.views import OneView, ViewMaker
-from simnfnd.factory.scenes import open_reader
+from simnfnd.factory.scenes import frames_of, open_reader
 from simnfnd.factory.selection import choose_frames
 from simnfnd.factory.sonar.geometry import FanGeometry
 
@@ -164,8 +164,7 @@ def write_fans(path: Path, fans: dict[str, FanGeometry]) -> None:
 
 
 def _pairs(config: FactoryConfig, renders: Renders) -> Iterator[tuple[FrameRef, Pair]]:
-    discovery = open_reader(config.scenes).discover()
-    for ref in choose_frames(discovery.frames, config):
+    for ref in choose_frames(frames_of(open_reader(config.scenes)), config):
         try:
             maker = PairMaker(config, OneView(renders.view(config, ref)))
             made = maker.pairs(ref, tuple(range(VARIANTS)))

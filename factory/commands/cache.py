@@ -61,7 +61,7 @@ def _pack(overrides: list[str], out: Path | None, small: bool) -> int:
     from simnfnd.factory.render.pack import write_pack
     from simnfnd.factory.render.view import FINE, SMALL
     from simnfnd.factory.renders.views import CachedViews
-    from simnfnd.factory.scenes import open_reader
+    from simnfnd.factory.scenes import frames_of, open_reader
     from simnfnd.factory.selection import choose_frames
 
     if out is None:
@@ -69,7 +69,7 @@ def _pack(overrides: list[str], out: Path | None, small: bool) -> int:
     config = compose_config(overrides)
     if config.scenes.kind == "pack":
         raise FactoryError("cache pack: scenes=pack is a pack already; copy its file")
-    refs = choose_frames(open_reader(config.scenes).discover().frames, config)
+    refs = choose_frames(frames_of(open_reader(config.scenes)), config)
     views = CachedViews(config)
     there = [ref for ref in refs if views.holds(ref)]
     missing = len(refs) - len(there)

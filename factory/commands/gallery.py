@@ -129,11 +129,11 @@ def _end(distribution: Distribution, quantile: float) -> float:
 
 def _views(config: FactoryConfig) -> Iterator[View]:
     from simnfnd.factory.render import open_renderer
-    from simnfnd.factory.scenes import open_reader
+    from simnfnd.factory.scenes import frames_of, open_reader
     from simnfnd.factory.selection import choose_frames
 
     reader = open_reader(config.scenes)
-    found = choose_frames(reader.discover().frames, config)
+    found = choose_frames(frames_of(reader), config)
     first: dict[tuple[str, str], FrameRef] = {}
     for ref in found:
         first.setdefault((ref.location, ref.scene), ref)

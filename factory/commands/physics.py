@@ -97,11 +97,11 @@ def pictures(out: Path, settings: Iterable[str] = ()) -> list[Path]:
 
 def _first_frame(config: FactoryConfig) -> tuple[Frame, Rendered]:
     from simnfnd.factory.render import open_renderer
-    from simnfnd.factory.scenes import open_reader
+    from simnfnd.factory.scenes import frames_of, open_reader
     from simnfnd.factory.selection import choose_frames
 
     reader = open_reader(config.scenes)
-    frame = reader.load(choose_frames(reader.discover().frames, config)[0])
+    frame = reader.load(choose_frames(frames_of(reader), config)[0])
     return frame, open_renderer(config.render).render(frame, config.sonar.mount)
 
 

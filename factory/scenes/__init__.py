@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from simnfnd.factory.scenes.base import Discovery, Reader, SceneSettings
+from simnfnd.factory.scenes.base import Discovery, Reader, SceneSettings, frames_of
 from simnfnd.factory.scenes.csv_list import CsvListSettings
 from simnfnd.factory.scenes.flsea import FlseaSettings
 from simnfnd.factory.scenes.pack import PackSettings
@@ -15,7 +15,7 @@ from simnfnd.factory.scenes.redwood import RedwoodSettings
 from simnfnd.factory.scenes.seabed import SeabedSettings
 from simnfnd.factory.scenes.tum import TumSettings
 
-__all__ = ["Discovery", "Reader", "SceneSettings", "Scenes", "open_reader"]
+__all__ = ["Discovery", "Reader", "SceneSettings", "Scenes", "frames_of", "open_reader"]
 
 Scenes = Annotated[
     FlseaSettings | TumSettings | RedwoodSettings | CsvListSettings | SeabedSettings | PackSettings,

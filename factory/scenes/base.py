@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass as plain_dataclass
 from dataclasses import field
 from typing import Literal, Protocol
@@ -34,18 +35,31 @@ class Discovery:
     frames: every usable frame, sorted by (location, scene, frame).
     skipped: reason -> how many images were left out for it (for example no depth map).
     notes: one-line remarks for the user (which scenes are absent, which calibration was used).
+    warnings: one line each, about what could not be read and is left out.
     """
 
     frames: tuple[FrameRef, ...]
     skipped: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 class Reader(Protocol):
     """Finds frames and loads them.  Built from settings alone, so a worker can build its own."""
 
     def discover(self) -> Discovery:
-        """List the frames.  Raises FactoryError when the root is missing or holds no frame."""
+        """List the frames; recordings that cannot be read are left out and told.
+
+        Raises FactoryError when the root is missing, or nothing in it is of use.
+        """
 
     def load(self, ref: FrameRef) -> Frame:
         """Read one frame, checked (`frame.checked`).  Raises FrameError when it is bad."""
+
+
+def frames_of(reader: Reader) -> tuple[FrameRef, ...]:
+    """The frames that `reader` finds; warnings go to stderr.  Raises FactoryError as it does."""
+    discovery = reader.discover()
+    for line in discovery.warnings:
+        print(f"warning: {line}", file=sys.stderr)
+    return discovery.frames

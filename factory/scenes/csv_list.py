@@ -27,7 +27,7 @@ from simnfnd.factory.scenes.calibration import Pinhole
 from simnfnd.factory.scenes.images import read_depth, read_rgb
 from simnfnd.factory.scenes.poses import numbered_lines
 from simnfnd.factory.scenes.rgbd import finished_frame
-from simnfnd.factory.scenes.roots import Root
+from simnfnd.factory.scenes.roots import Root, is_there
 from simnfnd.factory.settings import STRICT
 
 _EXPECTED = "a CSV file of rgb,depth lines"
@@ -95,7 +95,7 @@ class CsvListReader:
         frames = _named(path.parent, rows)
         if not frames:
             raise FactoryError(f"{self.settings.given}: no line lists a frame; give {_EXPECTED}")
-        if not any(Path(name).is_file() for ref in frames for name in ref.paths):
+        if not any(is_there(name) for ref in frames for name in ref.paths):
             raise FactoryError(
                 f"{self.settings.given}: none of the {len(frames)} listed frames "
                 f"exists, the first is {frames[0].paths[0]}; paths are relative to the CSV file"

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -24,7 +25,7 @@ from simnfnd.factory.scenes.base import Discovery, SceneSettings
 from simnfnd.factory.scenes.calibration import read_kalibr, scaled
 from simnfnd.factory.scenes.images import read_depth, read_rgb
 from simnfnd.factory.scenes.rgbd import finished_frame
-from simnfnd.factory.scenes.roots import Root, listing, root_folder, visible_files
+from simnfnd.factory.scenes.roots import LeftOut, Root, root_folder, visible_files
 from simnfnd.factory.settings import STRICT
 
 # Scene -> location, all twelve.
@@ -103,24 +104,29 @@ class FlseaReader:
         """See `simnfnd.factory.scenes.base.Reader`."""
         root = root_folder(self.settings.root, _EXPECTED)
         wanted = self.settings.scenes or tuple(SCENES)
-        folders = {
-            scene: folder
-            for scene in sorted(set(wanted), key=lambda scene: (SCENES[scene], scene))
-            if (folder := _scene_folder(root, scene)) is not None
-        }
+        left_out = LeftOut()
+        folders: dict[str, Path] = {}
+        frames: list[FrameRef] = []
+        skipped: Counter[str] = Counter()
+        calibrations: dict[str, Path | None] = {}
+        closed: list[str] = []
+        for scene in sorted(set(wanted), key=lambda scene: (SCENES[scene], scene)):
+            closed.append(scene)
+            with left_out.unreadable(root):
+                if (folder := _scene_folder(root, scene)) is not None:
+                    calibration = _calibration_file(folder, SCENES[scene])
+                    frames += _scene_frames(folder, scene, calibration, skipped)
+                    calibrations.setdefault(SCENES[scene], calibration)
+                    folders[scene] = folder
+                closed.remove(scene)
+        if not frames:
+            left_out.check()
         if not folders:
             raise FactoryError(
                 f"scenes.root={self.settings.root}: no {_asked(self.settings)} here, looked for "
                 f"<location>/<scene>/imgs such as canyons/u_canyon/imgs; set scenes.root to "
                 f"{_EXPECTED}"
             )
-        frames: list[FrameRef] = []
-        skipped: Counter[str] = Counter()
-        calibrations: dict[str, Path | None] = {}
-        for scene, folder in folders.items():
-            calibration = _calibration_file(folder, SCENES[scene])
-            calibrations.setdefault(SCENES[scene], calibration)
-            frames += _scene_frames(folder, scene, calibration, skipped)
         if not frames:
             raise FactoryError(
                 f"scenes.root={self.settings.root}: no frame in {', '.join(folders)} "
@@ -128,10 +134,14 @@ class FlseaReader:
                 f"depth/<timestamp>{_DEPTH_ENDINGS[0]}"
             )
         notes = [f"FLSea: {len(folders)} of {len(SCENES)} scenes"]
-        if absent := [scene for scene in SCENES if scene in wanted and scene not in folders]:
+        absent = [scene for scene in SCENES if scene in wanted and scene not in (*folders, *closed)]
+        if absent:
             notes.append(f"FLSea scenes not found here, left out: {', '.join(absent)}")
         notes += [self._calibration_note(*item) for item in calibrations.items()]
-        return Discovery(tuple(frames), dict(sorted(skipped.items())), tuple(notes))
+        skipped.update(left_out.skipped)
+        return Discovery(
+            tuple(frames), dict(sorted(skipped.items())), tuple(notes), left_out.warnings
+        )
 
     def load(self, ref: FrameRef) -> Frame:
         """See `simnfnd.factory.scenes.base.Reader`."""
@@ -160,9 +170,8 @@ def _scene_folder(root: Path, scene: str) -> Path | None:
         starts.append(root)
     for start in starts:
         for folder in (start, start / scene):
-            with listing(folder):
-                if (folder / "imgs").is_dir():
-                    return folder
+            if (folder / "imgs").is_dir():
+                return folder
     return None
 
 
@@ -170,9 +179,21 @@ def _calibration_file(folder: Path, location: str) -> Path | None:
     """The Kalibr result of the location that a scene folder lies in, by name the first of many."""
     for parent in Path(os.path.abspath(folder)).parents[:2]:
         if parent.name == location:
-            found = (parent / "calibration").glob("**/*kalibr-results-imucam.txt")
-            return min(found, default=None)
+            return min(_kalibr_files(parent / "calibration"), default=None)
     return None
+
+
+def _kalibr_files(folder: Path) -> Iterator[Path]:
+    """Kalibr results in `folder`, at any depth.  Raises OSError when a folder cannot be read."""
+    for path, _, names in os.walk(folder, onerror=_unless_missing):
+        for name in names:
+            if name.endswith("kalibr-results-imucam.txt") and (file := Path(path, name)).is_file():
+                yield file
+
+
+def _unless_missing(error: OSError) -> None:
+    if not isinstance(error, FileNotFoundError | NotADirectoryError):
+        raise error
 
 
 def _scene_frames(

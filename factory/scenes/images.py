@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import stat
 import sys
 import threading
 import warnings
@@ -70,6 +71,7 @@ def _decoded(path: Path) -> Any:
     """A Pillow image with all its pixels in memory."""
     from PIL import Image
 
+    _check_regular(path)
     try:
         with _silent(), Image.open(path) as image:
             image.load()
@@ -83,6 +85,7 @@ def _decoded(path: Path) -> Any:
 
 
 def _load_array(path: Path) -> npt.NDArray[Any]:
+    _check_regular(path)
     try:
         array: npt.NDArray[Any] = np.load(path, allow_pickle=False)
         return array
@@ -92,6 +95,14 @@ def _load_array(path: Path) -> npt.NDArray[Any]:
         raise
     except Exception as error:  # see _decoded
         raise FrameError(f"{path}: {_damage(error)}; copy or download the file again") from error
+
+
+def _check_regular(path: Path) -> None:
+    """Raise FrameError for a pipe, which may wait for a writer for ever, or an endless device."""
+    with contextlib.suppress(OSError):  # opening says it better
+        mode = path.stat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise FrameError(f"{path}: no regular file; copy or download the file again")
 
 
 def _damage(error: Exception) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.scenes.roots import listing
 
 Pose = npt.NDArray[np.float64]
 
@@ -84,12 +85,11 @@ def redwood_poses(path: Path) -> dict[int, Pose]:
 def numbered_lines(path: Path) -> list[tuple[int, str]]:
     """(line number, text) of the lines that are neither empty nor comments (`#`).
 
-    Raises FactoryError when the file cannot be read as text.
+    Raises UnreadableError when the file cannot be read, FactoryError when it is no text.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise FactoryError(f"{path}: cannot be read ({error.strerror})") from error
+        with listing(path):
+            text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise FactoryError(f"{path}: not a text file; give the recording's own list") from error
     numbered = enumerate((line.strip() for line in text.splitlines()), start=1)

@@ -24,7 +24,14 @@ from simnfnd.factory.scenes.calibration import Pinhole
 from simnfnd.factory.scenes.images import read_depth, read_rgb
 from simnfnd.factory.scenes.poses import redwood_poses
 from simnfnd.factory.scenes.rgbd import finished_frame
-from simnfnd.factory.scenes.roots import Root, folder_name, recordings, root_folder, visible_files
+from simnfnd.factory.scenes.roots import (
+    LeftOut,
+    Root,
+    folder_name,
+    recordings,
+    root_folder,
+    visible_files,
+)
 from simnfnd.factory.settings import STRICT
 
 _COLOUR_FOLDERS = ("color", "rgb", "image")
@@ -61,19 +68,25 @@ class RedwoodReader:
         frames: list[FrameRef] = []
         skipped: Counter[str] = Counter()
         notes: list[str] = []
-        for folder in recordings(root, lambda folder: _colour_folder(folder) is not None):
-            frames += _recording_frames(folder, skipped)
-            trajectory = folder / "trajectory.log"
-            if trajectory.is_file():
-                redwood_poses(trajectory)  # report a damaged file now, not at every frame
-            else:
-                notes.append(f"{folder_name(folder)}: no trajectory.log, frames have no pose")
+        left_out = LeftOut()
+        for folder in recordings(root, lambda one: _colour_folder(one) is not None, left_out):
+            with left_out.unreadable(folder):
+                trajectory = folder / "trajectory.log"
+                if trajectory.is_file():
+                    redwood_poses(trajectory)  # report a damaged file now, not at every frame
+                frames += _recording_frames(folder, skipped)
+                if not trajectory.is_file():
+                    notes.append(f"{folder_name(folder)}: no trajectory.log, frames have no pose")
         if not frames:
+            left_out.check()
             raise FactoryError(
                 f"scenes.root={self.settings.root}: no frame found; set scenes.root to {_EXPECTED}"
             )
         frames.sort(key=lambda ref: (ref.location, ref.scene, ref.frame))
-        return Discovery(tuple(frames), dict(sorted(skipped.items())), tuple(notes))
+        skipped.update(left_out.skipped)
+        return Discovery(
+            tuple(frames), dict(sorted(skipped.items())), tuple(notes), left_out.warnings
+        )
 
     def load(self, ref: FrameRef) -> Frame:
         """See `simnfnd.factory.scenes.base.Reader`."""

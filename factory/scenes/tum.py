@@ -26,7 +26,14 @@ from simnfnd.factory.scenes.calibration import Pinhole, scaled
 from simnfnd.factory.scenes.images import read_depth, read_rgb
 from simnfnd.factory.scenes.poses import numbered_lines, pose_at
 from simnfnd.factory.scenes.rgbd import finished_frame
-from simnfnd.factory.scenes.roots import Root, folder_name, recordings, root_folder
+from simnfnd.factory.scenes.roots import (
+    LeftOut,
+    Root,
+    folder_name,
+    is_there,
+    recordings,
+    root_folder,
+)
 from simnfnd.factory.settings import STRICT
 
 # Colour cameras of the three Kinects as the set publishes them.
@@ -71,27 +78,31 @@ class TumReader:
         frames: list[FrameRef] = []
         skipped: Counter[str] = Counter()
         notes: list[str] = []
-        for folder in recordings(root, _is_recording):
+        left_out = LeftOut()
+        for folder in recordings(root, _is_recording, left_out):
             self._camera(folder_name(folder))  # report an unknown camera now, not at every frame
-            found, images, depths = self._associated(folder)
-            frames += found
-            skipped["image without a depth map close in time"] += images - len(found)
-            skipped["depth map without an image close in time"] += depths - len(found)
-            if not (folder / "groundtruth.txt").is_file():
-                notes.append(f"{folder_name(folder)}: no groundtruth.txt, frames have no pose")
+            with left_out.unreadable(folder):
+                found, images, depths = self._associated(folder)
+                frames += found
+                skipped["image without a depth map close in time"] += images - len(found)
+                skipped["depth map without an image close in time"] += depths - len(found)
+                if not (folder / "groundtruth.txt").is_file():
+                    notes.append(f"{folder_name(folder)}: no groundtruth.txt, frames have no pose")
         if not frames:
+            left_out.check()
             raise FactoryError(
                 f"scenes.root={self.settings.root}: no frame found; set scenes.root to {_EXPECTED}"
             )
-        if not any(Path(path).is_file() for ref in frames for path in ref.paths[:2]):
+        if not any(is_there(path) for ref in frames for path in ref.paths[:2]):
             raise FactoryError(
                 f"scenes.root={self.settings.root}: none of the {len(frames)} frames listed in "
                 f"rgb.txt and depth.txt exists, the first is {frames[0].paths[0]}; unpack the "
                 "images beside the lists"
             )
         frames.sort(key=lambda ref: (ref.location, ref.scene, ref.frame))
+        skipped.update(left_out.skipped)
         counts = {reason: count for reason, count in sorted(skipped.items()) if count}
-        return Discovery(tuple(frames), counts, tuple(notes))
+        return Discovery(tuple(frames), counts, tuple(notes), left_out.warnings)
 
     def load(self, ref: FrameRef) -> Frame:
         """See `simnfnd.factory.scenes.base.Reader`."""

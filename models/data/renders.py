@@ -23,7 +23,7 @@ from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.factory.pairs import PairMaker
 from simnfnd.factory.renders.views import open_views
-from simnfnd.factory.scenes import open_reader
+from simnfnd.factory.scenes import frames_of, open_reader
 from simnfnd.factory.seeds import stream
 from simnfnd.factory.selection import choose_frames, split_frames
 from simnfnd.factory.sonar.geometry import FanGeometry
@@ -171,7 +171,7 @@ def open_renders(
     Raises FactoryError when the dataset was made by another version or its renders are not there.
     """
     config = _config(data, dataset)
-    found = open_reader(config.scenes).discover().frames
+    found = frames_of(open_reader(config.scenes))
     if data.pack is None:
         found = choose_frames(found, config)
     training = split_frames(found, config)["train"]

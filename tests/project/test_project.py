@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from functools import cache
 from importlib import metadata
 
 import pytest
@@ -29,6 +30,7 @@ def requirements() -> list[Requirement]:
     return [one for one in found if one.name != declared["name"]]  # an extra made of extras
 
 
+@cache
 def pins() -> dict[str, Version]:
     found: dict[str, Version] = {}
     for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines():

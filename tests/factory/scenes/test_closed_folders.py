@@ -1,0 +1,224 @@
+"""Recordings beside which something may not be read, or is no file: left out, and told."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simnfnd.factory.cli.compose import compose_config
+from simnfnd.factory.cli.generate import job_of
+from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.scenes import frames_of, open_reader
+from simnfnd.factory.scenes.poses import redwood_poses
+from tests.factory.scenes.test_readers import (
+    DEPTH,
+    PINHOLE,
+    RGB,
+    flsea_frame,
+    names,
+    reader,
+    tum_recording,
+    write,
+)
+
+
+@pytest.fixture
+def open_to_nobody() -> Iterator[Path]:
+    """A folder in which permissions count while the test runs, whoever runs it."""
+    folder = Path(tempfile.mkdtemp(prefix="simnfnd-closed-"))
+    folder.chmod(0o755)
+    root = os.geteuid() == 0
+    yield folder
+    if root:
+        os.seteuid(0)
+    for path, _, _ in os.walk(folder):
+        os.chmod(path, 0o755)
+    shutil.rmtree(folder)
+
+
+def as_nobody() -> None:
+    """Root may read everything: go on as somebody who may not."""
+    if os.geteuid() == 0:
+        try:
+            os.seteuid(65534)
+        except OSError as error:
+            pytest.skip(f"cannot go on as another user ({error})")
+
+
+def redwood_recording(folder: Path) -> None:
+    write(folder / "color/1.png", RGB)
+    write(folder / "depth/1.png", (DEPTH * 1000).astype(np.uint16))
+    (folder / "trajectory.log").write_text("1 1 2\n1 0 0 4\n0 1 0 5\n0 0 1 6\n0 0 0 1\n")
+
+
+CLOSED = [
+    ("flsea", "canyons/u_canyon/imgs"),
+    ("flsea", "canyons/u_canyon/depth"),
+    ("flsea", "canyons/u_canyon"),
+    ("flsea", "canyons"),
+    ("flsea", "canyons/calibration"),
+    ("redwood", "loft/color"),
+    ("redwood", "loft/depth"),
+    ("redwood", "loft/trajectory.log"),
+    ("redwood", "loft"),
+    ("tum", "fr1_desk"),
+    ("tum", "fr1_desk/depth.txt"),
+]
+
+
+@pytest.mark.parametrize(("kind", "closed"), CLOSED)
+def test_what_may_not_be_read_is_left_out(open_to_nobody: Path, kind: str, closed: str) -> None:
+    root = open_to_nobody
+    if kind == "flsea":
+        for scene in ("canyons/u_canyon", "canyons/flatiron", "red_sea/sub_pier"):
+            flsea_frame(root / scene, "1")
+        (root / "canyons/calibration").mkdir()
+    for name in ("loft", "attic"):
+        if kind == "redwood":
+            redwood_recording(root / name)
+        elif kind == "tum":
+            tum_recording(root / f"fr1_{name.replace('loft', 'desk')}", ["1"], ["1"])
+    every = set(names(reader(kind, root)))
+    path = root / closed
+    path.chmod(0)
+    redwood_poses.cache_clear()
+    as_nobody()
+    found = reader(kind, root).discover()
+    above = closed in ("canyons", "canyons/calibration")
+    lost = {name for name in every if name.startswith("canyons/" if above else path_of(closed))}
+    assert lost
+    assert {ref.name for ref in found.frames} == every - lost
+    assert found.skipped == {"whole folder or list that cannot be read": 1}
+    (warning,) = found.warnings
+    assert warning.startswith(f"scenes.root: {path} cannot be read (Permission denied); ")
+    assert "\n" not in warning
+    assert not any("not found here" in note and "u_canyon" in note for note in found.notes) or above
+
+
+def path_of(closed: str) -> str:
+    """What the names of the frames begin with that lie in a recording, given something in it."""
+    parts = closed.split("/")
+    return "/".join(parts[: 2 if parts[0] == "canyons" else 1]) + "/"
+
+
+@pytest.mark.parametrize("kind", ["flsea", "redwood", "tum"])
+def test_nothing_that_may_be_read_gets_one_line(open_to_nobody: Path, kind: str) -> None:
+    root = open_to_nobody
+    if kind == "flsea":
+        flsea_frame(root / "canyons/u_canyon", "1")
+    elif kind == "redwood":
+        redwood_recording(root / "loft")
+    else:
+        tum_recording(root / "fr1", ["1"], ["1"])
+    closed = {"flsea": "canyons/u_canyon/imgs", "redwood": "loft/color", "tum": "fr1"}[kind]
+    assert names(reader(kind, root))
+    for path in (root / closed, root):
+        path.chmod(0)
+        as_nobody()
+        for given_root in (root, root / "below"):
+            with pytest.raises(FactoryError) as caught:
+                reader(kind, given_root).discover()
+            assert "\n" not in str(caught.value)
+            if given_root == root:
+                expected = f"scenes.root: {path} cannot be read (Permission denied)"
+                assert str(caught.value).startswith(expected)
+        if os.geteuid() == 65534:
+            os.seteuid(0)
+
+
+@pytest.mark.parametrize("kind", ["tum", "csv_list"])
+def test_listed_images_that_may_not_be_read_are_bad_frames(open_to_nobody: Path, kind: str) -> None:
+    root = open_to_nobody
+    for name in ("fr1_a", "fr1_b"):
+        tum_recording(root / name, ["1"], ["1"])
+    listed = root
+    extra: dict[str, object] = {}
+    if kind == "csv_list":
+        listed, extra = root / "frames.csv", {"intrinsics": PINHOLE, "depth_scale": 5000}
+        lines = [f"{name}/rgb/1.png,{name}/depth/1.png,{name}" for name in ("fr1_a", "fr1_b")]
+        listed.write_text("\n".join(lines) + "\n")
+    images = reader(kind, listed, **extra)
+    refs = images.discover().frames
+    images.load(refs[0])
+    (root / "fr1_a/rgb").chmod(0)
+    as_nobody()
+    assert images.discover().frames == refs
+    with pytest.raises(FrameError, match=r"rgb/1\.png: cannot be read \(Permission denied\)"):
+        images.load(refs[0])
+    images.load(refs[1])
+    if os.geteuid() == 65534:
+        os.seteuid(0)
+    for part in ("fr1_a/depth", "fr1_b/rgb", "fr1_b/depth"):
+        (root / part).chmod(0)
+    as_nobody()
+    with pytest.raises(FactoryError, match=r"none of the 2 (listed )?frames") as caught:
+        images.discover()
+    assert "\n" not in str(caught.value)
+
+
+def test_a_link_into_a_closed_folder_is_a_bad_frame(open_to_nobody: Path) -> None:
+    scene = open_to_nobody / "canyons/u_canyon"
+    flsea_frame(scene, "1")
+    flsea_frame(scene, "2")
+    (open_to_nobody / "vault").mkdir()
+    (scene / "imgs/2.tiff").rename(open_to_nobody / "vault/2.tiff")
+    (scene / "imgs/2.tiff").symlink_to("../../../vault/2.tiff")
+    (scene / "imgs/3.tiff").symlink_to("nowhere.tiff")
+    write(scene / "depth/3_abs_depth.tif", DEPTH)
+    (open_to_nobody / "vault").chmod(0)
+    flsea = reader("flsea", open_to_nobody)
+    flsea.load(flsea.discover().frames[0])
+    as_nobody()
+    found = flsea.discover()
+    assert [ref.frame for ref in found.frames] == ["1", "2"]
+    with pytest.raises(FrameError, match=r"2\.tiff: cannot be read \(Permission denied\)"):
+        flsea.load(found.frames[1])
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+@pytest.mark.parametrize("name", ["rgb/1.png", "depth/1.png", "depth/1.npy"])
+def test_pipes_and_devices_in_a_list_are_bad_frames(tmp_path: Path, kind: str, name: str) -> None:
+    tum_recording(tmp_path, ["1"], ["1"])
+    rgb, depth = ("rgb/1.png", name) if name.startswith("depth") else (name, "depth/1.png")
+    (tmp_path / "frames.csv").write_text(f"{rgb},{depth}\n")
+    (tmp_path / name).unlink(missing_ok=True)
+    if kind == "pipe":
+        os.mkfifo(tmp_path / name)
+    else:
+        (tmp_path / name).symlink_to("/dev/zero")
+    csv_list = reader("csv_list", tmp_path / "frames.csv", intrinsics=PINHOLE)
+    with pytest.raises(FrameError, match=rf"{name}: no regular file"):
+        csv_list.load(csv_list.discover().frames[0])
+
+
+def test_a_pipe_is_no_calibration(tmp_path: Path) -> None:
+    flsea_frame(tmp_path / "canyons/u_canyon", "1")
+    (tmp_path / "canyons/calibration").mkdir()
+    os.mkfifo(tmp_path / "canyons/calibration/x-kalibr-results-imucam.txt")
+    assert "built in" in reader("flsea", tmp_path).discover().notes[-1]
+
+
+def test_a_run_says_what_it_leaves_out(
+    open_to_nobody: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = open_to_nobody
+    for scene in ("canyons/u_canyon", "canyons/flatiron", "red_sea/sub_pier"):
+        flsea_frame(root / scene, "1")
+    (root / "canyons/u_canyon/imgs").chmod(0)
+    config = compose_config(["scenes=flsea", f"scenes.root={root}", "cache.enabled=false"])
+    as_nobody()
+    job = job_of(config, [])
+    told = capsys.readouterr()
+    what = f"scenes.root: {root}/canyons/u_canyon/imgs cannot be read (Permission denied); "
+    assert f"warning: {what}" in told.err
+    assert "scenes: 1 skipped: whole folder or list that cannot be read" in told.out
+    assert any(line.startswith(what) for line in job.warnings)  # said again at the end
+    assert job.skipped == {"whole folder or list that cannot be read": 1}
+    assert len(frames_of(open_reader(config.scenes))) == 2
+    assert capsys.readouterr().err.startswith(f"warning: {what}")
