@@ -7,6 +7,7 @@ import importlib
 from simnfnd.factory.progress import stage_if_slow
 
 LOOPS = (
+    "simnfnd.factory.dataset.describe.window_loops",
     "simnfnd.factory.formation.field.cells.cell_loops",
     "simnfnd.factory.formation.field.display_loops",
     "simnfnd.factory.formation.field.kernels",

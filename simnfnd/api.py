@@ -45,7 +45,8 @@ def denoise(
     """
     from simnfnd.factory.cli.extras import Need, require
 
-    require(Need("simnfnd.denoise", module) for module in ("torch", "safetensors"))
+    needed = ("torch", "safetensors", "cv2", "scipy")
+    require(Need("simnfnd.denoise", module) for module in needed)
     from simnfnd.models.denoise.files import denoise_image
     from simnfnd.models.pretrained import find_weights
 

@@ -59,7 +59,13 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
                 # What follows imports for seconds; in a file nobody waits for the first word.
                 print(f"simnfnd {name}: starting", file=sys.stderr, flush=True)
         module, function = verb.target.split(":")
-        code: int | None = getattr(import_module(module), function)([*verb.before, *rest])
+        try:
+            action = getattr(import_module(module), function)
+        except ModuleNotFoundError as error:
+            if verb.needs and any(word in _HELP for word in rest) and _of_an_extra(error):
+                return _print("Its options are listed once that is installed.")
+            raise
+        code: int | None = action([*verb.before, *rest])
         return code
 
     return guard(run, debug="debug=true" in given)
@@ -164,6 +170,12 @@ def _check_installed(name: str, verb: Verb) -> None:
     from simnfnd.factory.cli.extras import Need, require
 
     require(Need(f"simnfnd {name}", module) for module in verb.needs)
+
+
+def _of_an_extra(error: ModuleNotFoundError) -> bool:
+    from simnfnd.factory.cli.extras import EXTRAS
+
+    return (error.name or "").split(".")[0] in EXTRAS
 
 
 def _is_option(word: str) -> bool:

@@ -44,10 +44,11 @@ MAKE, LOOK, PASS_ON, DENOISE, JUDGE = (
     "Judge",
 )
 _COMMANDS = "simnfnd.factory.commands"
-_NETWORK = ("torch", "safetensors")
-_FIGURES = ("matplotlib",)
-_BENCHMARK = ("skimage", "jinja2")
-_TRAINING = ("torch", "lightning", "safetensors", "tensorboard")
+_SONAR = ("cv2", "scipy")
+_NETWORK = ("torch", "safetensors", *_SONAR)
+_FIGURES = ("matplotlib", *_SONAR)
+_BENCHMARK = ("skimage", "jinja2", *_SONAR)
+_TRAINING = ("torch", "lightning", "safetensors", "tensorboard", *_SONAR)
 
 
 def _cache(action: str, line: str, *examples: str) -> Verb:
@@ -134,6 +135,7 @@ VERBS: dict[str, Verb] = {
             "simnfnd geometry pictures > fans.csv",
             "simnfnd geometry lamprey.avi --out outputs/fans",
         ),
+        needs=_SONAR,
     ),
     "merge": Verb(
         PASS_ON, "several datasets into one", f"{_COMMANDS}.merge:main",
@@ -199,32 +201,32 @@ VERBS: dict[str, Verb] = {
             "simnfnd evaluate dataset=outputs/demo",
             "simnfnd evaluate dataset=outputs/demo baselines=[all] models=[outputs/models/nafnet]",
         ),
-        needs=("pyarrow", "skimage"), hydra=True, config="evaluation",
+        needs=("pyarrow", "skimage", *_SONAR), hydra=True, config="evaluation",
         verbs={
             "tune": Verb(
                 JUDGE, "the best parameters of the classical filters first",
                 "simnfnd.evaluation.command:tune",
                 ("simnfnd evaluate tune dataset=outputs/demo baselines=[median,nlm]",),
-                needs=("torch", "skimage"), hydra=True, config="evaluation",
+                needs=("torch", "skimage", *_SONAR), hydra=True, config="evaluation",
             ),
             "compare": Verb(
                 JUDGE, "is one report's row better than another's",
                 "simnfnd.evaluation.compare:main",
                 ("simnfnd evaluate compare outputs/evaluation/a outputs/evaluation/b "
                  "--row-b noisy",),
-                needs=("pyarrow",),
+                needs=("pyarrow", *_SONAR),
             ),
             "real": Verb(
                 JUDGE, "what methods make of real pictures and recordings",
                 "simnfnd.evaluation.real.command:real",
                 ("simnfnd evaluate real mdd models=[simnfnd]",),
-                needs=("skimage",), hydra=True, places=1, config="real",
+                needs=("skimage", *_SONAR), hydra=True, places=1, config="real",
             ),
             "realism": Verb(
                 JUDGE, "how near datasets are to real pictures",
                 "simnfnd.evaluation.realism.command:realism",
                 ("simnfnd evaluate realism mdd outputs/demo outputs/aris",),
-                needs=("skimage",), hydra=True, places=None, config="realism",
+                needs=("skimage", *_SONAR), hydra=True, places=None, config="realism",
             ),
             "fit": Verb(
                 JUDGE, "the noise parameters that come nearest to real pictures",
@@ -232,7 +234,7 @@ VERBS: dict[str, Verb] = {
                 ("simnfnd evaluate fit mdd name=mine trials=100",
                  "simnfnd evaluate fit mdd -- experiment=physical scenes=pack "
                  "scenes.root=views.pack"),
-                needs=("optuna", "skimage"), hydra=True, places=None, config="fit",
+                needs=("optuna", "skimage", *_SONAR), hydra=True, places=None, config="fit",
             ),
         },
     ),
@@ -286,7 +288,7 @@ VERBS: dict[str, Verb] = {
                 JUDGE, "the table of what a campaign has found",
                 "simnfnd.evaluation.campaign.table:campaign",
                 ("simnfnd campaign table outputs/campaign",),
-                needs=("pyarrow",),
+                needs=("pyarrow", *_SONAR),
             ),
         },
     ),

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from simnfnd.factory.config import FactoryConfig
 
 EXTRAS = {
+    "cv2": "sonar",
+    "scipy": "sonar",
     "bpy": "blender",
     "open3d": "open3d",
     "torch": "train",
@@ -37,6 +39,9 @@ EXTRAS = {
     "s3fs": "cloud",
 }
 """Module -> the extra of pyproject.toml that installs it."""
+
+WITH_SONAR = frozenset({"train", "report", "export", "figures", "ros"})
+"""Extras that bring the extra `sonar`."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +65,10 @@ class Need:
 
 def install_command(*extras: str) -> str:
     """The line that installs `extras`, as a shell takes it."""
-    return f'pip install "simnfnd[{",".join(dict.fromkeys(extras))}]"'
+    named = dict.fromkeys(extras)
+    if WITH_SONAR & named.keys():
+        named.pop("sonar", None)
+    return f'pip install "simnfnd[{",".join(named)}]"'
 
 
 def require(needs: Iterable[Need]) -> None:
@@ -86,6 +94,14 @@ def needs_of(config: FactoryConfig) -> Iterator[Need]:
         yield Need("render=cycles", "bpy", "render=analytic or render=embree")
     if not packed and config.render.kind == "embree":
         yield Need("render=embree", "open3d", "render=analytic or render=cycles")
+    if not packed and getattr(config.scenes, "undistort", False):
+        yield Need("scenes.undistort=true", "cv2", "scenes.undistort=false")
+    if config.devices is not None:
+        yield from (Need("devices=any_sonar", module) for module in ("cv2", "scipy"))
+    elif config.acoustics.formation == "field":
+        yield Need("acoustics.formation=field", "scipy", "acoustics=points noise=simnfnd")
+    if "pose" in config.dataset.columns:
+        yield Need("dataset.columns=[pose]", "scipy", "dataset.columns=[]")
     if config.resample.kind == "voxel":
         yield Need("resample=voxel", "open3d", "resample=random")
     if config.scheduler.backend == "dask":

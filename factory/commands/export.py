@@ -12,8 +12,15 @@ from simnfnd.factory.export import FORMATS, export
 from simnfnd.factory.export.hub import check_hub, push
 from simnfnd.factory.storage.copies import local_folder
 
-# Format -> the module of the export extra that writes it.
-_NEEDS = {"webdataset": "webdataset", "huggingface": "pyarrow"}
+# Format -> the modules that write it: of the extra `export`, and of `sonar`.
+_NEEDS = {
+    "webdataset": ("webdataset", "cv2"),
+    "huggingface": ("pyarrow", "cv2"),
+    "png": ("cv2",),
+    "mdd": ("cv2",),
+    "coco": ("cv2", "scipy"),
+    "yolo": ("cv2", "scipy"),
+}
 
 
 def main(words: list[str]) -> None:
@@ -30,9 +37,11 @@ def main(words: list[str]) -> None:
     given = parser.parse_args(words)
     if given.push is not None and given.to != "huggingface":
         raise FactoryError(f"--push goes with --to huggingface, not with --to {given.to}")
-    needs = [(f"--to {given.to}", _NEEDS.get(given.to))]
+    needs = [(f"--to {given.to}", module) for module in _NEEDS.get(given.to, ())]
     needs += [("--push", "huggingface_hub")] if given.push is not None else []
-    require([Need(what, module, extra="export") for what, module in needs if module])
+    # pyarrow is of `report`, too.
+    others = {"pyarrow": "export"}
+    require([Need(what, module, extra=others.get(module, "")) for what, module in needs])
     if given.push is not None:
         check_hub(given.push)
     print(f"export: {export(local_folder(given.dir), given.to, given.out, given.split)}")

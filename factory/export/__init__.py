@@ -10,7 +10,6 @@ from pathlib import Path
 from simnfnd.factory.dataset.read.reader import Split
 from simnfnd.factory.dataset.read.source import open_source
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.export.objects import is_mdd, labelled_mdd
 from simnfnd.factory.files import refuse_files, whole_folder
 
 # --to -> module with `write(source, folder) -> str`, which fills an empty folder and returns one
@@ -46,6 +45,9 @@ def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") 
 
 def _filler(dataset: Path, to: str, split: Split) -> Callable[[Path], str]:
     writer = import_module(FORMATS[to])
-    if to in LABELLED and is_mdd(dataset):
-        return partial(writer.write_labelled, labelled_mdd(dataset, split))
+    if to in LABELLED:
+        from simnfnd.factory.export.objects import is_mdd, labelled_mdd  # of the extra sonar
+
+        if is_mdd(dataset):
+            return partial(writer.write_labelled, labelled_mdd(dataset, split))
     return partial(writer.write, open_source(dataset, split))

@@ -7,6 +7,7 @@ says which files it reads.
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 from simnfnd.factory.errors import FactoryError
@@ -39,6 +40,9 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 """Kind -> ("module:class", suffixes of its files)."""
 
+# What OpenCV reads, which is an extra; bags say themselves what they need.
+_OPENCV = {"video": "reading videos", "pictures": "reading pictures"}
+
 
 def kind_of(path: Path) -> str | None:
     """The kind of recording that a file's name says; None for others.
@@ -70,6 +74,8 @@ def open_recording(path: str | Path) -> Recording:
     if kind is None:
         known = ", ".join(suffix for _, suffixes in READERS.values() for suffix in suffixes)
         raise FactoryError(f"{path}: not a recording by its name ({known}, or a folder)")
+    if kind in _OPENCV and find_spec("cv2") is None:
+        raise FactoryError(f"{path}: {_OPENCV[kind]} needs cv2: pip install 'simnfnd[sonar]'")
     module, name = READERS[kind][0].split(":")
     recording: Recording = getattr(import_module(module), name)(where)
     return recording

@@ -6,7 +6,6 @@ import math
 from functools import lru_cache
 from pathlib import Path
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -130,4 +129,6 @@ def _luminance(colours: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     # Equal channels stay exactly what they are.
     if (blue_green_red == blue_green_red[..., :1]).all():
         return blue_green_red[..., 0]
+    import cv2  # an extra, as are pictures with colours
+
     return np.asarray(cv2.cvtColor(blue_green_red, cv2.COLOR_BGR2GRAY), np.float32)

@@ -7,7 +7,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import Self
 
-import cv2
 import numpy as np
 from PIL import Image
 
@@ -65,6 +64,8 @@ def decoded(content: bytes, what: str) -> Samples:
 
     what: names it in errors.  Raises FrameError when it cannot be read or is too large.
     """
+    import cv2  # an extra
+
     try:
         # Its size first: a small file can decode to gigabytes.
         with Image.open(BytesIO(content)) as header:

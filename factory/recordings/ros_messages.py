@@ -13,7 +13,6 @@ from copy import copy
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -116,6 +115,8 @@ def with_samples(message: Any, msgtype: str, samples: Samples, what: str) -> Any
         before = _decoded(message, what)
         _same_form(samples, before)
         jpeg = _head(message) == _JPEG
+        import cv2  # an extra
+
         options = [cv2.IMWRITE_JPEG_QUALITY, 100] if jpeg else []
         done, content = cv2.imencode(".jpg" if jpeg else ".png", samples, options)
         assert done

@@ -53,10 +53,11 @@ class RosBag:
     def __init__(self, path: Path, topics: Sequence[str] = ()) -> None:
         """Raises FactoryError when the bag cannot be read or has no such topics."""
         try:
+            import cv2  # noqa: F401  (of the same extra)
             import rosbags  # noqa: F401  (an extra)
         except ImportError as error:
             raise FactoryError(
-                f"{path}: reading bags needs rosbags: pip install 'simnfnd[ros]'"
+                f"{path}: reading bags needs rosbags and cv2: pip install 'simnfnd[ros]'"
             ) from error
         self.path = path
         self.warning = ""

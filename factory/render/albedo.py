@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Literal
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -49,8 +48,8 @@ def albedo(
     side = max(3, round(luminance.shape[0] * _WINDOW) | 1)
     weight = valid.astype(np.float32)
     # Two box filters are close to a smooth tent.
-    total = _blur(_blur(luminance * weight, side), side)
-    share = _blur(_blur(weight, side), side)
+    total = _box(_box(luminance * weight, side), side)
+    share = _box(_box(weight, side), side)
     return _flatten(
         luminance,
         total,
@@ -70,10 +69,44 @@ def linear_luminance(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
     return _weighted(np.ascontiguousarray(rgb), _LUMINANCE[:, None] * linear)
 
 
-def _blur(values: npt.NDArray[np.float32], side: int) -> npt.NDArray[np.float32]:
-    return np.asarray(
-        cv2.blur(values, (side, side), borderType=cv2.BORDER_CONSTANT), dtype=np.float32
-    )
+@compiled("float32[:, ::1](float32[:, ::1], int64)")
+def _box(values: npt.NDArray[np.float32], side: int) -> npt.NDArray[np.float32]:
+    """(H, W) float32: means over `side` x `side` pixels, an odd number, those beyond the border 0.
+
+    Sums run on in double precision, along a row (up to 5 pixels are added anew) and then down the
+    columns: as OpenCV's, to the bit.
+    """
+    height, width = values.shape
+    reach = side // 2
+    along = np.empty((height, width))
+    for row in range(height):
+        total = 0.0
+        for column in range(min(reach + 1, width)):
+            total += float(values[row, column])
+        along[row, 0] = total
+        for column in range(1, width):
+            coming, going = column + reach, column - reach - 1
+            new = float(values[row, coming]) if coming < width else 0.0
+            old = float(values[row, going]) if going >= 0 else 0.0
+            total += new - old
+            if side <= 5:
+                total = 0.0
+                for near in range(max(column - reach, 0), min(column + reach + 1, width)):
+                    total += float(values[row, near])
+            along[row, column] = total
+    means = np.empty((height, width), np.float32)
+    totals = np.zeros(width)
+    for row in range(min(reach, height)):
+        for column in range(width):
+            totals[column] += along[row, column]
+    share = 1.0 / (side * side)
+    for row in range(height):
+        coming, going = row + reach, row - reach
+        for column in range(width):
+            sum_here = totals[column] + (along[coming, column] if coming < height else 0.0)
+            means[row, column] = np.float32(sum_here * share)
+            totals[column] = sum_here - (along[going, column] if going >= 0 else 0.0)
+    return means
 
 
 @compiled("float32[:, ::1](Array(uint8, 3, 'C', readonly=True), float32[:, ::1])")

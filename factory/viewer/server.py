@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import re
@@ -11,10 +12,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl
 
-import cv2
+from PIL import Image
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.viewer.shown import Shown
+from simnfnd.factory.viewer.shown import Picture, Shown
 
 ADDRESS = "127.0.0.1"
 _PAGE = Path(__file__).with_name("page.html")
@@ -73,9 +74,7 @@ class _Handler(BaseHTTPRequestHandler):
             number, layer = map(int, found.groups())
             if number >= len(shown) or layer >= len(shown.layers):
                 raise LookupError
-            done, content = cv2.imencode(".png", shown.picture(number, layer))
-            assert done
-            return "image/png", content.tobytes()
+            return "image/png", _png(shown.picture(number, layer))
         if found := _FACTS.fullmatch(path):
             number = int(found[1])
             if number >= len(shown):
@@ -95,6 +94,15 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, *_: object) -> None:
         """Nothing: the terminal is the user's."""
+
+
+def _png(picture: Picture) -> bytes:
+    buffer = io.BytesIO()
+    # Blue comes first in ours.
+    Image.fromarray(picture[..., ::-1] if picture.ndim == 3 else picture).save(
+        buffer, "PNG", compress_level=1
+    )
+    return buffer.getvalue()
 
 
 def _wanted(query: str) -> tuple[str | None, dict[str, tuple[float, float]]]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import colorsys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -39,6 +39,14 @@ class Filters:
     ranges: Ranges = field(default_factory=dict)
 
 
+_HUES = 180
+# (hues, 3) blue, green and red.
+_COLOURS = np.rint(
+    [
+        [255 * part for part in colorsys.hsv_to_rgb(h / _HUES, 160 / 255, 1)][::-1]
+        for h in range(_HUES)
+    ]
+).astype(np.uint8)
 _LABELS = ("segmentation", "instance")
 
 
@@ -220,7 +228,4 @@ def _grey(image: npt.NDArray[np.generic]) -> Picture:
 def _coloured(labels: npt.NDArray[np.generic]) -> Picture:
     """Numbers as colours that neighbours do not share; 0 is black."""
     numbers = labels.astype(np.int64)
-    hue = (numbers * 67 % 180).astype(np.uint8)
-    on = np.where(numbers > 0, 255, 0).astype(np.uint8)
-    hsv = np.stack([hue, np.full_like(hue, 160), on], axis=-1)
-    return np.asarray(cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR), np.uint8)
+    return np.asarray(np.where(numbers[..., None] > 0, _COLOURS[numbers * 67 % _HUES], 0), np.uint8)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from simnfnd.command import main, overview, unknown
-from simnfnd.factory.cli.extras import EXTRAS
+from simnfnd.factory.cli.extras import EXTRAS, WITH_SONAR
 from simnfnd.verbs import VERBS, Verb
 from tests.project_files import project
 
@@ -168,6 +168,15 @@ RECORDING = (*ANALYTIC, "scenes=csv_list", "scenes.root={in}/list.csv",
         (("benchmark", "table"), "jinja2", "report"),
         (("campaign", "out={out}"), "lightning", "train"),
         (("campaign", "table", "{in}"), "pyarrow", "report"),
+        (("campaign", "table", "{in}"), "scipy", "sonar"),
+        ((*ANALYTIC, "experiment=physical"), "scipy", "sonar"),
+        ((*ANALYTIC, "dataset.columns=[pose]"), "scipy", "sonar"),
+        (("make", "render=analytic", "experiment=any_sonar", "dataset.dir={out}"), "cv2", "sonar"),
+        ((*RECORDING, "scenes.undistort=true"), "cv2", "sonar"),
+        (("geometry", "{in}"), "cv2", "sonar"),
+        (("export", "{in}", "--to", "png", "--out", "{out}"), "cv2", "sonar"),
+        (("export", "{in}", "--to", "coco", "--out", "{out}"), "scipy", "sonar"),
+        (("denoise", "{in}", "--out", "{out}"), "cv2", "sonar"),
     ],
 )  # fmt: skip
 def test_a_module_that_is_absent_is_said_before_any_work(
@@ -209,9 +218,89 @@ def test_help_and_configuration_need_nothing(monkeypatch, capsys) -> None:
 
 def test_the_extras_install_what_they_are_named_for() -> None:
     declared = project()["project"]["optional-dependencies"]
-    distributions = {"skimage": "scikit-image", "open3d": "open3d-cpu"}
+    distributions = {"skimage": "scikit-image", "open3d": "open3d-cpu", "cv2": "opencv-python"}
     for module, extra in EXTRAS.items():
         lines = " ".join(declared[extra])
         assert distributions.get(module, module) in lines
+    within = {name for name, lines in declared.items() if "simnfnd[sonar]" in lines}
+    assert within == WITH_SONAR
     everything = set(declared) - {"all", "dev", "docs"}
     assert declared["all"] == [f"simnfnd[{','.join(k for k in declared if k in everything)}]"]
+
+
+def test_the_core_alone_answers_every_verb(tmp_path: Path) -> None:
+    """Without any extra: help of all verbs, a dataset and what looks at it, one line of the rest.
+
+    In one process of its own, for modules that are loaded already would be found.
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", _CORE_ALONE],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "core alone: 0 defects" in done.stdout
+
+
+_CORE_ALONE = r"""
+import contextlib, io, sys
+from simnfnd.factory.cli.extras import EXTRAS
+for module in EXTRAS:
+    sys.modules[module] = None
+from simnfnd.command import main
+from simnfnd.verbs import VERBS
+
+defects = 0
+
+def said(line, code, part=""):
+    global defects
+    out, err = io.StringIO(), io.StringIO()
+    sys.argv = ["simnfnd"]
+    try:
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            found = main(line.split())
+    except SystemExit as ended:
+        found = ended.code or 0
+    text = out.getvalue() + err.getvalue()
+    if found != code or part not in text or (code == 2 and err.getvalue().count("\n") != 1):
+        defects += 1
+        print(f"simnfnd {line}: exit code {found}, {text}")
+    return text
+
+names = [*VERBS, *(f"{n} {o}" for n, v in VERBS.items() for o in v.verbs)]
+for name in names:
+    said(f"{name} --help", 0)
+small = "scenes.locations=2 scenes.frames_per_location=1 scenes.width=242 scenes.height=152"
+made = f"render=analytic experiment=demo {small} scheduler=serial cache.dir=cache dataset.dir=made"
+said(f"plan {made}", 0)
+said(f"make {made}", 0, "dataset: made")
+said("status made --verify", 0)
+said("failed made", 0)
+said("validate made --deep", 0)
+said("inspect made", 0, "SSIM")
+said("preview made --out sheet.png", 0)
+said("cache stats cache.dir=cache", 0, "2 renders")
+said("cache verify cache.dir=cache", 0)
+said(f"cache pack {made} --out views.pack", 0, "2 frames")
+said("cache clear cache.dir=cache", 0)
+said(f"demo {made.replace('made', 'again')} scenes.first_location=9", 0)
+said("merge made again --out both", 0)
+open("film.avi", "wb").close()
+line = 'needs cv2 and scipy: pip install "simnfnd[sonar]"'
+said("geometry picture.png", 2, line)
+said("preview film.avi --out x.png", 2, "reading videos needs cv2: pip install 'simnfnd[sonar]'")
+said("view .", 2, "reading pictures needs cv2: pip install 'simnfnd[sonar]'")
+said(f"make {made} experiment=physical", 2, 'pip install "simnfnd[sonar]"')
+said(f"make {made} experiment=any_sonar", 2, 'pip install "simnfnd[sonar]"')
+said("export made --to png --out x", 2, 'needs cv2: pip install "simnfnd[sonar]"')
+said("export made --to huggingface --out x", 2, 'pip install "simnfnd[export]"')
+for words in ("gallery", "physics", "train dataset=made", "denoise made --out x",
+              "adapt made --out x", "export-weights simnfnd --out x", "evaluate dataset=made",
+              "evaluate tune dataset=made", "evaluate compare a b", "evaluate real a",
+              "evaluate realism a b", "evaluate fit a", "benchmark make", "benchmark enter a",
+              "benchmark table", "campaign", "campaign table a"):
+    said(words, 2, "pip install")
+print(f"core alone: {defects} defects")
+"""
