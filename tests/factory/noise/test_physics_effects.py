@@ -208,7 +208,7 @@ def test_a_wrong_gain_tilts_the_picture_about_its_middle() -> None:
 
 def test_samples_tremble_alike_at_every_level_and_each_for_itself() -> None:
     of = ping()
-    field = silence(of, looks=2) + 1
+    field = np.ones_like(silence(of, looks=2))
     field[..., of.shape[1] // 2 :] *= 100
     level_db = decibels(intensity(scintillation(field.copy(), of, rng(), sigma_db=3) / field))
     for half in np.array_split(level_db, 2, axis=1):
