@@ -1,0 +1,117 @@
+"""docs/images/real.png and real-crops.png: recordings that may be shown, denoised by what ships.
+
+    python -m tools.real_pictures FOLDER
+
+FOLDER: with didson/lamprey1.avi, aris-sdk/sample.aris and oculus/three_pings_8bit.raw, whose terms
+docs/images/NOTICE.md states.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from simnfnd.evaluation.baselines.base import Gray
+from simnfnd.evaluation.baselines.bm3d import bm3d
+from simnfnd.evaluation.real.groups import Judged, judged, search
+from simnfnd.evaluation.real.shots import Mask, open_input
+from simnfnd.factory.recordings.fans import frame_picture
+from simnfnd.models.denoise.denoiser import load_denoiser
+
+OUT = Path("docs/images")
+_HEIGHT_PX, _CROP_PX, _ZOOM, _GAP_PX = 620, 130, 3, 8
+_SIGMAS = (0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What is shown of a file.
+
+    most: frames looked at for a scene at rest; None: a single frame, which has no mean to be seen
+    beside.  dark, bright: grey values shown as black and white.  corners: rows and columns where
+    crops begin.
+    """
+
+    path: str
+    most: int | None
+    dark: float
+    bright: float
+    corners: tuple[tuple[int, int], ...]
+
+    def shown(self, picture: Gray) -> Gray:
+        """In its contrast."""
+        return np.clip((picture - self.dark) / (self.bright - self.dark), 0, 1).astype(np.float32)
+
+
+RECORDINGS = (
+    Recording("didson/lamprey1.avi", 32, 0.0, 0.77, ((330, 120), (560, 150))),
+    Recording("aris-sdk/sample.aris", 6, 0.18, 0.65, ((300, 60), (640, 100))),
+    Recording("oculus/three_pings_8bit.raw", None, 0.0, 0.5, ((120, 280),)),
+)
+
+
+def main(folder: Path) -> None:
+    """Make both pictures."""
+    denoise = load_denoiser("simnfnd", "cpu")
+    whole: list[Gray] = []
+    rows: list[Gray] = []
+    for recording in RECORDINGS:
+        resting = None if recording.most is None else at_rest(folder, recording)
+        if resting is None:
+            noisy, geometry = frame_picture(folder / recording.path, 1)
+            mean, filtered = np.zeros_like(noisy), bm3d(noisy, 0.06)
+        else:
+            assert resting.reference is not None
+            noisy, geometry, mean = resting.noisy, resting.geometry, resting.reference
+            filtered = best_bm3d(resting.noisy, mean, resting.where)
+        made = [recording.shown(one) for one in (noisy, filtered, denoise(noisy, geometry), mean)]
+        if resting is not None:
+            whole += [tall(made[number] * (noisy > 0)) for number in (0, 2, 3)]
+        for row, column in recording.corners:
+            window = np.s_[row : row + _CROP_PX, column : column + _CROP_PX]
+            rows.append(side_by_side([np.kron(one[window], np.ones((_ZOOM,) * 2)) for one in made]))
+    write(OUT / "real.png", side_by_side(whole, 4 * _GAP_PX))
+    write(OUT / "real-crops.png", np.vstack([np.pad(row, ((0, _GAP_PX), (0, 0))) for row in rows]))
+
+
+def at_rest(folder: Path, recording: Recording) -> Judged:
+    """The middle frame of the first group that stands still, with the mean of the others."""
+    (stretch,), _ = open_input(str(folder / recording.path), 400)
+    group = search((0, stretch, recording.most)).groups[0]
+    return next(iter(judged(0, group, [len(group.shots) // 2], 0)))
+
+
+def best_bm3d(noisy: Gray, mean: Gray, where: Mask) -> Gray:
+    """By the strength that is nearest to the mean of the others: better than anyone could know."""
+
+    def error(picture: Gray) -> float:
+        return float(np.square(picture - mean)[where].mean())
+
+    return min((bm3d(noisy, sigma) for sigma in _SIGMAS), key=error)
+
+
+def tall(picture: Gray) -> Gray:
+    """As high as all of them."""
+    width = round(picture.shape[1] * _HEIGHT_PX / picture.shape[0])
+    found = cv2.resize(picture, (width, _HEIGHT_PX), interpolation=cv2.INTER_AREA)
+    return np.asarray(found, np.float32)
+
+
+def side_by_side(pictures: Sequence[Gray], gap_px: int = _GAP_PX) -> Gray:
+    """With black between them."""
+    parts = [np.pad(one, ((0, 0), (0, gap_px))) for one in pictures]
+    return np.hstack(parts)[:, :-gap_px]
+
+
+def write(path: Path, picture: Gray) -> None:
+    """As PNG of 8 bits."""
+    cv2.imwrite(str(path), np.rint(picture * 255).astype(np.uint8))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
