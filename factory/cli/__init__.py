@@ -110,6 +110,10 @@ def guard(action: Callable[[], Any], *, debug: bool = False) -> int:
         if debug:
             raise
         return say_error(error)
+    except BrokenPipeError:
+        # The reader of our output (a pager, head) went away: not an error of ours.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
     except OSError as error:
         # Not a defect of ours: a folder that may not be read, too many open files, a dead disk.
         if debug or error.errno not in _OF_THE_MACHINE:
@@ -125,10 +129,6 @@ def guard(action: Callable[[], Any], *, debug: bool = False) -> int:
         print("error: interrupted; what was finished is kept, run again to go on", file=sys.stderr)
         # SIGTERM comes as a KeyboardInterrupt that knows its own exit code.
         return int(getattr(stopped, "exit_code", 128 + signal.SIGINT))
-    except BrokenPipeError:
-        # The reader of our output (a pager, head) went away: not an error of ours.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 128 + signal.SIGPIPE
 
 
 def _memory_limit() -> str:

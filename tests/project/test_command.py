@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -304,3 +305,16 @@ for words in ("gallery", "physics", "train dataset=made", "denoise made --out x"
     said(words, 2, "pip install")
 print(f"core alone: {defects} defects")
 """
+
+
+@pytest.mark.parametrize("words", [("--help",), ("make", "--help"), ("cache", "stats")])
+def test_a_reader_that_goes_away_is_no_error_of_ours(words: tuple[str, ...]) -> None:
+    """As with `simnfnd make --help | head -1`."""
+    command = [sys.executable, "-m", "simnfnd", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        assert running.stdout is not None
+        assert running.stderr is not None
+        running.stdout.close()
+        said = running.stderr.read()
+        assert running.wait() == 128 + signal.SIGPIPE
+    assert said == b""
