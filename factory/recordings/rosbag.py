@@ -57,7 +57,7 @@ class RosBag:
             import rosbags  # noqa: F401  (an extra)
         except ImportError as error:
             raise FactoryError(
-                f"{path}: reading bags needs rosbags and cv2: pip install 'simnfnd[ros]'"
+                f"{path}: reading bags needs {error.name}: pip install 'simnfnd[ros]'"
             ) from error
         self.path = path
         self.warning = ""
