@@ -109,16 +109,15 @@ class FlseaReader:
         frames: list[FrameRef] = []
         skipped: Counter[str] = Counter()
         calibrations: dict[str, Path | None] = {}
-        closed: list[str] = []
+        readable: list[str] = []
         for scene in sorted(set(wanted), key=lambda scene: (SCENES[scene], scene)):
-            closed.append(scene)
             with left_out.unreadable(root):
                 if (folder := _scene_folder(root, scene)) is not None:
                     calibration = _calibration_file(folder, SCENES[scene])
                     frames += _scene_frames(folder, scene, calibration, skipped)
                     calibrations.setdefault(SCENES[scene], calibration)
                     folders[scene] = folder
-                closed.remove(scene)
+                readable.append(scene)
         if not frames:
             left_out.check()
         if not folders:
@@ -134,7 +133,7 @@ class FlseaReader:
                 f"depth/<timestamp>{_DEPTH_ENDINGS[0]}"
             )
         notes = [f"FLSea: {len(folders)} of {len(SCENES)} scenes"]
-        absent = [scene for scene in SCENES if scene in wanted and scene not in (*folders, *closed)]
+        absent = [scene for scene in SCENES if scene in readable and scene not in folders]
         if absent:
             notes.append(f"FLSea scenes not found here, left out: {', '.join(absent)}")
         notes += [self._calibration_note(*item) for item in calibrations.items()]

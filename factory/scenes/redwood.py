@@ -72,10 +72,10 @@ class RedwoodReader:
         for folder in recordings(root, lambda one: _colour_folder(one) is not None, left_out):
             with left_out.unreadable(folder):
                 trajectory = folder / "trajectory.log"
-                if trajectory.is_file():
+                if has_poses := trajectory.is_file():
                     redwood_poses(trajectory)  # report a damaged file now, not at every frame
                 frames += _recording_frames(folder, skipped)
-                if not trajectory.is_file():
+                if not has_poses:
                     notes.append(f"{folder_name(folder)}: no trajectory.log, frames have no pose")
         if not frames:
             left_out.check()

@@ -1,9 +1,9 @@
 """Scintillation: every sample's level trembles from ping to ping, whatever its level is.
 
-Recordings of a scene at rest show it: the speckle of the ground stands still, and what changes is a
-nearly Gaussian part of the decibels, as strong in bright bins as in dark ones and with a grain of
-single samples (docs/denoising.md has the figures of four devices).  Here the intensity of each
-sample is multiplied by a log-normal number whose median is 1.
+Recordings of a scene at rest show it: part of the speckle stands still, and what changes is nearly
+Gaussian on a logarithmic display and about as strong in bright bins as in dark ones
+(docs/denoising.md has the figures of three recordings).  Here the intensity of each sample is
+multiplied by a log-normal number whose median is 1.
 """
 
 from __future__ import annotations
