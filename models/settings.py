@@ -139,6 +139,8 @@ class TrainSettings:
     ema: Annotated[float, Field(ge=0, lt=1)]
     precision: Literal["auto", "32-true", "bf16-mixed", "16-mixed"]
     parts: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+    teacher: str | None = None
+    teacher_share: Share = 0.8
 
     def __post_init__(self) -> None:
         """A training that is shorter than the interval is checked at its end."""

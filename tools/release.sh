@@ -21,7 +21,7 @@ rm -f "$source.log"
 "$python" -m venv "$source/fresh"
 # shellcheck disable=SC2086
 "$source/fresh/bin/python" -m pip install --quiet --disable-pip-version-check ${PIP_ARGS:-} \
-    -c constraints.txt "$(ls "$PWD"/dist/*.whl)[open3d]"
+    -c constraints.txt "$(ls "$PWD"/dist/*.whl)"
 mkdir "$source/elsewhere"
 cd "$source/elsewhere"
 simnfnd="$source/fresh/bin/simnfnd"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -62,15 +62,15 @@ class Found:
 
 
 def read_clips(
-    path: Path, out: Path, geometries: Geometries, most_pixels: int = MOST_PIXELS
+    paths: Sequence[Path], out: Path, geometries: Geometries, most_pixels: int = MOST_PIXELS
 ) -> Found:
-    """The frames of a file, or of all files below a folder but those below `out`.
+    """The frames of files, and of all files below folders but those below `out`.
 
     Where these have more than `most_pixels`, runs of frames that follow each other are taken,
     evenly spread.
     Raises FactoryError when there are none.
     """
-    items = find_items([path], out)
+    items = find_items(paths, out)
     shards = [item for item in items if item.kind == "shard"]
     if shards:
         raise FactoryError(
@@ -99,7 +99,7 @@ def read_clips(
             found.clips.append(Clip(source.name, shots, isinstance(source, _Folder)))
     if not found.clips:
         more = f" ({found.skipped[0]})" if found.skipped else ""
-        raise FactoryError(f"{path}: no frame can be read{more}")
+        raise FactoryError(f"{paths[0]}: no frame can be read{more}")
     return found
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from simnfnd.models.adapt.tuning import Tuned
     from simnfnd.models.networks.network import Network
 
-_BATCH = 2
+_BATCH, _RATE = 2, 1e-3
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str]) -> int:
 
     from simnfnd.models.adapt.clips import read_clips
 
-    found = read_clips(Path(chosen.recording).expanduser(), out, geometries)
+    found = read_clips([Path(name).expanduser() for name in chosen.recordings], out, geometries)
     for line in found.skipped[:3]:
         print(f"skipped: {line}", file=sys.stderr)
     for line in geometries.summary():
@@ -46,7 +46,10 @@ def main(arguments: Sequence[str]) -> int:
 def _parsed(arguments: Sequence[str]) -> Any:
     parser = Parser(prog="simnfnd adapt")
     parser.add_argument(
-        "recording", metavar="IN", help="folder, video, .aris, .ddf or .raw of one sonar"
+        "recordings",
+        nargs="+",
+        metavar="IN",
+        help="folder, video, .aris, .ddf or .raw; several are learned from alike",
     )
     parser.add_argument("--out", required=True, help="file to write, NAME.safetensors")
     parser.add_argument(
@@ -70,6 +73,16 @@ def _parsed(arguments: Sequence[str]) -> Any:
         help="of pictures and videos: `find` it in the picture (default), `polar`, `none`, or a "
         "CSV table of fans as `simnfnd geometry` prints; recordings know theirs",
     )
+    parser.add_argument(
+        "--part",
+        type=float,
+        default=1.0,
+        help="part of the change of the weights that is kept, 0 to 1 (1); less serves other sonars",
+    )
+    parser.add_argument("--batch", type=int, default=_BATCH, help=f"crops a step ({_BATCH})")
+    parser.add_argument(
+        "--learning-rate", type=float, default=_RATE, help=f"of AdamW at its highest ({_RATE:g})"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--device", choices=("auto", "cpu", "gpu"), default="auto")
     chosen = parser.parse_args(list(arguments))
@@ -81,6 +94,12 @@ def _parsed(arguments: Sequence[str]) -> Any:
         raise FactoryError(f"--steps {chosen.steps}: must be 1 or more")
     if not 0 < chosen.minutes <= 1e4:
         raise FactoryError(f"--minutes {chosen.minutes:g}: must be more than 0, and 10000 at most")
+    if not 0 < chosen.part <= 1:
+        raise FactoryError(f"--part {chosen.part:g}: must be more than 0, and 1 at most")
+    if not 1 <= chosen.batch <= 1024:
+        raise FactoryError(f"--batch {chosen.batch}: must lie between 1 and 1024")
+    if not 0 < chosen.learning_rate <= 1:
+        raise FactoryError(f"--learning-rate {chosen.learning_rate:g}: must lie between 0 and 1")
     if chosen.seed < 0:
         raise FactoryError(f"--seed {chosen.seed}: must be 0 or more")
     return chosen
@@ -100,17 +119,17 @@ def _adapt(chosen: Any, found: Found, start: Path, out: Path) -> int:
     trained = load_weights(start)
     model = dict(trained.model)
     network = _network(model, trained.network).to(device)
-    lesson, facts = _lesson(found, chosen.seed, device)
+    lesson, facts = _lesson(found, chosen, device)
     kept = None
     if chosen.keep:
         simulated = _simulated(chosen)
-        lesson_kept = KeptLesson(simulated, network, _BATCH, chosen.seed, device)
+        lesson_kept = KeptLesson(simulated, network, chosen.batch, chosen.seed, device)
         if len(lesson_kept):
             kept, remembered = lesson_kept, lesson_kept.figure(network)
             facts |= {"kept": simulated.name, "kept.pictures": len(kept)}
         else:
             print("simulated pictures: the weights improve none of them, so there is none to keep")
-    pace = Pace(chosen.steps, chosen.minutes, chosen.keep)
+    pace = Pace(chosen.steps, chosen.minutes, chosen.keep, chosen.learning_rate, part=chosen.part)
     tuned = tune(network, lesson, kept, pace, chosen.seed)
     print(_said(lesson, tuned))
     if kept is not None:
@@ -127,6 +146,8 @@ def _adapt(chosen: Any, found: Found, start: Path, out: Path) -> int:
         "steps": tuned.steps,
         "keep": chosen.keep,
         "learning_rate": pace.learning_rate,
+        "batch": chosen.batch,
+        "part": pace.part,
         "seed": chosen.seed,
         "validation": {"step": tuned.step, "before": tuned.before, "after": tuned.after},
     }
@@ -145,7 +166,7 @@ def _network(model: Mapping[str, Any], trained: Network) -> Network:
 
 
 def _lesson(
-    found: Found, seed: int, device: str
+    found: Found, chosen: Any, device: str
 ) -> tuple[StillLesson | BlindLesson, dict[str, Any]]:
     """What there is to learn from in the recordings, and facts about it."""
     from simnfnd.models.adapt.lessons import BlindLesson, StillLesson
@@ -161,10 +182,10 @@ def _lesson(
     lessons = find_lessons(found.clips)
     if lessons is None:
         shots = [shot for clip in found.clips for shot in clip.shots]
-        blind = BlindLesson(shots, _BATCH, seed, device)
+        blind = BlindLesson(shots, chosen.batch, chosen.seed, device)
         print(f"nothing stands still in {share} frames: single pixels are foretold (blind spots)")
         return blind, {"adapted.by": "blind spots", "adapted.frames": len(blind.shots)}
-    still = StillLesson(lessons, _BATCH, seed, device)
+    still = StillLesson(lessons, chosen.batch, chosen.seed, device)
     learning, held = (
         sum(len(one.frames) for one in part) for part in (lessons.learning, lessons.held)
     )

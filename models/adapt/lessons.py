@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Protocol, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -20,7 +21,7 @@ from simnfnd.models.adapt.clips import Shot
 from simnfnd.models.adapt.crops import crop, crop_size
 from simnfnd.models.adapt.score import psnr_after_levels
 from simnfnd.models.adapt.simulated import Simulated
-from simnfnd.models.adapt.still import Lessons
+from simnfnd.models.adapt.still import Lessons, Still
 from simnfnd.models.data.crops import concatenate, whole_image_batch
 from simnfnd.models.data.pairs import Batch, Image, Sample
 from simnfnd.models.networks.network import Network
@@ -59,7 +60,7 @@ class StillLesson:
     def __init__(self, found: Lessons, batch: int, seed: int, device: str = "cpu") -> None:
         self.batch, self.seed, self.device = batch, seed, device
         self.stills = found.learning
-        self._weights = np.array([len(still.frames) for still in found.learning], float)
+        self._odds = _odds(found.learning)
         self._held = _spread(
             [
                 (frame, target, still)
@@ -71,7 +72,7 @@ class StillLesson:
     def loss(self, network: Network, step: int) -> Tensor:
         """See `Lesson`.  Squares: the mean of many noisy targets is then what is learned."""
         rng = stream(self.seed, "adapt", "still", step)
-        still = self.stills[rng.choice(len(self.stills), p=self._weights / self._weights.sum())]
+        still = self.stills[rng.choice(len(self.stills), p=self._odds)]
         size = crop_size(*still.frames[0].shape)
         numbers = rng.integers(len(still.frames), size=self.batch)
         return _squares(
@@ -201,6 +202,15 @@ class KeptLesson:
         for one in self._held:
             found.append(-10 * np.log10(max(_error(_denoised(network, one), one), 1e-10)))
         return float(np.mean(found))
+
+
+def _odds(stills: Sequence[Still]) -> npt.NDArray[np.float64]:
+    """(stretches,): all recordings alike, however long, and in each all frames alike."""
+    frames = np.array([len(still.frames) for still in stills], float)
+    recordings = np.array([still.recording for still in stills])
+    for number in np.unique(recordings):
+        frames[recordings == number] /= frames[recordings == number].sum()
+    return np.asarray(frames / frames.sum(), np.float64)
 
 
 def _squares(network: Network, crops: Sequence[Batch], device: str) -> Tensor:

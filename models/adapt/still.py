@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import groupby
 
 import cv2
 import numpy as np
@@ -39,17 +40,21 @@ class Still:
     """One stretch.
 
     frames: (H, W) float32 in 0..1.  targets: one for each frame, NaN where none is known: outside
-    the sector and where something moves.  geometry: of all frames.
+    the sector and where something moves.  geometry: of all frames.  recording: number of the one
+    that they are from.
     """
 
     frames: list[Image]
     targets: list[Image]
     geometry: FanGeometry | None
+    recording: int = 0
 
     def only(self, numbers: Sequence[int]) -> Still:
         """Some of the frames, with the targets that they have."""
-        return Still(
-            [self.frames[i] for i in numbers], [self.targets[i] for i in numbers], self.geometry
+        return replace(
+            self,
+            frames=[self.frames[i] for i in numbers],
+            targets=[self.targets[i] for i in numbers],
         )
 
 
@@ -68,12 +73,13 @@ class Lessons:
 def find_lessons(clips: Sequence[Clip]) -> Lessons | None:
     """All stretches of the clips, a fifth of them (the last) held out; None when there are none.
 
-    Of a single stretch the last fifth of the frames is held out.  It still shows what was learned
-    from, so figures measured on it flatter.
+    A fifth of each clip's that has several, or, where none has, of all.  Of a single stretch the
+    last fifth of the frames is held out.  It still shows what was learned from, so figures measured
+    on it flatter.
     """
     known = [
-        (kept, still)
-        for clip in clips
+        (kept, replace(still, recording=number))
+        for number, clip in enumerate(clips)
         for shots in _stretches(clip)
         for kept, still in _stills(shots)
     ]
@@ -81,13 +87,25 @@ def find_lessons(clips: Sequence[Clip]) -> Lessons | None:
         return None
     stills = [still for _, still in known]
     if len(known) > 1:
-        count = max(1, round(len(known) / 5))
-        return Lessons(stills[:-count], stills[-count:], same=False)
+        return Lessons(*_held_out(stills), same=False)
     (kept, whole), count = known[0], max(1, len(known[0][0]) // 5)
     # Targets of the frames that are learned from must not know the others.
     learning = [still for _, still in _stills(kept[:-count])]
     held = whole.only(range(len(kept) - count, len(kept)))
     return Lessons(learning, [held], same=True) if learning else None
+
+
+def _held_out(stills: list[Still]) -> tuple[list[Still], list[Still]]:
+    """Two or more stretches in the order of their recordings: to learn from, and held out."""
+    parts = [list(part) for _, part in groupby(stills, key=lambda still: still.recording)]
+    if all(len(part) == 1 for part in parts):
+        parts = [stills]
+    counts = [max(1, round(len(part) / 5)) if len(part) > 1 else 0 for part in parts]
+    learning, held = [], []
+    for part, count in zip(parts, counts, strict=True):
+        learning += part[: len(part) - count]
+        held += part[len(part) - count :]
+    return learning, held
 
 
 def _stretches(clip: Clip) -> list[list[Shot]]:

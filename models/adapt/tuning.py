@@ -32,6 +32,8 @@ class Pace:
 
     keep: weight of the simulated pictures in the loss, 0..1.
     learning_rate: of AdamW at its highest.  average: steps that the weights are averaged over.
+    part: of the change of the weights that is kept, 0..1.  Between the weights before and after lie
+    some that serve other recordings better than either (Wortsman et al., CVPR 2022).
     """
 
     steps: int | None
@@ -39,6 +41,7 @@ class Pace:
     keep: float
     learning_rate: float = 1e-3
     average: int = 50
+    part: float = 1.0
 
 
 @dataclass
@@ -70,9 +73,11 @@ def tune(network: Network, lesson: Lesson, kept: Lesson | None, pace: Pace, seed
     started = time.monotonic()
     before = lesson.figure(network)
     check_s = time.monotonic() - started
-    found = Tuned(copy.deepcopy(network.state_dict()), before, before)
+    start = copy.deepcopy(network.state_dict())
+    found = Tuned(start, before, before)
     average = AveragedModel(network, multi_avg_fn=_running_average(1 - 1 / pace.average))
     averaged = cast(Network, average.module)
+    shown = copy.deepcopy(network).eval()
     optimizer = torch.optim.AdamW(
         network.parameters(), lr=pace.learning_rate, betas=(0.9, 0.99), weight_decay=1e-4
     )
@@ -91,13 +96,13 @@ def tune(network: Network, lesson: Lesson, kept: Lesson | None, pace: Pace, seed
                 bar.total = steps
                 bar.refresh()
             if steps is not None and (step == steps or step % math.ceil(steps / _CHECKS) == 0):
-                averaged.eval()
-                figure = lesson.figure(averaged)
+                shown.load_state_dict(_between(start, averaged.state_dict(), pace.part))
+                figure = lesson.figure(shown)
                 found.rows.append((step, figure))
                 bar.set_postfix_str(f"{before:.2f} -> {figure:.2f} {lesson.unit}")
                 if figure > found.after:
                     found.after, found.step = figure, step
-                    found.state = copy.deepcopy(averaged.state_dict())
+                    found.state = copy.deepcopy(shown.state_dict())
         found.steps = step
     network.load_state_dict(found.state)
     network.eval()
@@ -128,6 +133,13 @@ def _take_step(
     torch.autograd.backward(loss)
     torch.nn.utils.clip_grad_norm_(network.parameters(), _CLIP)
     optimizer.step()
+
+
+def _between(before: dict[str, Tensor], after: dict[str, Tensor], part: float) -> dict[str, Tensor]:
+    """The weights that lie `part` of the way from one state to the other; all of it is exact."""
+    if part == 1:
+        return after
+    return {name: torch.lerp(value, after[name], part) for name, value in before.items()}
 
 
 def _running_average(decay: float) -> Callable[..., None]:

@@ -17,7 +17,14 @@ from simnfnd.factory.formation.contract import ARTEFACTS
 from simnfnd.factory.progress import progress_bar
 from simnfnd.factory.recordings import open_recording
 from simnfnd.models.denoise.bags import denoise_bag, open_bag
-from simnfnd.models.denoise.denoiser import OVERLAP, TILE, Denoiser, load_denoiser
+from simnfnd.models.denoise.denoiser import (
+    EXACT,
+    OVERLAP,
+    PRECISIONS,
+    TILE,
+    Denoiser,
+    load_denoiser,
+)
 from simnfnd.models.denoise.files import (
     Tick,
     denoise_file,
@@ -85,6 +92,12 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--device", choices=("auto", "cpu", "gpu"), default="auto")
     parser.add_argument(
+        "--precision",
+        choices=PRECISIONS,
+        default=EXACT,
+        help=f"arithmetic; auto: bf16-mixed, faster, where the device has it ({EXACT})",
+    )
+    parser.add_argument(
         "--watch", metavar="FOLDER", help="denoise what comes into a folder, until Ctrl-C"
     )
     parser.add_argument(
@@ -110,6 +123,7 @@ def main(arguments: Sequence[str]) -> int:
         "tile": chosen.tile,
         "overlap": chosen.overlap,
         "strength": chosen.strength,
+        "precision": chosen.precision,
     }
     remove = None if chosen.remove is None else chosen.remove.split(",")
     denoise = load_denoiser(chosen.weights, remove=remove, **how)

@@ -15,6 +15,9 @@ from simnfnd.models.denoise.tile import Maps, tiled
 from simnfnd.models.removal import DEFAULT, vector
 
 TILE, OVERLAP = 1024, 96
+EXACT = "32-true"
+PRECISIONS = ("auto", EXACT, "bf16-mixed")
+"""Arithmetic of a denoiser, in the words of `train.precision`."""
 
 
 class Denoiser:
@@ -31,10 +34,12 @@ class Denoiser:
         overlap: int,
         remove: Sequence[str] | None = None,
         strength: float = 1.0,
+        precision: str = EXACT,
     ) -> None:
         """remove: artefacts of `formation.contract.ARTEFACTS`; None: the usual ones.
 
         strength: part of the change that a picture gets, 0 to 1.
+        precision: one of PRECISIONS; auto is bf16-mixed where the device has instructions for it.
         Raises FactoryError for a file that holds no weights, for a GPU that is not there, and for
         artefacts that there are not or that the network cannot be asked for.
         """
@@ -50,8 +55,9 @@ class Denoiser:
         has_gpu = torch.cuda.is_available()
         if device == "gpu" and not has_gpu:
             raise FactoryError("--device gpu: no usable GPU here; use --device cpu")
-        if has_gpu and device != "cpu":
-            network.to("cuda")
+        self._device = "cuda" if has_gpu and device != "cpu" else "cpu"
+        network.to(self._device)
+        self._half = _is_half(precision, self._device)
 
     def __call__(
         self, gray: Gray, geometry: FanGeometry | None = None, *, layout: str | None = None
@@ -94,7 +100,19 @@ class Denoiser:
         }
         if self._told is not None:
             batch["remove"] = torch.from_numpy(self._told)[None]
-        return denoise_with_weight(self.trained.network, batch)
+        with torch.autocast(self._device, torch.bfloat16, enabled=self._half):
+            return denoise_with_weight(self.trained.network, batch)
+
+
+def _is_half(precision: str, device: str) -> bool:
+    """Whether to compute in bfloat16; FactoryError for an unknown precision."""
+    from simnfnd.models.training.precision import cpu_has_bf16, gpu_has_bf16
+
+    if precision not in PRECISIONS:
+        raise FactoryError(f"--precision {precision}: is none of {', '.join(PRECISIONS)}")
+    if precision == "auto":
+        return cpu_has_bf16() if device == "cpu" else gpu_has_bf16()
+    return precision != EXACT
 
 
 def _told(extras: Sequence[str], remove: Sequence[str] | None) -> Gray | None:
@@ -120,13 +138,14 @@ def load_denoiser(
     overlap: int = OVERLAP,
     remove: Sequence[str] | None = None,
     strength: float = 1.0,
+    precision: str = EXACT,
 ) -> Denoiser:
     """A function that denoises one gray image.
 
     weights: a file that training wrote, the name of weights that ship, or None for the default of
-    these.  remove, strength: see `Denoiser`.
+    these.  remove, strength, precision: see `Denoiser`.
     Raises FactoryError when there are none, and as `Denoiser` does.
     """
     from simnfnd.models.pretrained import find_weights
 
-    return Denoiser(find_weights(weights), device, tile, overlap, remove, strength)
+    return Denoiser(find_weights(weights), device, tile, overlap, remove, strength, precision)

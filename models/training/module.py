@@ -19,6 +19,7 @@ from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.weights import channels_last
 from simnfnd.models.settings import TrainSettings
 from simnfnd.models.training.quality import psnr_db, shadow_iou, ssim
+from simnfnd.models.training.teacher import Teacher
 
 Row = dict[str, float | int]
 
@@ -37,13 +38,20 @@ class DenoisingModule(LightningModule):
     )
 
     def __init__(
-        self, network: Network, loss: Loss, settings: TrainSettings, seed: int = 0
+        self,
+        network: Network,
+        loss: Loss,
+        settings: TrainSettings,
+        seed: int = 0,
+        teacher: Teacher | None = None,
     ) -> None:
         super().__init__()
         self.network: Network = channels_last(network)
         self.average = AveragedModel(self.network, multi_avg_fn=_running_average(settings.ema))
         self.average.requires_grad_(False)
         self.loss, self.settings, self.seed = loss, settings, seed
+        # No module of torch's own: its weights are neither saved nor averaged.
+        self.teacher = teacher
 
     @staticmethod
     def score(row: Mapping[str, float | int]) -> float:
@@ -74,6 +82,8 @@ class DenoisingModule(LightningModule):
             batch |= {"shadow_logits": output.shadow_logits, "weight": output.weight}
         else:
             prediction = self.network(batch["noisy"], **extras)
+        if self.teacher is not None:
+            return self.teacher.loss(self.loss, prediction, batch)
         return self.loss(prediction, batch["clean"], batch)
 
     def require_finite(self, loss: Tensor, index: int) -> Tensor:

@@ -31,6 +31,8 @@ def main(pages: list[str]) -> int:
     with tempfile.TemporaryDirectory(prefix="simnfnd-pages-") as name:
         folder = Path(name)
         os.environ["SIMNFND_CACHE"] = str(folder / "cache")
+        # As on a new machine: the first command compiles the loops.
+        os.environ["NUMBA_CACHE_DIR"] = str(folder / "numba")
         shutil.copytree(ROOT / "examples", folder / "examples")
         for page in pages or list(PAGES):
             text = (ROOT / page).read_text(encoding="utf-8")

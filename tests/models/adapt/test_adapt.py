@@ -14,6 +14,7 @@ from simnfnd.models.adapt import simulated
 from simnfnd.models.adapt.clips import natural, read_clips, runs
 from simnfnd.models.adapt.command import main
 from simnfnd.models.adapt.crops import crop, crop_size
+from simnfnd.models.adapt.lessons import StillLesson
 from simnfnd.models.adapt.score import psnr_after_levels
 from simnfnd.models.adapt.still import find_lessons
 from simnfnd.models.denoise.denoiser import load_denoiser
@@ -51,7 +52,7 @@ def stand_still(folder: Path, scenes: int = 2, frames: int = 6) -> list[Gray]:
 
 
 def clips_of(folder: Path) -> list:
-    return read_clips(folder, folder / "out", Geometries(NONE)).clips
+    return read_clips([folder], folder / "out", Geometries(NONE)).clips
 
 
 def test_weights_learn_from_frames_without_truth(
@@ -74,6 +75,42 @@ def test_weights_learn_from_frames_without_truth(
     assert facts["start.training"] == {"steps": 0}
     assert facts["validation"]["after"] > facts["validation"]["before"]
     assert str(tmp_path) not in str(facts)
+
+
+def test_part_of_the_change_lies_between_the_weights(tmp_path: Path, weights: Path) -> None:
+    stand_still(tmp_path / "in")
+    arguments = [str(tmp_path / "in"), "--weights", str(weights), "--keep", "0", "--steps", "12"]
+    states = []
+    for part in ("1", "0.25"):
+        out = tmp_path / f"{part}.safetensors"
+        assert main([*arguments, "--out", str(out), "--part", part]) == 0
+        loaded = load_weights(out)
+        assert loaded.training["part"] == float(part)
+        assert loaded.training["validation"]["step"] == 12, "measured at other steps"
+        states.append(loaded.network.state_dict())
+    begun = load_weights(weights).network.state_dict()
+    whole, quarter = states
+    assert any(not torch.equal(whole[name], begun[name]) for name in begun)
+    for name, value in begun.items():
+        torch.testing.assert_close(quarter[name], torch.lerp(value, whole[name], 0.25))
+
+
+def test_recordings_are_learned_from_alike_however_long(tmp_path: Path) -> None:
+    """A long recording of many stretches and a short one of one: half of the steps each."""
+    long, short = tmp_path / "long", tmp_path / "short"
+    stand_still(long, scenes=1, frames=40)
+    for frame in range(6):
+        write(short / f"f{frame}.png", noisy(scene(5), 900 + frame))
+    clips = read_clips([long, short], tmp_path / "out", Geometries(NONE)).clips
+    lessons = find_lessons(clips)
+    assert lessons is not None
+    recordings = [still.recording for still in lessons.learning]
+    assert recordings.count(0) >= 2
+    assert recordings.count(1) == 1
+    assert {still.recording for still in lessons.held} == {0}, "of those with several stretches"
+    odds = StillLesson(lessons, batch=2, seed=0)._odds
+    assert odds.sum() == pytest.approx(1)
+    assert odds[recordings.index(1)] == pytest.approx(0.5)
 
 
 def test_pairs_are_mixed_in(
@@ -206,6 +243,9 @@ def test_reliefs_give_pictures_to_keep() -> None:
         (["a.png", "b.png"], ["--keep", "1"], "--keep 1"),
         (["a.png", "b.png"], ["--steps", "0"], "--steps 0"),
         (["a.png", "b.png"], ["--minutes", "0"], "--minutes 0"),
+        (["a.png", "b.png"], ["--part", "0"], "--part 0"),
+        (["a.png", "b.png"], ["--batch", "0"], "--batch 0"),
+        (["a.png", "b.png"], ["--learning-rate", "2"], "--learning-rate 2"),
         (["a.png", "b.png"], ["--out", "here"], r"must end in \.safetensors"),
         (["a.png", "b.png"], ["--weights", "nowhere"], "nowhere"),
         (["train/a.h5"], [], "belongs to a dataset"),
@@ -243,12 +283,12 @@ def test_damaged_pictures_are_left_out(
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs the sample recordings")
 def test_sample_recordings_stand_still(tmp_path: Path) -> None:
-    with_ping = read_clips(DATA / "aris-sdk/sample.aris", tmp_path, Geometries(NONE))
+    with_ping = read_clips([DATA / "aris-sdk/sample.aris"], tmp_path, Geometries(NONE))
     lessons = find_lessons(with_ping.clips)
     assert lessons is not None
     assert [len(one.frames) for one in (*lessons.learning, *lessons.held)] == [5, 1]
     video = DATA / "didson/lamprey1.avi"
-    part = read_clips(video, tmp_path, Geometries(NONE), most_pixels=774 * 400 * 16)
+    part = read_clips([video], tmp_path, Geometries(NONE), most_pixels=774 * 400 * 16)
     assert (part.frames, sum(len(clip.shots) for clip in part.clips)) == (150, 16)
     lessons = find_lessons(part.clips)
     assert lessons is not None

@@ -1,0 +1,87 @@
+"""The network as a training begins, and the module that trains it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.models.losses import build_loss
+from simnfnd.models.networks import build_network
+from simnfnd.models.networks.network import Network
+from simnfnd.models.networks.weights import load_weights
+from simnfnd.models.pretrained import find_weights
+from simnfnd.models.settings import ModelsSettings, SelfSupervisedData
+from simnfnd.models.training.module import DenoisingModule
+from simnfnd.models.training.self_supervised import SelfSupervisedModule
+from simnfnd.models.training.teacher import Teacher
+
+
+def build_module(settings: ModelsSettings) -> DenoisingModule:
+    """The network as training begins, and the way to train it.
+
+    Raises FactoryError where `start`, `train.parts`, `train.teacher` and the network do not fit.
+    """
+    network: Network = build_network(settings.model)
+    if settings.start is not None:
+        _load_start(network, settings)
+    if settings.train.parts is not None:
+        _freeze_all_but(network, settings.train.parts)
+    loss = build_loss(settings.loss)
+    teacher = _teacher(network, settings)
+    if isinstance(settings.data, SelfSupervisedData):
+        if network.adversarial:
+            raise FactoryError(
+                f"model.kind={settings.model['kind']}: is trained against clean images; "
+                "data=self_supervised has none"
+            )
+        return SelfSupervisedModule(network, loss, settings.train, settings.seed, settings.data)
+    if network.adversarial:
+        from simnfnd.models.training.adversarial import AdversarialModule
+
+        return AdversarialModule(network, loss, settings.train, settings.seed)
+    return DenoisingModule(network, loss, settings.train, settings.seed, teacher)
+
+
+def _teacher(network: Network, settings: ModelsSettings) -> Teacher | None:
+    """The network to learn from, if any; FactoryError where there is nothing to compare with it."""
+    if settings.train.teacher is None:
+        return None
+    if isinstance(settings.data, SelfSupervisedData) or network.adversarial:
+        raise FactoryError(
+            f"train.teacher={settings.train.teacher}: neither data=self_supervised nor a network "
+            "with a critic learns from a teacher; leave it out"
+        )
+    teacher = Teacher(find_weights(settings.train.teacher), settings.train.teacher_share)
+    if teacher.network.channels != network.channels:
+        raise FactoryError(
+            f"train.teacher={settings.train.teacher}: is for images of "
+            f"{teacher.network.channels} channels, model for {network.channels}"
+        )
+    return teacher
+
+
+def _load_start(network: Network, settings: ModelsSettings) -> None:
+    assert settings.start is not None
+    trained = load_weights(find_weights(settings.start))
+    if trained.model["kind"] == settings.model["kind"]:
+        try:
+            network.load_state_dict(trained.network.state_dict())
+            return
+        except RuntimeError:
+            pass  # other sizes; torch's message lists hundreds of tensors
+    raise FactoryError(
+        f"start={settings.start}: holds {dict(trained.model)}, and model says "
+        f"{dict(settings.model)}; give both the same sizes"
+    )
+
+
+def _freeze_all_but(network: Network, parts: Sequence[str]) -> None:
+    known = [name for name, _ in network.named_modules() if name]
+    for part in parts:
+        if part not in known:
+            raise FactoryError(
+                f"train.parts: the network has no {part!r}; its parts are "
+                f"{', '.join(name for name in known if '.' not in name)}"
+            )
+    for name, weights in network.named_parameters():
+        weights.requires_grad_(any(name.startswith(f"{part}.") for part in parts))

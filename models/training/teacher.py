@@ -1,0 +1,55 @@
+"""Learning from another network's output beside the clean pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from simnfnd.models.data.pairs import Batch
+from simnfnd.models.losses.base import Loss
+from simnfnd.models.networks.weights import channels_last, load_weights
+
+
+class Teacher:
+    """Trained weights whose pictures a network learns to make (Hinton et al. 2015, for pictures).
+
+    What a small network cannot do shows as noise in the gradients when it learns from clean
+    pictures alone; the pictures of a larger one that learned from the same are nearer to what it
+    can do.  Heads are taught as well: the shadow that the teacher sees.
+    """
+
+    def __init__(self, weights: Path, share: float) -> None:
+        """weights: a file that training wrote.  share: of its pictures in the loss, 0 to 1.
+
+        Raises FactoryError for a file that holds no weights.
+        """
+        network = load_weights(weights).network
+        self.network = channels_last(network).requires_grad_(False).eval()
+        self.share = share
+
+    @property
+    def extras(self) -> tuple[str, ...]:
+        """Optional inputs that the teacher uses."""
+        return self.network.extras
+
+    def loss(self, loss: Loss, prediction: Tensor, batch: Batch) -> Tensor:
+        """Scalar tensor: the loss against clean pictures and teacher's, weighed by `share`.
+
+        prediction: (N, C, H, W).  batch: as losses get it, with the heads' output.
+        """
+        noisy = batch["noisy"]
+        self.network.to(noisy.device)
+        known = {name: batch[name] for name in self.extras if name in batch}
+        # How much of a change is right is measured against the truth, never against the teacher.
+        lesson = {name: batch[name] for name in batch if name not in ("weight", "shadow")}
+        with torch.no_grad():
+            if self.network.has_heads:
+                output = self.network.with_heads(noisy, **known)
+                image = output.image
+                lesson["shadow"] = torch.sigmoid(output.shadow_logits.float())
+            else:
+                image = self.network(noisy, **known)
+        taught = loss(prediction, image.to(prediction.dtype), lesson)
+        return self.share * taught + (1 - self.share) * loss(prediction, batch["clean"], batch)

@@ -1,0 +1,123 @@
+"""Learning from a teacher's pictures."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.files import sha256_of
+from simnfnd.models import WEIGHTS_NAME
+from simnfnd.models.losses import build_loss
+from simnfnd.models.networks import build_network
+from simnfnd.models.networks.weights import load_weights, save_weights
+from simnfnd.models.training.teacher import Teacher
+from simnfnd.models.training.train import train
+from tests.models.training.test_training import SMALL, config_for, train_small
+from tests.small_dataset import write_dataset
+
+SONARNET = {
+    **{"kind": "sonarnet", "widths": [8, 8], "blocks": [1, 1], "polar": False, "lines": False},
+    **{"mask": True, "forget": 0.0},
+}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_dataset(tmp_path_factory.mktemp("data"), train=24, test=4, size=48)
+
+
+@pytest.fixture(scope="module")
+def teacher(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Weights of a network that darkens what it sees."""
+    torch.manual_seed(3)
+    network = build_network(SONARNET)
+    with torch.no_grad():
+        network.outro.bias[:4] = -0.1  # type: ignore[union-attr, operator]
+    path = tmp_path_factory.mktemp("teacher") / "teacher.safetensors"
+    save_weights(path, network, SONARNET, {})
+    return path
+
+
+def batch_of(size: int = 16) -> dict[str, torch.Tensor]:
+    drawn = torch.Generator().manual_seed(1)
+    noisy = torch.rand(2, 1, size, size, generator=drawn)
+    return {
+        "noisy": noisy,
+        "clean": torch.rand(2, 1, size, size, generator=drawn),
+        "shadow": (noisy < 0.3).float(),
+    }
+
+
+def test_share_weighs_truth_and_teacher(teacher: Path) -> None:
+    batch = batch_of()
+    network = load_weights(teacher).network
+    with torch.no_grad():
+        output = network.with_heads(batch["noisy"])
+    student = {"shadow_logits": torch.zeros(2, 1, 16, 16), "weight": torch.full((2,), 0.7)}
+    loss = build_loss({"kind": "l1", "square": 2.0, "mask": 0.05, "blend": 0.02})
+    prediction = batch["noisy"] * 0.9
+    truth = loss(prediction, batch["clean"], {**batch, **student})
+    taught = loss(
+        prediction,
+        output.image,
+        {**student, "shadow": torch.sigmoid(output.shadow_logits)},
+    )
+    for share in (0.0, 0.25, 1.0):
+        got = Teacher(teacher, share).loss(loss, prediction, {**batch, **student})
+        torch.testing.assert_close(got, share * taught + (1 - share) * truth)
+
+
+def test_the_blend_head_never_learns_from_the_teacher(teacher: Path) -> None:
+    weight = torch.full((2,), 0.7, requires_grad=True)
+    loss = build_loss({"kind": "l1", "blend": 1.0})
+    batch = {**batch_of(), "weight": weight}
+    prediction = (batch["noisy"] * 0.9).requires_grad_()
+    Teacher(teacher, 1.0).loss(loss, prediction, batch).backward()
+    assert weight.grad is None or not weight.grad.any()
+    assert prediction.grad is not None
+    assert bool(prediction.grad.any())
+
+
+def test_a_student_becomes_like_its_teacher(teacher: Path, dataset: Path, tmp_path: Path) -> None:
+    """Taught alone, it darkens pictures as the teacher does, whatever the clean ones say."""
+    before = copy.deepcopy(load_weights(teacher).network.state_dict())
+    out = tmp_path / "student"
+    words = ["model=sonarnet", "model.widths=[8,8]", "model.blocks=[1,1]", "model.lines=false"]
+    words += [word for word in SMALL if not word.startswith("model.")]
+    words += [f"train.teacher='{teacher}'", "train.teacher_share=1"]
+    train(*config_for(dataset, out, *words))
+    student = load_weights(out / WEIGHTS_NAME)
+    assert student.training["train.teacher"] == sha256_of(teacher)[:16]
+    batch = batch_of(48)
+    with torch.no_grad():
+        want = load_weights(teacher).network.with_heads(batch["noisy"]).image
+        got = student.network.with_heads(batch["noisy"]).image
+    assert (got - want).abs().mean() < 0.5 * (batch["noisy"] - want).abs().mean()
+    for name, values in load_weights(teacher).network.state_dict().items():
+        assert torch.equal(values, before[name]), name
+
+
+def test_odd_teachers_are_one_line(teacher: Path, dataset: Path, tmp_path: Path) -> None:
+    with pytest.raises(FactoryError, match=r"weights=nowhere: no such file"):
+        train_small(dataset, tmp_path / "none", "train.teacher=nowhere")
+    for k in range(3):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((48, 48), 90 + k, np.uint8))
+    with pytest.raises(FactoryError, match=r"train\.teacher.*data=self_supervised"):
+        train_small(
+            dataset,
+            tmp_path / "alone",
+            f"train.teacher='{teacher}'",
+            "data=self_supervised",
+            f"data.folder='{tmp_path}'",
+        )
