@@ -79,6 +79,13 @@ def _parsed(arguments: Sequence[str]) -> Any:
         default=1.0,
         help="part of the change of the weights that is kept, 0 to 1 (1); less serves other sonars",
     )
+    parser.add_argument(
+        "--untold",
+        type=float,
+        default=0.0,
+        help="part of the steps without a word about geometry, 0 to 1 (0); more serves other "
+        "sonars",
+    )
     parser.add_argument("--batch", type=int, default=_BATCH, help=f"crops a step ({_BATCH})")
     parser.add_argument(
         "--learning-rate", type=float, default=_RATE, help=f"of AdamW at its highest ({_RATE:g})"
@@ -96,6 +103,8 @@ def _parsed(arguments: Sequence[str]) -> Any:
         raise FactoryError(f"--minutes {chosen.minutes:g}: must be more than 0, and 10000 at most")
     if not 0 < chosen.part <= 1:
         raise FactoryError(f"--part {chosen.part:g}: must be more than 0, and 1 at most")
+    if not 0 <= chosen.untold <= 1:
+        raise FactoryError(f"--untold {chosen.untold:g}: must lie between 0 and 1")
     if not 1 <= chosen.batch <= 1024:
         raise FactoryError(f"--batch {chosen.batch}: must lie between 1 and 1024")
     if not 0 < chosen.learning_rate <= 1:
@@ -148,6 +157,7 @@ def _adapt(chosen: Any, found: Found, start: Path, out: Path) -> int:
         "learning_rate": pace.learning_rate,
         "batch": chosen.batch,
         "part": pace.part,
+        "untold": chosen.untold,
         "seed": chosen.seed,
         "validation": {"step": tuned.step, "before": tuned.before, "after": tuned.after},
     }
@@ -185,7 +195,7 @@ def _lesson(
         blind = BlindLesson(shots, chosen.batch, chosen.seed, device)
         print(f"nothing stands still in {share} frames: single pixels are foretold (blind spots)")
         return blind, {"adapted.by": "blind spots", "adapted.frames": len(blind.shots)}
-    still = StillLesson(lessons, chosen.batch, chosen.seed, device)
+    still = StillLesson(lessons, chosen.batch, chosen.seed, device, chosen.untold)
     learning, held = (
         sum(len(one.frames) for one in part) for part in (lessons.learning, lessons.held)
     )

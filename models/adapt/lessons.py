@@ -57,8 +57,11 @@ class StillLesson:
 
     unit = "dB"
 
-    def __init__(self, found: Lessons, batch: int, seed: int, device: str = "cpu") -> None:
-        self.batch, self.seed, self.device = batch, seed, device
+    def __init__(
+        self, found: Lessons, batch: int, seed: int, device: str = "cpu", untold: float = 0.0
+    ) -> None:
+        """untold: part of the steps in which the network is not told the geometry, 0 to 1."""
+        self.batch, self.seed, self.device, self.untold = batch, seed, device, untold
         self.stills = found.learning
         self._odds = _odds(found.learning)
         self._held = _spread(
@@ -75,10 +78,13 @@ class StillLesson:
         still = self.stills[rng.choice(len(self.stills), p=self._odds)]
         size = crop_size(*still.frames[0].shape)
         numbers = rng.integers(len(still.frames), size=self.batch)
+        told = still.geometry
+        if self.untold and rng.random() < self.untold:
+            told = None
         return _squares(
             network,
             [
-                crop(still.frames[i], still.targets[i], still.geometry, size, network.extras, rng)
+                crop(still.frames[i], still.targets[i], told, size, network.extras, rng)
                 for i in numbers
             ],
             self.device,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,6 +11,7 @@ import pytest
 import torch
 
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.adapt import simulated
 from simnfnd.models.adapt.clips import natural, read_clips, runs
 from simnfnd.models.adapt.command import main
@@ -111,6 +113,37 @@ def test_recordings_are_learned_from_alike_however_long(tmp_path: Path) -> None:
     odds = StillLesson(lessons, batch=2, seed=0)._odds
     assert odds.sum() == pytest.approx(1)
     assert odds[recordings.index(1)] == pytest.approx(0.5)
+
+
+def test_geometry_is_told_or_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A network that uses geometry sees it in every step, in none, or in about half of them."""
+    stand_still(tmp_path / "in", scenes=1)
+    lessons = find_lessons(clips_of(tmp_path / "in"))
+    assert lessons is not None
+    fan = FanGeometry.polar().with_size(SIDE, SIDE)
+    lessons = replace(lessons, learning=[replace(one, geometry=fan) for one in lessons.learning])
+    network = build_network(
+        {"kind": "sonarnet", "widths": [8], "blocks": [1], "polar": False, "lines": False}
+        | {"mask": False, "forget": 0.0}
+    )
+    seen: list[bool] = []
+    single = network._single_pass
+
+    def watched(noisy: torch.Tensor, extras: dict[str, torch.Tensor]) -> object:
+        seen.append("azimuth_rad" in extras)
+        return single(noisy, extras)
+
+    monkeypatch.setattr(network, "_single_pass", watched)
+    shares = []
+    for untold in (0.0, 0.5, 1.0):
+        seen.clear()
+        lesson = StillLesson(lessons, batch=1, seed=0, untold=untold)
+        for step in range(20):
+            lesson.loss(network, step)
+        shares.append(sum(seen) / len(seen))
+    assert shares[0] == 1
+    assert 0.2 < shares[1] < 0.8
+    assert shares[2] == 0
 
 
 def test_pairs_are_mixed_in(
@@ -245,6 +278,7 @@ def test_reliefs_give_pictures_to_keep() -> None:
         (["a.png", "b.png"], ["--minutes", "0"], "--minutes 0"),
         (["a.png", "b.png"], ["--part", "0"], "--part 0"),
         (["a.png", "b.png"], ["--batch", "0"], "--batch 0"),
+        (["a.png", "b.png"], ["--untold", "2"], "--untold 2"),
         (["a.png", "b.png"], ["--learning-rate", "2"], "--learning-rate 2"),
         (["a.png", "b.png"], ["--out", "here"], r"must end in \.safetensors"),
         (["a.png", "b.png"], ["--weights", "nowhere"], "nowhere"),
