@@ -20,6 +20,7 @@ from simnfnd.evaluation.baselines.plain import (
 )
 from simnfnd.evaluation.baselines.pyramid import lpmsde, lpmsde_contrast
 from simnfnd.evaluation.baselines.recursive import recursive_least_squares
+from simnfnd.evaluation.baselines.ridgelet import ridgelet
 from simnfnd.evaluation.baselines.speckle import frost, kuan, lee, srad
 from simnfnd.evaluation.baselines.structural import structural
 from simnfnd.evaluation.baselines.wavelet import wavelet
@@ -92,6 +93,16 @@ REGISTRY: dict[str, Baseline] = {
             {"strength": 1.0, "levels": 5},
             {"strength": (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 1000.0), "levels": (1, 2, 3, 5, 8)},
             "Isar, Moga and Isar 2009 (own, from the papers)",
+        ),
+        Baseline(
+            "ridgelet",
+            ridgelet,
+            {"strength": 1.0, "block_px": 11},
+            {
+                "strength": (0.5, 1.0, 1.4, 2.0, 4.0, 1000.0),
+                "block_px": (7, 11, 17, 31),
+            },
+            "Shang et al. 2008, after the abstract; Do and Vetterli 2003",
         ),
         Baseline(
             "convolutional",

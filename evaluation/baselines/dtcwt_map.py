@@ -8,16 +8,18 @@ when its parent is large, too.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
 from simnfnd.evaluation.baselines.base import Gray
 from simnfnd.evaluation.baselines.dualtree import Coefficients, Complex, forward, inverse
+from simnfnd.evaluation.baselines.logarithm import in_logarithm
 
 Floats = npt.NDArray[np.float32]
 
-_FLOOR = 1 / 255  # one grey level: the logarithm of black
 _MARGIN = 8
 _WINDOW = 7  # for the local power, as in the paper on the bivariate filter
 _RAYLEIGH_MEDIAN = float(np.sqrt(np.log(4)))
@@ -26,16 +28,7 @@ _RAYLEIGH_MEDIAN = float(np.sqrt(np.log(4)))
 
 def dtcwt_map(image: Gray, strength: float, levels: int) -> Gray:
     """(H, W) in 0..1 denoised.  strength: multiple of the estimated noise's standard deviation."""
-    # Black is exactly 0 in the logarithm, so that there is nothing outside of a fan.
-    logarithm = np.log(np.maximum(image / np.float32(_FLOOR), 1)).astype(np.float32)
-    smooth = np.exp(_shrunk(logarithm, strength, levels))
-    result = np.maximum(smooth - 1, 0) * np.float32(_FLOOR / (1 - _FLOOR))
-    # The exponential of a mean of logarithms lies below the mean.
-    return np.asarray(result * _ratio(float(image.mean()), float(result.mean())), np.float32)
-
-
-def _ratio(wanted: float, have: float) -> np.float32:
-    return np.float32(wanted / have) if have > 1e-9 else np.float32(1)
+    return in_logarithm(image, partial(_shrunk, strength=strength, levels=levels))
 
 
 def _shrunk(values: Floats, strength: float, levels: int) -> Floats:

@@ -84,7 +84,7 @@ def test_some_point_of_the_grid_helps(name: str) -> None:
         noisy = np.where(np.random.default_rng(0).random(clean.shape) < 0.03, 1, clean)
         noisy = noisy.astype(np.float32)
     before = psnr(clean, noisy.astype(np.float32), data_range=1)
-    slow = name in ("srad", "bm3d", "structural")
+    slow = name in ("srad", "bm3d", "structural", "ridgelet")
     points = [dict(REGISTRY[name].default)] if slow else REGISTRY[name].points()
     if name == "srad":
         points = [{**points[0], "iterations": 60, "initial_cv": 0.3}]
