@@ -8,6 +8,7 @@ from simnfnd.factory.progress import stage_if_slow
 
 LOOPS = (
     "simnfnd.factory.dataset.describe.window_loops",
+    "simnfnd.factory.dataset.write.checksum_loops",
     "simnfnd.factory.formation.field.cells.cell_loops",
     "simnfnd.factory.formation.field.display_loops",
     "simnfnd.factory.formation.field.kernels",

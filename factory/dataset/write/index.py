@@ -30,6 +30,7 @@ from simnfnd.factory.dataset.format.schema import (
     layers,
 )
 from simnfnd.factory.dataset.read.reader import bring, reading
+from simnfnd.factory.dataset.write.virtual import VirtualStacks
 from simnfnd.factory.dataset.write.writer import write_axis
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
@@ -46,7 +47,6 @@ _SHARED_ATTRIBUTES = tuple(name for name in ROOT_ATTRIBUTES if name not in ("spl
 def write_index(directory: Path, manifest: Manifest) -> Path:
     """Write index.h5 for the shards of `manifest` and return its path; equal input, equal bytes.
 
-    Takes some 15 kB of memory a shard while it works (HDF5's own, three times for a layer).
     Raises FactoryError when there is no shard, one cannot be opened, or they differ in form; what
     else may be wrong with a shard is for those to find who read it.
     """
@@ -57,6 +57,7 @@ def write_index(directory: Path, manifest: Manifest) -> Path:
     ) as index:
         _keep_little(index)
         first = _Form.of(directory, min(manifest.shards))
+        stacks = VirtualStacks(index)
         for name in _SHARED_ATTRIBUTES:
             index.attrs[name] = first.attributes[name]
         # A merged dataset is of another configuration than any of its shards.
@@ -67,11 +68,11 @@ def write_index(directory: Path, manifest: Manifest) -> Path:
         for split in SPLITS:
             shards = [s for _, s in sorted(manifest.shards.items()) if s.split == split]
             if shards:
-                _write_split(index, directory, split, shards, first)
+                _write_split(index, stacks, directory, split, shards, first)
         index.flush()
         content = index.id.get_file_image()
     path = directory / INDEX_NAME
-    write_atomically(path, content)
+    write_atomically(path, stacks.filled(content))
     return path
 
 
@@ -159,7 +160,12 @@ def _is_own(file: h5py.h5f.FileID, name: str) -> bool:
 
 
 def _write_split(
-    index: h5py.File, directory: Path, split: str, shards: Sequence[ShardInfo], first: _Form
+    index: h5py.File,
+    stacks: VirtualStacks,
+    directory: Path,
+    split: str,
+    shards: Sequence[ShardInfo],
+    first: _Form,
 ) -> None:
     copied = url_of(directory)
     for shard in shards:
@@ -171,8 +177,8 @@ def _write_split(
                 "make the dataset again in an empty folder"
             )
     for layer in layers(first.dtype, first.optional):
-        stack = _virtual(
-            index, f"{split}/{layer.name}", layer.name, shards, first.shape, np.dtype(layer.dtype)
+        stack = stacks.add(
+            f"{split}/{layer.name}", layer.name, shards, first.shape, np.dtype(layer.dtype)
         )
         for key, value in layer_attributes(layer).items():
             stack.attrs[key] = value
@@ -181,41 +187,6 @@ def _write_split(
             stack.dims[dimension].label = axis.name
             stack.dims[dimension].attach_scale(index[f"axes/{axis.name}"])
         del stack  # before the next one is made
-    table = _virtual(index, f"{split}/meta", "meta", shards, (), first.table)
+    table = stacks.add(f"{split}/meta", "meta", shards, (), first.table)
     for key, value in first.table_attributes.items():
         table.attrs[key] = value
-
-
-def _virtual(
-    index: h5py.File,
-    name: str,
-    source: str,
-    shards: Sequence[ShardInfo],
-    shape: tuple[int, ...],
-    dtype: np.dtype[Any],
-) -> h5py.Dataset:
-    """A dataset put together of that of each shard; what `h5py.VirtualLayout` does, in a fifth."""
-    layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    layout.set_layout(h5py.h5d.VIRTUAL)
-    layout.set_obj_track_times(False)
-    place = h5py.h5s.create_simple((sum(s.samples for s in shards), *shape))
-    start, origin = 0, (0,) * len(shape)
-    whole: dict[int, h5py.h5s.SpaceID] = {}  # of a shard, by its samples
-    for shard in shards:
-        size = (shard.samples, *shape)
-        if shard.samples not in whole:
-            whole[shard.samples] = h5py.h5s.create_simple(size)
-        place.select_hyperslab((start, *origin), size)
-        # Relative to the folder of the index itself, so the dataset can be moved.
-        layout.set_virtual(place, shard.path.encode(), source.encode(), whole[shard.samples])
-        start += shard.samples
-    place.select_all()
-    group, _, own = name.rpartition("/")
-    made = h5py.h5d.create(
-        index.require_group(group).id,
-        own.encode(),
-        h5py.h5t.py_create(dtype, logical=True),
-        place,
-        dcpl=layout,
-    )
-    return h5py.Dataset(made)
