@@ -123,6 +123,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--peer-python", default="", metavar="FILE", help="the Python that has what it needs"
     )
     parser.add_argument(
+        "--shards", type=int, default=Options.shards, metavar="N", help="that `streams` reads"
+    )
+    parser.add_argument(
         "--out", type=Path, default=Path("outputs/benchmarks"), metavar="DIR", help="for the report"
     )
     given = parser.parse_args(arguments)
@@ -135,7 +138,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         what = f"no benchmark {', '.join(unknown)}" if unknown else "no benchmarks"
         print(f"error: {what}; there are: {', '.join(known) or 'none'}", file=sys.stderr)
         return 2
-    options = Options(given.quick, given.frame, given.peer, given.peer_python)
+    options = Options(
+        given.quick, given.frame, given.peer, given.peer_python, max(20, given.shards)
+    )
     for key, path in (("--frame", given.frame), ("--peer", given.peer)):
         if path and not Path(path).is_dir():
             print(f"error: {key} {path}: no such folder", file=sys.stderr)

@@ -17,12 +17,14 @@ class Options:
     quick: the smallest amounts that still run every line of the code; the figures mean nothing.
     frame: folder of FLSea VI whose first frame is taken beside the procedural one.
     peer: checkout of another simulator, to compare with.  peer_python: what runs that.
+    shards: how many of them `streams` reads.
     """
 
     quick: bool = False
     frame: str = ""
     peer: str = ""
     peer_python: str = ""
+    shards: int = 10_000
 
     def amount(self, full: int, quick: int = 1) -> int:
         """`full`, or `quick` where only the code is to be tried."""

@@ -144,20 +144,44 @@ def fetched(path: Path, look: Callable[[Path], None] | None = None) -> bool:
 
 
 def make_room(spare: Path) -> None:
-    """Remove shards of copies, those not used for longest first, until the rest is small enough."""
+    """Remove shards of copies, those not used for longest first, until the rest is small enough.
+
+    spare: the shard that came just now, which stays.  A look at all copies takes a time that grows
+    with their number, so this process takes the next one when a sixteenth of what was free has
+    come, or a sixty-fourth of the limit; others beside it may go beyond the limit by as much.
+    """
     most = int(os.environ.get("SIMNFND_CLOUD_CACHE_BYTES", _KEPT_BYTES))
-    found = []
-    for path in copies_folder().glob("*/t*/*.h5"):
-        with suppress(OSError):
-            state = path.stat()
-            found.append((state.st_mtime_ns, state.st_size, path))
+    where = copies_folder(), most
+    with suppress(OSError):
+        _to_come[where] = _to_come.get(where, 0) - spare.stat().st_size
+    if _to_come.get(where, -1) >= 0:
+        return
+    found = _kept_copies(where[0])
     total = sum(size for _, size, _ in found)
+    # A little more than has to go, so that the next look is not at once.
+    wanted = most - most // 16 if total > most else most
     for _, size, path in sorted(found):
-        if total <= most:
-            return
+        if total <= wanted:
+            break
         if path != spare:
             path.unlink(missing_ok=True)
             total -= size
+    free = max(most - total, 0)
+    _to_come[where] = max(free // 16, min(free, most // 64))
+
+
+# (folder of copies, limit) -> bytes that may come before all copies are looked at again.
+_to_come: dict[tuple[Path, int], int] = {}
+
+
+def _kept_copies(folder: Path) -> list[tuple[int, int, Path]]:
+    """(when it was used last, bytes, path) of every shard of every copy."""
+    found = []
+    for path in folder.glob("*/t*/*.h5"):
+        with suppress(OSError):
+            state = path.stat()
+            found.append((state.st_mtime_ns, state.st_size, path))
+    return found
 
 
 def forget_copy(folder: Path) -> None:

@@ -15,7 +15,13 @@ Place = tuple[int, int, str]
 def image_axes(stack: h5py.Dataset) -> tuple[Axis, Axis]:
     """Row and column axes of an image stack.  Raises FactoryError when one cannot be read."""
     _check_scale_references(stack)
-    return _axis(stack, 1), _axis(stack, 2)
+    return _axis(_scale(stack, 1)), _axis(_scale(stack, 2))
+
+
+def axis_names(stack: h5py.Dataset) -> tuple[str, str]:
+    """The names of both: what is asked of every layer of a shard, whose axes are the same."""
+    _check_scale_references(stack)
+    return _name(_scale(stack, 1)), _name(_scale(stack, 2))
 
 
 def contiguous_place(dataset: h5py.Dataset, name: str, file_bytes: int) -> list[Place]:
@@ -31,7 +37,7 @@ def contiguous_place(dataset: h5py.Dataset, name: str, file_bytes: int) -> list[
     return [(start, start + size, f"/{name}")]
 
 
-def _axis(stack: h5py.Dataset, dimension: int) -> Axis:
+def _scale(stack: h5py.Dataset, dimension: int) -> h5py.Dataset:
     size = stack.shape[dimension]
     try:
         scale = stack.dims[dimension][0] if len(stack.dims[dimension]) else None
@@ -39,10 +45,17 @@ def _axis(stack: h5py.Dataset, dimension: int) -> Axis:
         raise FactoryError(f"the axes of {stack.name} are damaged; generate it again") from error
     if scale is None or scale.shape != (size,) or scale.dtype.kind not in "iuf":
         raise FactoryError(f"dimension {dimension} of {stack.name} has no axis of {size} numbers")
-    name = str(scale.name).removeprefix("/axes/")
-    contiguous_place(scale, f"axes/{name}", scale.file.id.get_filesize())
+    contiguous_place(scale, f"axes/{_name(scale)}", scale.file.id.get_filesize())
+    return scale
+
+
+def _axis(scale: h5py.Dataset) -> Axis:
     texts = [str(scale.attrs.get(key, "")) for key in ("units", "description")]
-    return Axis(name, texts[0], np.asarray(scale[()], dtype=np.float64), texts[1])
+    return Axis(_name(scale), texts[0], np.asarray(scale[()], dtype=np.float64), texts[1])
+
+
+def _name(scale: h5py.Dataset) -> str:
+    return str(scale.name).removeprefix("/axes/")
 
 
 def _check_scale_references(stack: h5py.Dataset) -> None:

@@ -23,7 +23,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.format.axes import image_axes
+from simnfnd.factory.dataset.format.axes import axis_names, image_axes
 from simnfnd.factory.dataset.format.schema import CHECKSUMS, ROOT_ATTRIBUTES, SEALS
 from simnfnd.factory.errors import FactoryError
 
@@ -115,12 +115,13 @@ def _contents(file: h5py.File, rows: npt.NDArray[Any]) -> list[Any]:
 
 
 def _texts(file: h5py.File, layers: Iterable[str]) -> list[Any]:
-    axes = {axis.name for name in layers for axis in image_axes(file[name])}
+    named = [(name, axis_names(file[name])) for name in layers]
+    axes = {axis for _, both in named for axis in both}
     return [
-        [[name, [axis.name for axis in image_axes(file[name])]] for name in layers],
+        [[name, list(both)] for name, both in named],
         *(
             [name, [[key, _value(value)] for key, value in sorted(_attributes(file[name]))]]
-            for name in (*layers, "meta", *(f"axes/{axis}" for axis in sorted(axes)))
+            for name in (*dict(named), "meta", *(f"axes/{axis}" for axis in sorted(axes)))
         ),
     ]
 

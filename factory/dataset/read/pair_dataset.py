@@ -33,11 +33,11 @@ from simnfnd.factory.dataset.read.reader import (
     listed_shards,
     reading,
 )
-from simnfnd.factory.dataset.read.stream import WINDOW, Windows
+from simnfnd.factory.dataset.read.stream import WINDOW, Windows, fetched_ahead
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
 from simnfnd.factory.seeds import stream
-from simnfnd.factory.storage.copies import local_folder
+from simnfnd.factory.storage.copies import local_folder, url_of
 
 Sample = dict[str, Image]
 Verify = Literal["checksums", "hash"]
@@ -210,7 +210,8 @@ class PairDataset:
         Reads the tables of all shards, never their images.
         """
         tables, shapes = [], set()
-        for path in self.paths:
+        distant = url_of(self.folder) is not None
+        for path in fetched_ahead(self.paths) if distant else self.paths:
             with self._reading(path) as file:
                 tables.append(file["meta"][()])
                 shapes.add(file["noisy"].shape[1:])

@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 
 from simnfnd.factory.dataset.format.axes import image_axes
-from simnfnd.factory.dataset.format.checksums import check_texts
+from simnfnd.factory.dataset.format.checksums import check_texts, has_checksums
 from simnfnd.factory.dataset.format.layout import check_shard, inside, optional_layers
 from simnfnd.factory.dataset.format.manifest import Manifest, load_manifest
 from simnfnd.factory.dataset.format.schema import SPLITS
@@ -123,20 +123,22 @@ def check_readable(path: Path) -> None:
     with reading(path) as file:
         file["meta"][()]
         read_attributes(file)
-        for name in ("noisy", "clean", "shadow", *optional_layers(file)):
-            image_axes(file[name])
 
 
 def read_attributes(file: h5py.File) -> None:
-    """Read all attributes of an open shard, which may raise almost any exception.
+    """Read all attributes and axes of an open shard, which may raise almost any exception.
 
-    Raises FactoryError when they differ from their checksum.
+    Raises FactoryError when an axis cannot be read, or they differ from their checksum.
     """
     dict(file.attrs)
     names = ("noisy", "clean", "shadow", *optional_layers(file))
+    if has_checksums(file):
+        check_texts(file, names)
+        return
     for name in (*names, "meta"):
         dict(file[name].attrs)
-    check_texts(file, names)
+    for name in names:
+        image_axes(file[name])
 
 
 def check_split(path: Path, file: h5py.File) -> None:

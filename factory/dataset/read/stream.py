@@ -1,4 +1,4 @@
-"""Samples in random order where shards lie far away, each of which is fetched once.
+"""Shards that lie far away, each of which is fetched once: in order, or samples in random order.
 
 Samples of all shards at random would fetch a whole shard for each.  So shards come in random order,
 some at a time (a window), and the samples of a window in random order; the next window's shards
@@ -7,7 +7,7 @@ are fetched meanwhile.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -69,6 +69,20 @@ class Windows:
         if self._threads is not None:
             self._threads.shutdown(wait=False, cancel_futures=True)
             self._threads = None
+
+
+def fetched_ahead(paths: Sequence[Path]) -> Iterator[Path]:
+    """The paths in order, while those that follow are fetched."""
+    with ThreadPoolExecutor(_THREADS, "fetch") as threads:
+        try:
+            for number, path in enumerate(paths):
+                if number % WINDOW == 0:
+                    last = number + 2 * WINDOW
+                    for later in paths[number + WINDOW if number else 1 : last]:
+                        threads.submit(_bring, later)
+                yield path
+        finally:
+            threads.shutdown(wait=False, cancel_futures=True)
 
 
 def _bring(path: Path) -> None:

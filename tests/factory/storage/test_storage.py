@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +21,7 @@ import pytest
 
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.check.validate import validate
+from simnfnd.factory.dataset.read import stream
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.jobs import run
 from simnfnd.factory.jobs.ledger import RunReport
@@ -284,9 +286,59 @@ def test_shuffled_samples_come_once_by_windows_of_shards(bucket: str, local: Pat
     assert found == orders[0]
 
 
+def test_shards_that_follow_are_fetched_meanwhile(monkeypatch: Any) -> None:
+    paths = [Path(f"train/shard-{number:05d}.h5") for number in range(50)]
+    here = {path: threading.Event() for path in paths}
+    monkeypatch.setattr(stream, "bring", lambda path: here[path].set())
+    given = []
+    for number, path in enumerate(stream.fetched_ahead(paths)):
+        given.append(path)
+        later = paths[number + 1 : number + 1 + stream.WINDOW]
+        assert all(here[one].wait(20) for one in later), "it is asked for before its turn"
+    assert given == paths
+    assert not here[paths[0]].is_set(), "who reads it fetches it"
+
+
+def test_the_table_of_a_url_is_that_of_a_folder(bucket: str, local: Path) -> None:
+    url = f"{bucket}/table"
+    make(folder_of(url))
+    forget_copy(folder_of(url))
+    with PairDataset(url) as distant, PairDataset(local) as near:
+        np.testing.assert_array_equal(distant.meta(), near.meta())
+        assert len(list(distant.folder.glob("train/*.h5"))) == len(distant.paths) > 1
+
+
 @pytest.mark.parametrize("verb", ["status", "merge", "view"])
 def test_verbs_that_need_files_say_so(verb: str) -> None:
     main = importlib.import_module(f"simnfnd.factory.commands.{verb}").main
     more = ["--out", "x"] if verb == "merge" else []
     with pytest.raises(FactoryError, match="works on files of this machine"):
         main(["s3://sonar/data", *more])
+
+
+def test_copies_are_not_all_looked_at_for_every_shard(tmp_path: Path, monkeypatch: Any) -> None:
+    """It would take a time that grows with the square of their number."""
+    monkeypatch.setenv("SIMNFND_CLOUD_CACHE", str(tmp_path))
+    folder = tmp_path / "many-0123" / "train"
+    folder.mkdir(parents=True)
+    most = 400 * 1000
+    monkeypatch.setenv("SIMNFND_CLOUD_CACHE_BYTES", str(most))
+    looks: list[int] = []
+    look = copies._kept_copies
+
+    def counted(where: Path) -> list[tuple[int, int, Path]]:
+        looks.append(1)
+        return look(where)
+
+    monkeypatch.setattr(copies, "_kept_copies", counted)
+    for number in range(1000):
+        path = folder / f"shard-{number:05d}.h5"
+        path.write_bytes(bytes(1000))
+        os.utime(path, ns=(number, number))
+        copies.make_room(spare=path)
+        if number % 50 == 0:
+            assert sum(size for _, size, _ in look(tmp_path)) <= most
+    assert len(looks) < 1000 / 4
+    kept = sorted(path.name for path in folder.iterdir())
+    assert len(kept) > 300
+    assert kept == [f"shard-{number:05d}.h5" for number in range(1000 - len(kept), 1000)]
