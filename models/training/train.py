@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -28,16 +28,14 @@ from simnfnd.models.data.crops import (
 from simnfnd.models.data.kept import KeptSource
 from simnfnd.models.data.pairs import Batch, windows_of
 from simnfnd.models.data.sources import Data, open_data
-from simnfnd.models.losses import build_loss
-from simnfnd.models.networks import build_network
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.weights import load_weights
 from simnfnd.models.pretrained import find_weights
-from simnfnd.models.settings import ModelsSettings, RendersData, SelfSupervisedData
+from simnfnd.models.settings import ModelsSettings, RendersData
+from simnfnd.models.training.begin import first_module
 from simnfnd.models.training.module import DenoisingModule, Row
 from simnfnd.models.training.precision import with_precision
 from simnfnd.models.training.samples import write_samples
-from simnfnd.models.training.self_supervised import SelfSupervisedModule
 from simnfnd.models.training.validation import (
     CHECKPOINT_NAME,
     ValidationCallback,
@@ -66,7 +64,7 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
     check_writable(out, "out")
     checkpoint = _checkpoint(out, recipe, settings)
     torch.manual_seed(settings.seed)
-    module = _module(settings)
+    module = first_module(settings)
     extras = module.network.extras
     count = len(data.validation)
     shown_indices = [i * count // min(_SHOWN, count) for i in range(min(_SHOWN, count))]
@@ -105,55 +103,6 @@ def is_main_process() -> bool:
 def output_folder(settings: ModelsSettings) -> Path:
     """Where the results of a training go."""
     return Path(settings.out or Path("outputs", "models", settings.name)).expanduser()
-
-
-def _module(settings: ModelsSettings) -> DenoisingModule:
-    """The network as training begins, and the way to train it."""
-    network: Network = build_network(settings.model)
-    if settings.start is not None:
-        _load_start(network, settings)
-    if settings.train.parts is not None:
-        _freeze_all_but(network, settings.train.parts)
-    loss = build_loss(settings.loss)
-    if isinstance(settings.data, SelfSupervisedData):
-        if network.adversarial:
-            raise FactoryError(
-                f"model.kind={settings.model['kind']}: is trained against clean images; "
-                "data=self_supervised has none"
-            )
-        return SelfSupervisedModule(network, loss, settings.train, settings.seed, settings.data)
-    if network.adversarial:
-        from simnfnd.models.training.adversarial import AdversarialModule
-
-        return AdversarialModule(network, loss, settings.train, settings.seed)
-    return DenoisingModule(network, loss, settings.train, settings.seed)
-
-
-def _load_start(network: Network, settings: ModelsSettings) -> None:
-    assert settings.start is not None
-    trained = load_weights(find_weights(settings.start))
-    if trained.model["kind"] == settings.model["kind"]:
-        try:
-            network.load_state_dict(trained.network.state_dict())
-            return
-        except RuntimeError:
-            pass  # other sizes; torch's message lists hundreds of tensors
-    raise FactoryError(
-        f"start={settings.start}: holds {dict(trained.model)}, and model says "
-        f"{dict(settings.model)}; give both the same sizes"
-    )
-
-
-def _freeze_all_but(network: Network, parts: Sequence[str]) -> None:
-    known = [name for name, _ in network.named_modules() if name]
-    for part in parts:
-        if part not in known:
-            raise FactoryError(
-                f"train.parts: the network has no {part!r}; its parts are "
-                f"{', '.join(name for name in known if '.' not in name)}"
-            )
-    for name, weights in network.named_parameters():
-        weights.requires_grad_(any(name.startswith(f"{part}.") for part in parts))
 
 
 def _fit(
@@ -274,6 +223,8 @@ def _recipe(settings: ModelsSettings, data: Data) -> dict[str, Any]:
     # Where the images lie decides nothing.
     for name in ("pack", "cache", "folder", "geometry"):
         chosen.pop(name, None)
+    if chosen.get("method") != "variance":
+        chosen.pop("variance", None)
     groups = {
         "model": dict(settings.model),
         "loss": dict(settings.loss),
