@@ -99,11 +99,12 @@ class SelfSupervisedData(DataSettings):
 
     kind: Literal["self_supervised"]
     folder: str
-    method: Literal["neighbor2neighbor", "blind_spot"]
+    method: Literal["neighbor2neighbor", "blind_spot", "blind_network", "variance"]
     log_gain: Annotated[float, Field(ge=0)]
     gamma: Annotated[float, Field(ge=0)]
     radius: Annotated[int, Field(ge=0, le=16)]
     masked: Fraction
+    variance: Annotated[float, Field(gt=0, le=4)] = 0.1175
 
 
 DATA: dict[str, type[DataSettings]] = {

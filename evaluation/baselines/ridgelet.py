@@ -46,7 +46,7 @@ def finite_radon(block: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
     side = block.shape[0]
     flat = np.asarray(block, dtype=np.float64).ravel()
     sums = [np.bincount(lines.ravel(), flat, minlength=side) for lines in _lines(side)]
-    return np.stack(sums) / np.sqrt(side)
+    return np.asarray(np.stack(sums) / np.sqrt(side))
 
 
 def inverse_finite_radon(projections: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
@@ -57,7 +57,7 @@ def inverse_finite_radon(projections: npt.NDArray[np.floating]) -> npt.NDArray[n
     """
     side = projections.shape[1]
     through = sum(values[lines] for values, lines in zip(projections, _lines(side), strict=True))
-    return np.asarray(through - projections[0].sum()) / np.sqrt(side)
+    return np.asarray((through - projections[0].sum()) / np.sqrt(side))
 
 
 @lru_cache(maxsize=8)

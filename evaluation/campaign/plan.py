@@ -130,6 +130,8 @@ def training_steps(settings: CampaignSettings) -> Iterator[Step]:
                     f"data.folder='{data.mdd}/Images'",
                     f"data.geometry='{data.mdd}/fan_geometry.csv'",
                 )
+            elif row.data == "self_supervised":
+                source = ("data=self_supervised", f"data.folder='{folders.data(row.places)}'")
             else:
                 renders = f"data.cache='{folders.out / 'cache'}'"
                 if data.pack is not None:

@@ -60,7 +60,8 @@ class RowSettings:
 
     words: of `simnfnd train`.  cpu_s: budget of each training, or steps: its length.
     checks: validations, if not as many as the others have.
-    places: whose renders it learns from.  start: the row whose weights it begins from.
+    places: whose renders it learns from; with data=self_supervised whose noisy pictures.
+    start: the row whose weights it begins from.
     """
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_]*$")]
@@ -69,7 +70,7 @@ class RowSettings:
     steps: Count | None = None
     checks: Count | None = None
     seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)] = (0,)
-    data: Literal["simnfnd", "olddata"] = "simnfnd"
+    data: Literal["simnfnd", "olddata", "self_supervised"] = "simnfnd"
     places: Literal["train", "sparse", "wide"] = "train"
     start: str | None = None
 

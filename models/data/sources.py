@@ -45,6 +45,8 @@ def open_data(settings: ModelsSettings) -> Data:
     Raises FactoryError: nothing there, another schema, images smaller than a patch, one frame only.
     """
     data = settings.data
+    if isinstance(data, SelfSupervisedData) and _is_dataset(data.folder):
+        return _of_dataset(data, settings)
     if isinstance(data, PairsData | RendersData):
         return _of_dataset(data, settings)
     assert isinstance(data, OldData | SelfSupervisedData)
@@ -76,8 +78,15 @@ def open_data(settings: ModelsSettings) -> Data:
     return Data(sources[0], sources[1], labels, facts)
 
 
-def _of_dataset(data: PairsData | RendersData, settings: ModelsSettings) -> Data:
-    folder = settings.dataset.dir
+def _is_dataset(folder: str) -> bool:
+    """Whether a folder is one that `simnfnd make` wrote; its preview is no training picture."""
+    return any((Path(folder).expanduser() / "train").glob("shard-*.h5"))
+
+
+def _of_dataset(
+    data: PairsData | RendersData | SelfSupervisedData, settings: ModelsSettings
+) -> Data:
+    folder = data.folder if isinstance(data, SelfSupervisedData) else settings.dataset.dir
     if folder is None:
         raise FactoryError(
             f"dataset: data={data.kind} needs the folder that `simnfnd make` made, dataset=DIR"
@@ -97,7 +106,7 @@ def _of_dataset(data: PairsData | RendersData, settings: ModelsSettings) -> Data
     }
     validation = PairSource(shown, table.sonar)
     labels = tuple(f"{sample.scene} {sample.frame}" for sample in shown)
-    if isinstance(data, PairsData):
+    if not isinstance(data, RendersData):
         source: Source = PairSource(learning, table.sonar, weaker=data.weaker, seed=settings.seed)
     else:
         # Only here: it brings the readers and the whole of the factory.

@@ -15,9 +15,14 @@ A network is one file beside this one with a settings class and a torch module, 
 - A network with `has_heads = True` predicts more: where `forward` returns the image alone,
   `with_heads(x, ...)` returns (image, shadow_logits, weight): logits (N, 1, H, W) of shadow, and
   (N,) the part of its change, 0 to 1, that `forward` gives each picture.
+- A network with `has_stages = True` makes several pictures, one after another:
+  `with_stages(x, ...)` returns all of them, the last as `forward` does; training takes the mean of
+  their losses.
 - A loss is `loss(prediction, clean, batch)`; the batch holds `noisy`, `clean`, `shadow`
   (N, 1, H, W) float, 1 in shadow, where it is known, `shadow_logits` and `weight` from a
   network with heads, and `progress`, a scalar, the fraction of the training that is done.
+- A network with `is_blind = True` never sees the pixel that it predicts: `predict_blind(x)` is the
+  prediction that it can learn from noisy images by.
 - A network with `adversarial = True` is trained against a discriminator
   (`simnfnd.models.training.adversarial`), any other by `simnfnd.models.training.module`; both
   denoise alike.
@@ -36,11 +41,14 @@ if TYPE_CHECKING:
     from simnfnd.models.networks.network import Network
 
 NETWORKS = {
+    "ap_bsn": ("simnfnd.models.networks.ap_bsn", "APBSNSettings", "APBSN"),
     "dae": ("simnfnd.models.networks.dae", "DAESettings", "DAE"),
+    "dgp_srgan": ("simnfnd.models.networks.dgp_srgan", "DGPSRGANSettings", "DGPSRGAN"),
     "nafnet": ("simnfnd.models.networks.nafnet", "NAFNetSettings", "NAFNet"),
     "restormer": ("simnfnd.models.networks.restormer", "RestormerSettings", "Restormer"),
     "sid_tgan": ("simnfnd.models.networks.sid_tgan", "SIDTGANSettings", "SIDTGAN"),
     "sonarnet": ("simnfnd.models.networks.sonarnet", "SonarNetSettings", "SonarNet"),
+    "three_stage": ("simnfnd.models.networks.three_stage", "ThreeStageSettings", "ThreeStage"),
     "unet": ("simnfnd.models.networks.unet", "UNetSettings", "UNet"),
 }
 """kind -> module, settings class, network class; torch is imported only when one is built."""

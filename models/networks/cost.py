@@ -57,15 +57,21 @@ def measure(network: Network, *, gmac_px: int = 256, time_px: int = 512) -> Cost
 def count_macs(network: Network, size_px: int) -> int:
     """Multiply-accumulates of convolutions, matrix products and attention, by torch's counter.
 
-    Nothing is computed where the network is on torch's `meta` device.
+    Of the network in use, where that differs from training.  Nothing is computed where the network
+    is on torch's `meta` device.
     """
     image, extras = example(network, size_px)
     # torch counts two floating-point operations a multiply-accumulate, and lacks its own kernel
     # for attention on a CPU.
     attention = torch.ops.aten._scaled_dot_product_flash_attention_for_cpu
     counter = FlopCounterMode(display=False, custom_mapping={attention: _attention_flops})
-    with counter, torch.inference_mode():
-        network(image, **extras)
+    was_training = network.training
+    network.eval()
+    try:
+        with counter, torch.inference_mode():
+            network(image, **extras)
+    finally:
+        network.train(was_training)
     return int(counter.get_total_flops()) // 2
 
 

@@ -33,7 +33,9 @@ class Network(nn.Module):
 
     extras: tuple[str, ...] = ()
     has_heads: ClassVar[bool] = False
+    has_stages: ClassVar[bool] = False
     adversarial: ClassVar[bool] = False
+    is_blind: ClassVar[bool] = False
 
     def __init__(self, channels: int, stride: int) -> None:
         super().__init__()
@@ -47,6 +49,14 @@ class Network(nn.Module):
 
     def restore_with_heads(self, noisy: Tensor, **extras: Tensor) -> NetworkOutput:
         """Like `restore`, with the output of the heads."""
+        raise NotImplementedError
+
+    def restore_blind(self, noisy: Tensor) -> Tensor:
+        """Like `restore`, every pixel from others alone."""
+        raise NotImplementedError
+
+    def restore_stages(self, noisy: Tensor, **extras: Tensor) -> list[Tensor]:
+        """Like `restore`, the image of every stage; the last is that of `restore`."""
         raise NotImplementedError
 
     def forward(self, noisy: Tensor, **extras: Tensor | None) -> Tensor:
@@ -75,6 +85,25 @@ class Network(nn.Module):
             logits.mean(dim=1, keepdim=True),
             output.weight.reshape(noisy.shape[0], -1).mean(dim=1),
         )
+
+    def predict_blind(self, noisy: Tensor) -> Tensor:
+        """The image, every pixel predicted from others alone, in training and in use.
+
+        Raises ValueError as `forward` does, and TypeError of a network that is not blind.
+        """
+        if not self.is_blind:
+            raise TypeError(f"{type(self).__name__} sees the pixels that it predicts")
+        return self._restored(self.restore_blind(self._prepared(noisy, {})[0]), noisy)
+
+    def with_stages(self, noisy: Tensor, **extras: Tensor | None) -> list[Tensor]:
+        """The image of every stage, the last of them as `forward` returns it.
+
+        Raises ValueError and TypeError as `forward` does, and TypeError without stages.
+        """
+        if not self.has_stages:
+            raise TypeError(f"{type(self).__name__} has no stages")
+        image, known = self._prepared(noisy, extras)
+        return [self._restored(stage, noisy) for stage in self.restore_stages(image, **known)]
 
     def _prepared(
         self, noisy: Tensor, extras: dict[str, Tensor | None]

@@ -1,16 +1,16 @@
 """Training against a discriminator.
 
 In turns, the discriminator learns to tell denoised from clean images, and the network to denoise so
-that it cannot.
-The terms are those that the abstract of SID-TGAN names (see `simnfnd.models.networks.sid_tgan`).
+that it cannot.  `AdversarialModule` makes the turns; what both learn by is that of SID-TGAN here,
+and that of DGP-SRGAN in `simnfnd.models.training.gradient_penalty`.
 """
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim import Optimizer
 
@@ -28,16 +28,34 @@ class AdversarialModule(DenoisingModule):
 
     Lightning leaves the order of the updates to this module, so it also clips the gradients and
     moves the learning rates.
+
+    betas: of both optimizers; by default a short memory, because the opponent moves (Radford et al.
+    2016).  turn: number of the present step.
     """
+
+    betas: ClassVar[tuple[float, float]] = (0.5, 0.99)
 
     def __init__(
         self, network: Network, loss: Loss, settings: TrainSettings, seed: int = 0
     ) -> None:
         super().__init__(network, loss, settings, seed)
-        assert isinstance(network, SIDTGAN)
         self.automatic_optimization = False
-        self.discriminator = Discriminator(network.settings)
-        self.term_weights = network.settings
+        self.turn = 0
+        self.discriminator = self.opponent(network)
+
+    def opponent(self, network: Network) -> nn.Module:
+        """The discriminator of this network, with fresh weights."""
+        raise NotImplementedError
+
+    def critic_loss(self, noisy: Tensor, clean: Tensor, denoised: Tensor) -> Tensor:
+        """What the discriminator learns by, of images (N, 1, H, W), the last without gradients."""
+        raise NotImplementedError
+
+    def generator_loss(
+        self, content: Tensor, noisy: Tensor, clean: Tensor, denoised: Tensor
+    ) -> Tensor:
+        """What the network learns by: the content term and what the discriminator has to say."""
+        raise NotImplementedError
 
     def on_fit_start(self) -> None:
         """Raises FactoryError where the two turns of a step cannot be kept apart."""
@@ -56,8 +74,7 @@ class AdversarialModule(DenoisingModule):
             optimizer = torch.optim.AdamW(
                 module.parameters(),
                 lr=chosen.learning_rate,
-                # A short memory, because the opponent moves (Radford et al. 2016).
-                betas=(0.5, 0.99),
+                betas=self.betas,
                 weight_decay=chosen.weight_decay,
             )
             optimizers.append(optimizer)
@@ -74,29 +91,21 @@ class AdversarialModule(DenoisingModule):
         Raises FactoryError when a loss is not a number.
         """
         generator, critic = cast(list[Any], self.optimizers())
+        self.turn = self.step + index
         noisy, clean = (_planes(batch[name]) for name in ("noisy", "clean"))
         prediction = self.network(batch["noisy"])
         denoised = _planes(prediction)
 
         self.discriminator.requires_grad_(True)
-        true, _, _ = self.discriminator(noisy, clean)
-        false, _, _ = self.discriminator(noisy, denoised.detach())
-        critic_loss = self.require_finite(hinge(true, false), index)
+        critic_loss = self.critic_loss(noisy, clean, denoised.detach())
+        critic_loss = self.require_finite(critic_loss, index)
         # The bare optimizer: Lightning counts the steps of wrapped ones, and one count is enough.
         self._update(critic.optimizer, self.discriminator, critic_loss)
 
         self.discriminator.requires_grad_(False)
         content = self.loss(prediction, batch["clean"], batch)
-        judged, local, overall = self.discriminator(noisy, denoised)
-        with torch.no_grad():
-            _, true_local, true_overall = self.discriminator(noisy, clean)
-        total = self.require_finite(
-            content
-            + self.term_weights.style * style(local, true_local)
-            + self.term_weights.similarity * dissimilarity(overall, true_overall)
-            - self.term_weights.adversarial * judged.mean(),
-            index,
-        )
+        total = self.generator_loss(content, noisy, clean, denoised)
+        total = self.require_finite(total, index)
         self._update(generator, self.network, total)
         for rate in cast(list[Any], self.lr_schedulers()):
             rate.step()
@@ -107,6 +116,38 @@ class AdversarialModule(DenoisingModule):
         self.manual_backward(loss)
         torch.nn.utils.clip_grad_norm_(module.parameters(), self.settings.clip)
         optimizer.step()
+
+
+class SIDTGANModule(AdversarialModule):
+    """The terms that the abstract of SID-TGAN names (see `simnfnd.models.networks.sid_tgan`)."""
+
+    def opponent(self, network: Network) -> nn.Module:
+        """See `AdversarialModule`."""
+        assert isinstance(network, SIDTGAN)
+        self.term_weights = network.settings
+        return Discriminator(network.settings)
+
+    def critic_loss(self, noisy: Tensor, clean: Tensor, denoised: Tensor) -> Tensor:
+        """See `AdversarialModule`."""
+        true, _, _ = self.discriminator(noisy, clean)
+        false, _, _ = self.discriminator(noisy, denoised)
+        return hinge(true, false)
+
+    def generator_loss(
+        self, content: Tensor, noisy: Tensor, clean: Tensor, denoised: Tensor
+    ) -> Tensor:
+        """See `AdversarialModule`."""
+        judged, local, overall = self.discriminator(noisy, denoised)
+        with torch.no_grad():
+            _, true_local, true_overall = self.discriminator(noisy, clean)
+        weights = self.term_weights
+        total: Tensor = (
+            content
+            + weights.style * style(local, true_local)
+            + weights.similarity * dissimilarity(overall, true_overall)
+            - weights.adversarial * judged.mean()
+        )
+        return total
 
 
 def hinge(true: Tensor, false: Tensor) -> Tensor:

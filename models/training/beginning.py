@@ -19,7 +19,7 @@ from simnfnd.models.training.teacher import Teacher
 def build_module(settings: ModelsSettings) -> DenoisingModule:
     """The network as training begins, and the way to train it.
 
-    Raises FactoryError where `start`, `train.parts`, `train.teacher` and the network do not fit.
+    Raises FactoryError where `start`, `train.parts`, `train.teacher`, `data` and the network do not fit.
     """
     network: Network = build_network(settings.model)
     if settings.start is not None:
@@ -34,11 +34,19 @@ def build_module(settings: ModelsSettings) -> DenoisingModule:
                 f"model.kind={settings.model['kind']}: is trained against clean images; "
                 "data=self_supervised has none"
             )
+        if settings.data.method == "blind_network" and not network.is_blind:
+            raise FactoryError(
+                f"data.method=blind_network: model.kind={settings.model['kind']} sees the pixels "
+                "that it predicts; take model=ap_bsn or data.method=blind_spot"
+            )
         return SelfSupervisedModule(network, loss, settings.train, settings.seed, settings.data)
     if network.adversarial:
-        from simnfnd.models.training.adversarial import AdversarialModule
+        from simnfnd.models.training.adversarial import SIDTGANModule
+        from simnfnd.models.training.gradient_penalty import GradientPenaltyModule
 
-        return AdversarialModule(network, loss, settings.train, settings.seed)
+        penalised = settings.model["kind"] == "dgp_srgan"
+        module = GradientPenaltyModule if penalised else SIDTGANModule
+        return module(network, loss, settings.train, settings.seed)
     return DenoisingModule(network, loss, settings.train, settings.seed, teacher)
 
 
@@ -46,10 +54,10 @@ def _teacher(network: Network, settings: ModelsSettings) -> Teacher | None:
     """The network to learn from, if any; FactoryError where there is nothing to compare with it."""
     if settings.train.teacher is None:
         return None
-    if isinstance(settings.data, SelfSupervisedData) or network.adversarial:
+    if isinstance(settings.data, SelfSupervisedData) or network.adversarial or network.has_stages:
         raise FactoryError(
             f"train.teacher={settings.train.teacher}: neither data=self_supervised nor a network "
-            "with a critic learns from a teacher; leave it out"
+            "with a critic or with stages learns from a teacher; leave it out"
         )
     teacher = Teacher(find_weights(settings.train.teacher), settings.train.teacher_share)
     if teacher.network.channels != network.channels:

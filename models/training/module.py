@@ -76,6 +76,10 @@ class DenoisingModule(LightningModule):
         """The loss of one batch.  index: of the step in its interval."""
         extras = known_extras(self.network, batch)
         batch = {**batch, "progress": torch.tensor((self.step + index) / self.settings.steps)}
+        if self.network.has_stages:
+            stages = self.network.with_stages(batch["noisy"], **extras)
+            losses = [self.loss(image, batch["clean"], batch) for image in stages]
+            return torch.stack(losses).mean()
         if self.network.has_heads:
             output = self.network.with_heads(batch["noisy"], **extras)
             prediction = output.image

@@ -6,8 +6,11 @@
 - blind_spot (after Krull et al., Noise2Void, CVPR 2019, with the wider mask of Broaddus et al.,
   Structured Noise2Void, ISBI 2020): some pixels are predicted from what lies further away than the
   grain of the speckle, which is correlated from pixel to pixel in every sonar.
+- blind_network (Lee et al., AP-BSN, CVPR 2022): the network itself never sees the pixel that it
+  predicts (`is_blind`), and is compared with all of them, by the absolute difference.
+- variance (Pillai et al. 2026): see `simnfnd.models.training.residual_statistics`.
 
-Both compare log(1 + log_gain * grey): multiplicative speckle is additive there.
+All but the last compare log(1 + log_gain * grey): multiplicative speckle is additive there.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
+from torch.optim.swa_utils import AveragedModel
 
 from simnfnd.factory.seeds import stream
 from simnfnd.models.data.pairs import Batch
@@ -27,6 +31,7 @@ from simnfnd.models.networks.network import Network
 from simnfnd.models.settings import SelfSupervisedData, TrainSettings
 from simnfnd.models.training.blind_spots import log_scale, mask_blind_spots
 from simnfnd.models.training.module import DenoisingModule
+from simnfnd.models.training.residual_statistics import residual_loss
 
 _VALIDATION = -1
 _NEIGHBOURS = ((0, 1), (0, 2), (1, 3), (2, 3))
@@ -59,17 +64,24 @@ class SelfSupervisedModule(DenoisingModule):
         # The weight of the regulariser grows linearly, as its authors propose.
         done = (self.step + index) / self.settings.steps
         rng = stream(self.seed, "self", self.step + index, self.global_rank)
-        return self._loss(self.network, batch["noisy"], rng, self.data.gamma * done)
+        return self._loss(self.network, batch["noisy"], rng, done)
 
     def validation_step(self, batch: Batch, index: int) -> None:
         """The loss, of fixed choices, on a whole image."""
         rng = stream(self.seed, "self", _VALIDATION, index)
-        value = self._loss(self.average, batch["noisy"], rng, self.data.gamma)
+        value = self._loss(self.average, batch["noisy"], rng, 1.0)
         self.log_means({"validation_loss": value[None]}, 1)
 
     def _loss(
-        self, network: torch.nn.Module, noisy: Tensor, rng: np.random.Generator, gamma: float
+        self, network: torch.nn.Module, noisy: Tensor, rng: np.random.Generator, done: float
     ) -> Tensor:
+        """Of one batch.  done: part of the training, which decides how much some terms weigh."""
+        if self.data.method == "blind_network":
+            plain = network.module if isinstance(network, AveragedModel) else network
+            assert isinstance(plain, Network)
+            return (self._log(plain.predict_blind(noisy)) - self._log(noisy)).abs().mean()
+        if self.data.method == "variance":
+            return residual_loss(network(noisy), noisy, self.data.variance, done)
         if self.data.method == "blind_spot":
             hidden, chosen = mask_blind_spots(noisy, rng, self.data.masked, self.data.radius)
             difference = self._log(network(hidden)) - self._log(noisy)
@@ -79,6 +91,7 @@ class SelfSupervisedModule(DenoisingModule):
         denoised = self._log(network(half))
         target = self._log(select_pixels(noisy, second))
         loss = (denoised - target).square().mean()
+        gamma = self.data.gamma * done
         if gamma:
             with torch.no_grad():
                 full = self._log(network(noisy))

@@ -228,6 +228,8 @@ def _recipe(settings: ModelsSettings, data: Data) -> dict[str, Any]:
     # Where the images lie decides nothing.
     for name in ("pack", "cache", "folder", "geometry"):
         chosen.pop(name, None)
+    if chosen.get("method") != "variance":
+        chosen.pop("variance", None)
     groups = {
         "model": dict(settings.model),
         "loss": dict(settings.loss),

@@ -34,7 +34,8 @@ def test_every_row_of_the_configuration_is_one_that_models_accepts(tmp_path: Pat
 
     chosen = settings(tmp_path, "data.flsea=x", "data.mdd=y")
     for row in chosen.rows:
-        more = ["data=olddata", "data.folder=x"] if row.data == "olddata" else ["data=renders"]
+        kind = "renders" if row.data == "simnfnd" else row.data
+        more = [f"data={kind}", *(["data.folder=x"] if kind != "renders" else [])]
         with initialize_config_module("simnfnd.conf", version_base="1.3"):
             values: Any = OmegaConf.to_container(
                 compose("models", [*more, *chosen.words, *row.words]), resolve=True

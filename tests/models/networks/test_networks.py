@@ -29,7 +29,12 @@ from simnfnd.models.removal import DEFAULT, vector
 from tests.project_files import ROOT
 
 TINY: dict[str, dict[str, Any]] = {
+    "ap_bsn": {"width": 8, "modules": 1, "train_stride": 2, "use_stride": 1, "passes": 2},
     "dae": {"widths": [8, 16]},
+    "dgp_srgan": {
+        **{"width": 8, "blocks": 2, "critic_width": 4},
+        **{"adversarial": 0.001, "penalty": 10.0},
+    },
     "nafnet": {"width": 4, "encoder": [1, 1], "middle": 1, "decoder": [1, 1]},
     "restormer": {
         **{"width": 8, "blocks": [1, 1, 1], "refinement": 1},
@@ -43,6 +48,7 @@ TINY: dict[str, dict[str, Any]] = {
         **{"widths": [8, 12], "blocks": [1, 1]},
         **{"polar": True, "lines": True, "mask": True, "forget": 0.1},
     },
+    "three_stage": {"width": 8, "growth": 4, "blocks": 1, "full_blocks": 1},
     "unet": {"widths": [4, 8], "blocks": 1},
 }
 KINDS = sorted(NETWORKS)
@@ -188,6 +194,9 @@ def test_a_description_that_makes_no_sense_is_refused(tmp_path: Path, model: Any
         ("dae", {"widths": []}, "one layer or more"),
         ("sid_tgan", {"heads": 5}, "which 5 heads cannot share"),
         ("sonarnet", {"blocks": [1]}, "as many of each"),
+        ("ap_bsn", {"passes": 8}, r"model\.passes"),
+        ("dgp_srgan", {"penalty": -1}, r"model\.penalty"),
+        ("three_stage", {"width": 2}, r"model\.width"),
     ],
 )
 def test_odd_networks_are_refused(kind: str, change: dict[str, Any], words: str) -> None:
@@ -216,6 +225,10 @@ def on_meta(config: dict[str, Any]) -> Network:
         ("unet", {}, 1.065e6, 4.45),
         ("dae", {}, 0.333e6, 1.40),
         ("sid_tgan", {}, 1.67e6, 4.25),
+        ("three_stage", {}, 0.229e6, 6.44),
+        ("dgp_srgan", {}, 0.0716e6, 4.67),
+        ("ap_bsn", {}, 0.0456e6, 23.73),
+        ("ap_bsn", {"passes": 0}, 0.0456e6, 2.966),
     ],
 )  # fmt: skip
 def test_networks_are_as_large_as_published(

@@ -27,7 +27,11 @@ from tests.factory.recordings.fan_pictures import fan, preset
 from tests.project.test_examples import run
 
 TINY: dict[str, dict[str, Any]] = {
+    "ap_bsn": {"width": 4, "modules": 1, "train_stride": 3, "use_stride": 2, "passes": 3},
     "dae": {"widths": [4, 4]},
+    "dgp_srgan": {
+        "width": 4, "blocks": 1, "critic_width": 4, "adversarial": 0.001, "penalty": 10.0,
+    },
     "nafnet": {"width": 4, "encoder": [1], "middle": 1, "decoder": [1]},
     "restormer": {"width": 4, "blocks": [1, 1], "refinement": 1, "heads": [1, 2], "expansion": 2.0},
     "sid_tgan": {
@@ -38,6 +42,7 @@ TINY: dict[str, dict[str, Any]] = {
         "widths": [4, 8], "blocks": [1, 1],
         "polar": True, "lines": True, "mask": True, "forget": 0.1,
     },
+    "three_stage": {"width": 4, "growth": 2, "blocks": 1, "full_blocks": 1},
     "unet": {"widths": [4, 8], "blocks": 1},
 }  # fmt: skip
 SIZES = ((1, 40, 56), (2, 57, 83), (1, 130, 33))
