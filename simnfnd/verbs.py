@@ -228,6 +228,12 @@ VERBS: dict[str, Verb] = {
                 ("simnfnd evaluate realism mdd outputs/demo outputs/aris",),
                 needs=("skimage", *_SONAR), hydra=True, places=None, config="realism",
             ),
+            "downstream": Verb(
+                JUDGE, "what denoising is worth to segmentation and detection",
+                "simnfnd.evaluation.downstream.command:downstream",
+                ("simnfnd evaluate downstream mdd sim=outputs/labelled",),
+                needs=(*_NETWORK, "skimage"), hydra=True, places=1, config="downstream",
+            ),
             "fit": Verb(
                 JUDGE, "the noise parameters that come nearest to real pictures",
                 "simnfnd.evaluation.fit.command:fit",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -15,9 +15,6 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.settings import build
 
 if TYPE_CHECKING:
-    from simnfnd.evaluation.real.downstream import Segmented
-    from simnfnd.evaluation.real.groups import Judged
-    from simnfnd.evaluation.real.measure import RealRow
     from simnfnd.evaluation.real.settings import RealSettings
 
 
@@ -29,9 +26,8 @@ def real(words: Sequence[str]) -> int:
 def run(config: DictConfig) -> None:
     """Measure, print the table and write the report."""
     settings = settings_of(config)
-    for key, given in (("models=", settings.models), ("downstream=true", settings.downstream)):
-        if given:
-            require(Need(key, module) for module in ("torch", "safetensors"))
+    if settings.models:
+        require(Need("models=", module) for module in ("torch", "safetensors"))
     from simnfnd.evaluation.methods.method import baselines_of, methods_of
     from simnfnd.evaluation.methods.networks import networks_at
     from simnfnd.evaluation.methods.tuning import load_tuned
@@ -48,10 +44,6 @@ def run(config: DictConfig) -> None:
     baselines = baselines_of(settings.baselines)
     networks = networks_at(settings.models, {})
     stretches, notes = open_input(settings.real, settings.search)
-    if settings.downstream:
-        for shot in (shot for stretch in stretches for shot in stretch.shots):
-            if shot.mask is None:
-                raise FactoryError(f"downstream: {shot.path} has no mask of its name in Masks/")
     out = settings.folder
     check_writable(out, "out")
     with TaskPool(settings.workers) as pool:
@@ -69,40 +61,10 @@ def run(config: DictConfig) -> None:
         **outcome.facts(),
         "notes": [*notes, *outcome.notes],
     }
-    # What has been measured is there before the training begins.
-    report.write(out, facts, outcome, {})
-    if settings.downstream:
-        facts["notes"].append(
-            f"mIoU: {settings.epochs} epochs, {settings.test_share:.0%} of the pictures tested"
-        )
-        for segments in _downstream(settings, outcome.rows, outcome.shown):
-            report.write(out, facts, outcome, segments)
+    report.write(out, facts, outcome)
     close_last()
     print(report.terminal(out))
     print(f"report: {out / 'real.html'}")
-
-
-def _downstream(
-    settings: RealSettings, rows: Sequence[RealRow], shown: Mapping[int, Judged]
-) -> Iterator[dict[str, Segmented]]:
-    """Label -> what its network makes of the test pictures, after each row that was trained."""
-    from simnfnd.evaluation.real.downstream import segmented
-    from simnfnd.factory.progress import progress_bar
-
-    labels = [shown[number].shot.classes() for number in sorted(shown)]
-    alive = [row for row in rows if row.lost is None]
-    found: dict[str, Segmented] = {}
-    with progress_bar(total=len(alive) * settings.epochs, unit="epoch", desc="segmentation") as bar:
-        for row in alive:
-            found[row.label] = segmented(
-                [row.images[number] for number in sorted(shown)],
-                labels,
-                epochs=settings.epochs,
-                test_share=settings.test_share,
-                seed=settings.seed,
-                progress=bar.update,
-            )
-            yield found
 
 
 def settings_of(config: DictConfig) -> RealSettings:

@@ -93,9 +93,7 @@ def judge(
     groups: list[Group] = []
     notes: list[str] = []
     shots = [shot for stretch in stretches for shot in stretch.shots]
-    if settings.downstream:
-        look = False
-    elif settings.groups == "auto":
+    if settings.groups == "auto":
         # Whoever marked objects in pictures wants to know of all of them.
         look = all(shot.mask is None for shot in shots)
     else:
@@ -142,7 +140,7 @@ def judge(
             pool,
             settings.device,
             settings.image_timeout_s,
-            lambda number: settings.downstream or number in picked,
+            picked.__contains__,
             bar.update,
         )
     member = _member(parts, count)

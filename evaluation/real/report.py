@@ -9,7 +9,6 @@ from typing import Any
 
 from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.methods.method import shown
-from simnfnd.evaluation.real.downstream import Segmented
 from simnfnd.evaluation.real.groups import LEAST_LEFT, MOST_OTHERS
 from simnfnd.evaluation.real.judging import TUNED, Outcome
 from simnfnd.evaluation.real.measure import RealRow
@@ -33,7 +32,6 @@ COLUMNS = {
     "edges_kept": Metric("edges kept", 3, 0),
     "ratio_mean": Metric("ratio mean", 3, 0),
     "m_index": Metric("M-index", 2, 0),
-    "miou": Metric("mIoU", 3, 1),
     "cpu_s": Metric("CPU s a picture", 3, -1),
 }
 _SIGNED = {"gain_db", *MARGINS.values()}
@@ -67,14 +65,9 @@ RULES = (
 )
 
 
-def write(
-    out: Path, facts: Mapping[str, Any], outcome: Outcome, downstream: Mapping[str, Segmented]
-) -> None:
+def write(out: Path, facts: Mapping[str, Any], outcome: Outcome) -> None:
     """Write the three files.  FactoryError when the folder cannot be written to."""
-    lines = [
-        _line(row, outcome.summaries.get(row.label), downstream.get(row.label), outcome)
-        for row in outcome.rows
-    ]
+    lines = [_line(row, outcome.summaries.get(row.label), outcome) for row in outcome.rows]
     rules = (*TRUTH, *RULES) if outcome.groups else RULES
     content = {**facts, "rows": lines, "rules": rules}
     text = json.dumps(content, indent=1, allow_nan=False) + "\n"
@@ -123,11 +116,8 @@ def markdown_table(lines: Sequence[Mapping[str, Any]]) -> str:
     return markdown.table(["method", *(COLUMNS[name].label for name in names)], rows)
 
 
-def _line(
-    row: RealRow, found: Summary | None, segments: Segmented | None, outcome: Outcome
-) -> dict[str, Any]:
+def _line(row: RealRow, found: Summary | None, outcome: Outcome) -> dict[str, Any]:
     means = {name: None if found is None else plain(found.means.get(name)) for name in COLUMNS}
-    means["miou"] = None if segments is None else segments.mean
     groups = {} if found is None or not outcome.groups else found.groups
     return {
         "label": row.label,
@@ -144,7 +134,6 @@ def _line(
             for name in ("psnr_db", "ssim", *MARGINS.values())
             if name in groups
         },
-        "class_iou": None if segments is None else segments.iou,
         "pictures": [
             None if one is None else {name: plain(value) for name, value in one.items()}
             for one in row.figures

@@ -28,9 +28,6 @@ class RealSettings:
     workers: Literal["auto"] | Count
     device: Literal["auto", "cpu", "gpu"]
     image_timeout_s: Annotated[float, Field(gt=0)]
-    downstream: bool
-    epochs: Count
-    test_share: Annotated[float, Field(gt=0, lt=1)]
     seed: Annotated[int, Field(ge=0)]
     bootstrap: Annotated[int, Field(ge=100)]
     out: str | None

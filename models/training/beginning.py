@@ -19,7 +19,8 @@ from simnfnd.models.training.teacher import Teacher
 def build_module(settings: ModelsSettings) -> DenoisingModule:
     """The network as training begins, and the way to train it.
 
-    Raises FactoryError where `start`, `train.parts`, `train.teacher`, `data` and the network do not fit.
+    Raises FactoryError where the network and `start`, `data`, `train.parts` or `train.teacher` do
+    not fit.
     """
     network: Network = build_network(settings.model)
     if settings.start is not None:

@@ -163,6 +163,7 @@ RECORDING = (*ANALYTIC, "scenes=csv_list", "scenes.root={in}/list.csv",
         (("evaluate", "real", "{in}", "out={out}"), "skimage", "report"),
         (("evaluate", "real", "{in}", "out={out}", "models=[simnfnd]"), "torch", "train"),
         (("evaluate", "realism", "{in}", "{in}", "out={out}"), "skimage", "report"),
+        (("evaluate", "downstream", "{in}", "out={out}"), "torch", "train"),
         (("evaluate", "fit", "{in}", "out={out}"), "optuna", "report"),
         (("benchmark", "make", "--out", "{out}"), "jinja2", "report"),
         (("benchmark", "enter", "a", "--baseline", "tv"), "skimage", "report"),
@@ -300,8 +301,8 @@ said("export made --to huggingface --out x", 2, 'pip install "simnfnd[export]"')
 for words in ("gallery", "physics", "train dataset=made", "denoise made --out x",
               "adapt made --out x", "export-weights simnfnd --out x", "evaluate dataset=made",
               "evaluate tune dataset=made", "evaluate compare a b", "evaluate real a",
-              "evaluate realism a b", "evaluate fit a", "benchmark make", "benchmark enter a",
-              "benchmark table", "campaign", "campaign table a"):
+              "evaluate downstream a", "evaluate realism a b", "evaluate fit a", "benchmark make",
+              "benchmark enter a", "benchmark table", "campaign", "campaign table a"):
     said(words, 2, "pip install")
 print(f"core alone: {defects} defects")
 """

@@ -37,6 +37,12 @@ def parts() -> Iterator[tuple[str, list[Part]]]:
         ("evaluate", "evaluation", "simnfnd.evaluation.settings", "EvaluationSettings"),
         ("evaluate real", "real", "simnfnd.evaluation.real.settings", "RealSettings"),
         ("evaluate realism", "realism", "simnfnd.evaluation.realism.settings", "RealismSettings"),
+        (
+            "evaluate downstream",
+            "downstream",
+            "simnfnd.evaluation.downstream.settings",
+            "DownstreamSettings",
+        ),
         ("evaluate fit", "fit", "simnfnd.evaluation.fit.settings", "FitSettings"),
         ("campaign", "campaign", "simnfnd.evaluation.campaign.settings", "CampaignSettings"),
     ):

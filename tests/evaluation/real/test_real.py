@@ -13,12 +13,10 @@ import numpy.typing as npt
 import pytest
 
 from simnfnd.command import main
-from simnfnd.evaluation.real.downstream import segmented, split_of
 from simnfnd.evaluation.real.measure import figures_of
 from simnfnd.evaluation.real.scenes import Scene, scene_of
 from simnfnd.evaluation.real.shots import Shot, open_input, sector_of
 from simnfnd.evaluation.realism.real import MDD_GEOMETRIES, MDD_SHAPE
-from simnfnd.factory.errors import FactoryError
 from tests.project_files import ROOT
 
 Array = npt.NDArray[Any]
@@ -106,8 +104,8 @@ def test_the_report_of_a_folder_with_masks(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, out = fans(tmp_path / "mdd", 2), tmp_path / "out"
-    words = ("baselines=[gaussian,richardson_lucy,recursive]", "downstream=true", "epochs=1")
-    assert real(str(folder), f"out={out}", *words, "test_share=0.5", "examples=2") == 0
+    words = ("baselines=[gaussian,richardson_lucy,recursive]", "examples=2")
+    assert real(str(folder), f"out={out}", *words) == 0
     assert "| noisy |" in capsys.readouterr().out
     content = json.loads((out / "real.json").read_text(encoding="utf-8"))
     rows = {row["label"]: row for row in content["rows"]}
@@ -116,7 +114,6 @@ def test_the_report_of_a_folder_with_masks(
     assert rows["gaussian"]["means"]["enl"] > rows["noisy"]["means"]["enl"]
     for label in ("noisy", "gaussian", "richardson_lucy"):
         assert len(rows[label]["pictures"]) == 2
-        assert set(rows[label]["class_iou"]) == {"0", "3"}
     page = (out / "real.html").read_text(encoding="utf-8")
     assert page.count("data:image/png") == 2 * 3
     assert "lost:" in page
@@ -142,9 +139,8 @@ def test_any_gray_pictures_will_do(tmp_path: Path) -> None:
         (("{root}/none",), "no such folder or recording"),
         (("{root}/empty",), "holds no pictures and no recordings"),
         (("{root}/black",), "0.png: black, or smaller than 16 pixels"),
-        (("{root}/plain", "downstream=true"), "0.png has no mask of its name in Masks/"),
         (("{root}/plain", "tuned={root}/none.json"), "tuned={root}/none.json: no such file"),
-        (("{root}/plain", "epochs=0"), "epochs"),
+        (("{root}/plain", "frames=0"), "frames"),
         (("{root}/plain", "baselines=[wiener]"), "baselines: no 'wiener'"),
         (("{root}/plain", "models=[{root}/none]"), "models: "),
     ],
@@ -160,36 +156,6 @@ def test_bad_input_is_one_line(
     error = capsys.readouterr().err
     assert told.format(root=tmp_path) in error
     assert "Traceback" not in error
-
-
-def test_segmentation_learns_what_the_picture_shows_and_repeats() -> None:
-    """Blocks that are visible are found; the same blocks drowned in noise are not."""
-    rng = np.random.default_rng(1)
-    images, labels = [], []
-    for _ in range(16):
-        label = np.zeros((48, 56), np.uint8)
-        row, column = rng.integers(2, 28, 2)
-        label[row : row + 16, column : column + 16] = 1
-        images.append(np.where(label > 0, 0.9, 0.2).astype(np.float32))
-        labels.append(label)
-    settings: dict[str, Any] = {"epochs": 12, "test_share": 0.25, "seed": 3}
-    clear = segmented(images, labels, **settings)
-    assert set(clear.iou) == {0, 1}
-    assert clear.mean > 0.8
-    short = {**settings, "epochs": 1}
-    assert segmented(images, labels, **short) == segmented(images, labels, **short)
-    drowned = [0.2 * one + rng.random(one.shape, dtype=np.float32) for one in images]
-    assert segmented(drowned, labels, **settings).mean < clear.mean - 0.1
-
-
-def test_split_is_by_picture_and_the_same_for_all() -> None:
-    train, test = split_of(117, 0.3, 0)
-    assert sorted(train + test) == list(range(117))
-    assert len(test) == 35
-    assert split_of(117, 0.3, 0) == (train, test)
-    assert split_of(117, 0.3, 1)[1] != test
-    with pytest.raises(FactoryError, match="cannot be split"):
-        split_of(1, 0.3, 0)
 
 
 @pytest.mark.skipif(not MDD.is_dir(), reason="needs ../shared/data/mdd")

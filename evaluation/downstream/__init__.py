@@ -1,0 +1,1 @@
+"""Does denoising help whoever works with the pictures: segmentation and detection, few labels."""
