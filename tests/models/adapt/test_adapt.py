@@ -22,6 +22,7 @@ from simnfnd.models.adapt.still import find_lessons
 from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.denoise.geometries import NONE, Geometries
 from simnfnd.models.networks import build_network
+from simnfnd.models.networks.sonarnet import SonarNet
 from simnfnd.models.networks.weights import load_weights, save_weights
 from tests.models.adapt.scenes import SIDE, Gray, noisy, scene, write
 from tests.project_files import ROOT
@@ -127,6 +128,7 @@ def test_geometry_is_told_or_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         | {"mask": False, "forget": 0.0}
     )
     seen: list[bool] = []
+    assert isinstance(network, SonarNet)
     single = network._single_pass
 
     def watched(noisy: torch.Tensor, extras: dict[str, torch.Tensor]) -> object:
