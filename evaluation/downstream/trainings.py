@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from simnfnd.evaluation.downstream.counts import Counts, counts_of
 from simnfnd.evaluation.downstream.splits import folds_of, labelled_of
-from simnfnd.factory.files import explain_os_errors
+from simnfnd.evaluation.measurement.lines import LineFile
 
 Pictures = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
@@ -71,17 +71,10 @@ class Done:
 
     def __init__(self, folder: Path) -> None:
         """A line that a crash cut off is left out.  FactoryError for a folder that is no use."""
-        self._path = folder / DONE_NAME
         self._known: dict[str, dict[int, Counts]] = {}
-        with explain_os_errors(folder, "out"):
-            folder.mkdir(parents=True, exist_ok=True)
-            self._file = self._path.open("a+b")
-        self._file.seek(0)
-        content = self._file.read()
-        for line in content.splitlines():
+        self._file = LineFile(folder, DONE_NAME)
+        for line in self._file.lines:
             self._read(line)
-        if content and not content.endswith(b"\n"):
-            self._file.write(b"\n")
 
     def __contains__(self, key: str) -> bool:
         return key in self._known
@@ -93,9 +86,7 @@ class Done:
     def add(self, key: str, counts: dict[int, Counts]) -> None:
         """Written at once."""
         line = {"key": key, "counts": {n: one.to_json() for n, one in counts.items()}}
-        with explain_os_errors(self._path, "out"):
-            self._file.write(json.dumps(line).encode() + b"\n")
-            self._file.flush()
+        self._file.add(line)
         self._known[key] = counts
 
     def close(self) -> None:

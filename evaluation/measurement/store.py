@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from simnfnd.factory.files import explain_os_errors
+from simnfnd.evaluation.measurement.lines import LineFile
 
 Figures = dict[str, float]
 MEASURED_NAME = "measured.jsonl"
@@ -22,18 +22,10 @@ class FigureStore:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._path = folder / MEASURED_NAME
         self._known: dict[tuple[str, str], Figures] = {}
-        with explain_os_errors(folder, "out"):
-            folder.mkdir(parents=True, exist_ok=True)
-            # Opened now, so that a folder that cannot be written to ends the run before its work.
-            self._file = self._path.open("a+b")
-        self._file.seek(0)
-        content = self._file.read()
-        for line in content.splitlines():
+        self._file = LineFile(folder, MEASURED_NAME)
+        for line in self._file.lines:
             self._read(line)
-        if content and not content.endswith(b"\n"):
-            self._file.write(b"\n")
 
     def get(self, method: str, picture: str) -> Figures | None:
         """The figures of a method on a picture, None when they have not been measured."""
@@ -48,9 +40,7 @@ class FigureStore:
             "names": names,
             "figures": [[one[name] for name in names] for one in figures],
         }
-        with explain_os_errors(self._path, "out"):
-            self._file.write(json.dumps(line).encode() + b"\n")
-            self._file.flush()
+        self._file.add(line)
         self._keep(line)
 
     def close(self) -> None:

@@ -24,7 +24,7 @@ from simnfnd.models.adapt.simulated import Simulated
 from simnfnd.models.adapt.still import Lessons, Still
 from simnfnd.models.data.crops import concatenate, whole_image_batch
 from simnfnd.models.data.pairs import Batch, Image, Sample
-from simnfnd.models.networks.network import Network
+from simnfnd.models.networks.network import Network, known_extras
 from simnfnd.models.training.blind_spots import log_scale, mask_blind_spots
 from simnfnd.models.training.samples import denoise_batch
 
@@ -149,7 +149,7 @@ class BlindLesson:
         noisy = batch["noisy"]
         hidden, chosen = mask_blind_spots(noisy, rng, _MASKED, _RADIUS)
         chosen = chosen * torch.isfinite(batch["clean"])
-        extras = {name: batch[name] for name in network.extras if name in batch}
+        extras = known_extras(network, batch)
         difference = log_scale(network(hidden, **extras), _LOG_GAIN) - log_scale(noisy, _LOG_GAIN)
         loss: Tensor = (difference.square() * chosen).sum() / chosen.sum().clamp_min(1)
         return loss
@@ -222,7 +222,7 @@ def _odds(stills: Sequence[Still]) -> npt.NDArray[np.float64]:
 def _squares(network: Network, crops: Sequence[Batch], device: str) -> Tensor:
     """Mean squared difference where the target is known."""
     batch = _on(device, concatenate(crops))
-    extras = {name: batch[name] for name in network.extras if name in batch}
+    extras = known_extras(network, batch)
     known = torch.isfinite(batch["clean"])
     difference = network(batch["noisy"], **extras) - torch.nan_to_num(batch["clean"])
     loss: Tensor = (difference.square() * known).sum() / known.sum().clamp_min(1)

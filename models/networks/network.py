@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import ClassVar, NamedTuple
 
 import torch
@@ -130,6 +130,11 @@ class Network(nn.Module):
         if image.shape[1] > noisy.shape[1]:
             return image.mean(dim=1, keepdim=True)
         return image.reshape(noisy.shape)
+
+
+def known_extras(network: Network, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The optional inputs of the network that the batch holds."""
+    return {name: batch[name] for name in network.extras if name in batch}
 
 
 def padded(x: Tensor, stride: int) -> Tensor:

@@ -15,7 +15,7 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.seeds import stream
 from simnfnd.models.data.pairs import Batch
 from simnfnd.models.losses.base import Loss
-from simnfnd.models.networks.network import Network
+from simnfnd.models.networks.network import Network, known_extras
 from simnfnd.models.networks.weights import channels_last
 from simnfnd.models.settings import TrainSettings
 from simnfnd.models.training.quality import psnr_db, shadow_iou, ssim
@@ -141,11 +141,6 @@ class DenoisingModule(LightningModule):
             optimizer, lambda step: learning_rate_factor(step, chosen.warmup, chosen.steps)
         )
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": rate, "interval": "step"}}
-
-
-def known_extras(network: Network, batch: Batch) -> dict[str, Tensor]:
-    """The optional inputs of the network that the batch holds."""
-    return {name: batch[name] for name in network.extras if name in batch}
 
 
 def learning_rate_factor(step: int, warmup: int, steps: int) -> float:

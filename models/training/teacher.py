@@ -9,6 +9,7 @@ from torch import Tensor
 
 from simnfnd.models.data.pairs import Batch
 from simnfnd.models.losses.base import Loss
+from simnfnd.models.networks.network import known_extras
 from simnfnd.models.networks.weights import channels_last, load_weights
 
 
@@ -41,7 +42,7 @@ class Teacher:
         """
         noisy = batch["noisy"]
         self.network.to(noisy.device)
-        known = {name: batch[name] for name in self.extras if name in batch}
+        known = known_extras(self.network, batch)
         # How much of a change is right is measured against the truth, never against the teacher.
         lesson = {name: batch[name] for name in batch if name not in ("weight", "shadow")}
         with torch.no_grad():
