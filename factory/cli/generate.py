@@ -28,6 +28,7 @@ from simnfnd.factory.renders.cache import Limit
 from simnfnd.factory.renders.views import ViewMaker, check_views, with_cache
 from simnfnd.factory.selection import choose_frames, frames_digest, split_frames, split_warnings
 from simnfnd.factory.storage.copies import shown
+from simnfnd.factory.workers import template
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -63,7 +64,10 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
 
     require(needs_of(config))
     check_views(config)
-    compile_all()
+    forked = template.runs() and config.scheduler.backend == "local"
+    if not (forked and config.scheduler.threads == 1):
+        # Else the process that workers are forked from does it, for all of them.
+        compile_all()
     job = job_of(config, arguments)
     report = make_dataset(job)
     if job.shard.part:
@@ -127,6 +131,7 @@ def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
         on_prepared=Limit(working.cache),
         extension=lambda earlier: plan_extension(splits, *how, earlier),
         warnings=warnings,
+        preload=("simnfnd.factory.cli.preloaded",),
     )
 
 

@@ -6,12 +6,22 @@ import os
 import sys
 from collections.abc import Sequence
 
+from simnfnd.factory.workers import template
+
+# What workers are forked with.
+PRELOADED = ("simnfnd.factory.cli.preloaded",)
+_LOCAL = ("scheduler=local", "scheduler=paper48", "scheduler.backend=local")
+
 
 def main(words: Sequence[str]) -> int:
     """Make what the configuration says; returns the exit code, 1 when some frames failed."""
     # Libraries read these when they are first imported; a pool of workers must not multiply them.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+
+    if _makes_here(words):
+        # Now, so that it loads beside what this process has to load.
+        template.start(PRELOADED)
 
     from simnfnd.factory.cli import run_app
     from simnfnd.factory.cli.generate import generate
@@ -21,3 +31,11 @@ def main(words: Sequence[str]) -> int:
     flags = [word for word in words if word in ("-m", "--multirun")]
     sys.argv[1:] = flags + [as_override(word) for word in words if word not in flags]
     return run_app(generate, "factory")
+
+
+def _makes_here(words: Sequence[str]) -> bool:
+    """Whether processes of this machine will make pairs; a wrong guess costs a second."""
+    elsewhere = ("scheduler=", "scheduler.backend=", "hydra/launcher=", "--", "-h", "-c", "-i")
+    return not any(
+        word.startswith(elsewhere) and word not in _LOCAL and word != "--multirun" for word in words
+    )

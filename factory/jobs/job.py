@@ -65,6 +65,7 @@ class Job:
         place of `tasks` there.
     earlier: path -> what a shard states that was made before the dataset was extended.
     warnings: what the user is told when planning, and once more at the end.
+    preload: modules that every worker needs, loaded once for all.
     """
 
     directory: Path
@@ -83,6 +84,7 @@ class Job:
     extension: Callable[[Sequence[Earlier]], tuple[ShardTask, ...]] | None = None
     earlier: Mapping[str, Provenance] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    preload: tuple[str, ...] = ("simnfnd.factory.jobs.worker",)
 
     @property
     def own_tasks(self) -> tuple[ShardTask, ...]:

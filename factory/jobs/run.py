@@ -124,7 +124,8 @@ def make_shards(
             stage(f"starting {_workers(crew)} for {sum(task.samples for task in todo)} pairs")
             largest = max(len(task.items) for task in todo)
             try:
-                with leased(job.scheduler.worker_settings(crew, largest)) as backend:
+                settings = job.scheduler.worker_settings(crew, largest, job.preload)
+                with leased(settings) as backend:
                     Loop(job, resumed, ledger, progress, lock, backend, publication).run()
             finally:
                 _tidy(job)

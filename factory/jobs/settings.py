@@ -129,8 +129,13 @@ class SchedulerSettings:
         note = f"{limit}: {fitting} of {crew.total} workers fit and are used; raise it for more"
         return Crew(render, fitting - render), note
 
-    def worker_settings(self, crew: Crew, frames_per_shard: int) -> WorkerSettings:
-        """The processes of `crew`, for shards of at most so many frames."""
+    def worker_settings(
+        self, crew: Crew, frames_per_shard: int, preload: tuple[str, ...] = ()
+    ) -> WorkerSettings:
+        """The processes of `crew`, for shards of at most so many frames.
+
+        preload: modules that every worker needs.
+        """
         shards_per_worker = max(1, self.recycle_frames // frames_per_shard)
         return WorkerSettings(
             pools=(
@@ -141,4 +146,5 @@ class SchedulerSettings:
             threads=self.threads,
             start_all=self.start_all,
             address=self.address,
+            preload=preload,
         )

@@ -41,6 +41,7 @@ class WorkerSettings:
     threads: of each worker's numerical libraries.
     start_all: start every worker at once, not when there is a task for it.
     address: of a Dask scheduler, tcp://host:port; None starts a cluster on this machine.
+    preload: modules that every worker needs, loaded once for all (local workers only).
     """
 
     pools: tuple[Pool, ...]
@@ -48,6 +49,7 @@ class WorkerSettings:
     threads: int = 1
     start_all: bool = False
     address: str | None = None
+    preload: tuple[str, ...] = ()
 
     @property
     def total(self) -> int:

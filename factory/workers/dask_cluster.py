@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.workers.contract import Pool, WorkerSettings
-from simnfnd.factory.workers.local import THREAD_VARIABLES
+from simnfnd.factory.workers.template import THREAD_VARIABLES
 
 T = TypeVar("T")
 

@@ -1,4 +1,4 @@
-"""Worker processes on this machine: spawned, single-threaded, replaceable, gone when we go."""
+"""Worker processes on this machine: single-threaded, replaceable, gone when we go."""
 
 from __future__ import annotations
 
@@ -7,20 +7,13 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
+from simnfnd.factory.workers import template
 from simnfnd.factory.workers.contract import WorkerSettings
 from simnfnd.factory.workers.slot import Slot, WorkerDied, stop_all
+from simnfnd.factory.workers.template import THREAD_VARIABLES
 
 T = TypeVar("T")
 
-THREAD_VARIABLES = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-    "OPENCV_FOR_THREADS_NUM",
-)
 _STOP_S = 10.0
 
 
@@ -34,7 +27,9 @@ class LocalBackend:
         # Read when a library is loaded, so set before a worker exists; recycled ones read it too.
         self._saved = {name: os.environ.get(name) for name in THREAD_VARIABLES}
         os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(settings.threads)))
-        self._slots = [Slot(pool) for pool in settings.pools for _ in range(pool.workers)]
+        template.start(settings.preload, settings.threads)
+        forks = bool(settings.preload)
+        self._slots = [Slot(pool, forks) for pool in settings.pools for _ in range(pool.workers)]
         if settings.start_all:
             for slot in self._slots:
                 slot.start()
@@ -70,8 +65,4 @@ class LocalBackend:
     def stop(self) -> None:
         """Kill the workers now; files are whole or absent if tasks write them atomically."""
         stop_all(self._slots, _STOP_S)
-        for name, value in self._saved.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        template.restore(self._saved)

@@ -25,6 +25,7 @@ from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
+from simnfnd.factory.workers import template
 from simnfnd.factory.workers.contract import Pool
 from simnfnd.factory.workers.start import start_worker_process
 
@@ -52,11 +53,13 @@ class _Task:
 class Slot:
     """A place for one worker process; a thread of its own waits for it.
 
-    Start method spawn, because a process that has rendered does not survive a fork.
+    The process is no fork of this one, which may have rendered and does not survive a fork.
     """
 
-    def __init__(self, pool: Pool) -> None:
+    def __init__(self, pool: Pool, forks: bool = False) -> None:
+        """forks: start processes as forks of the template where there is one."""
         self.pool = pool
+        self._forks = forks
         self.future: Future[Any] | None = None
         self._tasks: SimpleQueue[_Task | None] = SimpleQueue()
         self._child: _Child | None = None
@@ -120,7 +123,7 @@ class Slot:
 
     def _answer(self, task: _Task) -> Any:
         if self._child is None or not self._child.alive:
-            self._child = _Child()
+            self._child = _Child(self._forks)
         if self._stopped:  # while it was being started
             self._child.kill()
         return self._child.ask(task.request, task.timeout_s) if task.request else None
@@ -135,13 +138,11 @@ class Slot:
 class _Child:
     """A worker process and our end of the connection to it."""
 
-    def __init__(self) -> None:
+    def __init__(self, forks: bool) -> None:
         self.answered = 0
-        context = multiprocessing.get_context("spawn")
-        self._connection, theirs = context.Pipe()
+        self._connection, theirs = multiprocessing.Pipe()
         try:
-            self._process = context.Process(target=_work, args=(theirs,))
-            self._process.start()
+            self._process = template.started(forks, _START_S, _work, (theirs, dict(os.environ)))
         except BaseException:
             self._connection.close()
             raise
@@ -233,8 +234,13 @@ def _hold_interrupts() -> None:
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 
-def _work(connection: Connection) -> None:
-    """What the process does until its connection is closed."""
+def _work(connection: Connection, environment: dict[str, str]) -> None:
+    """What the process does until its connection is closed.
+
+    environment: of the parent as it is now; a template may have been started with another.
+    """
+    os.environ.clear()
+    os.environ.update(environment)
     start_worker_process()
     threading.Thread(target=_exit_with_parent, daemon=True).start()
     while True:

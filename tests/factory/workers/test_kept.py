@@ -7,9 +7,9 @@ import signal
 from collections.abc import Iterator
 from pathlib import Path
 
-import psutil
 import pytest
 
+from benchmarks.memory import workers_of
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.workers.kept import keep_workers, release_workers
 from tests.fake_source import BrokenSource, FakeConfig
@@ -18,11 +18,7 @@ from tests.run_fake import make
 
 def workers() -> set[int]:
     """Process numbers of the workers that live."""
-    return {
-        child.pid
-        for child in psutil.Process().children()
-        if child.status() != psutil.STATUS_ZOMBIE and "spawn_main" in " ".join(child.cmdline())
-    }
+    return {child.pid for child in workers_of(os.getpid())}
 
 
 def contents(directory: Path) -> dict[str, bytes]:

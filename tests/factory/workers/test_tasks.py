@@ -13,6 +13,7 @@ from collections import deque
 import psutil
 import pytest
 
+from benchmarks.memory import workers_of
 from simnfnd.factory.workers import slot
 from simnfnd.factory.workers.backends import open_backend
 from simnfnd.factory.workers.contract import BackendName, Pool, WorkerSettings
@@ -34,8 +35,7 @@ def task(name: str) -> tuple[str, int]:
 
 
 def children() -> list[psutil.Process]:
-    found = psutil.Process().children()
-    return [child for child in found if "spawn_main" in " ".join(child.cmdline())]
+    return workers_of(os.getpid())
 
 
 def test_a_task_that_dies_or_sleeps_costs_itself_alone() -> None:

@@ -1,0 +1,147 @@
+"""The process that workers are forked from, which has loaded once what each of them needs.
+
+To start an interpreter and to load numpy, numba and the loops costs a worker more than a second; a
+fork of a process that has them costs some milliseconds, and shares their memory.  It is the fork
+server of `multiprocessing`, which runs one thread and neither renders nor makes a pair, so that
+what is forked from it is as good as new.  Where there is none (outside Linux, or when it
+died), workers are spawned.
+"""
+
+from __future__ import annotations
+
+import atexit
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from multiprocessing import forkserver, resource_tracker
+from multiprocessing.process import BaseProcess
+from typing import Any
+
+THREAD_VARIABLES = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "NUMBA_NUM_THREADS",
+    "NUMEXPR_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+    "OPENCV_FOR_THREADS_NUM",
+)
+
+
+class _Template:
+    """What is known of the one template of this process.
+
+    owner: the process that started it, 0 for none; whoever is forked from that has none.
+    threads: how many its libraries were told to use when they were loaded.
+    """
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.owner = 0
+        self.threads: dict[str, str | None] = {}
+
+
+_template = _Template()
+
+
+def start(modules: tuple[str, ...], threads: int = 1) -> None:
+    """Start it, unless it runs; returns at once, while it imports `modules`.
+
+    threads: of the numerical libraries in workers forked from it.  Without modules a fork would
+    spare little, and nothing is started.
+    """
+    if not modules or not sys.platform.startswith("linux"):
+        return
+    with _template.lock, thread_variables(threads), _interrupts_held():
+        if runs():
+            return
+        forkserver.set_forkserver_preload(list(modules))
+        # In a process that is itself a fork, it is another's.
+        with suppress(ChildProcessError):
+            forkserver.ensure_running()
+            _template.owner, _template.threads = os.getpid(), _threads_told()
+
+
+def started(
+    forks: bool, within_s: float, target: Callable[..., None], arguments: tuple[Any, ...]
+) -> BaseProcess:
+    """A process that runs `target(*arguments)`.
+
+    forks: of the template, if one runs and has the right number of threads.
+    within_s: how long a template may take to load; one that takes longer is killed.
+    """
+    process: BaseProcess
+    if forks and runs() and _template.threads == _threads_told():
+        server = multiprocessing.get_context("forkserver")
+        process = server.Process(target=target, args=arguments)
+        late = threading.Timer(within_s, kill)
+        late.daemon = True
+        late.start()
+        # It may die meanwhile, or there is no room for a process at all.
+        with suppress(EOFError, OSError):
+            try:
+                process.start()
+                return process
+            finally:
+                late.cancel()
+    process = multiprocessing.get_context("spawn").Process(target=target, args=arguments)
+    process.start()
+    return process
+
+
+def runs() -> bool:
+    """Whether one was started, by this process."""
+    return _template.owner == os.getpid()
+
+
+@atexit.register
+def kill() -> None:
+    """Kill the template, if there is one; what was forked from it lives on."""
+    if not runs():
+        return
+    # The next `start` starts another.
+    _template.owner = 0
+    server: Any = vars(forkserver)["_forkserver"]
+    with suppress(OSError):
+        os.kill(server._forkserver_pid, signal.SIGKILL)
+        server._stop()
+
+
+@contextmanager
+def thread_variables(threads: int) -> Iterator[None]:
+    """Within the block, libraries of processes that are started use so many threads."""
+    saved = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
+    try:
+        yield
+    finally:
+        restore(saved)
+
+
+def restore(saved: Mapping[str, str | None]) -> None:
+    """Set environment variables again; None: there was none."""
+    for name, value in saved.items():
+        if value is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = value
+
+
+def _threads_told() -> dict[str, str | None]:
+    return {name: os.environ.get(name) for name in THREAD_VARIABLES}
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Ctrl-C goes to the whole process group of a terminal; only the main process answers it."""
+    # Its start would lift the hold, so it has to run before.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
