@@ -94,7 +94,10 @@ def the_template() -> psutil.Process:
 
 def test_one_that_was_killed_is_replaced() -> None:
     template.start((LOADED,))
-    the_template().send_signal(signal.SIGKILL)
+    one = the_template()
+    one.send_signal(signal.SIGKILL)
+    while one.status() != psutil.STATUS_ZOMBIE:
+        time.sleep(0.01)
     assert asked()[2]
 
 
