@@ -148,6 +148,7 @@ def _write(path: Path, content: bytes, look: Callable[[Path], None] | None = Non
         aside.write_bytes(content)
         if look:
             look(aside)
+        touch(aside)  # it may have waited for the look, and is not the oldest for that
         os.replace(aside, path)
     finally:
         aside.unlink(missing_ok=True)

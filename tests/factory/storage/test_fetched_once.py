@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -25,7 +26,7 @@ from simnfnd.factory.dataset.read.stream import Windows
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.storage.copies import local_folder
+from simnfnd.factory.storage.copies import fetched, local_folder
 from simnfnd.factory.storage.store import Store
 from tests.factory.dataset.hostile import PROVENANCE
 from tests.fake_source import FakeConfig, FakeSource, refs
@@ -353,3 +354,11 @@ def test_a_limit_that_is_no_number_is_one_line(url: str, monkeypatch: pytest.Mon
         pytest.raises(FactoryError, match="SIMNFND_CLOUD_CACHE_BYTES=10 GB: must be a whole"),
     ):
         pairs[0]
+
+
+def test_a_shard_that_waited_for_its_look_is_not_the_first_to_go(url: str) -> None:
+    folder = local_folder(url)
+    first, second = (folder / f"train/shard-{number:05d}.h5" for number in range(2))
+    bring(first)
+    fetched(second, look=lambda aside: os.utime(aside, ns=(0, aside.stat().st_mtime_ns)))
+    assert first.stat().st_atime_ns < second.stat().st_atime_ns
