@@ -12,13 +12,14 @@ import re
 import secrets
 import shutil
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import explain_os_errors
 from simnfnd.factory.small_files import read_regular
+from simnfnd.factory.storage.alone import alone
+from simnfnd.factory.storage.room import copies_folder, make_room, touch
 from simnfnd.factory.storage.store import Store, is_url
 
 ORIGIN_NAME = ".origin"
@@ -29,15 +30,6 @@ _SMALL = re.compile(
     r"|(failed|manifest)(\.\d+-of-\d+)?\.jsonl?)"
 )
 _MOST_SMALL_BYTES = 1 << 28
-_KEPT_BYTES = 10_000_000_000
-
-
-def copies_folder() -> Path:
-    """Where the copies are: SIMNFND_CLOUD_CACHE, or the user's folder for caches."""
-    if told := os.environ.get("SIMNFND_CLOUD_CACHE"):
-        return Path(told).absolute()
-    base = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
-    return Path(base).absolute() / "simnfnd" / "cloud"
 
 
 def folder_of(url: str, part: str = "") -> Path:
@@ -118,9 +110,10 @@ def shard_names(sizes: Mapping[str, int]) -> list[str]:
     return [name for name in sorted(sizes) if _SHARD.fullmatch(name)]
 
 
-def fetched(path: Path, look: Callable[[Path], None] | None = None) -> bool:
+def fetched(path: Path, look: Callable[[Path], None] | None = None, *, wait: bool = True) -> bool:
     """Fetch the shard of a copy that is not here; returns whether it was fetched.
 
+    wait: for another that fetches it now, or leave it to that.
     look: called with the file before it gets its name; what it raises leaves nothing behind.
     Nothing is done about any other file, or where the storage does not have it.
     """
@@ -128,60 +121,18 @@ def fetched(path: Path, look: Callable[[Path], None] | None = None) -> bool:
     url = url_of(folder)
     if url is None or not _SHARD.fullmatch(f"{path.parent.name}/{path.name}"):
         return False
-    if path.exists():
-        with suppress(OSError):
-            os.utime(path)  # the ones not used for longest go first
+    if touch(path):
         return False
     name = f"{path.parent.name}/{path.name}"
-    content = Store(url).get(name)
-    if content is None:
-        return False
-    with explain_os_errors(path, "SIMNFND_CLOUD_CACHE"):
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with explain_os_errors(path, "SIMNFND_CLOUD_CACHE"), alone(path, wait=wait) as mine:
+        if not mine or touch(path):  # another fetches it, or has done so meanwhile
+            return False
+        content = Store(url).get(name)
+        if content is None:
+            return False
         _write(path, content, look)
         make_room(spare=path)
     return True
-
-
-def make_room(spare: Path) -> None:
-    """Remove shards of copies, those not used for longest first, until the rest is small enough.
-
-    spare: the shard that came just now, which stays.  A look at all copies takes a time that grows
-    with their number, so this process takes the next one when a sixteenth of what was free has
-    come, or a sixty-fourth of the limit; others beside it may go beyond the limit by as much.
-    """
-    most = int(os.environ.get("SIMNFND_CLOUD_CACHE_BYTES", _KEPT_BYTES))
-    where = copies_folder(), most
-    with suppress(OSError):
-        _to_come[where] = _to_come.get(where, 0) - spare.stat().st_size
-    if _to_come.get(where, -1) >= 0:
-        return
-    found = _kept_copies(where[0])
-    total = sum(size for _, size, _ in found)
-    # A little more than has to go, so that the next look is not at once.
-    wanted = most - most // 16 if total > most else most
-    for _, size, path in sorted(found):
-        if total <= wanted:
-            break
-        if path != spare:
-            path.unlink(missing_ok=True)
-            total -= size
-    free = max(most - total, 0)
-    _to_come[where] = max(free // 16, min(free, most // 64))
-
-
-# (folder of copies, limit) -> bytes that may come before all copies are looked at again.
-_to_come: dict[tuple[Path, int], int] = {}
-
-
-def _kept_copies(folder: Path) -> list[tuple[int, int, Path]]:
-    """(when it was used last, bytes, path) of every shard of every copy."""
-    found = []
-    for path in folder.glob("*/t*/*.h5"):
-        with suppress(OSError):
-            state = path.stat()
-            found.append((state.st_mtime_ns, state.st_size, path))
-    return found
 
 
 def forget_copy(folder: Path) -> None:
@@ -197,6 +148,7 @@ def _write(path: Path, content: bytes, look: Callable[[Path], None] | None = Non
         aside.write_bytes(content)
         if look:
             look(aside)
+        touch(aside)  # it may have waited for the look, and is not the oldest for that
         os.replace(aside, path)
     finally:
         aside.unlink(missing_ok=True)

@@ -11,8 +11,9 @@ from pathlib import Path
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import outlet
-from simnfnd.factory.storage.copies import make_room, shard_names, take_copy, url_of
+from simnfnd.factory.storage.copies import shard_names, take_copy, url_of
 from simnfnd.factory.storage.lock import LOCK_NAME, StoreLock, read_lock
+from simnfnd.factory.storage.room import make_room
 from simnfnd.factory.storage.store import Store
 
 _OURS = ("config.yaml", "manifest.json")

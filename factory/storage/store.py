@@ -73,12 +73,12 @@ class Store:
                 for name, entry in found.items()
             }
 
-    def get(self, name: str) -> bytes | None:
-        """The content of an object, or None when there is none."""
+    def get(self, name: str, start: int | None = None, end: int | None = None) -> bytes | None:
+        """The content of an object, or of its bytes from start to end; None when there is none."""
         with self._explained("read", name):
             system, root = self._place
             try:
-                return bytes(system.cat_file(f"{root}/{name}"))
+                return bytes(system.cat_file(f"{root}/{name}", start=start, end=end))
             except FileNotFoundError:
                 return None
 

@@ -189,9 +189,10 @@ class VisitSampler(Sampler[list[Visit]]):
             visits = []
             for _ in range(batch // self.crops):
                 round_, place = divmod(drawn(number, self.reuse, self.seed), self.images)
+                index = int(self._order(round_)[place])
                 if self._windows:
-                    self._windows.reach(place)
-                visits.append(Visit(number, int(self._order(round_)[place]), round_, patch))
+                    self._windows.reach(place)  # of the order of this round
+                visits.append(Visit(number, index, round_, patch))
                 number += 1
             yield visits[rank::ranks]
 

@@ -15,6 +15,7 @@ import torch
 from torch.utils.data import Dataset
 
 from simnfnd.factory.dataset import PairDataset
+from simnfnd.factory.dataset.format.manifest import load_manifest
 from simnfnd.factory.dataset.read.open_shards import OpenShards
 from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
 from simnfnd.factory.dataset.read.reader import Split, open_shard
@@ -101,6 +102,10 @@ def read_table(dataset: str | Path, split: Split) -> PairTable:
             raise FactoryError(
                 f"dataset={dataset}: the {split} split holds no samples; generate some"
             )
+        # One shard is opened for these, which need not be fetched again for its table.
+        shape = pairs.shape
+        with open_shard(pairs.paths[0]) as shard:
+            config = json.loads(shard.attrs["config"])
         places = (pairs.place(index) for index in range(len(pairs)))
         samples = tuple(
             SampleRef(
@@ -112,9 +117,7 @@ def read_table(dataset: str | Path, split: Split) -> PairTable:
             )
             for (path, row), meta in zip(places, pairs.meta(), strict=True)
         )
-        with open_shard(pairs.paths[0]) as shard:
-            config = json.loads(shard.attrs["config"])
-        return PairTable(samples, *pairs.shape, pairs.config_hash, config)
+        return PairTable(samples, *shape, pairs.config_hash, config)
 
 
 def _window(meta: np.void) -> tuple[float, float, float, float] | None:
@@ -180,14 +183,21 @@ class PairReader:
         return in_unit_range(noisy), in_unit_range(clean), shadow.astype(np.float32)
 
 
-def windows_of(source: Source) -> Windows | None:
+def windows_of(source: Source, unread: int = 0) -> Windows | None:
     """The windows in which the pairs of a dataset at a URL are visited; None for any other source.
 
     From a disk any picture can be read at any time, so that all of them are mixed.
+    unread: how many visits may have been asked for of other processes and not been made.
     """
-    if not isinstance(source, PairSource) or url_of(source.samples[0].path.parent.parent) is None:
+    if not isinstance(source, PairSource):
         return None
-    return Windows([sample.path for sample in source.samples])
+    folder = source.samples[0].path.parent.parent
+    if url_of(folder) is None:
+        return None
+    manifest = load_manifest(folder)
+    listed = manifest.shards if manifest else {}
+    sizes = {folder / name: info.bytes for name, info in listed.items()}
+    return Windows([sample.path for sample in source.samples], sizes=sizes, unread=unread)
 
 
 class PairSource:

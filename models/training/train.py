@@ -30,7 +30,7 @@ from simnfnd.models.data.pairs import Batch, windows_of
 from simnfnd.models.data.sources import Data, open_data
 from simnfnd.models.networks.weights import load_weights
 from simnfnd.models.pretrained import find_weights
-from simnfnd.models.settings import ModelsSettings, RendersData
+from simnfnd.models.settings import DataSettings, ModelsSettings, RendersData
 from simnfnd.models.training.beginning import build_module
 from simnfnd.models.training.module import DenoisingModule, Row
 from simnfnd.models.training.precision import with_precision
@@ -183,13 +183,19 @@ def _loaders(
         chosen.steps // chosen.check_every,
         chosen.check_every,
         settings.seed,
-        windows_of(data.learning),
+        windows_of(data.learning, _unread(kind, workers)),
     )
     return (
         DataLoader(crops, batch_sampler=visits, collate_fn=concatenate, **shared),
         # One at a time: whole images of any size fit, and the figures are means of images.
         DataLoader(WholeImages(data.validation, module.network.extras), None),
     )
+
+
+def _unread(kind: DataSettings, workers: int) -> int:
+    """Visits that loading processes may have before them: two batches each, as torch has it."""
+    batch = max(kind.batch, *(stage.batch for stage in kind.stages), kind.crops)
+    return 2 * workers * batch // kind.crops
 
 
 def _drawn_extras(module: DenoisingModule) -> tuple[str, ...]:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks import __main__ as benchmarks
 from benchmarks.report import Options, Section, Table, from_json, shown, to_json
+from benchmarks.shared import in_own_process
 from tests.project_files import ROOT
 
 GOOD = """
@@ -130,6 +133,37 @@ sum(range(10_000_000 * count))
 for number in range(count):
     pathlib.Path(run["output_folder"], f"{number}.png").touch()
 """
+
+
+def _held(kb_a_sample: int, samples: int) -> list[float]:
+    """MB of the first and last quarter of a reader that keeps so much of the first `samples`."""
+    from benchmarks.bench_streams import timed
+
+    held = []
+
+    def read() -> Iterator[int]:
+        for number in range(400):
+            if number < samples:
+                held.append(np.ones(kb_a_sample << 7))
+            yield number
+
+    *_, first_mb, last_mb, _ = timed("held", read(), range(400), [], warm=100)
+    return [float(first_mb), float(last_mb)]
+
+
+@pytest.mark.parametrize(
+    ("kb_a_sample", "samples", "leaks"),
+    # What is open from the first hundred on is no leak; a picture kept of every sample is.
+    [(0, 400, False), (400, 100, False), (400, 400, True)],
+)
+def test_a_leak_shows_in_the_memory_of_a_reader(
+    kb_a_sample: int, samples: int, leaks: bool
+) -> None:
+    pytest.importorskip("psutil")
+    pytest.importorskip("moto")
+    from benchmarks.bench_streams import has_grown
+
+    assert has_grown(*in_own_process(_held, kb_a_sample, samples)) == leaks
 
 
 @pytest.mark.slow

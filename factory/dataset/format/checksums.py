@@ -89,9 +89,15 @@ def check_texts(file: h5py.File, layers: Iterable[str]) -> None:
 
 def picture_sums(stack: h5py.Dataset) -> npt.NDArray[np.uint32] | None:
     """(samples,) `crc32` of each picture of a layer; None in files that have none."""
-    if not _has_table(stack.file):
+    sums = all_picture_sums(stack.file)
+    return None if sums is None else sums[stack.name.lstrip("/")]
+
+
+def all_picture_sums(file: h5py.File) -> npt.NDArray[np.void] | None:
+    """The same of all layers, a column each; a read for each layer costs as much."""
+    if not _has_table(file):
         return None
-    sums: npt.NDArray[np.uint32] = stack.file[CHECKSUMS].fields(stack.name.lstrip("/"))[()]
+    sums: npt.NDArray[np.void] = file[CHECKSUMS][()]
     return sums
 
 

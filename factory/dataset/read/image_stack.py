@@ -29,16 +29,17 @@ _LITTLE_BYTES = 1 << 27
 class ImageStack:
     """`stack[row]` is one (H, W) picture, `stack[a:b]` are (N, H, W), as stored and writable.
 
+    sums: (samples,) `crc32` of each picture, where they were read already.
     Raises OSError, RuntimeError or ValueError for a picture that is damaged or cannot be found.
     """
 
-    def __init__(self, dataset: h5py.Dataset) -> None:
+    def __init__(self, dataset: h5py.Dataset, sums: npt.NDArray[np.uint32] | None = None) -> None:
         self._dataset = dataset
         self._shape: tuple[int, int] = dataset.shape[1:]
         self._dtype = dataset.dtype
         self._bytes = int(np.prod(self._shape)) * self._dtype.itemsize
         self._chain = chain_of(dataset)
-        self._sums = picture_sums(dataset)
+        self._sums = picture_sums(dataset) if sums is None else sums
 
     def __len__(self) -> int:
         """Number of pictures."""

@@ -11,6 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from simnfnd.factory.dataset.format.checksums import all_picture_sums
 from simnfnd.factory.dataset.read.image_stack import Image, ImageStack
 from simnfnd.factory.dataset.read.reader import open_shard
 from simnfnd.factory.errors import FactoryError
@@ -96,9 +97,11 @@ class _Stacks(dict[str, ImageStack]):
     def __init__(self, file: h5py.File) -> None:
         super().__init__()
         self.file = file
+        self._sums = all_picture_sums(file)
 
     def __missing__(self, name: str) -> ImageStack:
-        self[name] = ImageStack(self.file[name])
+        stack = self.file[name]
+        self[name] = ImageStack(stack, None if self._sums is None else self._sums[name])
         return self[name]
 
 

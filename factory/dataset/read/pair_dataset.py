@@ -33,11 +33,12 @@ from simnfnd.factory.dataset.read.reader import (
     listed_shards,
     reading,
 )
-from simnfnd.factory.dataset.read.stream import WINDOW, Windows, fetched_ahead
+from simnfnd.factory.dataset.read.stream import WINDOW, Windows
+from simnfnd.factory.dataset.read.tables import keep_rows, kept_rows, read_tables
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
 from simnfnd.factory.seeds import stream
-from simnfnd.factory.storage.copies import local_folder, url_of
+from simnfnd.factory.storage.copies import local_folder
 
 Sample = dict[str, Image]
 Verify = Literal["checksums", "hash"]
@@ -164,7 +165,9 @@ class PairDataset:
         random order; the shards of the next are fetched meanwhile where they lie at a URL.
         """
         counts = zip(self.paths, self._counts, strict=True)
-        windows = Windows([path for path, count in counts for _ in range(count)], window)
+        places = [path for path, count in counts for _ in range(count)]
+        sizes = {path: info.bytes for path, info in self._expected.shards.items()}
+        windows = Windows(places, window, sizes=sizes)
         try:
             for position, index in enumerate(windows.order(stream(seed, "shuffled", epoch))):
                 windows.reach(position)
@@ -209,17 +212,19 @@ class PairDataset:
 
         Reads the tables of all shards, never their images.
         """
-        tables, shapes = [], set()
-        distant = url_of(self.folder) is not None
-        for path in fetched_ahead(self.paths) if distant else self.paths:
-            with self._reading(path) as file:
-                tables.append(file["meta"][()])
-                shapes.add(file["noisy"].shape[1:])
+        infos = self._expected.shards
+        rows = kept_rows(self.folder, self.paths, infos)
+        if rows is not None:
+            return rows
+        tables = list(read_tables(self.paths, infos, self._expected))
+        shapes = {table.shape for table in tables}
         if len(shapes) > 1:
             raise FactoryError(f"{self.folder}: images of several sizes ({sorted(shapes)})")
-        if len({table.dtype for table in tables}) > 1:
+        if len({table.rows.dtype for table in tables}) > 1:
             raise FactoryError(f"{self.folder}: shards with different columns in /meta")
-        return np.concatenate(tables)
+        rows = np.concatenate([table.rows for table in tables])
+        keep_rows(self.folder, self.paths, infos, rows)
+        return rows
 
     def close(self) -> None:
         """Close the files that this process has open; reading again opens them again."""

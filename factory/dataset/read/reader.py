@@ -6,10 +6,10 @@ import atexit
 import os
 import stat
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import h5py
 import numpy as np
@@ -20,13 +20,16 @@ from simnfnd.factory.dataset.format.layout import check_shard, inside, optional_
 from simnfnd.factory.dataset.format.manifest import Manifest, load_manifest
 from simnfnd.factory.dataset.format.schema import SPLITS
 from simnfnd.factory.dataset.read.isolated import IsolatedProcess
+from simnfnd.factory.dataset.read.sound import is_sound, note_sound, state_of
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.storage.copies import fetched, url_of
 
+T = TypeVar("T")
 Split = Literal["train", "test", "all"]
 
 # Opening a shard takes milliseconds; a disk that sleeps takes seconds to wake.
 _LIMIT_S = 30.0
+_TRIES = 3
 
 
 def shard_paths(dataset: str | Path, split: Split, *, trusted: bool = False) -> tuple[Path, ...]:
@@ -83,12 +86,20 @@ def check_in_isolation(paths: Sequence[Path]) -> None:
     with IsolatedProcess() as process:
         for path in paths:
             if path.exists() or not url_of(path.parent.parent):
-                _look(process, path)
+                _named(process, path, check_readable, path)
 
 
-def _look(process: IsolatedProcess, path: Path) -> None:
+def look_at(path: Path, function: Callable[..., T], *arguments: Any) -> T:
+    """The answer of a function that reads what may be a stranger's, in a process that lasts.
+
+    path: what the error names.  Raises FactoryError as the function does, or when it crashes.
+    """
+    return _fetched_shards.call(path, function, *arguments)
+
+
+def _named(process: IsolatedProcess, path: Path, function: Callable[..., T], *arguments: Any) -> T:
     try:
-        process.call(check_readable, path, limit_s=_LIMIT_S)
+        return process.call(function, *arguments, limit_s=_LIMIT_S)
     except FactoryError as error:
         # What the process itself says names no file.
         text = str(error).removeprefix(f"{path}: ")
@@ -107,12 +118,12 @@ class _Fetched:
         self._lock = threading.Lock()
         self._process: IsolatedProcess | None = None
 
-    def look(self, path: Path) -> None:
+    def call(self, path: Path, function: Callable[..., T], *arguments: Any) -> T:
         with self._lock:
             if self._process is None:
                 self._process = IsolatedProcess()
                 atexit.register(self._process.__exit__)
-            _look(self._process, path)
+            return _named(self._process, path, function, *arguments)
 
 
 _fetched_shards = _Fetched()
@@ -151,30 +162,39 @@ def check_split(path: Path, file: h5py.File) -> None:
         )
 
 
-def bring(path: Path) -> None:
-    """Fetch a shard of a copy that is not here, and have another process look at it first."""
+def bring(path: Path, *, wait: bool = True) -> None:
+    """Fetch a shard of a copy that is not here, and have another process look at it first.
+
+    wait: for another that fetches it now, or leave it to that.
+    """
 
     def look(aside: Path) -> None:
         try:
-            _fetched_shards.look(aside)
+            look_at(aside, check_readable, aside)
         except FactoryError as error:
             raise FactoryError(str(error).replace(str(aside), str(path))) from error
+        # It keeps its state when it gets its name.
+        note_sound(path, state_of(aside), ours=True)
 
-    fetched(path, look)
+    fetched(path, look, wait=wait)
 
 
 def open_shard(path: Path) -> h5py.File:
     """Open one shard for reading and check how it is laid out (`format.layout`).
 
     Shards of a dataset come from `shard_paths`; for any other file call `check_in_isolation` first.
+    One that this process has checked is checked again when it has changed.
     Raises FactoryError when the file is absent, damaged or of another schema.
     """
-    bring(path)
+    for _ in range(_TRIES):
+        bring(path)
+        if path.exists():
+            break  # another process may have made room meanwhile
     try:
         # A pipe would wait for a writer for ever.
-        regular = stat.S_ISREG(path.stat().st_mode)
-        if not regular:
+        if not stat.S_ISREG(path.stat().st_mode):
             raise FactoryError(f"{path}: no regular file; not read")
+        state = state_of(path)
         # A chunk is a picture and read whole: HDF5's cache would only copy it once more (a fifth
         # of the time of an uncompressed one) and hold megabytes for every open dataset.
         file = h5py.File(path, "r", rdcc_nbytes=0)
@@ -184,12 +204,15 @@ def open_shard(path: Path) -> h5py.File:
         ) from error
     except OSError as error:
         raise FactoryError(f"{path}: not a readable HDF5 file; generate it again") from error
+    if is_sound(path, state):
+        return file
     try:
         with _explained(path):
             check_shard(file)
     except FactoryError:
         file.close()
         raise
+    note_sound(path, state)
     return file
 
 

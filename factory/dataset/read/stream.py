@@ -1,14 +1,14 @@
-"""Shards that lie far away, each of which is fetched once: in order, or samples in random order.
+"""Samples in random order where shards lie far away, each of which is fetched once.
 
 Samples of all shards at random would fetch a whole shard for each.  So shards come in random order,
 some at a time (a window), and the samples of a window in random order; the next window's shards
-are fetched meanwhile.
+are fetched meanwhile, as many as there is room for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
@@ -17,25 +17,46 @@ import numpy.typing as npt
 
 from simnfnd.factory.dataset.read.reader import bring
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.storage.copies import url_of
+from simnfnd.factory.storage.room import sure_bytes, touch
 
 WINDOW = 16
-_THREADS = 4
+THREADS = 4
 
 
 class Windows:
     """The order of one round over samples after another, and what to fetch while it goes on.
 
-    places: the shard of each sample.  window: shards whose samples are mixed.
+    Nothing is fetched ahead that room for copies cannot hold beside the shards in use, for it would
+    be fetched again: each shard is fetched once a round by one process, whatever the room, as long
+    as a window's shards can all be open (`open_shards`), and by several processes as long as the
+    room holds the windows that they read in.
+
+    places: the shard of each sample.  window: shards whose samples are mixed.  sizes: bytes of the
+    shards; any other takes none.  unread: how many samples before the one that is reached may not
+    be read yet, where other processes read them.
     """
 
-    def __init__(self, places: Sequence[Path], window: int = WINDOW) -> None:
+    def __init__(
+        self,
+        places: Sequence[Path],
+        window: int = WINDOW,
+        *,
+        sizes: Mapping[Path, int] | None = None,
+        unread: int = 0,
+    ) -> None:
         if window < 1:
             raise FactoryError(f"window={window}: must be at least 1 shard")
         self._paths = list(dict.fromkeys(places))
         numbers = {path: number for number, path in enumerate(self._paths)}
         self._shard = np.array([numbers[path] for path in places], np.int64)
-        self._window = window
-        self._starts: dict[int, list[Path]] = {}
+        self._window, self._unread = window, unread
+        self._sizes = sizes or {}
+        self._distant = bool(self._paths) and url_of(self._paths[0].parent.parent) is not None
+        self._groups: list[list[Path]] = []
+        self._first: npt.NDArray[np.int64] = np.empty(0, np.int64)
+        self._now = range(0)
+        self._waiting: list[Future[None]] = []
         self._threads: ThreadPoolExecutor | None = None
 
     def order(self, rng: np.random.Generator) -> npt.NDArray[np.int64]:
@@ -46,23 +67,34 @@ class Windows:
         windows = rank[self._shard] // self._window
         # Random within each window: a key of its own for every sample.
         order: npt.NDArray[np.int64] = np.lexsort((rng.random(len(windows)), windows))
-        first = np.searchsorted(windows[order], np.arange(windows.max(initial=-1) + 2))
-        groups = [
+        self._groups = [
             [self._paths[number] for number in shards[k : k + self._window]]
             for k in range(0, len(shards), self._window)
         ]
-        # Those of the first window at once, of any other when the one before it begins.
-        self._starts = {0: [path for group in groups[:2] for path in group]}
-        for k, group in enumerate(groups[2:], 1):
-            self._starts[int(first[k])] = group
+        self._first = np.searchsorted(windows[order], np.arange(len(self._groups) + 1))
+        self._now = range(0)
         return order
 
     def reach(self, position: int) -> None:
         """Say that the sample at this position of the order is about to be read."""
-        for path in self._starts.pop(position, ()):
-            if self._threads is None:
-                self._threads = ThreadPoolExecutor(_THREADS, "fetch")
-            self._threads.submit(_bring, path)
+        if not self._distant or position in self._now or not self._groups:
+            return
+        here, since = self._at(position), self._at(max(0, position - self._unread))
+        self._now = range(int(self._first[here]), int(self._first[here + 1]))
+        for future in self._waiting:
+            future.cancel()  # whoever read it has fetched it
+        used = [path for group in self._groups[since : here + 1] for path in group]
+        # What is in use stays longer than what was.
+        absent = {path for path in used if not touch(path)}
+        room = sure_bytes() - self._bytes(used)
+        ahead = [path for path in self._groups[here] if path in absent and room >= 0]
+        for path in self._groups[here + 1] if here + 1 < len(self._groups) else ():
+            room -= self._bytes([path])
+            if room >= 0:
+                ahead.append(path)
+        if self._threads is None:
+            self._threads = ThreadPoolExecutor(THREADS, "fetch")
+        self._waiting = [self._threads.submit(_bring, path) for path in ahead]
 
     def close(self) -> None:
         """Fetch no more."""
@@ -70,21 +102,15 @@ class Windows:
             self._threads.shutdown(wait=False, cancel_futures=True)
             self._threads = None
 
+    def _at(self, position: int) -> int:
+        """The window of a position."""
+        return int(np.searchsorted(self._first, position, side="right")) - 1
 
-def fetched_ahead(paths: Sequence[Path]) -> Iterator[Path]:
-    """The paths in order, while those that follow are fetched."""
-    with ThreadPoolExecutor(_THREADS, "fetch") as threads:
-        try:
-            for number, path in enumerate(paths):
-                if number % WINDOW == 0:
-                    last = number + 2 * WINDOW
-                    for later in paths[number + WINDOW if number else 1 : last]:
-                        threads.submit(_bring, later)
-                yield path
-        finally:
-            threads.shutdown(wait=False, cancel_futures=True)
+    def _bytes(self, group: Sequence[Path]) -> int:
+        return sum(self._sizes.get(path, 0) for path in group)
 
 
 def _bring(path: Path) -> None:
     with suppress(FactoryError):  # whoever reads it says so
-        bring(path)
+        # Who waited could find it read and gone, and fetch it again.
+        bring(path, wait=False)

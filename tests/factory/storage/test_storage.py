@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,12 +20,11 @@ import pytest
 
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.check.validate import validate
-from simnfnd.factory.dataset.read import stream
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.jobs import run
 from simnfnd.factory.jobs.ledger import RunReport
 from simnfnd.factory.jobs.settings import ShardSlice
-from simnfnd.factory.storage import copies
+from simnfnd.factory.storage import copies, room
 from simnfnd.factory.storage.copies import folder_of, forget_copy, local_folder, url_of
 from simnfnd.factory.storage.lock import StoreLock
 from simnfnd.factory.storage.publish import Publication, publishing
@@ -185,7 +183,7 @@ def test_copies_stay_small(bucket: str, monkeypatch: Any) -> None:
     make(folder_of(url))
     folder = local_folder(url, fresh=True)
     size = len(shards_of(url)["train/shard-00000.h5"])
-    shutil.rmtree(copies.copies_folder())
+    shutil.rmtree(room.copies_folder())
     copies._told.cache_clear()
     monkeypatch.setenv("SIMNFND_CLOUD_CACHE_BYTES", str(2 * size + size // 2))
     with PairDataset(url) as pairs:
@@ -286,19 +284,6 @@ def test_shuffled_samples_come_once_by_windows_of_shards(bucket: str, local: Pat
     assert found == orders[0]
 
 
-def test_shards_that_follow_are_fetched_meanwhile(monkeypatch: Any) -> None:
-    paths = [Path(f"train/shard-{number:05d}.h5") for number in range(50)]
-    here = {path: threading.Event() for path in paths}
-    monkeypatch.setattr(stream, "bring", lambda path: here[path].set())
-    given = []
-    for number, path in enumerate(stream.fetched_ahead(paths)):
-        given.append(path)
-        later = paths[number + 1 : number + 1 + stream.WINDOW]
-        assert all(here[one].wait(20) for one in later), "it is asked for before its turn"
-    assert given == paths
-    assert not here[paths[0]].is_set(), "who reads it fetches it"
-
-
 def test_the_table_of_a_url_is_that_of_a_folder(bucket: str, local: Path) -> None:
     url = f"{bucket}/table"
     make(folder_of(url))
@@ -324,18 +309,18 @@ def test_copies_are_not_all_looked_at_for_every_shard(tmp_path: Path, monkeypatc
     most = 400 * 1000
     monkeypatch.setenv("SIMNFND_CLOUD_CACHE_BYTES", str(most))
     looks: list[int] = []
-    look = copies._kept_copies
+    look = room._kept_copies
 
     def counted(where: Path) -> list[tuple[int, int, Path]]:
         looks.append(1)
         return look(where)
 
-    monkeypatch.setattr(copies, "_kept_copies", counted)
+    monkeypatch.setattr(room, "_kept_copies", counted)
     for number in range(1000):
         path = folder / f"shard-{number:05d}.h5"
         path.write_bytes(bytes(1000))
         os.utime(path, ns=(number, number))
-        copies.make_room(spare=path)
+        room.make_room(spare=path)
         if number % 50 == 0:
             assert sum(size for _, size, _ in look(tmp_path)) <= most
     assert len(looks) < 1000 / 4

@@ -1,0 +1,101 @@
+"""What a further frame costs through `simnfnd make` itself: by the difference of two runs.
+
+Everything is in it that a user pays: finding and reading the frame, the render and its cache entry,
+both pictures (512x512), the shard, the bars, and nothing that is paid once a run.  With --frame
+frames of FLSea VI, too: copies of the first one there, of which one depth differs by a thousandth,
+so that no render serves two.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from benchmarks.bench_pair import LITERAL, PICTURES, literal
+from benchmarks.report import Cell, Options, Section, Table
+from benchmarks.shared import frame_words, in_own_process, run_factory
+from simnfnd.factory.cli.compose import compose_config
+from simnfnd.factory.scenes import open_reader
+
+RENDERERS = ("analytic", "embree", "cycles")
+# One worker, for two would wait for each other's memory; previews are as large in both runs.
+ONE = ("scheduler.workers=1", "dataset.preview_pairs=0")
+
+
+def measure(options: Options) -> Section:
+    """A table for procedural frames, and one for real ones."""
+    few, many = options.amount(4, 1), options.amount(20, 2)
+    tables = []
+    with tempfile.TemporaryDirectory(prefix="command-") as name:
+        folder = Path(name)
+        places = ["scenes=seabed", "scenes.locations=1", f"scenes.frames_per_location={many}"]
+        tables.append(_table("procedural frame", "", places, (few, many), folder, options))
+        if options.frame:
+            root = folder / "flsea"
+            copies(Path(options.frame), root, many)
+            words = [
+                "scenes=flsea",
+                f"scenes.root={root}",
+                "split.test=[]",
+                "split.test_fraction=0",
+            ]
+            title = "FLSea VI frame"
+            tables.append(
+                _table(title, options.frame, words, (few, many), folder / "read", options)
+            )
+    return Section(tuple(tables), "")
+
+
+def _table(
+    title: str, root: str, words: list[str], counts: tuple[int, int], folder: Path, options: Options
+) -> Table:
+    recipe = in_own_process(literal, [*frame_words(root), *PICTURES], options.amount(3)).cpu
+    rows: list[tuple[Cell, ...]] = [(LITERAL, 1.0, recipe, "")]
+    for renderer in RENDERERS:
+        how = [*words, *PICTURES, *ONE, f"render={renderer}"]
+        for state in ("cold", "warm"):
+            spent = []
+            for count in counts:
+                kept = folder / renderer / str(count)
+                spent.append(
+                    run_factory(
+                        [
+                            *how,
+                            f"frames.limit={count}",
+                            f"cache.dir={kept / 'cache'}",
+                            f"dataset.dir={kept / state}",
+                        ]
+                    ).cpu
+                )
+            (less, more), (few, many) = spent, counts
+            frame = (more - less) / (many - few)
+            rows.append((f"{renderer}, {state}", recipe / frame, frame, less - few * frame))
+    columns = ("through the command", "times less CPU", "CPU s a further frame", "CPU s of a run")
+    return Table(columns, tuple(rows), title, bars="times less CPU")
+
+
+def copies(source: Path, target: Path, count: int) -> None:
+    """So many frames at `target` of the first frame of FLSea VI at `source`, no two alike."""
+    config = compose_config(frame_words(str(source)))
+    ref = open_reader(config.scenes).discover().frames[0]
+    scene = next(path for path in source.rglob(ref.scene) if path.is_dir())
+    (image,) = (scene / "imgs").glob(f"{ref.frame}*")
+    (depth,) = (scene / "depth").glob(f"{ref.frame}*")
+    put = target / scene.relative_to(source)
+    for name in ("imgs", "depth"):
+        (put / name).mkdir(parents=True)
+    with Image.open(depth) as opened:
+        metres = np.array(opened)
+    row, column = np.argwhere(metres > 0)[len(metres)]
+    first = int(ref.frame)
+    for number in range(count):
+        changed = metres.copy()
+        changed[row, column] += 1e-3 * number
+        stamp = str(first + number)
+        shutil.copy(image, put / "imgs" / image.name.replace(ref.frame, stamp))
+        at = put / "depth" / depth.name.replace(ref.frame, stamp)
+        Image.fromarray(changed).save(at, compression="tiff_lzw")
