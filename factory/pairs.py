@@ -23,6 +23,7 @@ from simnfnd.factory.formation import layers as truth
 from simnfnd.factory.formation.contract import Floats, Scene
 from simnfnd.factory.formation.registry import FORMATIONS
 from simnfnd.factory.frame import Frame, FrameRef
+from simnfnd.factory.meta.camera import Camera
 from simnfnd.factory.meta.record import columns, image_axes, record, requested, requested_row
 from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.renders.views import Views, open_views
@@ -64,6 +65,7 @@ class PairMaker:
 
     def __init__(self, config: FactoryConfig, views: Views) -> None:
         self.config, self.views = config, views
+        self._camera = Camera(config, _chosen)
 
     def axes(self) -> tuple[Axis, Axis]:
         """Row and column axes of the pictures."""
@@ -89,12 +91,21 @@ class PairMaker:
         frame, rendered = view.frame(ref), view.rendered()
         if config.devices is None:
             observed = observe(frame, rendered, config)
-            return [make_pair(observed, variant, config) for variant in variants]
-        return [pair_by_drawn_device(frame, rendered, one, config) for one in variants]
+            made = [make_pair(observed, variant, config) for variant in variants]
+        else:
+            made = [pair_by_drawn_device(frame, rendered, one, config) for one in variants]
+        seen = self._camera.layers(ref)
+        return [replace(pair, layers={**pair.layers, **seen}) if seen else pair for pair in made]
 
     def ready(self, ref: FrameRef) -> bool:
         """Whether the frame's render is at hand."""
         return self.views.holds(ref)
+
+
+def _chosen(found: tuple[FrameRef, ...], config: FactoryConfig) -> tuple[FrameRef, ...]:
+    from simnfnd.factory.selection import choose_frames
+
+    return choose_frames(found, config)
 
 
 def pair_maker(config: FactoryConfig) -> PairMaker:

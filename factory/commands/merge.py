@@ -118,7 +118,7 @@ def _check_alike(manifests: Mapping[Path, Manifest], sources: Mapping[Path, Sour
 
 def _check_form(one: Source, two: Source) -> None:
     for what, first, second in (
-        ("picture sizes", one.shape, two.shape),
+        ("picture sizes", dict(one.sizes), dict(two.sizes)),
         ("layers", dict(one.layers), dict(two.layers)),
         ("columns", one.columns, two.columns),
     ):

@@ -24,7 +24,7 @@ _OF_ECHOES = {"range", "azimuth", "elevation", "elevation_min", "elevation_max",
 
 
 def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture]:
-    """(range_bins, beams) pictures of the requested layers, by the names of `format.schema`.
+    """(range_bins, beams) pictures of the requested layers, by the names of `format.layers`.
 
     requested: of range, azimuth, elevation, elevation_min, elevation_max, valid_azimuth,
         segmentation (which brings instance); other names are ignored.

@@ -142,10 +142,11 @@ def _variables(directory: Path, manifest: Manifest) -> list[dict[str, str]]:
     """The pictures and the columns of /meta, as the first shard describes them."""
     variables = []
     with reading(directory / min(manifest.shards)) as file:
-        _, rows, columns = file["noisy"].shape
         for name in ("noisy", "clean", "shadow", *optional_layers(file)):
             stack = file[name]
-            size = f"{stack.dtype} image of {rows} x {columns} pixels"
+            _, rows, columns, *channels = stack.shape
+            kind = " x ".join(map(str, (stack.dtype, *channels)))
+            size = f"{kind} image of {rows} x {columns} pixels"
             meaning = f"{stack.attrs['description']} ({size})"
             variables.append(_variable(f"/{name}", meaning, str(stack.attrs["units"])))
         table = file["meta"]

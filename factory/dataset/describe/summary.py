@@ -70,7 +70,8 @@ def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
             if tables[-1].dtype != tables[0].dtype:
                 raise FactoryError(f"its columns differ from those of {source.shards[0][1]}")
             image_bytes += samples * sum(
-                int(np.prod(source.shape)) * dtype.itemsize for dtype in source.layers.values()
+                int(np.prod(source.sizes[name])) * dtype.itemsize
+                for name, dtype in source.layers.items()
             )
             schema, generator = str(file.attrs["schema"]), str(file.attrs["generator"])
             compression = compression_of(file["noisy"])

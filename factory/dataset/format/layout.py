@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from itertools import pairwise
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -21,22 +22,24 @@ import numpy.typing as npt
 from simnfnd.factory.dataset.format.axes import Place, contiguous_place
 from simnfnd.factory.dataset.format.checksums import check_contents, has_checksums
 from simnfnd.factory.dataset.format.filters import chain_of
-from simnfnd.factory.dataset.format.schema import (
-    CHECKSUMS,
+from simnfnd.factory.dataset.format.layers import (
+    CHANNELS,
     EFFECT_FOLDER,
+    MAX_PIXELS,
     OPTIONAL_LAYERS,
-    REQUIRED_COLUMNS,
-    SCHEMA,
-    SPLITS,
-    VALUE_RANGES,
     Layer,
     layers,
     stores_grey,
 )
+from simnfnd.factory.dataset.format.schema import (
+    CHECKSUMS,
+    REQUIRED_COLUMNS,
+    SCHEMA,
+    SPLITS,
+    VALUE_RANGES,
+)
 from simnfnd.factory.errors import FactoryError
 
-# A picture of 4096 x 4096; the largest imaging sonars have 2048 beams.
-MAX_PIXELS = 1 << 24
 _MAX_ROW_BYTES = 1 << 16
 _MAX_LAYERS = 64
 _MAX_AXES = 8
@@ -166,9 +169,16 @@ def _check_stack(
 ) -> list[Place]:
     """The (first byte, end, name) of every chunk of a sound stack."""
     name = f"/{layer.name}"
-    if stack.ndim != 3 or stack.shape != shape:
+    if layer.of_camera:
+        fits = stack.ndim == 1 + len(layer.of_camera) and stack.shape[3:] in ((), (CHANNELS,))
+        if not fits or stack.shape[0] != shape[0]:
+            raise FactoryError(
+                f"{name} is {stack.shape}; expected {shape[0]} samples of "
+                f"{', '.join(layer.of_camera)}; generate it again"
+            )
+    elif stack.ndim != 3 or stack.shape != shape:
         raise FactoryError(f"{name} is {stack.shape}, /noisy {shape}; generate it again")
-    samples, *picture = shape
+    samples, *picture = stack.shape
     if 0 in picture or picture[0] * picture[1] > MAX_PIXELS:
         raise FactoryError(f"{name} claims pictures of {picture}; at most {MAX_PIXELS} pixels go")
     # Of the same layer in other shards, too: grey values are all of one dtype.
@@ -178,13 +188,14 @@ def _check_stack(
     if stack.chunks != (1, *picture):
         raise FactoryError(f"{name} has chunks {stack.chunks}; expected one for each picture")
     chain = chain_of(stack)
-    full = picture[0] * picture[1] * stack.dtype.itemsize
+    full = prod(picture) * stack.dtype.itemsize
+    origin = (0,) * len(picture)
     places: list[Place] = []
 
     def check_chunk(chunk: Any) -> None:
         number = len(places)
         # Their table has no checksum, and HDF5 would show another picture, or no picture's bytes.
-        if chunk.chunk_offset != (number, 0, 0) or number >= samples:
+        if chunk.chunk_offset != (number, *origin) or number >= samples:
             raise FactoryError(f"{name}: its table of chunks is damaged; generate it again")
         if not chain.may_be(chunk.filter_mask, chunk.size, full):
             if chunk.filter_mask:

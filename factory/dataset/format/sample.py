@@ -39,7 +39,7 @@ class Pair:
     noisy, clean: (H, W) uint8, or float32 in [0, 1].
     shadow: (H, W) bool, True inside the sonar's sector where no echo arrives in the ideal image.
     record: column name -> value, everything needed to make this very sample again.
-    layers: name -> (H, W) optional picture, as `format.schema` describes them.
+    layers: name -> (H, W) optional picture (rgb: (H, W, 3)), as `format.layers` describes them.
     """
 
     noisy: npt.NDArray[np.generic]

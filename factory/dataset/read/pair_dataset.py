@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.dataset.format.axes import image_axes
+from simnfnd.factory.dataset.format.layers import EFFECT_FOLDER, layers
 from simnfnd.factory.dataset.format.manifest import (
     INDEX_NAME,
     MANIFEST_NAME,
@@ -23,7 +24,7 @@ from simnfnd.factory.dataset.format.manifest import (
     load_manifest,
 )
 from simnfnd.factory.dataset.format.sample import Axis
-from simnfnd.factory.dataset.format.schema import EFFECT_FOLDER, VALUE_RANGES, layers
+from simnfnd.factory.dataset.format.schema import VALUE_RANGES
 from simnfnd.factory.dataset.read.image_stack import Image
 from simnfnd.factory.dataset.read.open_shards import OpenShards
 from simnfnd.factory.dataset.read.reader import (
@@ -76,10 +77,10 @@ class _Expected:
 class PairDataset:
     """Random access to the samples of one split, without a copy of the dataset in memory.
 
-    `pairs[i]` is a dict of the asked layers, each (H, W); `pairs[a:b]` and `pairs[[i, j, ...]]`
-    have (N, H, W).  Values are as stored: `value_range` is (0, 255) for uint8 and (0.0, 1.0) for
-    float32 datasets; with `scaled=True` noisy and clean (and `layers/...`) are float32 in 0..1.
-    The arrays are new ones at every read.
+    `pairs[i]` is a dict of the asked layers, each (H, W), rgb (H, W, 3); `pairs[a:b]` and
+    `pairs[[i, j, ...]]` have (N, H, W).  Values are as stored: `value_range` is (0, 255) for uint8
+    and (0.0, 1.0) for float32 datasets; with `scaled=True` noisy and clean (and `layers/...`) are
+    float32 in 0..1.  The arrays are new ones at every read.
 
     Nothing is open until the first read, and then in each process by itself, so the object can go
     through fork, spawn and pickling and into a torch DataLoader as it is.  `close()`, or leaving a
@@ -87,7 +88,7 @@ class PairDataset:
 
     folder: of the dataset, or the index.h5 in it; or its URL on a storage (s3://bucket/folder),
     from where shards are fetched when they are needed (`factory.storage.copies`).
-    layers: as `format.schema` names them.
+    layers: as `format.layers` names them.
     manifest.json decides which shards count; while a run adds some, the ones of the moment of
     opening stay.
 
@@ -256,7 +257,9 @@ class PairDataset:
         if not parts:
             path, row = self.place(0)
             images = [image[None][:0] for image in self._shards.read(path, self.layers, row)]
-        elif len({image.shape[1:] for part in parts for image in part}) > 1:
+        elif any(
+            len({image.shape[1:] for image in stack}) > 1 for stack in zip(*parts, strict=True)
+        ):
             raise FactoryError(f"{self.folder}: images of several sizes; read them one by one")
         else:
             images = [np.concatenate(stack) for stack in zip(*parts, strict=True)]

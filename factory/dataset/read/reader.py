@@ -14,7 +14,7 @@ from typing import Literal
 import h5py
 import numpy as np
 
-from simnfnd.factory.dataset.format.axes import image_axes
+from simnfnd.factory.dataset.format.axes import axis_names
 from simnfnd.factory.dataset.format.checksums import check_texts, has_checksums
 from simnfnd.factory.dataset.format.layout import check_shard, inside, optional_layers
 from simnfnd.factory.dataset.format.manifest import Manifest, load_manifest
@@ -138,7 +138,7 @@ def read_attributes(file: h5py.File) -> None:
     for name in (*names, "meta"):
         dict(file[name].attrs)
     for name in names:
-        image_axes(file[name])
+        axis_names(file[name])
 
 
 def check_split(path: Path, file: h5py.File) -> None:
