@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from simnfnd.factory.dataset.format.echoes import EchoList
 from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
 from simnfnd.factory.devices import draw as devices
 from simnfnd.factory.errors import FrameError
@@ -48,7 +49,8 @@ class ObservedFrame:
 
     window: range and azimuth limits of the picture.  has_pose: whether the frame's is known.
     shadow: (H, W) bool picture.  layers: (H, W) pictures of what lies behind each pixel, by the
-    names of `dataset.layers`.  columns: what `dataset.columns` asks for.
+    names of `dataset.layers`.  columns: what `dataset.columns` asks for.  echoes: all of them,
+    where they are asked for.
     """
 
     ref: FrameRef
@@ -58,6 +60,7 @@ class ObservedFrame:
     shadow: npt.NDArray[np.bool_]
     layers: Mapping[str, npt.NDArray[np.generic]]
     columns: Mapping[str, float]
+    echoes: EchoList | None = None
 
 
 class PairMaker:
@@ -140,6 +143,9 @@ def observe(
         lay_out_nearest(shadow, window, sonar),
         {name: lay_out_nearest(picture, window, sonar) for name, picture in behind.items()},
         requested_row(frame, config),
+        EchoList((sonar.range_bins, sonar.beams), truth.every_echo(lit))
+        if "echoes" in config.dataset.layers
+        else None,
     )
 
 
@@ -237,4 +243,5 @@ def make_pair(
         | ({} if device is None else device.row())
         | dict(observed.columns),
         layers=layers,
+        echoes=observed.echoes,
     )

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from simnfnd.factory.dataset.describe.card import PAPER
+from simnfnd.factory.dataset.format.echoes import PLACE, echo_names
 from simnfnd.factory.dataset.format.layout import optional_layers
 from simnfnd.factory.dataset.format.manifest import INDEX_NAME, MANIFEST_NAME, Manifest
 from simnfnd.factory.dataset.format.schema import SCHEMA, SPLITS
@@ -149,6 +150,10 @@ def _variables(directory: Path, manifest: Manifest) -> list[dict[str, str]]:
             size = f"{kind} image of {rows} x {columns} pixels"
             meaning = f"{stack.attrs['description']} ({size})"
             variables.append(_variable(f"/{name}", meaning, str(stack.attrs["units"])))
+        for name in echo_names(file):
+            meaning, units = (str(file[name].attrs[key]) for key in ("description", "units"))
+            meaning = f"{meaning} ({file[name].dtype} list, /{PLACE} has where each sample's is)"
+            variables.append(_variable(f"/{name}", meaning, units))
         table = file["meta"]
         for name in table.dtype.names:
             meaning, units = (

@@ -80,6 +80,30 @@ OPTIONAL_LAYERS = (
 )
 CHANNELS = 3
 CAMERA_LAYERS = frozenset(layer.name for layer in OPTIONAL_LAYERS if layer.of_camera)
+# Of every echo behind a pair, where `dataset.layers` asks for `echoes`: flat lists, see `echoes`.
+ECHO_FOLDER = "echoes/"
+_MOST_INT32 = float(1 << 30)
+ECHO_FIELDS = (
+    Layer(
+        "bin",
+        "int32",
+        "range bin * beams + beam, ascending within a sample; attribute grid: range bins, beams",
+        most=_MOST_INT32,
+    ),
+    Layer("range", "float32", "slant range", "m", most=1e6),
+    Layer("azimuth", "float32", "azimuth, right is positive", "rad", least=-math.pi, most=math.pi),
+    _angle("elevation", "elevation, up is positive"),
+    Layer(
+        "strength",
+        "float32",
+        "linear echo intensity after time-varying gain, relative: radiance of the render times the "
+        "gain; the strongest of a bin is the one that /range and /elevation tell of",
+        most=3e38,
+    ),
+    Layer("pixel", "int32", "row * columns + column in the camera's frame", most=_MOST_INT32),
+    Layer("segmentation", "uint8", "class of the object that echoes", classes=CLASSES),
+    Layer("instance", "uint16", "number within its scene of that object, 0 = none", most=65535),
+)
 EFFECT_FOLDER = "layers/"
 _EFFECT = re.compile(rf"{EFFECT_FOLDER}[a-z][a-z0-9_]{{0,39}}")
 

@@ -6,7 +6,6 @@ import operator
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, Literal, SupportsIndex, get_args
@@ -16,62 +15,31 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.dataset.format.axes import image_axes
+from simnfnd.factory.dataset.format.echoes import EchoList
 from simnfnd.factory.dataset.format.layers import EFFECT_FOLDER, layers
 from simnfnd.factory.dataset.format.manifest import (
     INDEX_NAME,
     MANIFEST_NAME,
-    ShardInfo,
     load_manifest,
 )
 from simnfnd.factory.dataset.format.sample import Axis
 from simnfnd.factory.dataset.format.schema import VALUE_RANGES
+from simnfnd.factory.dataset.read.expected import Expected
 from simnfnd.factory.dataset.read.image_stack import Image
 from simnfnd.factory.dataset.read.open_shards import OpenShards
 from simnfnd.factory.dataset.read.reader import (
     Split,
     check_in_isolation,
-    check_split,
     listed_shards,
     reading,
 )
 from simnfnd.factory.dataset.read.stream import WINDOW, Windows, fetched_ahead
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import sha256_of
 from simnfnd.factory.seeds import stream
 from simnfnd.factory.storage.copies import local_folder, url_of
 
 Sample = dict[str, Image]
 Verify = Literal["checksums", "hash"]
-
-
-@dataclass(frozen=True)
-class _Expected:
-    """Refuses a shard that is not the one that the manifest listed when the dataset was opened.
-
-    hashed: the shards whose SHA-256 was compared; None when that is not asked for.
-    """
-
-    root: Path
-    shards: dict[Path, ShardInfo]
-    hashed: set[Path] | None
-
-    def __call__(self, path: Path, file: h5py.File) -> None:
-        info = self.shards.get(path)
-        if info and self.hashed is not None and path not in self.hashed:
-            if sha256_of(path) != info.sha256:
-                raise FactoryError(
-                    f"{path}: SHA-256 differs from the manifest's; run the command that made the "
-                    "dataset again"
-                )
-            self.hashed.add(path)
-        found = (len(file["noisy"]), path.stat().st_size)
-        if info and found != (info.samples, info.bytes):
-            raise FactoryError(
-                f"{path}: {found[0]} samples in {found[1]} bytes, the manifest said "
-                f"{info.samples} in {info.bytes}; open the dataset again if it was being extended, "
-                "otherwise generate the shard again"
-            )
-        check_split(path, file)
 
 
 class PairDataset:
@@ -132,7 +100,7 @@ class PairDataset:
             check_in_isolation(self.paths)
         self._counts = [infos[p].samples if p in infos else _count(p) for p in self.paths]
         self._ends = list(accumulate(self._counts))
-        self._expected = _Expected(self.folder, infos, set() if verify == "hash" else None)
+        self._expected = Expected(self.folder, infos, set() if verify == "hash" else None)
         self._shards = OpenShards(self._expected)
         self._form: tuple[tuple[int, int], str, str] | None = None
 
@@ -153,6 +121,14 @@ class PairDataset:
         return {
             name: self._scaled(name, image) for name, image in zip(self.layers, images, strict=True)
         }
+
+    def echoes(self, index: SupportsIndex) -> EchoList:
+        """Every echo behind a sample, of a dataset made with `echoes` in dataset.layers.
+
+        Raises FactoryError where there is no list, or it is damaged.
+        """
+        path, row = self.place(index)
+        return self._shards.echoes(path, row)
 
     def __iter__(self) -> Iterator[Sample]:
         """All samples in order."""

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 
 from simnfnd.factory.dataset.format.checksums import crc32, write_checksums
+from simnfnd.factory.dataset.format.echoes import EchoList, write_echoes
 from simnfnd.factory.dataset.format.layers import Layer, layers, stores_grey
 from simnfnd.factory.dataset.format.manifest import ShardInfo
 from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
@@ -54,6 +55,7 @@ def write_shard(
     compression = compression_filter(settings)
     rows: list[tuple[Any, ...]] = []
     sums: dict[str, list[int]] = {}
+    lists: list[EchoList] = []
     dtype = table_dtype(columns)
     # The file is made in memory: it goes to disk in one write, its SHA-256 costs no second read,
     # and HDF5, which cannot close a file on a full disk, never touches the disk.
@@ -76,6 +78,10 @@ def write_shard(
             elif tuple(stacks) != wanted:
                 raise FrameError(f"{name}: has other layers than the samples before it")
             rows.append(row)
+            if pair.echoes is not None:
+                lists.append(pair.echoes)
+            if len(lists) not in (0, len(rows)):
+                raise FrameError(f"{name}: has echoes, or none, unlike the samples before it")
             for layer, stack in stacks.items():
                 stack.resize(len(rows), axis=0)
                 image = image_of(pair, layer.name)
@@ -93,6 +99,8 @@ def write_shard(
         _write_table(file, np.array(rows, dtype=dtype), columns)
         for key, value in root_attributes(provenance, split, settings.dtype).items():
             file.attrs[key] = value
+        if lists:
+            sums |= write_echoes(file, lists)
         write_checksums(file, sums)
         file.flush()
         content = file.id.get_file_image()
