@@ -367,7 +367,7 @@ def test_drawn_devices_are_refused_by_name() -> None:
 def test_example_of_the_echoes_of_a_bin(folder: Path) -> None:
     def run(*words: object) -> str:
         done = subprocess.run(
-            [sys.executable, str(ROOT / "examples/bin_echoes.py"), *map(str, words)],
+            [sys.executable, str(ROOT / "examples" / "bin_echoes.py"), *map(str, words)],
             capture_output=True, text=True, check=False,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
