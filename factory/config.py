@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 from pydantic import Field, TypeAdapter, model_validator
 from pydantic.dataclasses import dataclass
 
+from simnfnd.factory.dataset.format.layers import CAMERA_LAYERS
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.devices.settings import DeviceSettings
 from simnfnd.factory.errors import FactoryError
@@ -130,6 +131,16 @@ class FactoryConfig:
         return self
 
     @model_validator(mode="after")
+    def _frames_at_hand(self) -> Self:
+        asked = [name for name in self.dataset.layers if name in CAMERA_LAYERS]
+        if asked and self.scenes.kind == "pack":
+            raise ValueError(
+                f"dataset.layers: {asked[0]} is of the camera, and a pack holds renders alone; "
+                "leave it out, or use the scenes that the pack was made of"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _received(self) -> Self:
         check_received(self)
         return self
@@ -142,6 +153,11 @@ def check_received(config: FactoryConfig) -> None:
     """Raise ValueError when layers or columns are asked for that the formation does not have."""
     dataset = config.dataset
     asked: list[str] = [name for name in _RECEIVED if name in dataset.layers]
+    if config.devices is not None and "echoes" in dataset.layers:
+        raise ValueError(
+            "dataset.layers: echoes are of the bins of one device; leave them out or set "
+            "devices=fixed"
+        )
     if config.devices is not None and (asked or dataset.columns):
         raise ValueError(
             "dataset.layers: intensity_db, field and dataset.columns need one device; leave them "

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from simnfnd.factory.dataset.format.echoes import EchoList
 from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
 from simnfnd.factory.devices import draw as devices
 from simnfnd.factory.errors import FrameError
@@ -23,6 +24,7 @@ from simnfnd.factory.formation import layers as truth
 from simnfnd.factory.formation.contract import Floats, Scene
 from simnfnd.factory.formation.registry import FORMATIONS
 from simnfnd.factory.frame import Frame, FrameRef
+from simnfnd.factory.meta.camera import Camera
 from simnfnd.factory.meta.record import columns, image_axes, record, requested, requested_row
 from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.renders.views import Views, open_views
@@ -47,7 +49,8 @@ class ObservedFrame:
 
     window: range and azimuth limits of the picture.  has_pose: whether the frame's is known.
     shadow: (H, W) bool picture.  layers: (H, W) pictures of what lies behind each pixel, by the
-    names of `dataset.layers`.  columns: what `dataset.columns` asks for.
+    names of `dataset.layers`.  columns: what `dataset.columns` asks for.  echoes: all of them,
+    where they are asked for.
     """
 
     ref: FrameRef
@@ -57,6 +60,7 @@ class ObservedFrame:
     shadow: npt.NDArray[np.bool_]
     layers: Mapping[str, npt.NDArray[np.generic]]
     columns: Mapping[str, float]
+    echoes: EchoList | None = None
 
 
 class PairMaker:
@@ -64,6 +68,7 @@ class PairMaker:
 
     def __init__(self, config: FactoryConfig, views: Views) -> None:
         self.config, self.views = config, views
+        self._camera = Camera(config, _chosen)
 
     def axes(self) -> tuple[Axis, Axis]:
         """Row and column axes of the pictures."""
@@ -89,12 +94,21 @@ class PairMaker:
         frame, rendered = view.frame(ref), view.rendered()
         if config.devices is None:
             observed = observe(frame, rendered, config)
-            return [make_pair(observed, variant, config) for variant in variants]
-        return [pair_by_drawn_device(frame, rendered, one, config) for one in variants]
+            made = [make_pair(observed, variant, config) for variant in variants]
+        else:
+            made = [pair_by_drawn_device(frame, rendered, one, config) for one in variants]
+        seen = self._camera.layers(ref)
+        return [replace(pair, layers={**pair.layers, **seen}) if seen else pair for pair in made]
 
     def ready(self, ref: FrameRef) -> bool:
         """Whether the frame's render is at hand."""
         return self.views.holds(ref)
+
+
+def _chosen(found: tuple[FrameRef, ...], config: FactoryConfig) -> tuple[FrameRef, ...]:
+    from simnfnd.factory.selection import choose_frames
+
+    return choose_frames(found, config)
 
 
 def pair_maker(config: FactoryConfig) -> PairMaker:
@@ -129,6 +143,9 @@ def observe(
         lay_out_nearest(shadow, window, sonar),
         {name: lay_out_nearest(picture, window, sonar) for name, picture in behind.items()},
         requested_row(frame, config),
+        EchoList((sonar.range_bins, sonar.beams), truth.every_echo(lit))
+        if "echoes" in config.dataset.layers
+        else None,
     )
 
 
@@ -226,4 +243,5 @@ def make_pair(
         | ({} if device is None else device.row())
         | dict(observed.columns),
         layers=layers,
+        echoes=observed.echoes,
     )

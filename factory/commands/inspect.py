@@ -11,6 +11,7 @@ import numpy.typing as npt
 from simnfnd.factory.cli import Parser
 from simnfnd.factory.cli.extras import Need, require
 from simnfnd.factory.dataset.describe.summary import DatasetSummary, summarize
+from simnfnd.factory.dataset.format.layers import CAMERA_LAYERS
 from simnfnd.factory.dataset.read.config_file import dataset_settings
 from simnfnd.factory.storage.copies import local_folder
 
@@ -48,6 +49,11 @@ def report(found: DatasetSummary, name: str) -> Iterator[str]:
     yield f"pictures     {rows} x {columns} {source.dtype} ({scale}), {source.layout}"
     yield f"axes         rows {row_axis} [{row_units}], columns {column_axis} [{column_units}]"
     yield f"layers       {', '.join(source.layers)}"
+    if camera := [name for name in source.layers if name in CAMERA_LAYERS]:
+        high, wide = source.sizes[camera[0]][:2]
+        yield f"camera       {high} x {wide} pixels ({', '.join(camera)})"
+    if found.echoes:
+        yield f"echoes       {found.echoes / len(found.splits):.0f} a sample (/echoes)"
     yield (
         f"size         {found.stored_bytes / 1e6:.2f} MB on disk, {found.image_bytes / 1e6:.2f} MB "
         f"of pictures ({found.image_bytes / max(found.stored_bytes, 1):.1f} : 1)"

@@ -118,8 +118,8 @@ def _check_alike(manifests: Mapping[Path, Manifest], sources: Mapping[Path, Sour
 
 def _check_form(one: Source, two: Source) -> None:
     for what, first, second in (
-        ("picture sizes", one.shape, two.shape),
         ("layers", dict(one.layers), dict(two.layers)),
+        ("picture sizes", dict(one.sizes), dict(two.sizes)),
         ("columns", one.columns, two.columns),
     ):
         if first != second:

@@ -82,7 +82,8 @@ def _schema(source: Source) -> Any:
         else:
             values = pyarrow.from_numpy_dtype(dtype)
             fields.append((name, pyarrow.list_(pyarrow.list_(values))))
-            features[name] = {"_type": "Array2D", "shape": list(source.shape), "dtype": str(dtype)}
+            shape = list(source.sizes[name])
+            features[name] = {"_type": "Array2D", "shape": shape, "dtype": str(dtype)}
     for column in source.columns:
         dtype = np.dtype(column.dtype)
         text = dtype.kind == "S"

@@ -19,11 +19,13 @@ def is_picture(dtype: np.dtype[np.generic]) -> bool:
 
 
 def png(image: npt.NDArray[Any]) -> bytes:
-    """(H, W) uint8, uint16 or bool (as 0 and 255) -> PNG."""
+    """(H, W) uint8, uint16 or bool (as 0 and 255), or (H, W, 3) RGB uint8 -> PNG."""
     if image.dtype == np.bool_:
         image = image.astype(np.uint8) * np.uint8(255)
     elif not is_picture(image.dtype):
         raise TypeError(f"a PNG cannot hold {image.dtype}")
+    if image.ndim == 3:
+        image = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     done, encoded = cv2.imencode(".png", image, _PNG)
     assert done  # only unknown types and empty images fail
     return encoded.tobytes()

@@ -24,7 +24,7 @@ _OF_ECHOES = {"range", "azimuth", "elevation", "elevation_min", "elevation_max",
 
 
 def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture]:
-    """(range_bins, beams) pictures of the requested layers, by the names of `format.schema`.
+    """(range_bins, beams) pictures of the requested layers, by the names of `format.layers`.
 
     requested: of range, azimuth, elevation, elevation_min, elevation_max, valid_azimuth,
         segmentation (which brings instance); other names are ignored.
@@ -50,12 +50,7 @@ def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture
             take.at(limit, bins, echoes.elevation_rad)
             made[name] = limit[:-1].reshape(strongest.shape)
     if "azimuth" in requested:
-        azimuth_rad = echoes.azimuth_rad
-        if surface.conical:
-            # Echoes are laid out by the cones of the beams, whose sine has the elevation in it.
-            sine = np.sin(azimuth_rad) / np.cos(echoes.elevation_rad)
-            azimuth_rad = np.arcsin(np.clip(sine, -1, 1))
-        made["azimuth"] = _lookup(azimuth_rad, strongest, np.nan)
+        made["azimuth"] = _lookup(_azimuth_rad(surface), strongest, np.nan)
     if "segmentation" in requested:
         if frame.segmentation is None or frame.instance is None:
             raise FrameError(
@@ -64,6 +59,42 @@ def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture
         made["segmentation"] = _lookup(frame.segmentation.ravel()[pixel], strongest, 0)
         made["instance"] = _lookup(frame.instance.ravel()[pixel], strongest, 0)
     return made
+
+
+def every_echo(surface: LitSurface) -> dict[str, Picture]:
+    """(N,) fields of all insonified points, by the names of `format.layers.ECHO_FIELDS`.
+
+    In the order of their bins, and within a bin of their pixels; at full density, before any
+    resampling.  Labels only where the frame has them.
+    """
+    frame, sonar = surface.frame, surface.sonar
+    echoes, pixel, _ = surface.insonified
+    bins = polar.bin_index(echoes, surface.window, sonar)
+    order = np.argsort(bins, kind="stable")
+    # What lies in no bin comes last.
+    order = order[: np.searchsorted(bins[order], sonar.range_bins * sonar.beams)]
+    values = {
+        "bin": bins,
+        "range": echoes.range_m,
+        "azimuth": _azimuth_rad(surface),
+        "elevation": echoes.elevation_rad,
+        "strength": echoes.strength,
+        "pixel": pixel,
+    }
+    made: dict[str, Picture] = {name: value[order] for name, value in values.items()}
+    if frame.segmentation is not None and frame.instance is not None:
+        made["segmentation"] = frame.segmentation.ravel()[pixel[order]]
+        made["instance"] = frame.instance.ravel()[pixel[order]]
+    return made
+
+
+def _azimuth_rad(surface: LitSurface) -> npt.NDArray[np.float32]:
+    echoes = surface.insonified.echoes
+    if not surface.conical:
+        return echoes.azimuth_rad
+    # Echoes are laid out by the cones of the beams, whose sine has the elevation in it.
+    sine = np.sin(echoes.azimuth_rad) / np.cos(echoes.elevation_rad)
+    return np.asarray(np.arcsin(np.clip(sine, -1, 1)))
 
 
 def _strongest(echoes: Echoes, window: Window, sonar: SonarSettings) -> npt.NDArray[np.intp]:

@@ -11,7 +11,7 @@ from simnfnd.factory import seeds
 from simnfnd.factory.dataset.format.sample import Axis, Column
 from simnfnd.factory.formation.contract import Sample
 from simnfnd.factory.frame import Frame, FrameRef
-from simnfnd.factory.meta import calibration, pose
+from simnfnd.factory.meta import calibration, camera, pose
 from simnfnd.factory.noise import draws as drawn
 from simnfnd.factory.noise.draws import Draws
 from simnfnd.factory.noise.registry import NoiseSettings
@@ -61,7 +61,11 @@ def columns(noise: NoiseSettings, formation: str = "points") -> tuple[Column, ..
     return _WHAT + _WINDOW + _SCENE + target + drawn.columns(noise)
 
 
-_REQUESTED = {"pose": pose.COLUMNS, "calibration": calibration.COLUMNS}
+_REQUESTED = {
+    "pose": pose.COLUMNS,
+    "intrinsics": camera.COLUMNS,
+    "calibration": calibration.COLUMNS,
+}
 
 
 def requested(names: Sequence[str]) -> tuple[Column, ...]:
@@ -74,6 +78,8 @@ def requested_row(frame: Frame, config: FactoryConfig) -> dict[str, float]:
     made: dict[str, float] = {}
     if "pose" in config.dataset.columns:
         made |= pose.row(frame, config.sonar.mount)
+    if "intrinsics" in config.dataset.columns:
+        made |= camera.row(frame)
     if "calibration" in config.dataset.columns:
         made |= calibration.row(config.sonar, config.water, config.acoustics)
     return made

@@ -111,6 +111,8 @@ class ShownDataset:
         """See `Shown`."""
         name = self.layers[layer]
         image = self._pairs[number][name]
+        if name == "rgb":
+            return np.ascontiguousarray(image[..., ::-1])
         return _coloured(image) if name in _LABELS else _grey(image)
 
     def facts(self, number: int) -> Facts:

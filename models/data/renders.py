@@ -268,6 +268,9 @@ def _config(data: RendersData, dataset: str) -> FactoryConfig:
         if not equals:
             raise FactoryError(f"data.factory: {word!r} is no KEY=VALUE")
         _put(values, key.lstrip("+"), yaml.safe_load(text))
+    # What stands beside the pairs is of no use here, and may need more than the renders.
+    if isinstance(values, dict) and isinstance(values.get("dataset"), dict):
+        values["dataset"]["layers"] = []
     if data.pack is not None:
         values["scenes"] = {"kind": "pack", "root": data.pack}
     if data.cache is not None:

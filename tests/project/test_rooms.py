@@ -224,6 +224,7 @@ ALLOWED = {
         "factory/formation",
         "factory/noise",
         "factory/render",
+        "factory/scenes",
         "factory/sonar",
         "factory: ground",
     },

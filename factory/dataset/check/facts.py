@@ -16,8 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.dataset.format.axes import image_axes
-from simnfnd.factory.dataset.format.layout import object_inside, optional_layers
-from simnfnd.factory.dataset.format.schema import SPLITS, VALUE_RANGES, Layer, layers, stores_grey
+from simnfnd.factory.dataset.format.echoes import echo_names, echo_problem, read_echoes
+from simnfnd.factory.dataset.format.layers import Layer, layers, stores_grey
+from simnfnd.factory.dataset.format.layout import optional_layers
+from simnfnd.factory.dataset.format.links import object_inside
+from simnfnd.factory.dataset.format.schema import SPLITS, VALUE_RANGES
 from simnfnd.factory.dataset.read.image_stack import ImageStack
 from simnfnd.factory.dataset.read.reader import read_attributes, reading
 from simnfnd.factory.errors import FactoryError
@@ -58,10 +61,12 @@ def shard_facts(path: Path, deep: bool) -> ShardFacts:
 def _facts(file: h5py.File, deep: bool) -> ShardFacts:
     noisy = file["noisy"]
     known = layers(str(noisy.dtype), optional_layers(file))
+    sizes = [f"{layer.name} {file[layer.name].shape[1:]}" for layer in known if layer.of_camera]
     table = file["meta"][()]
     axes = [(axis.name, axis.units) for axis in image_axes(noisy)]
     read_attributes(file)
     problems = _table_problems(table)
+    listed = echo_names(file)
     digests: dict[str, list[bytes]] = {"noisy": [], "clean": []}
     empty = 0
     if deep:
@@ -80,13 +85,16 @@ def _facts(file: h5py.File, deep: bool) -> ShardFacts:
                     content = hashlib.blake2b(picture.tobytes(), digest_size=16).digest()
                     digests[layer.name].append(content)
                     empty += not picture.any()
+            if listed and (problem := _echo_problem(file, row)):
+                problems.append(f"sample {row}: /echoes: {problem}")
             if len(problems) >= _MOST_PROBLEMS:
                 break
     return ShardFacts(
         problems=tuple(problems[:_MOST_PROBLEMS]),
         config_hash=str(file.attrs["config_hash"])[:200],
         split=str(file.attrs["split"]),
-        form=f"{noisy.shape[1:]} {noisy.dtype}, layers {', '.join(layer.name for layer in known)}, "
+        form=f"{' '.join((str(noisy.shape[1:]), *sizes))} {noisy.dtype}, "
+        f"layers {', '.join((*(layer.name for layer in known), *listed))}, "
         f"axes {axes}, columns {', '.join(table.dtype.names)}"[:4000],
         samples=tuple(
             (row["location"], row["scene"], row["frame"], int(row["variant"])) for row in table
@@ -95,6 +103,13 @@ def _facts(file: h5py.File, deep: bool) -> ShardFacts:
         clean=tuple(digests["clean"]),
         notes=(f"{empty} noisy or clean pictures without any echo",) if empty else (),
     )
+
+
+def _echo_problem(file: h5py.File, row: int) -> str | None:
+    try:
+        return echo_problem(read_echoes(file, row))
+    except (OSError, RuntimeError, ValueError) as error:
+        return f"is damaged ({_short(error)})"
 
 
 def _table_problems(table: npt.NDArray[np.void]) -> list[str]:
@@ -107,7 +122,7 @@ def _table_problems(table: npt.NDArray[np.void]) -> list[str]:
 
 
 def _picture_problem(picture: npt.NDArray[np.generic], layer: Layer) -> str | None:
-    """What is wrong with the values of one (H, W) picture."""
+    """What is wrong with the values of one picture."""
     if layer.classes and picture.max() >= len(layer.classes):
         return f"has class {picture.max()}; the schema knows {len(layer.classes)}"
     if picture.dtype.kind == "b" and not np.isin(picture.view(np.uint8), (0, 1)).all():

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from simnfnd.factory.dataset.format.echoes import echo_names
 from simnfnd.factory.dataset.format.layout import optional_layers
 from simnfnd.factory.dataset.format.manifest import Manifest
 from simnfnd.factory.dataset.format.schema import SCHEMA, SPLITS, Provenance
@@ -146,7 +147,7 @@ def _pictures(shard: Path) -> str:
     """The stacks of a shard, as it describes them itself."""
     rows: list[tuple[str, ...]] = []
     with reading(shard) as file:
-        for name in ("noisy", "clean", "shadow", *optional_layers(file)):
+        for name in ("noisy", "clean", "shadow", *optional_layers(file), *echo_names(file)):
             units, meaning = (str(file[name].attrs[key]) for key in ("units", "description"))
             kind = str(file[name].dtype)
             rows.append((f"`/{name}`", kind, "" if units == "1" else units, meaning))

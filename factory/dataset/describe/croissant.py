@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from simnfnd.factory.dataset.describe.card import PAPER
+from simnfnd.factory.dataset.format.echoes import PLACE, echo_names
 from simnfnd.factory.dataset.format.layout import optional_layers
 from simnfnd.factory.dataset.format.manifest import INDEX_NAME, MANIFEST_NAME, Manifest
 from simnfnd.factory.dataset.format.schema import SCHEMA, SPLITS
@@ -142,12 +143,17 @@ def _variables(directory: Path, manifest: Manifest) -> list[dict[str, str]]:
     """The pictures and the columns of /meta, as the first shard describes them."""
     variables = []
     with reading(directory / min(manifest.shards)) as file:
-        _, rows, columns = file["noisy"].shape
         for name in ("noisy", "clean", "shadow", *optional_layers(file)):
             stack = file[name]
-            size = f"{stack.dtype} image of {rows} x {columns} pixels"
+            _, rows, columns, *channels = stack.shape
+            kind = " x ".join(map(str, (stack.dtype, *channels)))
+            size = f"{kind} image of {rows} x {columns} pixels"
             meaning = f"{stack.attrs['description']} ({size})"
             variables.append(_variable(f"/{name}", meaning, str(stack.attrs["units"])))
+        for name in echo_names(file):
+            meaning, units = (str(file[name].attrs[key]) for key in ("description", "units"))
+            meaning = f"{meaning} ({file[name].dtype} list, /{PLACE} has where each sample's is)"
+            variables.append(_variable(f"/{name}", meaning, units))
         table = file["meta"]
         for name in table.dtype.names:
             meaning, units = (

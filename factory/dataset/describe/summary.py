@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.dataset.describe.quality import psnr_db, ssim
+from simnfnd.factory.dataset.format.echoes import PLACE, echo_names
 from simnfnd.factory.dataset.format.manifest import INDEX_NAME
 from simnfnd.factory.dataset.read.image_stack import ImageStack
 from simnfnd.factory.dataset.read.reader import check_in_isolation, reading
@@ -26,6 +27,7 @@ class DatasetSummary:
     table: (samples,) structured array, the rows of /meta of all shards.
     splits: (samples,) the split of each row.
     stored_bytes: of all files.  image_bytes: of the images without compression.
+    echoes: in the lists of all samples.
     psnr_db, ssim: noisy against clean, of `measured` samples spread evenly.
     """
 
@@ -37,6 +39,7 @@ class DatasetSummary:
     splits: npt.NDArray[np.str_]
     stored_bytes: int
     image_bytes: int
+    echoes: int
     psnr_db: npt.NDArray[np.float64]
     ssim: npt.NDArray[np.float64]
 
@@ -63,15 +66,18 @@ def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
     tables: list[npt.NDArray[np.void]] = []
     splits: list[str] = []
     schema = generator = compression = ""
-    image_bytes = 0
+    image_bytes = echoes = 0
     for split, shard, samples in source.shards:
         with reading(shard) as file:
             tables.append(file["meta"][()])
             if tables[-1].dtype != tables[0].dtype:
                 raise FactoryError(f"its columns differ from those of {source.shards[0][1]}")
             image_bytes += samples * sum(
-                int(np.prod(source.shape)) * dtype.itemsize for dtype in source.layers.values()
+                int(np.prod(source.sizes[name])) * dtype.itemsize
+                for name, dtype in source.layers.items()
             )
+            if echo_names(file):
+                echoes += int(np.diff(file[PLACE][()], axis=1).sum())
             schema, generator = str(file.attrs["schema"]), str(file.attrs["generator"])
             compression = compression_of(file["noisy"])
         splits += [split] * samples
@@ -85,6 +91,7 @@ def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
         np.asarray(splits),
         sum(shard.stat().st_size for _, shard, _ in source.shards),
         image_bytes,
+        echoes,
         psnr,
         similarity,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import h5py
 import numpy as np
 
+from simnfnd.factory.dataset.format.layers import CAMERA_LAYERS, ECHO_FOLDER
 from simnfnd.factory.dataset.format.sample import Axis
 from simnfnd.factory.errors import FactoryError
 
@@ -18,8 +19,14 @@ def image_axes(stack: h5py.Dataset) -> tuple[Axis, Axis]:
     return _axis(_scale(stack, 1)), _axis(_scale(stack, 2))
 
 
-def axis_names(stack: h5py.Dataset) -> tuple[str, str]:
-    """The names of both: what is asked of every layer of a shard, whose axes are the same."""
+def axis_names(stack: h5py.Dataset) -> tuple[str, ...]:
+    """The names of both: what is asked of every layer of a shard, whose axes are the same.
+
+    The pictures of the camera and the lists of echoes have none.
+    """
+    name = str(stack.name).lstrip("/")
+    if name in CAMERA_LAYERS or name.startswith(ECHO_FOLDER):
+        return ()
     _check_scale_references(stack)
     return _name(_scale(stack, 1)), _name(_scale(stack, 2))
 

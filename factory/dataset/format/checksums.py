@@ -24,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.dataset.format.axes import axis_names, image_axes
+from simnfnd.factory.dataset.format.layers import ECHO_FOLDER
 from simnfnd.factory.dataset.format.schema import CHECKSUMS, ROOT_ATTRIBUTES, SEALS
 from simnfnd.factory.errors import FactoryError
 
@@ -103,7 +104,12 @@ def all_picture_sums(file: h5py.File) -> npt.NDArray[np.void] | None:
 
 def _has_table(file: h5py.File) -> bool:
     # Not `in`: that opens the file which an external link names.
-    return bool(file.id.links.exists(CHECKSUMS.encode()))
+    return _has(file, CHECKSUMS)
+
+
+def _has(file: h5py.File, name: str) -> bool:
+    folder = name.rpartition("/")[0]
+    return all(file.id.links.exists(part.encode()) for part in (folder, name) if part)
 
 
 def _digest(document: Any) -> str:
@@ -112,10 +118,11 @@ def _digest(document: Any) -> str:
 
 
 def _contents(file: h5py.File, rows: npt.NDArray[Any]) -> list[Any]:
-    sums = file[CHECKSUMS][()]
+    sums, place = file[CHECKSUMS][()], f"{ECHO_FOLDER}place"
     return [
         [[name, _value(file.attrs.get(name))] for name in ROOT_ATTRIBUTES if name not in SEALS],
         [[axis.name, crc32(axis.values)] for axis in image_axes(file["noisy"])],
+        *([["echoes", crc32(file[place][()])]] if _has(file, place) else []),
         *([[[n, t.dtype[n].str] for n in t.dtype.names or ()], crc32(t)] for t in (rows, sums)),
     ]
 

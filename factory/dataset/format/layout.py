@@ -9,8 +9,8 @@ own, and no chunk of it can grow beyond some thousand times its picture.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from itertools import pairwise
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -20,23 +20,27 @@ import numpy.typing as npt
 
 from simnfnd.factory.dataset.format.axes import Place, contiguous_place
 from simnfnd.factory.dataset.format.checksums import check_contents, has_checksums
+from simnfnd.factory.dataset.format.echoes import check_echoes, echo_names
 from simnfnd.factory.dataset.format.filters import chain_of
-from simnfnd.factory.dataset.format.schema import (
-    CHECKSUMS,
+from simnfnd.factory.dataset.format.layers import (
+    CHANNELS,
     EFFECT_FOLDER,
+    MAX_PIXELS,
     OPTIONAL_LAYERS,
-    REQUIRED_COLUMNS,
-    SCHEMA,
-    SPLITS,
-    VALUE_RANGES,
     Layer,
     layers,
     stores_grey,
 )
+from simnfnd.factory.dataset.format.links import dataset_inside, exists, object_inside
+from simnfnd.factory.dataset.format.schema import (
+    CHECKSUMS,
+    REQUIRED_COLUMNS,
+    SCHEMA,
+    SPLITS,
+    VALUE_RANGES,
+)
 from simnfnd.factory.errors import FactoryError
 
-# A picture of 4096 x 4096; the largest imaging sonars have 2048 beams.
-MAX_PIXELS = 1 << 24
 _MAX_ROW_BYTES = 1 << 16
 _MAX_LAYERS = 64
 _MAX_AXES = 8
@@ -59,7 +63,7 @@ def check_shard(file: h5py.File) -> None:
             f"schema {str(schema)[:40]!r}, but this program reads {SCHEMA!r}; "
             "use a matching release"
         )
-    noisy = _dataset_inside(file, "noisy")
+    noisy = dataset_inside(file, "noisy")
     shape, dtype = noisy.shape, str(noisy.dtype)
     if len(shape) != 3:
         raise FactoryError(f"/noisy is {shape}; expected samples, rows and columns")
@@ -71,14 +75,16 @@ def check_shard(file: h5py.File) -> None:
     if shape[0] * len(known) > _MAX_CHUNKS:
         raise FactoryError(f"claims {shape[0]} samples; at most {_MAX_CHUNKS} pictures go")
     for layer in known:
-        places += _check_stack(_dataset_inside(file, layer.name), layer, shape, size)
-    table = _dataset_inside(file, "meta")
+        places += _check_stack(dataset_inside(file, layer.name), layer, shape, size)
+    table = dataset_inside(file, "meta")
     _check_table(table, shape[0], size)
     places += contiguous_place(table, "meta", size)
+    places += check_echoes(file, shape[0], size)
     if has_checksums(file):
-        places += _checked_sums(file, [layer.name for layer in known], shape[0], size)
+        names = [*(layer.name for layer in known), *echo_names(file)]
+        places += _checked_sums(file, names, shape[0], size)
     for name in _axis_names(file):
-        places += contiguous_place(_dataset_inside(file, f"axes/{name}"), f"axes/{name}", size)
+        places += contiguous_place(dataset_inside(file, f"axes/{name}"), f"axes/{name}", size)
     _check_apart(places)
     _check_attributes(file)
     rows = table[()]
@@ -89,9 +95,9 @@ def check_shard(file: h5py.File) -> None:
 
 def optional_layers(file: h5py.File) -> tuple[str, ...]:
     """Names of the optional layers that a shard has, in the order of the schema."""
-    names = [layer.name for layer in OPTIONAL_LAYERS if _exists(file, layer.name)]
+    names = [layer.name for layer in OPTIONAL_LAYERS if exists(file, layer.name)]
     folder = EFFECT_FOLDER.rstrip("/")
-    if _exists(file, folder):
+    if exists(file, folder):
         group = object_inside(file, folder)
         if not isinstance(group, h5py.Group) or len(group) > _MAX_LAYERS:
             raise FactoryError(f"/{folder} is no group of at most {_MAX_LAYERS} layers")
@@ -121,19 +127,8 @@ def inside(root: Path, path: Path) -> bool:
         return False
 
 
-def object_inside(file: h5py.File, name: str) -> Any:
-    """The object at `name`; links that could lead out of the file are refused on the way."""
-    for part in _prefixes(name):
-        if not _exists(file, part):
-            raise FactoryError(f"dataset /{part} is absent; generate the shard again")
-        # Not h5py's own `in` and `get`: they open the file that an external link names.
-        if file.id.links.get_info(part.encode()).type != h5py.h5l.TYPE_HARD:
-            raise FactoryError(f"/{part} is a link to elsewhere; not followed")
-    return file[name]
-
-
 def _axis_names(file: h5py.File) -> list[str]:
-    if not _exists(file, "axes"):
+    if not exists(file, "axes"):
         return []
     group = object_inside(file, "axes")
     if not isinstance(group, h5py.Group) or len(group) > _MAX_AXES:
@@ -141,34 +136,21 @@ def _axis_names(file: h5py.File) -> list[str]:
     return sorted(group)
 
 
-def _dataset_inside(file: h5py.File, name: str) -> h5py.Dataset:
-    """A dataset that lies in this very file."""
-    found = object_inside(file, name)
-    if not isinstance(found, h5py.Dataset):
-        raise FactoryError(f"/{name} is no dataset; generate the shard again")
-    plist = found.id.get_create_plist()
-    if plist.get_layout() == h5py.h5d.VIRTUAL or plist.get_external_count():
-        raise FactoryError(f"/{name} keeps its data in another file; not followed")
-    return found
-
-
-def _exists(file: h5py.File, name: str) -> bool:
-    return bool(file.id.links.exists(name.encode()))
-
-
-def _prefixes(name: str) -> Iterator[str]:
-    parts = name.split("/")
-    return ("/".join(parts[: count + 1]) for count in range(len(parts)))
-
-
 def _check_stack(
     stack: h5py.Dataset, layer: Layer, shape: tuple[int, ...], file_bytes: int
 ) -> list[Place]:
     """The (first byte, end, name) of every chunk of a sound stack."""
     name = f"/{layer.name}"
-    if stack.ndim != 3 or stack.shape != shape:
+    if layer.of_camera:
+        fits = stack.ndim == 1 + len(layer.of_camera) and stack.shape[3:] in ((), (CHANNELS,))
+        if not fits or stack.shape[0] != shape[0]:
+            raise FactoryError(
+                f"{name} is {stack.shape}; expected {shape[0]} samples of "
+                f"{', '.join(layer.of_camera)}; generate it again"
+            )
+    elif stack.ndim != 3 or stack.shape != shape:
         raise FactoryError(f"{name} is {stack.shape}, /noisy {shape}; generate it again")
-    samples, *picture = shape
+    samples, *picture = stack.shape
     if 0 in picture or picture[0] * picture[1] > MAX_PIXELS:
         raise FactoryError(f"{name} claims pictures of {picture}; at most {MAX_PIXELS} pixels go")
     # Of the same layer in other shards, too: grey values are all of one dtype.
@@ -178,13 +160,14 @@ def _check_stack(
     if stack.chunks != (1, *picture):
         raise FactoryError(f"{name} has chunks {stack.chunks}; expected one for each picture")
     chain = chain_of(stack)
-    full = picture[0] * picture[1] * stack.dtype.itemsize
+    full = prod(picture) * stack.dtype.itemsize
+    origin = (0,) * len(picture)
     places: list[Place] = []
 
     def check_chunk(chunk: Any) -> None:
         number = len(places)
         # Their table has no checksum, and HDF5 would show another picture, or no picture's bytes.
-        if chunk.chunk_offset != (number, 0, 0) or number >= samples:
+        if chunk.chunk_offset != (number, *origin) or number >= samples:
             raise FactoryError(f"{name}: its table of chunks is damaged; generate it again")
         if not chain.may_be(chunk.filter_mask, chunk.size, full):
             if chunk.filter_mask:
@@ -210,7 +193,7 @@ def _check_apart(places: list[Place]) -> None:
 
 def _checked_sums(file: h5py.File, names: list[str], samples: int, file_bytes: int) -> list[Place]:
     """Where /checksums lies, which must have a row a sample and a column a layer."""
-    table = _dataset_inside(file, CHECKSUMS)
+    table = dataset_inside(file, CHECKSUMS)
     columns = table.dtype.names or ()
     numbers = all(table.dtype[name] == np.dtype("<u4") for name in columns)
     if table.shape != (samples,) or sorted(columns) != sorted(names) or not numbers:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.frame import FrameRef
+
+if TYPE_CHECKING:
+    from simnfnd.factory.dataset.format.echoes import EchoList
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +42,8 @@ class Pair:
     noisy, clean: (H, W) uint8, or float32 in [0, 1].
     shadow: (H, W) bool, True inside the sonar's sector where no echo arrives in the ideal image.
     record: column name -> value, everything needed to make this very sample again.
-    layers: name -> (H, W) optional picture, as `format.schema` describes them.
+    layers: name -> (H, W) optional picture (rgb: (H, W, 3)), as `format.layers` describes them.
+    echoes: every echo behind the pair, where that was asked for.
     """
 
     noisy: npt.NDArray[np.generic]
@@ -47,6 +51,7 @@ class Pair:
     shadow: npt.NDArray[np.bool_]
     record: Mapping[str, float | int | str] = field(default_factory=dict)
     layers: Mapping[str, npt.NDArray[np.generic]] = field(default_factory=dict)
+    echoes: EchoList | None = None
 
 
 @dataclass(frozen=True)

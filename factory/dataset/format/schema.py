@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,9 +16,9 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
+from simnfnd.factory.dataset.format.layers import CHANNELS, MAX_PIXELS, Layer, layers, stores_grey
 from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.labels import CLASSES
 
 SCHEMA = "simnfnd/1"
 SPLITS = ("train", "test")
@@ -28,81 +28,6 @@ DATASET_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 # Readable by every HDF5 since 1.10 (2016), and the same bytes whatever newer library writes.
 LIBRARY_VERSIONS = ("v108", "v110")
-
-
-@dataclass(frozen=True)
-class Layer:
-    """One image stack of a shard: (samples, rows, columns), chunked one image at a time.
-
-    classes: what the values 0, 1, 2, ... mean, for labels.  least, most: limits of real numbers.
-    """
-
-    name: str
-    dtype: str
-    description: str
-    units: str = "1"
-    classes: tuple[str, ...] = ()
-    least: float = 0.0
-    most: float = math.inf
-
-
-_RIGHT_ANGLE = math.pi / 2
-
-
-def _angle(name: str, description: str) -> Layer:
-    return Layer(name, "float32", description, "rad", least=-_RIGHT_ANGLE, most=_RIGHT_ANGLE)
-
-
-# Written where `dataset.layers` asks for them.
-OPTIONAL_LAYERS = (
-    Layer("range", "float32", "slant range of the strongest echo; NaN where there is none", "m"),
-    _angle("elevation", "elevation of the strongest echo; NaN where there is none"),
-    _angle("elevation_min", "lowest elevation of the echoes in the bin; NaN where there is none"),
-    _angle("elevation_max", "highest elevation of the echoes in the bin; NaN where there is none"),
-    _angle("azimuth", "azimuth of the strongest echo, right is positive; NaN where there is none"),
-    Layer("valid_azimuth", "bool", "inside the sector, at a bearing that the camera saw"),
-    Layer("segmentation", "uint8", "class of the object of the strongest echo", classes=CLASSES),
-    Layer("instance", "uint16", "number within its scene of that object, 0 = none"),
-    Layer(
-        "intensity_db",
-        "float32",
-        "received intensity of the noisy picture before time-varying gain; NaN without data",
-        "dB re 1 uPa",
-        least=-math.inf,
-    ),
-    Layer(
-        "field",
-        "complex64",
-        "beamformed field of the noisy picture before time-varying gain; 0 without data",
-        "uPa",
-    ),
-)
-EFFECT_FOLDER = "layers/"
-_EFFECT = re.compile(rf"{EFFECT_FOLDER}[a-z][a-z0-9_]{{0,39}}")
-
-
-def layers(dtype: str, optional: Iterable[str] = ()) -> tuple[Layer, ...]:
-    """The image stacks of a shard whose images are stored as `dtype` (uint8 or float32).
-
-    optional: names of further layers, in any order; they come out in that of the format.
-    Raises FactoryError for one that the format does not know.
-    """
-    known = {layer.name: layer for layer in OPTIONAL_LAYERS}
-    further = []
-    place = {layer.name: number for number, layer in enumerate(OPTIONAL_LAYERS)}
-    for name in sorted(optional, key=lambda name: (place.get(name, len(place)), name)):
-        if _EFFECT.fullmatch(name):
-            effect = name.removeprefix(EFFECT_FOLDER)
-            known[name] = Layer(name, dtype, f"noisy image with {effect} as its only noise")
-        if name not in known:
-            raise FactoryError(f"/{name}: no layer of {SCHEMA}")
-        further.append(known[name])
-    return (
-        Layer("noisy", dtype, "sonar image with noise; input of a denoiser"),
-        Layer("clean", dtype, "ideal sonar image of the same points; target of a denoiser"),
-        Layer("shadow", "bool", "inside the sector, where no echo arrives in the ideal image"),
-        *further,
-    )
 
 
 # Every shard says whose sample a row is; a source adds its own columns to these.
@@ -247,7 +172,9 @@ def check_pair(
     shape = tuple(len(axis.values) for axis in axes)
     for layer in layers(str(pair.noisy.dtype), pair.layers):
         image = image_of(pair, layer.name)
-        if image.shape != shape:
+        if layer.of_camera:
+            _check_camera_picture(image, layer, name)
+        elif image.shape != shape:
             raise FrameError(f"{name}: {layer.name} is {image.shape}, its axes say {shape}")
         if not stores_grey(layer):
             if image.dtype != layer.dtype:
@@ -261,6 +188,15 @@ def check_pair(
     return row
 
 
+def _check_camera_picture(image: npt.NDArray[np.generic], layer: Layer, name: str) -> None:
+    fits = image.ndim == len(layer.of_camera) and image.shape[2:] in ((), (CHANNELS,))
+    if not fits or not 0 < image.shape[0] * image.shape[1] <= MAX_PIXELS:
+        raise FrameError(
+            f"{name}: {layer.name} is {image.shape}; expected {', '.join(layer.of_camera)}, "
+            f"{MAX_PIXELS} pixels at most; leave it out of dataset.layers"
+        )
+
+
 def layer_attributes(layer: Layer) -> dict[str, Any]:
     """Attribute name -> value of a layer's image stack."""
     attributes: dict[str, Any] = {"description": layer.description}
@@ -272,13 +208,8 @@ def layer_attributes(layer: Layer) -> dict[str, Any]:
     return attributes
 
 
-def stores_grey(layer: Layer) -> bool:
-    """Whether a layer holds grey values, stored as uint8 or float32 as the user chose."""
-    return layer.name in ("noisy", "clean") or layer.name.startswith(EFFECT_FOLDER)
-
-
 def image_of(pair: Pair, layer: str) -> npt.NDArray[np.generic]:
-    """The (H, W) picture of a pair that goes to a layer."""
+    """The picture of a pair that goes to a layer: (H, W), of rgb (H, W, 3)."""
     if layer in ("noisy", "clean", "shadow"):
         return np.asarray(getattr(pair, layer))
     return pair.layers[layer]

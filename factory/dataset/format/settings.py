@@ -24,8 +24,11 @@ LayerName = Literal[
     "segmentation",
     "intensity_db",
     "field",
+    "rgb",
+    "depth",
+    "echoes",
 ]
-ColumnName = Literal["pose", "calibration"]
+ColumnName = Literal["pose", "intrinsics", "calibration"]
 
 _LEVELS = {"gzip": (0, 9), "zstd": (1, 22)}
 
@@ -46,9 +49,12 @@ class DatasetSettings:
     layers: more pictures for each sample: `effects` (the noisy picture with one noise effect alone,
         for each), and what lies behind a pixel: range, azimuth, elevation, elevation_min,
         elevation_max, valid_azimuth, segmentation (of procedural scenes; brings instance); of
-        acoustics.formation=field also what was received: intensity_db and field (complex).
-    columns: more columns of /meta: pose (of camera and sonar, tilt, altitude, time) and calibration
-        (source level, absorption, time-varying gain; of acoustics.formation=field).
+        acoustics.formation=field also what was received: intensity_db and field (complex); and
+        what the camera saw: rgb and depth, in the frame's own size.  echoes: no picture, but the
+        list of all echoes behind it, with the bin of each.
+    columns: more columns of /meta: pose (of camera and sonar, tilt, altitude, time), intrinsics
+        (of the camera) and calibration (source level, absorption, time-varying gain; of
+        acoustics.formation=field).
     max_train, max_test: upper limits on samples; None takes what there is.
     preview_pairs: pairs on the contact sheet preview.png; 0 draws none.
     licence: of the dataset, as the user decides; stated in the dataset card.

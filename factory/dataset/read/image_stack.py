@@ -29,13 +29,14 @@ _LITTLE_BYTES = 1 << 27
 class ImageStack:
     """`stack[row]` is one (H, W) picture, `stack[a:b]` are (N, H, W), as stored and writable.
 
+    Pictures in colour have a third dimension.
     sums: (samples,) `crc32` of each picture, where they were read already.
     Raises OSError, RuntimeError or ValueError for a picture that is damaged or cannot be found.
     """
 
     def __init__(self, dataset: h5py.Dataset, sums: npt.NDArray[np.uint32] | None = None) -> None:
         self._dataset = dataset
-        self._shape: tuple[int, int] = dataset.shape[1:]
+        self._shape: tuple[int, ...] = dataset.shape[1:]
         self._dtype = dataset.dtype
         self._bytes = int(np.prod(self._shape)) * self._dtype.itemsize
         self._chain = chain_of(dataset)
@@ -58,14 +59,14 @@ class ImageStack:
         return images
 
     def _read(self, number: int, image: Image) -> None:
-        """Fill a contiguous (H, W) array with one picture."""
+        """Fill a contiguous array with one picture."""
         target = image.reshape(-1).view(np.uint8)
         codec, ending = self._chain.codec, self._chain.ending
         plain = codec == "none" and not ending
         try:
             # With a buffer that is too small h5py raises ValueError.
             mask, content = self._dataset.id.read_direct_chunk(
-                (number, 0, 0), out=target if plain else None
+                (number, *(0 for _ in self._shape)), out=target if plain else None
             )
         except MemoryError as error:
             raise ValueError("not in the table of chunks") from error

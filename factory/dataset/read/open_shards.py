@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import h5py
 import numpy as np
 
 from simnfnd.factory.dataset.format.checksums import all_picture_sums
+from simnfnd.factory.dataset.format.echoes import EchoList, read_echoes
 from simnfnd.factory.dataset.read.image_stack import Image, ImageStack
 from simnfnd.factory.dataset.read.reader import open_shard
 from simnfnd.factory.errors import FactoryError
@@ -35,6 +37,23 @@ class OpenShards:
 
         Raises FactoryError when the shard cannot be opened or a chunk is damaged.
         """
+        with self._use(path, rows) as stacks:
+            try:
+                return [stacks[name][rows] for name in layers]
+            except KeyError as error:
+                raise _no_layer(path, stacks, layers) from error
+
+    def echoes(self, path: Path, row: int) -> EchoList:
+        """The list of one sample.  Raises FactoryError as `read` does, and where there is none."""
+        with self._use(path, row) as stacks:
+            try:
+                return read_echoes(stacks.file, row)
+            except FactoryError as error:
+                raise FactoryError(f"{path}: {error}") from error
+
+    @contextmanager
+    def _use(self, path: Path, rows: int | slice) -> Iterator[_Stacks]:
+        """A shard, opened if it is not; what goes wrong while it is read is told of these rows."""
         if self._process != os.getpid():
             # After a fork: HDF5's state and a lock that another thread holds stay behind.
             self._forget()
@@ -44,9 +63,7 @@ class OpenShards:
                 stacks = self._opened(path)
             self._open[path] = stacks
             try:
-                return [stacks[name][rows] for name in layers]
-            except KeyError as error:
-                raise _no_layer(path, stacks, layers) from error
+                yield stacks
             except (OSError, RuntimeError, ValueError) as error:
                 raise FactoryError(
                     f"{path}: sample {_rows_text(rows)} is damaged ({_short(error)}); "

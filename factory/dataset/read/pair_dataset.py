@@ -6,7 +6,6 @@ import operator
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, Literal, SupportsIndex, get_args
@@ -16,27 +15,27 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.dataset.format.axes import image_axes
+from simnfnd.factory.dataset.format.echoes import EchoList
+from simnfnd.factory.dataset.format.layers import EFFECT_FOLDER, layers
 from simnfnd.factory.dataset.format.manifest import (
     INDEX_NAME,
     MANIFEST_NAME,
-    ShardInfo,
     load_manifest,
 )
 from simnfnd.factory.dataset.format.sample import Axis
-from simnfnd.factory.dataset.format.schema import EFFECT_FOLDER, VALUE_RANGES, layers
+from simnfnd.factory.dataset.format.schema import VALUE_RANGES
+from simnfnd.factory.dataset.read.expected import Expected
 from simnfnd.factory.dataset.read.image_stack import Image
 from simnfnd.factory.dataset.read.open_shards import OpenShards
 from simnfnd.factory.dataset.read.reader import (
     Split,
     check_in_isolation,
-    check_split,
     listed_shards,
     reading,
 )
 from simnfnd.factory.dataset.read.stream import WINDOW, Windows
 from simnfnd.factory.dataset.read.tables import keep_rows, kept_rows, read_tables
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import sha256_of
 from simnfnd.factory.seeds import stream
 from simnfnd.factory.storage.copies import local_folder
 
@@ -44,43 +43,13 @@ Sample = dict[str, Image]
 Verify = Literal["checksums", "hash"]
 
 
-@dataclass(frozen=True)
-class _Expected:
-    """Refuses a shard that is not the one that the manifest listed when the dataset was opened.
-
-    hashed: the shards whose SHA-256 was compared; None when that is not asked for.
-    """
-
-    root: Path
-    shards: dict[Path, ShardInfo]
-    hashed: set[Path] | None
-
-    def __call__(self, path: Path, file: h5py.File) -> None:
-        info = self.shards.get(path)
-        if info and self.hashed is not None and path not in self.hashed:
-            if sha256_of(path) != info.sha256:
-                raise FactoryError(
-                    f"{path}: SHA-256 differs from the manifest's; run the command that made the "
-                    "dataset again"
-                )
-            self.hashed.add(path)
-        found = (len(file["noisy"]), path.stat().st_size)
-        if info and found != (info.samples, info.bytes):
-            raise FactoryError(
-                f"{path}: {found[0]} samples in {found[1]} bytes, the manifest said "
-                f"{info.samples} in {info.bytes}; open the dataset again if it was being extended, "
-                "otherwise generate the shard again"
-            )
-        check_split(path, file)
-
-
 class PairDataset:
     """Random access to the samples of one split, without a copy of the dataset in memory.
 
-    `pairs[i]` is a dict of the asked layers, each (H, W); `pairs[a:b]` and `pairs[[i, j, ...]]`
-    have (N, H, W).  Values are as stored: `value_range` is (0, 255) for uint8 and (0.0, 1.0) for
-    float32 datasets; with `scaled=True` noisy and clean (and `layers/...`) are float32 in 0..1.
-    The arrays are new ones at every read.
+    `pairs[i]` is a dict of the asked layers, each (H, W), rgb (H, W, 3); `pairs[a:b]` and
+    `pairs[[i, j, ...]]` have (N, H, W).  Values are as stored: `value_range` is (0, 255) for uint8
+    and (0.0, 1.0) for float32 datasets; with `scaled=True` noisy and clean (and `layers/...`) are
+    float32 in 0..1.  The arrays are new ones at every read.
 
     Nothing is open until the first read, and then in each process by itself, so the object can go
     through fork, spawn and pickling and into a torch DataLoader as it is.  `close()`, or leaving a
@@ -88,7 +57,7 @@ class PairDataset:
 
     folder: of the dataset, or the index.h5 in it; or its URL on a storage (s3://bucket/folder),
     from where shards are fetched when they are needed (`factory.storage.copies`).
-    layers: as `format.schema` names them.
+    layers: as `format.layers` names them.
     manifest.json decides which shards count; while a run adds some, the ones of the moment of
     opening stay.
 
@@ -132,7 +101,7 @@ class PairDataset:
             check_in_isolation(self.paths)
         self._counts = [infos[p].samples if p in infos else _count(p) for p in self.paths]
         self._ends = list(accumulate(self._counts))
-        self._expected = _Expected(self.folder, infos, set() if verify == "hash" else None)
+        self._expected = Expected(self.folder, infos, set() if verify == "hash" else None)
         self._shards = OpenShards(self._expected)
         self._form: tuple[tuple[int, int], str, str] | None = None
 
@@ -153,6 +122,14 @@ class PairDataset:
         return {
             name: self._scaled(name, image) for name, image in zip(self.layers, images, strict=True)
         }
+
+    def echoes(self, index: SupportsIndex) -> EchoList:
+        """Every echo behind a sample, of a dataset made with `echoes` in dataset.layers.
+
+        Raises FactoryError where there is no list, or it is damaged.
+        """
+        path, row = self.place(index)
+        return self._shards.echoes(path, row)
 
     def __iter__(self) -> Iterator[Sample]:
         """All samples in order."""
@@ -261,7 +238,9 @@ class PairDataset:
         if not parts:
             path, row = self.place(0)
             images = [image[None][:0] for image in self._shards.read(path, self.layers, row)]
-        elif len({image.shape[1:] for part in parts for image in part}) > 1:
+        elif any(
+            len({image.shape[1:] for image in stack}) > 1 for stack in zip(*parts, strict=True)
+        ):
             raise FactoryError(f"{self.folder}: images of several sizes; read them one by one")
         else:
             images = [np.concatenate(stack) for stack in zip(*parts, strict=True)]

@@ -14,8 +14,9 @@ from typing import Any, Literal, TypeVar
 import h5py
 import numpy as np
 
-from simnfnd.factory.dataset.format.axes import image_axes
+from simnfnd.factory.dataset.format.axes import axis_names
 from simnfnd.factory.dataset.format.checksums import check_texts, has_checksums
+from simnfnd.factory.dataset.format.echoes import echo_names
 from simnfnd.factory.dataset.format.layout import check_shard, inside, optional_layers
 from simnfnd.factory.dataset.format.manifest import Manifest, load_manifest
 from simnfnd.factory.dataset.format.schema import SPLITS
@@ -142,14 +143,14 @@ def read_attributes(file: h5py.File) -> None:
     Raises FactoryError when an axis cannot be read, or they differ from their checksum.
     """
     dict(file.attrs)
-    names = ("noisy", "clean", "shadow", *optional_layers(file))
+    names = ("noisy", "clean", "shadow", *optional_layers(file), *echo_names(file))
     if has_checksums(file):
         check_texts(file, names)
         return
     for name in (*names, "meta"):
         dict(file[name].attrs)
     for name in names:
-        image_axes(file[name])
+        axis_names(file[name])
 
 
 def check_split(path: Path, file: h5py.File) -> None:

@@ -28,8 +28,8 @@ class Sample:
     """One sample.
 
     split, number: number counts from 0 within the split, in the order of the shards.
-    images: name -> (H, W) array as it is stored; the optional `layers/<effect>` are called
-        `layers_<effect>`.
+    images: name -> (H, W) array as it is stored, rgb (H, W, 3); the optional `layers/<effect>` are
+        called `layers_<effect>`.
     record: its row of /meta.
     """
 
@@ -49,18 +49,25 @@ class Source:
     """A dataset that is read for export.
 
     shards: (split, path, samples) of every shard, in order.  layers: names and dtypes of the
-    images, the core ones first.  axes: (name, units, values) of rows and columns.
+    images, the core ones first.  sizes: their shapes.  axes: (name, units, values) of rows and
+    columns.
     config: the settings in the first shard.
     """
 
     directory: Path
     shards: tuple[tuple[str, Path, int], ...]
     layers: Mapping[str, np.dtype[Any]]
-    shape: tuple[int, int]
+    sizes: Mapping[str, tuple[int, ...]]
     columns: tuple[Column, ...]
     axes: tuple[tuple[str, str, npt.NDArray[np.float64]], ...]
     config: Mapping[str, Any]
     config_hash: str
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) of the sonar's pictures."""
+        height, width = self.sizes["noisy"]
+        return height, width
 
     @property
     def splits(self) -> dict[str, int]:
@@ -117,7 +124,8 @@ def open_shards(directory: Path, paths: Sequence[Path]) -> Source:
         with reading(path) as file:
             if first is None:
                 first = _describe(directory, file)
-            if file["noisy"].shape[1:] != first.shape:
+            sizes = {name: stack.shape[1:] for name, stack in _stacks(file).items()}
+            if any(first.sizes.get(name, size) != size for name, size in sizes.items()):
                 raise FactoryError("its images differ in size from the other shards'")
             check_split(path, file)
             shards.append((str(file.attrs["split"]), path, file["noisy"].shape[0]))
@@ -150,7 +158,7 @@ def _describe(directory: Path, file: h5py.File) -> Source:
         directory,
         (),
         {name: stack.dtype for name, stack in _stacks(file).items()},
-        (noisy.shape[1], noisy.shape[2]),
+        {name: stack.shape[1:] for name, stack in _stacks(file).items()},
         columns,
         axes,
         config_of(file),
@@ -168,7 +176,7 @@ def _stacks(file: h5py.File) -> dict[str, h5py.Dataset]:
 
 
 def read_image(stack: ImageStack, name: str, row: int) -> npt.NDArray[Any]:
-    """One (H, W) picture.  Raises FactoryError (without the file's name) when it is damaged."""
+    """One picture.  Raises FactoryError (without the file's name) when it is damaged."""
     try:
         return stack[row]
     except (OSError, RuntimeError, ValueError) as error:

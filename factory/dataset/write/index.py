@@ -16,10 +16,10 @@ import h5py
 import numpy as np
 
 from simnfnd.factory.dataset.format.axes import image_axes
+from simnfnd.factory.dataset.format.layers import EFFECT_FOLDER, layers
 from simnfnd.factory.dataset.format.layout import optional_layers
 from simnfnd.factory.dataset.format.manifest import INDEX_NAME, Manifest, ShardInfo
 from simnfnd.factory.dataset.format.schema import (
-    EFFECT_FOLDER,
     LIBRARY_VERSIONS,
     ROOT_ATTRIBUTES,
     SAMPLE_DIMENSION,
@@ -27,7 +27,6 @@ from simnfnd.factory.dataset.format.schema import (
     SPLITS,
     config_text,
     layer_attributes,
-    layers,
 )
 from simnfnd.factory.dataset.read.reader import bring, reading
 from simnfnd.factory.dataset.write.virtual import VirtualStacks
@@ -91,7 +90,6 @@ class _Form:
 
     def __init__(self, file: h5py.File) -> None:
         noisy = file["noisy"]
-        self.shape: tuple[int, int] = noisy.shape[1:]
         self.dtype = str(noisy.dtype)
         self.optional = optional_layers(file)
         self.table: np.dtype[Any] = file["meta"].dtype
@@ -99,6 +97,7 @@ class _Form:
         self.attributes: Mapping[str, Any] = dict(file.attrs)
         self.table_attributes: Mapping[str, Any] = dict(file["meta"].attrs)
         names = ["meta", *(layer.name for layer in layers(self.dtype, self.optional))]
+        self.shapes = {name: file[name].shape[1:] for name in names}
         self._types = {name: file[name].id.get_type() for name in names}
         self._counts = _object_counts(file.id)
 
@@ -109,7 +108,7 @@ class _Form:
 
     @property
     def comparable(self) -> tuple[object, ...]:
-        return self.shape, self.dtype, self.optional, self.table
+        return self.shapes, self.dtype, self.optional, self.table
 
     def fits(self, directory: Path, shard: ShardInfo) -> bool:
         """Whether a shard has the same pictures and columns; raises FactoryError when damaged."""
@@ -135,7 +134,7 @@ class _Form:
     def _is_alike(self, found: h5py.h5d.DatasetID, name: str, samples: int) -> bool:
         plist = found.get_create_plist()
         return (
-            found.shape == (samples, *(() if name == "meta" else self.shape))
+            found.shape == (samples, *self.shapes[name])
             and found.get_type() == self._types[name]
             # The index must not lead out of the dataset by way of a shard.
             and plist.get_layout() != h5py.h5d.VIRTUAL
@@ -178,12 +177,17 @@ def _write_split(
             )
     for layer in layers(first.dtype, first.optional):
         stack = stacks.add(
-            f"{split}/{layer.name}", layer.name, shards, first.shape, np.dtype(layer.dtype)
+            f"{split}/{layer.name}",
+            layer.name,
+            shards,
+            first.shapes[layer.name],
+            np.dtype(layer.dtype),
         )
         for key, value in layer_attributes(layer).items():
             stack.attrs[key] = value
-        stack.dims[0].label = SAMPLE_DIMENSION
-        for dimension, axis in enumerate(first.axes, start=1):
+        for dimension, label in enumerate((SAMPLE_DIMENSION, *layer.of_camera)):
+            stack.dims[dimension].label = label
+        for dimension, axis in enumerate(() if layer.of_camera else first.axes, start=1):
             stack.dims[dimension].label = axis.name
             stack.dims[dimension].attach_scale(index[f"axes/{axis.name}"])
         del stack  # before the next one is made

@@ -11,20 +11,19 @@ import h5py
 import numpy as np
 
 from simnfnd.factory.dataset.format.checksums import crc32, write_checksums
+from simnfnd.factory.dataset.format.echoes import EchoList, write_echoes
+from simnfnd.factory.dataset.format.layers import Layer, layers, stores_grey
 from simnfnd.factory.dataset.format.manifest import ShardInfo
 from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
 from simnfnd.factory.dataset.format.schema import (
     LIBRARY_VERSIONS,
     SAMPLE_DIMENSION,
-    Layer,
     Provenance,
     check_pair,
     image_of,
     layer_attributes,
-    layers,
     root_attributes,
     stored_image,
-    stores_grey,
     table_dtype,
 )
 from simnfnd.factory.dataset.format.settings import DatasetSettings
@@ -56,6 +55,7 @@ def write_shard(
     compression = compression_filter(settings)
     rows: list[tuple[Any, ...]] = []
     sums: dict[str, list[int]] = {}
+    lists: list[EchoList] = []
     dtype = table_dtype(columns)
     # The file is made in memory: it goes to disk in one write, its SHA-256 costs no second read,
     # and HDF5, which cannot close a file on a full disk, never touches the disk.
@@ -73,13 +73,20 @@ def write_shard(
             row = check_pair(pair, axes, columns, name)
             wanted = layers(settings.dtype, pair.layers)
             if not rows:
-                stacks = _create_stacks(file, axes, wanted, compression)
+                shapes = {layer: image_of(pair, layer.name).shape for layer in wanted}
+                stacks = _create_stacks(file, axes, shapes, compression)
             elif tuple(stacks) != wanted:
                 raise FrameError(f"{name}: has other layers than the samples before it")
             rows.append(row)
+            if pair.echoes is not None:
+                lists.append(pair.echoes)
+            if len(lists) not in (0, len(rows)):
+                raise FrameError(f"{name}: has echoes, or none, unlike the samples before it")
             for layer, stack in stacks.items():
                 stack.resize(len(rows), axis=0)
                 image = image_of(pair, layer.name)
+                if image.shape != stack.shape[1:]:
+                    raise FrameError(f"{name}: {layer.name} has another size than before it")
                 if stores_grey(layer):
                     image = stored_image(image, layer.dtype)
                 sums.setdefault(layer.name, []).append(crc32(image))
@@ -92,6 +99,8 @@ def write_shard(
         _write_table(file, np.array(rows, dtype=dtype), columns)
         for key, value in root_attributes(provenance, split, settings.dtype).items():
             file.attrs[key] = value
+        if lists:
+            sums |= write_echoes(file, lists)
         write_checksums(file, sums)
         file.flush()
         content = file.id.get_file_image()
@@ -135,14 +144,13 @@ def compression_filter(settings: DatasetSettings) -> Mapping[str, Any]:
 def _create_stacks(
     file: h5py.File,
     axes: tuple[Axis, Axis],
-    wanted: tuple[Layer, ...],
+    shapes: Mapping[Layer, tuple[int, ...]],
     compression: Mapping[str, Any],
 ) -> dict[Layer, h5py.Dataset]:
-    """Empty, growing image stacks with their axes attached."""
+    """Empty, growing image stacks with their axes attached.  shapes: layer -> of its pictures."""
     scales = [write_axis(file, axis) for axis in axes]
-    shape = tuple(len(axis.values) for axis in axes)
     stacks = {}
-    for layer in wanted:
+    for layer, shape in shapes.items():
         stack = file.create_dataset(
             layer.name,
             shape=(0, *shape),
@@ -154,10 +162,12 @@ def _create_stacks(
         )
         for key, value in layer_attributes(layer).items():
             stack.attrs[key] = value
-        stack.dims[0].label = SAMPLE_DIMENSION
-        for dimension, (axis, scale) in enumerate(zip(axes, scales, strict=True), start=1):
-            stack.dims[dimension].label = axis.name
-            stack.dims[dimension].attach_scale(scale)
+        for dimension, label in enumerate((SAMPLE_DIMENSION, *layer.of_camera)):
+            stack.dims[dimension].label = label
+        if not layer.of_camera:
+            for dimension, (axis, scale) in enumerate(zip(axes, scales, strict=True), start=1):
+                stack.dims[dimension].label = axis.name
+                stack.dims[dimension].attach_scale(scale)
         stacks[layer] = stack
     return stacks
 

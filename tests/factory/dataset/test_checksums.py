@@ -14,7 +14,7 @@ import pytest
 
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.read import pair_dataset
+from simnfnd.factory.dataset.read import expected
 from simnfnd.factory.dataset.read.isolated import IsolatedProcess
 from simnfnd.factory.dataset.read.reader import check_readable
 from simnfnd.factory.dataset.write.writer import write_shard
@@ -122,7 +122,7 @@ def test_a_hash_is_compared_when_it_is_asked_for(
         hashed.append(path.name)
         return sha256_of(path)
 
-    monkeypatch.setattr(pair_dataset, "sha256_of", counted)
+    monkeypatch.setattr(expected, "sha256_of", counted)
     with PairDataset(folder, verify="hash") as pairs:
         assert not hashed
         for _ in range(3):

@@ -219,8 +219,8 @@ def test_a_dataset_that_is_not_whole_is_refused_at_once(
 
 
 def test_an_unknown_or_absent_layer_is_named(folder: Path) -> None:
-    with pytest.raises(FactoryError, match="/depth: no layer of simnfnd/1"):
-        PairDataset(folder, layers=("noisy", "depth"))
+    with pytest.raises(FactoryError, match="/photo: no layer of the format"):
+        PairDataset(folder, layers=("noisy", "photo"))
     pairs = opened(folder, layers=("layers/multipath",))
     with pytest.raises(FactoryError, match=r"has no layer layers/multipath.*dataset\.layers"):
         pairs[0]

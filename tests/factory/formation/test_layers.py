@@ -13,8 +13,9 @@ import pytest
 from simnfnd.factory import pairs
 from simnfnd.factory.config import FactoryConfig, from_mapping
 from simnfnd.factory.dataset.check.facts import shard_facts
+from simnfnd.factory.dataset.format.layers import layers
 from simnfnd.factory.dataset.format.sample import Pair
-from simnfnd.factory.dataset.format.schema import Provenance, layers
+from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
@@ -155,7 +156,7 @@ def test_labels_are_refused_where_there_are_none() -> None:
         made(config(dataset={"layers": ["segmentation"]}), ground_and_post())
 
 
-@pytest.mark.parametrize("names", [["depth"], ["range", "range"]])
+@pytest.mark.parametrize("names", [["photo"], ["range", "range"]])
 def test_odd_names_are_refused(names: list[str]) -> None:
     with pytest.raises(FactoryError, match=r"dataset"):
         config(dataset={"layers": names})

@@ -237,6 +237,9 @@ def test_renders_that_are_not_there(rendered: tuple[Path, Path], tmp_path: Path)
         renders(rendered, factory=("noise.fog=1",))
     source, _ = renders(rendered, factory=("noise.background.density=0.5",))
     assert source.config.noise.background.density.values == (0.5,)
+    # What needs more than the renders, and is no part of a pair.
+    source, _ = renders(rendered, factory=("dataset.layers=[range,rgb,depth,echoes]",))
+    assert source.config.dataset.layers == ()
     (dataset / "config.yaml").rename(tmp_path / "config.yaml")
     try:
         with pytest.raises(FactoryError, match=r"config\.yaml: cannot be read"):

@@ -1,0 +1,220 @@
+"""Layers rgb and depth: the frame that a pair was made of, as the reader has it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+from PIL import Image
+
+from simnfnd.command import main
+from simnfnd.factory.config import FactoryConfig, from_mapping
+from simnfnd.factory.dataset import PairDataset
+from simnfnd.factory.dataset.check.facts import shard_facts
+from simnfnd.factory.dataset.format.checksums import crc32, write_checksums
+from simnfnd.factory.dataset.format.schema import Provenance, check_pair
+from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.read.reader import reading
+from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.frame import Frame, FrameRef
+from simnfnd.factory.pairs import pair_maker
+from simnfnd.factory.renders.views import ViewMaker
+from simnfnd.factory.scenes import open_reader
+from tests.fake_source import FakeConfig, FakeSource, refs
+from tests.frames import ground_and_post
+
+LAYERS = ["rgb", "depth"]
+SEABED = {"kind": "seabed", "locations": 1, "width": 240, "height": 160}
+
+
+def config(folder: Path, scenes: dict[str, Any], **keys: Any) -> FactoryConfig:
+    return from_mapping(
+        {"scenes": scenes, "render": {"kind": "analytic"}, "cache": {"dir": str(folder)}, **keys}
+    )
+
+
+def recording(folder: Path, *sizes: tuple[int, int]) -> dict[str, Any]:
+    """A list of frames of these (width, height), depth in whole millimetres."""
+    lines = []
+    for number, size in enumerate(sizes):
+        frame = ground_and_post(*size)
+        Image.fromarray(frame.rgb).save(folder / f"{number}.png")
+        millimetres = np.rint(frame.depth_m * 1000).astype(np.uint16)
+        Image.fromarray(millimetres).save(folder / f"{number}_depth.png")
+        lines.append(f"{number}.png,{number}_depth.png,dive{number}\n")
+    (folder / "frames.csv").write_text("".join(lines))
+    lens = ground_and_post(*sizes[0]).intrinsics
+    camera = [lens.fx, lens.fy, lens.cx, lens.cy]
+    return {"kind": "csv_list", "file": str(folder / "frames.csv"), "intrinsics": camera}
+
+
+def assert_is_frame(layers: Any, frame: Frame) -> None:
+    np.testing.assert_array_equal(layers["rgb"], frame.rgb)
+    known = np.isfinite(layers["depth"])
+    np.testing.assert_array_equal(known, frame.valid)
+    np.testing.assert_array_equal(layers["depth"][known], frame.depth_m[known])
+
+
+def test_of_a_recording_they_are_the_readers_frames(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Through the whole factory, with two noise variants of each frame."""
+    scenes = recording(tmp_path, *[(240, 160)] * 4)
+    words = [
+        *("scenes=csv_list", f"scenes.file={scenes['file']}", "render=analytic"),
+        f"scenes.intrinsics={scenes['intrinsics']}".replace(" ", ""),
+        *("frames.variants=2", "scheduler=serial", "scheduler.shard_size=3"),
+        *("dataset.layers=[depth,rgb]", "dataset.columns=[intrinsics]", "dataset.preview_pairs=0"),
+        *(f"dataset.dir={tmp_path}/dataset", f"cache.dir={tmp_path}/cache"),
+    ]
+    main(["make", *words])
+    reader = open_reader(config(tmp_path, scenes).scenes)
+    frames = {ref.name: reader.load(ref) for ref in reader.discover().frames}
+    with PairDataset(tmp_path / "dataset", "train", layers=["noisy", *LAYERS]) as pairs:
+        table = pairs.meta()
+        assert len(pairs) > 3
+        for sample, row in zip(pairs, table, strict=True):
+            names = (row[name].decode() for name in ("location", "scene", "frame"))
+            frame = frames["/".join(filter(None, names))]
+            assert_is_frame(sample, frame)
+            lens = frame.intrinsics
+            assert [row[f"camera.{name}_px"] for name in ("fx", "fy", "cx", "cy")] == [
+                *(lens.fx, lens.fy, lens.cx, lens.cy)
+            ]
+            assert [row[f"camera.{name}"] for name in ("k1", "k2", "p1", "p2")] == [0, 0, 0, 0]
+        several = pairs[0:4]
+        assert several["rgb"].shape == (4, 160, 240, 3)
+        np.testing.assert_array_equal(several["depth"][3], pairs[3]["depth"])
+        with h5py.File(tmp_path / "dataset/index.h5") as index:
+            np.testing.assert_array_equal(index["train/rgb"][:4], several["rgb"])
+            assert index["train/depth"].dims[2].label == "camera_column"
+    capsys.readouterr()
+    main(["validate", str(tmp_path / "dataset"), "--deep"])
+    main(["inspect", str(tmp_path / "dataset")])
+    assert "camera       160 x 240 pixels (rgb, depth)" in capsys.readouterr().out
+    main(["export", str(tmp_path / "dataset"), "--to", "png", "--out", str(tmp_path / "png")])
+    drawn = cv2.imread(str(tmp_path / "png/train/rgb/000000.png"))
+    assert drawn is not None
+    np.testing.assert_array_equal(drawn[..., ::-1], several["rgb"][0])
+
+
+def test_of_a_procedural_frame_whose_render_is_cached(tmp_path: Path) -> None:
+    """The render has rounded the depth and lost what does not echo; the layer has not."""
+    ref = FrameRef("seabed", "seabed-0000", "0001")
+    settings = config(tmp_path, SEABED, dataset={"layers": LAYERS})
+    ViewMaker(settings).prepare(ref)
+    (pair,) = pair_maker(settings).pairs(ref, (0,))
+    assert_is_frame(pair.layers, open_reader(settings.scenes).load(ref))
+    assert pair.layers["rgb"].std() > 5
+    plain = config(tmp_path, SEABED)
+    (without,) = pair_maker(plain).pairs(ref, (0,))
+    assert (without.noisy.tobytes(), without.record) == (pair.noisy.tobytes(), pair.record)
+
+
+def test_who_does_not_ask_reads_no_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ref = FrameRef("seabed", "seabed-0000", "0001")
+    settings = config(tmp_path, SEABED)
+    ViewMaker(settings).prepare(ref)
+
+    def read(*_: object) -> None:
+        raise AssertionError("a reader was opened")
+
+    monkeypatch.setattr("simnfnd.factory.scenes.open_reader", read)
+    (pair,) = pair_maker(settings).pairs(ref, (0,))
+    assert pair.layers == {}
+    asking = replace(settings, dataset=DatasetSettings(layers=("depth",)))
+    with pytest.raises(AssertionError, match="a reader was opened"):
+        pair_maker(asking).pairs(ref, (0,))
+
+
+def test_a_frame_of_another_size_is_named(tmp_path: Path) -> None:
+    scenes = recording(tmp_path, (240, 160), (120, 80), (240, 160))
+    settings = config(tmp_path, scenes, dataset={"layers": ["depth"]})
+    first, small, third = open_reader(settings.scenes).discover().frames
+    for ref in (first, small, third):
+        ViewMaker(settings).prepare(ref)
+    maker = pair_maker(settings)
+    assert [maker.pairs(ref, (0,))[0].layers["depth"].shape for ref in (first, third)] == [
+        *((160, 240), (160, 240))
+    ]
+    expected = rf"{small.name}: .* 120x80, that of {first.name} 240x160; .*depth out of dataset"
+    with pytest.raises(FrameError, match=expected) as caught:
+        maker.pairs(small, (0,))
+    assert "\n" not in str(caught.value)
+    # Of a dataset of that one alone it is the size.
+    alone = config(tmp_path, scenes, dataset={"layers": LAYERS}, frames={"only": [small.name]})
+    assert pair_maker(alone).pairs(small, (0,))[0].layers["rgb"].shape == (80, 120, 3)
+
+
+def test_a_pack_has_no_frames(tmp_path: Path) -> None:
+    with pytest.raises(FactoryError, match=r"dataset\.layers: rgb is of the camera, and a pack"):
+        config(tmp_path, {"kind": "pack", "root": "x"}, dataset={"layers": ["rgb"]})
+
+
+@pytest.fixture
+def shard(tmp_path: Path) -> Path:
+    source = FakeSource(FakeConfig())
+    rgb = np.arange(6 * 8 * 3, dtype=np.uint8).reshape(6, 8, 3)
+    seen: dict[str, Any] = {"rgb": rgb, "depth": rgb[..., 0].astype(np.float32)}
+    pairs = [replace(source.pairs(ref, (0,))[0], layers=seen) for ref in refs(3)]
+    write_shard(
+        tmp_path, "train/shard-00000.h5", pairs, source.axes(), source.columns(),
+        Provenance({}, "0" * 16, "tests"), DatasetSettings(),
+    )  # fmt: skip
+    return tmp_path / "train/shard-00000.h5"
+
+
+def _replaced(path: Path, name: str, values: Any) -> None:
+    """The layer with other values and true checksums."""
+    with h5py.File(path, "r+") as file:
+        names = [layer for layer in file["checksums"].dtype.names if layer != name]
+        sums: dict[str, Any] = {layer: file["checksums"][layer].tolist() for layer in names}
+        units, about = (file[name].attrs[key] for key in ("units", "description"))
+        del file[name], file["checksums"]
+        stack = file.create_dataset(name, data=values, chunks=(1, *values.shape[1:]))
+        stack.attrs.update({"units": units, "description": about})
+        write_checksums(file, {**sums, name: [*map(crc32, values), 0][: len(file["noisy"])]})
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "words"),
+    [
+        ("rgb", np.zeros((3, 6, 8, 4), np.uint8), "expected 3 samples of camera_row"),
+        ("rgb", np.zeros((3, 6, 8), np.uint8), "expected 3 samples of camera_row"),
+        ("rgb", np.zeros((2, 6, 8, 3), np.uint8), "expected 3 samples of camera_row"),
+        ("rgb", np.zeros((3, 6, 8, 3), np.float32), "is float32; expected uint8"),
+        ("depth", np.zeros((3, 6, 8, 1), np.float32), "expected 3 samples of camera_row"),
+        ("depth", np.full((3, 6, 8), -1, np.float32), "has values outside 0..inf"),
+        ("depth", np.full((3, 6, 8), np.inf, np.float32), "has values outside 0..inf"),
+    ],
+)
+def test_what_is_no_picture_of_a_camera_is_told(
+    shard: Path, name: str, values: Any, words: str
+) -> None:
+    assert shard_facts(shard, deep=True).problems == ()
+    _replaced(shard, name, values)
+    assert words in " ".join(shard_facts(shard, deep=True).problems)
+
+
+def test_a_flipped_bit_is_told(shard: Path) -> None:
+    with reading(shard) as file:
+        chunk = file["depth"].id.get_chunk_info(1)
+    content = bytearray(shard.read_bytes())
+    content[chunk.byte_offset + chunk.size // 2] ^= 4
+    shard.write_bytes(content)
+    assert "sample 1: /depth is damaged" in " ".join(shard_facts(shard, deep=True).problems)
+
+
+@pytest.mark.parametrize("shape", [(6, 8), (6, 8, 4), (0, 8, 3), (5000, 5000, 3)])
+def test_odd_pictures_are_not_written(shape: tuple[int, ...]) -> None:
+    source = FakeSource(FakeConfig())
+    image = np.broadcast_to(np.uint8(0), shape)
+    pair = replace(source.pairs(refs(1)[0], (0,))[0], layers={"rgb": image})
+    with pytest.raises(FrameError, match=r"here: rgb is \(.*leave it out of dataset\.layers"):
+        check_pair(pair, source.axes(), source.columns(), "here")
