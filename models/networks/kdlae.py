@@ -92,7 +92,8 @@ class FrameLevel(nn.Module):
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """(N, before, frames, H, W) -> (N, after, left, H', W') and (N, after, H', W')."""
         x = self.frames(x)
-        return x, self.joined(x).squeeze(2)
+        # The ONNX exporter loses the rank of `squeeze`.
+        return x, self.joined(x)[:, :, 0]
 
 
 class KDLAE(Network):
