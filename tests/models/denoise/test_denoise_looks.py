@@ -43,7 +43,7 @@ def pictures(folder: Path, count: int) -> list[np.ndarray]:
 
 
 def in_8_bits(picture: np.ndarray) -> np.ndarray:
-    return np.rint(picture.astype(np.float64) * 255).astype(np.uint8)
+    return np.asarray(np.rint(picture.astype(np.float64) * 255), np.uint8)
 
 
 def test_pictures_of_a_folder_see_those_before_and_after_them(
