@@ -5,17 +5,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.settings import STRICT, build
+
+
+def _odd(frames: int) -> int:
+    if frames % 2 == 0:
+        raise ValueError(f"{frames}: give an odd number, a picture and as many before as after it")
+    return frames
+
 
 Count = Annotated[int, Field(ge=1)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Patch = Annotated[int, Field(ge=8)]
 Scale = Annotated[float, Field(gt=0, le=16)]
+Frames = Annotated[int, Field(ge=1, le=31), AfterValidator(_odd)]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -65,6 +73,7 @@ class PairsData(DataSettings):
     """`data=pairs`: the pairs of a dataset as they are."""
 
     kind: Literal["pairs"]
+    frames: Frames = 1
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -80,6 +89,7 @@ class RendersData(DataSettings):
     experiment: str | None
     choices: Share
     reuse: Annotated[int, Field(ge=1, le=1000)] = 1
+    frames: Frames = 1
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)

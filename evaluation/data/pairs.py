@@ -148,8 +148,8 @@ def picture(place: Place) -> Picture:
 
 
 def input_of(item: Item, looks: bool) -> Gray:
-    """What a method gets: the noisy image (H, W), or all looks at it (T, H, W)."""
-    if not looks:
+    """What a method gets: the noisy image (H, W), or all looks at it (T, H, W), this one last."""
+    if not looks or not item.looks:
         return picture(item.place).noisy
     return np.stack([picture(place).noisy for place in item.looks])
 

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.data.pairs import Item, picture
 from simnfnd.evaluation.measurement.fingerprint import network_digest, program_digest
 from simnfnd.evaluation.measurement.store import Figures, FigureStore
@@ -160,5 +159,4 @@ def measure_rows(
 
 
 def _picture_key(method: Method, item: Item) -> str:
-    looks = method.weights is None and REGISTRY[method.name].looks
-    return f"{item.key}+{len(item.looks)}" if looks else item.key
+    return f"{item.key}+{len(item.looks)}" if method.looks else item.key

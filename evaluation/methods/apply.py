@@ -34,6 +34,6 @@ def denoised(
             geometry = geometry or geometry_of(place)
         return baseline(image, method.parameters, geometry)
     result = network(method.weights, device)(image, place, geometry)
-    if result.shape != image.shape or not np.isfinite(result).all():
+    if result.shape != image.shape[-2:] or not np.isfinite(result).all():
         raise ValueError(f"gave {result.shape} or NaN for a picture of {image.shape}")
     return np.clip(result, 0, 1).astype(np.float32)

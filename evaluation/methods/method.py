@@ -48,6 +48,13 @@ class Method:
         return f"{name} {self.form}".strip()
 
     @property
+    def looks(self) -> bool:
+        """Whether it sees several pictures of a scene at once."""
+        if self.weights is None:
+            return REGISTRY[self.name].looks
+        return sees_several(self.weights)
+
+    @property
     def is_noisy(self) -> bool:
         """Whether this is the noisy image as it is."""
         return self.name == "identity" and not self.form
@@ -102,6 +109,17 @@ def program_of(baseline: Baseline) -> str:
 def weights_digest(path: str) -> str:
     """Changes with the weights."""
     return sha256_of(Path(path))[:24]
+
+
+@lru_cache(maxsize=64)
+def sees_several(path: str) -> bool:
+    """Whether a network sees several pictures of a scene; False for a file that holds none."""
+    from simnfnd.models.networks.weights import load_weights
+
+    try:
+        return load_weights(path).network.looks > 1
+    except FactoryError:  # its row says why
+        return False
 
 
 def _digest(text: str) -> str:

@@ -14,6 +14,7 @@ from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.settings import EvaluationSettings
 from simnfnd.factory.errors import FactoryError
 from simnfnd.models import WEIGHTS_NAME
+from simnfnd.models.data.looks import amid
 
 if TYPE_CHECKING:
     from simnfnd.factory.sonar.geometry import FanGeometry
@@ -81,7 +82,7 @@ class Network:
     def __call__(
         self, image: Gray, place: Place | None, geometry: FanGeometry | None = None
     ) -> Gray:
-        """(H, W) float32 in 0..1 -> the same.
+        """(H, W) float32 in 0..1 -> the same; or (T, H, W) looks at a scene, this one last.
 
         place: where the picture is; a network that uses the geometry gets it from there, unless
         it is given.
@@ -90,7 +91,10 @@ class Network:
             geometry = None
         elif geometry is None and place is not None:
             geometry = geometry_of(place)
-        return self._denoise(image, geometry)
+        if image.ndim == 2:
+            return self._denoise(image, geometry)
+        own, others = image[-1], list(image[:-1])
+        return self._denoise(own, geometry, looks=amid(own, others, self._denoise.looks))
 
 
 @lru_cache(maxsize=2)

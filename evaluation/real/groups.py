@@ -53,12 +53,14 @@ class Several:
     """What several frames give without any method, with a reference of none of them.
 
     mean, median: (H, W) of `count` frames; reference: (H, W), the mean of all other frames.
+    frames: (count, H, W), these frames in their order, but the one that is judged last.
     """
 
     count: int
     mean: Gray
     median: Gray
     reference: Gray
+    frames: Gray
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +180,8 @@ def _several(laid: dict[int, Gray], place: int, count: int) -> Several | None:
         return None
     stack = [laid[number] for number in sorted(chosen)]
     middle = np.median(stack, axis=0)
-    return Several(count, mean_of(stack), np.asarray(middle, np.float32), mean_of(rest))
+    looks = np.stack([laid[number] for number in sorted(chosen - {place})] + [laid[place]])
+    return Several(count, mean_of(stack), np.asarray(middle, np.float32), mean_of(rest), looks)
 
 
 def _group(

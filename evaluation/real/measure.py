@@ -11,7 +11,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.baselines.base import Gray
 from simnfnd.evaluation.methods.apply import denoised
 from simnfnd.evaluation.methods.method import Method, reason
@@ -55,6 +54,11 @@ class RealRow:
         return bool(self.methods) and self.methods[0].is_noisy
 
     @property
+    def sees_several(self) -> bool:
+        """Whether it is a network that sees frames beside the judged one; the rest judge it."""
+        return self.is_network and self.methods[0].looks
+
+    @property
     def is_network(self) -> bool:
         """Whether trained weights made it."""
         return bool(self.methods) and self.methods[0].weights is not None
@@ -64,7 +68,8 @@ class RealRow:
 class Task:
     """A method on a picture, or a picture that is there already.
 
-    number: of the picture among all that are judged.
+    number: of the picture among all that are judged.  looks: (T, H, W), for a method that sees
+    several frames, the judged one last.
     """
 
     label: str
@@ -74,6 +79,7 @@ class Task:
     device: str
     keep: bool
     image: Gray | None = None
+    looks: Gray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,12 +167,16 @@ _SEVERAL = ("mean", "median")
 def _task(
     row: RealRow, fold: int, number: int, one: Judged, device: str, keep: bool
 ) -> Task | None:
-    if row.methods:
-        return Task(row.label, number, one, row.method(fold), device, keep)
-    if one.several is None:
+    method, several = row.method(fold) if row.methods else None, one.several
+    if method is not None and (several is None or not method.looks):
+        return Task(row.label, number, replace(one, several=None), method, device, keep)
+    if several is None:
         return None
-    image = one.several.mean if " mean " in row.label else one.several.median
-    bare = replace(one, several=None, reference=one.several.reference)
+    # What is made of several frames is judged by the others alone.
+    bare = replace(one, several=None, reference=several.reference)
+    if method is not None:
+        return Task(row.label, number, bare, method, device, keep, looks=several.frames)
+    image = several.mean if " mean " in row.label else several.median
     return Task(row.label, number, bare, None, device, keep, image)
 
 
@@ -178,10 +188,10 @@ def _measured(task: Task) -> Result | str:
         assert task.image is not None
         image = task.image
     else:
-        if method.weights is None and REGISTRY[method.name].looks:
+        if method.weights is None and method.looks:
             return "needs several looks at a scene that stands still"
         try:
-            image, figures["cpu_s"] = _timed(method, judged, task.device)
+            image, figures["cpu_s"] = _timed(method, judged, task.device, task.looks)
         except Exception as error:  # a method's own defect must not take the others along
             return reason(error)
     figures["unchanged"] = float(np.abs(image - judged.noisy).max() < UNCHANGED)
@@ -196,13 +206,14 @@ def _measured(task: Task) -> Result | str:
     return Result({**figures, **figures_of(image, shared)}, image if task.keep else None)
 
 
-def _timed(method: Method, judged: Judged, device: str) -> tuple[Gray, float]:
+def _timed(method: Method, judged: Judged, device: str, looks: Gray | None) -> tuple[Gray, float]:
     """The method's picture and its seconds: of the CPU, elapsed ones where a GPU works."""
     clock = time.process_time
     if method.weights is not None and network(method.weights, device).on_gpu:
         clock = time.perf_counter
     start = clock()
-    image = denoised(method, judged.noisy, device, None, judged.geometry)
+    given = judged.noisy if looks is None else looks
+    image = denoised(method, given, device, None, judged.geometry)
     return image, clock() - start
 
 

@@ -122,6 +122,7 @@ def _line(row: RealRow, found: Summary | None, outcome: Outcome) -> dict[str, An
     return {
         "label": row.label,
         "network": row.is_network,
+        "several": row.sees_several,
         "parameters": [method.parameters for method in row.methods],
         "at_edge": _at_edge(row),
         "lost": row.lost,
@@ -155,6 +156,8 @@ def _words(line: Mapping[str, Any]) -> list[str]:
     chosen = list(dict.fromkeys(shown(one) for one in line["parameters"] if one))
     if chosen:
         found.append(" (" + " | ".join(one.strip(" ()") for one in chosen) + ")")
+    if line["several"]:
+        found.append(" (several frames, judged by the others)")
     if line["at_edge"]:
         found.append(f" (at the end of its grid: {', '.join(line['at_edge'])})")
     if line["unchanged"]:
@@ -198,7 +201,7 @@ def _verdicts(lines: Sequence[Mapping[str, Any]], outcome: Outcome) -> list[str]
         which = f"`{psnr_best}` in PSNR and `{ssim_best}` in SSIM"
     found = [f"The best filter is {which}."]
     for line in lines:
-        if line["network"] and line["lost"] is None:
+        if line["network"] and line["lost"] is None and not line["several"]:
             more = dict(zip(MARGINS, _cells(line, list(MARGINS.values())), strict=True))
             found.append(
                 f"`{line['label']}` is {more['psnr_db']} dB and {more['ssim']} SSIM from it."

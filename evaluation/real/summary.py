@@ -66,7 +66,7 @@ def summaries(
     found = {}
     for row in alive:
         own = means[row.label]
-        if row.methods:  # several frames have another reference
+        if row.methods and not row.sees_several:  # several frames have another reference
             for name, label in best.items():
                 if row.label != label:
                     own[MARGINS[name]] = own[name] - means[label][name]

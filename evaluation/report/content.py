@@ -160,6 +160,7 @@ def _row(
         "name": method.name,
         "form": method.form,
         "kind": kind,
+        "looks": method.looks,
         "parameters": dict(method.parameters),
         "levels": None
         if method.levels is None

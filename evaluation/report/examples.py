@@ -11,7 +11,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.baselines.base import Gray
 from simnfnd.evaluation.data.image_pairs import images_in, read_gray
 from simnfnd.evaluation.data.pairs import Item, input_of, picture
@@ -132,10 +131,9 @@ def _made(
 
 def _show(task: _Task) -> Gray | None:
     method = task.method
-    looks = method.weights is None and REGISTRY[method.name].looks
-    if task.item is None and looks:
+    if task.item is None and method.looks and method.weights is None:
         return None
-    image = read_gray(Path(task.file)) if task.item is None else input_of(task.item, looks)
+    image = read_gray(Path(task.file)) if task.item is None else input_of(task.item, method.looks)
     try:
         place = None if task.item is None else task.item.place
         result = denoised(method, image, task.device, place)

@@ -17,11 +17,12 @@ from simnfnd.factory.devices import draw as devices
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.formation.contract import ARTEFACTS
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.noise.draws import StreamNames, draw
+from simnfnd.factory.noise.draws import DrawnEffect, StreamNames, draw
 from simnfnd.factory.pairs import ObservedFrame, observe_by
 from simnfnd.factory.renders.views import Views, open_views
 from simnfnd.factory.seeds import stream
 from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.models.data.looks import stacked
 from simnfnd.models.data.pairs import Image, Sample, weakened
 from simnfnd.models.removal import DEFAULT, vector
 
@@ -44,16 +45,18 @@ class DeviceSource:
         weaker: float,
         choices: float,
         seed: int,
+        looks: int = 1,
     ) -> None:
         """config: with `devices`.  frames: whose renders are at hand.  patch: least side, pixels.
 
         weaker: part of the visits whose noise is blended towards the target.  choices: part of them
-        that ask for other artefacts than the usual ones.
+        that ask for other artefacts than the usual ones.  looks: noisy pictures of each, by the
+        same device and parameters.
         """
         if config.devices is None:
             raise FactoryError("data.experiment: has no `devices` to draw; use any_sonar")
         self.config, self.frames, self.patch = replace(config, seed=seed), frames, patch
-        self.weaker, self.choices, self.seed = weaker, choices, seed
+        self.weaker, self.choices, self.seed, self.looks = weaker, choices, seed, looks
         self._views: Views | None = None
 
     def __len__(self) -> int:
@@ -103,13 +106,23 @@ class DeviceSource:
                 (sample.without(removed), False),
             )
         )
+        others = []
+        for number in range(1, self.looks):
+            own = stream(self.seed, "variant", *names, "look", number)
+            again = observed.scene.sample(
+                int(own.integers(2**31)), [_again(one, number) for one in draws.effects], config
+            )
+            grey = again.noisy(draws.names)
+            others.append(raster.picture(grey, observed.window, config.sonar, noisy=True))
         strength = np.float32(weakened(self.weaker, self.seed, *names))
+        looks = stacked(noisy, others)
         return Sample(
             clean + strength * (noisy - clean),
             clean,
             _shadow(observed, clean),
             FanGeometry.from_sonar(config.sonar, *_limits(observed)),
             vector(removed),
+            None if looks is None else clean + strength * (looks - clean),
         )
 
     def removed(self, *names: int | str) -> tuple[str, ...]:
@@ -119,6 +132,13 @@ class DeviceSource:
             return DEFAULT
         chosen = tuple(name for name in ARTEFACTS if rng.random() < 0.5)
         return chosen or ("speckle",)
+
+
+def _again(effect: DrawnEffect, number: int) -> DrawnEffect:
+    """The effect in a further picture of the same scene: what is in every picture stays."""
+    if effect.systematic:
+        return effect
+    return replace(effect, stream_names=(*effect.stream_names, "look", number))
 
 
 def _shadow(observed: ObservedFrame, clean: Image) -> Image:

@@ -23,6 +23,9 @@ from simnfnd.models.data.pairs import Batch, Sample, Source
 from simnfnd.models.removal import DEFAULT, vector
 from simnfnd.models.settings import DataSettings, RendersData
 
+Window = tuple[slice, slice]
+_WHOLE: Window = (slice(None), slice(None))
+
 
 class Visit(NamedTuple):
     """One image to be cropped.
@@ -105,17 +108,20 @@ def _crop(
         maps: Maps = sample.geometry.maps(top, left, patch, patch)
         maps = _mirrored(maps) if flip else maps
         images |= {name: maps[name] for name in extras if name in maps}
-    return {name: torch.from_numpy(x.copy())[None, None] for name, x in images.items()} | _told(
-        sample, extras
-    )
+    batch = {name: torch.from_numpy(x.copy())[None, None] for name, x in images.items()}
+    return batch | _told(sample, extras, window, step)
 
 
-def _told(sample: Sample, extras: Sequence[str]) -> Batch:
-    """What the network is told of the whole sample, (1, 6)."""
-    if "remove" not in extras:
-        return {}
-    remove = vector(DEFAULT) if sample.remove is None else sample.remove
-    return {"remove": torch.from_numpy(remove)[None]}
+def _told(sample: Sample, extras: Sequence[str], window: Window = _WHOLE, step: int = 1) -> Batch:
+    """What the network is told beside pictures and maps: `remove` (1, 6), `looks` (1, T, h, w)."""
+    told: Batch = {}
+    if "remove" in extras:
+        remove = vector(DEFAULT) if sample.remove is None else sample.remove
+        told["remove"] = torch.from_numpy(remove)[None]
+    if "looks" in extras and sample.looks is not None:
+        part = sample.looks[:, *window][..., ::step]
+        told["looks"] = torch.from_numpy(part.copy())[None]
+    return told
 
 
 def _mirrored(maps: Maps) -> Maps:

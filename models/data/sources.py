@@ -104,10 +104,21 @@ def _of_dataset(
         "dataset.pairs": len(table.samples),
         "dataset.image": [table.height, table.width],
     }
-    validation = PairSource(shown, table.sonar)
+    # Where each picture has a device of its own, the variants of a frame show different things.
+    frames = 1 if isinstance(data, SelfSupervisedData) else data.frames
+    if table.config.get("devices") is not None:
+        frames = 1
+    validation = PairSource(shown, table.sonar, frames=frames, among=held)
     labels = tuple(f"{sample.scene} {sample.frame}" for sample in shown)
     if not isinstance(data, RendersData):
-        source: Source = PairSource(learning, table.sonar, weaker=data.weaker, seed=settings.seed)
+        source: Source = PairSource(
+            learning,
+            table.sonar,
+            weaker=data.weaker,
+            seed=settings.seed,
+            frames=frames,
+            among=learning,
+        )
     else:
         # Only here: it brings the readers and the whole of the factory.
         from simnfnd.models.data.renders import open_renders

@@ -63,13 +63,14 @@ def denoise_bag(
         pings = any(one.msgtype == SONAR for one in bag.connections)
         # All of a ping was measured, so no place is needed to average.
         averaged = averages.of_recording(bag, (lambda _: None) if pings else place)
-        for frame, average in averaged:
+        for frame, average, looks in averaged:
             if frame.beams is None:
                 geometry = place(frame.samples)
             else:
                 geometry = polar_geometry(frame.beams, len(frame.samples))
             try:
-                samples = in_kind_of(denoise_image(average, denoise, geometry), frame.samples)
+                found = denoise_image(average, denoise, geometry, looks)
+                samples = in_kind_of(found, frame.samples)
             except ValueError as error:
                 raise FrameError(f"{item.source}: message {frame.number}: {error}") from error
             if compare and frame.number < COMPARED:
@@ -82,9 +83,9 @@ def denoise_bag(
         raise FrameError(f"{path}: is there already; remove it, or give another --out")
     with open_bag(item, topics) as bag:
         if averages.reach and len(bag.topics) > 1:
+            what = "--frames averages" if averages.frames > 1 else "these weights see the frames of"
             raise FrameError(
-                f"{item.source}: --frames averages one topic; choose of {', '.join(bag.topics)} "
-                "with --topic"
+                f"{item.source}: {what} one topic; choose of {', '.join(bag.topics)} with --topic"
             )
         bag.rewrite(denoised(bag), path)
         warning = bag.warning

@@ -127,6 +127,7 @@ def main(arguments: Sequence[str]) -> int:
     }
     remove = None if chosen.remove is None else chosen.remove.split(",")
     denoise = load_denoiser(chosen.weights, remove=remove, **how)
+    steady.see(denoise.looks)
     points = None
     if chosen.weights is None and remove is None:
         points = cache(lambda: load_denoiser(POINTS, **how))

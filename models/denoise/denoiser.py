@@ -60,20 +60,28 @@ class Denoiser:
         self._half = _is_half(precision, self._device)
 
     def __call__(
-        self, gray: Gray, geometry: FanGeometry | None = None, *, layout: str | None = None
+        self,
+        gray: Gray,
+        geometry: FanGeometry | None = None,
+        *,
+        layout: str | None = None,
+        looks: Sequence[Gray] = (),
     ) -> Gray:
         """(H, W) float32 in 0..1 -> the same, denoised.
 
         geometry: where range and bearing are, if that is known; or layout `polar`: rows are ranges,
-        near range first, and the columns span 30 degrees.
+        near range first, and the columns span 30 degrees.  looks: an odd number of pictures of the
+        same scene, itself in the middle, for weights that see several (`looks`).
         """
         if geometry is None and layout == "polar":
             geometry = FanGeometry.polar().with_size(*gray.shape)
         extras = self.trained.network.extras
-        maps = {}
+        maps: dict[str, Gray] = {}
         if geometry is not None and extras:
             found = geometry.maps(0, 0, *gray.shape)
             maps = {name: found[name] for name in extras if name in found}
+        if self.looks > 1 and looks:
+            maps["looks"] = np.stack(looks, axis=-1)  # tiles cut the first two axes
         weights: list[float] = []
         areas: list[int] = []
 
@@ -88,6 +96,11 @@ class Denoiser:
         part = self.strength * np.float32(np.average(weights, weights=areas))
         return np.asarray(np.clip(gray + part * (denoised - gray), 0, 1), np.float32)
 
+    @property
+    def looks(self) -> int:
+        """How many pictures of a scene the weights see at once."""
+        return self.trained.network.looks
+
     def _denoise_tile(self, gray: Gray, maps: Maps) -> tuple[Gray, float]:
         import torch
 
@@ -97,7 +110,11 @@ class Denoiser:
         batch = {
             name: torch.from_numpy(np.ascontiguousarray(image))[None, None]
             for name, image in images.items()
+            if name != "looks"
         }
+        if "looks" in maps:
+            looks = np.ascontiguousarray(np.moveaxis(maps["looks"], -1, 0))
+            batch["looks"] = torch.from_numpy(looks)[None]
         if self._told is not None:
             batch["remove"] = torch.from_numpy(self._told)[None]
         with torch.autocast(self._device, torch.bfloat16, enabled=self._half):

@@ -27,8 +27,11 @@ from simnfnd.models.denoise.videos import FrameFiles
 SCHEMA = "simnfnd-denoised/1"
 
 Gray = npt.NDArray[np.float32]
-Denoise = Callable[[Gray, FanGeometry | None], Gray]
-"""(H, W) float32 in 0..1, and where range and bearing are, if known -> the same, denoised."""
+Denoise = Callable[..., Gray]
+"""(H, W) float32 in 0..1, and where range and bearing are, if known -> the same, denoised.
+
+Weights that see several pictures of a scene get them as `looks`, see `Denoiser`.
+"""
 Find = Callable[[Item, npt.NDArray[Any]], FanGeometry | None]
 """Where range and bearing are in a picture of an item; None where that is not known."""
 Tick = Callable[[], object]
@@ -39,12 +42,16 @@ COMPARED = 4
 
 
 def denoise_image(
-    image: npt.NDArray[Any], denoise: Denoise, geometry: FanGeometry | None = None
+    image: npt.NDArray[Any],
+    denoise: Denoise,
+    geometry: FanGeometry | None = None,
+    looks: Sequence[npt.NDArray[Any]] = (),
 ) -> npt.NDArray[Any]:
     """Denoise (H, W) or (H, W, C) uint8, uint16 or float32 (0..1); same shape and dtype out.
 
-    Colour channels are denoised one by one (once, when they are equal); an alpha channel stays.
-    Raises ValueError for another dtype or shape, NaN, and floats outside 0..1.
+    looks: frames in their order, the image in the middle, all of its shape and dtype, for weights
+    that see several.  Colour channels are denoised one by one (once, when they are equal); an alpha
+    channel stays.  Raises ValueError for another dtype or shape, NaN, and floats outside 0..1.
     """
     full = FULL_SCALE.get(str(image.dtype))
     if full is None:
@@ -55,15 +62,21 @@ def denoise_image(
         for channel in range(colours):
             plane = np.ascontiguousarray(image[..., channel])
             same = channel and np.array_equal(plane, image[..., 0])
+            planes = [np.ascontiguousarray(look[..., channel]) for look in looks]
             result[..., channel] = (
-                result[..., 0] if same else denoise_image(plane, denoise, geometry)
+                result[..., 0] if same else denoise_image(plane, denoise, geometry, planes)
             )
         return result
     if image.ndim != 2 or 0 in image.shape:
         raise ValueError(f"image has shape {image.shape}; expected (H, W) or (H, W, C)")
     if image.dtype == np.float32 and not (image.min() >= 0 and image.max() <= 1):
         raise ValueError("float pixels must lie in 0..1")
-    denoised = denoise(image.astype(np.float32) / np.float32(full), geometry)
+    grey = image.astype(np.float32) / np.float32(full)
+    if looks:
+        seen = [look.astype(np.float32) / np.float32(full) for look in looks]
+        denoised = denoise(grey, geometry, looks=seen)
+    else:
+        denoised = denoise(grey, geometry)
     if image.dtype == np.float32:
         return denoised
     return np.asarray(np.rint(denoised.astype(np.float64) * full).astype(image.dtype))
@@ -83,8 +96,8 @@ def denoise_file(
     try:
         image = decode(item.source)
         geometry = geometry_of(item, image)
-        average = image if steady is None else steady.of_picture(item, image, geometry)
-        denoised = in_kind_of(denoise_image(average, denoise, geometry), image)
+        average, looks = (steady or Steady()).of_picture(item, image, geometry)
+        denoised = in_kind_of(denoise_image(average, denoise, geometry, looks), image)
     except (FactoryError, ValueError) as error:
         text = str(error)
         named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
@@ -115,9 +128,10 @@ def denoise_video(
         def place(picture: npt.NDArray[Any]) -> FanGeometry | None:
             return geometry_of(item, picture)
 
-        for frame, average in (steady or Steady()).of_recording(recording, place):
+        for frame, average, looks in (steady or Steady()).of_recording(recording, place):
             picture = frame.samples
-            denoised = in_kind_of(denoise_image(average, denoise, place(picture)), picture)
+            found = denoise_image(average, denoise, place(picture), looks)
+            denoised = in_kind_of(found, picture)
             files.add(denoised)
             if frame.number < COMPARED:
                 shown.append((picture, denoised))
@@ -145,10 +159,12 @@ def denoise_pings(
 
     def denoised(recording: Recording) -> Iterator[tuple[Frame, npt.NDArray[Any]]]:
         # All of a ping was measured, so no place is needed to average.
-        for frame, average in (steady or Steady()).of_recording(recording, lambda _: None):
+        frames = (steady or Steady()).of_recording(recording, lambda _: None)
+        for frame, average, looks in frames:
             assert frame.beams is not None
             geometry = polar_geometry(frame.beams, len(frame.samples))
-            samples = in_kind_of(denoise_image(average, denoise, geometry), frame.samples)
+            found = denoise_image(average, denoise, geometry, looks)
+            samples = in_kind_of(found, frame.samples)
             if compare and frame.number < COMPARED:
                 after = replace(frame, samples=samples)
                 fans = (fan_of(grey_of(one), frame.beams)[0] for one in (frame, after))

@@ -1,4 +1,4 @@
-"""Pictures averaged with their neighbours in time before they are denoised (`--frames`)."""
+"""Pictures with their neighbours in time: averaged (`--frames`), or for weights that see them."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from simnfnd.factory.recordings import Frame
 from simnfnd.factory.recordings.averaging import Average, Averager, windows
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.data.images import FULL_SCALE, decode
+from simnfnd.models.data.looks import centred
 from simnfnd.models.denoise.inputs import Item
 
 MOST_FRAMES = 31
@@ -28,9 +29,10 @@ _NUMBER = re.compile(r"\d+")
 
 
 class Steady:
-    """Averages of each picture and its neighbours.
+    """Averages of each picture and its neighbours, or the neighbours themselves.
 
-    frames: how many at most, odd; 1: pictures stay as they are.
+    frames: how many at most are averaged, odd; 1: pictures stay as they are.
+    looks: how many the weights see at once; 1: none beside the picture.
     pictures, used: how many pictures were averaged, and the frames that went into them together.
     """
 
@@ -44,33 +46,52 @@ class Steady:
                 f"--frames {frames}: give an odd number up to {MOST_FRAMES}: a picture and as "
                 "many before it as after it"
             )
-        self.frames, self.reach = frames, frames // 2
+        self.frames, self.reach, self.looks = frames, frames // 2, 1
+        self._items = tuple(items)
         self.pictures, self.used = 0, 0.0
         self._averager = Averager()
-        self._neighbours = neighbours(items, self.reach) if self.reach else {}
+        self._neighbours = neighbours(self._items, self.reach) if self.reach else {}
         self._decoded: OrderedDict[Path, Picture] = OrderedDict()
+
+    def see(self, looks: int) -> None:
+        """Give out so many pictures, itself in the middle, beside each.
+
+        Raises FactoryError where they are to be averaged as well.
+        """
+        if looks == 1:
+            return
+        if self.reach:
+            raise FactoryError(
+                f"--frames {self.frames}: these weights see {looks} frames themselves; leave it out"
+            )
+        self.looks, self.reach = looks, looks // 2
+        self._neighbours = neighbours(self._items, self.reach)
 
     def of_recording(
         self, frames: Iterable[Frame], place: Place
-    ) -> Iterator[tuple[Frame, Picture]]:
-        """Each frame of a recording with its samples, averaged as float32 in 0..1.
+    ) -> Iterator[tuple[Frame, Picture, list[Picture]]]:
+        """Each frame of a recording with its samples, averaged as float32 in 0..1, and its looks.
 
-        Without averaging they come as they are.
+        Without averaging samples come as they are; looks are none, or `looks` pictures.
         """
-        if not self.reach:
-            yield from ((frame, frame.samples) for frame in frames)
+        if self.frames == 1:
+            for own, window in windows(frames, self.reach):
+                pictures = [one.samples for one in window]
+                yield window[own], pictures[own], self._looks(own, pictures)
             return
         self._averager = Averager()
         for own, window in windows(frames, self.reach):
             frame = window[own]
-            pictures = {other.number: other.samples for other in window}
-            yield frame, self._average(pictures, frame.number, place(frame.samples))
+            found = {other.number: other.samples for other in window}
+            yield frame, self._average(found, frame.number, place(frame.samples)), []
 
-    def of_picture(self, item: Item, picture: Picture, geometry: FanGeometry | None) -> Picture:
+    def of_picture(
+        self, item: Item, picture: Picture, geometry: FanGeometry | None
+    ) -> tuple[Picture, list[Picture]]:
         """A picture file with those before and after it in its folder; see `of_recording`."""
         names = self._neighbours.get(item.source, ())
         if len(names) < 2 or not _is_usable(picture):
-            return picture
+            return picture, self._looks(0, [picture])
         found = {item.source: picture}
         for name in names:
             if name != item.source:
@@ -78,7 +99,21 @@ class Steady:
                     found[name] = self._decode(name)
                 except FactoryError:
                     continue  # said where it is denoised itself
-        return self._average(found, item.source, geometry)
+        if self.frames == 1:
+            there = [name for name in names if name in found]
+            return picture, self._looks(there.index(item.source), [found[n] for n in there])
+        return self._average(found, item.source, geometry), []
+
+    def _looks(self, own: int, pictures: list[Picture]) -> list[Picture]:
+        """Number `own` amid its neighbours, as far as they are pictures of the same kind."""
+        if self.looks == 1:
+            return []
+        like, first, last = pictures[own], own, own
+        while first > 0 and _is_like(pictures[first - 1], like):
+            first -= 1
+        while last + 1 < len(pictures) and _is_like(pictures[last + 1], like):
+            last += 1
+        return centred(pictures[first : last + 1], own - first, self.looks)
 
     def summary(self) -> Iterator[str]:
         """One line, if pictures were averaged."""
@@ -115,7 +150,7 @@ class Steady:
         if path not in self._decoded:
             self._decoded[path] = decode(path)
         self._decoded.move_to_end(path)
-        while len(self._decoded) > self.frames:
+        while len(self._decoded) > max(self.frames, self.looks):
             self._decoded.popitem(last=False)
         return self._decoded[path]
 
@@ -155,6 +190,11 @@ def _is_usable(picture: Picture) -> bool:
     if picture.dtype == np.float32:
         return bool(picture.min() >= 0 and picture.max() <= 1)
     return str(picture.dtype) in FULL_SCALE
+
+
+def _is_like(picture: Picture, other: Picture) -> bool:
+    same = picture.shape == other.shape and picture.dtype == other.dtype
+    return same and _is_usable(picture)
 
 
 def _colours(picture: Picture) -> Picture:

@@ -11,7 +11,11 @@ A network is one file beside this one with a settings class and a torch module, 
   `with_heads` that may be left out or None where it is unknown: `range_fraction` (N, 1, H, W),
   slant range of a pixel over range_max; `azimuth_rad` (N, 1, H, W), positive to the right; `sector`
   (N, 1, H, W), 1 inside the insonified sector and 0 outside; `remove` (N, 6), 1 for each artefact
-  to remove (`simnfnd.models.removal`).  Batches hold them under these names.
+  to remove (`simnfnd.models.removal`); `looks` (N, T, H, W), T pictures of one scene in their
+  order, T odd, the picture itself in the middle; `rate` (N, 1), 0 to 1, how much of its change a
+  picture gets.  Batches hold them under these names.
+- `looks`, a number, says how many pictures of one scene it sees at once; with more than 1 it has
+  the optional input of that name, and without that sees the one picture so many times.
 - A network with `has_heads = True` predicts more: where `forward` returns the image alone,
   `with_heads(x, ...)` returns (image, shadow_logits, weight): logits (N, 1, H, W) of shadow, and
   (N,) the part of its change, 0 to 1, that `forward` gives each picture.
@@ -44,6 +48,7 @@ NETWORKS = {
     "ap_bsn": ("simnfnd.models.networks.ap_bsn", "APBSNSettings", "APBSN"),
     "dae": ("simnfnd.models.networks.dae", "DAESettings", "DAE"),
     "dgp_srgan": ("simnfnd.models.networks.dgp_srgan", "DGPSRGANSettings", "DGPSRGAN"),
+    "kdlae": ("simnfnd.models.networks.kdlae", "KDLAESettings", "KDLAE"),
     "nafnet": ("simnfnd.models.networks.nafnet", "NAFNetSettings", "NAFNet"),
     "restormer": ("simnfnd.models.networks.restormer", "RestormerSettings", "Restormer"),
     "sid_tgan": ("simnfnd.models.networks.sid_tgan", "SIDTGANSettings", "SIDTGAN"),

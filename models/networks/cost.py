@@ -21,6 +21,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from simnfnd.factory.errors import FactoryError
 from simnfnd.models.networks import NETWORKS, build_network
 from simnfnd.models.networks.network import Network
+from simnfnd.models.networks.weights import channels_last
 
 _REPEATS = 3
 
@@ -79,7 +80,7 @@ def cpu_seconds(network: Network, size_px: int) -> float:
     """CPU seconds of one core, the least of three; memory laid out as denoising has it."""
     threads = torch.get_num_threads()
     image, extras = example(network, size_px)
-    network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    network = channels_last(network)
     was_training = network.training
     network.eval()
     torch.set_num_threads(1)

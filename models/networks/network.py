@@ -36,6 +36,7 @@ class Network(nn.Module):
     has_stages: ClassVar[bool] = False
     adversarial: ClassVar[bool] = False
     is_blind: ClassVar[bool] = False
+    looks: int = 1
 
     def __init__(self, channels: int, stride: int) -> None:
         super().__init__()

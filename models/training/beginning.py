@@ -27,6 +27,12 @@ def build_module(settings: ModelsSettings) -> DenoisingModule:
         _load_start(network, settings)
     if settings.train.parts is not None:
         _freeze_all_but(network, settings.train.parts)
+    seen = getattr(settings.data, "frames", 1)
+    if seen > 1 and network.looks == 1:
+        raise FactoryError(
+            f"data.frames={seen}: model.kind={settings.model['kind']} sees one picture at once; "
+            "leave it out, or take model=kdlae"
+        )
     loss = build_loss(settings.loss)
     teacher = _teacher(network, settings)
     if isinstance(settings.data, SelfSupervisedData):

@@ -236,6 +236,8 @@ def _recipe(settings: ModelsSettings, data: Data) -> dict[str, Any]:
         chosen.pop(name, None)
     if chosen.get("method") != "variance":
         chosen.pop("variance", None)
+    if chosen.get("frames") == 1:
+        chosen.pop("frames")  # as before there were several
     groups = {
         "model": dict(settings.model),
         "loss": dict(settings.loss),

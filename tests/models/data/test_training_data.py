@@ -134,6 +134,38 @@ def test_renders_are_the_pairs_of_the_factory_with_other_noise_at_every_visit(
     assert source.config.seed == 5
 
 
+def test_looks_are_variants_of_the_same_render(rendered: tuple[Path, Path]) -> None:
+    source, _ = renders(rendered, weaker=0.0, fewer=0.0, frames=3)
+    alone, _ = renders(rendered, weaker=0.0, fewer=0.0)
+    ref = source.frames[1]
+    sample, same = source.sample(1, 3), alone.sample(1, 3)
+    assert sample.looks is not None
+    assert same.looks is None
+    assert sample.clean is not None
+    assert same.clean is not None
+    np.testing.assert_array_equal(sample.noisy, same.noisy)
+    np.testing.assert_array_equal(sample.clean, same.clean)
+    before, own, after = sample.looks
+    np.testing.assert_array_equal(own, sample.noisy)
+    maker = pair_maker(source.config)
+    for look, variant in ((before, 3 + 2**32), (after, 3 + 2 * 2**32)):
+        pair = maker.pairs(ref, (variant,))[0]
+        np.testing.assert_array_equal(look, in_unit_range(pair.noisy))
+        assert not np.array_equal(look, own)
+    dataset, pack = rendered
+    settings, _ = composed("data=renders")
+    assert isinstance(settings.data, RendersData)
+    table = read_table(dataset, "train")
+    _, held = hold_out(table.samples, 0.3, 0)
+    data = replace(settings.data, pack=str(pack), frames=3)
+    found = open_renders(data, table, held, str(dataset), seed=5)
+    assert found.validation is not None
+    shown = found.validation.sample(0, None)
+    assert shown.looks is not None
+    assert shown.looks.shape == (3, *shown.noisy.shape)
+    assert len(found.labels) == len(found.validation)
+
+
 def test_weaker_and_fewer_noise_down_to_none(rendered: tuple[Path, Path]) -> None:
     source, _ = renders(rendered, weaker=0.5, fewer=0.5)
     settings = [source.noise_of(0, visit) for visit in range(80)]

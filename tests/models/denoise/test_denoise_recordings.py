@@ -24,7 +24,7 @@ from tests.factory.recordings.recording_files import pings, write_aris, write_dd
 class Halving:
     """A denoiser whose result is easy to foretell, and which keeps what it was told."""
 
-    digest, pictures, unchanged = "0", 0, 0
+    digest, pictures, unchanged, looks = "0", 0, 0, 1
 
     def __init__(self) -> None:
         self.told: list[FanGeometry | None] = []

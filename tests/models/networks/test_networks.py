@@ -35,6 +35,7 @@ TINY: dict[str, dict[str, Any]] = {
         **{"width": 8, "blocks": 2, "critic_width": 4},
         **{"adversarial": 0.001, "penalty": 10.0},
     },
+    "kdlae": {"frames": 3, "widths": [8, 8], "blocks": 1},
     "nafnet": {"width": 4, "encoder": [1, 1], "middle": 1, "decoder": [1, 1]},
     "restormer": {
         **{"width": 8, "blocks": [1, 1, 1], "refinement": 1},
@@ -103,7 +104,7 @@ def test_colours_are_images_of_their_own(kind: str) -> None:
         torch.testing.assert_close(restored[:, channel : channel + 1], alone)
 
 
-@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"sonarnet"}))
+@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"sonarnet", "kdlae"}))
 def test_a_network_built_for_three_channels_takes_one(kind: str) -> None:
     network = stirred(tiny(kind, channels=3))
     assert network(torch.rand(2, 3, 16, 24)).shape == (2, 3, 16, 24)
@@ -197,6 +198,9 @@ def test_a_description_that_makes_no_sense_is_refused(tmp_path: Path, model: Any
         ("ap_bsn", {"passes": 8}, r"model\.passes"),
         ("dgp_srgan", {"penalty": -1}, r"model\.penalty"),
         ("three_stage", {"width": 2}, r"model\.width"),
+        ("kdlae", {"frames": 4}, "frames must be odd"),
+        ("kdlae", {"widths": [8]}, "two resolutions or more"),
+        ("kdlae", {"channels": 3}, r"model\.channels"),
     ],
 )
 def test_odd_networks_are_refused(kind: str, change: dict[str, Any], words: str) -> None:
@@ -226,6 +230,7 @@ def on_meta(config: dict[str, Any]) -> Network:
         ("dae", {}, 0.333e6, 1.40),
         ("sid_tgan", {}, 1.67e6, 4.25),
         ("three_stage", {}, 0.229e6, 6.44),
+        ("kdlae", {}, 0.320e6, 6.07),
         ("dgp_srgan", {}, 0.0716e6, 4.67),
         ("ap_bsn", {}, 0.0456e6, 23.73),
         ("ap_bsn", {"passes": 0}, 0.0456e6, 2.966),
