@@ -51,7 +51,8 @@ class Method:
     def looks(self) -> bool:
         """Whether it sees several pictures of a scene at once."""
         if self.weights is None:
-            return REGISTRY[self.name].looks
+            known = REGISTRY.get(self.name)
+            return known is not None and known.looks
         return sees_several(self.weights)
 
     @property
