@@ -22,7 +22,7 @@ from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.scenes import open_reader
 
 RENDERERS = ("analytic", "embree", "cycles")
-# One worker, for two would wait for each other's memory; previews are as large in both runs.
+# One worker, for two would wait for each other's memory; a preview is paid once a run.
 ONE = ("scheduler.workers=1", "dataset.preview_pairs=0")
 
 

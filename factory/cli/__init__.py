@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 EXIT_BAD_INPUT = 2
+# What the workers of `make` are forked with.
+PRELOADED = ("simnfnd.factory.cli.preloaded",)
 _OF_THE_MACHINE = {
     *(errno.EACCES, errno.EPERM, errno.EIO, errno.EMFILE, errno.ENFILE, errno.ENOSPC, errno.EROFS),
     *(errno.ELOOP, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ESTALE, errno.ENOMEM),

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from simnfnd.factory.cli import PRELOADED
 from simnfnd.factory.cli.extras import needs_of, require
 from simnfnd.factory.config import (
     FactoryConfig,
@@ -131,7 +132,7 @@ def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
         on_prepared=Limit(working.cache),
         extension=lambda earlier: plan_extension(splits, *how, earlier),
         warnings=warnings,
-        preload=("simnfnd.factory.cli.preloaded",),
+        preload=PRELOADED,
     )
 
 

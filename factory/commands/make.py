@@ -6,10 +6,9 @@ import os
 import sys
 from collections.abc import Sequence
 
+from simnfnd.factory.cli import PRELOADED, run_app
 from simnfnd.factory.workers import template
 
-# What workers are forked with.
-PRELOADED = ("simnfnd.factory.cli.preloaded",)
 _LOCAL = ("scheduler=local", "scheduler=paper48", "scheduler.backend=local")
 
 
@@ -23,7 +22,6 @@ def main(words: Sequence[str]) -> int:
         # Now, so that it loads beside what this process has to load.
         template.start(PRELOADED)
 
-    from simnfnd.factory.cli import run_app
     from simnfnd.factory.cli.generate import generate
     from simnfnd.factory.distribution import as_override
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeVar
@@ -10,7 +9,6 @@ from typing import Any, TypeVar
 from simnfnd.factory.workers import template
 from simnfnd.factory.workers.contract import WorkerSettings
 from simnfnd.factory.workers.slot import Slot, WorkerDied, stop_all
-from simnfnd.factory.workers.template import THREAD_VARIABLES
 
 T = TypeVar("T")
 
@@ -25,8 +23,7 @@ class LocalBackend:
 
     def __init__(self, settings: WorkerSettings) -> None:
         # Read when a library is loaded, so set before a worker exists; recycled ones read it too.
-        self._saved = {name: os.environ.get(name) for name in THREAD_VARIABLES}
-        os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(settings.threads)))
+        self._saved = template.tell(settings.threads)
         template.start(settings.preload, settings.threads)
         forks = bool(settings.preload)
         self._slots = [Slot(pool, forks) for pool in settings.pools for _ in range(pool.workers)]

@@ -114,12 +114,18 @@ def kill() -> None:
 @contextmanager
 def thread_variables(threads: int) -> Iterator[None]:
     """Within the block, libraries of processes that are started use so many threads."""
-    saved = {name: os.environ.get(name) for name in THREAD_VARIABLES}
-    os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
+    saved = tell(threads)
     try:
         yield
     finally:
         restore(saved)
+
+
+def tell(threads: int) -> dict[str, str | None]:
+    """Let libraries of processes started from now on use so many threads; what `restore` takes."""
+    saved = _threads_told()
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
+    return saved
 
 
 def restore(saved: Mapping[str, str | None]) -> None:

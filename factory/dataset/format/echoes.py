@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.dataset.format.axes import Place, contiguous_place
-from simnfnd.factory.dataset.format.checksums import crc32, picture_sums
+from simnfnd.factory.dataset.format.checksums import all_picture_sums, crc32
 from simnfnd.factory.dataset.format.layers import ECHO_FIELDS, ECHO_FOLDER, MAX_PIXELS, Layer
 from simnfnd.factory.dataset.format.links import dataset_inside, exists, object_inside
 from simnfnd.factory.errors import FactoryError, FrameError
@@ -148,10 +148,10 @@ def read_echoes(file: h5py.File, row: int) -> EchoList:
         raise FactoryError("has no echoes; make the dataset with echoes in dataset.layers")
     first, end = file[PLACE][row].tolist()
     fields: dict[str, Values] = {}
+    sums = all_picture_sums(file)
     for name in names:
         values = file[name][first:end]
-        sums = picture_sums(file[name])
-        if sums is not None and crc32(values) != sums[row]:
+        if sums is not None and crc32(values) != sums[name][row]:
             raise ValueError(f"/{name}: its checksum differs")
         fields[name.removeprefix(ECHO_FOLDER)] = values
     return EchoList(_grid(file), fields)
