@@ -18,11 +18,10 @@ import torch
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
-from torch.nn import functional
 
 from simnfnd.factory.settings import STRICT
 from simnfnd.models.networks.network import Network
-from simnfnd.models.networks.unet import residual_blocks
+from simnfnd.models.networks.unet import ResidualBlock, residual_blocks
 
 _DEPTH = 3
 """Frames that a 3-D convolution sees at once."""
@@ -52,22 +51,13 @@ class KDLAESettings:
             raise ValueError("widths must name two resolutions or more")
 
 
-class FrameBlock(nn.Module):
-    """Two 3-D convolutions, added to what came in; it starts as the identity."""
+def frame_block(channels: int, depth: int) -> ResidualBlock:
+    """One whose convolutions see `depth` frames."""
 
-    def __init__(self, channels: int, depth: int) -> None:
-        super().__init__()
-        padding = (depth // 2, 1, 1)
-        self.first = nn.Conv3d(channels, channels, (depth, 3, 3), padding=padding)
-        self.second = nn.Conv3d(channels, channels, (depth, 3, 3), padding=padding)
-        nn.init.zeros_(self.second.weight)
-        assert self.second.bias is not None
-        nn.init.zeros_(self.second.bias)
+    def convolution() -> nn.Conv3d:
+        return nn.Conv3d(channels, channels, (depth, 3, 3), padding=(depth // 2, 1, 1))
 
-    def forward(self, x: Tensor) -> Tensor:
-        """(N, C, T, H, W) -> the same shape."""
-        changed: Tensor = self.second(functional.relu(self.first(x)))
-        return x + changed
+    return ResidualBlock(convolution(), convolution())
 
 
 class FrameLevel(nn.Module):
@@ -85,7 +75,7 @@ class FrameLevel(nn.Module):
         reduced = nn.Conv3d(after if halve else before, after, (depth, 3, 3), padding=(0, 1, 1))
         inner = _DEPTH if self.left > 1 else 1
         self.frames = nn.Sequential(
-            down, reduced, nn.ReLU(), *(FrameBlock(after, inner) for _ in range(blocks))
+            down, reduced, nn.ReLU(), *(frame_block(after, inner) for _ in range(blocks))
         )
         self.joined = nn.Conv3d(after, after, (self.left, 1, 1))
 

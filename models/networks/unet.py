@@ -38,25 +38,28 @@ class UNetSettings:
 
 
 class ResidualBlock(nn.Module):
-    """Two 3x3 convolutions, added to what came in; it starts as the identity."""
+    """Two convolutions, added to what came in; it starts as the identity."""
 
-    def __init__(self, channels: int) -> None:
+    def __init__(self, first: nn.Conv2d | nn.Conv3d, second: nn.Conv2d | nn.Conv3d) -> None:
         super().__init__()
-        self.first = nn.Conv2d(channels, channels, 3, padding=1)
-        self.second = nn.Conv2d(channels, channels, 3, padding=1)
+        self.first, self.second = first, second
         nn.init.zeros_(self.second.weight)
         assert self.second.bias is not None
         nn.init.zeros_(self.second.bias)
 
     def forward(self, x: Tensor) -> Tensor:
-        """(N, C, H, W) -> the same shape."""
+        """(N, C, H, W), or (N, C, T, H, W) of frames -> the same shape."""
         changed: Tensor = self.second(functional.relu(self.first(x)))
         return x + changed
 
 
 def residual_blocks(channels: int, count: int) -> nn.Sequential:
-    """So many of them, one after another."""
-    return nn.Sequential(*(ResidualBlock(channels) for _ in range(count)))
+    """So many of them of 3x3, one after another."""
+
+    def convolution() -> nn.Conv2d:
+        return nn.Conv2d(channels, channels, 3, padding=1)
+
+    return nn.Sequential(*(ResidualBlock(convolution(), convolution()) for _ in range(count)))
 
 
 class UNet(Network):
