@@ -128,8 +128,8 @@ def shares(
     """(runs,) float32: see `Cells.shares`; the arguments are what `cell_loops.runs` gives."""
     from simnfnd.factory.formation.field.cells import cell_loops
 
-    made, work = np.empty(len(names), np.float32), np.empty((4, len(names)), np.uint32)
-    slots = 1 << (1 + len(names).bit_length())
+    made, work = np.empty(len(names), np.float32), np.empty((len(names), 3), np.uint32)
+    slots = 1 << (2 + len(names).bit_length())
     parts = max(slots // _SLOTS, 1)
     while not cell_loops.count(
         names, places, ends, parts, np.empty((slots // parts, 2), np.uint32), work, made

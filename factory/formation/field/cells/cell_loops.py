@@ -130,14 +130,13 @@ def count(
 
     name_of, place_of, end_of: as `runs` gives them; share_of: (runs,) out.  The cells are counted
     in parts, a power of two, each with a table that a processor holds close by.
-    table: (slots, 2), slots a power of two; sorted_: (4, runs), both overwritten.
+    table: (slots, 2), slots a power of two; sorted_: (runs, 3), both overwritten.
     Returns False where a part does not fit the table; share_of then says nothing.
     """
     mask, last = np.uint32(table.shape[0] - 1), np.uint32(parts - 1)
     shift = np.uint32(0)
     while np.uint32(1) << shift <= mask:
         shift += np.uint32(1)
-    runs_of, names, places, points = sorted_[0], sorted_[1], sorted_[2], sorted_[3]
     ends = np.zeros(parts + 1, np.int64)
     for run in range(place_of.shape[0]):
         ends[np.uint32((place_of[run] >> shift) & last) + np.uint32(1)] += 1
@@ -145,66 +144,79 @@ def count(
         return False
     for number in range(parts):
         ends[number + 1] += ends[number]
+    # What belongs to a run lies side by side: a hundred parts are then as many places to write to.
     free, begin = ends[:-1].copy(), np.int32(0)
     for run in range(name_of.shape[0]):
-        among = np.uint32((place_of[run] >> shift) & last)
+        place = place_of[run]
+        among = np.uint32((place >> shift) & last)
         at = np.uint32(free[among])
         free[among] += 1
-        runs_of[at], names[at], places[at] = run, name_of[run], place_of[run] & mask
-        points[at] = np.uint32(end_of[run] - begin)
+        sorted_[at, 0], sorted_[at, 1] = name_of[run], place & mask
+        sorted_[at, 2] = np.uint32(end_of[run] - begin)
         begin = end_of[run]
     for part in range(parts):
         table[:] = 0
         for i in range(ends[part], ends[part + 1]):
             at = np.uint32(i)
-            name, slot = names[at], places[at]
+            name, slot = sorted_[at, 0], sorted_[at, 1]
             # Taken, and by another: a product instead of `and` or `&`, of which the compiler makes
             # two branches.  Whether a cell is new cannot be foretold, and a wrong guess costs much.
             while np.uint64(table[slot, 1]) * np.uint64(table[slot, 0] ^ name) != _NOTHING:
                 slot = np.uint32(slot + _9) & mask
             table[slot, 0] = name
-            table[slot, 1] += points[at]
-            places[at] = slot
+            table[slot, 1] += sorted_[at, 2]
+            sorted_[at, 1] = slot
         for i in range(ends[part], ends[part + 1]):
             at = np.uint32(i)
-            found = np.float32(np.int32(table[places[at], 1]))
-            share_of[runs_of[at]] = np.float32(1) / np.sqrt(found)
+            sorted_[at, 0] = table[sorted_[at, 1], 1]
+    # In the order of the runs again, each part being read from its beginning.
+    free[:] = ends[:-1]
+    for run in range(place_of.shape[0]):
+        among = np.uint32((place_of[run] >> shift) & last)
+        found = np.float32(np.int32(sorted_[np.uint32(free[among]), 0]))
+        free[among] += 1
+        share_of[run] = np.float32(1) / np.sqrt(found)
     return True
 
 
-@compiled("void(uint32[::1], float32[::1], uint32, float32[:, ::1], float32[:, ::1])")
-def coefficients(
-    name_of: npt.NDArray[np.uint32],
-    share_of: Floats,
-    key: int,
-    table: Floats,
-    drawn: Floats,
-) -> None:
-    """(runs, 2) complex coefficient of each run's cell, drawn by key, times the run's share."""
-    for run in range(name_of.shape[0]):
-        lot = mixed(np.uint32(name_of[run] ^ key)) >> _16
-        drawn[run, 0] = share_of[run] * table[lot, 0]
-        drawn[run, 1] = share_of[run] * table[lot, 1]
-
-
-@compiled("void(int32[::1], int32[::1], float32[::1], float32[:, ::1], float32[:, ::1])")
+@compiled(
+    "void(int32[::1], int32[::1], float32[::1], uint32[::1], float32[::1], uint32,"
+    " float32[:, ::1], float32[:, ::1])"
+)
 def scatter(
     bin_of: npt.NDArray[np.int32],
     run_of: npt.NDArray[np.int32],
     power_of: Floats,
-    drawn: Floats,
+    name_of: npt.NDArray[np.uint32],
+    share_of: Floats,
+    key: int,
+    table: Floats,
     bins: Floats,
 ) -> None:
-    """Add the amplitude of each point times its run's coefficient to its bin; bins: (bins, 2)."""
-    root = np.empty(_BLOCK, np.float32)
+    """Add the amplitude of each point times the coefficient of its run to its bin; bins: (bins, 2).
+
+    name_of, share_of: cell and share of each run.  The complex coefficient of a cell is drawn by
+    `key` from the table (65536, 2).
+    """
+    root, lots = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.uint32)
+    drawn = np.empty((_BLOCK, 2), np.float32)
     for begin in range(0, bin_of.shape[0], _BLOCK):
         size = min(_BLOCK, bin_of.shape[0] - begin)
         some, some_runs = bin_of[begin : begin + size], run_of[begin : begin + size]
         some_powers = power_of[begin : begin + size]
         for i in range(size):
             root[i] = np.sqrt(some_powers[i])
+        # Runs follow each other, so those of a block are few and close by.
+        first, last = np.int64(some_runs[0]), np.int64(some_runs[size - 1])
+        names, shares = name_of[first : last + 1], share_of[first : last + 1]
+        for i in range(names.shape[0]):
+            lots[i] = mixed(np.uint32(names[i] ^ key)) >> _16
+        for i in range(names.shape[0]):
+            lot = lots[i]
+            drawn[i, 0], drawn[i, 1] = shares[i] * table[lot, 0], shares[i] * table[lot, 1]
+        before = some_runs[0]
         for i in range(size):
-            at, run = np.uint32(some[i]), np.uint32(some_runs[i])
+            at, run = np.uint32(some[i]), np.uint32(some_runs[i] - before)
             bins[at, 0] += root[i] * drawn[run, 0]
             bins[at, 1] += root[i] * drawn[run, 1]
 
