@@ -59,8 +59,7 @@ def speckle(
         key = int(rng.integers(2**32))
         bins = np.zeros((signal.power.size, 2), np.float32)
         cell_loops.scatter(
-            scene.bins, cells.runs, scene.powers, cells.names, cells.shares, key, gaussian_table(),
-            bins,
+            scene.bins, scene.powers, cells.names, cells.shares, key, gaussian_table(), bins,
         )  # fmt: skip
         cell_loops.into_planes(bins, amplitude, look)
     return Signal(np.zeros_like(signal.power), field)
