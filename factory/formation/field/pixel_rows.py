@@ -20,7 +20,7 @@ _SMALL_STEP, _LARGE_STEP, _SLOPE_CHANGE = np.float32(0.02), np.float32(0.1), np.
 
 
 @compiled()
-def bounded(value: float, most: float) -> Any:
+def bounded(value: Any, most: Any) -> Any:
     """A whole number from 0 to `most`; NaN is 0."""
     value = value if value > np.float32(0) else np.float32(0)
     return np.int32(value if value < most else most)
@@ -151,7 +151,7 @@ def looked_for(
     sine: Floats,
     low: float,
     beam_scale: float,
-    most: float,
+    most: Any,
     steps: int,
     guess: npt.NDArray[np.int32],
     step: npt.NDArray[np.int32],
