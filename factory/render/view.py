@@ -76,7 +76,7 @@ class View:
     radiance: (H, W) float32, see `simnfnd.factory.render.base.Rendered`; 0 in the sonar's shadow.
     segmentation, instance: labels of the pixels, see `frame.Frame`; None without labels.
     world_from_camera: (4, 4) float64 pose of the camera; None where the recording has none.
-    time_s, altitude_m: see `frame.Frame`.
+    time_s, altitude_m: see `frame.Frame`.  codes: depth and radiance as the cache keeps them.
     """
 
     depth_m: npt.NDArray[np.float32]
@@ -88,6 +88,7 @@ class View:
     world_from_camera: npt.NDArray[np.float64] | None = None
     time_s: float | None = None
     altitude_m: float | None = None
+    codes: tuple[Codes, Codes] | None = None
 
     def frame(self, ref: FrameRef) -> Frame:
         """The frame as noise needs it: black, for its colour has done its part in the albedo."""
@@ -124,6 +125,7 @@ def view_of(frame: Frame, rendered: Rendered, mount: Mount) -> View:
         frame.world_from_camera,
         frame.time_s,
         frame.altitude_m,
+        (depth, radiance),
     )
 
 
@@ -132,17 +134,17 @@ def encode(view: View, precision: Precision = FINE) -> bytes:
     from simnfnd.factory.render.cloud.planes import pack  # loads numba
 
     lit = view.radiance > 0
-    radiance = _block_mean(view.radiance, lit, precision.block)
-    planes = [
-        pack(_rounded_log(view.depth_m, _NEAREST_M, precision.depth_step)),
-        pack(_rounded_log(radiance, _FAINTEST, precision.radiance_step)),
-    ]
+    codes = view.codes if precision == FINE else None
+    if codes is None:
+        radiance = _block_mean(view.radiance, lit, precision.block)
+        depth = _rounded_log(view.depth_m, _NEAREST_M, precision.depth_step)
+        codes = depth, _rounded_log(radiance, _FAINTEST, precision.radiance_step)
+    planes = [pack(plane) for plane in codes]
     if precision.block > 1:
         planes.append(np.packbits(lit).tobytes())
-    labelled = view.segmentation is not None and view.instance is not None
-    if labelled:
-        assert view.segmentation is not None
-        assert view.instance is not None
+    labelled = False
+    if view.segmentation is not None and view.instance is not None:
+        labelled = True
         planes += [view.segmentation.tobytes(), view.instance.astype("<u2").tobytes()]
     parts = [_compress(plane, precision.codec) for plane in planes]
     pose = view.world_from_camera

@@ -21,6 +21,7 @@ Arrays = npt.NDArray[np.floating[Any]]  # any precision
 WORLD_SEED = 0  # the procedural world is one and the same; a location number is a place in it
 TILE = 1024  # pixels a side of every noise picture
 STEPS = 25  # of a standard deviation, in the noise that pictures are painted with
+TEXTURE_M, FINE_M = 3.7, 0.7  # a side of the tiles that pictures are painted with
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,16 +93,18 @@ def smoothstep(
 class Tiles:
     """Noise pictures, TILE pixels a side, that repeat without a seam; each channel has std 1.
 
-    texture: (S, S, 4) int8, broad clouds, fine grain, cells (dark seams between lumps), speckle,
-    in steps of 1 / STEPS: a picture looks up a million places all over it, which must be near.
-    fine: (S / 2, S / 2, 6) int8, every second pixel of the texture and, for the light on detail too
-    fine for the mesh, of the gradient of a rough surface.
+    texture: (S, S) int32, four channels of 8 bits, the first the lowest: broad clouds, fine grain,
+    cells (dark seams between lumps), speckle, in steps of 1 / STEPS: a picture looks up a million
+    places all over it, which must be near, and all channels of one at once.
+    fine: (S / 2, S / 2, 2) int32, every second pixel of the texture and, in the two lowest channels
+    of the second number, for the light on detail too fine for the mesh, of the gradient of a rough
+    surface.
     rock, sand: (S, S) relief, mean 0.
     caustics: (S, S) brightness of sunlight focused by waves, mean 1.
     """
 
-    texture: npt.NDArray[np.int8]
-    fine: npt.NDArray[np.int8]
+    texture: npt.NDArray[np.int32]
+    fine: npt.NDArray[np.int32]
     rock: Floats
     sand: Floats
     caustics: Floats
@@ -122,34 +125,10 @@ def lookup(
     return values
 
 
-def wrapped(
-    tile: Floats, points_m: Floats, normals: Floats, period_m: float, offset_m: tuple[float, float]
-) -> Floats:
-    """(N,) values of a tile on surfaces of any direction, (N, 3) points and normals.
-
-    The tile is laid on from the three axes and mixed by the normal, so nothing is stretched.
-    """
-    total = np.zeros(len(points_m), dtype=np.float32)
-    for share, (a, b) in zip(_shares(normals), _PLANES, strict=True):
-        total += share * lookup(
-            tile, points_m[..., a] + offset_m[0], points_m[..., b] + offset_m[1], period_m
-        )
-    return total
-
-
 @functools.cache
 def dither() -> Floats:
     """(TILE, TILE) numbers in [0, 1): a fixed pattern of pixels, so that chance repeats."""
     return stream(WORLD_SEED, "seabed", "dither").random((TILE, TILE), dtype=np.float32)
-
-
-_PLANES = ((1, 2), (0, 2), (0, 1))
-
-
-def _shares(normals: Floats) -> tuple[Floats, Floats, Floats]:
-    x, y, z = (np.square(np.square(normals[..., k])) for k in range(3))
-    total = np.maximum(x + y + z, 1e-12)
-    return x / total, y / total, z / total
 
 
 @functools.cache
@@ -163,18 +142,24 @@ def tiles() -> Tiles:
     ridged = _unit(-np.abs(_fractal(rng, 3, 80, 1.0)))
     rock = _unit(ridged + 0.6 * _fractal(rng, 3, 160, 0.9) + 0.35 * _cells(rng, 500))
     sand = _unit(_fractal(rng, 6, 120, 0.9))
-    texture = _in_steps(np.stack([broad, fine, cells, speckle], axis=-1))
+    texture = _packed(np.stack([broad, fine, cells, speckle], axis=-1))
+    both = np.stack([texture, _packed(gradient / gradient.std())], axis=-1)
     return Tiles(
         texture,
-        np.concatenate([texture, _in_steps(gradient / gradient.std())], axis=-1)[::2, ::2].copy(),
+        np.ascontiguousarray(both[::2, ::2]),
         rock,
         sand,
         _caustics(rng),
     )
 
 
-def _in_steps(values: Floats) -> npt.NDArray[np.int8]:
-    return np.ascontiguousarray(np.clip(np.rint(values * STEPS), -127, 127), dtype=np.int8)
+def _packed(values: Floats) -> npt.NDArray[np.int32]:
+    """(H, W) of up to four channels (H, W, C), each a signed byte in steps of 1 / STEPS."""
+    steps = np.clip(np.rint(values * STEPS), -127, 127).astype(np.int8).view(np.uint8)
+    words = np.zeros(steps.shape[:2], dtype=np.uint32)
+    for k in range(steps.shape[2]):
+        words |= steps[..., k].astype(np.uint32) << np.uint32(8 * k)
+    return words.view(np.int32)
 
 
 def _fractal(

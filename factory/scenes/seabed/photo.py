@@ -18,6 +18,7 @@ from simnfnd.factory.seeds import stream
 
 _OCCLUSION_REACH_M = 0.45
 _NEAR_MAP_M, _FAR_MAP_M = 6.0, 36.0  # sides of the two maps of what the sun meets
+_BLOCKS = 64  # a side of such a map
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,43 +67,77 @@ def _light(scene: Scene, hits: Hits) -> tuple[Floats, Floats]:
     coarse one.  Openness is the share of the near surroundings that is open: dark in corners and
     under things.
     """
-    from simnfnd.factory.scenes.seabed.loops.surface_loops import light
+    from simnfnd.factory.scenes.seabed.loops.surface_loops import light, sun_blocks
 
     shape = tuple(-(-size // 2) for size in hits.depth_m.shape)
     lit, free = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
-    sun = scene.water.sun_direction
+    sun, where, optics = scene.water.sun_direction, scene.where, scene.optics
     slope = np.array([sun[0] / sun[2], sun[1] / sun[2]], dtype=np.float32)
-    wide = max(scene.optics.across, 1.0)
-    near = _sun_map(scene, slope, _NEAR_MAP_M * wide, 3.0)
-    far = _sun_map(scene, slope, _FAR_MAP_M, 15.0 if wide < 2 else 8.0)
+    wide = max(optics.across, 1.0)
+    cells = 1024 if optics.width >= 600 else 512
+    near_place = _map_place(scene, slope, cells, _NEAR_MAP_M * wide, 3.0)
+    far_place = _map_place(scene, slope, cells, _FAR_MAP_M, 15.0 if wide < 2 else 8.0)
+    farthest_m = np.float32(3 * scene.water.clear_m)
+    blocks = np.empty((2, _BLOCKS, _BLOCKS), dtype=np.bool_)
+    sun_blocks(
+        hits.depth_m, hits.normals, where.eye, where.rotation, lens_of(optics), slope, near_place,
+        far_place, cells, farthest_m, blocks,
+    )  # fmt: skip
+    near = _sun_map(scene, slope, near_place, cells, blocks[0])
+    far = _sun_map(scene, slope, far_place, cells, blocks[1])
     light(
-        hits.depth_m, hits.normals, hits.inverse, scene.where.eye, scene.where.rotation,
-        lens_of(scene.optics), slope, *near, *far, np.float32(3 * scene.water.clear_m), _cap(32),
-        _OCCLUSION_REACH_M, lit, free,
+        hits.depth_m, hits.normals, hits.inverse, where.eye, where.rotation, lens_of(optics), slope,
+        near, near_place, far, far_place, farthest_m, _cap(32), _OCCLUSION_REACH_M, lit, free,
     )  # fmt: skip
     return lit, _mean_of_patches(free)
 
 
-def _sun_map(scene: Scene, slope: Floats, side_m: float, ahead_m: float) -> tuple[Floats, Floats]:
-    """Greatest height that the sun's light meets, around a place ahead of the camera, and where."""
+def _map_place(scene: Scene, slope: Floats, cells: int, side_m: float, ahead_m: float) -> Floats:
+    """Corner (x, y) of a sun map around a place ahead of the camera, and cells a metre."""
+    eye, forward = scene.where.eye, scene.where.rotation[:2, 2]
+    level = float(scene.ground.points[0, :, 2].mean())
+    middle = eye[:2] + ahead_m * forward / np.sqrt((forward**2).sum()) - level * slope
+    return np.array([*(middle - side_m / 2), cells / side_m], dtype=np.float32)
+
+
+def _sun_map(
+    scene: Scene, slope: Floats, place: Floats, cells: int, blocks: npt.NDArray[np.bool_]
+) -> Floats:
+    """(cells, cells) greatest height that the sun's light meets, where `blocks` are looked at."""
+    from simnfnd.factory.scenes.seabed.loops.ground_loops import shading_triangles
     from simnfnd.factory.scenes.seabed.loops.raster_loops import cover
 
-    cells = 1024 if scene.optics.width >= 600 else 512
-    eye, forward = scene.where.eye, scene.where.rotation[:2, 2]
     points, objects = scene.ground.points, scene.objects
-    level = float(points[0, :, 2].mean())
-    middle = eye[:2] + ahead_m * forward / np.sqrt((forward**2).sum()) - level * slope
-    place = np.array([*(middle - side_m / 2), cells / side_m], dtype=np.float32)
     tops = np.full((cells, cells), -np.inf, dtype=np.float32)
-    triangles = scene.ground.triangles
     # Of the ground only what faces away from the sun can shade the rest.
-    parts = whole(points.shape[0] * points.shape[1], len(triangles))
-    cover(points.reshape(-1, 3), triangles, parts, slope, place, -_turn(points), tops)
-    centres, radius = objects.balls[:, :3], objects.balls[:, 3] * np.sqrt(1 + (slope**2).sum())
-    aside = centres[:, :2] - centres[:, 2:] * slope - middle
-    parts = objects.parts((np.abs(aside) < side_m / 2 + radius[:, None]).all(axis=1))
+    triangles, turn = np.empty((2 * points.shape[0] * points.shape[1], 3), np.int32), -_turn(points)
+    count = shading_triangles(points, slope, place, np.float32(turn), cells, triangles)
+    parts = whole(points.shape[0] * points.shape[1], count)
+    cover(points.reshape(-1, 3), triangles, parts, slope, place, turn, tops)
+    parts = objects.parts(_over(objects.balls, slope, place, cells, blocks))
     cover(objects.mesh.vertices, objects.mesh.triangles, parts, slope, place, 0, tops)
-    return tops, place
+    return tops
+
+
+def _over(
+    balls: npt.NDArray[np.float64],
+    slope: Floats,
+    place: Floats,
+    cells: int,
+    blocks: npt.NDArray[np.bool_],
+) -> npt.NDArray[np.bool_]:
+    """(N,) whether the shadows of balls (N, 4) may fall on a block that is looked at."""
+    centres, radius = balls[:, :3], balls[:, 3] * np.sqrt(1 + (slope**2).sum())
+    middle = (centres[:, :2] - centres[:, 2:] * slope - place[:2]) * place[2]
+    reach = radius[:, None] * place[2] + 2  # cells; two more for rounding
+    size = cells / len(blocks)
+    low = np.clip(np.floor((middle - reach) / size), 0, len(blocks)).astype(np.int64)
+    high = np.clip(np.floor((middle + reach) / size) + 1, 0, len(blocks)).astype(np.int64)
+    sums = np.zeros((len(blocks) + 1, len(blocks) + 1), dtype=np.int64)
+    sums[1:, 1:] = blocks.cumsum(axis=0).cumsum(axis=1)
+    (left, top), (right, bottom) = low.T, high.T
+    seen = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
+    return np.asarray(seen > 0)
 
 
 def _turn(points: Floats) -> int:

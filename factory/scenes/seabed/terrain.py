@@ -15,10 +15,8 @@ from simnfnd.factory.scenes.seabed.fields import (
     Arrays,
     Floats,
     Waves,
-    lookup,
     smoothstep,
     tiles,
-    wrapped,
 )
 from simnfnd.factory.scenes.seabed.objects.meshes import Indices, grid_triangles
 
@@ -84,29 +82,32 @@ class Terrain:
     sand_relief_m: float
     offset_m: tuple[float, float]
 
-    def rockiness(self, x: Arrays, y: Arrays) -> Floats:
-        """0 on loose ground, 1 on rock."""
-        # Quantiles of a unit normal field, near enough for a share of the ground.
-        level = 1.6 * (0.5 - self.outcrop_cover) * 2
-        rock = smoothstep(level - 0.15, level + 0.25, self.outcrop(x, y))
-        if self.banks is not None:
-            rock = np.maximum(rock, smoothstep(-0.15, 0.2, self.banks.behind_foot_m(x, y)))
-        return rock
-
     def height_m(self, x: Arrays, y: Arrays) -> Floats:
         """(...) float32 height without the fine relief."""
         x, y = np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32)
+        behind = None if self.banks is None else self.banks.behind_foot_m(x, y)
+        return self._height_m(x, y, self.outcrop(x, y), behind)
+
+    @property
+    def _level(self) -> float:
+        # Quantiles of a unit normal field, near enough for a share of the ground.
+        return 1.6 * (0.5 - self.outcrop_cover) * 2
+
+    def _height_m(self, x: Floats, y: Floats, outcrop: Floats, behind: Floats | None) -> Floats:
         height = np.float32(self.slope[0]) * x + np.float32(self.slope[1]) * y
         height = height + np.float32(self.swell_m) * self.swell(x, y)
-        field = self.outcrop(x, y)
-        level = 1.6 * (0.5 - self.outcrop_cover) * 2
-        ledge = smoothstep(level - 0.25, level + 0.5, field)
-        height += np.float32(self.outcrop_m) * ledge * (1 + 0.35 * np.clip(field - level, 0, 2))
-        if self.banks is not None:
-            behind = self.banks.behind_foot_m(x, y)
+        level = self._level
+        ledge = smoothstep(level - 0.25, level + 0.5, outcrop)
+        height += np.float32(self.outcrop_m) * ledge * (1 + 0.35 * np.clip(outcrop - level, 0, 2))
+        if self.banks is not None and behind is not None:
             profile = self.banks.profile
             height += np.interp(behind, profile[:, 0], profile[:, 1]).astype(np.float32)
         return np.asarray(height, dtype=np.float32)
+
+    def _rockiness(self, outcrop: Floats, behind: Floats | None) -> Floats:
+        """0 on loose ground, 1 on rock."""
+        rock = smoothstep(self._level - 0.15, self._level + 0.25, outcrop)
+        return rock if behind is None else np.maximum(rock, smoothstep(-0.15, 0.2, behind))
 
     def surface(self, x: Arrays, y: Arrays) -> tuple[Floats, Floats]:
         """Points of the ground with all relief, for a (R, C) grid of parameters.
@@ -114,29 +115,30 @@ class Terrain:
         Returns (R, C, 3) positions, and (R, C, 3) attributes: rockiness, gravel share, relief (in
         units of its standard deviation, negative in crevices).
         """
+        from simnfnd.factory.scenes.seabed.loops.ground_loops import relieve
+
         x, y = np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32)
-        height = self.height_m(x, y)
-        rock = self.rockiness(x, y)
+        outcrop = self.outcrop(x, y)
+        behind = None if self.banks is None else self.banks.behind_foot_m(x, y)
+        rock = self._rockiness(outcrop, behind)
         level = 1.6 * (0.5 - self.gravel_cover) * 2
         gravel = smoothstep(level - 0.3, level + 0.3, self.gravel(x, y)) * (1 - rock)
-        points = np.stack([x, y, height], axis=-1)
-        normals = grid_normals(points)
-        noise = tiles()
-        stone, bare = np.zeros_like(height), rock > 0
-        where = points[bare], normals[bare]
-        stone[bare] = wrapped(noise.rock, *where, 9.1, self.offset_m)
-        stone[bare] += 0.35 * wrapped(noise.rock, *where, 2.3, self.offset_m)
-        sand = lookup(noise.sand, x + self.offset_m[0], y + self.offset_m[1], 6.7)
-        pebbles = lookup(noise.rock, x + self.offset_m[0], y + self.offset_m[1], 1.7)
-        relief = self.rock_relief_m * rock * stone + self.sand_relief_m * (1 - rock) * sand
-        relief += 0.011 * gravel * pebbles
-        crest = np.zeros_like(height)
+        points = np.stack([x, y, self._height_m(x, y, outcrop, behind)], axis=-1)
+        crest = np.zeros_like(rock)
         if self.ripples is not None:
             crest = self.ripples.height(x, y) * (1 - rock) * (1 - 0.8 * gravel)
-            relief += np.float32(self.ripples.amplitude_m) * crest
-        tone = rock * stone + (1 - rock) * (0.4 * sand + 0.8 * crest + 0.5 * gravel * pebbles)
-        points += normals * relief[..., None]
-        return points, np.stack([rock, gravel, tone], axis=-1).astype(np.float32)
+        heights = (
+            self.rock_relief_m,
+            self.sand_relief_m,
+            0.0 if self.ripples is None else self.ripples.amplitude_m,
+        )
+        noise, attributes = tiles(), np.empty_like(points)
+        relieve(
+            points, grid_normals(points), rock, gravel, crest, noise.rock, noise.sand,
+            np.array(self.offset_m, dtype=np.float32), np.array(heights, dtype=np.float32),
+            attributes,
+        )  # fmt: skip
+        return points, attributes
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,23 +166,11 @@ class Ripples:
 
 def grid_normals(points: Floats) -> Floats:
     """(R, C, 3) unit normals of a (R, C, 3) grid of points, turned upward."""
-    down = np.empty_like(points)
-    down[1:-1] = points[2:] - points[:-2]
-    down[0], down[-1] = points[1] - points[0], points[-1] - points[-2]
-    right = np.empty_like(points)
-    right[:, 1:-1] = points[:, 2:] - points[:, :-2]
-    right[:, 0], right[:, -1] = points[:, 1] - points[:, 0], points[:, -1] - points[:, -2]
-    normal = np.stack(
-        [
-            right[..., 1] * down[..., 2] - right[..., 2] * down[..., 1],
-            right[..., 2] * down[..., 0] - right[..., 0] * down[..., 2],
-            right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0],
-        ],
-        axis=-1,
-    )
-    normal *= np.where(normal[..., 2:] < 0, np.float32(-1), np.float32(1))
-    length = np.sqrt((normal**2).sum(axis=-1, keepdims=True))
-    return np.asarray(normal / np.maximum(length, 1e-20))
+    from simnfnd.factory.scenes.seabed.loops.ground_loops import normals_of_grid
+
+    normals = np.empty_like(points)
+    normals_of_grid(points, normals)
+    return normals
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -135,6 +136,7 @@ def _altitude_m(terrain: Terrain, eye: npt.NDArray[np.float64]) -> float:
     return float(eye[2] - terrain.height_m(eye[:1], eye[1:2])[0])
 
 
+@functools.lru_cache(maxsize=2)
 def _lengths(optics: Optics) -> Floats:
     """(H, W) lengths of the pixels' rays for a length of 1 along the optical axis."""
     fx, fy, cx, cy = lens_of(optics)

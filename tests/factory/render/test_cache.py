@@ -438,3 +438,12 @@ for heavy in ("torch", "matplotlib", rooms + "render.blender", rooms + "scenes.s
 def test_intrinsics_keep_their_distortion() -> None:
     view = replace(some_view(), intrinsics=Intrinsics(1.5, 2.5, 3.5, 4.5, (0.1, 0.2, 0.3, 0.4)))
     assert decode(encode(view)).intrinsics == view.intrinsics
+
+
+def test_codes_at_hand_are_those_of_the_rounded_values() -> None:
+    """An entry of the cache is the same, made of a fresh view or of one that was read."""
+    frame = ground_and_post()
+    rendered = plain_render(frame)
+    fresh = view_of(frame, rendered, Mount())
+    assert fresh.codes is not None
+    assert encode(fresh) == encode(replace(fresh, codes=None)) == encode(decode(encode(fresh)))

@@ -11,38 +11,59 @@ import numpy as np
 
 from simnfnd.factory.compiled import compiled
 from simnfnd.factory.scenes.seabed.fields import STEPS
+from simnfnd.factory.scenes.seabed.loops.texture_loops import byte
 
 _F = np.float32
 _ZERO, _ONE = _F(0), _F(1)
 _STEP = _F(1 / STEPS)
-_TILE, _NOISE = (f"Array({kind}, 3, 'C', readonly=True)" for kind in ("int8", "float32"))
+_TILE, _NOISE = "Array(int32, 2, 'C', readonly=True)", "Array(float32, 3, 'C', readonly=True)"
 _PLANE, _VECTORS = "float32[:, ::1]", "float32[:, :, ::1]"
 
 
-@compiled(f"float32[:, ::1]({_TILE}, int64, float32, float32, float32, float32, int64, int64)")
-def window(
-    tile: Any, channel: Any, x0: Any, y0: Any, step: Any, period: Any, height: Any, width: Any
-) -> Any:
-    """(H, W) values of a tile's channel on an even grid of places that begins at (x0, y0)."""
-    side = tile.shape[0]
+@compiled()
+def _along(texture: Any, at: Any, part: Any, values: Any) -> None:
+    lefts, rights, first, second = at[0], at[1], values[0], values[1]
+    for column in range(len(part)):
+        here = texture[np.uint32(lefts[column])]
+        beside = texture[np.uint32(rights[column])]
+        a, b = byte(here, 0), byte(beside, 0)
+        first[column] = a + part[column] * (b - a)
+        a, b = byte(here, 1), byte(beside, 1)
+        second[column] = a + part[column] * (b - a)
+
+
+@compiled()
+def _down(upper: Any, lower: Any, down: Any, values: Any) -> None:
+    for column in range(len(values)):
+        values[column] = (upper[column] + down * (lower[column] - upper[column])) * _STEP
+
+
+@compiled(f"void({_TILE}, float32, float32, float32, float32, {_PLANE}, {_PLANE})")
+def window(texture: Any, x0: Any, y0: Any, step: Any, period: Any, broad: Any, grain: Any) -> None:
+    """The texture's first two channels (H, W) on an even grid of places from (x0, y0) on."""
+    height, width = broad.shape
+    side = texture.shape[0]
     last, scale = side - 1, _F(side) / period
-    values = np.empty((height, width), np.float32)
+    at, part = np.empty((2, width), np.int32), np.empty(width, np.float32)
+    for column in range(width):
+        x = (x0 + _F(column) * step) * scale
+        left = int(np.floor(x))
+        part[column] = x - _F(left)
+        at[0, column], at[1, column] = left & last, (left + 1) & last
+    lines = np.empty((2, 2, width), np.float32)  # two rows of the texture, two channels
+    held = np.full(2, -1, np.int64)
     for row in range(height):
         y = (y0 + _F(row) * step) * scale
         top = int(np.floor(y))
         down = y - _F(top)
-        top, below = top & last, (top + 1) & last
-        for column in range(width):
-            x = (x0 + _F(column) * step) * scale
-            left = int(np.floor(x))
-            right = x - _F(left)
-            left, beside = left & last, (left + 1) & last
-            upper = _F(tile[top, left, channel])
-            upper += right * (_F(tile[top, beside, channel]) - upper)
-            lower = _F(tile[below, left, channel])
-            lower += right * (_F(tile[below, beside, channel]) - lower)
-            values[row, column] = (upper + down * (lower - upper)) * _STEP
-    return values
+        for way in range(2):
+            line = (top + way) & last
+            if held[line & 1] != line:
+                held[line & 1] = line
+                _along(texture[line], at, part, lines[line & 1])
+        upper, lower = lines[top & 1], lines[(top + 1) & 1]
+        _down(upper[0], lower[0], down, broad[row])
+        _down(upper[1], lower[1], down, grain[row])
 
 
 @compiled(f"void({_VECTORS}, float32[::1], float32[::1], {_VECTORS})")
@@ -102,24 +123,150 @@ def expose(
                 picture[row, column, k] = gamma[int(level)]
 
 
+@compiled()
+def _least_of_two(first: Any, second: Any, least: Any) -> None:
+    for column in range(len(least)):
+        least[column] = first[column] if first[column] < second[column] else second[column]
+
+
+@compiled()
+def _lower(least: Any, line: Any) -> None:
+    for column in range(len(least)):
+        least[column] = line[column] if line[column] < least[column] else least[column]
+
+
 @compiled(f"void({_PLANE}, int64[:, ::1], {_PLANE})")
 def least_around(depth_m: Any, reach: Any, least: Any) -> None:
-    """The least value around every pixel, over rows of a stencil: (dy, half width) each."""
+    """The least value around every pixel, over rows of a stencil: (dy, half width) each.
+
+    Windows of twice the width are the lesser of two, so a wide one takes few steps; each is found
+    once for all rows of the stencil that are as wide.
+    """
     height, width = depth_m.shape
     widest = 0
     for k in range(len(reach)):
         widest = max(widest, reach[k, 1])
     padded = np.full(width + 2 * widest, np.inf, np.float32)
-    for row in range(height):
-        out = least[row]
-        out[:] = np.inf
-        for k in range(len(reach)):
-            at = row + reach[k, 0]
-            if at < 0 or at >= height:
+    ways = np.empty((2, width + 2 * widest), np.float32)
+    line = np.empty(width, np.float32)
+    least[:] = np.inf
+    for at in range(height):
+        padded[widest : widest + width] = depth_m[at]
+        for half in range(widest + 1):
+            wanted = False
+            for k in range(len(reach)):
+                wanted |= reach[k, 1] == half
+            if not wanted:
                 continue
-            padded[widest : widest + width] = depth_m[at]
-            for shift in range(widest - reach[k, 1], widest + reach[k, 1] + 1):
-                shifted = padded[shift : shift + width]
-                for column in range(width):
-                    value = shifted[column]
-                    out[column] = value if value < out[column] else out[column]
+            size, span = 2 * half + 1, 1
+            now = padded[widest - half : widest + half + width]
+            turn = 0
+            while 2 * span <= size:
+                after = ways[turn, : len(now) - span]
+                _least_of_two(now[: len(after)], now[span:], after)
+                now, turn, span = after, 1 - turn, 2 * span
+            _least_of_two(now[:width], now[size - span : size - span + width], line)
+            for k in range(len(reach)):
+                row = at - reach[k, 0]
+                if reach[k, 1] == half and 0 <= row < height:
+                    _lower(least[row], line)
+
+
+@compiled()
+def _doubt(
+    depth_m: Any,
+    range_m: Any,
+    broad: Any,
+    grain: Any,
+    nearest_m: Any,
+    close_m: Any,
+    clear_m: Any,
+    across: Any,
+    y: Any,
+    keep: Any,
+    doubt: Any,
+) -> int:
+    kept = 0
+    for column in range(len(keep)):
+        noise = grain[column] + broad[column]
+        seen = range_m[column] < clear_m * (
+            _ONE + _F(0.06) * broad[column] + _F(0.03) * grain[column]
+        )
+        here_m = depth_m[column]
+        wide = (here_m > nearest_m[column] * _F(1.12)) & (noise > _F(0.6))
+        narrow = (here_m > close_m[column] * _F(1.12)) & (noise > _F(-0.7))
+        good = seen & ~(wide | narrow)
+        keep[column] = good
+        kept += 1 if good else 0
+        border = max(across[column], y)
+        border *= border
+        border *= border
+        border *= border
+        value = _F(0.3) * broad[column] + _F(0.1) * grain[column] + _F(0.9) * border
+        doubt[column] = value + _F(2.4) * min(range_m[column] / clear_m, _ONE)
+    return kept
+
+
+@compiled()
+def _ordered(word: Any) -> Any:
+    """The bits of a float32 as a number whose order is that of the floats."""
+    return np.int64(np.uint32(~word) if word >> 31 else np.uint32(word | np.uint32(0x80000000)))
+
+
+@compiled(
+    f"int64({_PLANE}, {_PLANE}, {_PLANE}, {_PLANE}, {_PLANE}, {_PLANE}, float32, "
+    f"boolean[:, ::1], {_PLANE})"
+)
+def doubts(
+    depth_m: Any,
+    range_m: Any,
+    broad: Any,
+    grain: Any,
+    nearest_m: Any,
+    close_m: Any,
+    clear_m: Any,
+    keep: Any,
+    doubt: Any,
+) -> int:
+    """How unsure the depth of each pixel is (H, W), and which are near and off edges; how many.
+
+    nearest_m, close_m: least depth around each pixel, far about and near.  See `gaps.measured`.
+    """
+    height, width = depth_m.shape
+    across = np.empty(width, np.float32)
+    for column in range(width):
+        across[column] = abs(_F(column) / _F(width) * _F(2) - _ONE)
+    kept = 0
+    for row in range(height):
+        y = abs(_F(row) / _F(height) * _F(2) - _ONE)
+        kept += _doubt(
+            depth_m[row], range_m[row], broad[row], grain[row], nearest_m[row], close_m[row],
+            clear_m, across, y, keep[row], doubt[row],
+        )  # fmt: skip
+    return kept
+
+
+@compiled(f"float32({_PLANE}, boolean[:, ::1], int64)")
+def ranked(values: Any, among: Any, rank: Any) -> Any:
+    """The value that `rank` of the chosen ones are less than or equal to; no NaN."""
+    high, low = np.zeros(1 << 16, np.int64), np.zeros(1 << 16, np.int64)
+    words, chosen = values.reshape(-1).view(np.uint32), among.reshape(-1)
+    for k in range(len(words)):
+        if chosen[k]:
+            high[_ordered(words[k]) >> 16] += 1
+    before, top = 0, 0
+    while before + high[top] <= rank:
+        before += high[top]
+        top += 1
+    for k in range(len(words)):
+        if chosen[k]:
+            word = _ordered(words[k])
+            if word >> 16 == top:
+                low[word & 0xFFFF] += 1
+    bottom = 0
+    while before + low[bottom] <= rank:
+        before += low[bottom]
+        bottom += 1
+    word = np.uint32(top << 16 | bottom)
+    word = word & np.uint32(0x7FFFFFFF) if word >> 31 else ~word
+    return np.uint32(word).view(np.float32)

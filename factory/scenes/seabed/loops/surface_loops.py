@@ -112,6 +112,72 @@ def meet(
             owner[row, column] = owners[number] + 1
 
 
+@compiled()
+def _clear_of_facets(
+    depth: Any, x0: Any, y0: Any, nx: Any, ny: Any, nz: Any, eye: Any, axes: Any
+) -> Any:
+    """A pixel's point, clear of the surface's facets (coarser far away) that would shade it."""
+    lift = 0.004 + 0.004 * min(float(depth), 20.0)
+    x = eye[0] + depth * (axes[0, 0] * x0 + axes[0, 1] * y0 + axes[0, 2]) + lift * nx
+    y = eye[1] + depth * (axes[1, 0] * x0 + axes[1, 1] * y0 + axes[1, 2]) + lift * ny
+    z = eye[2] + depth * (axes[2, 0] * x0 + axes[2, 1] * y0 + axes[2, 2]) + lift * nz
+    return x, y, z
+
+
+@compiled()
+def _cell(u: Any, v: Any, place: Any) -> Any:
+    """Column and row of a sun map, perhaps beyond it."""
+    return (
+        int(np.floor((u - place[0]) * place[2] + 0.5)),
+        int(np.floor((v - place[1]) * place[2] + 0.5)),
+    )
+
+
+@compiled(
+    f"void({_PLANE}, {_VECTORS}, float64[::1], float64[:, ::1], float64[::1], float32[::1], "
+    "float32[::1], float32[::1], int64, float32, boolean[:, :, ::1])"
+)
+def sun_blocks(
+    depth_m: Any,
+    normals: Any,
+    eye: Any,
+    axes: Any,
+    lens: Any,
+    slope: Any,
+    near_place: Any,
+    far_place: Any,
+    side: Any,
+    farthest_m: Any,
+    blocks: Any,
+) -> None:
+    """Which blocks of the two sun maps `light` will look at; its arguments.
+
+    side: cells of a map.  Written: blocks (2, B, B), of the near and the far map.
+    """
+    height, width = depth_m.shape
+    count = blocks.shape[1]
+    blocks[:] = False
+    for row in range(0, height, 2):
+        y0 = (row - lens[3]) / lens[1]
+        for column in range(0, width, 2):
+            depth = np.float64(depth_m[row, column])
+            x0 = (column - lens[2]) / lens[0]
+            if not depth * np.sqrt(1 + x0 * x0 + y0 * y0) < farthest_m:
+                continue
+            nx = np.float64(normals[row, column, 0])
+            ny = np.float64(normals[row, column, 1])
+            nz = np.float64(normals[row, column, 2])
+            x, y, z = _clear_of_facets(depth, x0, y0, nx, ny, nz, eye, axes)
+            u, v = x - z * slope[0], y - z * slope[1]
+            at_u, at_v = _cell(u, v, near_place)
+            number = 0
+            if not (0 <= at_u < side and 0 <= at_v < side):
+                at_u, at_v = _cell(u, v, far_place)
+                number = 1
+            if 0 <= at_u < side and 0 <= at_v < side:
+                blocks[number, at_v * count // side, at_u * count // side] = True
+
+
 @compiled(
     f"void({_PLANE}, {_VECTORS}, {_PLANE}, float64[::1], float64[:, ::1], float64[::1], "
     f"float32[::1], {_PLANE}, float32[::1], {_PLANE}, float32[::1], float32, float32[:, ::1], "
@@ -154,25 +220,19 @@ def light(
             x0 = (column - lens[2]) / lens[0]
             if not depth * np.sqrt(1 + x0 * x0 + y0 * y0) < farthest_m:
                 continue
-            # Clear of the surface's own facets, coarser far away, or they would shade themselves.
-            lift = 0.004 + 0.004 * min(float(depth), 20.0)
             nx = np.float64(normals[row, column, 0])
             ny = np.float64(normals[row, column, 1])
             nz = np.float64(normals[row, column, 2])
-            x = eye[0] + depth * (axes[0, 0] * x0 + axes[0, 1] * y0 + axes[0, 2]) + lift * nx
-            y = eye[1] + depth * (axes[1, 0] * x0 + axes[1, 1] * y0 + axes[1, 2]) + lift * ny
-            z = eye[2] + depth * (axes[2, 0] * x0 + axes[2, 1] * y0 + axes[2, 2]) + lift * nz
+            x, y, z = _clear_of_facets(depth, x0, y0, nx, ny, nz, eye, axes)
             u, v = x - z * slope[0], y - z * slope[1]
             lit[i, j] = 1
-            at_u = int(np.floor((u - near_place[0]) * near_place[2] + 0.5))
-            at_v = int(np.floor((v - near_place[1]) * near_place[2] + 0.5))
+            at_u, at_v = _cell(u, v, near_place)
             side = near_tops.shape[0]
             if 0 <= at_u < side and 0 <= at_v < side:
                 if near_tops[at_v, at_u] > z + 0.3 / near_place[2]:
                     lit[i, j] = 0
             else:
-                at_u = int(np.floor((u - far_place[0]) * far_place[2] + 0.5))
-                at_v = int(np.floor((v - far_place[1]) * far_place[2] + 0.5))
+                at_u, at_v = _cell(u, v, far_place)
                 side = far_tops.shape[0]
                 inside = 0 <= at_u < side and 0 <= at_v < side
                 if inside and far_tops[at_v, at_u] > z + 0.3 / far_place[2]:

@@ -66,3 +66,53 @@ def frames(tangents: Any, side: Any, up: Any) -> None:
         x, y, z = x * scale, y * scale, z * scale
         side[k, 0], side[k, 1], side[k, 2] = x, y, z
         up[k, 0], up[k, 1], up[k, 2] = ay * z - az * y, az * x - ax * z, ax * y - ay * x
+
+
+@compiled(
+    f"void(Array(float64, 2, 'C', readonly=True), Array(float64, 1, 'C', readonly=True), {POINTS}, "
+    "boolean, float64[::1], float64[::1], float32[:, ::1], float32[:, ::1])"
+)
+def bend_tube(
+    path: Any,
+    radii: Any,
+    colours: Any,
+    closed: Any,
+    cosines: Any,
+    sines: Any,
+    vertices: Any,
+    painted: Any,
+) -> None:
+    """Rings of points around an (N, 3) path, and their colours; see `meshes.tube`.
+
+    radii, colours: (N,), (N, 3), or one for all.  cosines, sines: (S,) of the angles of a ring.
+    Written: vertices, painted (R S, 3), N rings, four more where the path is not closed: one of
+    radius 0 at either end, and the rims twice to keep their edges.
+    """
+    count, segments = len(path), len(cosines)
+    more = 0 if closed else 2
+    rings = count + 2 * more
+    tangents = np.empty((rings, 3))
+    side, up = np.empty((rings, 3)), np.empty((rings, 3))
+    for ring in range(rings):
+        k = min(max(ring - more, 0), count - 1)
+        for axis in range(3):
+            if closed:
+                tangents[ring, axis] = path[(k + 1) % count, axis] - path[(k - 1) % count, axis]
+            elif k == 0 or k == count - 1:
+                low = 0 if k == 0 else count - 2
+                tangents[ring, axis] = path[low + 1, axis] - path[low, axis]
+            else:
+                tangents[ring, axis] = (path[k + 1, axis] - path[k - 1, axis]) / 2
+    frames(tangents, side, up)
+    for ring in range(rings):
+        k = min(max(ring - more, 0), count - 1)
+        radius = radii[min(k, len(radii) - 1)]
+        if not closed and (ring == 0 or ring == rings - 1):
+            radius = 0.0
+        paint = min(k, len(colours) - 1)
+        for turn in range(segments):
+            at = ring * segments + turn
+            for axis in range(3):
+                beside = side[ring, axis] * cosines[turn] + up[ring, axis] * sines[turn]
+                vertices[at, axis] = path[k, axis] + radius * beside
+                painted[at, axis] = colours[paint, axis]

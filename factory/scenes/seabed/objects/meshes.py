@@ -136,39 +136,29 @@ def tube(
     colour: npt.ArrayLike = GREY,
 ) -> Mesh:
     """A round bar along an (N, 3) path; radius and colour may change along it; ends are capped."""
-    points = np.asarray(path, dtype=np.float64)
-    radii = np.broadcast_to(np.asarray(radius, dtype=np.float64), (len(points),))
-    colours = np.broadcast_to(np.asarray(colour, dtype=np.float32), points.shape)
-    if not closed:  # a ring of radius 0 at either end, and the rim twice to keep its edge
-        ends = [0, 0, *range(len(points)), -1, -1]
-        points, radii, colours = points[ends], radii[ends].copy(), colours[ends]
-        radii[[0, -1]] = 0
-    if closed:
-        tangents = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
-    else:
-        inner = points[2:-2]
-        tangents = np.empty_like(points)
-        tangents[3:-3] = (inner[2:] - inner[:-2]) / 2
-        tangents[:3], tangents[-3:] = inner[1] - inner[0], inner[-1] - inner[-2]
-    side, up = _frames(tangents)
+    from simnfnd.factory.scenes.seabed.objects.mesh_loops import bend_tube
+
+    points = np.ascontiguousarray(path, dtype=np.float64)
+    radii = np.ascontiguousarray(radius, dtype=np.float64).reshape(-1)
+    colours = np.ascontiguousarray(colour, dtype=np.float32).reshape(-1, 3)
+    rings = len(points) + (0 if closed else 4)
+    vertices, painted = (np.empty((rings * segments, 3), dtype=np.float32) for _ in range(2))
+    bend_tube(points, radii, colours, closed, *_circle(segments), vertices, painted)
+    return Mesh(vertices, painted, _tube_triangles(rings, segments, closed))
+
+
+@functools.cache
+def _circle(segments: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     angle = np.arange(segments) * (2 * np.pi / segments)
-    ring = side[:, None] * np.cos(angle)[:, None] + up[:, None] * np.sin(angle)[:, None]
-    vertices = points[:, None] + radii[:, None, None] * ring
-    rows = len(points)
-    triangles = grid_triangles(rows + closed, segments, closed=True) % (rows * segments)
-    return mesh(vertices.reshape(-1, 3), triangles[:, ::-1], np.repeat(colours, segments, axis=0))
+    return np.cos(angle), np.sin(angle)
 
 
-def _frames(
-    tangents: npt.NDArray[np.float64],
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Two unit vectors across each tangent that do not spin along the path."""
-    from simnfnd.factory.scenes.seabed.objects.mesh_loops import frames
-
-    tangents = np.array(tangents, dtype=np.float64, order="C")
-    side, up = np.empty_like(tangents), np.empty_like(tangents)
-    frames(tangents, side, up)
-    return side, up
+@functools.cache
+def _tube_triangles(rings: int, segments: int, closed: bool) -> Indices:
+    triangles = grid_triangles(rings + closed, segments, closed=True) % (rings * segments)
+    outward: Indices = np.ascontiguousarray(triangles[:, ::-1], dtype=np.int32)
+    outward.setflags(write=False)
+    return outward
 
 
 def bar(start: npt.ArrayLike, end: npt.ArrayLike, radius: float, segments: int = 8) -> Mesh:

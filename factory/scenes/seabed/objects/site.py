@@ -51,6 +51,7 @@ class Site:
     heading_rad: float
     items: list[Item] = field(default_factory=list)
     taken: list[tuple[float, float, float]] = field(default_factory=list)
+    _known: Points = field(default_factory=lambda: np.empty((0, 3)))
 
     def scatter(self, kind: str, count: int) -> None:
         """Put `count` objects of a kind with a free-standing builder near the path."""
@@ -185,9 +186,17 @@ class Site:
                 )
                 if float(behind[0]) > 0.3 * reach:
                     continue
-            if all(np.hypot(x - tx, y - ty) > reach + tr for tx, ty, tr in self.taken):
+            there = self._there()
+            apart = np.hypot(x - there[:, 0], y - there[:, 1])
+            if (apart > reach + there[:, 2]).all():
                 return float(x), float(y)
         return None
+
+    def _there(self) -> Points:
+        """(N, 3) `taken`."""
+        if len(self._known) != len(self.taken):
+            self._known = np.array(self.taken, dtype=np.float64)
+        return self._known
 
     def _near_loop(self, aside: float) -> Points:
         point, tangent = self.loop.at(self.rng.uniform(0, self.loop.length_m))
