@@ -152,6 +152,8 @@ class TrainSettings:
     parts: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     teacher: str | None = None
     teacher_share: Share = 0.8
+    teacher_recordings: tuple[str, ...] = ()
+    teacher_recordings_share: Share = 0.3
 
     def __post_init__(self) -> None:
         """A training that is shorter than the interval is checked at its end."""

@@ -16,6 +16,7 @@ from simnfnd.factory.files import check_writable
 from simnfnd.factory.formation.contract import ARTEFACTS
 from simnfnd.factory.progress import progress_bar
 from simnfnd.factory.recordings import open_recording
+from simnfnd.factory.workers.memory import keep_freed_memory
 from simnfnd.models.denoise.bags import denoise_bag, open_bag
 from simnfnd.models.denoise.denoiser import (
     EXACT,
@@ -42,6 +43,7 @@ from simnfnd.models.removal import DEFAULT
 
 def main(arguments: Sequence[str]) -> int:
     """`simnfnd denoise IN... --out DIR`, or --watch FOLDER; 1 when some files were skipped."""
+    keep_freed_memory()  # every picture needs the same planes again
     parser = Parser(prog="simnfnd denoise")
     parser.add_argument(
         "inputs",

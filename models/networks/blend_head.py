@@ -83,8 +83,8 @@ def _statistics(noisy: Tensor, change: Tensor, sector: Tensor) -> Tensor:
 
     power = mean(noisy.square()) + _LEAST
     changed = mean(change.square()) + _LEAST
-    range_step = mean(_step(noisy, sector, 2).square()) + _LEAST
-    bearing_step = mean(_step(noisy, sector, 3).square()) + _LEAST
+    range_step = _step(noisy, sector, 2) / area + _LEAST
+    bearing_step = _step(noisy, sector, 3) / area + _LEAST
     return torch.stack(
         [
             torch.log10(changed),
@@ -98,7 +98,11 @@ def _statistics(noisy: Tensor, change: Tensor, sector: Tensor) -> Tensor:
 
 
 def _step(x: Tensor, sector: Tensor, dim: int) -> Tensor:
-    """Difference to the next pixel along a dimension where both are insonified, else 0."""
-    both = ((sector > 0) & (sector.roll(-1, dim) > 0)).to(x.dtype)
-    both.narrow(dim, x.shape[dim] - 1, 1).zero_()
-    return (x.roll(-1, dim) - x) * both
+    """(N,) sum of the squared differences to the next pixel where both are insonified.
+
+    Of slices, which a trace follows at any size.
+    """
+    size = x.shape[dim] - 1
+    here, there = x.narrow(dim, 0, size), x.narrow(dim, 1, size)
+    both = (sector.narrow(dim, 0, size) > 0) & (sector.narrow(dim, 1, size) > 0)
+    return ((there - here).square() * both).sum(dim=(1, 2, 3))

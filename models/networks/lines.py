@@ -7,6 +7,8 @@ at once which one it is.
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -39,14 +41,48 @@ class LineContext(nn.Module):
     def forward(self, x: Tensor, lines: Lines) -> Tensor:
         """(N, C, h, w) -> the same shape."""
         pooled = self.pooled(x)
-        beams = lines.spread(self.beams(lines.beam_means(pooled)), lines.beam)
-        arcs = lines.spread(self.arcs(lines.arc_means(pooled)), lines.arc)
-        found: Tensor = x + self.added(torch.cat([beams, arcs], dim=1))
-        return found
+        beams = self.beams(lines.beam_means(pooled))
+        arcs = self.arcs(lines.arc_means(pooled))
+        return lines.add(x, beams, arcs, self.added)
 
 
-class Lines:
-    """Which beam and which arc every cell of a feature map belongs to.
+class Lines(Protocol):
+    """The beams and arcs of the cells of a feature map."""
+
+    def beam_means(self, x: Tensor) -> Tensor:
+        """(N, C, h, w) -> (N, C, beams) means along each beam."""
+
+    def arc_means(self, x: Tensor) -> Tensor:
+        """(N, C, h, w) -> (N, C, arcs) means along each arc."""
+
+    def add(self, x: Tensor, beams: Tensor, arcs: Tensor, added: nn.Conv2d) -> Tensor:
+        """The features and `added` of what the beam and the arc of each cell have.
+
+        x: (N, C, h, w).  beams: (N, D, beams).  arcs: (N, D, arcs).  added: 1x1, of 2 D channels.
+        """
+
+
+class GridLines:
+    """Columns are beams and rows are arcs: of a polar picture, or where nobody knows; a `Lines`."""
+
+    def beam_means(self, x: Tensor) -> Tensor:
+        """See `Lines`."""
+        return x.float().mean(2)
+
+    def arc_means(self, x: Tensor) -> Tensor:
+        """See `Lines`."""
+        return x.float().mean(3)
+
+    def add(self, x: Tensor, beams: Tensor, arcs: Tensor, added: nn.Conv2d) -> Tensor:
+        """See `Lines`; each line is convolved once, and not each of its cells."""
+        weight, depth = added.weight[..., 0], beams.shape[1]
+        along = functional.conv1d(beams, weight[:, :depth], added.bias)
+        across = functional.conv1d(arcs, weight[:, depth:])
+        return x + along[:, :, None, :] + across[:, :, :, None]
+
+
+class MapLines:
+    """The beams and arcs of a fan; a `Lines`.
 
     beam, arc: (N, h * w) int64 numbers below `beams` and `arcs`.  weight: (N, 1, h * w), 0 outside
     the sector.
@@ -59,7 +95,7 @@ class Lines:
     @classmethod
     def of(
         cls, azimuth_rad: Tensor, range_fraction: Tensor, sector: Tensor, shape: tuple[int, int]
-    ) -> Lines:
+    ) -> MapLines:
         """From maps of the picture, (N, 1, H, W) each, for features of `shape` (h, w).
 
         The sector's bearings and ranges are divided evenly into w beams and h arcs.
@@ -74,30 +110,19 @@ class Lines:
             shape,
         )
 
-    @classmethod
-    def of_grid(cls, like: Tensor, shape: tuple[int, int]) -> Lines:
-        """Columns are beams and rows are arcs: of a polar picture, or where nobody knows."""
-        row, column = torch.meshgrid(
-            torch.arange(shape[0], device=like.device),
-            torch.arange(shape[1], device=like.device),
-            indexing="ij",
-        )
-        count = like.shape[0]
-        weight = torch.ones(count, 1, shape[0] * shape[1], device=like.device, dtype=like.dtype)
-        return cls(
-            column.flatten()[None].expand(count, -1),
-            row.flatten()[None].expand(count, -1),
-            weight,
-            shape,
-        )
-
     def beam_means(self, x: Tensor) -> Tensor:
-        """(N, C, h, w) -> (N, C, beams) means along each beam."""
+        """See `Lines`."""
         return self._means(x, self.beam, self.beams)
 
     def arc_means(self, x: Tensor) -> Tensor:
-        """(N, C, h, w) -> (N, C, arcs) means along each arc."""
+        """See `Lines`."""
         return self._means(x, self.arc, self.arcs)
+
+    def add(self, x: Tensor, beams: Tensor, arcs: Tensor, added: nn.Conv2d) -> Tensor:
+        """See `Lines`."""
+        spread = [self._spread(beams, self.beam), self._spread(arcs, self.arc)]
+        found: Tensor = x + added(torch.cat(spread, dim=1))
+        return found
 
     def _means(self, x: Tensor, numbers: Tensor, count: int) -> Tensor:
         flat, channels = x.float().flatten(2), x.shape[1]
@@ -108,7 +133,7 @@ class Lines:
         cells = zeros[:, :1].scatter_add(2, index, weight)
         return total / cells.clamp_min(1)
 
-    def spread(self, along: Tensor, numbers: Tensor) -> Tensor:
+    def _spread(self, along: Tensor, numbers: Tensor) -> Tensor:
         """(N, C, beams or arcs) -> (N, C, h, w): every cell gets what its line has."""
         index = numbers[:, None].expand(-1, along.shape[1], -1)
         return along.gather(2, index).reshape(*along.shape[:2], *self.shape)

@@ -164,7 +164,7 @@ def down_and_up(
         x = down(x)
     x = middle(x)
     for up, blocks in zip(ups, decoders, strict=True):
-        x = blocks(up(x) + skips.pop())
+        x = blocks(up(x).add_(skips.pop()))
     return x
 
 

@@ -30,7 +30,7 @@ from torch.nn import functional
 from simnfnd.factory.formation.contract import ARTEFACTS
 from simnfnd.factory.settings import STRICT
 from simnfnd.models.networks.blend_head import BlendHead
-from simnfnd.models.networks.lines import LineContext, Lines
+from simnfnd.models.networks.lines import GridLines, LineContext, MapLines
 from simnfnd.models.networks.network import Network, NetworkOutput, Step, down_and_up, padded
 from simnfnd.models.networks.polar import polar_grid
 from simnfnd.models.networks.unet import residual_blocks
@@ -177,13 +177,12 @@ class SonarNet(Network):
         x = torch.cat([padded(plane, self.core_stride) for plane in planes], dim=1)
         x = self.intro(functional.pixel_unshuffle(x, 2))
         if self.lines is not None:
-            shape = (x.shape[-2], x.shape[-1])
             if maps is None:
-                lines = Lines.of_grid(x, shape)
+                x = self.lines(x, GridLines())
             else:
                 azimuth, radius, inside = (padded(plane, self.core_stride) for plane in maps)
-                lines = Lines.of(azimuth, radius, inside, shape)
-            x = self.lines(x, lines)
+                shape = (x.shape[-2], x.shape[-1])
+                x = self.lines(x, MapLines.of(azimuth, radius, inside, shape))
         encoders: list[Step] = list(self.encoders)
         middle: Step = self.middle
         if self.settings.told:
@@ -211,7 +210,7 @@ def _film(width: int) -> nn.Linear:
 def _after(film: Tensor, blocks: Step) -> Step:
     """The blocks on features that were scaled and shifted before."""
     scale, shift = film[:, :, None, None].chunk(2, dim=1)
-    return lambda x: blocks(x * (1 + scale) + shift)
+    return lambda x: blocks(torch.addcmul(shift.to(x.dtype), x, (1 + scale).to(x.dtype)))
 
 
 def _known(range_fraction: Tensor, azimuth_rad: Tensor, sector: Tensor) -> tuple[Tensor, ...]:

@@ -49,8 +49,8 @@ class ResidualBlock(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """(N, C, H, W), or (N, C, T, H, W) of frames -> the same shape."""
-        changed: Tensor = self.second(functional.relu(self.first(x)))
-        return x + changed
+        changed: Tensor = self.second(functional.relu(self.first(x), inplace=True))
+        return changed.add_(x)
 
 
 def residual_blocks(channels: int, count: int) -> nn.Sequential:

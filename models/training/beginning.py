@@ -60,6 +60,10 @@ def build_module(settings: ModelsSettings) -> DenoisingModule:
 def _teacher(network: Network, settings: ModelsSettings) -> Teacher | None:
     """The network to learn from, if any; FactoryError where there is nothing to compare with it."""
     if settings.train.teacher is None:
+        if settings.train.teacher_recordings:
+            raise FactoryError(
+                "train.teacher_recordings: nobody has their clean pictures; name a train.teacher"
+            )
         return None
     if isinstance(settings.data, SelfSupervisedData) or network.adversarial or network.has_stages:
         raise FactoryError(

@@ -38,7 +38,8 @@ class Teacher:
     def loss(self, loss: Loss, prediction: Tensor, batch: Batch) -> Tensor:
         """Scalar tensor: the loss against clean pictures and teacher's, weighed by `share`.
 
-        prediction: (N, C, H, W).  batch: as losses get it, with the heads' output.
+        prediction: (N, C, H, W).  batch: as losses get it, with the heads' output.  Where its clean
+        pictures are NaN, as those of recordings, the teacher's are all that is known.
         """
         noisy = batch["noisy"]
         self.network.to(noisy.device)
@@ -52,5 +53,13 @@ class Teacher:
                 lesson["shadow"] = torch.sigmoid(output.shadow_logits.float())
             else:
                 image = self.network(noisy, **known)
-        taught = loss(prediction, image.to(prediction.dtype), lesson)
-        return self.share * taught + (1 - self.share) * loss(prediction, batch["clean"], batch)
+        image = image.to(prediction.dtype)
+        taught = loss(prediction, image, lesson)
+        clean = batch["clean"]
+        unknown = clean.isnan()
+        if unknown.any():
+            clean = torch.where(unknown, image, clean)
+            if "shadow" in lesson:
+                seen = torch.where(unknown, lesson["shadow"], batch["shadow"])
+                batch = {**batch, "shadow": seen}
+        return self.share * taught + (1 - self.share) * loss(prediction, clean, batch)

@@ -27,6 +27,7 @@ from simnfnd.models.data.crops import (
 )
 from simnfnd.models.data.kept import KeptSource
 from simnfnd.models.data.pairs import Batch, windows_of
+from simnfnd.models.data.recordings import WithRecordings, digest_of, frames_with_geometry
 from simnfnd.models.data.sources import Data, open_data
 from simnfnd.models.networks.weights import load_weights
 from simnfnd.models.pretrained import find_weights
@@ -170,8 +171,17 @@ def _loaders(
     if workers:
         shared |= {"multiprocessing_context": "spawn", "persistent_workers": True}
     reuse = kind.reuse if isinstance(kind, RendersData) else 1
+    learning = KeptSource(data.learning) if reuse > 1 else data.learning
+    if chosen.teacher_recordings:
+        learning = WithRecordings(
+            learning,
+            frames_with_geometry(chosen.teacher_recordings),
+            chosen.teacher_recordings_share,
+            max(kind.patch, *(stage.patch for stage in kind.stages), 1),
+            settings.seed,
+        )
     crops = Crops(
-        KeptSource(data.learning) if reuse > 1 else data.learning,
+        learning,
         crops=kind.crops,
         flip=kind.flip,
         seed=settings.seed,
@@ -252,6 +262,12 @@ def _recipe(settings: ModelsSettings, data: Data) -> dict[str, Any]:
         flat = {key: value for key, value in flat.items() if not key.startswith("train.teacher")}
     else:
         flat["train.teacher"] = sha256_of(find_weights(settings.train.teacher))[:16]
+        shown = settings.train.teacher_recordings
+        for key in ("train.teacher_recordings", "train.teacher_recordings_share"):
+            if not shown:
+                flat.pop(key)  # as before there were any
+        if shown:
+            flat["train.teacher_recordings"] = digest_of(frames_with_geometry(shown))
     if settings.start is not None:
         flat["start"] = sha256_of(find_weights(settings.start))[:16]
     return {**flat, "seed": settings.seed, **data.facts}

@@ -290,6 +290,7 @@ ALLOWED = {
         "factory/progress",
         "factory/recordings",
         "factory/sonar",
+        "factory/workers",
         "factory: ground",
         "models/data",
         "models/networks",

@@ -30,6 +30,7 @@ SHOWN = {
     "CODE_OF_CONDUCT.md": "project/code-of-conduct.md",
     "SECURITY.md": "project/security.md",
     "models/pretrained/simnfnd.md": "reference/weights-simnfnd.md",
+    "models/pretrained/simnfnd-fast.md": "reference/weights-simnfnd-fast.md",
     "models/pretrained/simnfnd-recordings.md": "reference/weights-simnfnd-recordings.md",
     "models/pretrained/simnfnd-paper.md": "reference/weights-simnfnd-paper.md",
     "examples/didson/NOTICE.md": "project/lamprey-notice.md",

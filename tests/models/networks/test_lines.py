@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from simnfnd.models.networks.lines import LineContext, Lines
+from simnfnd.models.networks.lines import GridLines, LineContext, MapLines
 
 
 def fan(size: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -20,16 +20,24 @@ def fan(size: int) -> tuple[Tensor, Tensor, Tensor]:
 
 def test_on_a_grid_beams_are_columns_and_arcs_are_rows() -> None:
     x = torch.rand(2, 3, 6, 5)
-    lines = Lines.of_grid(x, (6, 5))
+    lines = GridLines()
     torch.testing.assert_close(lines.beam_means(x), x.mean(2))
     torch.testing.assert_close(lines.arc_means(x), x.mean(3))
-    spread = lines.spread(lines.beam_means(x), lines.beam)
-    torch.testing.assert_close(spread, x.mean(2, keepdim=True).expand_as(x))
+
+
+def test_a_grid_gets_what_maps_of_it_would_give() -> None:
+    torch.manual_seed(2)
+    x, context = torch.rand(2, 4, 7, 5), LineContext(4, 3)
+    torch.nn.init.normal_(context.added.weight)
+    row, column = (torch.arange(n, dtype=torch.float32) for n in (7, 5))
+    radius = row[:, None].expand(2, 1, 7, 5)
+    maps = MapLines.of(column.expand(2, 1, 7, 5), radius, torch.ones(2, 1, 7, 5), (7, 5))
+    torch.testing.assert_close(context(x, GridLines()), context(x, maps))
 
 
 def test_a_spoke_of_a_fan_is_one_beam_and_an_arc_one_range() -> None:
     azimuth, radius, sector = fan(64)
-    lines = Lines.of(azimuth, radius, sector, (64, 64))
+    lines = MapLines.of(azimuth, radius, sector, (64, 64))
     spoke = ((azimuth - 0.2).abs() < 0.02).float() * sector
     beams = lines.beam_means(spoke)[0, 0]
     # The sector is 60 degrees wide: 0.2 rad is 69 % of the way.
@@ -43,18 +51,18 @@ def test_a_spoke_of_a_fan_is_one_beam_and_an_arc_one_range() -> None:
 
 def test_what_lies_outside_the_sector_counts_for_nothing() -> None:
     azimuth, radius, sector = fan(32)
-    lines = Lines.of(azimuth, radius, sector, (32, 32))
+    lines = MapLines.of(azimuth, radius, sector, (32, 32))
     x = torch.rand(1, 2, 32, 32)
     outside = x + 5 * (1 - sector)
     torch.testing.assert_close(lines.beam_means(outside), lines.beam_means(x))
-    nothing = Lines.of(azimuth, radius, torch.zeros_like(sector), (32, 32))
+    nothing = MapLines.of(azimuth, radius, torch.zeros_like(sector), (32, 32))
     assert not nothing.beam_means(x).any()
 
 
 def test_the_context_starts_as_nothing_and_then_sees_whole_lines() -> None:
     torch.manual_seed(0)
     context, x = LineContext(4, 3), torch.rand(1, 4, 24, 24)
-    lines = Lines.of_grid(x, (24, 24))
+    lines = GridLines()
     assert torch.equal(context(x, lines), x)
     torch.nn.init.normal_(context.added.weight)
     changed = x.clone()
