@@ -16,7 +16,7 @@ from simnfnd.factory.distribution import number
 from simnfnd.factory.formation.contract import Scene
 from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings, blocks
 from simnfnd.factory.sonar.fan import fan_size
-from simnfnd.factory.sonar.settings import SonarSettings, TransferSettings
+from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings, TransferSettings
 from simnfnd.factory.sonar.window import Window
 
 if TYPE_CHECKING:
@@ -63,6 +63,13 @@ class Device:
         )
 
 
+def fixed_raster(image: ImageSettings) -> Raster | None:
+    """How the one device of a configuration makes pixels; None where it interpolates, no more."""
+    if image.sampling == "bilinear" and image.enlarged == 1 and image.jpeg_quality is None:
+        return None
+    return Raster(image.sampling == "nearest", image.enlarged, image.jpeg_quality)
+
+
 def draw(settings: DeviceSettings, seed: int, *stream_names: str | int) -> Device:
     """The device of the picture of this name; the same name draws the same."""
     values = {}
@@ -70,8 +77,12 @@ def draw(settings: DeviceSettings, seed: int, *stream_names: str | int) -> Devic
         rng = seeds.stream(seed, "device", name, *stream_names)
         value = distribution.draw(rng)
         values[name] = float(rng.random() < value) if name.endswith("_share") else value
-    coins = seeds.stream(seed, "device", "coins", *stream_names).random(len(EFFECTS)) < 0.5
-    return Device(values, dict(zip(EFFECTS, coins.tolist(), strict=True)))
+    # Of a stream each, so that a further effect does not turn the coins of the others.
+    coins = {
+        name: seeds.stream(seed, "device", "coin", name, *stream_names).random() < 0.5
+        for name in EFFECTS
+    }
+    return Device(values, coins)
 
 
 def columns(settings: DeviceSettings) -> tuple[Column, ...]:

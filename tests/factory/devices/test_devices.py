@@ -11,6 +11,7 @@ import simnfnd
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import identity
 from simnfnd.factory.devices import draw as devices
+from simnfnd.factory.devices.draw import fixed_raster
 from simnfnd.factory.devices.raster import Raster
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.noise.registry import blocks
@@ -146,6 +147,23 @@ def test_rasters_show_samples_as_they_are_or_between() -> None:
     np.testing.assert_array_equal(jpeg.picture(polar, window, sonar, noisy=False), nearest)
     traces = jpeg.picture(polar, window, sonar, noisy=True) - nearest
     assert 0.001 < np.abs(traces).mean() < 0.1
+
+
+def test_one_device_may_make_its_pixels_in_the_same_ways() -> None:
+    words = ("devices=fixed", "noise=physical", "sonar.image.width_px=90")
+    usual = compose_config(["experiment=physical", "sonar.image.width_px=90"])
+    assert fixed_raster(usual.sonar.image) is None
+    said = identity(usual)["sonar"]["image"]
+    assert said == {"layout": "fan", "width_px": 90, "height_px": 256}
+    before = pair(*words)
+    for key, value in (("sampling", "nearest"), ("enlarged", 1.5), ("jpeg_quality", 60)):
+        config = compose_config(["experiment=physical", f"sonar.image.{key}={value}"])
+        assert identity(config)["sonar"]["image"][key] == value
+        made = pair(*words, f"sonar.image.{key}={value}")
+        assert made.noisy.shape == before.noisy.shape
+        assert (made.noisy != before.noisy).any()
+        # A clean picture has no traces of compression.
+        assert (made.clean != before.clean).any() == (key != "jpeg_quality")
 
 
 def test_a_device_that_sees_nothing_gives_way_to_the_next() -> None:
