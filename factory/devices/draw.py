@@ -28,6 +28,8 @@ _FEWEST_BINS = 64
 _LARGEST_POINTS_PX = 512
 """Beyond, a picture of points has fewer echoes than pixels."""
 _POINTS_HFOV_DEG = 30.0
+_DARKEST = 0.8
+"""Of the median echo's grey value: a display that is no darker anywhere shows nothing."""
 _ODD = ("spokes", "ghosts", "gains")
 """Artefacts that many recordings do not have; seen always, they teach to take detail for them."""
 
@@ -202,12 +204,14 @@ def _transfer(transfer: TransferSettings, device: Device) -> TransferSettings:
             transfer, kind="log", percentile=90.0, reference=0.9, dynamic_range_db=range_db
         )
     if drawn["log_share"]:
+        soft = bool(drawn["soft_share"])
         return replace(
             transfer,
-            kind="log",
+            kind="soft_log" if soft else "log",
             percentile=50.0,
             reference=drawn["log_reference"],
             dynamic_range_db=drawn["dynamic_range_db"],
+            black=min(drawn["black"], _DARKEST * drawn["log_reference"]) if soft else 0.0,
         )
     return replace(
         transfer,
