@@ -13,6 +13,7 @@ LOOPS = (
     "simnfnd.factory.formation.field.display_loops",
     "simnfnd.factory.formation.field.kernels",
     "simnfnd.factory.formation.field.cells.path_loops",
+    "simnfnd.factory.formation.field.pixel_rows",
     "simnfnd.factory.formation.field.placing",
     "simnfnd.factory.formation.field.cells.world_loops",
     "simnfnd.factory.render.albedo",

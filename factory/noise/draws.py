@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 
@@ -48,6 +49,21 @@ class StreamNames:
     def of_scope(self, scope: Scope) -> Names:
         """The names for effects of this scope."""
         return {"sample": self.sample, "recording": self.recording, "world": self.world}[scope]
+
+
+class LateStream:
+    """A random stream that is made when something is drawn from it; many effects draw nothing."""
+
+    def __init__(self, seed: int, *names: str | int) -> None:
+        self._seed, self._names = seed, names
+
+    @cached_property
+    def _stream(self) -> np.random.Generator:
+        return seeds.stream(self._seed, *self._names)
+
+    def __getattr__(self, name: str) -> Any:
+        """What the generator has."""
+        return getattr(self._stream, name)
 
 
 @dataclass(frozen=True)
@@ -96,7 +112,8 @@ class DrawnEffect:
 
     def stream(self) -> np.random.Generator:
         """Its random stream, from the beginning."""
-        return seeds.stream(self.seed, "noise", self.name, *self.stream_names)
+        late = LateStream(self.seed, "noise", self.name, *self.stream_names)
+        return cast(np.random.Generator, late)
 
     def apply(self, subject: Any, context: Any) -> Any:
         """What the effect makes of `subject`; equal calls give equal results.  See `Effect`."""

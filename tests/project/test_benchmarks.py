@@ -178,6 +178,14 @@ def test_a_peer_is_run_as_its_readme_says(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_quick_compares_the_profiles() -> None:
+    section = benchmarks.run("profiles", Options(quick=True))
+    assert not section.failed
+    (table,) = section.tables
+    assert table.column("pictures")[:2] == ["512x512", "256x256"]
+    assert all(isinstance(times, float) and times > 0 for times in table.column("times"))
+
+
 def test_quick_runs_the_stages() -> None:
     section = benchmarks.run("stages", Options(quick=True))
     assert section.failed == ""

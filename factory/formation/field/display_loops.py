@@ -6,8 +6,12 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.compiled import compiled
+from simnfnd.factory.sonar.number_loops import log10
 
 Floats = npt.NDArray[np.float32]
+
+# Far below every level that is shown, and no subnormal number.
+_FAINTEST = np.float32(1e-37)
 
 
 @compiled(
@@ -52,7 +56,7 @@ def displayed(
             shift_at[beam] = part * part * shift_steps
             variance_at[beam] = (one - fixed * fixed) * per_look * variance_steps
         for beam in range(beams):
-            level_db[beam] = ten * np.log10(total_of[beam] / full_scale)
+            level_db[beam] = ten * log10(max(total_of[beam] / full_scale, _FAINTEST))
         made = grey[row]
         for beam in range(beams):
             step = min(np.int32(shift_at[beam]), last_shift)

@@ -61,6 +61,14 @@ def _products(four: Floats, matrix: Floats, out: Floats) -> None:
         b0, b1, b2, b3 = b[i], b[i + 1], b[i + 2], b[i + 3]
         c0, c1, c2, c3 = c[i], c[i + 1], c[i + 2], c[i + 3]
         d0, d1, d2, d3 = d[i], d[i + 1], d[i + 2], d[i + 3]
+        # Where nothing echoes, as in most bins of a frame, nothing is added.
+        if (
+            (a0 == 0 and a1 == 0 and a2 == 0 and a3 == 0)
+            and (b0 == 0 and b1 == 0 and b2 == 0 and b3 == 0)
+            and (c0 == 0 and c1 == 0 and c2 == 0 and c3 == 0)
+            and (d0 == 0 and d1 == 0 and d2 == 0 and d3 == 0)
+        ):
+            continue
         for at in range(matrix.shape[1]):
             w0, w1, w2, w3 = m0[at], m1[at], m2[at], m3[at]
             first[at] += a0 * w0 + a1 * w1 + a2 * w2 + a3 * w3

@@ -6,127 +6,20 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.compiled import compiled
+from simnfnd.factory.formation.field.pixel_rows import (
+    anywhere,
+    directions,
+    far_ends,
+    heard,
+    looked_for,
+    spread,
+    strengths,
+)
 
 Floats = npt.NDArray[np.float32]
 
-_8, _GOLDEN = np.uint32(8), np.uint32(0x9E3779B9)
-# When neighbours are one surface, as in `cloud.joined`: parts of the depth, and of a step.
-_SMALL_STEP, _LARGE_STEP, _SLOPE_CHANGE = np.float32(0.02), np.float32(0.1), np.float32(3)
 # A pixel at grazing incidence is at most so many scatterers.
 _MOST_PARTS = 32
-
-
-@compiled()
-def directions(
-    depth_m: Floats,
-    across: Floats,
-    down: float,
-    rotation: Floats,
-    position_m: Floats,
-    bearing: Floats,
-    sine: Floats,
-) -> None:
-    """Sines of the bearing and of the elevation of a row of pixels.
-
-    A line of elements tells apart the angles to itself alone, so its beams are cones:
-    sin(bearing) = sin(azimuth) cos(elevation).  What lies behind the sonar has a bearing beyond
-    every sector, and NaN without depth.
-    """
-    # Local names: the compiler then knows that what it writes changes none of them.
-    a0, a1, a2 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
-    b0, b1, b2 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
-    c0, c1, c2 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
-    px, py, pz = position_m[0], position_m[1], position_m[2]
-    for column in range(depth_m.shape[0]):
-        z = depth_m[column]
-        x_, y_, z_ = across[column] * z - px, down * z - py, z - pz
-        x = a0 * x_ + a1 * y_ + a2 * z_
-        y = b0 * x_ + b1 * y_ + b2 * z_
-        up = c0 * x_ + c1 * y_ + c2 * z_
-        per_range = np.float32(1) / np.sqrt(x * x + y * y + up * up)
-        bearing[column] = -y * per_range if x > 0 else np.float32(np.inf)
-        sine[column] = up * per_range
-
-
-@compiled()
-def strengths(
-    depth_m: Floats,
-    radiance: Floats,
-    across: Floats,
-    down: float,
-    position_m: Floats,
-    ground_up: Floats,
-    near_m: float,
-    bins_per_m: float,
-    bin_row: Floats,
-    value: Floats,
-) -> None:
-    """Fractional range bin, and radiance times solid angle (without 1 / fx fy), of a row of pixels.
-
-    ground_up: the sonar's upward axis in camera axes where ranges count along the ground, else 0.
-    """
-    one = np.float32(1)
-    px, py, pz = position_m[0], position_m[1], position_m[2]
-    g0, g1, g2 = ground_up[0], ground_up[1], ground_up[2]
-    for column in range(depth_m.shape[0]):
-        a, z = across[column], depth_m[column]
-        x_, y_, z_ = a * z - px, down * z - py, z - pz
-        up = g0 * x_ + g1 * y_ + g2 * z_
-        square_m2 = x_ * x_ + y_ * y_ + z_ * z_ - up * up
-        bin_row[column] = (np.sqrt(max(square_m2, np.float32(0))) - near_m) * bins_per_m
-        # Solid angle of a pixel is cos^3 / (fx fy).
-        square = one / (one + a * a + down * down)
-        value[column] = radiance[column] * square * np.sqrt(square)
-
-
-@compiled()
-def far_ends(
-    before_m: Floats,
-    here_m: Floats,
-    below_m: Floats,
-    after_m: Floats,
-    start: Floats,
-    start_below: Floats,
-    end: Floats,
-) -> None:
-    """Where the pixels of a row end: where those below begin, if both are one surface.
-
-    before_m ... after_m: depths of four rows, this one the second.  start, end: range bins.
-    """
-    for column in range(here_m.shape[0]):
-        z, z_below = here_m[column], below_m[column]
-        nearer_m, step_m = min(z, z_below), z_below - z
-        size_m = abs(step_m)
-        # The ground far away is a run of large steps; an outline is a single one.
-        first_m, next_m = z - before_m[column], after_m[column] - z_below
-        run_m = max(first_m, next_m) if step_m > 0 else -min(first_m, next_m)
-        sloping = (size_m < _LARGE_STEP * nearer_m) & (size_m < _SLOPE_CHANGE * run_m)
-        joined = (size_m < _SMALL_STEP * nearer_m) | sloping
-        end[column] = start_below[column] if joined else start[column]
-
-
-@compiled()
-def heard(
-    value: Floats,
-    bearing: Floats,
-    start: Floats,
-    end: Floats,
-    low: float,
-    high: float,
-    rows: int,
-    lit: npt.NDArray[np.uint8],
-    columns: npt.NDArray[np.uint32],
-) -> int:
-    """The lit pixels of a row inside the sector and the range window; returns how many."""
-    zero, beyond, count = np.float32(0), np.float32(rows), np.uint32(0)
-    for column in range(value.shape[0]):
-        near, far = min(start[column], end[column]), max(start[column], end[column])
-        inside = (value[column] > zero) & (low <= bearing[column]) & (bearing[column] < high)
-        lit[column] = np.uint8(inside & (far >= zero) & (near < beyond))
-    for column in range(value.shape[0]):
-        columns[count] = column
-        count += np.uint32(lit[column])
-    return int(count)
 
 
 @compiled(
@@ -186,12 +79,17 @@ def place(
     beams = edges.shape[0] - 1
     rows = power.shape[0] // beams
     steps = pattern.shape[0] - 1
-    low, high = edges[0], edges[beams]
-    half_steps, one, tiny = np.float32(0.5 * steps), np.float32(1), np.float32(1e-6)
+    low, high, most_guess = edges[0], edges[beams], np.float32(first_beam.shape[0] - 1)
+    one, tiny = np.float32(1), np.float32(1e-6)
     # A row at a time: first what a processor does for many pixels at once, then the rest.
     bearing_of, bin_row_of = np.empty((2, width), np.float32), np.empty((2, width), np.float32)
     sine_of, value_of = np.empty((2, width), np.float32), np.empty((2, width), np.float32)
     end_of, columns = np.empty(width, np.float32), np.empty(width, np.uint32)
+    guess_of, step_of = np.empty(width, np.int32), np.empty(width, np.int32)
+    aside_of, share_of = np.empty(width, np.float32), np.empty(width, np.float32)
+    short, part_at = np.empty(width, np.uint8), np.empty(width, np.float32)
+    near_bin, far_bin = np.empty(width, np.int32), np.empty(width, np.int32)
+    one_bin = np.empty(width, np.int32)
     lit, last_label = np.empty(width, np.uint8), np.uint32(reflectivity.shape[0] - 1)
     ground_up = rotation[2] if ground_range else np.zeros(3, np.float32)
     count = 0
@@ -219,46 +117,48 @@ def place(
         else:
             end_of[:] = starts
         kept = heard(values, bearings, starts, end_of, low, high, rows, lit, columns)
+        looked_for(
+            bearings, sines, low, beam_scale, most_guess, steps, guess_of, step_of, aside_of,
+        )  # fmt: skip
+        spread(
+            starts, end_of, above * width, rows, beams, short, near_bin, far_bin, share_of,
+            one_bin, part_at,
+        )  # fmt: skip
         for at in range(kept):
             column = columns[at]
             value, bearing = values[column], bearings[column]
-            start, end = starts[column], end_of[column]
-            near, far = min(start, end), max(start, end)
-            guess = min(int((bearing - low) * beam_scale), first_beam.shape[0] - 1)
-            beam = first_beam[np.uint32(guess)]
+            beam = first_beam[np.uint32(guess_of[column])]
+            # Mostly one step at most, taken without a branch that cannot be foretold.
+            beam += np.int32(bearing >= edges[np.uint32(beam + 1)])
             while bearing >= edges[np.uint32(beam + 1)]:
                 beam += 1
-            sine = (sines[column] + one) * half_steps
             central = abs(sines[column]) <= widest_sine
-            step = np.uint32(min(int(sine), steps - 1))
-            part = sine - np.float32(step)
+            step = np.uint32(step_of[column])
             lower, upper = pattern[step], pattern[np.uint32(step + np.uint32(1))]
-            value *= lower + part * (upper - lower)
+            value *= lower + aside_of[column] * (upper - lower)
             label = np.uint32(labels[above, column] if labels.shape[0] else 0)
             value *= reflectivity[min(label, last_label)]
             if factor.shape[0]:
                 value *= factor[above, column]
             pixel = above * width + column
-            where = np.float32(np.uint32(np.uint32(pixel) * _GOLDEN) >> _8) * np.float32(2.0**-24)
-            span = far - near
-            if span <= 1 and near >= 0 and far < rows:
+            if short[column]:
                 # Most pixels: one bin, or parts of two (the same one twice costs less than asking).
-                first, last = int(near), int(far)
-                share_ = min((np.float32(last) - near) / max(span, tiny), one)
-                share_ = share_ if last > first else one
-                nearest = np.uint32(first * beams + beam)
-                power[np.uint32(last * beams + beam)] += value * (one - share_)
-                power[nearest] += value * share_
+                nearest = np.uint32(near_bin[column] + beam)
+                power[np.uint32(far_bin[column] + beam)] += value * (one - share_of[column])
+                power[nearest] += value * share_of[column]
                 owner[nearest] = pixel
                 if central:
                     in_beam[nearest] = True
                 slot = np.uintp(count)
-                bin_of[slot] = int(start + where * (end - start)) * beams + beam
+                bin_of[slot] = one_bin[column] + beam
                 power_of[slot] = value
                 pixel_of[slot] = pixel
-                part_of[slot] = where if end != start else np.float32(0)
+                part_of[slot] = part_at[column]
                 count += 1
                 continue
+            start, end = starts[column], end_of[column]
+            near, far = min(start, end), max(start, end)
+            span, where = far - near, anywhere(pixel)
             share_ = value / max(span, tiny)
             for bin_row in range(int(max(near, np.float32(0))), min(int(far), rows - 1) + 1):
                 inside = min(far, np.float32(bin_row + 1)) - max(near, np.float32(bin_row))

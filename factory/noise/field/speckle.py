@@ -54,13 +54,13 @@ def speckle(
 
     scene, amplitude = ping.scatterers, np.sqrt(ping.scatterers.loss)
     cells = scene.world_cells(scatterer_m or _CELL * min(ping.bin_m, ping.resolution_m))
-    drawn = np.empty((len(cells.names), 2), np.float32)
     field = np.empty((max(round(looks), 1), 2, *ping.shape), np.float32)
     for look in field:
         key = int(rng.integers(2**32))
-        cell_loops.coefficients(cells.names, cells.shares, key, gaussian_table(), drawn)
         bins = np.zeros((signal.power.size, 2), np.float32)
-        cell_loops.scatter(scene.bins, cells.runs, scene.powers, drawn, bins)
+        cell_loops.scatter(
+            scene.bins, scene.powers, cells.names, cells.shares, key, gaussian_table(), bins,
+        )  # fmt: skip
         cell_loops.into_planes(bins, amplitude, look)
     return Signal(np.zeros_like(signal.power), field)
 

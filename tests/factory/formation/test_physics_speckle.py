@@ -88,15 +88,14 @@ def test_points_of_a_cell_share_its_power() -> None:
     """Counted with numpy; cells come back, and some names fall on the same slot of the table."""
     rng = np.random.default_rng(1)
     names = rng.integers(0, 400, 3000).astype(np.uint32) * np.uint32(2654435761)
-    points = rng.integers(1, 5, 3000)
-    found = shares(names, names & np.uint32(0xFFFF0011), np.cumsum(points).astype(np.int32))
+    found = shares(names, names & np.uint32(0xFFFF0011))
     _, cell = np.unique(names, return_inverse=True)
-    expected = 1 / np.sqrt(np.bincount(cell, points)[cell])
+    expected = 1 / np.sqrt(np.bincount(cell)[cell])
     np.testing.assert_allclose(found, expected, rtol=2e-7)
 
 
 @pytest.mark.parametrize("away_m", [0.0, 4_321_987.6])
-def test_scatterers_of_a_run_lie_in_one_cell_of_the_world(away_m):
+def test_scatterers_of_a_name_lie_in_one_cell_of_the_world(away_m):
     """Cells from the scatterers' places in double precision; also far from the world's origin."""
     settings, edge_m = config(), 0.01
     frame, rendered = slope((away_m, -away_m, 0.3))
@@ -117,9 +116,9 @@ def test_scatterers_of_a_run_lie_in_one_cell_of_the_world(away_m):
     assert clear.mean() > 0.9
     _, cell = np.unique(np.floor(place[clear]), axis=0, return_inverse=True)
     cells = made.world_cells(edge_m)
-    _, name = np.unique(cells.names[cells.runs[clear]], return_inverse=True)
+    _, name = np.unique(cells.names[clear], return_inverse=True)
     assert len(np.unique(cell)) == len(np.unique(name)) == len(np.unique(cell + 1j * name)) > 1000
-    counted = cells.shares[cells.runs].astype(np.float64) ** -2
+    counted = cells.shares.astype(np.float64) ** -2
     assert np.rint(counted).min() >= 1
     # Each cell's points have shares that sum to 1 in intensity.
     assert (1 / counted).sum() == pytest.approx(len(np.unique(cells.names)), rel=1e-5)

@@ -13,7 +13,7 @@ from simnfnd.factory.formation.field.kernels import mixed
 Floats = npt.NDArray[np.float32]
 
 STEPS_X, STEPS_Y, STEPS_Z = np.uint32(73856093), np.uint32(19349663), np.uint32(83492791)
-_0, _1, _2, _3 = np.uint32(0), np.uint32(1), np.uint32(2), np.uint32(3)
+_1, _2, _3 = np.uint32(1), np.uint32(2), np.uint32(3)
 _9, _16, _HALF = np.uint32(9), np.uint32(16), np.int32(1)
 _NOTHING = np.uint64(0)
 _BLOCK = 1024
@@ -27,11 +27,10 @@ def lattice_sum(x: Any, y: Any, z: Any) -> Any:
 
 
 @compiled(
-    "int64(int32[::1], float32[::1], int32[::1], Array(float32, 2, 'C', readonly=True),"
-    " float32[::1], float32[::1], float64[:, ::1], float64, int32[::1], uint32[::1], uint32[::1],"
-    " int32[::1])"
+    "void(int32[::1], float32[::1], int32[::1], Array(float32, 2, 'C', readonly=True),"
+    " float32[::1], float32[::1], float64[:, ::1], float64, uint32[::1], uint32[::1])"
 )
-def runs(
+def cells(
     pixels: npt.NDArray[np.int32],
     parts: Floats,
     row_end: npt.NDArray[np.int32],
@@ -40,17 +39,14 @@ def runs(
     down: Floats,
     world_from_camera: npt.NDArray[np.float64],
     cell_m: float,
-    run_of: npt.NDArray[np.int32],
     name_of: npt.NDArray[np.uint32],
     place_of: npt.NDArray[np.uint32],
-    end_of: npt.NDArray[np.int32],
-) -> Any:
-    """Scatterers that follow each other in one world cell, taken together; returns how many runs.
+) -> None:
+    """The world cells in which scatterers lie.
 
     pixels, parts, row_end: as `placing.place` gives them.  cell_m: edge of a cell, a cube.
-    run_of: (N,) out, the run of each scatterer.  name_of, place_of, end_of: (at least N,) out, the
-    cell of each run as a number that looks random, where to look for it in a table (neighbours are
-    close together), and the scatterer behind its last.
+    name_of, place_of: (N,) out, the cell of each as a number that looks random, and where to look
+    for it in a table (neighbours are close together).
     """
     height, width = depth_m.shape
     m = world_from_camera / cell_m
@@ -62,10 +58,8 @@ def runs(
     m03, m13, m23 = m03 - w0, m13 - w1, m23 - w2
     i0, i1, i2 = np.int32(np.int64(w0)), np.int32(np.int64(w1)), np.int32(np.int64(w2))
     xs, ys, zs = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
-    names, places = np.empty(_BLOCK, np.uint32), np.empty(_BLOCK, np.uint32)
     us, vs = np.empty(_BLOCK, np.int32), np.empty(_BLOCK, np.int32)
     ws = np.empty(_BLOCK, np.int32)
-    run, last = np.int64(-1), _0
     stop = 0
     for row in range(height):
         below = min(row + 1, height - 1)
@@ -90,6 +84,7 @@ def runs(
                 us[i] = np.int32(np.floor(m00 * x + m01 * y + m02 * z + m03))
                 vs[i] = np.int32(np.floor(m10 * x + m11 * y + m12 * z + m13))
                 ws[i] = np.int32(np.floor(m20 * x + m21 * y + m22 * z + m23))
+            names, places = name_of[begin : begin + size], place_of[begin : begin + size]
             for i in range(size):
                 first, second = np.int32(us[i] + i0), np.int32(vs[i] + i1)
                 third = np.int32(ws[i] + i2)
@@ -98,115 +93,99 @@ def runs(
                 block = mixed(lattice_sum(first >> _HALF, second >> _HALF, third >> _HALF))
                 inside = np.uint32(first) & _1 | (np.uint32(second) & _1) << _1
                 places[i] = np.uint32(block << _3) | inside | (np.uint32(third) & _1) << _2
-            if begin == 0:
-                last = ~names[0]
-            of = run_of[begin : begin + size]
-            for i in range(size):
-                name = names[i]
-                run += np.int64(name != last)
-                last = name
-                at = np.uint32(run)
-                name_of[at] = name
-                place_of[at] = places[i]
-                end_of[at] = begin + i + 1
-                of[i] = run
-    return run + 1
 
 
-@compiled(
-    "boolean(uint32[::1], uint32[::1], int32[::1], int64, uint32[:, ::1], uint32[:, ::1],"
-    " float32[::1])"
-)
+@compiled("boolean(uint32[::1], uint32[::1], int64, uint32[:, ::1], uint32[:, ::1], float32[::1])")
 def count(
     name_of: npt.NDArray[np.uint32],
     place_of: npt.NDArray[np.uint32],
-    end_of: npt.NDArray[np.int32],
     parts: int,
     table: npt.NDArray[np.uint32],
     sorted_: npt.NDArray[np.uint32],
     share_of: Floats,
 ) -> Any:
-    """1 / sqrt(points of its cell) for each run: amplitudes that add up coherently.
+    """1 / sqrt(points of its cell) for each point: amplitudes that add up coherently.
 
-    name_of, place_of, end_of: as `runs` gives them; share_of: (runs,) out.  The cells are counted
-    in parts, a power of two, each with a table that a processor holds close by.
-    table: (slots, 2), slots a power of two; sorted_: (4, runs), both overwritten.
+    name_of, place_of: as `cells` gives them; share_of: (N,) out.  The cells are counted in parts,
+    a power of two, each with a table that a processor holds close by.
+    table: (slots, 2), slots a power of two; sorted_: (N, 2), both overwritten.
     Returns False where a part does not fit the table; share_of then says nothing.
     """
     mask, last = np.uint32(table.shape[0] - 1), np.uint32(parts - 1)
     shift = np.uint32(0)
     while np.uint32(1) << shift <= mask:
         shift += np.uint32(1)
-    runs_of, names, places, points = sorted_[0], sorted_[1], sorted_[2], sorted_[3]
     ends = np.zeros(parts + 1, np.int64)
-    for run in range(place_of.shape[0]):
-        ends[np.uint32((place_of[run] >> shift) & last) + np.uint32(1)] += 1
+    for point in range(place_of.shape[0]):
+        ends[np.uint32((place_of[point] >> shift) & last) + np.uint32(1)] += 1
     if ends.max() > np.int64(mask):
         return False
     for number in range(parts):
         ends[number + 1] += ends[number]
-    free, begin = ends[:-1].copy(), np.int32(0)
-    for run in range(name_of.shape[0]):
-        among = np.uint32((place_of[run] >> shift) & last)
+    # Name and place lie side by side: there are then only as many places to write to as parts.
+    free = ends[:-1].copy()
+    for point in range(name_of.shape[0]):
+        place = place_of[point]
+        among = np.uint32((place >> shift) & last)
         at = np.uint32(free[among])
         free[among] += 1
-        runs_of[at], names[at], places[at] = run, name_of[run], place_of[run] & mask
-        points[at] = np.uint32(end_of[run] - begin)
-        begin = end_of[run]
+        sorted_[at, 0], sorted_[at, 1] = name_of[point], place & mask
     for part in range(parts):
         table[:] = 0
         for i in range(ends[part], ends[part + 1]):
             at = np.uint32(i)
-            name, slot = names[at], places[at]
+            name, slot = sorted_[at, 0], sorted_[at, 1]
             # Taken, and by another: a product instead of `and` or `&`, of which the compiler makes
             # two branches.  Whether a cell is new cannot be foretold, and a wrong guess costs much.
             while np.uint64(table[slot, 1]) * np.uint64(table[slot, 0] ^ name) != _NOTHING:
                 slot = np.uint32(slot + _9) & mask
             table[slot, 0] = name
-            table[slot, 1] += points[at]
-            places[at] = slot
+            table[slot, 1] += _1
+            sorted_[at, 1] = slot
         for i in range(ends[part], ends[part + 1]):
             at = np.uint32(i)
-            found = np.float32(np.int32(table[places[at], 1]))
-            share_of[runs_of[at]] = np.float32(1) / np.sqrt(found)
+            sorted_[at, 0] = table[sorted_[at, 1], 1]
+    # In the order of the points again, each part being read from its beginning.
+    free[:] = ends[:-1]
+    for point in range(place_of.shape[0]):
+        among = np.uint32((place_of[point] >> shift) & last)
+        found = np.float32(np.int32(sorted_[np.uint32(free[among]), 0]))
+        free[among] += 1
+        share_of[point] = np.float32(1) / np.sqrt(found)
     return True
 
 
-@compiled("void(uint32[::1], float32[::1], uint32, float32[:, ::1], float32[:, ::1])")
-def coefficients(
+@compiled(
+    "void(int32[::1], float32[::1], uint32[::1], float32[::1], uint32, float32[:, ::1],"
+    " float32[:, ::1])"
+)
+def scatter(
+    bin_of: npt.NDArray[np.int32],
+    power_of: Floats,
     name_of: npt.NDArray[np.uint32],
     share_of: Floats,
     key: int,
     table: Floats,
-    drawn: Floats,
-) -> None:
-    """(runs, 2) complex coefficient of each run's cell, drawn by key, times the run's share."""
-    for run in range(name_of.shape[0]):
-        lot = mixed(np.uint32(name_of[run] ^ key)) >> _16
-        drawn[run, 0] = share_of[run] * table[lot, 0]
-        drawn[run, 1] = share_of[run] * table[lot, 1]
-
-
-@compiled("void(int32[::1], int32[::1], float32[::1], float32[:, ::1], float32[:, ::1])")
-def scatter(
-    bin_of: npt.NDArray[np.int32],
-    run_of: npt.NDArray[np.int32],
-    power_of: Floats,
-    drawn: Floats,
     bins: Floats,
 ) -> None:
-    """Add the amplitude of each point times its run's coefficient to its bin; bins: (bins, 2)."""
-    root = np.empty(_BLOCK, np.float32)
+    """Add each point's amplitude times the coefficient of its cell to its bin; bins: (bins, 2).
+
+    name_of, share_of: cell and share of each point.  The complex coefficient of a cell is drawn by
+    `key` from the table (65536, 2).
+    """
+    root, lots = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.uint32)
     for begin in range(0, bin_of.shape[0], _BLOCK):
         size = min(_BLOCK, bin_of.shape[0] - begin)
-        some, some_runs = bin_of[begin : begin + size], run_of[begin : begin + size]
-        some_powers = power_of[begin : begin + size]
+        some, some_powers = bin_of[begin : begin + size], power_of[begin : begin + size]
+        names, shares = name_of[begin : begin + size], share_of[begin : begin + size]
         for i in range(size):
             root[i] = np.sqrt(some_powers[i])
         for i in range(size):
-            at, run = np.uint32(some[i]), np.uint32(some_runs[i])
-            bins[at, 0] += root[i] * drawn[run, 0]
-            bins[at, 1] += root[i] * drawn[run, 1]
+            lots[i] = mixed(np.uint32(names[i] ^ key)) >> _16
+        for i in range(size):
+            at, lot = np.uint32(some[i]), lots[i]
+            bins[at, 0] += root[i] * (shares[i] * table[lot, 0])
+            bins[at, 1] += root[i] * (shares[i] * table[lot, 1])
 
 
 @compiled("void(float32[:, ::1], float32[::1], float32[:, :, ::1])")
