@@ -27,7 +27,7 @@ from simnfnd.factory.scenes.base import INTEGERS_PER_M
 from simnfnd.factory.scenes.seabed.reader import SeabedSettings, seeing
 from simnfnd.factory.settings import STRICT, build
 from simnfnd.factory.sonar.acoustics import WaterSettings
-from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -213,6 +213,12 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
     if config.sonar.samples_per_bin == 1:
         # As all datasets were before there was a choice.
         values["sonar"].pop("samples_per_bin")
+    image, usual = values["sonar"]["image"], ImageSettings()
+    for key in ("sampling", "enlarged", "jpeg_quality"):
+        if image[key] == getattr(usual, key):
+            image.pop(key)
+    if config.sonar.transfer.black == 0:
+        values["sonar"]["transfer"].pop("black")
     if config.sonar.transfer.full_scale_db is None:
         values["sonar"]["transfer"].pop("full_scale_db")
     if not config.dataset.columns:

@@ -214,12 +214,13 @@ def make_pair(
     names = StreamNames.of(observed.ref, variant, observed.has_pose)
     draws = draw(config.noise, config.seed, names)
     sample = observed.scene.sample(variant, draws.effects, config)
+    raster = devices.fixed_raster(config.sonar.image) if device is None else device.raster
 
     def picture(grey: Floats, noisy: bool = True) -> npt.NDArray[np.generic]:
-        if device is None:
+        if raster is None:
             laid_out = lay_out(grey, observed.window, config.sonar)
         else:
-            laid_out = device.raster.picture(grey, observed.window, config.sonar, noisy=noisy)
+            laid_out = raster.picture(grey, observed.window, config.sonar, noisy=noisy)
         return transfer.quantise(laid_out, config.dataset.dtype)
 
     layers = dict(observed.layers)

@@ -1,4 +1,4 @@
-"""The search: tree-structured Parzen estimator over the parameters, one study file that resumes."""
+"""The search over the parameters, by Optuna: one study file that resumes."""
 
 from __future__ import annotations
 
@@ -158,6 +158,8 @@ def _study(settings: FitSettings) -> optuna.Study:
     values = TypeAdapter(FitSettings).dump_python(settings, mode="json")
     # More trials continue the same search, wherever it is kept.
     identity = {k: v for k, v in values.items() if k not in ("trials", "out", "name", "debug")}
+    if settings.method == "tpe":
+        identity.pop("method")  # as before there was another
     text = json.dumps(identity, sort_keys=True)
     digest = hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
     with explain_os_errors(folder, "out"):
@@ -180,6 +182,10 @@ def _sampler(settings: FitSettings, number: int) -> optuna.samplers.BaseSampler:
     import optuna
 
     seed = spawn_key(settings.seed, "fit", number)[0]
+    if settings.method == "climb":
+        from simnfnd.evaluation.fit.climb import Climb  # loads optuna
+
+        return Climb(seed)
     if number < settings.startup:
         return optuna.samplers.RandomSampler(seed=seed)
     return optuna.samplers.TPESampler(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import field
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
@@ -82,6 +82,7 @@ class FitSettings:
     grid: Grid = field(default_factory=Grid)
     trials: Annotated[int, Field(ge=1)] = 200
     startup: Annotated[int, Field(ge=1)] = 40
+    method: Literal["tpe", "climb"] = "tpe"
     resamples: Annotated[int, Field(ge=2)] = 12
     statistics: tuple[str, ...] | None = None
     seed: Annotated[int, Field(ge=0)] = 0

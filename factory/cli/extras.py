@@ -96,6 +96,12 @@ def needs_of(config: FactoryConfig) -> Iterator[Need]:
         yield Need("render=embree", "open3d", "render=analytic or render=cycles")
     if not packed and getattr(config.scenes, "undistort", False):
         yield Need("scenes.undistort=true", "cv2", "scenes.undistort=false")
+    image = config.sonar.image
+    if image.enlarged > 1:
+        yield Need(f"sonar.image.enlarged={image.enlarged:g}", "cv2", "sonar.image.enlarged=1")
+    if image.jpeg_quality is not None:
+        key = "sonar.image.jpeg_quality"
+        yield Need(f"{key}={image.jpeg_quality}", "cv2", f"{key}=null")
     if config.devices is not None:
         yield from (Need("devices=any_sonar", module) for module in ("cv2", "scipy"))
     elif config.acoustics.formation == "field":

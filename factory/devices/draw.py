@@ -16,7 +16,7 @@ from simnfnd.factory.distribution import number
 from simnfnd.factory.formation.contract import Scene
 from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings, blocks
 from simnfnd.factory.sonar.fan import fan_size
-from simnfnd.factory.sonar.settings import SonarSettings, TransferSettings
+from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings, TransferSettings
 from simnfnd.factory.sonar.window import Window
 
 if TYPE_CHECKING:
@@ -28,6 +28,8 @@ _FEWEST_BINS = 64
 _LARGEST_POINTS_PX = 512
 """Beyond, a picture of points has fewer echoes than pixels."""
 _POINTS_HFOV_DEG = 30.0
+_DARKEST = 0.8
+"""Of the median echo's grey value: a display that is no darker anywhere shows nothing."""
 _ODD = ("spokes", "ghosts", "gains")
 """Artefacts that many recordings do not have; seen always, they teach to take detail for them."""
 
@@ -63,6 +65,13 @@ class Device:
         )
 
 
+def fixed_raster(image: ImageSettings) -> Raster | None:
+    """How the one device of a configuration makes pixels; None where it interpolates, no more."""
+    if image.sampling == "bilinear" and image.enlarged == 1 and image.jpeg_quality is None:
+        return None
+    return Raster(image.sampling == "nearest", image.enlarged, image.jpeg_quality)
+
+
 def draw(settings: DeviceSettings, seed: int, *stream_names: str | int) -> Device:
     """The device of the picture of this name; the same name draws the same."""
     values = {}
@@ -70,8 +79,12 @@ def draw(settings: DeviceSettings, seed: int, *stream_names: str | int) -> Devic
         rng = seeds.stream(seed, "device", name, *stream_names)
         value = distribution.draw(rng)
         values[name] = float(rng.random() < value) if name.endswith("_share") else value
-    coins = seeds.stream(seed, "device", "coins", *stream_names).random(len(EFFECTS)) < 0.5
-    return Device(values, dict(zip(EFFECTS, coins.tolist(), strict=True)))
+    # Of a stream each, so that a further effect does not turn the coins of the others.
+    coins = {
+        name: seeds.stream(seed, "device", "coin", name, *stream_names).random() < 0.5
+        for name in EFFECTS
+    }
+    return Device(values, coins)
 
 
 def columns(settings: DeviceSettings) -> tuple[Column, ...]:
@@ -191,12 +204,14 @@ def _transfer(transfer: TransferSettings, device: Device) -> TransferSettings:
             transfer, kind="log", percentile=90.0, reference=0.9, dynamic_range_db=range_db
         )
     if drawn["log_share"]:
+        soft = bool(drawn["soft_share"])
         return replace(
             transfer,
-            kind="log",
+            kind="soft_log" if soft else "log",
             percentile=50.0,
             reference=drawn["log_reference"],
             dynamic_range_db=drawn["dynamic_range_db"],
+            black=min(drawn["black"], _DARKEST * drawn["log_reference"]) if soft else 0.0,
         )
     return replace(
         transfer,

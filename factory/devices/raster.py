@@ -32,8 +32,6 @@ class Raster:
 
         noisy: whether JPEG leaves its traces; a clean picture has none.
         """
-        import cv2
-
         height, width = sonar.shape()
         if sonar.image.layout == "polar":
             found = grey
@@ -46,11 +44,15 @@ class Raster:
             table = fan_table(replace(sonar, image=image), window.near_fraction)
             found = table.nearest(grey) if self.nearest else table.bilinear(grey)
             if found.shape != (height, width):
+                import cv2  # not in a core installation
+
                 found = np.asarray(
                     cv2.resize(found, (width, height), interpolation=cv2.INTER_AREA), np.float32
                 )
         eight = np.rint(np.clip(found, 0, 1) * 255).astype(np.uint8)
         if noisy and self.jpeg_quality is not None:
+            import cv2
+
             done, content = cv2.imencode(
                 ".jpg", eight, [cv2.IMWRITE_JPEG_QUALITY, self.jpeg_quality]
             )

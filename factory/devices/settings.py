@@ -36,6 +36,8 @@ class DeviceSettings:
     log_share: part of the pictures of the field with a logarithmic display: dynamic_range_db, and
         the grey value of the median echo, log_reference.  The others show level ** exponent, the
         echoes' 95th percentile at power_reference.
+    soft_share: part of the logarithmic displays that end in a straight line instead of a step
+        (`sonar.transfer.kind=soft_log`), with the grey value `black` where nothing echoes.
     points_log_share: the same of pictures of points; those that are left are linear.
     receiver_db: level of the receiver's noise over the median echo, dB; where noise.receiver is on,
         instead of its level_db.
@@ -70,6 +72,8 @@ class DeviceSettings:
     log_share: Fraction
     dynamic_range_db: Positive
     log_reference: PositiveFraction
+    soft_share: Fraction
+    black: Fraction
     exponent: Positive
     power_reference: PositiveFraction
     points_log_share: Fraction

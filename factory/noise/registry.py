@@ -33,6 +33,7 @@ from simnfnd.factory.noise.field.path_speckle import PATH_SPECKLE, PathSpeckleSe
 from simnfnd.factory.noise.field.receiver import RECEIVER, ReceiverSettings
 from simnfnd.factory.noise.field.saturation import SATURATION, SaturationSettings
 from simnfnd.factory.noise.field.scintillation import SCINTILLATION, ScintillationSettings
+from simnfnd.factory.noise.field.sector_edges import SECTOR_EDGES, SectorEdgesSettings
 from simnfnd.factory.noise.field.sidelobe_arcs import SIDELOBE_ARCS, SidelobeArcsSettings
 from simnfnd.factory.noise.field.speckle import SPECKLE, SpeckleSettings
 from simnfnd.factory.noise.field.spokes import SPOKES, SpokesSettings
@@ -75,6 +76,7 @@ class NoiseSettings:
     tvg_error: Annotated[TvgErrorSettings | None, TVG_ERROR] = None
     scintillation: Annotated[ScintillationSettings | None, SCINTILLATION] = None
     beam_gain: Annotated[BeamGainSettings | None, BEAM_GAIN] = None
+    sector_edges: Annotated[SectorEdgesSettings | None, SECTOR_EDGES] = None
     spokes: Annotated[SpokesSettings | None, SPOKES] = None
     ring_down: Annotated[RingDownSettings | None, RING_DOWN] = None
     comb_lines: Annotated[CombLinesSettings | None, COMB_LINES] = None

@@ -54,31 +54,52 @@ class ImageSettings:
     """layout: fan (Cartesian, far range on top) or polar (range_bins x beams, near range first).
 
     width_px, height_px: of the fan picture; a polar picture has one pixel a bin.
+    sampling: bilinear, or nearest: pixels show the nearest sample as it is, as makers' programs do.
+    enlarged: the fan is made so much larger and then shrunk, as pictures of a screen are.
+    jpeg_quality: of the JPEG that noisy pictures went through before; null for none.
     """
 
     layout: Literal["fan", "polar"] = "fan"
     width_px: Count = 256
     height_px: Count = 256
+    sampling: Literal["bilinear", "nearest"] = "bilinear"
+    enlarged: Annotated[float, Field(ge=1, le=4)] = 1.0
+    jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
 
 
 @dataclass(frozen=True, config=STRICT)
 class TransferSettings:
     """From echo level to grey value; the same curve for the clean and the noisy picture.
 
-    kind: linear, power (level ** exponent) or log (dynamic_range_db below full scale is black).
+    kind: linear, power (level ** exponent), log (dynamic_range_db below full scale is black) or
+        soft_log (the logarithm of one plus the intensity, in units of dynamic_range_db below full
+        scale: a logarithm that ends in a straight line at nothing instead of a step).
     percentile: this percentile of the clean picture's echoing bins is shown at `reference`.
     reference: grey value in (0, 1] of that percentile.
+    black: grey value of no echo at all, of soft_log.
     full_scale_db: what grey value 1 stands for in every picture, as a device of fixed gain has it:
         echo intensity after time-varying gain over the source level, dB; of
         acoustics.formation=field.  null takes percentile and reference of each frame.
     """
 
-    kind: Literal["linear", "power", "log"] = "linear"
+    kind: Literal["linear", "power", "log", "soft_log"] = "linear"
     percentile: Annotated[float, Field(gt=0, le=100)] = 90.0
     reference: Annotated[float, Field(gt=0, le=1)] = 1.0
     exponent: Positive = 0.5
     dynamic_range_db: Positive = 40.0
+    black: Annotated[float, Field(ge=0, lt=1)] = 0.0
     full_scale_db: Annotated[float, Field(ge=-300, le=100)] | None = None
+
+    @model_validator(mode="after")
+    def _of_one_kind(self) -> Self:
+        if self.black and self.kind != "soft_log":
+            raise ValueError(f"black={self.black:g} is for kind=soft_log; kind={self.kind} has 0")
+        if self.black >= self.reference:
+            raise ValueError(
+                f"black={self.black:g} must lie below reference={self.reference:g}, the grey value "
+                "of an echo"
+            )
+        return self
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -30,6 +30,11 @@ def full_scale(
     if transfer.kind == "log":
         headroom_db = (1 - transfer.reference) * transfer.dynamic_range_db
         return level * 10 ** (headroom_db / _DECIBELS[quantity])
+    if transfer.kind == "soft_log":
+        shown = (transfer.reference - transfer.black) / (1 - transfer.black)
+        steps = 10 ** (transfer.dynamic_range_db / 10)
+        intensity = float(np.expm1(shown * np.log1p(steps)) / steps)
+        return level / float(intensity ** (_DECIBELS["intensity"] / _DECIBELS[quantity]))
     return level / transfer.reference ** (1 / transfer.exponent if transfer.kind == "power" else 1)
 
 
@@ -43,6 +48,7 @@ def grey(
 
     log: y = clip((20 log10(A / A_ref) + DR) / DR, 0, 1) with DR = dynamic_range_db; 10 log10 of
     intensities, which the paper's points add up.
+    soft_log: y = b + (1 - b) ln(1 + R I / I_ref) / ln(1 + R), R = 10^(DR / 10) and b = black.
     """
     relative = np.asarray(level, dtype=np.float32) / np.float32(full_scale_level)
     if transfer.kind == "log":
@@ -50,6 +56,11 @@ def grey(
         floor = 10 ** (-transfer.dynamic_range_db / per_decade)
         decibel = per_decade * np.log10(np.maximum(relative, floor))
         relative = 1 + decibel / transfer.dynamic_range_db
+    elif transfer.kind == "soft_log":
+        steps = np.float32(10 ** (transfer.dynamic_range_db / 10))
+        intensity = relative if quantity == "intensity" else relative * relative
+        shown = np.log1p(steps * intensity) / np.log1p(steps)
+        relative = transfer.black + (1 - transfer.black) * shown
     elif transfer.kind == "power":
         relative = relative**transfer.exponent
     return np.clip(relative, 0, 1).astype(np.float32)

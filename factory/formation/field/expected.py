@@ -116,12 +116,13 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
 
 
 def _power(settings: TransferSettings) -> float:
-    """The power of the intensity that is displayed; 0 for its logarithm."""
-    return {"log": 0.0, "linear": 0.5, "power": 0.5 * settings.exponent}[settings.kind]
+    """The power of the intensity that is displayed; 0 for its logarithm, soft or not."""
+    return {"linear": 0.5, "power": 0.5 * settings.exponent}.get(settings.kind, 0.0)
 
 
 def _lowest_db(settings: TransferSettings) -> float:
-    return -settings.dynamic_range_db - _BEYOND_DB if settings.kind == "log" else _DARKEST_DB
+    is_log = settings.kind in ("log", "soft_log")
+    return -settings.dynamic_range_db - _BEYOND_DB if is_log else _DARKEST_DB
 
 
 @lru_cache(maxsize=8)

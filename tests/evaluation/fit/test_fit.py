@@ -14,6 +14,7 @@ from PIL import Image
 from simnfnd.command import main
 from simnfnd.evaluation.fit import files as fit_files
 from simnfnd.evaluation.fit import search as fit_search
+from simnfnd.evaluation.fit.climb import step_after
 from simnfnd.evaluation.fit.settings import FitSettings, flattened
 from simnfnd.evaluation.fit.simulate import Simulation
 from simnfnd.evaluation.realism.polar import Grid
@@ -142,6 +143,33 @@ def test_an_interrupted_search_goes_on_as_if_nothing_had_happened(
     assert [item.distance for item in resumed.after] == [item.distance for item in whole.after]
     with pytest.raises(FactoryError, match="holds a search with other settings"):
         fit_search.search(settings_for(real, tmp_path / "parts", frames=8))
+
+
+def test_climbing_finds_it_too_and_goes_on_after_an_interruption(
+    real: Path, tmp_path: Path
+) -> None:
+    parameters = {
+        "noise.background.density": {"low": 0.005, "high": 5, "log": True},
+        "noise.background.strength": {"low": 0.1, "high": 1, "spread": (0, 0.2)},
+        "sonar.tvg_db_per_decade": {"choices": (40.0, 38.0)},
+    }
+    chosen = {"method": "climb", "parameters": parameters}
+    whole = fit_search.search(settings_for(real, tmp_path / "whole", trials=14, **chosen))
+    before, after = (
+        fit_search.score(part)["geometric_mean_ratio"] for part in (whole.before, whole.after)
+    )
+    assert after < 0.7 * before
+    fit_search.search(settings_for(real, tmp_path / "parts", trials=5, **chosen))
+    resumed = fit_search.search(settings_for(real, tmp_path / "parts", trials=14, **chosen))
+    assert resumed.values == whole.values
+
+
+def test_steps_grow_with_success_and_shrink_without() -> None:
+    assert step_after([]) == step_after([3.0]) == 0.15
+    assert step_after([3.0, 2.0]) == pytest.approx(0.165)
+    assert step_after([3.0, 4.0, 3.5]) == pytest.approx(0.15 * 0.985**2)
+    assert step_after([1.0] * 400) == 0.05
+    assert step_after([float(-n) for n in range(40)]) == 0.25
 
 
 def test_what_cannot_be_searched_is_refused(real: Path, tmp_path: Path) -> None:

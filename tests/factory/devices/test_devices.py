@@ -11,6 +11,7 @@ import simnfnd
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import identity
 from simnfnd.factory.devices import draw as devices
+from simnfnd.factory.devices.draw import fixed_raster
 from simnfnd.factory.devices.raster import Raster
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.noise.registry import blocks
@@ -110,6 +111,20 @@ def test_samples_tremble_where_speckle_stands_still() -> None:
         assert (made.acoustics.standing > 0) == made.noise.scintillation.enabled == bool(share)
 
 
+def test_a_share_of_the_logarithms_end_softly() -> None:
+    words = ("devices.field_share=1", "devices.log_share=1", "devices.black=0.3")
+    words += ("devices.soft_share=0.5",)
+    config = compose_config(["experiment=any_sonar", *words])
+    assert config.devices is not None
+    drawn = [devices.draw(config.devices, 0, number) for number in range(60)]
+    shown = [devices.configured(config, one, any_size=True).sonar.transfer for one in drawn]
+    soft = [one for one in shown if one.kind == "soft_log"]
+    assert 15 < len(soft) < 45
+    # Darker than the median echo, however the two were drawn.
+    assert all(0 < one.black < one.reference for one in soft)
+    assert all(one.black == 0 for one in shown if one.kind == "log")
+
+
 def test_the_receivers_noise_follows_the_echoes() -> None:
     words = ("devices.field_share=1", "devices.quiet_share=0", "devices.fewer_share=0")
     levels = [
@@ -146,6 +161,23 @@ def test_rasters_show_samples_as_they_are_or_between() -> None:
     np.testing.assert_array_equal(jpeg.picture(polar, window, sonar, noisy=False), nearest)
     traces = jpeg.picture(polar, window, sonar, noisy=True) - nearest
     assert 0.001 < np.abs(traces).mean() < 0.1
+
+
+def test_one_device_may_make_its_pixels_in_the_same_ways() -> None:
+    words = ("devices=fixed", "noise=physical", "sonar.image.width_px=90")
+    usual = compose_config(["experiment=physical", "sonar.image.width_px=90"])
+    assert fixed_raster(usual.sonar.image) is None
+    said = identity(usual)["sonar"]["image"]
+    assert said == {"layout": "fan", "width_px": 90, "height_px": 256}
+    before = pair(*words)
+    for key, value in (("sampling", "nearest"), ("enlarged", 1.5), ("jpeg_quality", 60)):
+        config = compose_config(["experiment=physical", f"sonar.image.{key}={value}"])
+        assert identity(config)["sonar"]["image"][key] == value
+        made = pair(*words, f"sonar.image.{key}={value}")
+        assert made.noisy.shape == before.noisy.shape
+        assert (made.noisy != before.noisy).any()
+        # A clean picture has no traces of compression.
+        assert (made.clean != before.clean).any() == (key != "jpeg_quality")
 
 
 def test_a_device_that_sees_nothing_gives_way_to_the_next() -> None:

@@ -56,6 +56,7 @@ NOISE: dict[str, dict[str, Any]] = {
     "receiver": {"level_db": 25},
     "tvg_error": {"db_per_decade": -20},
     "beam_gain": {"sigma_db": 2},
+    "sector_edges": {"level_db": 8},
     "ring_down": {"level_db": 20, "decay_db_per_m": 10},
     "comb_lines": {"level_db": 0, "spacing_m": 0.5, "decay_db": 1},
     "scintillation": {"sigma_db": 2},
@@ -63,7 +64,7 @@ NOISE: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("transfer", ["log", "power"])
+@pytest.mark.parametrize("transfer", ["log", "soft_log", "power"])
 @pytest.mark.parametrize("effect", [*NOISE, "all"])
 def test_the_target_is_the_mean_of_the_displayed_pictures(effect, transfer):
     """Within 0.012 of full scale; where a row's strongest return leaks, 0.03."""

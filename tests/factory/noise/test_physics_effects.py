@@ -22,6 +22,7 @@ from simnfnd.factory.noise.field.near_range import comb_lines, ring_down
 from simnfnd.factory.noise.field.receiver import receiver
 from simnfnd.factory.noise.field.saturation import saturation
 from simnfnd.factory.noise.field.scintillation import scintillation
+from simnfnd.factory.noise.field.sector_edges import sector_edges
 from simnfnd.factory.noise.field.sidelobe_arcs import sidelobe_arcs
 from simnfnd.factory.noise.field.spokes import spokes
 from simnfnd.factory.noise.field.tvg_error import tvg_error
@@ -62,8 +63,8 @@ def intensity(field: np.ndarray) -> np.ndarray:
 def test_the_registry_and_the_settings_name_the_same_effects() -> None:
     assert [item.name for item in fields(NoiseSettings)] == list(EFFECTS)
     given = compose_config(["experiment=physical"]).noise
-    # Two are asked for by name (noise=moving, noise=any_sonar).
-    others = ("path_speckle", "scintillation")
+    # Three are asked for by name (noise=moving, any_sonar, aris_mdd).
+    others = ("path_speckle", "scintillation", "sector_edges")
     assert list(blocks(given)) == [name for name in EFFECTS if name not in others]
     for name, block in blocks(given).items():
         assert type(block) is EFFECTS[name].settings
@@ -229,6 +230,16 @@ def test_beams_differ_and_some_are_dead() -> None:
     assert (np.isclose(column, -40, atol=1e-3)).sum() == 3
     assert column[column > -20].std() == pytest.approx(1, rel=0.2)
     assert np.ptp(intensity(gain), axis=0).max() == 0
+
+
+def test_the_sides_of_the_sector_are_weak() -> None:
+    of = ping()
+    gain = sector_edges(np.ones((1, 2, *of.shape), np.float32), of, rng(), level_db=6)
+    column = decibels(intensity(gain)[0] / 2)
+    bearing = of.sonar.beam_centres_rad() / (np.deg2rad(of.sonar.hfov_deg) / 2)
+    np.testing.assert_allclose(column, -6 * bearing**2, atol=1e-4)
+    assert column[0] == pytest.approx(column[-1], abs=1e-4)
+    assert column.max() == pytest.approx(0, abs=0.01)
 
 
 def test_the_device_is_the_same_in_all_frames_of_a_recording() -> None:

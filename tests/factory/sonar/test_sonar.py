@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.settings import build
@@ -156,7 +157,7 @@ def test_covered_closes_pinholes_but_not_shadows():
     assert covered[(rows < 3.5) | (rows > 6.5)].mean() > 0.97
 
 
-@pytest.mark.parametrize("kind", ["linear", "power", "log"])
+@pytest.mark.parametrize("kind", ["linear", "power", "log", "soft_log"])
 def test_transfer_is_monotone_bounded_and_hits_its_reference(kind):
     curve = TransferSettings(kind=kind, reference=0.8, exponent=0.5, percentile=90)
     clean = np.linspace(0, 10, 1001, dtype=np.float32)
@@ -173,6 +174,28 @@ def test_log_curve_is_the_formula():
     curve = TransferSettings(kind="log", dynamic_range_db=40)
     values = transfer.grey(np.array([1.0, 0.1, 0.01, 0.001]), 1.0, curve)
     assert values == pytest.approx([1, 0.5, 0, 0], abs=1e-6)
+
+
+def test_soft_log_is_the_formula_for_amplitudes_and_intensities():
+    """A logarithm far above the unit, a straight line far below, `black` where nothing is."""
+    curve = TransferSettings(kind="soft_log", dynamic_range_db=60, black=0.1, reference=0.5)
+    amplitude = np.array([1.0, 0.1, 1e-3, 1e-4, 0.0])
+    want = 0.1 + 0.9 * np.log(1 + 1e6 * amplitude**2) / np.log(1 + 1e6)
+    assert transfer.grey(amplitude, 1.0, curve) == pytest.approx(want, abs=1e-6)
+    assert transfer.grey(amplitude**2, 1.0, curve, "intensity") == pytest.approx(want, abs=1e-6)
+    for quantity in ("amplitude", "intensity"):
+        scale = transfer.full_scale(np.array([2.0, 3.0, 5.0]), curve, quantity)
+        shown = transfer.grey(np.array([4.6]), scale, curve, quantity)
+        assert shown[0] == pytest.approx(0.5, abs=1e-4)
+
+
+def test_black_needs_soft_log_and_lies_below_the_reference():
+    for words, said in (
+        (["sonar.transfer.black=0.1"], "for kind=soft_log"),
+        (["sonar.transfer.kind=soft_log", "sonar.transfer.black=0.9"], "below reference"),
+    ):
+        with pytest.raises(FactoryError, match=said):
+            compose_config(["experiment=physical", *words])
 
 
 def test_quantisation_is_last_and_rounds():
