@@ -112,8 +112,10 @@ def test_samples_tremble_where_speckle_stands_still() -> None:
 
 
 def test_a_share_of_the_logarithms_end_softly() -> None:
-    words = ("devices.field_share=1", "devices.log_share=1", "devices.black=0.3")
-    words += ("devices.soft_share=0.5",)
+    words = (
+        *("devices.field_share=1", "devices.log_share=1"),
+        *("devices.black=0.3", "devices.soft_share=0.5"),
+    )
     config = compose_config(["experiment=any_sonar", *words])
     assert config.devices is not None
     drawn = [devices.draw(config.devices, 0, number) for number in range(60)]
