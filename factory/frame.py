@@ -111,8 +111,10 @@ def checked(frame: Frame, *, bad_depth: str = "reject", min_valid: int = 16) -> 
             f"{name}: depth is {w}x{h} but colour is {rgb_w}x{rgb_h}; "
             "give a depth map registered to the colour image"
         )
-    bad = ~np.isfinite(depth_m) | (depth_m < 0)
-    count = int(bad.sum())
+    # Two looks tell that nothing is wrong, as nearly always; NaN compares false.
+    good = depth_m.size > 0 and depth_m.min() >= 0 and depth_m.max() < np.inf
+    bad = None if good else ~np.isfinite(depth_m) | (depth_m < 0)
+    count = 0 if bad is None else int(bad.sum())
     if count and bad_depth == "reject":
         finite = np.isfinite(depth_m)
         kinds = [
@@ -124,9 +126,9 @@ def checked(frame: Frame, *, bad_depth: str = "reject", min_valid: int = 16) -> 
             f"{name}: depth has {', '.join(kinds)} pixels; repair the file, "
             "or set scenes.bad_depth=mask to treat them as unmeasured"
         )
-    if count:
+    if bad is not None and count:
         depth_m = np.where(bad, np.float32(0), depth_m)
-    valid = int((depth_m > 0).sum())
+    valid = int(np.count_nonzero(depth_m > 0))
     if valid < min_valid:
         raise FrameError(f"{name}: depth has only {valid} valid pixels; nothing to render")
     depth_m = np.ascontiguousarray(depth_m, dtype=np.float32)

@@ -20,6 +20,7 @@ LOOPS = (
     "simnfnd.factory.render.cloud.joints",
     "simnfnd.factory.render.cloud.planes",
     "simnfnd.factory.render.shading",
+    "simnfnd.factory.render.traced",
     "simnfnd.factory.scenes.seabed.loops.colour_loops",
     "simnfnd.factory.scenes.seabed.loops.field_loops",
     "simnfnd.factory.scenes.seabed.loops.ground_loops",

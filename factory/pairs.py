@@ -27,7 +27,7 @@ from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.meta.camera import Camera
 from simnfnd.factory.meta.record import columns, image_axes, record, requested, requested_row
 from simnfnd.factory.noise.draws import StreamNames, draw
-from simnfnd.factory.renders.views import Views, open_views
+from simnfnd.factory.renders.views import CachedViews, Views, open_views
 from simnfnd.factory.sonar import polar, surface, transfer
 from simnfnd.factory.sonar.fan import lay_out, lay_out_nearest
 from simnfnd.factory.sonar.settings import SonarSettings
@@ -103,6 +103,11 @@ class PairMaker:
     def ready(self, ref: FrameRef) -> bool:
         """Whether the frame's render is at hand."""
         return self.views.holds(ref)
+
+    def expect(self, keys: Mapping[str, str]) -> None:
+        """Keys of renders that are in the cache; see `sample.PairSource`."""
+        if isinstance(self.views, CachedViews):
+            self.views.expect(keys)
 
 
 def _chosen(found: tuple[FrameRef, ...], config: FactoryConfig) -> tuple[FrameRef, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -85,6 +86,9 @@ class FakeSource:
     def ready(self, ref: FrameRef) -> bool:
         """Whether its file is there."""
         return not self.config.prepared or prepared_file(self.config, ref).exists()
+
+    def expect(self, keys: Mapping[str, str]) -> None:
+        """Its frames are found by their names alone."""
 
     def _pair(self, ref: FrameRef, variant: int) -> Pair:
         rng = stream(0, ref.name, variant)

@@ -135,7 +135,7 @@ class Loop:
         if task.path in self._job.earlier:
             recipe = replace(recipe, provenance=self._job.earlier[task.path])
         lacking = self._lacking.get(task.path, ())
-        attempt = ShardAttempt(task, recipe, journal, shard.given_up, lacking)
+        attempt = ShardAttempt(task, recipe, journal, shard.given_up, lacking, shard.keys)
         # The worker watches each frame itself, and `Standstill` the worker.
         limit_s = (len(task.items) + 2) * self._scheduler.frame_timeout_s + 60.0
         future = self._backend.submit(run_shard, pickle.dumps(attempt), limit_s, NOISE)
@@ -239,6 +239,8 @@ class Loop:
         for shard in frame.waiting:
             if result.failure is not None:
                 shard.give_up(result.failure)
+            if result.key:
+                shard.keys[frame.ref.name] = result.key
             shard.needs.discard(frame.ref.name)
             if not shard.needs:
                 self._ready.append(shard)

@@ -18,6 +18,7 @@ class PendingShard:
     uses up a try of one frame, so there is an end whatever happens.
 
     needs: names of the frames that have to be prepared before the shard can be made.
+    keys: of those that were, by their names; see `sample.Prepared`.
     rounds: how often it was found that a prepared frame was gone again.
     begun: when a worker was last given it (time.monotonic).
     """
@@ -27,6 +28,7 @@ class PendingShard:
         self.number = 0
         self.not_before = self.begun = 0.0
         self.needs: set[str] = set()
+        self.keys: dict[str, str] = {}
         self.rounds = 0
         self._retries = retries
         self._deaths: Counter[int | None] = Counter()

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pickle
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -35,6 +35,7 @@ class ShardAttempt:
     given_up: frames that killed their workers; recorded as failures without another try.
     lacking: frames that the finished shard on disk lacks.  While all of them still fail, that
         shard is good as it is and kept.
+    keys: of frames that were prepared for it, by their names; see `sample.Prepared`.
     """
 
     task: ShardTask
@@ -42,6 +43,7 @@ class ShardAttempt:
     journal: Path
     given_up: tuple[Failure, ...] = ()
     lacking: tuple[str, ...] = ()
+    keys: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -70,12 +72,13 @@ class FrameAttempt:
 class FrameResult:
     """The outcome of a `FrameAttempt`.
 
-    hit: nothing had to be done.  bytes: added to the cache.
+    hit, bytes, key: see `sample.Prepared`.
     """
 
     failure: Failure | None
     hit: bool = False
     bytes: int = 0
+    key: str = ""
 
 
 # Built once a process: a preparer holds the renderer and its scene, which are slow to build.
@@ -120,7 +123,7 @@ def prepare_frame(attempt: FrameAttempt) -> FrameResult:
         try:
             with journal.watched():
                 made = preparer.prepare(ref)
-            return FrameResult(None, made.hit, made.bytes)
+            return FrameResult(None, made.hit, made.bytes, made.key)
         except FrameError as error:
             return FrameResult(Failure(ref, "frame", _one_line(str(error)), ""))
         except FactoryError:
@@ -143,6 +146,7 @@ def make_shard(attempt: ShardAttempt) -> ShardResult:
         )
         with journal.watched():
             source: PairSource = _build(recipe.source, recipe)
+            source.expect(attempt.keys)
             preparer = None
             if tell and recipe.preparer:
                 preparer = _build(recipe.preparer, recipe)

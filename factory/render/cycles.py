@@ -99,18 +99,21 @@ class CyclesRenderer:
         mesh.update_tag()
 
     def _fill_points(self, surface: Surface) -> None:
-        points_m = surface.points_m[surface.mask]
+        # Whole rows of three by their places: a third of the time of a mask.
+        chosen = np.flatnonzero(surface.mask)
+        points_m = surface.points_m.reshape(-1, 3).take(chosen, axis=0)
         camera = surface.intrinsics
         radius_m = points_m[:, 2] * np.float32(_RADIUS_PX / max(camera.fx, camera.fy))
         # The ray through the centre meets a sphere's front: that is what must lie at the point.
-        set_back = 1 + radius_m / np.linalg.norm(points_m, axis=-1)
+        x, y, z = points_m.T
+        set_back = 1 + radius_m / np.sqrt(x * x + y * y + z * z)
         mesh = self._points.data
         mesh.clear_geometry()
         mesh.vertices.add(len(points_m))
         _set(mesh, "position", points_m * set_back[:, None])
         _set(mesh, _RADIUS, radius_m)
-        _set(mesh, _ALBEDO, surface.albedo[surface.mask])
-        _set(mesh, _NORMAL, surface.normals[surface.mask])
+        _set(mesh, _ALBEDO, surface.albedo.ravel()[chosen])
+        _set(mesh, _NORMAL, surface.normals.reshape(-1, 3).take(chosen, axis=0))
         mesh.update_tag()
 
 

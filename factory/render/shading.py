@@ -61,6 +61,11 @@ def _normal(
     return nx / length, ny / length, nz / length
 
 
+@compiled()
+def _row(width: int) -> Floats:
+    return np.zeros(width, np.float32)
+
+
 @compiled(
     f"void({READ}, uint8[:, ::1], float64[::1], float64[::1], int64, int64,"
     "float32[:, :, ::1], float32[:, :, ::1])"
@@ -79,16 +84,46 @@ def orient(
 
     across, down: (W,) and (H,) direction of each column and row, as depth multiplies it.
     """
-    for i in range(points_m.shape[0]):
+    height, width = depth_m.shape
+    rows, columns = points_m.shape[:2]
+    # Steps to the neighbours on both sides, along the row and down the column, of one row.
+    ax, ay, az = _row(columns), _row(columns), _row(columns)
+    dx, dy, dz = _row(columns), _row(columns), _row(columns)
+    for i in range(rows):
         row = first + i * stride
-        for j in range(points_m.shape[1]):
+        above, below = max(row - 1, 0), min(row + 1, height - 1)
+        points, made = points_m[i], normals[i]
+        for j in range(columns):
             column = first + j * stride
-            z = depth_m[row, column]
-            points_m[i, j, 0] = across[column] * z
-            points_m[i, j, 1] = down[row] * z
-            points_m[i, j, 2] = z
-            x, y, z = _normal(depth_m, bits, row, column, across, down)
-            normals[i, j, 0], normals[i, j, 1], normals[i, j, 2] = x, y, z
+            z, side = depth_m[row, column], across[column]
+            x, y = np.float32(side * z), np.float32(down[row] * z)
+            points[j, 0], points[j, 1], points[j, 2] = x, y, z
+            right, left = min(column + 1, width - 1), max(column - 1, 0)
+            to_right = np.float32(bits[row, column] & RIGHT != 0)
+            to_left = np.float32((bits[row, left] & RIGHT != 0) & (column > 0))
+            there, other = depth_m[row, right], depth_m[row, left]
+            step = (np.float32(across[right] * there) - x) * to_right
+            ax[j] = step + (x - np.float32(across[left] * other)) * to_left
+            step = (np.float32(down[row] * there) - y) * to_right
+            ay[j] = step + (y - np.float32(down[row] * other)) * to_left
+            az[j] = (there - z) * to_right + (z - other) * to_left
+            to_below = np.float32(bits[row, column] & DOWN != 0)
+            to_above = np.float32((bits[above, column] & DOWN != 0) & (row > 0))
+            there, other = depth_m[below, column], depth_m[above, column]
+            step = (np.float32(side * there) - x) * to_below
+            dx[j] = step + (x - np.float32(side * other)) * to_above
+            step = (np.float32(down[below] * there) - y) * to_below
+            dy[j] = step + (y - np.float32(down[above] * other)) * to_above
+            dz[j] = (there - z) * to_below + (z - other) * to_above
+        for j in range(columns):
+            nx, ny = dy[j] * az[j] - dz[j] * ay[j], dz[j] * ax[j] - dx[j] * az[j]
+            nz = dx[j] * ay[j] - dy[j] * ax[j]
+            length = np.sqrt(nx * nx + ny * ny + nz * nz)
+            if length > 0:
+                made[j, 0], made[j, 1], made[j, 2] = nx / length, ny / length, nz / length
+            else:
+                x, y, z = _normal(depth_m, bits, row, first + j * stride, across, down)
+                made[j, 0], made[j, 1], made[j, 2] = x, y, z
 
 
 @compiled(
@@ -124,11 +159,6 @@ def facing(
             sonar_m2 = max(tx * tx + ty * ty + tz * tz, _LEAST_M2)
             to_sonar[row, column] = (nx * tx + ny * ty + nz * tz) / np.sqrt(sonar_m2)
             nearer[row, column] = camera_m2 / sonar_m2
-
-
-@compiled()
-def _row(width: int) -> Floats:
-    return np.zeros(width, np.float32)
 
 
 @compiled()
@@ -211,57 +241,3 @@ def shade(
         x, x_below, y, y_below = x_below, x, y_below, y
         ux, dx, uy, dy, uz, dz = dx, ux, dy, uy, dz, uz
     return radiance
-
-
-@compiled(f"float32[:, ::1]({READ}, {READ}, boolean[:, ::1], {READ}, int64, int64, float32)")
-def apply_traced(
-    radiance: Floats,
-    depth_m: Floats,
-    known: npt.NDArray[np.bool_],
-    ratio: Floats,
-    first: int,
-    stride: int,
-    limit: np.float32,
-) -> Floats:
-    """(H, W) float32: full-resolution `radiance` times what tracing every n-th pixel found.
-
-    known, ratio: (h, w) traced over closed-form radiance of the pixels from (first, first) on.  Of
-    the four around a pixel, those count whose depth differs by less than `limit` of the nearer one,
-    by bilinear weight and the more the less it differs: where most of the weight is dark, the pixel
-    is.  Without any, it keeps its own.
-    """
-    height, width = depth_m.shape
-    h, w = known.shape
-    made = np.zeros((height, width), np.float32)
-    for row in range(height):
-        above = (row - first) // stride
-        v = np.float32((row - first - above * stride) / stride)
-        for column in range(width):
-            if radiance[row, column] <= 0:
-                continue
-            left = (column - first) // stride
-            u = np.float32((column - first - left * stride) / stride)
-            here = depth_m[row, column]
-            lit = dark = total = _ZERO
-            for down in range(2):
-                i = min(max(above + down, 0), h - 1)
-                for across in range(2):
-                    j = min(max(left + across, 0), w - 1)
-                    if not known[i, j]:
-                        continue
-                    there = depth_m[first + i * stride, first + j * stride]
-                    if abs(there - here) >= limit * min(there, here):
-                        continue
-                    # Never nothing: a pixel of an edge may have one neighbour alone.
-                    weight = np.float32((v if down else 1 - v) * (u if across else 1 - u) + 1e-6)
-                    weight *= 1 - abs(there - here) / (limit * min(there, here))
-                    if ratio[i, j] > 0:
-                        lit += weight
-                        total += weight * ratio[i, j]
-                    else:
-                        dark += weight
-            if lit + dark == 0:
-                made[row, column] = radiance[row, column]
-            elif lit >= dark:
-                made[row, column] = radiance[row, column] * (total / lit)
-    return made

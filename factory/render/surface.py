@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from simnfnd.factory.frame import Frame, Intrinsics
 from simnfnd.factory.render import shading
+from simnfnd.factory.render import traced as traced_light
 from simnfnd.factory.render.albedo import albedo
 from simnfnd.factory.render.base import RenderSettings
 from simnfnd.factory.render.cloud import directions
@@ -114,7 +115,9 @@ class Pixels:
         known = known & (coarse > _FAINTEST)
         ratio = np.where(known, traced / np.where(known, coarse, 1), 0).astype(np.float32)
         first, limit = (self.stride - 1) // 2, np.float32(self.traced_edge_ratio)
-        return shading.apply_traced(radiance, self.depth_m, known, ratio, first, self.stride, limit)
+        return traced_light.apply_traced(
+            radiance, self.depth_m, known, ratio, first, self.stride, limit
+        )
 
 
 def pixels_of(frame: Frame, settings: RenderSettings, stride: int = 1) -> Pixels:

@@ -37,7 +37,6 @@ else:
 
 _NEAREST_M = 1e-3
 _FAINTEST = 1e-9
-_CODES = 65_534  # 0 is "nothing here"
 _MAGIC = b"SFV2"
 _CHECKSUM_BYTES = 16
 # Four times those of a 4K video.
@@ -112,12 +111,12 @@ class View:
 
 def view_of(frame: Frame, rendered: Rendered, mount: Mount) -> View:
     """The view of a frame that was just rendered, rounded as the cache keeps it."""
-    depth_m = np.where(rendered.surface, frame.depth_m, np.float32(0))
-    depth = _rounded_log(depth_m, _NEAREST_M, FINE.depth_step)
-    radiance = _rounded_log(rendered.radiance, _FAINTEST, FINE.radiance_step)
+    found_m = np.where(rendered.surface, frame.depth_m, np.float32(0))
+    depth, depth_m = _rounded(found_m, _NEAREST_M, FINE.depth_step)
+    radiance_codes, radiance = _rounded(rendered.radiance, _FAINTEST, FINE.radiance_step)
     return View(
-        _table(_NEAREST_M, FINE.depth_step)[depth],
-        _table(_FAINTEST, FINE.radiance_step)[radiance],
+        depth_m,
+        radiance,
         frame.intrinsics,
         mount,
         frame.segmentation,
@@ -125,7 +124,7 @@ def view_of(frame: Frame, rendered: Rendered, mount: Mount) -> View:
         frame.world_from_camera,
         frame.time_s,
         frame.altitude_m,
-        (depth, radiance),
+        (depth, radiance_codes),
     )
 
 
@@ -137,8 +136,8 @@ def encode(view: View, precision: Precision = FINE) -> bytes:
     codes = view.codes if precision == FINE else None
     if codes is None:
         radiance = _block_mean(view.radiance, lit, precision.block)
-        depth = _rounded_log(view.depth_m, _NEAREST_M, precision.depth_step)
-        codes = depth, _rounded_log(radiance, _FAINTEST, precision.radiance_step)
+        depth, _ = _rounded(view.depth_m, _NEAREST_M, precision.depth_step)
+        codes = depth, _rounded(radiance, _FAINTEST, precision.radiance_step)[0]
     planes = [pack(plane) for plane in codes]
     if precision.block > 1:
         planes.append(np.packbits(lit).tobytes())
@@ -285,14 +284,13 @@ def _values(
     return depth_m, radiance
 
 
-def _rounded_log(values: npt.NDArray[np.float32], low: float, step: float) -> Codes:
-    """Code of each value: 0 for nothing, else 1 + its logarithm over `low` in steps."""
-    level = np.log(np.maximum(values, np.float32(1e-38)))
-    level -= np.float32(math.log(low) - step)
-    level /= np.float32(step)
-    np.rint(level, out=level)
-    np.clip(level, 1, _CODES, out=level)
-    return np.where(values > 0, level, np.float32(0)).astype(np.uint16)
+def _rounded(
+    values: npt.NDArray[np.float32], low: float, step: float
+) -> tuple[Codes, npt.NDArray[np.float32]]:
+    """Code of each value, see `planes.rounded`, and what the code stands for."""
+    from simnfnd.factory.render.cloud.planes import rounded  # loads numba
+
+    return rounded(values, low, step, _table(low, step))
 
 
 @lru_cache(maxsize=8)

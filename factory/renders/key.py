@@ -79,8 +79,9 @@ def _content(path: str) -> str:
 @lru_cache(maxsize=64)
 def _digest(path: str, size: int, modified_ns: int) -> str:
     # Calibrations and trajectories come with every frame of a recording: read them once.
+    # SHA-256, for which processors have instructions: half the time of BLAKE2b.
     with open(path, "rb") as file:
-        return hashlib.file_digest(file, "blake2b").hexdigest()[:32]
+        return hashlib.file_digest(file, "sha256").hexdigest()[:32]
 
 
 def _plain(kind: Any, value: object) -> dict[str, Any]:

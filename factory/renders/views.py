@@ -7,6 +7,7 @@ those that add noise, which need neither.
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -48,23 +49,32 @@ class CachedViews:
     def __init__(self, config: FactoryConfig) -> None:
         self.cache = Cache(config.cache.folder)
         self.keys = FrameKeys(config.scenes, config.render, config.sonar.mount)
+        self._expected: Mapping[str, str] = {}
+
+    def expect(self, keys: Mapping[str, str]) -> None:
+        """Look for these frames, by their names, under these keys and ask their files no more."""
+        self._expected = dict(keys)
 
     def holds(self, ref: FrameRef) -> bool:
         """See `Views`."""
         try:
-            return self.cache.holds(self.keys.of(ref))
+            return self.cache.holds(self._key(ref))
         except OSError:
             return False
 
     def view(self, ref: FrameRef) -> View:
         """See `Views`."""
         try:
-            view = self.cache.get(self.keys.of(ref))
+            view = self.cache.get(self._key(ref))
         except OSError:
             view = None
         if view is None:
             raise NotRendered(ref.name)
         return view
+
+    def _key(self, ref: FrameRef) -> str:
+        """The frame's key.  Raises OSError when a file of it cannot be read."""
+        return self._expected.get(ref.name) or self.keys.of(ref)
 
 
 class OneView:
@@ -102,8 +112,8 @@ class ViewMaker:
             raise FrameError(f"{ref.name}: {error.filename}: {error.strerror}") from error
         if self.views.cache.holds(key):
             # Whether it is whole shows when it is read, once: by the worker that needs it.
-            return Prepared(hit=True, bytes=0)
-        return Prepared(hit=False, bytes=self.views.cache.put(key, self.render(ref)))
+            return Prepared(hit=True, bytes=0, key=key)
+        return Prepared(hit=False, bytes=self.views.cache.put(key, self.render(ref)), key=key)
 
     def render(self, ref: FrameRef) -> View:
         """Load and render one frame."""

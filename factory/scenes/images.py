@@ -38,7 +38,8 @@ def read_rgb(path: Path) -> npt.NDArray[np.uint8]:
             f"{path}: colour image must be 8-bit RGB or grey, this one has Pillow's mode "
             f"{image.mode}; convert it"
         )
-    return np.ascontiguousarray(np.asarray(image.convert("RGB"), dtype=np.uint8))
+    coloured = image if image.mode == "RGB" else image.convert("RGB")
+    return np.ascontiguousarray(np.asarray(coloured, dtype=np.uint8))
 
 
 def read_depth(

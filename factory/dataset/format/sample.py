@@ -56,10 +56,15 @@ class Pair:
 
 @dataclass(frozen=True)
 class Prepared:
-    """What became of one frame.  hit: it was ready already.  bytes: added to the cache."""
+    """What became of one frame.
+
+    hit: it was ready already.  bytes: added to the cache.  key: what a `PairSource` finds it by, so
+    that it need not be worked out again (by reading all files of the frame); empty: nothing.
+    """
 
     hit: bool
     bytes: int
+    key: str = ""
 
 
 class PairSource(Protocol):
@@ -76,6 +81,12 @@ class PairSource(Protocol):
 
     def ready(self, ref: FrameRef) -> bool:
         """Whether `pairs` has all that it needs; else a `Preparer` has to see the frame first."""
+
+    def expect(self, keys: Mapping[str, str]) -> None:
+        """Take the keys of frames that were prepared, by their names; those before are forgotten.
+
+        Frames without a key are found as before.
+        """
 
 
 class Preparer(Protocol):

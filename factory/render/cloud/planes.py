@@ -6,6 +6,8 @@ hold both directions against the same steps in numpy.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -35,6 +37,59 @@ def unpack(
     values = np.empty(shape, np.float32)
     _unfold(planes, table, values)
     return values
+
+
+def rounded(
+    values: npt.NDArray[np.float32], low: float, step: float, table: npt.NDArray[np.float32]
+) -> tuple[Codes, npt.NDArray[np.float32]]:
+    """(H, W) uint16 code of each value, and (H, W) float32 `table` at it.
+
+    A code is 0 for nothing (no value above 0), else 1 + the logarithm of value / low in steps,
+    rounded, at most 65,534.  values: (H, W) float32.  table: (65536,) float32.
+    """
+    codes, looked_up = np.empty(values.shape, np.uint16), np.empty(values.shape, np.float32)
+    first, width = np.float32(math.log(low) - step), np.float32(step)
+    levels = np.empty((min(_ROWS, len(values)), values.shape[1]), np.float32)
+    for start in range(0, len(values), _ROWS):
+        rows = slice(start, start + _ROWS)
+        some = np.ascontiguousarray(values[rows])
+        # By numpy, whose single precision is its own; the rest are steps that round everywhere
+        # alike.
+        level = np.maximum(some, _LEAST, out=levels[: len(some)])
+        np.log(level, out=level)
+        _round(some, level, first, width, table, codes[rows], looked_up[rows])
+    return codes, looked_up
+
+
+# Rows at a time that stay in the cache.
+_ROWS = 32
+_LEAST = np.float32(1e-38)
+
+
+@compiled(
+    "void(Array(float32, 2, 'C', readonly=True), float32[:, ::1], float32, float32,"
+    "Array(float32, 1, 'C', readonly=True), uint16[:, ::1], float32[:, ::1])"
+)
+def _round(
+    values: npt.NDArray[np.float32],
+    levels: npt.NDArray[np.float32],
+    first: np.float32,
+    step: np.float32,
+    table: npt.NDArray[np.float32],
+    codes: Codes,
+    looked_up: npt.NDArray[np.float32],
+) -> None:
+    height, width = values.shape
+    least, most = np.float32(1), np.float32(65_534)
+    for row in range(height):
+        for column in range(width):
+            level = np.rint((levels[row, column] - first) / step)
+            level = min(max(level, least), most)
+            # Whole numbers of 32 bits: several at a time.
+            code = np.int32(level if values[row, column] > 0 else np.float32(0))
+            codes[row, column] = np.uint16(code)
+        for column in range(width):
+            looked_up[row, column] = table[codes[row, column]]
 
 
 @compiled("void(uint16[:, ::1], uint8[:, ::1])")

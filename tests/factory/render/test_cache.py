@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from simnfnd.factory.errors import FactoryError, NotRendered
 from simnfnd.factory.frame import FrameRef, Intrinsics
 from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.render.base import Rendered
+from simnfnd.factory.render.cloud.planes import rounded
 from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.pack import PackViews, read_contents, write_pack
 from simnfnd.factory.render.view import FINE, SMALL, View, decode, encode, view_of
@@ -206,6 +208,27 @@ def test_the_content_of_files_counts_and_not_their_place(tmp_path: Path) -> None
     assert keys.of(FrameRef("", "s", "f", (str(tmp_path / "a"),))) not in of.values()
 
 
+def test_files_of_prepared_frames_are_read_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings, ref = config(tmp_path), FrameRef("seabed", "seabed-0000", "0001")
+    key = ViewMaker(settings).prepare(ref).key
+    assert key == CachedViews(settings).keys.of(ref)
+    views = CachedViews(settings)
+    views.expect({ref.name: key})
+
+    def gone(self: FrameKeys, ref: FrameRef) -> str:
+        raise FileNotFoundError(ref.name)
+
+    monkeypatch.setattr(FrameKeys, "of", gone)
+    assert views.holds(ref)
+    assert views.view(ref).depth_m.any()
+    views.expect({})
+    assert not views.holds(ref)
+    with pytest.raises(NotRendered):
+        views.view(ref)
+
+
 # --- the folder -------------------------------------------------------------------------------
 
 
@@ -305,6 +328,21 @@ def test_a_pack_holds_the_renders_and_knows_its_mount(tmp_path: Path) -> None:
 def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
     monkeypatch.setattr(sys, "argv", ["simnfnd"])  # Hydra's words are put there
     return main(words, default="make")
+
+
+def test_a_run_works_out_the_key_of_a_frame_once(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    of, asked = FrameKeys.of, []
+
+    def counted(self: FrameKeys, ref: FrameRef) -> str:
+        asked.append(ref.name)
+        return of(self, ref)
+
+    monkeypatch.setattr(FrameKeys, "of", counted)
+    words = [*WORDS, f"cache.dir={tmp_path / 'cache'}", f"dataset.dir={tmp_path / 'out'}"]
+    assert run(monkeypatch, *words) == 0
+    assert len(asked) == len(set(asked)) == 4
 
 
 def test_from_command_line_to_pack_and_back(
@@ -447,3 +485,23 @@ def test_codes_at_hand_are_those_of_the_rounded_values() -> None:
     fresh = view_of(frame, rendered, Mount())
     assert fresh.codes is not None
     assert encode(fresh) == encode(replace(fresh, codes=None)) == encode(decode(encode(fresh)))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (33, 7), (100, 75)])
+def test_codes_are_those_of_plain_numpy(shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(3)
+    values = (10 ** rng.uniform(-12, 38, shape)).astype(np.float32)
+    values[rng.random(shape) < 0.3] = 0
+    values[rng.random(shape) < 0.1] *= -1
+    values.flat[0] = np.inf
+    low, step = 1e-3, 2e-4
+    table = rng.random(1 << 16).astype(np.float32)
+    level = np.log(np.maximum(values, np.float32(1e-38)))
+    level = (level - np.float32(math.log(low) - step)) / np.float32(step)
+    level = np.clip(np.rint(level), 1, 65_534)
+    expected = np.where(values > 0, level, np.float32(0)).astype(np.uint16)
+    codes, looked_up = rounded(values, low, step, table)
+    np.testing.assert_array_equal(codes, expected)
+    np.testing.assert_array_equal(looked_up, table[expected])
+    # Rows of another array, as a picture that was cut.
+    np.testing.assert_array_equal(rounded(values[:, ::2], low, step, table)[0], expected[:, ::2])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,7 @@ from simnfnd.factory.render.albedo import albedo, linear_luminance
 from simnfnd.factory.render.cloud import joints
 from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.surface import Pixels, Surface, pixels_of, shade
+from simnfnd.factory.render.traced import apply_traced
 from simnfnd.factory.settings import build
 from tests.factory.render.test_render import ABOVE, HERE, LEFT, digest, relative_error, render
 from tests.render_scenes import FLSEA, flsea_frame, frame_of, plane_depth, rays, yard
@@ -143,6 +145,49 @@ def test_what_tracing_found_is_spread_over_its_own_surface(stride: int) -> None:
     found = pixels.apply(radiance, coarse, pixels.surface().mask)
     np.testing.assert_array_equal(found > 0, depth_m > 2.5)
     np.testing.assert_allclose(found[depth_m > 2.5], radiance[depth_m > 2.5], rtol=1e-6)
+
+
+def spread_in_words(
+    radiance: Any, depth_m: Any, known: Any, ratio: Any, first: int, stride: int, limit: Any
+) -> Any:
+    """`apply_traced` as its docstring says it, pixel by pixel."""
+    made = np.zeros(radiance.shape)
+    for row, column in np.argwhere(radiance > 0):
+        i, j = (row - first) // stride, (column - first) // stride
+        v, u = (row - first) / stride - i, (column - first) / stride - j
+        here, lit, dark, total = float(depth_m[row, column]), 0.0, 0.0, 0.0
+        for down, across in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            at = np.clip(i + down, 0, len(known) - 1), np.clip(j + across, 0, len(known[0]) - 1)
+            there = float(depth_m[first + at[0] * stride, first + at[1] * stride])
+            step = abs(there - here) / min(there, here) / limit if there > 0 else 1.0
+            if known[at] and step < 1:
+                weight = (v if down else 1 - v) * (u if across else 1 - u) + 1e-6
+                weight *= 1 - step
+                lit += weight * (ratio[at] > 0)
+                dark += weight * (ratio[at] == 0)
+                total += weight * ratio[at]
+        if lit + dark == 0:
+            made[row, column] = radiance[row, column]
+        elif lit >= dark:
+            made[row, column] = radiance[row, column] * total / lit
+    return made
+
+
+@pytest.mark.parametrize("stride", [1, 2, 3, 8])
+def test_tracing_is_spread_as_its_words_say(stride: int) -> None:
+    rng = np.random.default_rng(stride)
+    depth_m = (2 + rng.integers(0, 3, (37, 42)) + 0.3 * rng.random((37, 42))).astype(np.float32)
+    depth_m[rng.random(depth_m.shape) < 0.1] = 0
+    radiance = (rng.random(depth_m.shape) * (depth_m > 0)).astype(np.float32)
+    radiance[rng.random(depth_m.shape) < 0.1] = 0
+    first = (stride - 1) // 2
+    shape = depth_m[first::stride, first::stride].shape
+    known, heard = rng.random(shape) < 0.8, rng.random(shape) < 0.6
+    ratio = np.where(known & heard, rng.random(shape), 0).astype(np.float32)
+    told = (radiance, depth_m, known, ratio, first, stride, np.float32(0.2))
+    expected = spread_in_words(*told)
+    assert (expected > 0).mean() > 0.2
+    np.testing.assert_allclose(apply_traced(*told), expected, rtol=1e-4, atol=1e-7)
 
 
 def test_a_shadow_on_one_surface_ends_half_way_between_traced_pixels() -> None:
