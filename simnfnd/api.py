@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -30,8 +30,9 @@ def denoise(
     """Denoise one sonar picture, or a stack of them.
 
     picture: (H, W) or (N, H, W), uint8, uint16, or float in 0..1.
-    weights: a weights.safetensors of a training or the name of weights that ship; None: the ones
-        that ship.  They stay loaded for the next call.
+    weights: a weights.safetensors of a training or the name of weights that ship; None: of those
+        that ship the ones that suit the picture, `simnfnd`, or `simnfnd-paper` where its noise is
+        that of points.  They stay loaded for the next call.
     geometry: where range and bearing are, for networks that use it.  "polar": rows are ranges, near
         range first, and the columns span 30 degrees.
     remove: what to remove, of speckle, haze, spokes, ghosts, blur and gains; None: what most want
@@ -57,7 +58,15 @@ def denoise(
     if not 0 <= strength <= 1:
         raise ValueError(f"strength={strength}: expected 0 to 1")
     chosen = None if remove is None else tuple(remove)
+    network: Callable[..., npt.NDArray[np.float32]]
     network = _denoiser(path, path.stat().st_mtime_ns, device, chosen, strength)
+    if weights is None and remove is None:
+        from simnfnd.models.denoise.suited import Suited
+        from simnfnd.models.pretrained import POINTS
+
+        of_points = find_weights(POINTS)
+        changed_ns = of_points.stat().st_mtime_ns
+        network = Suited(network, lambda: _denoiser(of_points, changed_ns, device, None, strength))
     layout = geometry if isinstance(geometry, str) else None
     place = None if isinstance(geometry, str) else geometry
     if layout not in (None, "polar"):

@@ -36,6 +36,7 @@ from simnfnd.models.denoise.geometries import FIND, Geometries
 from simnfnd.models.denoise.inputs import Item, find_items
 from simnfnd.models.denoise.shards import denoise_shard, made_of_points, opened_shard
 from simnfnd.models.denoise.steady import Steady
+from simnfnd.models.denoise.suited import Suited
 from simnfnd.models.denoise.watch import Watched, watch
 from simnfnd.models.pretrained import POINTS
 from simnfnd.models.removal import DEFAULT
@@ -55,7 +56,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--weights",
         help="weights.safetensors of a training, or the name of weights that ship (default: "
-        f"simnfnd, and for shards of the paper's points {POINTS})",
+        f"simnfnd, and for shards and pictures of the paper's points {POINTS})",
     )
     parser.add_argument(
         "--remove",
@@ -130,12 +131,14 @@ def main(arguments: Sequence[str]) -> int:
     remove = None if chosen.remove is None else chosen.remove.split(",")
     denoise = load_denoiser(chosen.weights, remove=remove, **how)
     steady.see(denoise.looks)
-    points = None
+    points = suited = None
     if chosen.weights is None and remove is None:
         points = cache(lambda: load_denoiser(POINTS, **how))
-    work = _Work(out, denoise, points, geometries, steady, chosen.topic, chosen.compare)
+        suited = Suited(denoise, points)
+    work = _Work(out, denoise, points, suited, geometries, steady, chosen.topic, chosen.compare)
     failed = _watch(work, watched, chosen.every) if watched else _all(work, items)
-    for line in (*geometries.summary(), *steady.summary()):
+    said = suited.summary() if suited else ()
+    for line in (*geometries.summary(), *steady.summary(), *said):
         print(line)
     print(f"denoised: {work.done} file(s) in {out}")
     return 1 if failed and not watched else 0
@@ -145,13 +148,15 @@ def main(arguments: Sequence[str]) -> int:
 class _Work:
     """What `denoise` does to a file.
 
-    points: what denoises shards of points instead of `denoise`; None: the same.
+    points: what denoises shards of points instead of `denoise`; None: the same.  suited: what
+    denoises pictures of which nothing is known; None: the same.
     done: how many were denoised.
     """
 
     out: Path
     denoise: Denoiser
     points: Callable[[], Denoiser] | None
+    suited: Suited | None
     geometries: Geometries
     steady: Steady
     topics: Sequence[str]
@@ -173,12 +178,13 @@ class _Work:
             warning = denoise_pings(item, out, denoise, compare=compare, tick=tick, steady=steady)
         elif item.kind == "bag":
             warning = denoise_bag(
-                item, out, denoise, find,
+                item, out, self.suited or denoise, find,
                 topics=self.topics, compare=compare, tick=tick, steady=steady,
             )  # fmt: skip
         else:
             on_file = denoise_video if item.kind == "video" else denoise_file
-            on_file(item, out, denoise, find, compare=compare, tick=tick, steady=steady)
+            suited = self.suited or denoise
+            on_file(item, out, suited, find, compare=compare, tick=tick, steady=steady)
         self.done += 1
         return warning
 

@@ -1,0 +1,57 @@
+"""The weights that suit a picture of which nothing is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.models.denoise.denoiser import Denoiser
+from simnfnd.models.denoise.files import Gray
+from simnfnd.models.denoise.points import likelihood
+from simnfnd.models.pretrained import POINTS
+
+_SURE = 0.1
+"""Nearer to 0 or 1 than this, one of both denoises alone; between, both, weighed."""
+
+
+class Suited:
+    """Denoises each picture by the weights for its kind of noise, or by both where in doubt.
+
+    looks: of the usual weights, as of `Denoiser`.
+    """
+
+    def __init__(self, usual: Denoiser, points: Callable[[], Denoiser]) -> None:
+        """usual: for real sonars.  points: gives those for the paper's noise, when needed."""
+        self.usual, self.looks, self._points = usual, usual.looks, points
+        self._seen, self._of_points = 0, 0
+
+    def __call__(
+        self,
+        gray: Gray,
+        geometry: FanGeometry | None = None,
+        *,
+        layout: str | None = None,
+        looks: Sequence[Gray] = (),
+    ) -> Gray:
+        """See `Denoiser`."""
+        if geometry is None and layout == "polar":
+            geometry = FanGeometry.polar().with_size(*gray.shape)
+        part = likelihood(gray, geometry)
+        self._seen += 1
+        self._of_points += part > 0.5
+        if part > 1 - _SURE:
+            return self._points()(gray, geometry)
+        usual = self.usual(gray, geometry, looks=looks)
+        if part < _SURE:
+            return usual
+        return usual + np.float32(part) * (self._points()(gray, geometry) - usual)
+
+    def summary(self) -> Iterator[str]:
+        """One line where pictures were taken for those of points."""
+        if self._of_points:
+            yield (
+                f"weights: {POINTS} for {self._of_points} of {self._seen} pictures, whose noise is "
+                "that of points; --weights takes one for all"
+            )
