@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+
+from torch import Tensor
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.models.losses import build_loss
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.network import Network
+from simnfnd.models.networks.unet import ResidualBlock
 from simnfnd.models.networks.weights import load_weights
 from simnfnd.models.pretrained import find_weights
 from simnfnd.models.settings import ModelsSettings, SelfSupervisedData
@@ -83,8 +86,10 @@ def _load_start(network: Network, settings: ModelsSettings) -> None:
     assert settings.start is not None
     trained = load_weights(find_weights(settings.start))
     if trained.model["kind"] == settings.model["kind"]:
+        state = trained.network.state_dict()
+        fresh = _fresh_blocks(network, state)
         try:
-            network.load_state_dict(trained.network.state_dict())
+            network.load_state_dict({**fresh, **state})
             return
         except RuntimeError:
             pass  # other sizes; torch's message lists hundreds of tensors
@@ -92,6 +97,15 @@ def _load_start(network: Network, settings: ModelsSettings) -> None:
         f"start={settings.start}: holds {dict(trained.model)}, and model says "
         f"{dict(settings.model)}; give both the same sizes"
     )
+
+
+def _fresh_blocks(network: Network, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Weights of the residual blocks that `state` lacks: they begin as the identity."""
+    blocks = (name for name, one in network.named_modules() if isinstance(one, ResidualBlock))
+    fresh = tuple(
+        f"{name}." for name in blocks if not any(key.startswith(f"{name}.") for key in state)
+    )
+    return {key: value for key, value in network.state_dict().items() if key.startswith(fresh)}
 
 
 def _freeze_all_but(network: Network, parts: Sequence[str]) -> None:
