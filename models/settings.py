@@ -57,6 +57,14 @@ class DataSettings:
     validation_limit: Count | None
     workers: Literal["auto"] | Annotated[int, Field(ge=0)]
 
+    @property
+    def least_side(self) -> int:
+        """Pixels that every image must have: crops of several images have one shape, and of a
+        single one that of the image will do.
+        """
+        steps = [(self.patch, self.batch), *((one.patch, one.batch) for one in self.stages)]
+        return max((patch for patch, batch in steps if batch > self.crops), default=1)
+
     def __post_init__(self) -> None:
         for name, batch in [("batch", self.batch), *(("stages", s.batch) for s in self.stages)]:
             if batch % self.crops:

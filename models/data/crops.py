@@ -31,7 +31,7 @@ class Visit(NamedTuple):
     """One image to be cropped.
 
     number: of the visit in the whole training.  image: its index.  round: how often the image was
-    visited before.  patch: side of the crops, pixels.
+    visited before.  patch: side of the crops, pixels; of smaller images, the whole.
     """
 
     number: int
@@ -65,12 +65,13 @@ class Crops(Dataset[Batch]):
         sample = self.source.sample(visit.image, visit.round)
         rng = stream(self.seed, "crop", visit.number)
         height, width = sample.noisy.shape
+        shape = min(visit.patch, height), min(visit.patch, width)
         parts = []
         for _ in range(self.crops):
-            top = int(rng.integers(height - visit.patch + 1))
-            left = int(rng.integers(width - visit.patch + 1))
+            top = int(rng.integers(height - shape[0] + 1))
+            left = int(rng.integers(width - shape[1] + 1))
             flip = self.flip and rng.random() < 0.5
-            parts.append(_crop(sample, top, left, visit.patch, flip, self.extras))
+            parts.append(_crop(sample, (top, left), shape, flip, self.extras))
         return concatenate(parts)
 
 
@@ -99,13 +100,18 @@ def whole_image_batch(sample: Sample, extras: Sequence[str] = ()) -> Batch:
 
 
 def _crop(
-    sample: Sample, top: int, left: int, patch: int, flip: bool, extras: Sequence[str]
+    sample: Sample,
+    corner: tuple[int, int],
+    shape: tuple[int, int],
+    flip: bool,
+    extras: Sequence[str],
 ) -> Batch:
-    window = np.s_[top : top + patch, left : left + patch]
+    (top, left), (height, width) = corner, shape
+    window = np.s_[top : top + height, left : left + width]
     step = -1 if flip else 1
     images = {name: image[window][:, ::step] for name, image in _images(sample).items()}
     if sample.geometry is not None and extras:
-        maps: Maps = sample.geometry.maps(top, left, patch, patch)
+        maps: Maps = sample.geometry.maps(top, left, height, width)
         maps = _mirrored(maps) if flip else maps
         images |= {name: maps[name] for name in extras if name in maps}
     batch = {name: torch.from_numpy(x.copy())[None, None] for name, x in images.items()}

@@ -256,7 +256,7 @@ def _by_any_device(
     shown = spread(held_out, data.validation_limit)
     # A picture without noise has 100 dB, more than all others together can gain or lose.
     noisy = replace(config, devices=replace(drawn.devices, quiet_share=number(0)))
-    common: dict[str, Any] = {"patch": data.patch, "seed": seed, "looks": data.frames}
+    common: dict[str, Any] = {"patch": data.least_side, "seed": seed, "looks": data.frames}
     return Renders(
         DeviceSource(config, ready, weaker=data.weaker, choices=data.choices, **common),
         {**facts, "renders.devices": drawn_as},

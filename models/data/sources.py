@@ -141,11 +141,12 @@ def _digest(samples: tuple[SampleRef, ...]) -> str:
 
 def _check_sizes(data: DataSettings, side: int, where: str, shape: str = "") -> None:
     """Raise FactoryError when an image is smaller than a patch, or than what SSIM needs."""
-    patch = max([data.patch, *(stage.patch for stage in data.stages)])
+    patch = data.least_side
     if patch > side:
         shown = f" ({shape})" if shape else ""
         raise FactoryError(
-            f"data.patch={patch} is larger than the images of {where}{shown}; choose at most {side}"
+            f"data.patch={patch} is larger than the images of {where}{shown}; choose at most "
+            f"{side}, or data.batch=data.crops: each step then shows one image, a small one whole"
         )
     if side < _SMALLEST:
         raise FactoryError(f"{where}: images of {side} pixels are too small to validate on")

@@ -177,7 +177,7 @@ def _loaders(
             learning,
             frames_with_geometry(chosen.teacher_recordings),
             chosen.teacher_recordings_share,
-            max(kind.patch, *(stage.patch for stage in kind.stages), 1),
+            kind.least_side,
             settings.seed,
         )
     crops = Crops(
