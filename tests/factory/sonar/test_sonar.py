@@ -238,7 +238,7 @@ def test_window_without_echo_is_a_bad_frame():
 
 def test_a_place_keeps_one_of_the_windows():
     windows = {"range": {"auto": False, "windows_m": [[1, 4], [2, 5]]}}
-    device = build(SonarSettings, windows)
+    device: SonarSettings = build(SonarSettings, windows)
     assert not device.range.fixed
     drawn = {
         (place, frame): set_window(device, 7, FrameRef("seabed", place, frame)).range
@@ -251,7 +251,7 @@ def test_a_place_keeps_one_of_the_windows():
     shares = [sum(one.min_m == near for one in drawn.values()) / 80 for near in (1, 2)]
     assert min(shares) > 0.25
     assert {(one.min_m, one.max_m) for one in drawn.values()} == {(1, 4), (2, 5)}
-    usual = build(SonarSettings, {"range": {"auto": False}})
+    usual: SonarSettings = build(SonarSettings, {"range": {"auto": False}})
     assert set_window(usual, 7, FrameRef("seabed", "3", "a")) is usual
 
 
