@@ -213,6 +213,8 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
     if config.sonar.samples_per_bin == 1:
         # As all datasets were before there was a choice.
         values["sonar"].pop("samples_per_bin")
+    if not config.sonar.range.windows_m:
+        values["sonar"]["range"].pop("windows_m")
     image, usual = values["sonar"]["image"], ImageSettings()
     for key in ("sampling", "enlarged", "jpeg_quality"):
         if image[key] == getattr(usual, key):

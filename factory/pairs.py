@@ -30,9 +30,8 @@ from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.renders.views import CachedViews, Views, open_views
 from simnfnd.factory.sonar import polar, surface, transfer
 from simnfnd.factory.sonar.fan import lay_out, lay_out_nearest
-from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.factory.sonar.window import Window
-from simnfnd.factory.sonar.window_fit import conical, fit_window
+from simnfnd.factory.sonar.window_fit import conical, fit_window, set_window
 
 if TYPE_CHECKING:
     from simnfnd.factory.config import FactoryConfig
@@ -132,7 +131,7 @@ def observe(
     """
     sonar = config.sonar
     if window is None:
-        window = fitted_window(frame, rendered, sonar)
+        window = fitted_window(frame, rendered, config)
     cones = config.acoustics.formation == "field"
     if cones:
         window = conical(window, sonar)
@@ -154,8 +153,9 @@ def observe(
     )
 
 
-def fitted_window(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Window:
+def fitted_window(frame: Frame, rendered: Rendered, config: FactoryConfig) -> Window:
     """The window of the frame's pictures.  Raises FrameError as `observe` does."""
+    sonar = set_window(config.sonar, config.seed, frame.ref)
     try:
         return fit_window(surface.extent(frame, rendered, sonar), sonar)
     except FrameError as error:
@@ -176,7 +176,7 @@ def observe_by(
     Raises FrameError as `observe` does.
     """
     config = devices.configured(config, device, any_size=any_size)
-    window = fitted_window(frame, rendered, config.sonar)
+    window = fitted_window(frame, rendered, config)
     config = devices.resolved(config, device, window, any_size=any_size)
     observed = observe(frame, rendered, config, window)
     return observed, devices.fitted(config, device, observed.scene)

@@ -16,7 +16,12 @@ from simnfnd.factory.distribution import number
 from simnfnd.factory.formation.contract import Scene
 from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings, blocks
 from simnfnd.factory.sonar.fan import fan_size
-from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings, TransferSettings
+from simnfnd.factory.sonar.settings import (
+    ImageSettings,
+    RangeSettings,
+    SonarSettings,
+    TransferSettings,
+)
 from simnfnd.factory.sonar.window import Window
 
 if TYPE_CHECKING:
@@ -119,7 +124,7 @@ def configured(config: FactoryConfig, device: Device, *, any_size: bool) -> Fact
         beams=round(drawn["beams"]),
         range_bins=max(round(height * drawn["bins_per_px"]), _FEWEST_BINS),
         image=image,
-        range=replace(sonar.range, auto=not fixed, min_m=near_far[0], max_m=near_far[1]),
+        range=RangeSettings(auto=not fixed, min_m=near_far[0], max_m=near_far[1]),
         transfer=_transfer(sonar.transfer, device),
     )
     acoustics = replace(

@@ -125,9 +125,10 @@ def metres_per_pixel(window: Window, sonar: SonarSettings) -> float:
 def image_axes(sonar: SonarSettings) -> tuple[Axis, Axis]:
     """Row and column axes.
 
-    With a fixed range window they are metres (and degrees of azimuth for polar pictures).  With an
-    automatic one every sample has its own scale, so the axes count from 0 to 1 or in pixels and
-    `range_min_m`, `range_max_m`, `metres_per_pixel` of the sample table turn them into metres.
+    With one fixed range window they are metres (and degrees of azimuth for polar pictures).  With
+    an automatic one, or several, every sample has its own scale, so the axes count from 0 to 1 or
+    in pixels and `range_min_m`, `range_max_m`, `metres_per_pixel` of the sample table turn them
+    into metres.
     """
     rows, columns_ = (np.arange(size) + 0.5 for size in sonar.shape())
     near, far = sonar.range.min_m, sonar.range.max_m
@@ -135,12 +136,12 @@ def image_axes(sonar: SonarSettings) -> tuple[Axis, Axis]:
         azimuth = Axis(
             "azimuth", "deg", np.rad2deg(sonar.beam_centres_rad()), "0 is straight ahead"
         )
-        if sonar.range.auto:
+        if not sonar.range.fixed:
             fraction = rows / sonar.range_bins
             return Axis("range", "1", fraction, "0 at range_min_m, 1 at range_max_m"), azimuth
         return Axis("range", "m", near + rows / sonar.range_bins * (far - near)), azimuth
     right = columns_ - sonar.image.width_px / 2
-    if sonar.range.auto:
+    if not sonar.range.fixed:
         return (
             Axis("ahead", "px", rows, "distance below range_max_m straight ahead"),
             Axis("right", "px", right, "distance to the right of the sonar's axis"),

@@ -26,11 +26,15 @@ class RangeSettings:
 
     auto: fit the window to each frame's echoes; then min_m and max_m only limit it.
     min_m, max_m: first and last range in the picture, metres.
+    windows_m: first and last ranges of several windows, metres; each place is seen through one of
+        them, drawn by its name, as an operator sets the device from dive to dive.  Empty: min_m
+        and max_m for all.
     """
 
     auto: bool = True
     min_m: NotNegative = 0.2
     max_m: Positive = 30.0
+    windows_m: tuple[tuple[NotNegative, Positive], ...] = ()
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -38,7 +42,17 @@ class RangeSettings:
             raise ValueError(
                 f"min_m must be smaller than max_m, got min_m={self.min_m:g} max_m={self.max_m:g}"
             )
+        for near_m, far_m in self.windows_m:
+            if near_m >= far_m:
+                raise ValueError(f"windows_m must be [near, far], got [{near_m:g}, {far_m:g}]")
+        if self.windows_m and self.auto:
+            raise ValueError("windows_m is for windows that are not fitted: set auto=false")
         return self
+
+    @property
+    def fixed(self) -> bool:
+        """Whether all pictures have one window."""
+        return not (self.auto or self.windows_m)
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from simnfnd.factory import seeds
 from simnfnd.factory.errors import FrameError
+from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.sonar.quantile import quantiles
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.factory.sonar.surface import Extent
@@ -15,6 +17,19 @@ from simnfnd.factory.sonar.window import Window
 _QUANTILES = (0.005, 0.99)
 # range_min is a multiple of this fraction of range_max, so that few scan tables serve all frames.
 _NEAR_STEPS = 16
+
+
+def set_window(sonar: SonarSettings, seed: int, ref: FrameRef) -> SonarSettings:
+    """The sonar as it is set at the frame's place: with one of `sonar.range.windows_m`.
+
+    All frames and variants of a place have the same one, so that recordings keep their window.
+    """
+    windows_m = sonar.range.windows_m
+    if not windows_m:
+        return sonar
+    chosen = seeds.stream(seed, "window", ref.location, ref.scene).integers(len(windows_m))
+    near_m, far_m = windows_m[int(chosen)]
+    return replace(sonar, range=replace(sonar.range, min_m=near_m, max_m=far_m, windows_m=()))
 
 
 def fit_window(surface: Extent, sonar: SonarSettings) -> Window:

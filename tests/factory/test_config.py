@@ -127,6 +127,10 @@ def test_equal_settings_have_one_digest_and_others_another():
     assert digest(identity(config("scheduler.workers=3", "dataset.dir=/elsewhere"))) == base
     assert digest(identity(config("seed=1"))) != base
     assert digest(identity(config("noise.background.density=0.1"))) != base
+    fixed = config("sonar.range.auto=false")
+    assert "windows_m" not in identity(fixed)["sonar"]["range"]
+    several = config("sonar.range.auto=false", "sonar.range.windows_m=[[1,4],[2,5]]")
+    assert digest(identity(several)) != digest(identity(fixed))
 
 
 def test_the_digest_does_not_know_where_the_recordings_lie():

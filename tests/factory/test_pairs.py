@@ -197,6 +197,17 @@ def test_record_has_exactly_the_columns():
     assert {axis.values.size for axis in image_axes(settings.sonar)} == {256}
 
 
+def test_pictures_of_several_windows_have_metres_of_their_own():
+    settings = config(sonar={"range": {"auto": False, "windows_m": [[1, 5], [2, 6]]}})
+    found = {}
+    for place in map(str, range(12)):
+        scene = observed(settings, ground_and_post(scene=place))
+        record = pairs.make_pair(scene, 0, settings).record
+        found[record["range_min_m"]] = record["range_max_m"]
+    assert found == {1: 5, 2: 6}
+    assert {axis.units for axis in image_axes(settings.sonar)} == {"px"}
+
+
 def test_fixed_range_axes_are_metres():
     settings = config(sonar={"range": {"auto": False, "min_m": 1, "max_m": 5}})
     ahead, right = image_axes(settings.sonar)

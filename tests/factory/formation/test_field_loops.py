@@ -30,7 +30,7 @@ def test_scatterers_lie_where_their_pixels_do(range_bins):
     frame, rendered = replace(frame, segmentation=labels), plain_render(frame)
     acoustics = replace(made.acoustics, reflectivity_db={"Background": -20.0})
     sonar = made.sonar
-    window = conical(fitted_window(frame, rendered, sonar), sonar)
+    window = conical(fitted_window(frame, rendered, made), sonar)
     found = scatterers(frame, rendered, window, sonar, made.water, acoustics)
 
     camera, depth_m = frame.intrinsics, frame.depth_m.astype(np.float64)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.settings import build
 from simnfnd.factory.sonar import polar, transfer
@@ -15,7 +16,7 @@ from simnfnd.factory.sonar.fan import fan_table, pixel_size
 from simnfnd.factory.sonar.settings import SonarSettings, TransferSettings
 from simnfnd.factory.sonar.surface import Extent
 from simnfnd.factory.sonar.window import Window
-from simnfnd.factory.sonar.window_fit import fit_window
+from simnfnd.factory.sonar.window_fit import fit_window, set_window
 from tests.clouds import HALF_RAD, uniform_scene, window
 
 SHARP = {"point_spread": {"range_bins": 0, "beams": 0}}
@@ -235,11 +236,32 @@ def test_window_without_echo_is_a_bad_frame():
         fit_window(nothing, build(SonarSettings, {}))
 
 
+def test_a_place_keeps_one_of_the_windows():
+    windows = {"range": {"auto": False, "windows_m": [[1, 4], [2, 5]]}}
+    device: SonarSettings = build(SonarSettings, windows)
+    assert not device.range.fixed
+    drawn = {
+        (place, frame): set_window(device, 7, FrameRef("seabed", place, frame)).range
+        for place in map(str, range(40))
+        for frame in "ab"
+    }
+    for (place, _), found in drawn.items():
+        assert found == drawn[place, "a"]
+        assert found.fixed
+    shares = [sum(one.min_m == near for one in drawn.values()) / 80 for near in (1, 2)]
+    assert min(shares) > 0.25
+    assert {(one.min_m, one.max_m) for one in drawn.values()} == {(1, 4), (2, 5)}
+    usual: SonarSettings = build(SonarSettings, {"range": {"auto": False}})
+    assert set_window(usual, 7, FrameRef("seabed", "3", "a")) is usual
+
+
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
         ({"range": {"min_m": 5, "max_m": 5}}, "min_m must be smaller"),
         ({"range": {"min_m": -1}}, "sonar.range.min_m"),
+        ({"range": {"auto": False, "windows_m": [[1, 4], [3, 2]]}}, "got [3, 2]"),
+        ({"range": {"windows_m": [[1, 4]]}}, "set auto=false"),
         ({"hfov_deg": 0}, "sonar.hfov_deg"),
         ({"beams": 1}, "sonar.beams"),
         ({"beam": 64}, "sonar.beam: unknown key"),
