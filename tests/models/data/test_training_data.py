@@ -252,7 +252,8 @@ def test_scales_that_cannot_be(rendered: tuple[Path, Path]) -> None:
     with pytest.raises(FactoryError, match=r"data\.scales: 16 makes 16384 beams"):
         resized(SonarSettings(beams=1024), 16)
     words = (f"dataset.dir='{rendered[0]}'", f"data.pack='{rendered[1]}'", *SMALL)
-    settings, _ = composed("data=renders", *words, "data.scales=[1, 0.2]")
+    several = ("data.scales=[1, 0.2]", "data.batch=2", "data.crops=1")
+    settings, _ = composed("data=renders", *words, *several)
     with pytest.raises(FactoryError, match=r"the images of .* \(8x10\); choose at most 8"):
         open_data(settings)
     with pytest.raises(FactoryError, match=r"data\.scales"):
@@ -333,6 +334,10 @@ def test_crops_carry_the_maps_of_their_window(rendered: tuple[Path, Path]) -> No
     assert {name: tuple(batch[name].shape) for name in extras} == dict.fromkeys(
         extras, (6, 1, 24, 24)
     )
+    taller = crops[Visit(0, 0, 0, 44)]["noisy"]
+    assert taller.shape == (6, 1, 40, 44), "of a smaller image the whole"
+    sides = {crops[Visit(number, 0, 0, 64)]["range_fraction"].shape for number in range(3)}
+    assert sides == {(6, 1, 40, 48)}
     rising = batch["azimuth_rad"].diff(dim=-1)
     assert (rising > 0).all(), "a mirrored picture has its bearings from left to right, too"
     whole = WholeImages(source, extras)[0]
