@@ -56,7 +56,7 @@ def photograph(rng: np.random.Generator, scene: Scene, hits: Hits) -> npt.NDArra
     _add_motes(rng, colour, water)
     # The camera sets its black level on the haze, as far as the haze has one colour.
     veil = np.asarray(water.veil, dtype=np.float32) / max(water.veil)
-    haze = np.percentile(colour[::4, ::4].max(axis=-1), 1)
+    haze = np.percentile(_brightest(colour[::4, ::4]), 1)
     return develop(rng, colour, np.float32(0.6 * haze) * veil)
 
 
@@ -194,7 +194,7 @@ def develop(rng: np.random.Generator, colour: Floats, haze: Floats) -> npt.NDArr
     seen = np.empty_like(colour)
     through_lens(colour, haze.astype(np.float32), _blur_weights(), seen)
     # Exposure: the bright parts of the picture fill most of the scale, whatever the water.
-    bright = np.percentile(seen[::4, ::4].max(axis=-1), 97)
+    bright = np.percentile(_brightest(seen[::4, ::4]), 97)
     gain = np.float32(rng.uniform(0.68, 0.92)) / max(float(bright), 1e-3)
     right, down = rng.integers(0, TILE, 2)
     picture = np.empty(colour.shape, dtype=np.uint8)
@@ -219,3 +219,9 @@ def _gamma() -> npt.NDArray[np.uint8]:
 def _sensor_noise() -> Floats:
     rng = stream(WORLD_SEED, "seabed", "sensor")
     return rng.standard_normal((TILE, TILE, 3), dtype=np.float32)
+
+
+def _brightest(colour: Floats) -> Floats:
+    """(H, W) greatest of the three channels; numpy's own takes ten times as long for so few."""
+    red, green, blue = colour[..., 0], colour[..., 1], colour[..., 2]
+    return np.asarray(np.maximum(np.maximum(red, green), blue))

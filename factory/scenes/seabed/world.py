@@ -117,15 +117,15 @@ def take(
     rgb = photograph(rng, scene, hits)
     range_m = hits.depth_m * _lengths(optics)
     keep = measured(rng, hits.depth_m, range_m, world.water.clear_m)
-    number = np.where(range_m < world.water.clear_m, hits.owner, 0)
+    number = hits.owner * (range_m < world.water.clear_m)
     return Frame(
         ref=ref,
         rgb=rgb,
         depth_m=np.where(keep, hits.depth_m, np.float32(0)),
         intrinsics=optics.intrinsics,
         world_from_camera=where.matrix,
-        segmentation=np.append(np.uint8(0), world.labels)[number],
-        instance=np.append(np.uint16(0), world.instances)[number],
+        segmentation=np.append(np.uint8(0), world.labels).take(number),
+        instance=np.append(np.uint16(0), world.instances).take(number),
         time_s=None if movement is None else movement.time_s,
         altitude_m=_altitude_m(world.terrain, where.eye),
     )

@@ -16,6 +16,8 @@ from simnfnd.factory.compiled import compiled
 
 _NEAR_M = 0.02  # what is nearer to the lens is not seen
 _ONE = np.float32(1)
+# Of an index with a sign every access asks whether it is negative.
+_U = np.uint64
 
 POINTS = "Array(float32, 2, 'C', readonly=True)"
 TRIANGLES = "Array(int32, 2, 'C', readonly=True)"
@@ -53,6 +55,9 @@ def paint(
     step_x, step_y = 1 / fx, 1 / fy
     left_slope, right_slope = -middle_x * step_x, (width - 1 - middle_x) * step_x
     top_slope, bottom_slope = -middle_y * step_y, (height - 1 - middle_y) * step_y
+    across_by_column = np.empty(width, np.float64)
+    for column in range(width):
+        across_by_column[column] = (column - middle_x) * step_x
     placed = np.empty((len(points), 3), np.float64)  # in camera axes
     seen = np.empty((len(points), 2), np.float32)  # column and row
     for part in range(len(parts)):
@@ -66,7 +71,7 @@ def paint(
             seen[k, 0] = across * over * fx + middle_x
             seen[k, 1] = down * over * fy + middle_y
         for k in range(parts[part, 1], parts[part, 3]):
-            a, b, c = triangles[k, 0], triangles[k, 1], triangles[k, 2]
+            a, b, c = _U(triangles[k, 0]), _U(triangles[k, 1]), _U(triangles[k, 2])
             az, bz, cz = placed[a, 2], placed[b, 2], placed[c, 2]
             if min(az, bz, cz) > _NEAR_M:
                 left = min(seen[a, 0], seen[b, 0], seen[c, 0])
@@ -107,14 +112,15 @@ def paint(
             for row in range(upper, lower + 1):
                 y = (row - middle_y) * step_y
                 u0, v0, w0 = uy * y + uz, vy * y + vz, wy * y + wz
-                for column in range(first, last + 1):
-                    x = (column - middle_x) * step_x
+                here = _U(row)
+                for column in range(_U(first), _U(last + 1)):
+                    x = across_by_column[column]
                     u, v, w = (ux * x + u0) * scale, (vx * x + v0) * scale, (wx * x + w0) * scale
                     if u >= 0 and v >= 0 and w >= 0:
                         near = np.float32(u + v + w)
-                        if near > inverse[row, column]:
-                            inverse[row, column] = near
-                            which[row, column] = offset + k
+                        if near > inverse[here, column]:
+                            inverse[here, column] = near
+                            which[here, column] = offset + k
 
 
 @compiled(
