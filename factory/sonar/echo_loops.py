@@ -109,25 +109,30 @@ def survey(
     """
     height, width = depth_m.shape
     away, right, up = np.empty(width, _F), np.empty(width, _F), np.empty(width, _F)
-    lit, least, most = 0, _F(np.inf), _F(-np.inf)
+    lit, least, most = np.uint64(0), _F(np.inf), _F(-np.inf)
+    inside, kept = np.empty(width, np.bool_), np.empty(width, np.uint8)
     for row in range(height):
         _project(depth_m[row], across, down[row], rotation, position_m, away, right, up)
         for column in range(width):
             away[column] = distance(away[column], up[column], top_view)
+        there, light = surface[row], radiance[row]
         for column in range(width):
-            away_m, azimuth = away[column], right[column]
-            inside = (
-                surface[row, column]
-                & (away_m >= near_m)
-                & (away_m < far_m)
-                & (np.abs(azimuth) <= half_hfov_rad)
+            within = (
+                there[column]
+                & (away[column] >= near_m)
+                & (away[column] < far_m)
+                & (np.abs(right[column]) <= half_hfov_rad)
                 & (np.abs(up[column]) <= half_vfov_rad)
             )
-            if inside & ((azimuth < least) | (azimuth > most)):
-                least, most = min(least, azimuth), max(most, azimuth)
+            inside[column], kept[column] = within, within & (light[column] > _ZERO)
+        for column in range(width):
+            azimuth = right[column]
+            least = azimuth if inside[column] & (azimuth < least) else least
+            most = azimuth if inside[column] & (azimuth > most) else most
+        for column in range(width):
             # No branch: which pixels stay is not to be foreseen.
-            lit_m[lit] = away_m
-            lit += inside & (radiance[row, column] > _ZERO)
+            lit_m[lit] = away[column]
+            lit += np.uint64(kept[column])
     return float(lit), float(least), float(most)
 
 
@@ -169,7 +174,9 @@ def insonified(
     nowhere = len(hit) - 1
     slant, right, up = np.empty(width, _F), np.empty(width, _F), np.empty(width, _F)
     level, bins = np.empty(width, _F), np.empty(width, np.int32)
-    tabled, count = len(edges_rad) > 0, 0
+    # Without a sign, as below: else every access asks whether it is negative.
+    tabled, count = len(edges_rad) > 0, np.uint64(0)
+    kept = np.empty(width, np.uint8)
     for row in range(height):
         _project(depth_m[row], across, down[row], rotation, position_m, slant, right, up)
         for column in range(width):
@@ -185,25 +192,31 @@ def insonified(
         elif gain_power:
             for column in range(width):
                 level[column] *= _F(float(slant[column]) ** gain_power)
+        there, light = surface[row], radiance[row]
         for column in range(width):
             lit = (
-                surface[row, column]
-                & (radiance[row, column] > _ZERO)
+                there[column]
+                & (light[column] > _ZERO)
                 & (np.abs(up[column]) <= half_vfov_rad)
                 & (bins[column] != nowhere)
             )
+            kept[column] = lit
+            bins[column] = bins[column] if lit else nowhere
+        if tabled:
+            for column in range(width):
+                if kept[column]:
+                    bins[column] = nearest_beam(bins[column], right[column], edges_rad, columns)
+        first = np.int32(row * width)
+        for column in range(width):
             range_m[count] = slant[column]
             azimuth_rad[count] = right[column]
             elevation_rad[count] = up[column]
             strength[count] = level[column]
-            pixel[count] = row * width + column
-            bin_ = bins[column] if lit else nowhere
-            if tabled & lit:
-                bin_ = nearest_beam(bin_, right[column], edges_rad, columns)
-            hit[bin_] = True
-            count += lit
+            pixel[count] = first + np.int32(column)
+            hit[np.uint32(bins[column])] = True
+            count += np.uint64(kept[column])
     hit[nowhere] = False
-    return count
+    return int(count)
 
 
 @compiled(
