@@ -44,7 +44,7 @@ _JPEG_SHARE, _QUALITY = 0.15, (75, 96)
 _UNTOLD = 0.15
 """Part of the pictures that are judged without geometry, though a fan may be found."""
 _HIDDEN, _STEPS, _RATE, _DECAY = 16, 600, 0.02, 0.1
-_MOST_DB, _CAUTION = 6.0, 1.5
+_MOST_DB, _CAUTION = 12.0, 1.5
 """Differences count up to so many dB; harm to a picture of the usual kind counts so much more."""
 
 
