@@ -59,8 +59,9 @@ class DataSettings:
 
     @property
     def least_side(self) -> int:
-        """Pixels that every image must have: crops of several images have one shape, and of a
-        single one that of the image will do.
+        """Pixels that every image must have.
+
+        Crops of several images have one shape; of a single one that of the image will do.
         """
         steps = [(self.patch, self.batch), *((one.patch, one.batch) for one in self.stages)]
         return max((patch for patch, batch in steps if batch > self.crops), default=1)
