@@ -93,9 +93,9 @@ def markdown() -> str:
         + ", ".join(f"{number} {name}" for number, name in enumerate(CLASSES))
         + ".\n",
         "Dimensions carry scales (`/axes/...`, with `units` and `description`): range and azimuth "
-        "of polar pictures, ahead and right of fan pictures; in metres where the range window is "
-        "fixed, otherwise relative, and `range_min_m`, `range_max_m`, `metres_per_pixel` of "
-        "`/meta` turn them into metres.\n",
+        "of polar pictures, ahead and right of fan pictures; in metres where all pictures have "
+        "one range window, otherwise relative, and `range_min_m`, `range_max_m`, "
+        "`metres_per_pixel` of `/meta` turn them into metres.\n",
         texts.ECHOES,
         _table(
             ("field", "type", "units", "what it is"),

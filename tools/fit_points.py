@@ -33,7 +33,7 @@ from simnfnd.models.data.any_device import DeviceSource
 from simnfnd.models.data.pairs import Source
 from simnfnd.models.data.renders import RenderSource
 from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
-from simnfnd.models.denoise.points import FILE, figures, saved
+from simnfnd.models.denoise.points import FILE, figures, saved, standardised
 from simnfnd.models.pretrained import DEFAULT, POINTS
 
 Floats = npt.NDArray[np.float64]
@@ -141,7 +141,8 @@ def _fit(found: Judged) -> dict[str, Floats]:
     """What `likelihood` needs, by cross entropy weighed by what is at stake."""
     torch.manual_seed(SEED)
     mean, spread = found.figures.mean(0), found.figures.std(0) + 1e-3
-    inputs = torch.tensor((found.figures - mean) / spread, dtype=torch.float32)
+    values = standardised(found.figures, {"mean": mean, "spread": spread})
+    inputs = torch.tensor(values, dtype=torch.float32)
     wanted = torch.tensor(found.more_db > 0, dtype=torch.float32)
     stake = torch.tensor(np.minimum(np.abs(found.more_db), _MOST_DB), dtype=torch.float32)
     stake = stake * torch.where(wanted > 0, 1.0, _CAUTION)
@@ -167,7 +168,7 @@ def _fit(found: Judged) -> dict[str, Floats]:
 
 
 def _line(found: Judged, judge: dict[str, Floats]) -> str:
-    values = (found.figures - judge["mean"]) / judge["spread"]
+    values = standardised(found.figures, judge)
     hidden = np.tanh(values @ judge["first"].T + judge["first_bias"])
     points = hidden @ judge["last"] + judge["last_bias"] > 0
     noisy, usual, by_points = found.psnr_db.T

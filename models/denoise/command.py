@@ -178,7 +178,7 @@ class _Work:
             warning = denoise_pings(item, out, denoise, compare=compare, tick=tick, steady=steady)
         elif item.kind == "bag":
             warning = denoise_bag(
-                item, out, self.suited or denoise, find,
+                item, out, denoise, find,
                 topics=self.topics, compare=compare, tick=tick, steady=steady,
             )  # fmt: skip
         else:

@@ -31,6 +31,7 @@ _GREY = np.array([0, 1, 2, 4, 8, 16, 32, 64, 128, 192, 254, 255]) / 255
 _MEANS = ((0.01, 0.03), (0.03, 0.08), (0.08, 0.2), (0.2, 0.4), (0.4, 0.7))
 """Local means within which scatter is measured."""
 _LAGS = ((0, 1), (1, 0), (0, 2), (2, 0), (1, 1))
+_MOST = 3.0
 _LEAST = 100
 """Pixels that a figure needs; with fewer it is 0."""
 
@@ -41,9 +42,19 @@ def likelihood(gray: Gray, geometry: FanGeometry | None = None) -> float:
     gray: (H, W) float32 in 0..1.  geometry: where its sector lies, if that is known.
     """
     judge = _judge()
-    values = (figures(gray, geometry) - judge["mean"]) / judge["spread"]
+    values = standardised(figures(gray, geometry), judge)
     hidden = np.tanh(judge["first"] @ values + judge["first_bias"])
     return float(1 / (1 + np.exp(-(judge["last"] @ hidden + judge["last_bias"]))))
+
+
+def standardised(
+    found: npt.NDArray[np.float64], judge: Mapping[str, npt.NDArray[np.float64]]
+) -> npt.NDArray[np.float64]:
+    """Figures (..., 44) in spreads from the mean of those fitted to, at most _MOST of them.
+
+    Further out, where a flat picture or one of pure noise lies, nothing was fitted.
+    """
+    return np.asarray(np.clip((found - judge["mean"]) / judge["spread"], -_MOST, _MOST))
 
 
 def figures(gray: Gray, geometry: FanGeometry | None = None) -> npt.NDArray[np.float64]:

@@ -43,7 +43,7 @@ class Suited:
         self._of_points += part > 0.5
         if part > 1 - _SURE:
             return self._points()(gray, geometry)
-        usual = self.usual(gray, geometry, looks=looks)
+        usual = self.usual(gray, geometry, looks=looks) if looks else self.usual(gray, geometry)
         if part < _SURE:
             return usual
         return usual + np.float32(part) * (self._points()(gray, geometry) - usual)

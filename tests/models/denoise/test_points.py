@@ -77,6 +77,13 @@ def test_figures_of_any_picture_are_finite(
     assert 0 <= likelihood(gray) <= 1
 
 
+def test_pictures_unlike_any_are_not_taken_for_points() -> None:
+    rng = np.random.default_rng(0)
+    flat = np.full((60, 80), 0.3, np.float32)
+    grain = np.clip(0.5 + 0.1 * rng.standard_normal((200, 200)), 0, 1).astype(np.float32)
+    assert max(likelihood(one) for one in (flat, 0 * flat, grain)) < 0.1
+
+
 class _Adds:
     looks = 1
 
