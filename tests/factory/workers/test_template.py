@@ -86,10 +86,15 @@ def test_environment_and_folder_are_those_of_now(
 
 
 def the_template() -> psutil.Process:
-    """Its process."""
-    found = psutil.Process().children()
-    (one,) = (child for child in found if "forkserver" in " ".join(child.cmdline()))
-    return one
+    """Its process; one that was forked a moment ago has the words of this one still."""
+    end = time.monotonic() + 10
+    while True:
+        found = psutil.Process().children()
+        named = [child for child in found if "forkserver" in " ".join(child.cmdline())]
+        if named or time.monotonic() > end:
+            (one,) = named
+            return one
+        time.sleep(0.01)
 
 
 def test_one_that_was_killed_is_replaced() -> None:
