@@ -22,6 +22,7 @@ import torch
 from torch import nn
 
 from simnfnd.factory.cli.compose import compose_config
+from simnfnd.factory.dataset.describe.quality import psnr_db as picture_psnr_db
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.progress import progress_bar
 from simnfnd.factory.recordings.fan_finder import find_fan
@@ -33,7 +34,7 @@ from simnfnd.models.data.any_device import DeviceSource
 from simnfnd.models.data.pairs import Source
 from simnfnd.models.data.renders import RenderSource
 from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
-from simnfnd.models.denoise.points import FILE, figures, saved, standardised
+from simnfnd.models.denoise.points import FILE, figures, judged, saved, standardised
 from simnfnd.models.pretrained import DEFAULT, POINTS
 
 Floats = npt.NDArray[np.float64]
@@ -115,7 +116,7 @@ def _judged(source: Source, both: tuple[Denoiser, Denoiser], count: int, what: s
         for gray, clean, geometry in _pictures(source, count):
             rows.append(figures(gray, geometry))
             found = (gray, *(denoise(gray, geometry) for denoise in both))
-            psnr_db.append([_psnr_db(one - clean) for one in found])
+            psnr_db.append([picture_psnr_db(clean, one) for one in found])
             bar.update()
     return Judged(np.array(rows), np.array(psnr_db))
 
@@ -168,9 +169,7 @@ def _fit(found: Judged) -> dict[str, Floats]:
 
 
 def _line(found: Judged, judge: dict[str, Floats]) -> str:
-    values = standardised(found.figures, judge)
-    hidden = np.tanh(values @ judge["first"].T + judge["first_bias"])
-    points = hidden @ judge["last"] + judge["last_bias"] > 0
+    points = judged(found.figures, judge) > 0.5
     noisy, usual, by_points = found.psnr_db.T
     chosen = np.where(points, by_points, usual)
     lost = found.psnr_db[:, 1:].max(1) - chosen
@@ -181,10 +180,6 @@ def _line(found: Judged, judge: dict[str, Floats]) -> str:
         f"chosen {chosen.mean():.2f}, the better of both {(chosen + lost).mean():.2f}; most lost "
         f"in a picture {lost.max():.1f} dB"
     )
-
-
-def _psnr_db(difference: npt.NDArray[np.floating]) -> float:
-    return float(-10 * np.log10(np.square(difference).mean() + 1e-10))
 
 
 if __name__ == "__main__":

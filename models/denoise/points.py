@@ -41,16 +41,22 @@ def likelihood(gray: Gray, geometry: FanGeometry | None = None) -> float:
 
     gray: (H, W) float32 in 0..1.  geometry: where its sector lies, if that is known.
     """
-    judge = _judge()
-    values = standardised(figures(gray, geometry), judge)
-    hidden = np.tanh(judge["first"] @ values + judge["first_bias"])
-    return float(1 / (1 + np.exp(-(judge["last"] @ hidden + judge["last_bias"]))))
+    return float(judged(figures(gray, geometry), _judge()))
+
+
+def judged(
+    found: npt.NDArray[np.float64], judge: Mapping[str, npt.NDArray[np.float64]]
+) -> npt.NDArray[np.float64]:
+    """The likelihood (...) from figures (..., 46)."""
+    values = standardised(found, judge)
+    hidden = np.tanh(values @ judge["first"].T + judge["first_bias"])
+    return np.asarray(1 / (1 + np.exp(-(hidden @ judge["last"] + judge["last_bias"]))))
 
 
 def standardised(
     found: npt.NDArray[np.float64], judge: Mapping[str, npt.NDArray[np.float64]]
 ) -> npt.NDArray[np.float64]:
-    """Figures (..., 44) in spreads from the mean of those fitted to, at most _MOST of them.
+    """Figures (..., 46) in spreads from the mean of those fitted to, at most _MOST of them.
 
     Further out, where a flat picture or one of pure noise lies, nothing was fitted.
     """
@@ -58,7 +64,7 @@ def standardised(
 
 
 def figures(gray: Gray, geometry: FanGeometry | None = None) -> npt.NDArray[np.float64]:
-    """(44,) figures of a picture (H, W) in 0..1, of its sector alone.
+    """(46,) figures of a picture (H, W) in 0..1, of its sector alone.
 
     Shares of grey values (log), spread over mean in windows of 7x7 by their mean (is there any; log
     of the 10th, 50th and 90th percentile), correlation of neighbours by mean, shares of empty and

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -17,14 +17,11 @@ _SURE = 0.1
 
 
 class Suited:
-    """Denoises each picture by the weights for its kind of noise, or by both where in doubt.
-
-    looks: of the usual weights, as of `Denoiser`.
-    """
+    """Denoises each picture by the weights for its kind of noise, or by both where in doubt."""
 
     def __init__(self, usual: Denoiser, points: Callable[[], Denoiser]) -> None:
         """usual: for real sonars.  points: gives those for the paper's noise, when needed."""
-        self.usual, self.looks, self._points = usual, usual.looks, points
+        self._usual, self._points = usual, points
         self._seen, self._of_points = 0, 0
 
     def __call__(
@@ -33,9 +30,8 @@ class Suited:
         geometry: FanGeometry | None = None,
         *,
         layout: str | None = None,
-        looks: Sequence[Gray] = (),
     ) -> Gray:
-        """See `Denoiser`."""
+        """See `Denoiser`; neither of the weights sees several pictures."""
         if geometry is None and layout == "polar":
             geometry = FanGeometry.polar().with_size(*gray.shape)
         part = likelihood(gray, geometry)
@@ -43,7 +39,7 @@ class Suited:
         self._of_points += part > 0.5
         if part > 1 - _SURE:
             return self._points()(gray, geometry)
-        usual = self.usual(gray, geometry, looks=looks) if looks else self.usual(gray, geometry)
+        usual = self._usual(gray, geometry)
         if part < _SURE:
             return usual
         return usual + np.float32(part) * (self._points()(gray, geometry) - usual)
