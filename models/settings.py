@@ -22,7 +22,9 @@ Count = Annotated[int, Field(ge=1)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Patch = Annotated[int, Field(ge=8)]
-Scale = Annotated[float, Field(gt=0, le=16)]
+Multiple = Annotated[float, Field(gt=0, le=16)]
+Scale = Multiple | tuple[Multiple, Multiple]
+"""Times the dataset's beams, range bins and pixels; or those of beams and bins, and of pixels."""
 Frames = Annotated[int, Field(ge=1, le=31), AfterValidator(_odd)]
 
 
@@ -99,6 +101,11 @@ class RendersData(DataSettings):
     choices: Share
     reuse: Annotated[int, Field(ge=1, le=1000)] = 1
     frames: Frames = 1
+
+    @property
+    def least_scale(self) -> float:
+        """Pixels of the smallest training picture, as a multiple of the dataset's."""
+        return min(scale[1] if isinstance(scale, tuple) else scale for scale in self.scales)
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)

@@ -30,7 +30,7 @@ from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.data.looks import stacked, variants_of
 from simnfnd.models.data.pairs import PairTable, Sample, SampleRef, Source, spread, weakened
-from simnfnd.models.settings import RendersData
+from simnfnd.models.settings import RendersData, Scale
 
 _DECIDE = ("devices", "noise", "acoustics", "sonar", "water")
 """Groups of the configuration that decide the pictures of drawn devices."""
@@ -49,7 +49,7 @@ class RenderSource:
         weaker: float,
         fewer: float,
         seed: int,
-        scales: tuple[float, ...],
+        scales: tuple[Scale, ...],
         looks: int = 1,
     ) -> None:
         """config: how pairs are made.  frames: whose renders are at hand.  See `RendersData`.
@@ -66,7 +66,7 @@ class RenderSource:
         self.config, self.frames = replace(config, seed=seed), frames
         self.weaker, self.fewer, self.seed, self.scales = weaker, fewer, seed, scales
         self._sonars = {scale: resized(config.sonar, scale) for scale in (1.0, *scales)}
-        self._makers: dict[float, PairMaker] = {}
+        self._makers: dict[Scale, PairMaker] = {}
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -76,7 +76,7 @@ class RenderSource:
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
-        scale = 1.0 if visit is None else self.scale_of(index, visit)
+        scale: Scale = 1.0 if visit is None else self.scale_of(index, visit)
         if scale not in self._makers:
             config = replace(self.config, sonar=self._sonars[scale])
             self._makers[scale] = PairMaker(config, open_views(config))
@@ -95,8 +95,8 @@ class RenderSource:
             looks=stacked(in_unit_range(pair.noisy), [in_unit_range(one.noisy) for one in more]),
         )
 
-    def scale_of(self, index: int, visit: int) -> float:
-        """Size of the picture of a visit, as a multiple of the dataset's: any of `scales`."""
+    def scale_of(self, index: int, visit: int) -> Scale:
+        """Size of the picture of a visit, as multiples of the dataset's: any of `scales`."""
         return self.scales[stream(self.seed, "scale", index, visit).integers(len(self.scales))]
 
     def noise_of(self, index: int, visit: int) -> NoiseSettings:
@@ -131,28 +131,30 @@ def scaled(block: Any, factor: float) -> Any:
     return replace(block, **changes)
 
 
-def resized(sonar: SonarSettings, scale: float) -> SonarSettings:
+def resized(sonar: SonarSettings, scale: Scale) -> SonarSettings:
     """The same device with `scale` times as many beams, range bins and pixels.
 
-    Its point spread stays as many bins and beams wide, so it resolves more.
+    scale: one number, or (of beams and range bins, of pixels).
+    Its point spread stays as many bins and beams wide, so with more of them it resolves more.
     Raises FactoryError when that is too many, and where there is a table of beams, which says
     nothing of beams between.
     """
-    if scale == 1:
-        return sonar
-    if sonar.beam_azimuths_deg is not None:
+    of_beams, of_pixels = scale if isinstance(scale, tuple) else (scale, scale)
+    named = f"[{of_beams:g}, {of_pixels:g}]" if isinstance(scale, tuple) else f"{scale:g}"
+    if of_beams != 1 and sonar.beam_azimuths_deg is not None:
         raise FactoryError(
-            f"data.scales: {scale:g}: {sonar.name} has a table of beams; only 1 is possible"
+            f"data.scales: {named}: {sonar.name} has a table of beams; only 1 is possible, or "
+            "[1, multiple of the pixels]"
         )
     image = sonar.image
-    sizes = [sonar.beams, sonar.range_bins, image.width_px, image.height_px]
-    beams, range_bins, width_px, height_px = (round(scale * size) for size in sizes)
+    beams, range_bins = (round(of_beams * size) for size in (sonar.beams, sonar.range_bins))
+    width_px, height_px = (round(of_pixels * size) for size in (image.width_px, image.height_px))
     try:
         image = replace(image, width_px=width_px, height_px=height_px)
         return replace(sonar, beams=beams, range_bins=range_bins, image=image)
     except ValueError as error:
         raise FactoryError(
-            f"data.scales: {scale:g} makes {beams} beams, {range_bins} range bins and "
+            f"data.scales: {named} makes {beams} beams, {range_bins} range bins and "
             f"{width_px}x{height_px} pixels; 2 to 8192 of each are possible"
         ) from error
 

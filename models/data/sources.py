@@ -94,7 +94,7 @@ def _of_dataset(
     folder = str(local_folder(folder))
     table = read_table(folder, "train")
     if not (isinstance(data, RendersData) and data.experiment is not None):
-        least = min(data.scales) if isinstance(data, RendersData) else 1.0
+        least = data.least_scale if isinstance(data, RendersData) else 1.0
         height, width = (round(least * side) for side in (table.height, table.width))
         _check_sizes(data, min(height, width), folder, f"{height}x{width}")
     learning, held = hold_out(table.samples, data.validation, settings.seed)

@@ -244,11 +244,35 @@ def test_scales_train_on_pictures_of_several_sizes(rendered: tuple[Path, Path]) 
     assert source.sample(0, None).noisy.shape == (height, width), "validation is as the dataset is"
 
 
+def test_pixels_apart_from_beams(rendered: tuple[Path, Path]) -> None:
+    """[1, 2]: the dataset's beams and range bins, drawn on twice as many pixels a side."""
+    source, _ = renders(rendered, scales=((1.0, 2.0),), weaker=0.0, fewer=0.0)
+    height, width = source.config.sonar.shape()
+    sample = source.sample(0, 0)
+    assert sample.noisy.shape == (2 * height, 2 * width)
+    sonar = resized(source.config.sonar, (1.0, 2.0))
+    assert (sonar.beams, sonar.range_bins) == (
+        source.config.sonar.beams,
+        source.config.sonar.range_bins,
+    )
+    expected = pair_maker(replace(source.config, sonar=sonar)).pairs(source.frames[0], (0,))
+    np.testing.assert_array_equal(sample.noisy, in_unit_range(expected[0].noisy))
+    table = SonarSettings(beams=3, beam_azimuths_deg=(-20.0, 1.0, 20.0))
+    assert resized(table, (1, 2)).image.width_px == 2 * table.image.width_px
+    words = (f"dataset.dir='{rendered[0]}'", f"data.pack='{rendered[1]}'", *SMALL)
+    several = ("data.scales=[1, [2, 0.2]]", "data.batch=2", "data.crops=1")
+    settings, _ = composed("data=renders", *words, *several)
+    assert isinstance(settings.data, RendersData)
+    assert settings.data.scales == (1.0, (2.0, 0.2))
+    with pytest.raises(FactoryError, match=r"the images of .* \(8x10\); choose at most 8"):
+        open_data(settings)
+
+
 def test_scales_that_cannot_be(rendered: tuple[Path, Path]) -> None:
     table = SonarSettings(beams=3, beam_azimuths_deg=(-20.0, 1.0, 20.0))
     with pytest.raises(FactoryError, match=r"data\.scales: 2: camera_matched has a table of beams"):
         resized(table, 2)
-    assert resized(table, 1) is table
+    assert resized(table, 1) == table
     with pytest.raises(FactoryError, match=r"data\.scales: 16 makes 16384 beams"):
         resized(SonarSettings(beams=1024), 16)
     words = (f"dataset.dir='{rendered[0]}'", f"data.pack='{rendered[1]}'", *SMALL)
