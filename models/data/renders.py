@@ -281,7 +281,10 @@ def _config(data: RendersData, dataset: str) -> FactoryConfig:
         key, equals, text = word.partition("=")
         if not equals:
             raise FactoryError(f"data.factory: {word!r} is no KEY=VALUE")
-        _put(values, key.lstrip("+"), yaml.safe_load(text))
+        key = key.lstrip("+")
+        # What the experiment decides is changed there; the dataset may not even have the group.
+        if data.experiment is None or key.partition(".")[0] not in _DECIDE:
+            _put(values, key, yaml.safe_load(text))
     # What stands beside the pairs is of no use here, and may need more than the renders.
     if isinstance(values, dict) and isinstance(values.get("dataset"), dict):
         values["dataset"]["layers"] = []

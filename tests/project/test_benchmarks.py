@@ -190,3 +190,19 @@ def test_quick_runs_the_stages() -> None:
     section = benchmarks.run("stages", Options(quick=True))
     assert section.failed == ""
     assert all(table.rows for table in section.tables)
+
+
+def test_what_is_left_of_spokes_is_told_by_bearing() -> None:
+    """Two stripes along bearings, of which a tenth and four fifths stay; the rest is no spoke."""
+    from benchmarks.bench_spokes import left_of_spokes
+    from simnfnd.factory.sonar.geometry import FanGeometry
+    from simnfnd.factory.sonar.settings import SonarSettings
+
+    geometry = FanGeometry.from_sonar(SonarSettings(), 1.0, 6.0, -0.39, 0.39)
+    maps = geometry.maps(0, 0, *SonarSettings().shape())
+    inside, bearing = maps["sector"] > 0, maps["azimuth_rad"]
+    one, other = (inside & (abs(bearing - at) < 0.015) for at in (-0.2, 0.1))
+    faint = inside & (abs(bearing - 0.3) < 0.015)
+    before = 0.3 * one + 0.1 * other + 0.01 * faint
+    after = 0.03 * one + 0.08 * other + 0.01 * faint
+    assert list(left_of_spokes(before, after, geometry)) == pytest.approx([0.1, 0.8], abs=0.02)

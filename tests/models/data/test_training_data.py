@@ -28,6 +28,7 @@ from simnfnd.factory.settings import build
 from simnfnd.factory.sonar.fan import fan_table
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.models.data.any_device import DeviceSource
 from simnfnd.models.data.crops import Crops, Visit, WholeImages
 from simnfnd.models.data.fans import read_fans
 from simnfnd.models.data.images import list_images, read_grey
@@ -282,6 +283,34 @@ def test_scales_that_cannot_be(rendered: tuple[Path, Path]) -> None:
         open_data(settings)
     with pytest.raises(FactoryError, match=r"data\.scales"):
         composed("data=renders", *words, "data.scales=[]")
+
+
+def test_words_of_the_factory_change_what_an_experiment_draws(rendered: tuple[Path, Path]) -> None:
+    """Also where the dataset itself has no drawn devices."""
+    words = ("devices.odd_share=0.9", "noise.spokes.enabled=false")
+    source = _drawn(rendered, words)
+    usual = _drawn(rendered, ())
+    assert source.config.devices is not None
+    assert usual.config.devices is not None
+    assert source.config.devices.odd_share.values == (0.9,)
+    assert replace(source.config.devices, odd_share=usual.config.devices.odd_share) == (
+        usual.config.devices
+    )
+    assert usual.config.noise.spokes.enabled
+    assert not source.config.noise.spokes.enabled
+    with pytest.raises(FactoryError, match=r"odd_shar"):
+        _drawn(rendered, ("devices.odd_shar=0.9",))
+
+
+def _drawn(rendered: tuple[Path, Path], words: tuple[str, ...]) -> DeviceSource:
+    settings, _ = composed("data=renders", "data.experiment=any_sonar")
+    assert isinstance(settings.data, RendersData)
+    data = replace(settings.data, pack=str(rendered[1]), factory=words, patch=16)
+    table = read_table(rendered[0], "train")
+    _, held = hold_out(table.samples, 0.3, 0)
+    source = open_renders(data, table, held, str(rendered[0]), seed=5).source
+    assert isinstance(source, DeviceSource)
+    return source
 
 
 def test_renders_that_are_not_there(rendered: tuple[Path, Path], tmp_path: Path) -> None:
