@@ -296,6 +296,8 @@ def test_words_of_the_factory_change_what_an_experiment_draws(rendered: tuple[Pa
     assert replace(source.config.devices, odd_share=usual.config.devices.odd_share) == (
         usual.config.devices
     )
+    assert usual.config.noise.spokes is not None
+    assert source.config.noise.spokes is not None
     assert usual.config.noise.spokes.enabled
     assert not source.config.noise.spokes.enabled
     with pytest.raises(FactoryError, match=r"odd_shar"):
