@@ -87,7 +87,7 @@ def _load_start(network: Network, settings: ModelsSettings) -> None:
     trained = load_weights(find_weights(settings.start))
     if trained.model["kind"] == settings.model["kind"]:
         state = trained.network.state_dict()
-        fresh = _fresh_blocks(network, state)
+        fresh = fresh_blocks(network, state)
         try:
             network.load_state_dict({**fresh, **state})
             return
@@ -99,7 +99,7 @@ def _load_start(network: Network, settings: ModelsSettings) -> None:
     )
 
 
-def _fresh_blocks(network: Network, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def fresh_blocks(network: Network, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Weights of the residual blocks that `state` lacks: they begin as the identity."""
     blocks = (name for name, one in network.named_modules() if isinstance(one, ResidualBlock))
     fresh = tuple(
