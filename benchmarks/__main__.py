@@ -1,8 +1,9 @@
-"""`python -m benchmarks [NAME...]`: run every bench_*.py here and write one report.
+"""`python -m benchmarks [NAME...]`: run every bench_*.py in these rooms and write one report.
 
-A benchmark is a module `bench_<name>.py` with a `measure(options)` that returns a
-`benchmarks.report.Section`.  Each runs in a process of its own, so that no import, cache, memory
-peak or thread setting of one reaches the next.  One that fails is named, and the exit code says so.
+A benchmark is a module `bench_<name>.py`, in any of the rooms, with a `measure(options)` that
+returns a `benchmarks.report.Section`.  Each runs in a process of its own, so that no import, cache,
+memory peak or thread setting of one reaches the next.  One that fails is named, and the exit code
+says so.
 """
 
 from __future__ import annotations
@@ -37,9 +38,13 @@ open(target, "w").write(json.dumps(to_json(section)))
 """
 
 
-def discover(folder: Path = HERE) -> list[str]:
-    """Names of the benchmarks in `folder`, sorted: `render` for bench_render.py."""
-    return sorted(path.stem.removeprefix(PREFIX) for path in folder.glob(f"{PREFIX}*.py"))
+def discover(package: Path = HERE) -> dict[str, str]:
+    """Name -> module, sorted by names: `render` for making/bench_render.py."""
+    found = {}
+    for path in package.rglob(f"{PREFIX}*.py"):
+        parts = path.relative_to(package.parent).with_suffix("").parts
+        found[path.stem.removeprefix(PREFIX)] = ".".join(parts)
+    return dict(sorted(found.items()))
 
 
 def machine() -> str:
@@ -62,12 +67,12 @@ def _version(distribution: str) -> str | None:
         return None
 
 
-def run(name: str, options: Options, package: str = "benchmarks") -> Section:
+def run(name: str, options: Options) -> Section:
     """Run one benchmark in a fresh interpreter."""
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "section.json"
-        words = [f"{package}.{PREFIX}{name}", json.dumps(asdict(options)), str(target)]
+        words = [discover()[name], json.dumps(asdict(options)), str(target)]
         code = subprocess.run([sys.executable, "-c", _CHILD, *words], check=False).returncode
         if code or not target.exists():
             section = Section(failed=f"ended with exit code {code}")

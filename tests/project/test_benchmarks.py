@@ -29,7 +29,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     package = tmp_path / "measured"
     package.mkdir()
     (package / "__init__.py").touch()
-    (package / "bench_good.py").write_text(GOOD, encoding="utf-8")
+    (package / "room").mkdir()
+    (package / "room" / "__init__.py").touch()
+    (package / "room" / "bench_good.py").write_text(GOOD, encoding="utf-8")
     (package / "bench_bad.py").write_text("def measure(options): 1 / 0\n", encoding="utf-8")
     (package / "bench_wrong.py").write_text(
         "from benchmarks.report import Section\n"
@@ -39,9 +41,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (package / "helper.py").touch()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{ROOT}")
-    find, run = benchmarks.discover, benchmarks.run
+    find = benchmarks.discover
     monkeypatch.setattr(benchmarks, "discover", lambda: find(package))
-    monkeypatch.setattr(benchmarks, "run", lambda name, options: run(name, options, "measured"))
     return tmp_path
 
 
@@ -137,7 +138,7 @@ for number in range(count):
 
 def _held(kb_a_sample: int, samples: int) -> list[float]:
     """MB of the first and last quarter of a reader that keeps so much of the first `samples`."""
-    from benchmarks.bench_streams import timed
+    from benchmarks.shards.bench_streams import timed
 
     held = []
 
@@ -161,7 +162,7 @@ def test_a_leak_shows_in_the_memory_of_a_reader(
 ) -> None:
     pytest.importorskip("psutil")
     pytest.importorskip("moto")
-    from benchmarks.bench_streams import has_grown
+    from benchmarks.shards.bench_streams import has_grown
 
     assert has_grown(*in_own_process(_held, kb_a_sample, samples)) == leaks
 
@@ -194,7 +195,7 @@ def test_quick_runs_the_stages() -> None:
 
 def test_what_is_left_of_spokes_is_told_by_bearing() -> None:
     """Two stripes along bearings, of which a tenth and four fifths stay; the rest is no spoke."""
-    from benchmarks.bench_spokes import left_of_spokes
+    from benchmarks.denoising.bench_spokes import left_of_spokes
     from simnfnd.factory.sonar.geometry import FanGeometry
     from simnfnd.factory.sonar.settings import SonarSettings
 

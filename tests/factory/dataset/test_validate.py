@@ -36,7 +36,7 @@ from tests.fake_source import FakeConfig, FakeSource, refs
 from tests.project_files import ROOT
 
 SOURCE = FakeSource(FakeConfig())
-# benchmarks/bench_hostile.py goes through 1200 of them.
+# benchmarks/trust/bench_hostile.py goes through 1200 of them.
 MUTATIONS = 60
 
 

@@ -21,7 +21,7 @@ from benchmarks.report import Cell, Options, Section, Table
 HERE = "10.77.3.1"
 HOSTS = ("dies", "slow", "late")
 DELAY_MS = 150
-_ROOT = Path(__file__).parents[1]
+_ROOT = Path(__file__).parents[2]
 # Tables of datasets, not pictures of them: the machine is small.
 _WORDS = ("render=analytic", "scenes.frames_per_location=2", "scenes.width=242",
           "scenes.height=152", "scheduler.shard_size=2", "dataset.preview_pairs=0")  # fmt: skip

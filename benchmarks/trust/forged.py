@@ -15,8 +15,8 @@ from unittest import mock
 
 import h5py
 
-from benchmarks.guarded import answers
 from benchmarks.report import Cell
+from benchmarks.trust.guarded import answers
 from simnfnd.factory.dataset.read import reader
 from simnfnd.factory.errors import FactoryError
 from tests.factory.dataset.hostile import (

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from benchmarks.bench_pair import LITERAL, PICTURES, literal
+from benchmarks.making.bench_pair import LITERAL, PICTURES, literal
 from benchmarks.report import Cell, Options, Section, Table
 from benchmarks.shared import frame_words, in_own_process, run_factory
 from simnfnd.factory.cli.compose import compose_config

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.bench_pair import PICTURES, prepare
+from benchmarks.making.bench_pair import PICTURES, prepare
 from benchmarks.report import Options, Section, Table
 from benchmarks.shared import PROVENANCE, frame_words, in_own_process
 from simnfnd.factory.cli.compose import compose_config

@@ -20,7 +20,7 @@ from pathlib import Path
 from benchmarks.report import Cell, Options, Section, Table
 
 SLICES, ROUNDS = 8, 10
-_ROOT = Path(__file__).parents[1]
+_ROOT = Path(__file__).parents[2]
 _WORDS = ("render=analytic", "scenes.locations=8", "scenes.frames_per_location=1",
           "scenes.width=242", "scenes.height=152", "scheduler.shard_size=1",
           "scheduler.workers=1", "dataset.preview_pairs=0")  # fmt: skip

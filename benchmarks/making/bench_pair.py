@@ -88,7 +88,7 @@ def _table(title: str, root: str, options: Options) -> Table:
 
 def literal(words: list[str], repeats: int) -> Spent:
     """The recipe of the paper."""
-    from benchmarks.literal import LiteralRecipe
+    from benchmarks.making.literal import LiteralRecipe
 
     frame = _frame(compose_config(words))
     with tempfile.TemporaryDirectory() as folder, quiet():

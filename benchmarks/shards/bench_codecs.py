@@ -6,8 +6,8 @@ import tempfile
 from itertools import islice
 from pathlib import Path
 
-from benchmarks.bench_readers import picture_config, procedural_pairs
 from benchmarks.report import Cell, Options, Section, Table
+from benchmarks.shards.bench_readers import picture_config, procedural_pairs
 from benchmarks.shared import PROVENANCE, clock
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.format.settings import DatasetSettings

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from benchmarks.bench_pair import PICTURES, cold
+from benchmarks.making.bench_pair import PICTURES, cold
 from benchmarks.report import Cell, Options, Section, Table
 from benchmarks.shared import Command, frame_words, in_own_process, run_command
 from simnfnd.factory.cli.compose import compose_config

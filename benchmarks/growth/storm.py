@@ -1,7 +1,7 @@
 """A run that everything happens to: its workers are killed at random, the run itself now and then.
 
-`python -m benchmarks.storm DIR BACKEND DELAY_S SHARDS` is the run, with frames that cost nothing
-but time, so that the storm is about the scheduler alone; `storm` is what happens to it.
+`python -m benchmarks.growth.storm DIR BACKEND DELAY_S SHARDS` is the run, with frames that cost
+nothing but time, so that the storm is about the scheduler alone; `storm` is what happens to it.
 """
 
 from __future__ import annotations
@@ -127,9 +127,9 @@ def _start(directory: Path, backend: str, delay_s: float, shards: int) -> subpro
     directory.parent.mkdir(parents=True, exist_ok=True)
     with (directory.parent / "errors.txt").open("a") as errors:
         return subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.storm", *words],
+            [sys.executable, "-m", "benchmarks.growth.storm", *words],
             stderr=errors,
-            cwd=Path(__file__).parents[1],
+            cwd=Path(__file__).parents[2],
             start_new_session=True,
         )
 

@@ -4,7 +4,7 @@ Real: the six raw frames of the ARIS SDK (`experiment=aris_raw` is calibrated to
 video of a fixed DIDSON, both read from ../shared/data where they are.  Simulated: recordings of a
 platform that moves as examples/platform.csv says, and of one that stands still.
 
-`python -m benchmarks.bench_frames PICTURE.png` draws the frames of both beside each other.
+`python -m benchmarks.denoising.bench_frames PICTURE.png` draws the frames of both side by side.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from benchmarks.shared import run_factory
 from simnfnd.evaluation.metrics.frames import frame_noise, grain_correlation, ks_distance
 from simnfnd.factory.recordings import open_recording
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 DATA = ROOT.parent / "shared/data"
 ARIS, DIDSON = DATA / "aris-sdk/sample.aris", DATA / "didson/lamprey1.avi"
 LAGS = (1, 2, 3, 5)

@@ -18,7 +18,7 @@ from tests.cloud_storage import contents, s3_server, shards_of
 
 _WORDS = ("render=analytic", "scenes.frames_per_location=2", "scenes.width=242",
           "scenes.height=152", "scheduler.shard_size=2", "scheduler.workers=2")  # fmt: skip
-_ROOT = Path(__file__).parents[1]
+_ROOT = Path(__file__).parents[2]
 
 
 def measure(options: Options) -> Section:

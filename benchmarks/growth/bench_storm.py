@@ -5,8 +5,8 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+from benchmarks.growth.storm import HANGS, KILLS, storm, undisturbed
 from benchmarks.report import Cell, Options, Section, Table
-from benchmarks.storm import HANGS, KILLS, storm, undisturbed
 
 SHARDS = 44
 

@@ -11,11 +11,11 @@ import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-from benchmarks.bombs import BOMBS, PASSED_OVER
-from benchmarks.flips import SHARD, flipped
-from benchmarks.forged import forged
-from benchmarks.guarded import answers
 from benchmarks.report import Cell, Options, Section, Table
+from benchmarks.trust.bombs import BOMBS, PASSED_OVER
+from benchmarks.trust.flips import SHARD, flipped
+from benchmarks.trust.forged import forged
+from benchmarks.trust.guarded import answers
 from simnfnd.factory.commands import failed
 from simnfnd.factory.errors import FactoryError
 from tests.factory.dataset.hostile import whole

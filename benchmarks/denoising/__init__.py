@@ -1,0 +1,1 @@
+"""What simulated noise and denoisers do, beyond the report on pairs."""

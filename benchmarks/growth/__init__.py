@@ -1,0 +1,1 @@
+"""Cost as workers, hosts and datasets grow."""

@@ -1,0 +1,1 @@
+"""What a frame and a pair cost."""

@@ -1,0 +1,1 @@
+"""Writing and reading shards, here and at a URL."""

@@ -1,0 +1,1 @@
+"""Damaged, forged and malicious datasets."""
