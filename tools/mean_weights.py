@@ -3,8 +3,8 @@
     python -m tools.mean_weights OUT A.safetensors=0.65 B.safetensors=0.35
 
 After Wortsman et al. (CVPR 2022), for weights that began from each other: others have no mean that
-denoises.  The first names the network; residual blocks that another one lacks are the identity
-there, as where training grows a network (`start=`).  Parts add up to 1.
+denoises.  The first names the network; residual blocks and lines that another one lacks are the
+identity there, as where training grows a network (`start=`).  Parts add up to 1.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.pretrained import find_weights
-from simnfnd.models.training.beginning import fresh_blocks
+from simnfnd.models.training.beginning import LAST_LAYERS, fresh_parts
 
 
 def mean(parts: dict[str, float], out: Path) -> None:
@@ -37,11 +37,13 @@ def mean(parts: dict[str, float], out: Path) -> None:
     states: list[dict[str, Tensor]] = []
     for name, one in zip(parts, trained, strict=True):
         state = dict(one.network.state_dict())
-        # A block's last convolution decides how much it adds, so only that is weighed.
+        # The last layer of a part decides how much it adds, so only that is weighed.
         first = states[0] if states else state
-        missing = fresh_blocks(network, state)
+        missing = fresh_parts(network, state)
         state |= {
-            key: torch.zeros_like(value) if ".second." in key else first[key]
+            key: torch.zeros_like(value)
+            if any(layer in key for layer in LAST_LAYERS)
+            else first[key]
             for key, value in missing.items()
         }
         try:
@@ -49,7 +51,7 @@ def mean(parts: dict[str, float], out: Path) -> None:
         except RuntimeError as error:
             raise FactoryError(
                 f"{name}: holds {dict(one.model)}, the first {dict(trained[0].model)}; only blocks "
-                "may be fewer"
+                "and lines may be fewer"
             ) from error
         states.append(state)
     shares = list(parts.values())

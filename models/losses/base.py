@@ -12,12 +12,13 @@ from torch import Tensor
 from torch.nn import functional
 
 from simnfnd.factory.settings import STRICT
+from simnfnd.models.networks.lines import MapLines
 
 NotNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]
 BatchTensors = Mapping[str, Tensor]
-"""What else a batch holds (see `models`); losses read `noisy`, `shadow`, `shadow_logits`, `weight`
-and `progress`."""
+"""What else a batch holds (see `models`); losses read `noisy`, `shadow`, `shadow_logits`, `weight`,
+`progress` and the maps of the geometry."""
 _PSNR_FLOOR = 1e-4
 """Added to the mean squared difference in `decibels`: below it, at 40 dB, gains count little."""
 _EQUAL = 1e-10
@@ -34,6 +35,8 @@ class Loss:
     decibels: weight of 10 log10 of the mean squared difference of each image, averaged over the
     images (after the PSNR loss of Chen et al., ECCV 2022, with a floor at 40 dB); nearly clean
     images count as much as noisy ones.
+    beams: weight of the mean absolute difference of the means along beams, of each image: what a
+    spoke changes, however faint it is; no effect where range and bearing are unknown.
     mask: weight of the binary cross entropy between the true shadow and the logits of the mask
     head; no effect without such a head or without a known shadow.
     blend: weight of the binary cross entropy between the weight that a network with heads gives its
@@ -43,6 +46,7 @@ class Loss:
 
     square: NotNegative = 0.0
     decibels: NotNegative = 0.0
+    beams: NotNegative = 0.0
     mask: NotNegative = 0.05
     blend: NotNegative = 0.02
 
@@ -61,6 +65,8 @@ class Loss:
         if self.decibels:
             each = (prediction - clean).square().mean(dim=(1, 2, 3))
             loss = loss + self.decibels * 10 * torch.log10(each + _PSNR_FLOOR).mean()
+        if self.beams and "azimuth_rad" in batch and "range_fraction" in batch:
+            loss = loss + self.beams * _along_beams(prediction - clean, batch).abs().mean()
         if self.mask and "shadow_logits" in batch and "shadow" in batch:
             logits, shadow = batch["shadow_logits"], batch["shadow"]
             loss = loss + self.mask * functional.binary_cross_entropy_with_logits(logits, shadow)
@@ -74,3 +80,14 @@ class Loss:
             off = functional.binary_cross_entropy(given, best, counts.clamp(max=1))
             loss = loss + self.blend * off
         return loss
+
+
+def _along_beams(x: Tensor, batch: BatchTensors) -> Tensor:
+    """(N, C, H, W) -> (N, C, W/2), means along beams; the picture is W pixels wide."""
+    azimuth_rad = batch["azimuth_rad"]
+    sector = batch.get("sector", torch.ones_like(azimuth_rad))
+    # At half the resolution, where hardly a beam is without a pixel.
+    halved = functional.avg_pool2d(x, 2, ceil_mode=True)
+    shape = (halved.shape[-2], halved.shape[-1])
+    lines = MapLines.of(azimuth_rad, batch["range_fraction"], sector, shape)
+    return lines.beam_means(halved)

@@ -9,6 +9,7 @@ from torch import Tensor
 from simnfnd.factory.errors import FactoryError
 from simnfnd.models.losses import build_loss
 from simnfnd.models.networks import build_network
+from simnfnd.models.networks.lines import LineContext
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.unet import ResidualBlock
 from simnfnd.models.networks.weights import load_weights
@@ -17,6 +18,9 @@ from simnfnd.models.settings import ModelsSettings, SelfSupervisedData
 from simnfnd.models.training.module import DenoisingModule
 from simnfnd.models.training.self_supervised import SelfSupervisedModule
 from simnfnd.models.training.teacher import Teacher
+
+LAST_LAYERS = (".second.", ".added.")
+"""Of the parts that a network can be grown by (`fresh_parts`); it decides how much a part adds."""
 
 
 def build_module(settings: ModelsSettings) -> DenoisingModule:
@@ -87,7 +91,7 @@ def _load_start(network: Network, settings: ModelsSettings) -> None:
     trained = load_weights(find_weights(settings.start))
     if trained.model["kind"] == settings.model["kind"]:
         state = trained.network.state_dict()
-        fresh = fresh_blocks(network, state)
+        fresh = fresh_parts(network, state)
         try:
             network.load_state_dict({**fresh, **state})
             return
@@ -99,11 +103,15 @@ def _load_start(network: Network, settings: ModelsSettings) -> None:
     )
 
 
-def fresh_blocks(network: Network, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Weights of the residual blocks that `state` lacks: they begin as the identity."""
-    blocks = (name for name, one in network.named_modules() if isinstance(one, ResidualBlock))
+def fresh_parts(network: Network, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Weights of the residual blocks and of the lines that `state` lacks.
+
+    They begin as the identity, because their last layer (`LAST_LAYERS`) is all zeros.
+    """
+    kinds = (ResidualBlock, LineContext)
+    parts = (name for name, one in network.named_modules() if isinstance(one, kinds))
     fresh = tuple(
-        f"{name}." for name in blocks if not any(key.startswith(f"{name}.") for key in state)
+        f"{name}." for name in parts if not any(key.startswith(f"{name}.") for key in state)
     )
     return {key: value for key, value in network.state_dict().items() if key.startswith(fresh)}
 

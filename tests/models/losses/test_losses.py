@@ -40,6 +40,30 @@ def test_plain_losses_are_their_formulas() -> None:
     assert gradient(smooth, a, b).flatten().tolist() == pytest.approx([-0.3 / 0.5 / 2, 0])
 
 
+def test_a_spoke_counts_by_the_mean_along_its_beam() -> None:
+    """A faint spoke counts whole; noise of the same mean size that cancels along beams does not."""
+    clean = torch.full((1, 1, 8, 12), 0.4)
+    maps = {
+        "azimuth_rad": torch.linspace(-1, 1, 12).expand(1, 1, 8, 12),
+        "range_fraction": torch.linspace(0, 1, 8)[:, None].expand(1, 1, 8, 12),
+    }
+    spoke, grain = torch.zeros_like(clean), torch.zeros_like(clean)
+    spoke[..., 4:6] = 0.06
+    grain[..., ::2, :], grain[..., 1::2, :] = 0.01, -0.01
+    kind = {"kind": "l1"}
+    for noise, beams in ((spoke, 0.01), (grain, 0.0)):
+        plain = build_loss(kind)(clean + noise, clean, maps)
+        assert plain.item() == pytest.approx(0.01)
+        more = build_loss({**kind, "beams": 3.0})(clean + noise, clean, maps) - plain
+        assert more.item() == pytest.approx(3 * beams, abs=1e-6)
+    unknown = build_loss({**kind, "beams": 3.0})(clean + spoke, clean)
+    assert unknown.item() == pytest.approx(0.01), "there are no beams without a geometry"
+    outside = torch.ones_like(clean)
+    outside[..., 4:6] = 0
+    loss = build_loss({**kind, "beams": 3.0})(clean + spoke, clean, {**maps, "sector": outside})
+    assert loss.item() == pytest.approx(0.01), "nor outside the sector"
+
+
 @pytest.mark.parametrize("kind", [{"kind": "l1"}, NEW])
 def test_the_squared_difference_is_added_to_any(kind: dict[str, Any]) -> None:
     a, b = image(0.0, 0.5), image(0.3, 0.5)

@@ -1,4 +1,4 @@
-"""A deeper network begins as the shallower one whose weights it is given."""
+"""A network with more parts begins as the one without them whose weights it is given."""
 
 from __future__ import annotations
 
@@ -44,21 +44,20 @@ def shallow(tmp_path: Path) -> Path:
     return path
 
 
-def test_more_blocks_change_nothing_at_first(shallow: Path) -> None:
+@pytest.mark.parametrize("more", ["model.blocks=[3,2]", "model.lines=true"])
+def test_what_a_network_grows_by_changes_nothing_at_first(more: str, shallow: Path) -> None:
     picture = torch.rand(1, 1, 32, 32, generator=torch.Generator().manual_seed(1))
     pictures = []
-    for blocks in ("[1,1]", "[3,2]"):
-        module = build_module(settings(f"model.blocks={blocks}", f"start='{shallow}'"))
+    for words in ([], [more]):
+        module = build_module(settings("model.blocks=[1,1]", f"start='{shallow}'", *words))
         with torch.no_grad():
             pictures.append(module.network.eval()(picture))
     torch.testing.assert_close(pictures[0], pictures[1], rtol=0, atol=1e-6)
     assert (pictures[0] - picture).abs().max() > 0.01
 
 
-@pytest.mark.parametrize(
-    "word", ["model.blocks=[0,1]", "model.widths=[8,12]", "model.lines=true", "model.told=true"]
-)
-def test_what_no_block_explains_is_refused(word: str, shallow: Path) -> None:
+@pytest.mark.parametrize("word", ["model.blocks=[0,1]", "model.widths=[8,12]", "model.told=true"])
+def test_what_no_new_part_explains_is_refused(word: str, shallow: Path) -> None:
     words = [f"start='{shallow}'", "model.blocks=[2,1]", word]
     with pytest.raises(FactoryError, match=r"start=.*give both the same sizes"):
         build_module(settings(*words))
