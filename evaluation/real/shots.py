@@ -16,7 +16,6 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import kind_of, open_recording
 from simnfnd.factory.recordings.fan_finder import find_fan
 from simnfnd.factory.recordings.fans import frame_picture
-from simnfnd.factory.recordings.pictures import SUFFIXES
 from simnfnd.factory.sonar.geometry import FanGeometry
 
 Mask = npt.NDArray[np.bool_]
@@ -133,7 +132,7 @@ def _below(root: Path) -> list[Stretch]:
             continue
         name = "/".join(parts) or root.resolve().name
         files = sorted(path for path in folder.iterdir() if path.is_file())
-        pictures = [path for path in files if path.suffix.lower() in SUFFIXES]
+        pictures = [path for path in files if kind_of(path) == "pictures"]
         if pictures:
             shots = tuple(_picture(path, folder / MASKS, None) for path in pictures)
             found.append(Stretch(name, shots))

@@ -19,11 +19,10 @@ from simnfnd.evaluation.realism.pictures import Collection, Source, label_of
 from simnfnd.evaluation.realism.polar import Gray
 from simnfnd.evaluation.realism.recorded import recorded
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import is_recording
+from simnfnd.factory.recordings import PICTURE_SUFFIXES, is_recording
 from simnfnd.factory.sonar.geometry import FanGeometry
 
 GEOMETRY_FILE = "geometry.csv"
-_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
 _FAN = ("apex_x_px", "apex_y_px", "near_px", "far_px")
 _METRES = ("range_min_m", "range_max_m")
 _COLUMNS = ("layout", "hfov_deg", *_FAN, "x_scale", *_METRES)
@@ -66,7 +65,7 @@ def open_real(folder: str | Path) -> Collection:
         )
     table = root / GEOMETRY_FILE
     images = root / "Images" if (root / "Images").is_dir() else root
-    paths = sorted(path for path in images.iterdir() if path.suffix.lower() in _SUFFIXES)
+    paths = sorted(path for path in images.iterdir() if path.suffix.lower() in PICTURE_SUFFIXES)
     if not paths and (
         recordings := [path for path in sorted(root.iterdir()) if is_recording(path)]
     ):
@@ -75,7 +74,7 @@ def open_real(folder: str | Path) -> Collection:
         )
     if not paths:
         raise FactoryError(
-            f"real={root}: no pictures ({', '.join(sorted(_SUFFIXES))}) there or in its Images/"
+            f"real={root}: no pictures ({', '.join(PICTURE_SUFFIXES)}) there or in its Images/"
         )
     if table.is_file():
         return Collection(label_of(root), _with_table(table, paths))

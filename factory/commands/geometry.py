@@ -34,7 +34,7 @@ def main(words: list[str]) -> int:
     """Print the table, and draw what was found; 1 when no picture has a fan."""
     parser = Parser(prog="simnfnd geometry")
     parser.add_argument(
-        "pictures", nargs="+", type=Path, help="pictures, folders of them, or videos (first frame)"
+        "pictures", nargs="+", type=Path, help="pictures, folders of them, videos (first frame)"
     )
     parser.add_argument("--out", type=Path, help="folder for the pictures with the fan drawn in")
     given = parser.parse_args(words)
@@ -62,10 +62,11 @@ def main(words: list[str]) -> int:
 
 def _pictures(path: Path) -> Iterator[tuple[str, Samples]]:
     """(file name, pixels) of a picture, of each in a folder, or of a video's first frame."""
-    if kind_of(path) not in ("pictures", "video"):
+    kind = kind_of(path)
+    if kind not in ("pictures", "video", "stack"):
         raise FactoryError(f"{path}: neither a picture nor a folder nor a video")
     with open_recording(path) as recording:
-        if kind_of(path) == "video":
+        if kind != "pictures":
             yield path.name, recording[0].samples
             return
         files = getattr(recording, "files", [path])

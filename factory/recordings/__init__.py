@@ -11,10 +11,18 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings.base import Beams, Device, Frame, Pose, Recording
+from simnfnd.factory.recordings.base import (
+    PICTURE_SUFFIXES,
+    Beams,
+    Device,
+    Frame,
+    Pose,
+    Recording,
+)
 from simnfnd.factory.recordings.rosbag_files import is_bag_folder
 
 __all__ = [
+    "PICTURE_SUFFIXES",
     "Beams",
     "Device",
     "Frame",
@@ -33,12 +41,11 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "oculus": (f"{_ROOM}.oculus:OculusFile", (".raw", ".oculus")),
     "rosbag": (f"{_ROOM}.rosbag:RosBag", (".bag", ".mcap", ".db3")),
     "video": (f"{_ROOM}.video:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
-    "pictures": (
-        f"{_ROOM}.pictures:Pictures",
-        (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp"),
-    ),
+    "stack": (f"{_ROOM}.pictures:StackFile", ()),
+    "pictures": (f"{_ROOM}.pictures:Pictures", PICTURE_SUFFIXES),
 }
-"""Kind -> ("module:class", suffixes of its files)."""
+"""Kind -> ("module:class", suffixes of its files); stacks have those of pictures."""
+_TIFF = (".tif", ".tiff")
 
 # What OpenCV reads, which is an extra; bags say themselves what they need.
 _OPENCV = {"video": "reading videos", "pictures": "reading pictures"}
@@ -47,12 +54,19 @@ _OPENCV = {"video": "reading videos", "pictures": "reading pictures"}
 def kind_of(path: Path) -> str | None:
     """The kind of recording that a file's name says; None for others.
 
-    A folder is `rosbag` when it holds a bag of ROS 2, and `pictures` otherwise.
+    A TIFF file of several pages is a `stack`.  A folder is `rosbag` when it holds a bag of ROS 2,
+    and `pictures` otherwise.
     """
     if path.is_dir():
         return "rosbag" if is_bag_folder(path) else "pictures"
+    suffix = path.suffix.lower()
+    if suffix in _TIFF and path.is_file():
+        from simnfnd.factory.recordings.pictures import is_stack
+
+        if is_stack(path):
+            return "stack"
     for kind, (_, suffixes) in READERS.items():
-        if path.suffix.lower() in suffixes:
+        if suffix in suffixes:
             return kind
     return None
 

@@ -1,21 +1,43 @@
-"""Picture files, one or a folder of them, in the order of their names."""
+"""Picture files, one or a folder of them in the order of their names, and TIFF files of pages."""
 
 from __future__ import annotations
 
+import struct
+import warnings
 from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
+import numpy.typing as npt
 from PIL import Image
 
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.recordings.base import Frame, Samples
+from simnfnd.factory.recordings.base import PICTURE_SUFFIXES, FileOfFrames, Frame, Samples
 
-SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 MOST_PIXELS = 1 << 26
+_PAGES = {"L": "grey of 8 bits", "I;16": "of 16 bits", "F": "of floats", "RGB": "colours of 8 bits"}
 DTYPES = ("uint8", "uint16", "float32")
+
+
+# What Pillow raises over files that are damaged or were made to do harm.
+_DAMAGE = (
+    *(OSError, ValueError, SyntaxError, EOFError, KeyError, TypeError, IndexError, MemoryError),
+    *(OverflowError, struct.error, Image.DecompressionBombError),
+)
+
+
+@contextmanager
+def one_line(words: str) -> Iterator[None]:
+    """FrameError with these words for what a damaged file makes Pillow raise, and no warnings."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except _DAMAGE as error:
+        raise FrameError(words) from error
 
 
 class Pictures:
@@ -28,9 +50,11 @@ class Pictures:
         self.files = [path]
         if path.is_dir():
             found = sorted(path.iterdir())
-            self.files = [one for one in found if one.suffix.lower() in SUFFIXES and one.is_file()]
+            self.files = [
+                one for one in found if one.suffix.lower() in PICTURE_SUFFIXES and one.is_file()
+            ]
         if not self.files or not self.files[0].is_file():
-            raise FactoryError(f"{path}: holds no picture ({', '.join(SUFFIXES)})")
+            raise FactoryError(f"{path}: holds no picture ({', '.join(PICTURE_SUFFIXES)})")
 
     def __len__(self) -> int:
         return len(self.files)
@@ -66,12 +90,9 @@ def decoded(content: bytes, what: str) -> Samples:
     """
     import cv2  # an extra
 
-    try:
-        # Its size first: a small file can decode to gigabytes.
-        with Image.open(BytesIO(content)) as header:
-            width, height = header.size
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise FrameError(f"{what}: not a readable picture") from error
+    # Its size first: a small file can decode to gigabytes.
+    with one_line(f"{what}: not a readable picture"), Image.open(BytesIO(content)) as header:
+        width, height = header.size
     if width * height > MOST_PIXELS:
         raise FrameError(f"{what}: {width} x {height} pixels are more than can be read")
     try:
@@ -83,3 +104,60 @@ def decoded(content: bytes, what: str) -> Samples:
     if str(picture.dtype) not in DTYPES:
         raise FrameError(f"{what}: pixels are {picture.dtype}; expected {', '.join(DTYPES)}")
     return np.asarray(picture)
+
+
+def is_stack(path: Path) -> bool:
+    """Whether a file is a TIFF whose second page is as large as the first (no smaller copy)."""
+    try:
+        with one_line("no stack"), Image.open(path, formats=("TIFF",)) as image:
+            first = image.size
+            image.seek(1)
+            return image.size == first
+    except FrameError:
+        return False
+
+
+class StackFile(FileOfFrames):
+    """A stack; a `Recording` of pictures, (H, W) or (H, W, 3) BGR, one a page."""
+
+    def _open(self) -> None:
+        with one_line(f"{self.path}: not a readable TIFF file"):
+            self._image = Image.open(self._file, formats=("TIFF",))
+            self._count = int(getattr(self._image, "n_frames", 1))
+        width, height = self._first = self._image.size
+        if width * height > MOST_PIXELS:
+            raise FrameError(f"{self.path}: {width} x {height} pixels are more than can be read")
+
+    def __len__(self) -> int:
+        return self._count
+
+    def _read(self, number: int) -> Frame:
+        with one_line(f"{self.path}: page {number + 1} cannot be read"):
+            self._image.seek(number)
+            # ImageJ writes 16 bits with the most significant byte first.
+            size, mode = self._image.size, self._image.mode.replace("I;16B", "I;16")
+            if size == self._first and mode in _PAGES:
+                page = np.asarray(self._image)
+                return Frame(number, np.ascontiguousarray(swapped(page)))
+        if size != self._first:
+            raise FrameError(
+                f"{self.path}: page {number + 1} has {size[0]} x {size[1]} pixels, the first "
+                f"{self._first[0]} x {self._first[1]}; split the file"
+            )
+        raise FrameError(
+            f"{self.path}: page {number + 1} is of kind {mode}; expected "
+            f"{', '.join(_PAGES.values())}; convert it"
+        )
+
+    def close(self) -> None:
+        """See `Recording`."""
+        if hasattr(self, "_image"):
+            self._image.close()
+        super().close()
+
+
+def swapped(page: npt.NDArray[Any]) -> Samples:
+    """Colours in OpenCV's order, or the other way round; 16 bits in the order of the machine."""
+    if page.ndim == 3:
+        return page[..., ::-1]
+    return page.astype(page.dtype.newbyteorder("="), copy=False)

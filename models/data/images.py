@@ -10,12 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import is_recording, open_recording
+from simnfnd.factory.recordings import PICTURE_SUFFIXES, is_recording, open_recording
 from simnfnd.factory.recordings.fans import frame_picture
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.data.pairs import Image, Sample, SampleRef
 
-IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 """dtype -> grey value of full scale, of the pixels that are read and written."""
 
@@ -34,12 +33,12 @@ def list_images(folder: str | Path, key: str = "data.folder") -> tuple[SampleRef
     found: list[SampleRef] = []
     for path in sorted(root.rglob("*")):
         place = path.parent.relative_to(root).as_posix()
-        if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file():
-            found.append(SampleRef(path, 0, place, path.name))
-        elif path.is_file() and is_recording(path):
+        if path.is_file() and is_recording(path):
             found += _frames(path, path.relative_to(root).as_posix())
+        elif path.suffix.lower() in PICTURE_SUFFIXES and path.is_file():
+            found.append(SampleRef(path, 0, place, path.name))
     if not found:
-        kinds = ", ".join(IMAGE_SUFFIXES)
+        kinds = ", ".join(PICTURE_SUFFIXES)
         raise FactoryError(f"{key}={folder}: holds no image ({kinds}) and no recording")
     return tuple(found)
 
@@ -82,7 +81,7 @@ def read_grey(path: Path) -> Image:
         image = cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2GRAY)
     grey = image.astype(np.float32) / np.float32(full)
     if not (grey.min() >= 0 and grey.max() <= 1):
-        raise FactoryError(f"{path}: float pixels must lie in 0..1")
+        raise FactoryError(f"{path}: float pixels must lie in 0..1; divide by full scale")
     return grey
 
 

@@ -70,7 +70,7 @@ def denoise_image(
     if image.ndim != 2 or 0 in image.shape:
         raise ValueError(f"image has shape {image.shape}; expected (H, W) or (H, W, C)")
     if image.dtype == np.float32 and not (image.min() >= 0 and image.max() <= 1):
-        raise ValueError("float pixels must lie in 0..1")
+        raise ValueError("float pixels must lie in 0..1; divide by full scale")
     grey = image.astype(np.float32) / np.float32(full)
     if looks:
         seen = [look.astype(np.float32) / np.float32(full) for look in looks]
@@ -118,7 +118,7 @@ def denoise_video(
     tick: Tick,
     steady: Steady | None = None,
 ) -> None:
-    """Denoise a video into one without loss, or into PNG files of a folder of its name.
+    """Denoise a video or stack into one without loss, or into PNG files of a folder of its name.
 
     See `FrameFiles` for which.  FrameError when it has no frames.
     """

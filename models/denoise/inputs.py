@@ -10,15 +10,14 @@ from typing import Literal
 from simnfnd.factory.dataset.format.manifest import MANIFEST_NAME
 from simnfnd.factory.dataset.read.reader import shard_paths
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import READERS, kind_of
+from simnfnd.factory.recordings import PICTURE_SUFFIXES, READERS, kind_of
 from simnfnd.factory.recordings.rosbag_files import is_bag_folder
-from simnfnd.models.data.images import IMAGE_SUFFIXES
 
 PING_KINDS = ("aris", "ddf", "oculus")
 """Recordings (`simnfnd.factory.recordings`) whose frames are pings, not pictures."""
 SHARD_SUFFIXES = (".h5", ".hdf5")
 SUFFIXES = (
-    *IMAGE_SUFFIXES,
+    *PICTURE_SUFFIXES,
     *SHARD_SUFFIXES,
     *(suffix for kind in ("video", "rosbag", *PING_KINDS) for suffix in READERS[kind][1]),
 )
@@ -37,7 +36,7 @@ class Item:
 
     @property
     def kind(self) -> Literal["image", "shard", "video", "pings", "bag"]:
-        """By the suffix of its name."""
+        """By the suffix of its name; a TIFF file of several pages is a `video`."""
         if self.source.suffix.lower() in SHARD_SUFFIXES:
             return "shard"
         kind = kind_of(self.source)
@@ -45,7 +44,7 @@ class Item:
             return "pings"
         if kind == "rosbag":
             return "bag"
-        return "video" if kind == "video" else "image"
+        return "video" if kind in ("video", "stack") else "image"
 
 
 def find_items(inputs: Sequence[Path], out: Path) -> list[Item]:

@@ -1,4 +1,4 @@
-"""Denoised frames as a video without loss, or as PNG files where the container holds none."""
+"""Denoised frames as a video or stack without loss, or as PNG files where neither holds them."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from types import TracebackType
 from typing import Any, Self
 
 import cv2
+import numpy as np
 import numpy.typing as npt
+from PIL import Image, TiffImagePlugin
 
 from simnfnd.factory.errors import FrameError
 from simnfnd.factory.files import explain_os_errors, write_atomically
+from simnfnd.factory.recordings.pictures import swapped
 
 CODECS = {".avi": "FFV1", ".mkv": "FFV1", ".mov": "FFV1", ".mp4": "png "}
 """Suffix of a container -> the codec without loss that it holds."""
@@ -22,7 +25,8 @@ class FrameFiles:
 
     They become a video at `path` when its container has a codec without loss (any other would add
     artefacts of its own), the frame rate is known and both sides are even, as the writer cuts odd
-    ones; NNNNNN.png in a folder of that name otherwise.  The video appears when it is whole.
+    ones; pages of a TIFF file where `path` is one; NNNNNN.png in a folder of that name otherwise.
+    Videos and TIFF files appear when they are whole.
     """
 
     def __init__(self, path: Path, rate_hz: float | None) -> None:
@@ -31,16 +35,19 @@ class FrameFiles:
         self.rate_hz = rate_hz
         self.count = 0
         self._writer: cv2.VideoWriter | None = None
+        self._stack: StackWriter | None = None
         self._partial = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
 
     def add(self, picture: npt.NDArray[Any]) -> None:
-        """The next frame, (H, W) or (H, W, 3) uint8.
+        """The next frame, (H, W) or (H, W, 3) uint8; of a TIFF file also uint16 or float32.
 
         Raises FrameError when another file has the place of a folder.
         """
         if not self.count:
             self._open(picture)
-        if self._writer is not None:
+        if self._stack is not None:
+            self._stack.add(picture)
+        elif self._writer is not None:
             grey = picture.ndim == 2
             self._writer.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR) if grey else picture)
         else:
@@ -53,6 +60,9 @@ class FrameFiles:
         height, width = picture.shape[:2]
         code = CODECS.get(self.path.suffix.lower())
         self.path.parent.mkdir(parents=True, exist_ok=True)
+        if self.path.suffix.lower() in (".tif", ".tiff"):
+            self._stack = StackWriter(self._partial)
+            return
         if code and self.rate_hz and not (height % 2 or width % 2) and not self.path.is_dir():
             writer = cv2.VideoWriter(
                 str(self._partial), cv2.VideoWriter.fourcc(*code), self.rate_hz, (width, height)
@@ -77,6 +87,9 @@ class FrameFiles:
             raise FrameError(
                 f"{self.path}: holds {max(held, 0)} of {self.count} frames; is the disk full?"
             )
+        self._appear()
+
+    def _appear(self) -> None:
         with explain_os_errors(self.path, "--out"):
             os.replace(self._partial, self.path)
 
@@ -89,11 +102,32 @@ class FrameFiles:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if self._writer is None:
-            return
         try:
-            if kind is None:
+            if self._stack is not None:
+                self._stack.close()
+                if kind is None:
+                    self._appear()
+            elif self._writer is not None and kind is None:
                 self._finish()
         finally:
-            self._writer.release()
+            if self._writer is not None:
+                self._writer.release()
             self._partial.unlink(missing_ok=True)
+
+
+class StackWriter:
+    """Takes pages in order, each compressed without loss; close it."""
+
+    def __init__(self, path: Path) -> None:
+        self._writer = TiffImagePlugin.AppendingTiffWriter(str(path), new=True)
+        self.path = path
+
+    def add(self, picture: npt.NDArray[Any]) -> None:
+        """The next page, (H, W) uint8, uint16 or float32 or (H, W, 3) uint8 BGR."""
+        page = Image.fromarray(np.ascontiguousarray(swapped(picture)))
+        page.save(self._writer, format="TIFF", compression="tiff_adobe_deflate")
+        self._writer.newFrame()
+
+    def close(self) -> None:
+        """Write the end of the file."""
+        self._writer.close()

@@ -14,7 +14,7 @@ from simnfnd.evaluation.downstream.report import about_components, counted_class
 from simnfnd.evaluation.downstream.splits import folds_of, labelled_of
 from simnfnd.evaluation.downstream.trainings import planned
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings.pictures import SUFFIXES
+from simnfnd.factory.recordings import PICTURE_SUFFIXES
 from tests.project_files import ROOT
 
 Array = npt.NDArray[Any]
@@ -117,7 +117,7 @@ def test_classes_of_few_components_do_not_count() -> None:
 @pytest.mark.skipif(not MDD.is_dir(), reason="needs ../shared/data/mdd")
 def test_components_of_the_marine_debris_dataset() -> None:
     """Pictures that correlate above .97 as they are, smoothed, lie in one component."""
-    paths = sorted(path for path in (MDD / "Images").iterdir() if path.suffix in SUFFIXES)
+    paths = sorted(path for path in (MDD / "Images").iterdir() if path.suffix in PICTURE_SUFFIXES)
     images = [
         cv2.imread(str(path), cv2.IMREAD_GRAYSCALE).astype(np.float32) / 255 for path in paths
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -118,6 +119,12 @@ def write_oculus(
         if others:
             parts.append(struct.pack("<5HIH", 0x4F53, 7892, 0, 0xFF, 0, 3, 0) + b"abc")
     path.write_bytes(b"".join(parts))
+    return path
+
+
+def write_stack(path: Path, pages: Any) -> Path:
+    """A TIFF file of several pages, uint8, uint16 or float32; colours are BGR."""
+    assert cv2.imwritemulti(str(path), list(pages))
     return path
 
 

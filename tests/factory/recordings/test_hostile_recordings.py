@@ -23,6 +23,7 @@ from tests.factory.recordings.recording_files import (
     write_aris,
     write_ddf,
     write_oculus,
+    write_stack,
     write_video,
 )
 
@@ -48,6 +49,7 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
     "a.raw": lambda path: write_oculus(path, pings(3, 16, 16)),
     "b.raw": lambda path: write_oculus(path, pings(3, 16, 16), version=2, gains=True),
     "a.avi": lambda path: write_video(path, pings(4, 48, 64)),
+    "a.tif": lambda path: write_stack(path, pings(4, 48, 64)),
     "a.png": _png,
     "a.bag": lambda path: _bag(path, SONAR),
     "b.bag": lambda path: _bag(path, COMPRESSED, "lz4"),

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.recordings import kind_of, open_recording
+from simnfnd.factory.recordings import is_recording, kind_of, open_recording
 from simnfnd.factory.recordings.aris import ArisFile
 from simnfnd.factory.recordings.aris_beams import BEAM_CENTRES_DEG
 from simnfnd.factory.recordings.base import Beams
@@ -23,6 +23,7 @@ from tests.factory.recordings.recording_files import (
     write_aris,
     write_ddf,
     write_oculus,
+    write_stack,
     write_video,
 )
 
@@ -193,6 +194,58 @@ def test_video_and_pictures(tmp_path: Path) -> None:
     with pytest.raises(FrameError, match=r"c\.png: not a readable picture"):
         pictures[2]
     assert len(open_recording(folder / "b.png")) == 1
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_a_stack_of_pages(tmp_path: Path, dtype: Any) -> None:
+    pages = pings(5, 30, 40).astype(dtype) / (255 if dtype is np.float32 else 1)
+    path = write_stack(tmp_path / "a.tif", pages.astype(dtype))
+    assert (kind_of(path), is_recording(path)) == ("stack", True)
+    with open_recording(path) as recording:
+        assert len(recording) == 5
+        order = [recording[number].samples for number in (3, 0, 4)]
+        assert [one.dtype for one in order] == [dtype] * 3
+        for number, one in zip((3, 0, 4), order, strict=True):
+            assert np.array_equal(one, pages[number].astype(dtype))
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_a_stack_as_imagej_writes_it(tmp_path: Path, dtype: Any) -> None:
+    """The most significant byte first, and the page's size in a description."""
+    tifffile = pytest.importorskip("tifffile")
+    pages = (pings(4, 30, 40) * 1.0).astype(dtype)
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, pages, imagej=True, byteorder=">", metadata={"axes": "TYX"})
+    with open_recording(path) as recording:
+        found = [frame.samples for frame in recording]
+    assert found[0].dtype == np.dtype(dtype)
+    assert np.array_equal(found, pages)
+
+
+def test_a_stack_of_colours(tmp_path: Path) -> None:
+    pages = np.random.default_rng(3).integers(0, 256, (2, 20, 24, 3), dtype=np.uint8)
+    with open_recording(write_stack(tmp_path / "a.tiff", pages)) as recording:
+        assert np.array_equal([frame.samples for frame in recording], pages)
+
+
+def test_pages_that_are_no_frames(tmp_path: Path) -> None:
+    """A smaller copy behind a picture; a page of another size; pages of another kind."""
+    picture = pings(1, 32, 40)[0]
+    thumbnail = write_stack(tmp_path / "thumbnail.tif", [picture, picture[::4, ::4]])
+    assert kind_of(thumbnail) == "pictures"
+    assert np.array_equal(open_recording(thumbnail)[0].samples, picture)
+    odd = write_stack(tmp_path / "odd.tif", [picture, picture, picture[:8]])
+    with (
+        open_recording(odd) as recording,
+        pytest.raises(FrameError, match=r"odd\.tif: page 3 has 40 x 8 pixels, the first 40 x 32"),
+    ):
+        recording[2]
+    whole = write_stack(tmp_path / "whole.tif", np.zeros((2, 9, 9), np.int32))
+    with (
+        open_recording(whole) as recording,
+        pytest.raises(FrameError, match=r"page 1 is of kind I; expected grey of 8 bits, "),
+    ):
+        recording[0]
 
 
 def test_what_is_no_recording(tmp_path: Path) -> None:

@@ -18,7 +18,13 @@ from simnfnd.models.denoise.files import Gray
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
 from tests.factory.recordings.fan_pictures import fan, preset
-from tests.factory.recordings.recording_files import pings, write_aris, write_ddf, write_oculus
+from tests.factory.recordings.recording_files import (
+    pings,
+    write_aris,
+    write_ddf,
+    write_oculus,
+    write_stack,
+)
 
 
 class Halving:
@@ -57,6 +63,35 @@ def test_an_aris_recording_becomes_one(tmp_path: Path, halving: Halving) -> None
     assert told.range_min_m == pytest.approx(2.0, abs=0.01)
     assert (out / "compare" / "a.png").is_file()
     assert sorted(path.name for path in out.iterdir()) == ["a.aris", "compare"]
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_a_stack_becomes_one(tmp_path: Path, halving: Halving, dtype: Any) -> None:
+    """All of its pages, and not the first alone."""
+    full = 1 if dtype is np.uint8 else 257 if dtype is np.uint16 else 1 / 255
+    pages = (pings(3, 41, 48) * full).astype(dtype)
+    write_stack(tmp_path / "a.tif", pages)
+    write_stack(tmp_path / "one.tif", pages[:1])
+    out = tmp_path / "out"
+    assert main([str(tmp_path), "--out", str(out), "--compare"]) == 0
+    assert sorted(path.name for path in out.iterdir()) == ["a.tif", "compare", "one.tif"]
+    with open_recording(out / "a.tif") as after:
+        found = np.array([frame.samples for frame in after])
+    assert found.dtype == dtype
+    assert np.abs(found - pages / 2.0).max() <= 0.5
+    assert (out / "compare" / "a.png").is_file()
+
+
+def test_a_stack_with_a_page_of_another_size_is_left_out(
+    tmp_path: Path, halving: Halving, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = pings(1, 32, 40)[0]
+    write_stack(tmp_path / "a.tif", [page, page, page[:9]])
+    out = tmp_path / "out"
+    assert cv2.imwrite(str(tmp_path / "b.png"), page)
+    assert main([str(tmp_path), "--out", str(out)]) == 1
+    assert "a.tif: page 3 has 40 x 9 pixels, the first 40 x 32; split" in capsys.readouterr().err
+    assert [path.name for path in out.iterdir()] == ["b.png"]
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
