@@ -8,9 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from simnfnd.evaluation.real.shots import open_input
 from simnfnd.factory.noise.registry import NoiseSettings
+from simnfnd.factory.recordings import kind_of
 from simnfnd.models.data.images import NoisySource, list_images, read_sample, smallest_side
 from simnfnd.models.data.olddata import OldDataSource
+from tests.factory.recordings.recording_files import pings, write_stack
 from tests.project_files import ROOT
 
 LAMPREY = ROOT / "examples" / "didson" / "lamprey.avi"
@@ -29,6 +32,21 @@ def test_frames_stand_beside_pictures(tmp_path: Path) -> None:
     assert [frame.shape for frame in frames] == [(774, 400), (774, 400), (300, 500)]
     assert 0 <= frames[0].min() < frames[0].max() <= 1
     np.testing.assert_array_equal(frames[1], read_sample(list_images(LAMPREY)[0])[0])
+
+
+def test_pages_of_a_stack_are_frames(tmp_path: Path) -> None:
+    pages = write_stack(tmp_path / "dive.tif", pings(3, 30, 40))
+    cv2.imwrite(str(tmp_path / "one.tif"), np.full((30, 40), 90, np.uint8))
+    names = [*(f"dive.tif#{n}" for n in range(3)), "one.tif"]
+    found = list_images(tmp_path)
+    assert [sample.frame for sample in found] == names
+    expected = pings(3, 30, 40)[2] / np.float32(255)
+    np.testing.assert_array_equal(read_sample(found[2])[0], expected)
+    (stack, folder) = sorted(open_input(str(tmp_path), 100)[0], key=lambda one: len(one.shots))[
+        ::-1
+    ]
+    assert [shot.name for shot in (*stack.shots, *folder.shots)] == names
+    assert kind_of(pages) == "stack"
 
 
 def test_old_data_takes_frames() -> None:
