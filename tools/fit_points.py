@@ -36,12 +36,11 @@ from simnfnd.models.data.renders import RenderSource
 from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
 from simnfnd.models.denoise.points import FILE, figures, judged, saved, standardised
 from simnfnd.models.pretrained import DEFAULT, POINTS
-from simnfnd.models.settings import Scale
 
 Floats = npt.NDArray[np.float64]
 
 SEED, PLACES, HELD_OUT, PICTURES = 4, 96, 24, 600
-_SCALES: tuple[Scale, ...] = (0.75, 1.0, 1.0, 1.5, 2.0, (1.0, 1.5), (1.0, 2.0))
+_SCALES = (0.75, 1.0, 1.0, 1.5, 2.0)
 _JPEG_SHARE, _QUALITY = 0.15, (75, 96)
 _UNTOLD = 0.15
 """Part of the pictures that are judged without geometry, though a fan may be found."""

@@ -132,12 +132,13 @@ def _below(root: Path) -> list[Stretch]:
             continue
         name = "/".join(parts) or root.resolve().name
         files = sorted(path for path in folder.iterdir() if path.is_file())
-        pictures = [path for path in files if kind_of(path) == "pictures"]
+        kinds = {path: kind_of(path) for path in files}
+        pictures = [path for path, kind in kinds.items() if kind == "pictures"]
         if pictures:
             shots = tuple(_picture(path, folder / MASKS, None) for path in pictures)
             found.append(Stretch(name, shots))
-        for path in files:
-            if kind_of(path) not in (None, "pictures"):
+        for path, kind in kinds.items():
+            if kind not in (None, "pictures"):
                 found.append(_recording(path, path.relative_to(root).as_posix()))
     return found
 

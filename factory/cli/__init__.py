@@ -99,16 +99,12 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
                 "the Slurm cluster, or hydra/launcher=submitit_local"
             ) from error
         finally:
-            _stop_kept_workers()
+            # Of a sweep; only where one was begun is the module there.
+            if kept := sys.modules.get("simnfnd.factory.workers.kept"):
+                kept.release_workers()
         return max(codes, default=0)
 
     return guard(everything, debug=debug)
-
-
-def _stop_kept_workers() -> None:
-    """Of a sweep that ended in an error: after one, Hydra calls no callback."""
-    if kept := sys.modules.get("simnfnd.factory.workers.kept"):
-        kept.release_workers()
 
 
 def guard(action: Callable[[], Any], *, debug: bool = False) -> int:

@@ -50,16 +50,16 @@ class SweepTable(Callback):
     """Hydra callback: the points of a sweep share workers; after the last, print its table."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Points that this process makes one after another need not start workers each."""
+        """Points that this process makes one after another need not start workers each.
+
+        `run_app` stops them: after an error Hydra calls nobody back.
+        """
         from simnfnd.factory.workers.kept import keep_workers
 
         keep_workers()
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Stop the workers; collect the rows that the points left under the sweep's folder."""
-        from simnfnd.factory.workers.kept import release_workers
-
-        release_workers()
+        """Collect the rows that the points left under the sweep's folder."""
         folder = Path(config.hydra.sweep.dir)
         points = sorted(
             (path.parent.name for path in folder.glob(f"*/{_RESULT}")),

@@ -34,7 +34,10 @@ def main(words: list[str]) -> int:
     """Print the table, and draw what was found; 1 when no picture has a fan."""
     parser = Parser(prog="simnfnd geometry")
     parser.add_argument(
-        "pictures", nargs="+", type=Path, help="pictures, folders of them, videos (first frame)"
+        "pictures",
+        nargs="+",
+        type=Path,
+        help="pictures, folders of them, or videos and stacks (first frame)",
     )
     parser.add_argument("--out", type=Path, help="folder for the pictures with the fan drawn in")
     given = parser.parse_args(words)

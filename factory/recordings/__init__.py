@@ -13,6 +13,7 @@ from pathlib import Path
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings.base import (
     PICTURE_SUFFIXES,
+    TIFF_SUFFIXES,
     Beams,
     Device,
     Frame,
@@ -45,7 +46,6 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "pictures": (f"{_ROOM}.pictures:Pictures", PICTURE_SUFFIXES),
 }
 """Kind -> ("module:class", suffixes of its files); stacks have those of pictures."""
-_TIFF = (".tif", ".tiff")
 
 # What OpenCV reads, which is an extra; bags say themselves what they need.
 _OPENCV = {"video": "reading videos", "pictures": "reading pictures"}
@@ -60,7 +60,7 @@ def kind_of(path: Path) -> str | None:
     if path.is_dir():
         return "rosbag" if is_bag_folder(path) else "pictures"
     suffix = path.suffix.lower()
-    if suffix in _TIFF and path.is_file():
+    if suffix in TIFF_SUFFIXES and path.is_file():
         from simnfnd.factory.recordings.pictures import is_stack
 
         if is_stack(path):

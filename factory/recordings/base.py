@@ -19,7 +19,8 @@ import numpy.typing as npt
 
 from simnfnd.factory.errors import FactoryError, FrameError
 
-PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm")
+TIFF_SUFFIXES = (".tif", ".tiff")
+PICTURE_SUFFIXES = (".png", *TIFF_SUFFIXES, ".jpg", ".jpeg", ".bmp", ".pgm")
 Samples = npt.NDArray[Any]
 
 MOST_RANGES, MOST_BEAMS = 8192, 4096

@@ -137,8 +137,13 @@ class StackFile(FileOfFrames):
             # ImageJ writes 16 bits with the most significant byte first.
             size, mode = self._image.size, self._image.mode.replace("I;16B", "I;16")
             if size == self._first and mode in _PAGES:
-                page = np.asarray(self._image)
-                return Frame(number, np.ascontiguousarray(swapped(page)))
+                page = np.ascontiguousarray(swapped(np.asarray(self._image)))
+                if mode == "F" and not (page.min() >= 0 and page.max() <= 1):
+                    raise FrameError(
+                        f"{self.path}: page {number + 1}: float pixels must lie in 0..1; divide by "
+                        "full scale"
+                    )
+                return Frame(number, page)
         if size != self._first:
             raise FrameError(
                 f"{self.path}: page {number + 1} has {size[0]} x {size[1]} pixels, the first "

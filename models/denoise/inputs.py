@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -34,7 +35,7 @@ class Item:
     relative: Path
     checked: bool = False
 
-    @property
+    @cached_property
     def kind(self) -> Literal["image", "shard", "video", "pings", "bag"]:
         """By the suffix of its name; a TIFF file of several pages is a `video`."""
         if self.source.suffix.lower() in SHARD_SUFFIXES:

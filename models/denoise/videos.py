@@ -14,6 +14,7 @@ from PIL import Image, TiffImagePlugin
 
 from simnfnd.factory.errors import FrameError
 from simnfnd.factory.files import explain_os_errors, write_atomically
+from simnfnd.factory.recordings.base import TIFF_SUFFIXES
 from simnfnd.factory.recordings.pictures import swapped
 
 CODECS = {".avi": "FFV1", ".mkv": "FFV1", ".mov": "FFV1", ".mp4": "png "}
@@ -46,7 +47,8 @@ class FrameFiles:
         if not self.count:
             self._open(picture)
         if self._stack is not None:
-            self._stack.add(picture)
+            with explain_os_errors(self.path, "--out"):
+                self._stack.add(picture)
         elif self._writer is not None:
             grey = picture.ndim == 2
             self._writer.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR) if grey else picture)
@@ -60,7 +62,7 @@ class FrameFiles:
         height, width = picture.shape[:2]
         code = CODECS.get(self.path.suffix.lower())
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        if self.path.suffix.lower() in (".tif", ".tiff"):
+        if self.path.suffix.lower() in TIFF_SUFFIXES:
             self._stack = StackWriter(self._partial)
             return
         if code and self.rate_hz and not (height % 2 or width % 2) and not self.path.is_dir():
@@ -104,7 +106,8 @@ class FrameFiles:
     ) -> None:
         try:
             if self._stack is not None:
-                self._stack.close()
+                with explain_os_errors(self.path, "--out"):
+                    self._stack.close()
                 if kind is None:
                     self._appear()
             elif self._writer is not None and kind is None:
@@ -120,7 +123,6 @@ class StackWriter:
 
     def __init__(self, path: Path) -> None:
         self._writer = TiffImagePlugin.AppendingTiffWriter(str(path), new=True)
-        self.path = path
 
     def add(self, picture: npt.NDArray[Any]) -> None:
         """The next page, (H, W) uint8, uint16 or float32 or (H, W, 3) uint8 BGR."""

@@ -408,7 +408,7 @@ def test_signals_stop_quickly_leave_nobody_and_lose_nothing(
     # Ctrl-C reaches every process of the terminal's group, kill only the one.
     (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
     _, errors = process.communicate(timeout=20)
-    assert time.monotonic() - asked < 10
+    assert time.monotonic() - asked < 5
     assert process.returncode == exit_code
     assert b"Traceback" not in errors
     wait_for(lambda: not session_members(process.pid), 5)
@@ -456,7 +456,7 @@ def test_a_second_signal_kills_at_once(
     asked = time.monotonic()
     os.kill(process.pid, number)
     assert process.wait(20) == exit_code
-    assert time.monotonic() - asked < 10, "its own stop takes a minute"
+    assert time.monotonic() - asked < 2
     wait_for(lambda: not session_members(process.pid), 10)
     make(directory)
     assert litter(directory) == []

@@ -213,7 +213,7 @@ def test_a_stack_of_pages(tmp_path: Path, dtype: Any) -> None:
 def test_a_stack_as_imagej_writes_it(tmp_path: Path, dtype: Any) -> None:
     """The most significant byte first, and the page's size in a description."""
     tifffile = pytest.importorskip("tifffile")
-    pages = (pings(4, 30, 40) * 1.0).astype(dtype)
+    pages = (pings(4, 30, 40) / (255 if dtype is np.float32 else 1)).astype(dtype)
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, pages, imagej=True, byteorder=">", metadata={"axes": "TYX"})
     with open_recording(path) as recording:
@@ -240,6 +240,12 @@ def test_pages_that_are_no_frames(tmp_path: Path) -> None:
         pytest.raises(FrameError, match=r"odd\.tif: page 3 has 40 x 8 pixels, the first 40 x 32"),
     ):
         recording[2]
+    bright = write_stack(tmp_path / "bright.tif", np.full((2, 9, 9), 2, np.float32))
+    with (
+        open_recording(bright) as recording,
+        pytest.raises(FrameError, match=r"page 1: float pixels must lie in 0\.\.1; divide"),
+    ):
+        recording[0]
     whole = write_stack(tmp_path / "whole.tif", np.zeros((2, 9, 9), np.int32))
     with (
         open_recording(whole) as recording,
