@@ -1,27 +1,24 @@
 """Pairs as image files: a folder with noisy/ and clean/, perhaps shadow/, of equal file names.
 
-Rules: 8 bits count to 255, 16 bits to 65535.  A colour image counts when its channels are equal;
-transparency is left out.  Both images of a pair have one size; pairs may differ.  `shadow/`
-holds masks, any value above 0 is shadow; without it shadow metrics do not exist.
+Rules: 8 bits count to 255, 16 bits to 65535, floats lie in 0..1.  A colour image counts when its
+channels are equal; transparency is left out.  Both images of a pair have one size; pairs may
+differ.  `shadow/` holds masks, any value above 0 is shadow; without it shadow metrics do not exist.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
+from simnfnd.factory.recordings.base import PICTURE_SUFFIXES, TIFF_SUFFIXES
+from simnfnd.factory.recordings.pictures import in_unit_range, is_stack, read_picture
 
 ROW = -1
 """Stands in a `Place` for: an image file, no shard."""
-
-SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
-_FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0}
 
 Gray = npt.NDArray[np.float32]
 
@@ -45,7 +42,7 @@ def noisy_files(root: Path) -> list[tuple[Path, str]]:
             more = f" (and {len(lonely) - 1} more)" if len(lonely) > 1 else ""
             raise FactoryError(f"{root / part / lonely[0]}: no partner in {other}/{more}")
     if not names["noisy"]:
-        raise FactoryError(f"dataset={root}: noisy/ and clean/ hold no images {SUFFIXES}")
+        raise FactoryError(f"dataset={root}: noisy/ and clean/ hold no images {PICTURE_SUFFIXES}")
     found = []
     for name in names["noisy"]:
         files = [root / part / name for part in ("noisy", "clean", "shadow")]
@@ -57,7 +54,9 @@ def noisy_files(root: Path) -> list[tuple[Path, str]]:
 def images_in(folder: Path) -> list[Path]:
     """The image files of a folder, by name."""
     return sorted(
-        path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in PICTURE_SUFFIXES and path.is_file()
     )
 
 
@@ -79,18 +78,12 @@ def read_pair(noisy: Path) -> tuple[Gray, Gray, npt.NDArray[np.bool_] | None]:
 
 def read_gray(path: Path) -> Gray:
     """(H, W) float32 in 0..1 of an image file.  FactoryError when it is none, or in colour."""
-    content = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    image: npt.NDArray[Any] | None = (
-        cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
-    )
-    if image is None:
-        raise FactoryError(f"{path}: not a readable image")
-    full = _FULL_SCALE.get(str(image.dtype))
-    if full is None:
-        raise FactoryError(f"{path}: {image.dtype} pixels; expected 8 or 16 bits")
+    if path.suffix.lower() in TIFF_SUFFIXES and is_stack(path):
+        raise FactoryError(f"{path}: holds several pages; give each pair files of its own")
+    image = read_picture(path)
     if image.ndim == 3:
         colours = image[..., :3]
         if colours.shape[2] == 3 and not (colours == colours[..., :1]).all():
             raise FactoryError(f"{path}: in colour; sonar images are gray, convert it first")
         image = colours[..., 0]
-    return np.asarray(image.astype(np.float32) / np.float32(full))
+    return in_unit_range(image, str(path))

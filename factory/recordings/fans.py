@@ -11,14 +11,13 @@ import numpy.typing as npt
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import open_recording
-from simnfnd.factory.recordings.base import Beams, Frame, Recording
+from simnfnd.factory.recordings.base import FULL_SCALE, Beams, Frame, Recording
 from simnfnd.factory.sonar.fan import fan_table
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
 
 MOST_ROWS = 1024
 _MOST_SIDE = 2048
-FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 
 
 def grey_of(frame: Frame) -> npt.NDArray[np.float32]:

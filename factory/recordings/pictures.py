@@ -15,11 +15,16 @@ import numpy.typing as npt
 from PIL import Image
 
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.recordings.base import PICTURE_SUFFIXES, FileOfFrames, Frame, Samples
+from simnfnd.factory.recordings.base import (
+    FULL_SCALE,
+    PICTURE_SUFFIXES,
+    FileOfFrames,
+    Frame,
+    Samples,
+)
 
 MOST_PIXELS = 1 << 26
 _PAGES = {"L": "grey of 8 bits", "I;16": "of 16 bits", "F": "of floats", "RGB": "colours of 8 bits"}
-DTYPES = ("uint8", "uint16", "float32")
 
 
 # What Pillow raises over files that are damaged or were made to do harm.
@@ -62,12 +67,7 @@ class Pictures:
     def __getitem__(self, number: int) -> Frame:
         if not 0 <= number < len(self):
             raise IndexError(f"{self.path}: picture {number} of {len(self)}")
-        path = self.files[number]
-        try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise FrameError(f"{path}: not a readable picture ({error.strerror})") from error
-        return Frame(number, decoded(content, str(path)))
+        return Frame(number, read_picture(self.files[number]))
 
     def __iter__(self) -> Iterator[Frame]:
         for number in range(len(self)):
@@ -83,6 +83,18 @@ class Pictures:
         self.close()
 
 
+def read_picture(path: Path) -> Samples:
+    """The pixels of a file as stored, (H, W) or (H, W, colours).  Raises FrameError; see `decoded`.
+
+    Of a TIFF of several pages the first.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise FrameError(f"{path}: not a readable picture ({error.strerror})") from error
+    return decoded(content, str(path))
+
+
 def decoded(content: bytes, what: str) -> Samples:
     """The pixels of a picture file, (H, W) or (H, W, colours).
 
@@ -91,7 +103,11 @@ def decoded(content: bytes, what: str) -> Samples:
     import cv2  # an extra
 
     # Its size first: a small file can decode to gigabytes.
-    with one_line(f"{what}: not a readable picture"), Image.open(BytesIO(content)) as header:
+    kinds = ", ".join(FULL_SCALE)
+    with (
+        one_line(f"{what}: not a readable picture of {kinds}"),
+        Image.open(BytesIO(content)) as header,
+    ):
         width, height = header.size
     if width * height > MOST_PIXELS:
         raise FrameError(f"{what}: {width} x {height} pixels are more than can be read")
@@ -101,9 +117,17 @@ def decoded(content: bytes, what: str) -> Samples:
         picture = None
     if picture is None:
         raise FrameError(f"{what}: not a readable picture")
-    if str(picture.dtype) not in DTYPES:
-        raise FrameError(f"{what}: pixels are {picture.dtype}; expected {', '.join(DTYPES)}")
+    if str(picture.dtype) not in FULL_SCALE:
+        raise FrameError(f"{what}: pixels are {picture.dtype}; expected {kinds}")
     return np.asarray(picture)
+
+
+def in_unit_range(picture: Samples, what: str) -> npt.NDArray[np.float32]:
+    """Float32 with full scale 1, of the same shape.  Raises FrameError for floats outside 0..1."""
+    scaled = picture.astype(np.float32) / np.float32(FULL_SCALE[str(picture.dtype)])
+    if not (scaled.min() >= 0 and scaled.max() <= 1):
+        raise FrameError(f"{what}: float pixels must lie in 0..1; divide by full scale")
+    return np.asarray(scaled)
 
 
 def is_stack(path: Path) -> bool:
@@ -138,11 +162,8 @@ class StackFile(FileOfFrames):
             size, mode = self._image.size, self._image.mode.replace("I;16B", "I;16")
             if size == self._first and mode in _PAGES:
                 page = np.ascontiguousarray(swapped(np.asarray(self._image)))
-                if mode == "F" and not (page.min() >= 0 and page.max() <= 1):
-                    raise FrameError(
-                        f"{self.path}: page {number + 1}: float pixels must lie in 0..1; divide by "
-                        "full scale"
-                    )
+                if mode == "F":
+                    in_unit_range(page, f"{self.path}: page {number + 1}")
                 return Frame(number, page)
         if size != self._first:
             raise FrameError(

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import cv2
-import numpy as np
-import numpy.typing as npt
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import PICTURE_SUFFIXES, is_recording, open_recording
 from simnfnd.factory.recordings.fans import frame_picture
+from simnfnd.factory.recordings.pictures import in_unit_range, read_picture
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.data.pairs import Image, Sample, SampleRef
-
-FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
-"""dtype -> grey value of full scale, of the pixels that are read and written."""
 
 
 def list_images(folder: str | Path, key: str = "data.folder") -> tuple[SampleRef, ...]:
@@ -59,30 +54,12 @@ def read_sample(sample: SampleRef) -> tuple[Image, FanGeometry | None]:
     return frame_picture(sample.path, sample.row)
 
 
-def decode(path: Path) -> npt.NDArray[Any]:
-    """An image as stored: (H, W) or (H, W, C).  Raises FactoryError when it cannot be read."""
-    try:
-        content = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    except OSError as error:
-        raise FactoryError(f"{path}: cannot be read ({error.strerror})") from error
-    image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
-    if image is None:
-        raise FactoryError(f"{path}: not a readable image")
-    return image
-
-
 def read_grey(path: Path) -> Image:
     """An image as (H, W) float32 in 0..1; colours become their luminance.  Raises FactoryError."""
-    image = decode(path)
-    full = FULL_SCALE.get(str(image.dtype))
-    if full is None:
-        raise FactoryError(f"{path}: pixels are {image.dtype}; expected {', '.join(FULL_SCALE)}")
+    image = read_picture(path)
     if image.ndim == 3:
         image = cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2GRAY)
-    grey = image.astype(np.float32) / np.float32(full)
-    if not (grey.min() >= 0 and grey.max() <= 1):
-        raise FactoryError(f"{path}: float pixels must lie in 0..1; divide by full scale")
-    return grey
+    return in_unit_range(image, str(path))
 
 
 def smallest_side(samples: tuple[SampleRef, ...]) -> tuple[int, SampleRef]:
@@ -99,7 +76,7 @@ def smallest_side(samples: tuple[SampleRef, ...]) -> tuple[int, SampleRef]:
 def _shape(sample: SampleRef) -> tuple[int, ...]:
     if is_recording(sample.path):
         return read_sample(sample)[0].shape
-    return decode(sample.path).shape[:2]
+    return read_picture(sample.path).shape[:2]
 
 
 class NoisySource:

@@ -73,8 +73,7 @@ class Denoiser:
         near range first, and the columns span 30 degrees.  looks: an odd number of pictures of the
         same scene, itself in the middle, for weights that see several (`looks`).
         """
-        if geometry is None and layout == "polar":
-            geometry = FanGeometry.polar().with_size(*gray.shape)
+        geometry = known_geometry(geometry, layout, gray)
         extras = self.trained.network.extras
         maps: dict[str, Gray] = {}
         if geometry is not None and extras:
@@ -119,6 +118,15 @@ class Denoiser:
             batch["remove"] = torch.from_numpy(self._told)[None]
         with torch.autocast(self._device, torch.bfloat16, enabled=self._half):
             return denoise_with_weight(self.trained.network, batch)
+
+
+def known_geometry(
+    geometry: FanGeometry | None, layout: str | None, gray: Gray
+) -> FanGeometry | None:
+    """The geometry of a picture, where it or its layout tells one; see `Denoiser.__call__`."""
+    if geometry is None and layout == "polar":
+        return FanGeometry.polar().with_size(*gray.shape)
+    return geometry
 
 
 def _is_half(precision: str, device: str) -> bool:

@@ -15,10 +15,11 @@ from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import write_atomically
 from simnfnd.factory.recordings import Frame, Recording, open_recording
 from simnfnd.factory.recordings.aris import ArisFile
+from simnfnd.factory.recordings.base import FULL_SCALE
 from simnfnd.factory.recordings.fans import fan_of, grey_of, polar_geometry
+from simnfnd.factory.recordings.pictures import read_picture
 from simnfnd.factory.recordings.video import VideoFile
 from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.data.images import FULL_SCALE, decode
 from simnfnd.models.denoise.compared import sheet
 from simnfnd.models.denoise.inputs import Item
 from simnfnd.models.denoise.steady import Steady, in_kind_of
@@ -94,7 +95,7 @@ def denoise_file(
 ) -> None:
     """Denoise one image file into `out`.  FrameError when it cannot be read."""
     try:
-        image = decode(item.source)
+        image = read_picture(item.source)
         geometry = geometry_of(item, image)
         average, looks = (steady or Steady()).of_picture(item, image, geometry)
         denoised = in_kind_of(denoise_image(average, denoise, geometry, looks), image)

@@ -14,8 +14,9 @@ import numpy.typing as npt
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import Frame
 from simnfnd.factory.recordings.averaging import Average, Averager, windows
+from simnfnd.factory.recordings.base import FULL_SCALE
+from simnfnd.factory.recordings.pictures import read_picture
 from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.data.images import FULL_SCALE, decode
 from simnfnd.models.data.looks import centred
 from simnfnd.models.denoise.inputs import Item
 
@@ -148,7 +149,7 @@ class Steady:
 
     def _decode(self, path: Path) -> Picture:
         if path not in self._decoded:
-            self._decoded[path] = decode(path)
+            self._decoded[path] = read_picture(path)
         self._decoded.move_to_end(path)
         while len(self._decoded) > max(self.frames, self.looks):
             self._decoded.popitem(last=False)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.denoise.denoiser import Denoiser
+from simnfnd.models.denoise.denoiser import Denoiser, known_geometry
 from simnfnd.models.denoise.files import Gray
 from simnfnd.models.denoise.points import likelihood
 from simnfnd.models.pretrained import POINTS
@@ -32,8 +32,7 @@ class Suited:
         layout: str | None = None,
     ) -> Gray:
         """See `Denoiser`; neither of the weights sees several pictures."""
-        if geometry is None and layout == "polar":
-            geometry = FanGeometry.polar().with_size(*gray.shape)
+        geometry = known_geometry(geometry, layout, gray)
         part = likelihood(gray, geometry)
         self._seen += 1
         self._of_points += part > 0.5

@@ -7,7 +7,7 @@ at once which one it is.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import torch
 from torch import Tensor, nn
@@ -19,8 +19,11 @@ _NEIGHBOURS = 9
 class LineContext(nn.Module):
     """Adds to features what their beams and arcs have in common, beside neighbouring ones.
 
-    channels: of the features.  width: channels that are pooled.
+    channels: of the features.  width: channels that are pooled.  It starts as the identity.
     """
+
+    LAST: ClassVar[str] = "added"
+    """The layer that decides how much it adds."""
 
     def __init__(self, channels: int, width: int = 12) -> None:
         super().__init__()

@@ -19,8 +19,10 @@ from simnfnd.models.training.module import DenoisingModule
 from simnfnd.models.training.self_supervised import SelfSupervisedModule
 from simnfnd.models.training.teacher import Teacher
 
-LAST_LAYERS = (".second.", ".added.")
-"""Of the parts that a network can be grown by (`fresh_parts`); it decides how much a part adds."""
+_GROWN = (ResidualBlock, LineContext)
+"""Parts that a network can be grown by: they begin as the identity."""
+LAST_LAYERS = tuple(f".{kind.LAST}." for kind in _GROWN)
+"""Parts of their names: the layers of grown parts that are all zeros at first."""
 
 
 def build_module(settings: ModelsSettings) -> DenoisingModule:
@@ -108,8 +110,7 @@ def fresh_parts(network: Network, state: Mapping[str, Tensor]) -> dict[str, Tens
 
     They begin as the identity, because their last layer (`LAST_LAYERS`) is all zeros.
     """
-    kinds = (ResidualBlock, LineContext)
-    parts = (name for name, one in network.named_modules() if isinstance(one, kinds))
+    parts = (name for name, one in network.named_modules() if isinstance(one, _GROWN))
     fresh = tuple(
         f"{name}." for name in parts if not any(key.startswith(f"{name}.") for key in state)
     )

@@ -334,7 +334,9 @@ def test_unfit_image_pairs_are_named(tmp_path: Path) -> None:
         ("sizes", {"noisy/a.png": gray, "clean/a.png": gray[:16]}, r"32x32, but .* 32x16 pixels"),
         ("colour", {"noisy/a.png": np.dstack([gray, gray, gray // 2]), "clean/a.png": gray},
          "in colour"),
-        ("float", {"noisy/a.tif": gray.astype("f4"), "clean/a.tif": gray}, "expected 8 or 16"),
+        ("float", {"noisy/a.tif": gray.astype("f4"), "clean/a.tif": gray}, r"a\.tif: float pixels"),
+        ("double", {"noisy/a.tif": gray / 255, "clean/a.tif": gray},
+         "picture of uint8, uint16, float32"),
     ]  # fmt: skip
     for name, images, words in cases:
         folder = write_images(tmp_path / name, images)
@@ -345,8 +347,15 @@ def test_unfit_image_pairs_are_named(tmp_path: Path) -> None:
     with pytest.raises(FactoryError, match="hold no images"):
         items_of(tmp_path / "empty", "test")
     (tmp_path / "text.png").write_text("not an image", encoding="utf-8")
-    with pytest.raises(FactoryError, match="not a readable image"):
+    with pytest.raises(FactoryError, match="not a readable picture"):
         read_gray(tmp_path / "text.png")
+    pages = [gray, gray // 2]
+    assert cv2.imwritemulti(str(tmp_path / "stack.tif"), pages)
+    with pytest.raises(FactoryError, match=r"stack\.tif: holds several pages"):
+        read_gray(tmp_path / "stack.tif")
+    for name, stored in (("a.pgm", gray), ("a.tif", (gray / 255).astype("f4"))):
+        assert cv2.imwrite(str(tmp_path / name), stored)
+        np.testing.assert_allclose(read_gray(tmp_path / name), 100 / 255, atol=1e-6)
     constant = write_images(tmp_path / "flat", {"noisy/a.png": gray, "clean/a.png": gray})
     (row,) = measured(constant, [], tmp_path / "out")
     assert row.values["psnr"][0] == metrics.PSNR_CAP_DB

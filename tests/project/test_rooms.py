@@ -50,6 +50,7 @@ ALLOWED = {
     "evaluation/data": {
         "evaluation/baselines",
         "factory/dataset",
+        "factory/recordings",
         "factory/sonar",
         "factory: ground",
     },

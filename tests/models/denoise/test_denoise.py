@@ -230,7 +230,7 @@ def test_a_bad_file_among_good_ones_is_skipped(
     assert main([str(folder), "--out", str(out), "--weights", str(weights)]) == 1
     said = capsys.readouterr()
     assert "denoised: 1 file(s)" in said.out
-    for name in ("broken.png: not a readable image", "empty.png", "other.h5: not a readable"):
+    for name in ("broken.png: not a readable picture", "empty.png", "other.h5: not a readable"):
         assert name in said.err
     assert [path.name for path in out.iterdir()] == ["good.png"]
     (folder / "good.png").unlink()
