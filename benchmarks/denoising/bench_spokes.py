@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -50,12 +50,13 @@ def measure(options: Options) -> Section:
         rows = [_row(words, size, pictures) for size in SIZES]
     columns = (
         *("pixels", "pictures", "with spokes", "spokes", "left of a spoke, %"),
-        *("spokes left whole", "pictures with one"),
+        *("spokes left whole", "pictures with one", "median, highest"),
     )
     note = (
         f"`{WEIGHTS}` at the calibrated noise. A spoke: bearings side by side along which the mean "
         f"grey value is more than {VISIBLE} higher than in the same picture without spokes; left "
-        f"whole: more than {100 * WHOLE:.0f} % of it is still there."
+        f"whole: more than {100 * WHOLE:.0f} % of it is still there; the last column is how much "
+        "these raised their bearings, of the grey scale."
     )
     return Section((Table(columns, tuple(rows)),), note)
 
@@ -65,7 +66,7 @@ def _row(words: list[str], size: float, pictures: int) -> tuple[str | float, ...
     config = replace(config, sonar=resized(config.sonar, size))
     maker, denoise = pair_maker(config), load_denoiser(WEIGHTS, "cpu")
     frames = open_reader(config.scenes).discover().frames
-    left = []
+    found = []
     for number in range(pictures):
         ref, variant = frames[number % len(frames)], number // len(frames)
         (noisy,) = maker.pairs(ref, (variant,))
@@ -73,16 +74,18 @@ def _row(words: list[str], size: float, pictures: int) -> tuple[str | float, ...
         geometry = FanGeometry.from_record(config.sonar, noisy.record)
         both = [in_unit_range(pair.noisy) for pair in (noisy, without)]
         results = [denoise(picture, geometry) for picture in both]
-        left.append(list(left_of_spokes(both[0] - both[1], results[0] - results[1], geometry)))
-    spokes = [part for parts in left for part in parts]
+        found.append(list(left_of_spokes(both[0] - both[1], results[0] - results[1], geometry)))
+    spokes = [spoke for here in found for spoke in here]
+    whole = [spoke.height for spoke in spokes if spoke.left > WHOLE]
     return (
         config.sonar.image.height_px,
         pictures,
-        sum(bool(parts) for parts in left),
+        sum(bool(here) for here in found),
         len(spokes),
-        100 * float(np.mean(spokes)) if spokes else float("nan"),
-        sum(part > WHOLE for part in spokes),
-        sum(any(part > WHOLE for part in parts) for parts in left),
+        100 * float(np.mean([spoke.left for spoke in spokes])) if spokes else float("nan"),
+        len(whole),
+        sum(any(spoke.left > WHOLE for spoke in here) for here in found),
+        f"{np.median(whole):.3f}, {max(whole):.3f}" if whole else "",
     )
 
 
@@ -91,8 +94,16 @@ def without_spokes(noise: NoiseSettings) -> NoiseSettings:
     return replace(noise, azimuth=replace(noise.azimuth, enabled=False))
 
 
-def left_of_spokes(before: Floats, after: Floats, geometry: FanGeometry) -> Iterator[float]:
-    """The part of each visible spoke that is left, by the means along its bearings.
+@dataclass(frozen=True)
+class Spoke:
+    """height: the most that it adds to the mean along a bearing.  left: the part that stayed."""
+
+    height: float
+    left: float
+
+
+def left_of_spokes(before: Floats, after: Floats, geometry: FanGeometry) -> Iterator[Spoke]:
+    """Each visible spoke, by the means along its bearings.
 
     before, after: (H, W), what the spokes add to the noisy and to the denoised picture.
     """
@@ -107,4 +118,5 @@ def left_of_spokes(before: Floats, after: Floats, geometry: FanGeometry) -> Iter
     stayed = np.bincount(beam, after[inside]) / pixels
     runs, count = ndimage.label(added > VISIBLE)
     for run in range(1, count + 1):
-        yield float(stayed[runs == run].sum() / added[runs == run].sum())
+        here = runs == run
+        yield Spoke(float(added[here].max()), float(stayed[here].sum() / added[here].sum()))

@@ -206,4 +206,6 @@ def test_what_is_left_of_spokes_is_told_by_bearing() -> None:
     faint = inside & (abs(bearing - 0.3) < 0.015)
     before = 0.3 * one + 0.1 * other + 0.01 * faint
     after = 0.03 * one + 0.08 * other + 0.01 * faint
-    assert list(left_of_spokes(before, after, geometry)) == pytest.approx([0.1, 0.8], abs=0.02)
+    spokes = list(left_of_spokes(before, after, geometry))
+    assert [spoke.left for spoke in spokes] == pytest.approx([0.1, 0.8], abs=0.02)
+    assert [spoke.height for spoke in spokes] == pytest.approx([0.3, 0.1], abs=0.02)
