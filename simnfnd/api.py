@@ -29,7 +29,8 @@ def denoise(
 ) -> npt.NDArray[Any]:
     """Denoise one sonar picture, or a stack of them.
 
-    picture: (H, W) or (N, H, W), uint8, uint16, or float in 0..1.
+    picture: (H, W), (N, H, W), or (H, W, 3 or 4) in colours; uint8, uint16, or float in 0..1.
+        Colours of a colour map are denoised as the levels that they stand for.
     weights: a weights.safetensors of a training or the name of weights that ship; None: of those
         that ship the ones that suit the picture, `simnfnd`, or `simnfnd-paper` where its noise is
         that of points.  They stay loaded for the next call.
@@ -48,12 +49,15 @@ def denoise(
 
     needed = ("torch", "safetensors", "cv2", "scipy")
     require(Need("simnfnd.denoise", module) for module in needed)
+    from simnfnd.factory.recordings.palettes import find_painted
     from simnfnd.models.denoise.files import denoise_image
     from simnfnd.models.pretrained import find_weights
 
     given = np.asarray(picture)
     if given.ndim not in (2, 3):
-        raise ValueError(f"picture has shape {given.shape}; expected (H, W) or (N, H, W)")
+        raise ValueError(
+            f"picture has shape {given.shape}; expected (H, W), (N, H, W) or (H, W, 3)"
+        )
     path = find_weights(weights)
     if not 0 <= strength <= 1:
         raise ValueError(f"strength={strength}: expected 0 to 1")
@@ -75,10 +79,16 @@ def denoise(
     def one(gray: npt.NDArray[np.float32], where: FanGeometry | None) -> npt.NDArray[np.float32]:
         return network(gray, where, layout=layout)
 
-    stack = given if given.ndim == 3 else given[None]
-    known = stack.astype(np.float32) if stack.dtype.kind == "f" else stack
-    result = np.empty_like(stack)
-    for number, image in enumerate(known):
+    known = given.astype(np.float32) if given.dtype.kind == "f" else given
+    if given.ndim == 3 and given.shape[2] in (3, 4):
+        painted = find_painted(known)
+        if painted is None:
+            return denoise_image(known, one, place).astype(given.dtype)
+        levels = denoise_image(painted.levels, one, place)
+        return painted.repainted(levels).astype(given.dtype)
+    stack = known if given.ndim == 3 else known[None]
+    result = np.empty(stack.shape, given.dtype)
+    for number, image in enumerate(stack):
         result[number] = denoise_image(image, one, place)
     return result if given.ndim == 3 else result[0]
 

@@ -1,4 +1,4 @@
-"""docs/images/real.png and real-crops.png: recordings that may be shown, denoised by what ships.
+"""docs/images/real.png, real-crops.png and colours.png: recordings, denoised by what ships.
 
     python -m tools.real_pictures FOLDER
 
@@ -20,11 +20,15 @@ from simnfnd.evaluation.baselines.base import Gray
 from simnfnd.evaluation.baselines.bm3d import bm3d
 from simnfnd.evaluation.real.groups import Judged, judged, search
 from simnfnd.evaluation.real.shots import Mask, open_input
+from simnfnd.factory.recordings.fan_finder import find_fan
 from simnfnd.factory.recordings.fans import frame_picture
-from simnfnd.models.denoise.denoiser import load_denoiser
+from simnfnd.factory.recordings.palettes import find_painted
+from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
+from simnfnd.models.denoise.files import denoise_image
 
 OUT = Path("docs/images")
 _HEIGHT_PX, _CROP_PX, _ZOOM, _GAP_PX = 620, 130, 3, 8
+_COLOURS_HEIGHT_PX = 420
 _SIGMAS = (0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1)
 
 
@@ -56,8 +60,9 @@ RECORDINGS = (
 
 
 def main(folder: Path) -> None:
-    """Make both pictures."""
+    """Make the pictures."""
     denoise = load_denoiser("simnfnd", "cpu")
+    in_colours(folder / RECORDINGS[0].path, denoise)
     whole: list[Gray] = []
     rows: list[Gray] = []
     for recording in RECORDINGS:
@@ -93,6 +98,28 @@ def best_bm3d(noisy: Gray, mean: Gray, where: Mask) -> Gray:
         return float(np.square(picture - mean)[where].mean())
 
     return min((bm3d(noisy, sigma) for sigma in _SIGMAS), key=error)
+
+
+def in_colours(path: Path, denoise: Denoiser) -> None:
+    """A frame in two colour maps: as recorded, channels denoised one by one, and its levels."""
+    grey, _ = frame_picture(path, 0)
+    found = find_fan(grey)
+    geometry = None if found is None else found.geometry
+    columns = []
+    for name in (cv2.COLORMAP_JET, cv2.COLORMAP_HOT):
+        picture = cv2.applyColorMap(np.rint(grey * 255).astype(np.uint8), name)
+        painted = find_painted(picture)
+        assert painted is not None
+        columns += [
+            picture,
+            denoise_image(picture, denoise, geometry),
+            painted.repainted(denoise_image(painted.levels, denoise, geometry)),
+        ]
+    height, width = grey.shape
+    size = (round(width * _COLOURS_HEIGHT_PX / height), _COLOURS_HEIGHT_PX)
+    small = [cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in columns]
+    parts = [np.pad(one, ((0, 0), (0, _GAP_PX), (0, 0)), constant_values=255) for one in small]
+    cv2.imwrite(str(OUT / "colours.png"), np.hstack(parts)[:, :-_GAP_PX])
 
 
 def tall(picture: Gray) -> Gray:

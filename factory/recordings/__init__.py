@@ -37,7 +37,7 @@ __all__ = [
 _ROOM = "simnfnd.factory.recordings"
 
 READERS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "aris": (f"{_ROOM}.aris:ArisFile", (".aris",)),
+    "aris": (f"{_ROOM}.aris.file:ArisFile", (".aris",)),
     "ddf": (f"{_ROOM}.ddf:DdfFile", (".ddf",)),
     "oculus": (f"{_ROOM}.oculus:OculusFile", (".raw", ".oculus")),
     "rosbag": (f"{_ROOM}.rosbag:RosBag", (".bag", ".mcap", ".db3")),

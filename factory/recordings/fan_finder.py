@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.recordings.fan_outline import Numbers, fit_sector
+from simnfnd.factory.recordings.palettes import find_painted
 from simnfnd.factory.sonar.geometry import FanGeometry
 
 SURE = 0.7
@@ -99,9 +100,10 @@ def _cropped(grey: npt.NDArray[np.uint8], black: int) -> tuple[npt.NDArray[np.ui
 
 
 def _bytes(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    """(H, W) uint8; colours become their largest."""
+    """(H, W) uint8; colours become the levels of their map, or their largest."""
     if picture.ndim == 3:
-        picture = picture[..., :3].max(axis=2)
+        painted = find_painted(picture)
+        picture = picture[..., :3].max(axis=2) if painted is None else painted.levels
     if picture.ndim != 2:
         raise ValueError(f"picture has shape {picture.shape}; expected (H, W) or (H, W, colours)")
     if picture.dtype == np.uint8:

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import open_recording
 from simnfnd.factory.recordings.base import FULL_SCALE, Beams, Frame, Recording
+from simnfnd.factory.recordings.palettes import grey_of_colours
 from simnfnd.factory.sonar.fan import fan_table
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
@@ -99,7 +100,7 @@ def frame_picture(path: Path, number: int) -> tuple[npt.NDArray[np.float32], Fan
     if frame.beams is not None:
         return fan_of(grey, frame.beams)
     if grey.ndim == 3:
-        grey = _luminance(grey)
+        grey = grey_of_colours(grey)
     return np.ascontiguousarray(np.clip(grey, 0, 1)), None
 
 
@@ -119,15 +120,3 @@ def _opened(path: Path) -> Recording:
         close_last()
         _LAST[path] = open_recording(path)
     return _LAST[path]
-
-
-def _luminance(colours: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    if colours.shape[2] < 3:
-        return colours[..., 0]
-    blue_green_red = np.ascontiguousarray(colours[..., :3])
-    # Equal channels stay exactly what they are.
-    if (blue_green_red == blue_green_red[..., :1]).all():
-        return blue_green_red[..., 0]
-    import cv2  # an extra, as are pictures with colours
-
-    return np.asarray(cv2.cvtColor(blue_green_red, cv2.COLOR_BGR2GRAY), np.float32)

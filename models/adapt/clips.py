@@ -6,15 +6,14 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.recordings import Frame, open_recording
 from simnfnd.factory.recordings.fans import grey_of, polar_geometry
+from simnfnd.factory.recordings.palettes import grey_of_colours
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.data.images import read_grey
 from simnfnd.models.data.pairs import Image
@@ -152,7 +151,10 @@ class _File:
         if frame.beams is not None:
             geometry = polar_geometry(frame.beams, len(frame.samples))
             return Shot(grey_of(frame), geometry)
-        return Shot(_grey(grey_of(frame)), geometries.of(self.item, frame.samples))
+        if frame.samples.ndim == 2:
+            return Shot(grey_of(frame), geometries.of(self.item, frame.samples))
+        grey = grey_of_colours(frame.samples)
+        return Shot(grey, geometries.of(self.item, grey))
 
 
 class _Folder:
@@ -181,12 +183,3 @@ class _Folder:
                 found.skipped.append(str(error))
                 continue
             yield Shot(grey, geometries.of(item, grey))
-
-
-def _grey(picture: npt.NDArray[Any]) -> Image:
-    """(H, W) or (H, W, colours) float32, blue first, as luminance."""
-    if picture.ndim == 2:
-        return np.asarray(picture, np.float32)
-    if picture.shape[2] < 3:
-        return np.ascontiguousarray(picture[..., 0], np.float32)
-    return np.asarray(cv2.cvtColor(picture[..., :3], cv2.COLOR_BGR2GRAY), np.float32)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
-
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import PICTURE_SUFFIXES, is_recording, open_recording
 from simnfnd.factory.recordings.fans import frame_picture
+from simnfnd.factory.recordings.palettes import grey_of_colours
 from simnfnd.factory.recordings.pictures import in_unit_range, read_picture
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.data.pairs import Image, Sample, SampleRef
@@ -55,11 +54,10 @@ def read_sample(sample: SampleRef) -> tuple[Image, FanGeometry | None]:
 
 
 def read_grey(path: Path) -> Image:
-    """An image as (H, W) float32 in 0..1; colours become their luminance.  Raises FactoryError."""
+    """An image as (H, W) float32 in 0..1; see `grey_of_colours`.  Raises FactoryError."""
     image = read_picture(path)
-    if image.ndim == 3:
-        image = cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2GRAY)
-    return in_unit_range(image, str(path))
+    grey = in_unit_range(image, str(path))
+    return grey if image.ndim == 2 else grey_of_colours(image)
 
 
 def smallest_side(samples: tuple[SampleRef, ...]) -> tuple[int, SampleRef]:

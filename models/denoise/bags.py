@@ -25,7 +25,7 @@ from simnfnd.models.denoise.files import (
     write_compared,
 )
 from simnfnd.models.denoise.inputs import Item
-from simnfnd.models.denoise.steady import Steady, in_kind_of
+from simnfnd.models.denoise.steady import Steady
 
 
 def open_bag(item: Item, topics: Sequence[str]) -> RosBag:
@@ -63,14 +63,15 @@ def denoise_bag(
         pings = any(one.msgtype == SONAR for one in bag.connections)
         # All of a ping was measured, so no place is needed to average.
         averaged = averages.of_recording(bag, (lambda _: None) if pings else place)
-        for frame, average, looks in averaged:
-            if frame.beams is None:
-                geometry = place(frame.samples)
-            else:
+        for seen in averaged:
+            frame = seen.frame
+            assert frame is not None
+            geometry = seen.geometry
+            if frame.beams is not None:
                 geometry = polar_geometry(frame.beams, len(frame.samples))
             try:
-                found = denoise_image(average, denoise, geometry, looks)
-                samples = in_kind_of(found, frame.samples)
+                found = denoise_image(seen.picture, denoise, geometry, seen.looks)
+                samples = seen.finished(found)
             except ValueError as error:
                 raise FrameError(f"{item.source}: message {frame.number}: {error}") from error
             if compare and frame.number < COMPARED:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import write_atomically
 from simnfnd.factory.recordings import Frame, Recording, open_recording
-from simnfnd.factory.recordings.aris import ArisFile
+from simnfnd.factory.recordings.aris.file import ArisFile
 from simnfnd.factory.recordings.base import FULL_SCALE
 from simnfnd.factory.recordings.fans import fan_of, grey_of, polar_geometry
 from simnfnd.factory.recordings.pictures import read_picture
@@ -22,7 +22,7 @@ from simnfnd.factory.recordings.video import VideoFile
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise.compared import sheet
 from simnfnd.models.denoise.inputs import Item
-from simnfnd.models.denoise.steady import Steady, in_kind_of
+from simnfnd.models.denoise.steady import Steady
 from simnfnd.models.denoise.videos import FrameFiles
 
 SCHEMA = "simnfnd-denoised/1"
@@ -94,11 +94,14 @@ def denoise_file(
     steady: Steady | None = None,
 ) -> None:
     """Denoise one image file into `out`.  FrameError when it cannot be read."""
+
+    def place(picture: npt.NDArray[Any]) -> FanGeometry | None:
+        return geometry_of(item, picture)
+
     try:
         image = read_picture(item.source)
-        geometry = geometry_of(item, image)
-        average, looks = (steady or Steady()).of_picture(item, image, geometry)
-        denoised = in_kind_of(denoise_image(average, denoise, geometry, looks), image)
+        seen = (steady or Steady()).of_picture(item, image, place)
+        denoised = seen.finished(denoise_image(seen.picture, denoise, seen.geometry, seen.looks))
     except (FactoryError, ValueError) as error:
         text = str(error)
         named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
@@ -129,13 +132,12 @@ def denoise_video(
         def place(picture: npt.NDArray[Any]) -> FanGeometry | None:
             return geometry_of(item, picture)
 
-        for frame, average, looks in (steady or Steady()).of_recording(recording, place):
-            picture = frame.samples
-            found = denoise_image(average, denoise, place(picture), looks)
-            denoised = in_kind_of(found, picture)
+        for number, seen in enumerate((steady or Steady()).of_recording(recording, place)):
+            found = denoise_image(seen.picture, denoise, seen.geometry, seen.looks)
+            denoised = seen.finished(found)
             files.add(denoised)
-            if frame.number < COMPARED:
-                shown.append((picture, denoised))
+            if number < COMPARED:
+                shown.append((seen.original, denoised))
             tick()
     if compare:
         write_compared(out, item.relative, shown)
@@ -161,11 +163,12 @@ def denoise_pings(
     def denoised(recording: Recording) -> Iterator[tuple[Frame, npt.NDArray[Any]]]:
         # All of a ping was measured, so no place is needed to average.
         frames = (steady or Steady()).of_recording(recording, lambda _: None)
-        for frame, average, looks in frames:
+        for seen in frames:
+            frame = seen.frame
+            assert frame is not None
             assert frame.beams is not None
             geometry = polar_geometry(frame.beams, len(frame.samples))
-            found = denoise_image(average, denoise, geometry, looks)
-            samples = in_kind_of(found, frame.samples)
+            samples = seen.finished(denoise_image(seen.picture, denoise, geometry, seen.looks))
             if compare and frame.number < COMPARED:
                 after = replace(frame, samples=samples)
                 fans = (fan_of(grey_of(one), frame.beams)[0] for one in (frame, after))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import Frame
 from simnfnd.factory.recordings.averaging import Average, Averager, windows
 from simnfnd.factory.recordings.base import FULL_SCALE
+from simnfnd.factory.recordings.palettes import SUM, Painted, Palette, find_painted
 from simnfnd.factory.recordings.pictures import read_picture
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.data.looks import centred
@@ -29,12 +31,36 @@ Place = Callable[[Picture], FanGeometry | None]
 _NUMBER = re.compile(r"\d+")
 
 
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A picture of a file as weights get it.
+
+    original: as it is stored.  picture: levels, (H, W) float32 in 0..1, where its colours stand for
+    such, else the original; averaged as float32 where that is asked for.  geometry: as `Place` says
+    of it.  looks: for weights that see several pictures, else none.  frame: of a recording.
+    """
+
+    original: Picture
+    picture: Picture
+    geometry: FanGeometry | None
+    looks: list[Picture]
+    painted: Painted | None = None
+    frame: Frame | None = None
+
+    def finished(self, result: Picture) -> Picture:
+        """What weights made of `picture`, in the colours and the dtype of the original."""
+        if self.painted is not None:
+            return self.painted.repainted(result)
+        return in_kind_of(result, self.original)
+
+
 class Steady:
     """Averages of each picture and its neighbours, or the neighbours themselves.
 
     frames: how many at most are averaged, odd; 1: pictures stay as they are.
     looks: how many the weights see at once; 1: none beside the picture.
     pictures, used: how many pictures were averaged, and the frames that went into them together.
+    maps: colour map -> how many pictures had it.
     """
 
     def __init__(self, frames: int = 1, items: Iterable[Item] = ()) -> None:
@@ -50,6 +76,8 @@ class Steady:
         self.frames, self.reach, self.looks = frames, frames // 2, 1
         self._items = tuple(items)
         self.pictures, self.used = 0, 0.0
+        self.maps: Counter[str] = Counter()
+        self._last_map: Palette | None = None
         self._averager = Averager()
         self._neighbours = neighbours(self._items, self.reach) if self.reach else {}
         self._decoded: OrderedDict[Path, Picture] = OrderedDict()
@@ -68,32 +96,46 @@ class Steady:
         self.looks, self.reach = looks, looks // 2
         self._neighbours = neighbours(self._items, self.reach)
 
-    def of_recording(
-        self, frames: Iterable[Frame], place: Place
-    ) -> Iterator[tuple[Frame, Picture, list[Picture]]]:
-        """Each frame of a recording with its samples, averaged as float32 in 0..1, and its looks.
+    def of_recording(self, frames: Iterable[Frame], place: Place) -> Iterator[Seen]:
+        """Each frame of a recording.  place: says where range and bearing are in its levels."""
+        coloured: dict[int, tuple[Picture, Painted]] = {}
 
-        Without averaging samples come as they are; looks are none, or `looks` pictures.
-        """
-        if self.frames == 1:
-            for own, window in windows(frames, self.reach):
-                pictures = [one.samples for one in window]
-                yield window[own], pictures[own], self._looks(own, pictures)
-            return
+        def plain() -> Iterator[Frame]:
+            for frame in frames:
+                painted = None if frame.beams is not None else self._painted(frame.samples)
+                if painted is not None:
+                    coloured[frame.number] = frame.samples, painted
+                    frame = replace(frame, samples=painted.levels)
+                yield frame
+
         self._averager = Averager()
-        for own, window in windows(frames, self.reach):
+        for own, window in windows(plain(), self.reach):
             frame = window[own]
-            found = {other.number: other.samples for other in window}
-            yield frame, self._average(found, frame.number, place(frame.samples)), []
+            original, painted = coloured.pop(frame.number, (frame.samples, None))
+            geometry = place(frame.samples)
+            if self.frames == 1:
+                picture, looks = frame.samples, self._looks(own, [one.samples for one in window])
+            else:
+                found = {other.number: other.samples for other in window}
+                picture, looks = self._average(found, frame.number, geometry), []
+            frame = replace(frame, samples=original)
+            yield Seen(original, picture, geometry, looks, painted, frame)
 
-    def of_picture(
-        self, item: Item, picture: Picture, geometry: FanGeometry | None
-    ) -> tuple[Picture, list[Picture]]:
+    def of_picture(self, item: Item, original: Picture, place: Place) -> Seen:
         """A picture file with those before and after it in its folder; see `of_recording`."""
+        painted = self._painted(original)
+        plain = original if painted is None else painted.levels
+        geometry = place(plain)
+        picture, looks = self._with_neighbours(item, plain, geometry)
+        return Seen(original, picture, geometry, looks, painted)
+
+    def _with_neighbours(
+        self, item: Item, plain: Picture, geometry: FanGeometry | None
+    ) -> tuple[Picture, list[Picture]]:
         names = self._neighbours.get(item.source, ())
-        if len(names) < 2 or not _is_usable(picture):
-            return picture, self._looks(0, [picture])
-        found = {item.source: picture}
+        if len(names) < 2 or not _is_usable(plain):
+            return plain, self._looks(0, [plain])
+        found = {item.source: plain}
         for name in names:
             if name != item.source:
                 try:
@@ -102,8 +144,16 @@ class Steady:
                     continue  # said where it is denoised itself
         if self.frames == 1:
             there = [name for name in names if name in found]
-            return picture, self._looks(there.index(item.source), [found[n] for n in there])
+            return plain, self._looks(there.index(item.source), [found[n] for n in there])
         return self._average(found, item.source, geometry), []
+
+    def _painted(self, picture: Picture) -> Painted | None:
+        """The levels of a picture whose colours stand for such."""
+        painted = find_painted(picture, self._last_map)
+        if painted is not None:
+            self._last_map = painted.palette
+            self.maps[painted.palette.name] += 1
+        return painted
 
     def _looks(self, own: int, pictures: list[Picture]) -> list[Picture]:
         """Number `own` amid its neighbours, as far as they are pictures of the same kind."""
@@ -117,7 +167,13 @@ class Steady:
         return centred(pictures[first : last + 1], own - first, self.looks)
 
     def summary(self) -> Iterator[str]:
-        """One line, if pictures were averaged."""
+        """A line if pictures were averaged, and one if colours stood for levels."""
+        if self.maps:
+            named = ", ".join(f"{name} in {count}" for name, count in self.maps.items())
+            yield (
+                f"colour maps: {named}; their levels were denoised and painted again "
+                f"({SUM}: a map that is not known, by the sum of its channels)"
+            )
         if self.pictures:
             yield (
                 f"averaged: {self.used / self.pictures:.1f} of up to {self.frames} frames a "
@@ -149,7 +205,9 @@ class Steady:
 
     def _decode(self, path: Path) -> Picture:
         if path not in self._decoded:
-            self._decoded[path] = read_picture(path)
+            picture = read_picture(path)
+            painted = find_painted(picture, self._last_map)
+            self._decoded[path] = picture if painted is None else painted.levels
         self._decoded.move_to_end(path)
         while len(self._decoded) > max(self.frames, self.looks):
             self._decoded.popitem(last=False)

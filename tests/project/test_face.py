@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -174,6 +175,25 @@ def test_a_picture_comes_back_in_its_own_form(dtype: type, shape: tuple[int, ...
     np.testing.assert_array_equal(picture, before)
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_colours_of_a_map_are_denoised_as_levels(order: int) -> None:
+    """Whether red comes first or blue, and with an alpha channel; not taken for a stack."""
+    ramp = np.linspace(20, 230, 48, dtype=np.float32)
+    picture = np.clip(ramp + np.random.default_rng(0).normal(0, 12, (40, 48)), 0, 255)
+    levels = picture.astype(np.uint8)
+    jet = cv2.applyColorMap(levels, cv2.COLORMAP_JET)[..., ::order]
+    wanted = cv2.applyColorMap(simnfnd.denoise(levels), cv2.COLORMAP_JET)[..., ::order]
+    found = simnfnd.denoise(jet)
+    assert np.abs(found.astype(int) - wanted).mean() < 1
+    alpha = np.full((40, 48, 1), 7, np.uint8)
+    np.testing.assert_array_equal(simnfnd.denoise(np.dstack([jet, alpha]))[..., 3:], alpha)
+    scaled = simnfnd.denoise(jet / 255)
+    assert scaled.dtype == np.float64
+    np.testing.assert_allclose(scaled * 255, found, atol=1)
+    any_colours = np.random.default_rng(0).random((40, 48, 3))
+    assert simnfnd.denoise(any_colours).shape == (40, 48, 3)
+
+
 def test_a_stack_is_its_pictures_one_by_one() -> None:
     stack = np.random.default_rng(0).integers(0, 255, (2, 40, 48), dtype=np.uint8)
     both = simnfnd.denoise(stack, strength=0.9, geometry="polar")
@@ -189,6 +209,8 @@ def test_pictures_and_weights_that_will_not_do(monkeypatch) -> None:
         (np.zeros((4, 4), np.int64), "int64"),
         (np.full((4, 4), np.nan), r"0\.\.1"),
         (np.full((4, 4), 2.0), r"0\.\.1"),
+        (np.full((5, 5, 3), [0, 1, 2.0]), r"0\.\.1"),
+        (np.full((5, 5, 3), [0, 1, np.nan]), r"0\.\.1"),
     ]
     for picture, said in pictures:
         with pytest.raises(ValueError, match=said):

@@ -13,8 +13,8 @@ import pytest
 
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.recordings import is_recording, kind_of, open_recording
-from simnfnd.factory.recordings.aris import ArisFile
-from simnfnd.factory.recordings.aris_beams import BEAM_CENTRES_DEG
+from simnfnd.factory.recordings.aris.beams import BEAM_CENTRES_DEG
+from simnfnd.factory.recordings.aris.file import ArisFile
 from simnfnd.factory.recordings.base import Beams
 from simnfnd.factory.recordings.fans import fan_of, grey_of, polar_geometry
 from tests.factory.recordings.recording_files import (

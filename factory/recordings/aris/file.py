@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from simnfnd.factory.errors import FrameError
 from simnfnd.factory.files import explain_os_errors
-from simnfnd.factory.recordings.aris_beams import BEAM_CENTRES_DEG
+from simnfnd.factory.recordings.aris.beams import BEAM_CENTRES_DEG
 from simnfnd.factory.recordings.base import (
     MOST_RANGE_M,
     MOST_RANGES,

@@ -1,0 +1,1 @@
+"""ARIS recordings: the file, and where its beams look."""
