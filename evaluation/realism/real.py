@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.evaluation.realism.pictures import Collection, Source, label_of
-from simnfnd.evaluation.realism.polar import Gray
 from simnfnd.evaluation.realism.recorded import recorded
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import PICTURE_SUFFIXES, is_recording
+from simnfnd.factory.recordings.pictures import read_grey
 from simnfnd.factory.sonar.geometry import FanGeometry
 
 GEOMETRY_FILE = "geometry.csv"
@@ -86,34 +86,17 @@ def open_real(folder: str | Path) -> Collection:
     return _mdd(root, paths)
 
 
-def read_gray(path: Path) -> Gray:
-    """(H, W) float32 in 0..1; colours become their luminance, 16 bits keep theirs.
-
-    Raises FactoryError when it cannot be read.
-    """
-    import cv2
-
-    content = np.frombuffer(path.read_bytes(), np.uint8)
-    picture = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
-    if picture is None or not picture.size:
-        raise FactoryError(f"{path}: not a picture that can be read; remove it or save it again")
-    full = {"uint8": 255, "uint16": 65535}.get(str(picture.dtype))
-    if full is None:
-        raise FactoryError(f"{path}: {picture.dtype} grey values; save it with 8 or 16 bits")
-    return np.asarray(picture.astype(np.float32) / np.float32(full))
-
-
 def _mdd(root: Path, paths: list[Path]) -> Collection:
     sources, counts = [], dict.fromkeys(MDD_GEOMETRIES, 0)
     for path in paths:
-        name = mdd_geometry(read_gray(path))
+        name = mdd_geometry(read_grey(path))
         if name is None:
             raise FactoryError(
                 f"{path}: neither of the two fans of the Marine Debris Dataset (320x480, black "
                 f"outside the sector); write {root / GEOMETRY_FILE} (docs/realism.md says how)"
             )
         counts[name] += 1
-        sources.append(Source(path.name, MDD_GEOMETRIES[name], partial(read_gray, path)))
+        sources.append(Source(path.name, MDD_GEOMETRIES[name], partial(read_grey, path)))
     mix = ", ".join(f"{count} of geometry {name}" for name, count in counts.items() if count)
     return Collection(label_of(root), tuple(sources), (f"Marine Debris Dataset: {mix}",))
 
@@ -157,7 +140,7 @@ def _with_table(table: Path, paths: list[Path]) -> tuple[Source, ...]:
         geometry = lines.get(path.name, lines.get("*"))
         if geometry is None:
             raise FactoryError(f"{table}: no line for {path.name}; add one, or one for all: *")
-        sources.append(Source(path.name, geometry, partial(read_gray, path)))
+        sources.append(Source(path.name, geometry, partial(read_grey, path)))
     return tuple(sources)
 
 

@@ -22,6 +22,7 @@ from simnfnd.factory.recordings.base import (
     Frame,
     Samples,
 )
+from simnfnd.factory.recordings.palettes import grey_of_colours
 
 MOST_PIXELS = 1 << 26
 _PAGES = {"L": "grey of 8 bits", "I;16": "of 16 bits", "F": "of floats", "RGB": "colours of 8 bits"}
@@ -128,6 +129,13 @@ def in_unit_range(picture: Samples, what: str) -> npt.NDArray[np.float32]:
     if not (scaled.min() >= 0 and scaled.max() <= 1):
         raise FrameError(f"{what}: float pixels must lie in 0..1; divide by full scale")
     return np.asarray(scaled)
+
+
+def read_grey(path: Path) -> npt.NDArray[np.float32]:
+    """(H, W) float32 in 0..1 of a file; of colours see `grey_of_colours`.  Raises FrameError."""
+    picture = read_picture(path)
+    grey = in_unit_range(picture, str(path))
+    return grey if picture.ndim == 2 else grey_of_colours(picture)
 
 
 def is_stack(path: Path) -> bool:

@@ -14,8 +14,8 @@ from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.recordings import Frame, open_recording
 from simnfnd.factory.recordings.fans import grey_of, polar_geometry
 from simnfnd.factory.recordings.palettes import grey_of_colours
+from simnfnd.factory.recordings.pictures import read_grey
 from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.data.images import read_grey
 from simnfnd.models.data.pairs import Image
 from simnfnd.models.denoise.geometries import Geometries
 from simnfnd.models.denoise.inputs import Item, find_items

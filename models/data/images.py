@@ -7,8 +7,7 @@ from pathlib import Path
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import PICTURE_SUFFIXES, is_recording, open_recording
 from simnfnd.factory.recordings.fans import frame_picture
-from simnfnd.factory.recordings.palettes import grey_of_colours
-from simnfnd.factory.recordings.pictures import in_unit_range, read_picture
+from simnfnd.factory.recordings.pictures import read_grey, read_picture
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.data.pairs import Image, Sample, SampleRef
 
@@ -51,13 +50,6 @@ def read_sample(sample: SampleRef) -> tuple[Image, FanGeometry | None]:
     if not is_recording(sample.path):
         return read_grey(sample.path), None
     return frame_picture(sample.path, sample.row)
-
-
-def read_grey(path: Path) -> Image:
-    """An image as (H, W) float32 in 0..1; see `grey_of_colours`.  Raises FactoryError."""
-    image = read_picture(path)
-    grey = in_unit_range(image, str(path))
-    return grey if image.ndim == 2 else grey_of_colours(image)
 
 
 def smallest_side(samples: tuple[SampleRef, ...]) -> tuple[int, SampleRef]:

@@ -16,6 +16,7 @@ from simnfnd.evaluation.realism import compare, real
 from simnfnd.evaluation.realism.measure import Measured, joined, measure_picture
 from simnfnd.evaluation.realism.polar import Grid, to_polar
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.recordings.pictures import read_grey
 from simnfnd.factory.sonar.fan import fan_table
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
@@ -123,11 +124,11 @@ def test_pictures_of_any_kind_are_read(tmp_path: Path) -> None:
     Image.fromarray(grey.astype(np.uint16)).save(tmp_path / "deep.png")
     colour = np.repeat(np.full((8, 8, 1), 51, np.uint8), 3, axis=2)
     Image.fromarray(colour).save(tmp_path / "colour.png")
-    assert real.read_gray(tmp_path / "deep.png").max() == pytest.approx(grey.max() / 65535)
-    assert real.read_gray(tmp_path / "colour.png") == pytest.approx(0.2)
+    assert read_grey(tmp_path / "deep.png").max() == pytest.approx(grey.max() / 65535)
+    assert read_grey(tmp_path / "colour.png") == pytest.approx(0.2)
     (tmp_path / "broken.png").write_bytes(b"not a picture")
-    with pytest.raises(FactoryError, match=r"broken\.png: not a picture"):
-        real.read_gray(tmp_path / "broken.png")
+    with pytest.raises(FactoryError, match=r"broken\.png: not a readable picture"):
+        read_grey(tmp_path / "broken.png")
 
 
 @pytest.fixture(scope="module")

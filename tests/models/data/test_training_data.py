@@ -22,6 +22,7 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.noise.draws import Draws, StreamNames, draw
 from simnfnd.factory.noise.registry import POINT_EFFECTS, NoiseSettings
 from simnfnd.factory.pairs import pair_maker
+from simnfnd.factory.recordings.pictures import read_grey
 from simnfnd.factory.render.pack import write_pack
 from simnfnd.factory.renders.views import CachedViews
 from simnfnd.factory.settings import build
@@ -31,7 +32,7 @@ from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.data.any_device import DeviceSource
 from simnfnd.models.data.crops import Crops, Visit, WholeImages
 from simnfnd.models.data.fans import read_fans
-from simnfnd.models.data.images import list_images, read_grey
+from simnfnd.models.data.images import list_images
 from simnfnd.models.data.olddata import OldDataSource, with_noise
 from simnfnd.models.data.pairs import PairSource, hold_out, read_table
 from simnfnd.models.data.renders import RenderSource, open_renders, resized
