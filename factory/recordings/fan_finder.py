@@ -26,6 +26,7 @@ _SMALLEST = 32  # pixels a side
 _MOST_BLACK = 48  # of 255: a border lighter than this is none
 _MOST_OUTSIDE = 0.05  # of all pixels may be lit and not in the sector
 _MOST_SQUEEZE = 1.95
+_DIM = 0.25  # of full scale: pictures that are darker throughout are made brighter
 _LEAST_HALF_DEG, _MOST_HALF_DEG = 2.0, 88.0
 _PIECES = 12  # of each side of the outline, looked at one by one
 
@@ -109,6 +110,9 @@ def _bytes(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     if picture.dtype == np.uint8:
         return picture
     full = float(np.iinfo(picture.dtype).max) if picture.dtype.kind in "iu" else 1.0
+    # Samples of 10 or 12 bits in files of 16 leave most of the scale empty.
+    brightest = float(np.nan_to_num(picture, posinf=0).max(initial=0))
+    full = brightest if 0 < brightest < _DIM * full else full
     # A level that is not zero stays one.
     return np.asarray(np.ceil(np.clip(np.nan_to_num(picture / full), 0, 1) * 255), np.uint8)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from simnfnd.factory.recordings.palettes import grey_of_colours
 from simnfnd.factory.recordings.pictures import read_grey
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.data.pairs import Image
+from simnfnd.models.denoise.brightness import gain_of
 from simnfnd.models.denoise.geometries import Geometries
 from simnfnd.models.denoise.inputs import Item, find_items
 
@@ -95,11 +96,17 @@ def read_clips(
     for source in sources:
         shots = list(source.read(share, geometries, found))
         if shots:
-            found.clips.append(Clip(source.name, shots, isinstance(source, _Folder)))
+            found.clips.append(Clip(source.name, bright(shots), isinstance(source, _Folder)))
     if not found.clips:
         more = f" ({found.skipped[0]})" if found.skipped else ""
         raise FactoryError(f"{paths[0]}: no frame can be read{more}")
     return found
+
+
+def bright(shots: list[Shot]) -> list[Shot]:
+    """Frames of a clip as bright as denoisers show them to the weights, all by one factor."""
+    gain = min(gain_of(shot.grey) for shot in shots)
+    return shots if gain == 1 else [replace(shot, grey=shot.grey * gain) for shot in shots]
 
 
 def runs(count: int, share: float) -> list[int]:

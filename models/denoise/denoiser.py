@@ -10,6 +10,7 @@ import numpy as np
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.models.denoise.brightness import brightened
 from simnfnd.models.denoise.files import Gray
 from simnfnd.models.denoise.tile import Maps, tiled
 from simnfnd.models.removal import DEFAULT, vector
@@ -71,9 +72,17 @@ class Denoiser:
 
         geometry: where range and bearing are, if that is known; or layout `polar`: rows are ranges,
         near range first, and the columns span 30 degrees.  looks: an odd number of pictures of the
-        same scene, itself in the middle, for weights that see several (`looks`).
+        same scene, itself in the middle, for weights that see several (`looks`).  The weights get
+        dark pictures `brightened`.
         """
         geometry = known_geometry(geometry, layout, gray)
+
+        def bright(gray: Gray, gain: np.float32) -> Gray:
+            return self._denoise(gray, geometry, [np.minimum(look * gain, 1) for look in looks])
+
+        return brightened(gray, bright)
+
+    def _denoise(self, gray: Gray, geometry: FanGeometry | None, looks: Sequence[Gray]) -> Gray:
         extras = self.trained.network.extras
         maps: dict[str, Gray] = {}
         if geometry is not None and extras:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.models.denoise.brightness import brightened
 from simnfnd.models.denoise.denoiser import Denoiser, known_geometry
 from simnfnd.models.denoise.files import Gray
 from simnfnd.models.denoise.points import likelihood
@@ -33,6 +34,9 @@ class Suited:
     ) -> Gray:
         """See `Denoiser`; neither of the weights sees several pictures."""
         geometry = known_geometry(geometry, layout, gray)
+        return brightened(gray, lambda bright, _: self._denoise(bright, geometry))
+
+    def _denoise(self, gray: Gray, geometry: FanGeometry | None) -> Gray:
         part = likelihood(gray, geometry)
         self._seen += 1
         self._of_points += part > 0.5
