@@ -12,6 +12,7 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise.brightness import brightened
 from simnfnd.models.denoise.files import Gray
+from simnfnd.models.denoise.scales import by_scales
 from simnfnd.models.denoise.tile import Maps, tiled
 from simnfnd.models.removal import DEFAULT, vector
 
@@ -73,7 +74,7 @@ class Denoiser:
         geometry: where range and bearing are, if that is known; or layout `polar`: rows are ranges,
         near range first, and the columns span 30 degrees.  looks: an odd number of pictures of the
         same scene, itself in the middle, for weights that see several (`looks`).  The weights get
-        dark pictures `brightened`.
+        dark pictures `brightened`, and those of wide grain `by_scales`.
         """
         geometry = known_geometry(geometry, layout, gray)
 
@@ -83,13 +84,19 @@ class Denoiser:
         return brightened(gray, bright)
 
     def _denoise(self, gray: Gray, geometry: FanGeometry | None, looks: Sequence[Gray]) -> Gray:
-        extras = self.trained.network.extras
+        network = self.trained.network
         maps: dict[str, Gray] = {}
-        if geometry is not None and extras:
+        if geometry is not None and network.extras:
             found = geometry.maps(0, 0, *gray.shape)
-            maps = {name: found[name] for name in extras if name in found}
+            maps = {name: found[name] for name in network.extras if name in found}
         if self.looks > 1 and looks:
             maps["looks"] = np.stack(looks, axis=-1)  # tiles cut the first two axes
+        denoised = by_scales(gray, maps, self._denoise_whole, network.wide_grain)
+        if self.strength == 1:
+            return denoised
+        return np.asarray(np.clip(gray + self.strength * (denoised - gray), 0, 1), np.float32)
+
+    def _denoise_whole(self, gray: Gray, maps: Maps) -> Gray:
         weights: list[float] = []
         areas: list[int] = []
 
@@ -101,8 +108,8 @@ class Denoiser:
 
         denoised = tiled(denoise_tile, gray, maps, self.tile, self.overlap)
         # One weight for the whole picture: single tiles with less change would be visible.
-        part = self.strength * np.float32(np.average(weights, weights=areas))
-        return np.asarray(np.clip(gray + part * (denoised - gray), 0, 1), np.float32)
+        weight = np.float32(np.average(weights, weights=areas))
+        return np.asarray(np.clip(gray + weight * (denoised - gray), 0, 1), np.float32)
 
     @property
     def looks(self) -> int:

@@ -37,6 +37,8 @@ class Network(nn.Module):
     adversarial: ClassVar[bool] = False
     is_blind: ClassVar[bool] = False
     looks: int = 1
+    wide_grain: float = 1.0
+    """See `models.denoise.scales`."""
 
     def __init__(self, channels: int, stride: int) -> None:
         super().__init__()

@@ -54,6 +54,9 @@ class SonarNetSettings:
     mirror: whether it also denoises the mirrored picture and averages both results, for twice the
     work; not in training, so trained weights may change it.
     forget: part of the training steps in which the network gets no geometry.
+    wide_grain: correlation of neighbouring pixels' grain from which on `simnfnd denoise` denoises
+        a picture at half its size first (`models.denoise.scales`); 1: never; not in training, so
+        trained weights may change it.
     told: whether the network is told what to remove; else it always removes the same.
     channels: of the images; 1, so that colours are denoised one by one.
     """
@@ -66,6 +69,7 @@ class SonarNetSettings:
     mask: bool
     forget: Annotated[float, Field(ge=0, le=1)]
     mirror: bool = False
+    wide_grain: Annotated[float, Field(ge=0, le=1)] = 1.0
     told: bool = True
     channels: Literal[1] = 1
 
@@ -86,6 +90,7 @@ class SonarNet(Network):
         # Padding happens on the polar grid, which has a size of its own.
         super().__init__(settings.channels, stride=1)
         self.settings = settings
+        self.wide_grain = settings.wide_grain
         # Whether known geometries are those of fans; None: seen from the maps.
         self.fan: bool | None = None
         widths, blocks = settings.widths, settings.blocks
