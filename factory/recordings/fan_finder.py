@@ -26,6 +26,8 @@ _SMALLEST = 32  # pixels a side
 _MOST_BLACK = 48  # of 255: a border lighter than this is none
 _MOST_OUTSIDE = 0.05  # of all pixels may be lit and not in the sector
 _MOST_SQUEEZE = 1.95
+_MOST_MEDIAN = 127  # of 255: of a fan on a bright page
+_PAGE_SPREAD = 8  # of 255: a page around a fan is as even as that
 _DIM = 0.25  # of full scale: pictures that are darker throughout are made brighter
 _LEAST_HALF_DEG, _MOST_HALF_DEG = 2.0, 88.0
 _PIECES = 12  # of each side of the outline, looked at one by one
@@ -48,7 +50,8 @@ class FoundFan:
 def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
     """The fan in (H, W) or (H, W, colours) grey values of any number type, if there is one.
 
-    None for a picture without a sector on black: a photo, a polar picture, a full rectangle.
+    None for a picture without a sector on black or on a bright page: a photo, a polar picture, a
+    full rectangle, echoes that are dark on white.
     Raises ValueError for another shape.
     """
     grey = _bytes(picture)
@@ -59,7 +62,13 @@ def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
     # The lesser: there may be text in the other.
     black = min(int(np.quantile(corner, 0.99)) for corner in corners)
     if black > _MOST_BLACK:
-        return None
+        grey, black = _without_page(grey), 0
+        lit = grey[grey > 0]
+        # Of echoes that are dark on white the page is part of the scale: nothing there.
+        if not lit.size or np.median(lit) > _MOST_MEDIAN:
+            return None
+        if grey[:size, :size].any() or grey[:size, -size:].any():
+            return None
     grey, top, left = _cropped(grey, black)
     sector = fit_sector(grey > black)
     if sector is None:
@@ -86,6 +95,18 @@ def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
         geometry, apex_x_px=geometry.apex_x_px + left, apex_y_px=geometry.apex_y_px + top
     )
     return FoundFan(moved, confidence)
+
+
+def _without_page(grey: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """Black where a page of one bright grey reaches in from the picture's border."""
+    border = np.concatenate([grey[0], grey[-1], grey[:, 0], grey[:, -1]])
+    page = int(np.median(border))
+    alike = (np.abs(grey.astype(np.int16) - page) <= _PAGE_SPREAD).astype(np.uint8)
+    _, parts = cv2.connectedComponents(alike, connectivity=4)
+    edge = np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]])
+    outside = np.isin(parts, np.setdiff1d(edge, 0))
+    # JPEG rings beside the page.
+    return np.where(cv2.dilate(outside.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0, 0, grey)
 
 
 def _cropped(grey: npt.NDArray[np.uint8], black: int) -> tuple[npt.NDArray[np.uint8], int, int]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
@@ -20,6 +21,8 @@ TILE, OVERLAP = 1024, 96
 EXACT = "32-true"
 PRECISIONS = ("auto", EXACT, "bf16-mixed")
 """Arithmetic of a denoiser, in the words of `train.precision`."""
+_PAGE = 0.25
+"""Mean grey value around a fan from which on it is a page."""
 
 
 class Denoiser:
@@ -91,7 +94,11 @@ class Denoiser:
             maps = {name: found[name] for name in network.extras if name in found}
         if self.looks > 1 and looks:
             maps["looks"] = np.stack(looks, axis=-1)  # tiles cut the first two axes
-        denoised = by_scales(gray, maps, self._denoise_whole, network.wide_grain)
+        outside = _page(gray, maps)
+        shown = gray if outside is None else np.where(outside, np.float32(0), gray)
+        denoised = by_scales(shown, maps, self._denoise_whole, network.wide_grain)
+        if outside is not None:
+            denoised = np.where(outside, gray, denoised)
         if self.strength == 1:
             return denoised
         return np.asarray(np.clip(gray + self.strength * (denoised - gray), 0, 1), np.float32)
@@ -134,6 +141,14 @@ class Denoiser:
             batch["remove"] = torch.from_numpy(self._told)[None]
         with torch.autocast(self._device, torch.bfloat16, enabled=self._half):
             return denoise_with_weight(self.trained.network, batch)
+
+
+def _page(gray: Gray, maps: Maps) -> npt.NDArray[np.bool_] | None:
+    """(H, W) outside the sector, where that is a bright page: weights have seen dark ones alone."""
+    if "sector" not in maps:
+        return None
+    outside = maps["sector"] <= 0
+    return outside if outside.any() and gray[outside].mean() > _PAGE else None
 
 
 def known_geometry(

@@ -85,6 +85,25 @@ def test_what_happens_to_pictures_on_their_way() -> None:
     assert found.geometry.apex_y_px == pytest.approx(true.apex_y_px + 40, abs=2)
 
 
+@pytest.mark.parametrize("page", [255, 190])
+@pytest.mark.parametrize("kind", ["png", "jpg", "framed"])
+def test_a_fan_on_a_bright_page(page: int, kind: str) -> None:
+    grey, geometry = fan(preset("didson_hf", 300, 400), 0.3, holes=False)
+    inside = geometry.maps(0, 0, *grey.shape)["sector"] > 0
+    shown = grey if kind == "framed" else np.where(inside, grey, page).astype(np.uint8)
+    shown = np.pad(shown, 30, constant_values=page)
+    if kind == "jpg":
+        _, content = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, 90])
+        shown = np.asarray(cv2.imdecode(content, cv2.IMREAD_GRAYSCALE), np.uint8)
+    found = find_fan(shown)
+    assert found is not None
+    assert found.geometry.apex_x_px == pytest.approx(geometry.apex_x_px + 30, abs=2)
+    assert found.geometry.sector_rad == pytest.approx(geometry.sector_rad, rel=0.03)
+    # Echoes that are dark on white are another scale, which no weights know.
+    assert find_fan(255 - np.pad(grey, 30)) is None
+    assert find_fan(np.full((300, 300), page, np.uint8)) is None
+
+
 def test_confidence_says_how_much_of_the_outline_is_seen() -> None:
     grey, _ = fan(preset("oculus_m1200d_hf", 400, 400), 0.1, False)
     whole = find_fan(grey)

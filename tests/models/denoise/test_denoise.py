@@ -19,6 +19,7 @@ from scipy import ndimage
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.recordings.video import VideoFile
 from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.compared import CAPTION_PX
 from simnfnd.models.denoise.denoiser import load_denoiser
@@ -81,6 +82,19 @@ def test_shape_dtype_and_scale_stay(dtype: str, shape: tuple[int, ...]) -> None:
     assert np.abs(result[colours] - image[colours] / 2.0).max() <= tolerance
     if shape[-1] == 4:
         assert np.array_equal(result[..., 3], image[..., 3]), "alpha is no echo"
+
+
+def test_weights_do_not_see_a_bright_page_around_a_fan(tmp_path: Path) -> None:
+    sonar = SonarSettings()
+    geometry = FanGeometry.from_sonar(sonar, 1.0, 6.0)
+    inside = geometry.maps(0, 0, *sonar.shape())["sector"] > 0
+    rng = np.random.default_rng(0)
+    grey = np.where(inside, rng.rayleigh(0.2, inside.shape).clip(0, 1), 0).astype(np.float32)
+    page = np.where(inside, grey, np.float32(0.9))
+    denoise = load_denoiser(untrained_sonarnet(tmp_path), "cpu")
+    on_black, on_page = denoise(grey, geometry), denoise(page, geometry)
+    np.testing.assert_array_equal(on_page[inside], on_black[inside])
+    np.testing.assert_array_equal(on_page[~inside], page[~inside])
 
 
 def test_unusable_pixels_are_refused() -> None:
