@@ -95,8 +95,8 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
     """The levels of a picture in colours; None for a grey one, and for colours of no map.
 
     picture: (H, W, C) uint8, uint16 or float32, red or blue first.  before: the map of the picture
-    before it, which is kept where it fits.  A known map is told by its colours; of others each sum
-    of the three channels must have one colour.
+    before it; a known one is kept where it fits.  A known map is told by its colours; of others
+    each sum of the three channels must have one colour.
     """
     if picture.ndim != 3 or picture.shape[2] not in (3, 4) or str(picture.dtype) not in FULL_SCALE:
         return None
@@ -109,7 +109,9 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
     seen = _foreground(codes)
     if len(seen) < _LEAST:
         return None
-    palette = before if before is not None and _fits(before, seen, _NEAR) else _palette_of(seen)
+    # What is known of another map ends with the brightest colour of that picture.
+    kept = before is not None and before.name != SUM and _fits(before, seen, _NEAR)
+    palette = before if kept else _palette_of(seen)
     if palette is None:
         return None
     # Few colours stand for many pixels.

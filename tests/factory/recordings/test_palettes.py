@@ -133,6 +133,20 @@ def test_the_map_of_the_picture_before_is_kept() -> None:
     assert other.palette.name == "jet"
 
 
+def test_a_brighter_picture_of_an_unknown_map() -> None:
+    """Its bright colours are of the map, too, though the picture before had none of them."""
+    levels = np.asarray(echoes() // 3, np.uint8)
+    thing = np.s_[60:80, 40:70]
+    levels[thing] = 60
+    dark = find_painted(np.asarray(cv2.applyColorMap(levels, BRONZE)))
+    assert dark is not None
+    levels[thing] = echoes()[thing]
+    found = find_painted(np.asarray(cv2.applyColorMap(levels, BRONZE)), dark.palette)
+    assert found is not None
+    assert found.known.all()
+    assert found.levels[thing].mean() > 0.7
+
+
 def test_grey_of_colours() -> None:
     levels = echoes()
     same = grey_of_colours(np.dstack([levels] * 3))
