@@ -25,6 +25,7 @@ from simnfnd.factory.sonar.geometry import FanGeometry
 COLUMNS = (
     "file", "apex_x", "apex_y", "edge_slope", "top_row", "bottom_row", "squeeze",
     "sector_deg", "near_fraction", "confidence",
+    "quarter_turns",
 )  # fmt: skip
 _GREEN = (0, 255, 0)
 
@@ -96,6 +97,7 @@ def _row(name: str, found: FoundFan) -> tuple[str | float, ...]:
         round(math.degrees(fan.azimuth_max_rad - fan.azimuth_min_rad), 2),
         round(fan.near_fraction, 4),
         round(found.confidence, 2),
+        fan.quarter_turns,
     )
 
 

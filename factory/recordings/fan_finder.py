@@ -1,8 +1,9 @@
 """The geometry of a fan picture, found in the picture itself: where its black border ends.
 
-A fan picture is lit inside a sector and black outside it, with far range on top.  The sector is
-found that best tells lit from black pixels (`fan_outline`), and then looked at for how much of its
-outline is really there.
+A fan picture is lit inside a sector and black outside it, mostly with far range on top.  The sector
+is found that best tells lit from black pixels (`fan_outline`), and then looked at for how much of
+its outline is really there.  Where there is none, the picture is turned by quarters, and looked at
+as a negative.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from simnfnd.factory.sonar.geometry import FanGeometry
 
 SURE = 0.7
 """Fans found with less confidence are not returned."""
+_SURE_ODD = 0.8  # turned fans and negatives
+_LEAST_TURNED = 0.15  # part of the picture that a turned fan fills, unlike the mask of some object
 
 _SMALLEST = 32  # pixels a side
 _MOST_BLACK = 48  # of 255: a border lighter than this is none
@@ -51,24 +54,38 @@ def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
     """The fan in (H, W) or (H, W, colours) grey values of any number type, if there is one.
 
     None for a picture without a sector on black or on a bright page: a photo, a polar picture, a
-    full rectangle, echoes that are dark on white.
-    Raises ValueError for another shape.
+    full rectangle.  Raises ValueError for another shape.
     """
     grey = _bytes(picture)
     if min(grey.shape) < _SMALLEST:
         return None
-    size = max(2, min(grey.shape) // 40)
-    corners = grey[:size, :size], grey[:size, -size:]
-    # The lesser: there may be text in the other.
-    black = min(int(np.quantile(corner, 0.99)) for corner in corners)
+    upright = _find_upright(grey, SURE)
+    if upright is not None:
+        return upright
+    for turns in (2, 1, 3):
+        found = _find_upright(np.ascontiguousarray(np.rot90(grey, turns)), _SURE_ODD)
+        if found is not None:
+            geometry = found.geometry.turned_back(turns, *grey.shape)
+            if geometry.sector_mask(*grey.shape).mean() >= _LEAST_TURNED:
+                return replace(found, geometry=geometry)
+    return None
+
+
+def _find_upright(grey: npt.NDArray[np.uint8], sure: float) -> FoundFan | None:
+    """The fan with far range on top."""
+    black = _black(grey)
     if black > _MOST_BLACK:
-        grey, black = _without_page(grey), 0
-        lit = grey[grey > 0]
-        # Of echoes that are dark on white the page is part of the scale: nothing there.
-        if not lit.size or np.median(lit) > _MOST_MEDIAN:
+        shown, black = _without_page(grey), 0
+        lit = shown[shown > 0]
+        if lit.size and np.median(lit) > _MOST_MEDIAN:
+            # Echoes are dark on white: the page is part of the scale, nothing there.
+            shown, sure = np.subtract(255, grey, dtype=np.uint8), max(sure, _SURE_ODD)
+            black = _black(shown)
+        elif not lit.size or _corners(shown)[0].any() or _corners(shown)[1].any():
             return None
-        if grey[:size, :size].any() or grey[:size, -size:].any():
+        if black > _MOST_BLACK:
             return None
+        grey = shown
     grey, top, left = _cropped(grey, black)
     sector = fit_sector(grey > black)
     if sector is None:
@@ -89,12 +106,23 @@ def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
         return None
     geometry = _geometry(sector)
     confidence = _confidence(grey > black, geometry)
-    if confidence < SURE:
+    if confidence < sure:
         return None
     moved = replace(
         geometry, apex_x_px=geometry.apex_x_px + left, apex_y_px=geometry.apex_y_px + top
     )
     return FoundFan(moved, confidence)
+
+
+def _corners(grey: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
+    """Both upper ones, which no fan reaches."""
+    size = max(2, min(grey.shape) // 40)
+    return grey[:size, :size], grey[:size, -size:]
+
+
+def _black(grey: npt.NDArray[np.uint8]) -> int:
+    """The level of the border: the lesser of the corners', as there may be text in the other."""
+    return min(int(np.quantile(corner, 0.99)) for corner in _corners(grey))
 
 
 def _without_page(grey: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:

@@ -22,6 +22,8 @@ Maps = dict[str, npt.NDArray[np.float32]]
 """`range_fraction` (range over range_max), `azimuth_rad` (positive to the right), `sector` (1 where
 the sonar measured, else 0); each (H, W) float32."""
 
+Pixels = npt.NDArray[np.floating[Any]]
+
 _UNKNOWN_SECTOR_DEG = 30.0
 
 
@@ -29,15 +31,17 @@ _UNKNOWN_SECTOR_DEG = 30.0
 class FanGeometry:
     """Range and bearing of every pixel of one picture.
 
-    layout: fan (far range on top, apex at or below the lower edge) or polar (a row a range bin,
-        near range first; a column a beam, left to right).
+    layout: fan (far range on top, apex at or below the lower edge; or see quarter_turns) or polar
+        (a row a range bin, near range first; a column a beam, left to right).
     near_fraction: range_min over range_max.
     sector_rad: width of the device's whole sector, which is symmetric about straight ahead.
     azimuth_min_rad, azimuth_max_rad: the part of it that holds data, radians.
     range_min_m, range_max_m: the range window in metres, None where it is unknown.
     fan: apex_x_px, apex_y_px, the centre of the arcs, in pixels from the centre of the top left
         pixel; far_px, the radius of range_max along y; x_scale, pixels along x for the distance of
-        one along y (0.8 where the picture is squeezed to 0.8 of its width).
+        one along y (0.8 where the picture is squeezed to 0.8 of its width).  quarter_turns, 0 to 3,
+        counter-clockwise (`numpy.rot90`), bring far range to the top; the apex is that of the
+        picture as it is, x and y of far_px and x_scale are those of the turned one.
     polar: range_bins, the number of rows; beam_azimuths_rad, the bearing of each column in
         ascending order, evenly spaced or not.  Both are empty where the size is not known yet
         (`with_size` fills them in).
@@ -54,6 +58,7 @@ class FanGeometry:
     apex_y_px: float = 0.0
     far_px: float = 1.0
     x_scale: float = 1.0
+    quarter_turns: int = 0
     range_bins: int = 0
     beam_azimuths_rad: tuple[float, ...] = ()
 
@@ -164,6 +169,21 @@ class FanGeometry:
         bearings = tuple((step * self.sector_rad - self.sector_rad / 2).tolist())
         return replace(self, range_bins=rows, beam_azimuths_rad=bearings)
 
+    def turned(self, rows: int, columns: int) -> FanGeometry:
+        """The geometry after `quarter_turns` of a picture of this size: far range on top."""
+        x, y = self.apex_x_px, self.apex_y_px
+        last_row, last_column = rows - 1, columns - 1
+        apex = ((x, y), (y, last_column - x), (last_column - x, last_row - y), (last_row - y, x))
+        apex_x_px, apex_y_px = apex[self.quarter_turns % 4]
+        return replace(self, apex_x_px=apex_x_px, apex_y_px=apex_y_px, quarter_turns=0)
+
+    def turned_back(self, quarter_turns: int, rows: int, columns: int) -> FanGeometry:
+        """The inverse of `turned`: of a picture of this size that lies `quarter_turns` off."""
+        size = (rows, columns) if quarter_turns % 2 == 0 else (columns, rows)
+        # Three quarters more are one back.
+        back = replace(self, quarter_turns=-quarter_turns % 4).turned(*size)
+        return replace(back, quarter_turns=quarter_turns % 4)
+
     @property
     def near_px(self) -> float:
         """Radius of range_min in a fan picture, pixels along y."""
@@ -189,8 +209,8 @@ class FanGeometry:
         row = np.arange(top, top + height, dtype=np.float32)[:, None]
         column = np.arange(left, left + width, dtype=np.float32)[None]
         if self.layout == "fan":
-            ahead = np.float32(self.apex_y_px) - row
-            right = (column - np.float32(self.apex_x_px)) / np.float32(self.x_scale)
+            ahead, across = self._ahead_and_across(row, column)
+            right = across / np.float32(self.x_scale)
             range_fraction = np.hypot(ahead, right) / np.float32(self.far_px)
             azimuth = np.arctan2(right, ahead)
         else:
@@ -204,12 +224,21 @@ class FanGeometry:
         found = {"range_fraction": range_fraction, "azimuth_rad": azimuth, "sector": sector}
         return {name: np.ascontiguousarray(values, np.float32) for name, values in found.items()}
 
+    def _ahead_and_across(self, row: Pixels, column: Pixels) -> tuple[Pixels, Pixels]:
+        """Distances from the apex, pixels: along straight ahead, and to the right of it."""
+        over = row.dtype.type(self.apex_y_px) - row
+        right = column - column.dtype.type(self.apex_x_px)
+        return ((over, right), (right, -over), (-over, -right), (-right, over))[
+            self.quarter_turns % 4
+        ]
+
     def sector_mask(self, height: int, width: int) -> npt.NDArray[np.bool_]:
         """(H, W) bool: the pixels whose centres lie in the whole sector, with data or not."""
         if self.layout == "polar":
             return np.ones((height, width), dtype=bool)
-        ahead = self.apex_y_px - np.arange(height, dtype=np.float64)[:, None]
-        right = (np.arange(width, dtype=np.float64)[None] - self.apex_x_px) / self.x_scale
+        row = np.arange(height, dtype=np.float64)[:, None]
+        ahead, across = self._ahead_and_across(row, np.arange(width, dtype=np.float64)[None])
+        right = across / self.x_scale
         radius = np.hypot(ahead, right)
         inside = (radius >= self.near_px) & (radius <= self.far_px)
         return np.asarray(inside & (np.abs(np.arctan2(right, ahead)) <= self.sector_rad / 2))
@@ -220,8 +249,11 @@ class FanGeometry:
         """(row, column) of points, in pixels; the inverse of `maps`."""
         if self.layout == "fan":
             radius_px = range_fraction * self.far_px
-            row = self.apex_y_px - radius_px * np.cos(azimuth_rad)
-            return row, self.apex_x_px + radius_px * np.sin(azimuth_rad) * self.x_scale
+            ahead = radius_px * np.cos(azimuth_rad)
+            across = radius_px * np.sin(azimuth_rad) * self.x_scale
+            up = ((ahead, across), (-across, ahead), (-ahead, -across), (across, -ahead))
+            over, right = up[self.quarter_turns % 4]
+            return self.apex_y_px - over, self.apex_x_px + right
         step = (range_fraction - self.near_fraction) / (1 - self.near_fraction)
         bearings = np.asarray(self.beam_azimuths_rad)
         column = np.interp(azimuth_rad, bearings, np.arange(len(bearings)))

@@ -15,9 +15,9 @@ from simnfnd.factory.recordings import Frame, open_recording
 from simnfnd.factory.recordings.fans import grey_of, polar_geometry
 from simnfnd.factory.recordings.palettes import grey_of_colours
 from simnfnd.factory.recordings.pictures import read_grey
+from simnfnd.factory.recordings.presentation import presentation_of
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.data.pairs import Image
-from simnfnd.models.denoise.brightness import gain_of
 from simnfnd.models.denoise.geometries import Geometries
 from simnfnd.models.denoise.inputs import Item, find_items
 
@@ -96,17 +96,19 @@ def read_clips(
     for source in sources:
         shots = list(source.read(share, geometries, found))
         if shots:
-            found.clips.append(Clip(source.name, bright(shots), isinstance(source, _Folder)))
+            found.clips.append(Clip(source.name, presented(shots), isinstance(source, _Folder)))
     if not found.clips:
         more = f" ({found.skipped[0]})" if found.skipped else ""
         raise FactoryError(f"{paths[0]}: no frame can be read{more}")
     return found
 
 
-def bright(shots: list[Shot]) -> list[Shot]:
-    """Frames of a clip as bright as denoisers show them to the weights, all by one factor."""
-    gain = min(gain_of(shot.grey) for shot in shots)
-    return shots if gain == 1 else [replace(shot, grey=shot.grey * gain) for shot in shots]
+def presented(shots: list[Shot]) -> list[Shot]:
+    """Frames of a clip as denoisers show them to the weights, all with one gain."""
+    found = [presentation_of(shot.grey, shot.geometry) for shot in shots]
+    gain = min(one.gain for one in found)
+    ways = [replace(one, gain=gain) for one in found]
+    return [Shot(way.shown(shot.grey), way.geometry) for way, shot in zip(ways, shots, strict=True)]
 
 
 def runs(count: int, share: float) -> list[int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from simnfnd.factory.errors import FactoryError
@@ -19,7 +20,9 @@ def read_fans(path: str | Path) -> dict[str, FanGeometry]:
     Columns: `file`; `apex_x`, `apex_y` (pixels); `edge_slope` (columns a row along the sector's
     edge); `top_row`, `bottom_row` (first and last row with echoes); and, where a pixel is not as
     wide as high, `squeeze` (its height over its width; MDD's own table has the letter of
-    one of its two geometries in `config` instead).  Raises FactoryError.
+    one of its two geometries in `config` instead).  Of pictures without far range on top also
+    `quarter_turns`, counter-clockwise, that bring it there; rows are then those of a picture turned
+    about its apex.  Raises FactoryError.
     """
     try:
         with Path(path).expanduser().open(newline="", encoding="utf-8") as file:
@@ -42,7 +45,10 @@ def _fan(row: Mapping[str, str]) -> FanGeometry:
         raise ValueError(
             f"{row['file']}: apex_y must not lie above bottom_row, and that must lie below top_row"
         )
-    return FanGeometry.fan(
+    turns = int(row.get("quarter_turns") or 0)
+    if turns not in range(4):
+        raise ValueError(f"{row['file']}: quarter_turns must be 0, 1, 2 or 3")
+    upright = FanGeometry.fan(
         2 * half,
         apex_x_px=float(row["apex_x"]),
         apex_y_px=apex_y,
@@ -51,3 +57,4 @@ def _fan(row: Mapping[str, str]) -> FanGeometry:
         far_px=far,
         x_scale=squeeze,
     )
+    return replace(upright, quarter_turns=turns)

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.recordings.presentation import presentation_of
 from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.denoise.brightness import brightened
 from simnfnd.models.denoise.files import Gray
 from simnfnd.models.denoise.scales import by_scales
 from simnfnd.models.denoise.tile import Maps, tiled
@@ -77,14 +77,11 @@ class Denoiser:
         geometry: where range and bearing are, if that is known; or layout `polar`: rows are ranges,
         near range first, and the columns span 30 degrees.  looks: an odd number of pictures of the
         same scene, itself in the middle, for weights that see several (`looks`).  The weights get
-        dark pictures `brightened`, and those of wide grain `by_scales`.
+        the picture by its `presentation_of`, and one of wide grain `by_scales`.
         """
-        geometry = known_geometry(geometry, layout, gray)
-
-        def bright(gray: Gray, gain: np.float32) -> Gray:
-            return self._denoise(gray, geometry, [np.minimum(look * gain, 1) for look in looks])
-
-        return brightened(gray, bright)
+        given = presentation_of(gray, known_geometry(geometry, layout, gray))
+        shown = [given.shown(look) for look in looks]
+        return given.undone(self._denoise(given.shown(gray), given.geometry, shown))
 
     def _denoise(self, gray: Gray, geometry: FanGeometry | None, looks: Sequence[Gray]) -> Gray:
         network = self.trained.network

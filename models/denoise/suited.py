@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from simnfnd.factory.recordings.presentation import presentation_of
 from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.denoise.brightness import brightened
 from simnfnd.models.denoise.denoiser import Denoiser, known_geometry
 from simnfnd.models.denoise.files import Gray
 from simnfnd.models.denoise.points import likelihood
@@ -33,8 +33,8 @@ class Suited:
         layout: str | None = None,
     ) -> Gray:
         """See `Denoiser`; neither of the weights sees several pictures."""
-        geometry = known_geometry(geometry, layout, gray)
-        return brightened(gray, lambda bright, _: self._denoise(bright, geometry))
+        given = presentation_of(gray, known_geometry(geometry, layout, gray))
+        return given.undone(self._denoise(given.shown(gray), given.geometry))
 
     def _denoise(self, gray: Gray, geometry: FanGeometry | None) -> Gray:
         part = likelihood(gray, geometry)

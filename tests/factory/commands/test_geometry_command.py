@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from simnfnd.command import main
+from simnfnd.factory.errors import FactoryError
 from simnfnd.models.data.fans import read_fans
 from tests.factory.recordings.fan_pictures import fan, preset
 
@@ -46,6 +47,24 @@ def test_table_and_drawings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
         assert drawn is not None
         assert drawn.shape[:2] == grey.shape
         assert (drawn[..., 1].astype(int) - drawn[..., 0] > 100).sum() > 500, "the outline"
+
+
+def test_a_turned_fan_comes_back_from_its_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    grey, true = fan(preset("didson_hf", 300, 500), 0.2, False)
+    turned = np.rot90(grey)
+    assert cv2.imwrite(str(tmp_path / "a.png"), turned)
+    assert main(["geometry", str(tmp_path / "a.png")]) == 0
+    table = tmp_path / "fans.csv"
+    table.write_text(capsys.readouterr().out)
+    found = read_fans(table)["a.png"].turned(*turned.shape)
+    assert found.apex_x_px == pytest.approx(true.apex_x_px, abs=2)
+    assert found.apex_y_px == pytest.approx(true.apex_y_px, abs=2)
+    assert found.far_px == pytest.approx(true.far_px, abs=2)
+    table.write_text(table.read_text().replace(",3\n", ",7\n"))
+    with pytest.raises(FactoryError, match="quarter_turns must be 0, 1, 2 or 3"):
+        read_fans(table)
 
 
 def test_nothing_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

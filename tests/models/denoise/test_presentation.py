@@ -1,0 +1,147 @@
+"""Pictures that lie otherwise, are negatives or dark, are denoised as the usual ones are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import simnfnd
+from simnfnd.factory.recordings.fan_finder import find_fan
+from simnfnd.factory.recordings.presentation import gain_of, presentation_of
+from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.models.adapt.clips import Shot, presented
+from simnfnd.models.denoise.command import main
+from tests.factory.recordings.fan_pictures import fan, preset
+
+
+@given(st.floats(1e-4, 1), st.integers(0, 2**31))
+def test_the_gain_rises_without_a_step_and_clips_nothing(share: float, seed: int) -> None:
+    grey = np.random.default_rng(seed).rayleigh(0.2, (40, 50)).clip(0, 1).astype(np.float32)
+    dark, darker = grey * np.float32(share), grey * np.float32(share * 0.99)
+    gain = gain_of(dark)
+    assert gain >= 1
+    assert dark.max() * gain <= 1 + 1e-6
+    assert 1 <= gain_of(darker) / gain <= 1.03
+    again = np.minimum(dark * gain, 1)
+    assert gain_of(again) == pytest.approx(1, abs=1e-5), "what was made brighter is bright enough"
+
+
+def test_ordinary_pictures_and_black_ones_stay_as_they_are() -> None:
+    grey = np.random.default_rng(0).rayleigh(0.2, (40, 50)).clip(0, 1).astype(np.float32)
+    few = np.zeros((40, 50), np.float32)
+    few[::9, ::9] = 0.9
+    for picture in (grey, few, np.zeros((4, 4), np.float32)):
+        assert gain_of(picture) == 1
+        given = presentation_of(picture, None)
+        assert given.shown(picture) is picture
+        assert given.undone(picture) is picture
+
+
+Picture = npt.NDArray[Any]
+WAYS: dict[str, Callable[[Picture], Picture]] = {
+    "usual": lambda grey: grey,
+    "from the left": np.rot90,
+    "upside down": lambda grey: np.rot90(grey, 2),
+    "from the right": lambda grey: np.rot90(grey, 3),
+    "negative": lambda grey: 255 - grey,
+    "negative upside down": lambda grey: 255 - np.rot90(grey, 2),
+}
+BACK: dict[str, Callable[[Picture], Picture]] = {
+    **WAYS,
+    "from the left": lambda grey: np.rot90(grey, 3),
+    "from the right": np.rot90,
+}
+
+
+def test_turned_fans_and_negatives_are_denoised_as_the_usual_one(tmp_path: Path) -> None:
+    grey, _ = fan(preset("didson_hf", 150, 200), 0.3, holes=False)
+    (tmp_path / "in").mkdir()
+    for name, way in WAYS.items():
+        assert cv2.imwrite(str(tmp_path / "in" / f"{name}.png"), way(grey))
+    assert main([str(tmp_path / "in"), "--out", str(tmp_path / "out")]) == 0
+    read: dict[str, Picture] = {
+        name: np.asarray(cv2.imread(str(tmp_path / "out" / f"{name}.png"), 0)) for name in WAYS
+    }
+    usual = read["usual"].astype(np.float64)
+    assert np.abs(usual - grey).mean() > 4
+    for name, back in BACK.items():
+        again = back(read[name]).astype(np.float64)
+        assert np.abs(again - usual).mean() < 0.2, name
+    turned, negative = np.rot90(grey), 255 - grey
+    found = find_fan(turned)
+    assert found is not None
+    in_python = simnfnd.denoise(turned.astype(np.float32) / 255, geometry=found.geometry)
+    np.testing.assert_allclose(in_python * 255, read["from the left"], atol=1.5)
+    shots = [
+        Shot((one / np.float32(255)).astype(np.float32), geometry)
+        for one, geometry in ((turned, found.geometry), (negative, _known(negative)))
+    ]
+    for made in presented(shots):
+        np.testing.assert_allclose(made.grey * 255, grey, atol=1e-3)
+        assert made.geometry is not None
+        assert made.geometry.quarter_turns == 0
+
+
+def test_a_bright_fan_on_a_page_is_no_negative() -> None:
+    grey, geometry = fan(preset("didson_hf", 150, 200), 0.3, holes=False)
+    inside = geometry.sector_mask(*grey.shape)
+    shown = (np.where(inside, grey, 255) / 255).astype(np.float32)
+    assert not presentation_of(shown, geometry).negative
+    assert presentation_of((1 - grey / np.float32(255)).astype(np.float32), geometry).negative
+    polar = FanGeometry.polar().with_size(*grey.shape)
+    assert not presentation_of(np.full(grey.shape, 0.9, np.float32), polar).negative
+
+
+def _known(picture: Picture) -> FanGeometry:
+    found = find_fan(picture)
+    assert found is not None
+    return found.geometry
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12])
+def test_samples_of_few_bits_in_files_of_sixteen(bits: int, tmp_path: Path) -> None:
+    """By the weights that ship, fan and all; before, 12 bits were made worse than they were."""
+    grey, _ = fan(preset("didson_hf", 150, 200), 0.3, holes=False)
+    scale = (2**bits - 1) / 255
+    pictures = {
+        "full": grey.astype(np.uint16) * 257,
+        "few": np.rint(grey * scale).astype(np.uint16),
+    }
+    (tmp_path / "in").mkdir()
+    for name, picture in pictures.items():
+        assert cv2.imwrite(str(tmp_path / "in" / f"{name}.png"), picture)
+    assert main([str(tmp_path / "in"), "--out", str(tmp_path / "out")]) == 0
+    full, few = (
+        cv2.imread(str(tmp_path / "out" / f"{name}.png"), cv2.IMREAD_UNCHANGED) for name in pictures
+    )
+    assert np.abs(few / scale - full / 257).mean() < 2
+    assert np.abs(full / 257 - grey).mean() > 4, "that is less than what denoising does"
+    assert few.max() > 100
+
+
+def test_a_fan_is_found_in_few_bits() -> None:
+    grey, _ = fan(preset("didson_hf", 150, 200), 0.3, holes=False)
+    alone, deep = find_fan(grey), find_fan(np.rint(grey * (1023 / 255)).astype(np.uint16))
+    assert alone is not None
+    assert deep is not None
+    assert deep.geometry.sector_rad == pytest.approx(alone.geometry.sector_rad, rel=0.01)
+
+
+def test_in_python_and_while_learning() -> None:
+    grey = np.random.default_rng(0).rayleigh(0.2, (64, 64)).clip(0, 1).astype(np.float32)
+    usual, dark = simnfnd.denoise(grey), simnfnd.denoise(grey / 16) * 16
+    assert np.abs(usual - dark).mean() < 0.3 * np.abs(usual - grey).mean()
+    shots = [Shot(grey / 16), Shot(grey / 20)]
+    made = presented(shots)
+    np.testing.assert_allclose(made[0].grey / made[1].grey, 20 / 16, rtol=1e-5)
+    assert gain_of(made[0].grey) == pytest.approx(1, abs=1e-5)
+    usual_shots = [Shot(grey), Shot(grey / 16)]
+    assert [one.grey for one in presented(usual_shots)] == [one.grey for one in usual_shots]
