@@ -32,6 +32,9 @@ _ENOUGH = 0.9  # part of the pixels that must be of the map
 _LEAST = 64  # pixels beside the background
 _STEPS = 128  # of the sum of the channels
 _HALF_STEP = 0.5 / 255
+_MIXED, _MIXED_SHARE = 2.0, 0.1  # so far beside a map, of 255, lie so many where colours were mixed
+_SPECK, _SPECK_MIXED = 100, 30  # pixels of a mark in a sonar picture, and of what mixing leaves
+_SPECK_AROUND = 7  # pixels a side
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +73,9 @@ SUM = "sum"
 class Painted:
     """A picture whose colours stand for levels.
 
-    picture: (H, W, C) as it is stored.  levels: (H, W) in 0..1; 0 where `known`, (H, W), says that
-    a colour is none of the map: a line of text, the page around the fan.
+    picture: (H, W, C) as it is stored.  levels: (H, W) in 0..1.  known: (H, W), False where a
+    colour is none of the map: a line of text, the page around the fan; the level is 0 there, or, of
+    a small mark, that of its surroundings.
     """
 
     picture: Samples
@@ -117,10 +121,38 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
     # Few colours stand for many pixels.
     codes, place = np.unique(codes, return_inverse=True)
     colours = _uncoded(codes)
-    near = palette.misses(colours) <= _BLURRED
+    misses = palette.misses(colours)
+    near = misses <= _BLURRED
     levels = np.where(near, palette.levels(colours), 0).astype(np.float32)
+    mixed = float((misses[place] > _MIXED).mean()) > _MIXED_SHARE
     shape = picture.shape[:2]
-    return Painted(picture, palette, levels[place].reshape(shape), near[place].reshape(shape))
+    return Painted(
+        picture,
+        palette,
+        *_without_specks(levels[place].reshape(shape), near[place].reshape(shape), mixed),
+    )
+
+
+def _without_specks(
+    levels: Levels, known: npt.NDArray[np.bool_], mixed: bool
+) -> tuple[Levels, npt.NDArray[np.bool_]]:
+    """Levels and what is known of them where single pixels are of no map.
+
+    They get the mean of what is known around them, else weights would see black specks; where JPEG
+    or a video mixed the colours they are levels like others, elsewhere a mark that somebody drew.
+    """
+    if known.all() or not known.any():
+        return levels, known
+    import cv2  # an extra, as are pictures with colours
+
+    _, parts, stats, _ = cv2.connectedComponentsWithStats((~known).astype(np.uint8), connectivity=8)
+    area = np.where(known, 0, stats[parts, cv2.CC_STAT_AREA])
+    small = (area > 0) & (area <= _SPECK)
+    around = (_SPECK_AROUND, _SPECK_AROUND)
+    there = cv2.boxFilter(known.astype(np.float32), -1, around)
+    mean = cv2.boxFilter(levels * known, -1, around) / np.maximum(there, 1e-6)
+    filled = np.where(small & (there > 0.01), mean, levels).astype(np.float32)
+    return filled, known | (small & (area <= _SPECK_MIXED) & (there > 0.01) & mixed)
 
 
 def grey_of_colours(picture: Samples) -> Levels:

@@ -7,10 +7,7 @@ It is imported inside the functions so that importing the settings of a reader s
 from __future__ import annotations
 
 import contextlib
-import os
 import stat
-import sys
-import threading
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,11 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.errors import FrameError
+from simnfnd.factory.quiet import quiet_stderr
 
 # Pillow modes whose conversion to RGB loses nothing but transparency.
 _COLOUR_MODES = frozenset({"RGB", "RGBA", "RGBX", "L", "LA", "P", "PA", "YCbCr"})
-
-_REDIRECT = threading.Lock()
 
 
 def read_rgb(path: Path) -> npt.NDArray[np.uint8]:
@@ -117,23 +113,8 @@ def _damage(error: Exception) -> str:
 def _silent() -> Iterator[None]:
     """Drop what libtiff writes straight to the process's stderr, and Pillow's warnings.
 
-    The exception says the same in one line.  The lock keeps two threads from saving each other's
-    redirection as the original.
+    The exception says the same in one line.
     """
-    with _REDIRECT, warnings.catch_warnings():
+    with quiet_stderr(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        if sys.stderr is not None:
-            sys.stderr.flush()
-        try:
-            saved = os.dup(2)
-        except OSError:  # the process has no stderr: nothing to silence
-            yield
-            return
-        try:
-            null = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(null, 2)
-            os.close(null)
-            yield
-        finally:
-            os.dup2(saved, 2)
-            os.close(saved)
+        yield

@@ -14,6 +14,7 @@ from PIL import Image, TiffImagePlugin
 
 from simnfnd.factory.errors import FrameError
 from simnfnd.factory.files import explain_os_errors, write_atomically
+from simnfnd.factory.quiet import quiet_stderr
 from simnfnd.factory.recordings.base import TIFF_SUFFIXES
 from simnfnd.factory.recordings.pictures import swapped
 
@@ -66,9 +67,10 @@ class FrameFiles:
             self._stack = StackWriter(self._partial)
             return
         if code and self.rate_hz and not (height % 2 or width % 2) and not self.path.is_dir():
-            writer = cv2.VideoWriter(
-                str(self._partial), cv2.VideoWriter.fourcc(*code), self.rate_hz, (width, height)
-            )
+            fourcc = cv2.VideoWriter.fourcc(*code)
+            # OpenCV tells everybody that MP4 has another name for PNG.
+            with quiet_stderr():
+                writer = cv2.VideoWriter(str(self._partial), fourcc, self.rate_hz, (width, height))
             if writer.isOpened():
                 self._writer = writer
                 return

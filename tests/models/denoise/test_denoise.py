@@ -311,7 +311,9 @@ def test_videos_become_videos_or_folders(weights: Path, tmp_path: Path, name: st
 
 @pytest.mark.parametrize("name", [f"a{suffix}" for suffix in CODECS])
 @pytest.mark.parametrize("colours", [(), (3,)])
-def test_frames_survive_in_every_container(tmp_path: Path, name: str, colours: Any) -> None:
+def test_frames_survive_in_every_container(
+    tmp_path: Path, name: str, colours: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
     frames = np.random.default_rng(3).integers(0, 256, (4, 30, 46, *colours), dtype=np.uint8)
     with FrameFiles(tmp_path / name, 7.5) as files:
         for frame in frames:
@@ -320,6 +322,7 @@ def test_frames_survive_in_every_container(tmp_path: Path, name: str, colours: A
         assert recording.rate_hz == pytest.approx(7.5)
         np.testing.assert_array_equal([frame.samples for frame in recording], frames)
     assert [entry.name for entry in tmp_path.iterdir()] == [name]
+    assert not capfd.readouterr().err, "what OpenCV says of codecs is of no use to anybody"
 
 
 @pytest.mark.parametrize(("shape", "rate_hz"), [((31, 46), 7.5), ((30, 47), 7.5), ((30, 46), None)])
