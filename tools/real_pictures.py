@@ -1,4 +1,4 @@
-"""docs/images/real.png, real-crops.png and colours.png: recordings, denoised by what ships.
+"""docs/images/real.png, real-crops.png, colours.png, screen.png: recordings, denoised.
 
     python -m tools.real_pictures FOLDER
 
@@ -29,6 +29,7 @@ from simnfnd.models.denoise.files import denoise_image
 OUT = Path("docs/images")
 _HEIGHT_PX, _CROP_PX, _ZOOM, _GAP_PX = 620, 130, 3, 8
 _COLOURS_HEIGHT_PX = 420
+_WHITE = (255, 255, 255)
 _SIGMAS = (0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1)
 
 
@@ -63,6 +64,7 @@ def main(folder: Path) -> None:
     """Make the pictures."""
     denoise = load_denoiser("simnfnd", "cpu")
     in_colours(folder / RECORDINGS[0].path, denoise)
+    on_a_screen(folder / RECORDINGS[0].path, denoise)
     whole: list[Gray] = []
     rows: list[Gray] = []
     for recording in RECORDINGS:
@@ -120,6 +122,34 @@ def in_colours(path: Path, denoise: Denoiser) -> None:
     small = [cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in columns]
     parts = [np.pad(one, ((0, 0), (0, _GAP_PX), (0, 0)), constant_values=255) for one in small]
     cv2.imwrite(str(OUT / "colours.png"), np.hstack(parts)[:, :-_GAP_PX])
+
+
+def on_a_screen(path: Path, denoise: Denoiser) -> None:
+    """A frame as sonar software may show it, on its side amid text and rings: before and after."""
+    grey, _ = frame_picture(path, 0)
+    levels = np.ascontiguousarray(np.rot90(np.rint(grey * 255).astype(np.uint8)))
+    fan = find_fan(levels)
+    assert fan is not None
+    height, width = levels.shape
+    inside = fan.geometry.sector_mask(height, width)
+    top, left = 90, 60
+    screen = np.full((height + 2 * top, width + 2 * left, 3), (52, 44, 40), np.uint8)
+    painted = cv2.applyColorMap(levels, cv2.COLORMAP_HOT)
+    screen[top : top + height, left : left + width][inside] = painted[inside]
+    range_m = np.linspace(0.25, 1, 4)
+    for part in range_m:
+        bearings = np.linspace(fan.geometry.azimuth_min_rad, fan.geometry.azimuth_max_rad, 90)
+        row, column = fan.geometry.pixels(np.full_like(bearings, part), bearings)
+        points = np.rint(np.stack([column + left, row + top], axis=1)).astype(np.int32)
+        cv2.polylines(screen, [points], False, (0, 220, 0), 1)
+        place = int(points[0, 0]) - 30, int(points[:, 1].max()) + 24
+        cv2.putText(screen, f"{part:.2f}", place, cv2.FONT_HERSHEY_SIMPLEX, 0.6, _WHITE, 1)
+    cv2.putText(screen, "heading 214  gain 20 dB", (20, 40), cv2.FONT_HERSHEY_SIMPLEX, 0.8, _WHITE)
+    found, seen = find_fan(screen), find_painted(screen)
+    assert found is not None
+    assert seen is not None
+    result = seen.repainted(denoise(seen.levels, found.geometry))
+    cv2.imwrite(str(OUT / "screen.png"), np.vstack([screen, result]))
 
 
 def tall(picture: Gray) -> Gray:

@@ -2,8 +2,8 @@
 
 A fan picture is lit inside a sector and black outside it, mostly with far range on top.  The sector
 is found that best tells lit from black pixels (`fan_outline`), and then looked at for how much of
-its outline is really there.  Where there is none, the picture is turned by quarters, and looked at
-as a negative.
+its outline is really there.  Where there is none, the picture is turned by quarters, looked at as a
+negative, and what is largest in it alone.
 """
 
 from __future__ import annotations
@@ -31,6 +31,9 @@ _MOST_OUTSIDE = 0.05  # of all pixels may be lit and not in the sector
 _MOST_SQUEEZE = 1.95
 _MOST_MEDIAN = 127  # of 255: of a fan on a bright page
 _PAGE_SPREAD = 8  # of 255: a page around a fan is as even as that
+_GROUND_SPREAD = 2  # of 255: the ground of a screen
+_HOLES = np.ones((7, 7), np.uint8)  # of zeros in a fan
+_LEAST_PART, _MOST_PART = 0.05, 0.9  # of all pixels: a fan on a screen
 _DIM = 0.25  # of full scale: pictures that are darker throughout are made brighter
 _LEAST_HALF_DEG, _MOST_HALF_DEG = 2.0, 88.0
 _PIECES = 12  # of each side of the outline, looked at one by one
@@ -59,9 +62,16 @@ def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
     grey = _bytes(picture)
     if min(grey.shape) < _SMALLEST:
         return None
-    upright = _find_upright(grey, SURE)
-    if upright is not None:
-        return upright
+    found = _find_upright(grey, SURE) or _find_turned(grey)
+    if found is None:
+        alone = _largest_part(grey)
+        if alone is not None:
+            found = _find_upright(alone, _SURE_ODD) or _find_turned(alone)
+    return found
+
+
+def _find_turned(grey: npt.NDArray[np.uint8]) -> FoundFan | None:
+    """The fan with far range elsewhere."""
     for turns in (2, 1, 3):
         found = _find_upright(np.ascontiguousarray(np.rot90(grey, turns)), _SURE_ODD)
         if found is not None:
@@ -69,6 +79,23 @@ def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
             if geometry.sector_mask(*grey.shape).mean() >= _LEAST_TURNED:
                 return replace(found, geometry=geometry)
     return None
+
+
+def _largest_part(grey: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8] | None:
+    """What is largest on a flat ground, alone on black: a fan amid text and panels."""
+    ground = int(np.median(_border(grey)))
+    # Any wider and the ground would reach into the grain of a fan.
+    shown = grey
+    if ground > _GROUND_SPREAD:
+        shown = np.where(_ground(grey, ground, _GROUND_SPREAD) > 0, 0, grey).astype(np.uint8)
+    lit = cv2.morphologyEx((shown > _GROUND_SPREAD).astype(np.uint8), cv2.MORPH_CLOSE, _HOLES)
+    count, parts, stats, _ = cv2.connectedComponentsWithStats(lit, connectivity=4)
+    if count < 3:
+        return None  # a single one is no other picture than before
+    largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    if not _LEAST_PART <= stats[largest, cv2.CC_STAT_AREA] / grey.size <= _MOST_PART:
+        return None
+    return np.where(parts == largest, shown, 0).astype(np.uint8)
 
 
 def _find_upright(grey: npt.NDArray[np.uint8], sure: float) -> FoundFan | None:
@@ -125,16 +152,22 @@ def _black(grey: npt.NDArray[np.uint8]) -> int:
     return min(int(np.quantile(corner, 0.99)) for corner in _corners(grey))
 
 
+def _border(grey: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    return np.concatenate([grey[0], grey[-1], grey[:, 0], grey[:, -1]])
+
+
 def _without_page(grey: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
     """Black where a page of one bright grey reaches in from the picture's border."""
-    border = np.concatenate([grey[0], grey[-1], grey[:, 0], grey[:, -1]])
-    page = int(np.median(border))
-    alike = (np.abs(grey.astype(np.int16) - page) <= _PAGE_SPREAD).astype(np.uint8)
-    _, parts = cv2.connectedComponents(alike, connectivity=4)
-    edge = np.concatenate([parts[0], parts[-1], parts[:, 0], parts[:, -1]])
-    outside = np.isin(parts, np.setdiff1d(edge, 0))
+    ground = _ground(grey, int(np.median(_border(grey))), _PAGE_SPREAD)
     # JPEG rings beside the page.
-    return np.where(cv2.dilate(outside.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0, 0, grey)
+    return np.where(cv2.dilate(ground, np.ones((3, 3), np.uint8)) > 0, 0, grey).astype(np.uint8)
+
+
+def _ground(grey: npt.NDArray[np.uint8], level: int, spread: int) -> npt.NDArray[np.uint8]:
+    """1 where pixels of a level reach in from the picture's border, else 0."""
+    alike = (np.abs(grey.astype(np.int16) - level) <= spread).astype(np.uint8)
+    _, parts = cv2.connectedComponents(alike, connectivity=4)
+    return np.isin(parts, np.setdiff1d(_border(parts), 0)).astype(np.uint8)
 
 
 def _cropped(grey: npt.NDArray[np.uint8], black: int) -> tuple[npt.NDArray[np.uint8], int, int]:

@@ -33,15 +33,23 @@ _LEAST = 64  # pixels beside the background
 _STEPS = 128  # of the sum of the channels
 _HALF_STEP = 0.5 / 255
 _MIXED, _MIXED_SHARE = 2.0, 0.1  # so far beside a map, of 255, lie so many where colours were mixed
-_SPECK, _SPECK_MIXED = 100, 30  # pixels of a mark in a sonar picture, and of what mixing leaves
-_SPECK_AROUND = 7  # pixels a side
+_SPECK = 30  # pixels of what mixing leaves
+_STROKE = 7  # pixels: what is as wide as that is a page or a panel, not a line
+_GREY, _COLOURED = (
+    3.0,
+    6.0,
+)  # of 255: what the channels of a grey picture and of marks on it differ by
+_EXACT, _EXACT_SHARE, _SOME = 1.5, 0.5, 0.2
+"""How near a known map half of the colours lie where others were drawn over it, and part of the
+pixels that must have colours at all."""
 
 
 @dataclass(frozen=True, eq=False)
 class Palette:
     """A colour map.
 
-    name: of a known map; else `sum`: the levels are the means of the three channels.
+    name: of a known map; `grey`, where colours were drawn over a grey picture; else `sum`: the
+        levels are the means of the three channels.
     colours: (N, 3), the levels lie evenly from 0 to 1, or as `at` says.  at: (N,) ascending.
     """
 
@@ -66,7 +74,7 @@ class Palette:
         return np.asarray(np.sqrt(np.square(away).mean(axis=1)))
 
 
-SUM = "sum"
+SUM, GREY = "sum", "grey"
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +118,7 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
     if picture.dtype == np.float32 and not (flat.min() >= 0 and flat.max() <= 1):
         return None
     codes = _codes(flat)
-    seen = _foreground(codes)
+    seen = _foreground(codes.reshape(picture.shape[:2]))
     if len(seen) < _LEAST:
         return None
     # What is known of another map ends with the brightest colour of that picture.
@@ -122,37 +130,36 @@ def find_painted(picture: Samples, before: Palette | None = None) -> Painted | N
     codes, place = np.unique(codes, return_inverse=True)
     colours = _uncoded(codes)
     misses = palette.misses(colours)
-    near = misses <= _BLURRED
+    near = misses <= (_COLOURED if palette.name == GREY else _BLURRED)
     levels = np.where(near, palette.levels(colours), 0).astype(np.float32)
     mixed = float((misses[place] > _MIXED).mean()) > _MIXED_SHARE
     shape = picture.shape[:2]
-    return Painted(
-        picture,
-        palette,
-        *_without_specks(levels[place].reshape(shape), near[place].reshape(shape), mixed),
-    )
+    known = near[place].reshape(shape)
+    return Painted(picture, palette, *_without_marks(levels[place].reshape(shape), known, mixed))
 
 
-def _without_specks(
+def _without_marks(
     levels: Levels, known: npt.NDArray[np.bool_], mixed: bool
 ) -> tuple[Levels, npt.NDArray[np.bool_]]:
-    """Levels and what is known of them where single pixels are of no map.
+    """Levels and what is known of them where specks, lines and letters are of no map.
 
-    They get the mean of what is known around them, else weights would see black specks; where JPEG
-    or a video mixed the colours they are levels like others, elsewhere a mark that somebody drew.
+    They get the mean of what is known around them, else weights would see black ones; where JPEG or
+    a video mixed the colours specks are levels like others, elsewhere what somebody drew.
     """
     if known.all() or not known.any():
         return levels, known
     import cv2  # an extra, as are pictures with colours
 
-    _, parts, stats, _ = cv2.connectedComponentsWithStats((~known).astype(np.uint8), connectivity=8)
-    area = np.where(known, 0, stats[parts, cv2.CC_STAT_AREA])
-    small = (area > 0) & (area <= _SPECK)
-    around = (_SPECK_AROUND, _SPECK_AROUND)
-    there = cv2.boxFilter(known.astype(np.float32), -1, around)
-    mean = cv2.boxFilter(levels * known, -1, around) / np.maximum(there, 1e-6)
-    filled = np.where(small & (there > 0.01), mean, levels).astype(np.float32)
-    return filled, known | (small & (area <= _SPECK_MIXED) & (there > 0.01) & mixed)
+    unknown = (~known).astype(np.uint8)
+    wide = cv2.morphologyEx(unknown, cv2.MORPH_OPEN, np.ones((_STROKE, _STROKE), np.uint8))
+    there = cv2.blur(known.astype(np.float32), (_STROKE, _STROKE))
+    drawn = (unknown > wide) & (there > 0)
+    mean = cv2.blur(levels, (_STROKE, _STROKE)) / np.maximum(there, 1e-6)
+    filled = np.where(drawn, mean, levels).astype(np.float32)
+    if not mixed:
+        return filled, known
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(unknown, connectivity=8)
+    return filled, known | (drawn & (stats[parts, cv2.CC_STAT_AREA] <= _SPECK))
 
 
 def grey_of_colours(picture: Samples) -> Levels:
@@ -173,6 +180,9 @@ def grey_of_colours(picture: Samples) -> Levels:
 
 def _palette_of(seen: Colours) -> Palette | None:
     """The map that fits best; a known one where another fits hardly better."""
+    drawn_over = _exact(seen)
+    if drawn_over is not None:
+        return drawn_over
     own = _by_sums(seen)
     fit = {one: one.misses(seen).mean() for one in (*_known(), own) if _fits(one, seen, _NEAR)}
     if not fit:
@@ -180,6 +190,25 @@ def _palette_of(seen: Colours) -> Palette | None:
         blurred = {one: one.misses(seen).mean() for one in _known() if _fits(one, seen, _BLURRED)}
         fit = {one: miss for one, miss in blurred.items() if miss <= _NEAR}
     return min(fit, key=lambda one: fit[one] + (one is own), default=None)
+
+
+def _exact(seen: Colours) -> Palette | None:
+    """The map, or grey, of most pixels, where marks in other colours are the rest."""
+    spread = np.ptp(seen, axis=1)
+    coloured = seen[spread > _GREY]
+    if len(coloured) < (1 - _EXACT_SHARE) * len(seen):
+        ramp = np.repeat(np.arange(256, dtype=np.float32)[:, None], 3, axis=1)
+        grey = Palette(GREY, ramp, ramp[:, 0] / np.float32(255))
+    else:
+        grey = None
+    if len(coloured) < max(_SOME * len(seen), _LEAST):
+        return grey
+    few = coloured[:: max(1, len(coloured) // 300)]
+    misses = {one: np.minimum(one.misses(few), _NEAR) for one in _known()}
+    fit = {
+        one: miss.mean() for one, miss in misses.items() if (miss <= _EXACT).mean() >= _EXACT_SHARE
+    }
+    return min(fit, key=lambda one: fit[one], default=grey)
 
 
 def _fits(palette: Palette, seen: Colours, near: float) -> bool:
@@ -217,7 +246,11 @@ def _by_sums(seen: Colours) -> Palette:
 
 
 def _foreground(codes: npt.NDArray[np.uint32]) -> Colours:
-    """(N, 3) colours of pixels spread evenly, without those of flat areas."""
+    """(N, 3) colours of pixels spread evenly, without those of flat areas.  codes: (H, W)."""
+    inner = codes[1:-1, 1:-1]
+    beside = (codes[:-2, 1:-1], codes[2:, 1:-1], codes[1:-1, :-2], codes[1:-1, 2:])
+    grain = inner[np.any([inner != one for one in beside], axis=0)]
+    codes = grain if len(grain) >= _LEAST else codes.ravel()
     some = codes[:: max(1, len(codes) // (8 * _LOOKED_AT))]
     _, place, count = np.unique(some, return_inverse=True, return_counts=True)
     rare = some[count[place] <= _FLAT * len(some)]

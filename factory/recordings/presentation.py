@@ -66,7 +66,8 @@ def presentation_of(grey: Grey, geometry: FanGeometry | None) -> Presentation:
 
 def is_negative(grey: Grey, geometry: FanGeometry) -> bool:
     """Whether echoes are dark on white, and so is the page around the fan."""
-    if geometry.layout == "polar":
+    border = np.concatenate([grey[0], grey[-1], grey[:, 0], grey[:, -1]])
+    if geometry.layout == "polar" or np.median(border) <= _WHITE:
         return False
     inside = geometry.maps(0, 0, *grey.shape)["sector"] > 0
     if inside.all() or not inside.any() or grey[~inside].mean() <= _WHITE:

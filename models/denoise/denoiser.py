@@ -21,8 +21,8 @@ TILE, OVERLAP = 1024, 96
 EXACT = "32-true"
 PRECISIONS = ("auto", EXACT, "bf16-mixed")
 """Arithmetic of a denoiser, in the words of `train.precision`."""
-_PAGE = 0.25
-"""Mean grey value around a fan from which on it is a page."""
+_LIT, _LIT_SHARE = 0.1, 0.01
+"""Grey value, and part of what is around a fan with more: a page, or panels of a screen."""
 
 
 class Denoiser:
@@ -91,7 +91,7 @@ class Denoiser:
             maps = {name: found[name] for name in network.extras if name in found}
         if self.looks > 1 and looks:
             maps["looks"] = np.stack(looks, axis=-1)  # tiles cut the first two axes
-        outside = _page(gray, maps)
+        outside = _surroundings(gray, maps)
         shown = gray if outside is None else np.where(outside, np.float32(0), gray)
         denoised = by_scales(shown, maps, self._denoise_whole, network.wide_grain)
         if outside is not None:
@@ -140,12 +140,12 @@ class Denoiser:
             return denoise_with_weight(self.trained.network, batch)
 
 
-def _page(gray: Gray, maps: Maps) -> npt.NDArray[np.bool_] | None:
-    """(H, W) outside the sector, where that is a bright page: weights have seen dark ones alone."""
+def _surroundings(gray: Gray, maps: Maps) -> npt.NDArray[np.bool_] | None:
+    """(H, W) outside the sector, where that is not black: weights have seen black ones alone."""
     if "sector" not in maps:
         return None
     outside = maps["sector"] <= 0
-    return outside if outside.any() and gray[outside].mean() > _PAGE else None
+    return outside if outside.any() and (gray[outside] > _LIT).mean() > _LIT_SHARE else None
 
 
 def known_geometry(

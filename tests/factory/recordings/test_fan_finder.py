@@ -15,6 +15,7 @@ import pytest
 from simnfnd.factory.recordings.fan_finder import FoundFan, find_fan
 from simnfnd.factory.sonar.geometry import FanGeometry
 from tests.factory.recordings.fan_pictures import Grey, fan, preset
+from tests.factory.recordings.screens import LEFT, TOP, screen
 from tests.project_files import ROOT
 
 DATA = ROOT.parent / "shared" / "data"
@@ -119,6 +120,27 @@ def test_fans_whose_far_range_is_not_on_top(name: str, turns: int) -> None:
     spot[50:90, 60:110] = np.rot90(grey, turns)[:40, :50]
     of_spot = find_fan(spot)
     assert of_spot is None or of_spot.geometry.quarter_turns == 0
+
+
+@pytest.mark.parametrize("ground", [(0, 0, 0), (45, 45, 45), (80, 30, 10), (240, 240, 240)])
+@pytest.mark.parametrize("turns", [0, 1])
+def test_a_fan_on_a_screen(ground: tuple[int, int, int], turns: int) -> None:
+    grey, true = fan(preset("didson_hf", 300, 400), 0.3, holes=False)
+    shown = screen(grey, true.sector_mask(*grey.shape), ground)
+    if turns:
+        fans = np.rot90(grey, -turns)
+        shown = screen(fans, true.turned_back(turns, *fans.shape).sector_mask(*fans.shape), ground)
+    found = find_fan(shown)
+    assert found is not None
+    upright = found.geometry.turned(*shown.shape[:2])
+    assert upright.sector_rad == pytest.approx(true.sector_rad, rel=0.03)
+    # A bright page is taken a pixel wider, as JPEG rings there: a narrow fan's apex moves by six.
+    close = 4 if max(ground) < 200 else 7
+    assert upright.far_px == pytest.approx(true.far_px, abs=close)
+    assert found.geometry.quarter_turns == turns
+    if not turns:
+        assert upright.apex_x_px == pytest.approx(true.apex_x_px + LEFT, abs=2)
+        assert upright.apex_y_px == pytest.approx(true.apex_y_px + TOP, abs=close)
 
 
 def test_confidence_says_how_much_of_the_outline_is_seen() -> None:

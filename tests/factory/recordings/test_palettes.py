@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from simnfnd.factory.recordings.fan_finder import find_fan
 from simnfnd.factory.recordings.palettes import SUM, find_painted, grey_of_colours
 from tests.factory.recordings.fan_pictures import fan, preset
+from tests.factory.recordings.screens import LEFT, TOP, screen, with_rings
 
 KNOWN = ("JET", "TURBO", "RAINBOW", "VIRIDIS", "HOT", "OCEAN", "BONE", "PARULA", "INFERNO")
 Bytes = npt.NDArray[Any]
@@ -135,6 +136,28 @@ def test_marks_and_mixed_colours_are_no_black_specks() -> None:
     assert found is not None
     assert found.known[specks].mean() > 0.95
     assert np.abs(found.levels[specks] - grey[specks] / 255).mean() < 0.06
+
+
+@pytest.mark.parametrize("name", [None, "HOT", "JET"])
+def test_marks_over_a_map_on_a_screen(name: str | None) -> None:
+    """Text, panels and rings are no part of the map, and none is painted anew."""
+    grey, true = fan(preset("didson_hf", 300, 400), 0.3, holes=False)
+    inside = true.sector_mask(*grey.shape)
+    shown = screen(grey if name is None else painted(grey, name), inside, (80, 30, 10))
+    ringed = with_rings(shown, true, (0, 200, 0))
+    found = find_painted(ringed)
+    assert found is not None
+    assert found.palette.name == ("grey" if name is None else name.lower())
+    part = slice(TOP, TOP + grey.shape[0]), slice(LEFT, LEFT + grey.shape[1])
+    rings = (ringed != shown).any(axis=2)[part]
+    plain = inside & ~rings
+    assert found.known[part][plain].all()
+    assert np.abs(found.levels[part] * 255 - grey)[plain].max() <= 3
+    assert not found.known[part][rings & inside].any()
+    dark = found.levels[part][rings & inside] < 0.5 * grey[plain].mean() / 255
+    assert dark.mean() < 0.35, "rings have the level of what is around them"
+    again = found.repainted(found.levels * np.float32(0.5))
+    np.testing.assert_array_equal(again[part][rings & inside], ringed[part][rings & inside])
 
 
 def test_colours_of_no_map() -> None:

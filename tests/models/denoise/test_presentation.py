@@ -20,6 +20,7 @@ from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.adapt.clips import Shot, presented
 from simnfnd.models.denoise.command import main
 from tests.factory.recordings.fan_pictures import fan, preset
+from tests.factory.recordings.screens import LEFT, TOP, screen, with_rings
 
 
 @given(st.floats(1e-4, 1), st.integers(0, 2**31))
@@ -88,6 +89,29 @@ def test_turned_fans_and_negatives_are_denoised_as_the_usual_one(tmp_path: Path)
         np.testing.assert_allclose(made.grey * 255, grey, atol=1e-3)
         assert made.geometry is not None
         assert made.geometry.quarter_turns == 0
+
+
+@pytest.mark.parametrize("ground", [(0, 0, 0), (45, 45, 45)])
+def test_a_screen_keeps_its_text(ground: tuple[int, int, int], tmp_path: Path) -> None:
+    """Only the fan is denoised, as it would be alone; rings in colour stay."""
+    grey, geometry = fan(preset("didson_hf", 150, 200), 0.3, holes=False)
+    inside = geometry.sector_mask(*grey.shape)
+    shown = with_rings(screen(grey, inside, ground), geometry, (0, 200, 0))
+    (tmp_path / "in").mkdir()
+    assert cv2.imwrite(str(tmp_path / "in" / "screen.png"), shown)
+    assert cv2.imwrite(str(tmp_path / "in" / "alone.png"), grey)
+    assert main([str(tmp_path / "in"), "--out", str(tmp_path / "out")]) == 0
+    result = np.asarray(cv2.imread(str(tmp_path / "out" / "screen.png")))
+    alone = np.asarray(cv2.imread(str(tmp_path / "out" / "alone.png"), 0)).astype(np.float64)
+    part = slice(TOP, TOP + grey.shape[0]), slice(LEFT, LEFT + grey.shape[1])
+    around = np.ones(shown.shape[:2], bool)
+    around[part] &= cv2.dilate(inside.astype(np.uint8), np.ones((7, 7), np.uint8)) == 0
+    np.testing.assert_array_equal(result[around], shown[around])
+    coloured = np.ptp(shown, axis=2) > 0
+    np.testing.assert_array_equal(result[coloured], shown[coloured])
+    plain = cv2.erode((inside & ~coloured[part]).astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
+    left = np.abs(result[part][..., 0] - alone)[plain].mean()
+    assert left < 0.25 * np.abs(alone - grey)[plain].mean()
 
 
 def test_a_bright_fan_on_a_page_is_no_negative() -> None:
