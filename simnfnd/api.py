@@ -22,7 +22,7 @@ def denoise(
     picture: npt.ArrayLike,
     *,
     weights: str | Path | None = None,
-    geometry: Literal["polar"] | FanGeometry | None = None,
+    geometry: Literal["find", "polar"] | FanGeometry | None = "find",
     remove: Sequence[str] | None = None,
     strength: float = 1.0,
     device: Literal["auto", "cpu", "gpu"] = "auto",
@@ -34,8 +34,9 @@ def denoise(
     weights: a weights.safetensors of a training or the name of weights that ship; None: of those
         that ship the ones that suit the picture, `simnfnd`, or `simnfnd-paper` where its noise is
         that of points.  They stay loaded for the next call.
-    geometry: where range and bearing are, for networks that use it.  "polar": rows are ranges, near
-        range first, and the columns span 30 degrees.
+    geometry: where range and bearing are, for networks that use it.  "find": the fan is looked for
+        in each picture, as `simnfnd denoise` does.  "polar": rows are ranges, near range first, and
+        the columns span 30 degrees.  None: not known.
     remove: what to remove, of speckle, haze, spokes, ghosts, blur and gains; None: what most want
         of an unknown picture (speckle, spokes, ghosts and blur).
     strength: how much of it, 0 to 1.
@@ -49,6 +50,7 @@ def denoise(
 
     needed = ("torch", "safetensors", "cv2", "scipy")
     require(Need("simnfnd.denoise", module) for module in needed)
+    from simnfnd.factory.recordings.fan_finder import find_fan
     from simnfnd.factory.recordings.palettes import find_painted
     from simnfnd.models.denoise.files import denoise_image
     from simnfnd.models.pretrained import find_weights
@@ -71,25 +73,30 @@ def denoise(
         of_points = find_weights(POINTS)
         changed_ns = of_points.stat().st_mtime_ns
         network = Suited(network, lambda: _denoiser(of_points, changed_ns, device, None, strength))
-    layout = geometry if isinstance(geometry, str) else None
-    place = None if isinstance(geometry, str) else geometry
-    if layout not in (None, "polar"):
-        raise ValueError(f"geometry={layout!r}: expected 'polar', a FanGeometry or None")
+    if isinstance(geometry, str) and geometry not in ("find", "polar"):
+        raise ValueError(f"geometry={geometry!r}: expected 'find', 'polar', a FanGeometry or None")
+    layout = "polar" if geometry == "polar" else None
 
     def one(gray: npt.NDArray[np.float32], where: FanGeometry | None) -> npt.NDArray[np.float32]:
         return network(gray, where, layout=layout)
+
+    def place(image: npt.NDArray[Any]) -> FanGeometry | None:
+        if not isinstance(geometry, str):
+            return geometry
+        found = find_fan(image) if geometry == "find" else None
+        return None if found is None else found.geometry
 
     known = given.astype(np.float32) if given.dtype.kind == "f" else given
     if given.ndim == 3 and given.shape[2] in (3, 4):
         painted = find_painted(known)
         if painted is None:
-            return denoise_image(known, one, place).astype(given.dtype)
-        levels = denoise_image(painted.levels, one, place)
+            return denoise_image(known, one, place(known)).astype(given.dtype)
+        levels = denoise_image(painted.levels, one, place(painted.levels))
         return painted.repainted(levels).astype(given.dtype)
     stack = known if given.ndim == 3 else known[None]
     result = np.empty(stack.shape, given.dtype)
     for number, image in enumerate(stack):
-        result[number] = denoise_image(image, one, place)
+        result[number] = denoise_image(image, one, place(image))
     return result if given.ndim == 3 else result[0]
 
 

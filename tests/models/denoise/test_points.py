@@ -130,8 +130,11 @@ def test_pictures_of_points_get_their_weights_without_a_word(
 def test_in_python_the_picture_decides_too() -> None:
     gray = picture("simnfnd")
     by_points = load_denoiser("simnfnd-paper", "cpu")(gray)
-    np.testing.assert_array_equal(denoise(gray, device="cpu"), by_points)
-    assert np.abs(denoise(gray, weights="simnfnd", device="cpu") - by_points).max() > 0.05
+    np.testing.assert_array_equal(denoise(gray, device="cpu", geometry=None), by_points)
+    assert (
+        np.abs(denoise(gray, weights="simnfnd", device="cpu", geometry=None) - by_points).max()
+        > 0.05
+    )
 
 
 def test_the_fit_finds_what_decides() -> None:

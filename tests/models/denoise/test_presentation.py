@@ -79,7 +79,7 @@ def test_turned_fans_and_negatives_are_denoised_as_the_usual_one(tmp_path: Path)
     turned, negative = np.rot90(grey), 255 - grey
     found = find_fan(turned)
     assert found is not None
-    in_python = simnfnd.denoise(turned.astype(np.float32) / 255, geometry=found.geometry)
+    in_python = simnfnd.denoise(turned.astype(np.float32) / 255)
     np.testing.assert_allclose(in_python * 255, read["from the left"], atol=1.5)
     shots = [
         Shot((one / np.float32(255)).astype(np.float32), geometry)
@@ -109,6 +109,8 @@ def test_a_screen_keeps_its_text(ground: tuple[int, int, int], tmp_path: Path) -
     np.testing.assert_array_equal(result[around], shown[around])
     coloured = np.ptp(shown, axis=2) > 0
     np.testing.assert_array_equal(result[coloured], shown[coloured])
+    np.testing.assert_array_equal(simnfnd.denoise(shown), result, "in Python as by the command")
+    assert (simnfnd.denoise(shown, geometry=None) != result).any()
     plain = cv2.erode((inside & ~coloured[part]).astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
     left = np.abs(result[part][..., 0] - alone)[plain].mean()
     assert left < 0.25 * np.abs(alone - grey)[plain].mean()
