@@ -31,7 +31,7 @@ _MOST_OUTSIDE = 0.05  # of all pixels may be lit and not in the sector
 _MOST_SQUEEZE = 1.95
 _MOST_MEDIAN = 127  # of 255: of a fan on a bright page
 _PAGE_SPREAD = 8  # of 255: a page around a fan is as even as that
-_GROUND_SPREAD = 2  # of 255: the ground of a screen
+_GROUND_SPREADS = 2, 6  # of 255: the ground of a screen
 _HOLES = np.ones((7, 7), np.uint8)  # of zeros in a fan
 _LEAST_PART, _MOST_PART = 0.05, 0.9  # of all pixels: a fan on a screen
 _DIM = 0.25  # of full scale: pictures that are darker throughout are made brighter
@@ -64,9 +64,11 @@ def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
         return None
     found = _find_upright(grey, SURE) or _find_turned(grey)
     if found is None:
-        alone = _largest_part(grey)
-        if alone is not None:
-            found = _find_upright(alone, _SURE_ODD) or _find_turned(alone)
+        # A video's ground is not quite flat; the wider, the farther it reaches into a fan's grain.
+        for spread in _GROUND_SPREADS:
+            alone = _largest_part(grey, spread)
+            if alone is not None and found is None:
+                found = _find_upright(alone, _SURE_ODD) or _find_turned(alone)
     return found
 
 
@@ -81,14 +83,13 @@ def _find_turned(grey: npt.NDArray[np.uint8]) -> FoundFan | None:
     return None
 
 
-def _largest_part(grey: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8] | None:
+def _largest_part(grey: npt.NDArray[np.uint8], spread: int) -> npt.NDArray[np.uint8] | None:
     """What is largest on a flat ground, alone on black: a fan amid text and panels."""
     ground = int(np.median(_border(grey)))
-    # Any wider and the ground would reach into the grain of a fan.
     shown = grey
-    if ground > _GROUND_SPREAD:
-        shown = np.where(_ground(grey, ground, _GROUND_SPREAD) > 0, 0, grey).astype(np.uint8)
-    lit = cv2.morphologyEx((shown > _GROUND_SPREAD).astype(np.uint8), cv2.MORPH_CLOSE, _HOLES)
+    if ground > spread:
+        shown = np.where(_ground(grey, ground, spread) > 0, 0, grey).astype(np.uint8)
+    lit = cv2.morphologyEx((shown > spread).astype(np.uint8), cv2.MORPH_CLOSE, _HOLES)
     count, parts, stats, _ = cv2.connectedComponentsWithStats(lit, connectivity=4)
     if count < 3:
         return None  # a single one is no other picture than before

@@ -143,6 +143,18 @@ def test_a_fan_on_a_screen(ground: tuple[int, int, int], turns: int) -> None:
         assert upright.apex_y_px == pytest.approx(true.apex_y_px + TOP, abs=close)
 
 
+@pytest.mark.parametrize("quality", [95, 80])
+def test_a_fan_on_a_screen_that_was_compressed(quality: int) -> None:
+    grey, true = fan(preset("didson_hf", 300, 400), 0.3, holes=False)
+    shown = screen(grey, true.sector_mask(*grey.shape), (45, 45, 45))
+    _, content = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    found = find_fan(np.asarray(cv2.imdecode(content, cv2.IMREAD_COLOR)))
+    assert found is not None
+    assert found.geometry.sector_rad == pytest.approx(true.sector_rad, rel=0.2)
+    assert found.geometry.apex_x_px == pytest.approx(true.apex_x_px + LEFT, abs=0.02 * true.far_px)
+    assert found.geometry.apex_y_px == pytest.approx(true.apex_y_px + TOP, abs=0.08 * true.far_px)
+
+
 def test_confidence_says_how_much_of_the_outline_is_seen() -> None:
     grey, _ = fan(preset("oculus_m1200d_hf", 400, 400), 0.1, False)
     whole = find_fan(grey)
