@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from simnfnd.factory.render.base import Renderer, RenderSettings
     from simnfnd.factory.sonar.geometry import FanGeometry
     from simnfnd.models.denoise.denoiser import Denoiser
+    from simnfnd.models.denoise.in_turn import InTurn
 
 
 def denoise(
@@ -32,8 +33,9 @@ def denoise(
     picture: (H, W), (N, H, W), or (H, W, 3 or 4) in colours; uint8, uint16, or float in 0..1.
         Colours of a colour map are denoised as the levels that they stand for.
     weights: a weights.safetensors of a training or the name of weights that ship; None: of those
-        that ship the ones that suit the picture, `simnfnd`, or `simnfnd-paper` where its noise is
-        that of points.  They stay loaded for the next call.
+        that ship the ones that suit the picture and what is to be removed: `simnfnd`,
+        `simnfnd-paper` where its noise is that of points, `simnfnd-removal` for haze, spokes,
+        ghosts and gains.  They stay loaded for the next call.
     geometry: where range and bearing are, for networks that use it.  "find": the fan is looked for
         in each picture, as `simnfnd denoise` does.  "polar": rows are ranges, near range first, and
         the columns span 30 degrees.  None: not known.
@@ -65,7 +67,8 @@ def denoise(
         raise ValueError(f"strength={strength}: expected 0 to 1")
     chosen = None if remove is None else tuple(remove)
     network: Callable[..., npt.NDArray[np.float32]]
-    network = _denoiser(path, path.stat().st_mtime_ns, device, chosen, strength)
+    named = None if weights is None else path
+    network = _denoiser(named, path.stat().st_mtime_ns, device, chosen, strength)
     if weights is None and remove is None:
         from simnfnd.models.denoise.suited import Suited
         from simnfnd.models.pretrained import POINTS
@@ -166,9 +169,9 @@ def _renderer(settings: RenderSettings) -> Renderer:
 
 @lru_cache(maxsize=2)
 def _denoiser(
-    path: Path, changed_ns: int, device: str, remove: tuple[str, ...] | None, strength: float
-) -> Denoiser:
+    path: Path | None, changed_ns: int, device: str, remove: tuple[str, ...] | None, strength: float
+) -> Denoiser | InTurn:
     """changed_ns: of the file, so that weights trained anew are loaded anew."""
-    from simnfnd.models.denoise.denoiser import load_denoiser
+    from simnfnd.models.denoise.in_turn import asked_denoiser
 
-    return load_denoiser(path, device, remove=remove, strength=strength)
+    return asked_denoiser(path, device, remove, strength=strength)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -16,10 +17,17 @@ from simnfnd.factory.formation.contract import ARTEFACTS
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.scenes import open_reader
 from simnfnd.models.data.any_device import DeviceSource
-from simnfnd.models.denoise.denoiser import load_denoiser
+from simnfnd.models.denoise.in_turn import asked_denoiser
 from simnfnd.models.removal import DEFAULT
 
 PLACES, PICTURES, LEAST = 12, 48, 1e-5
+ASKED: tuple[tuple[str, ...], ...] = (
+    *((one,) for one in ARTEFACTS),
+    ("speckle", "haze"),
+    ("speckle", "spokes"),
+    (),
+)
+"""Words of --remove; none: the usual."""
 Floats = npt.NDArray[np.floating]
 
 
@@ -41,31 +49,36 @@ def measure(options: Options) -> Section:
     """The weights that ship on procedural places that no training of theirs has seen."""
     places, pictures = options.amount(PLACES, 2), options.amount(PICTURES, 6)
     with tempfile.TemporaryDirectory() as folder:
-        words = [
-            *("experiment=any_sonar", "render=embree", f"scenes.locations={places}"),
-            *("scenes.first_location=5000", "scenes.frames_per_location=1"),
-            *(f"cache.dir={folder}/cache", f"dataset.dir={folder}/set", "split.test_fraction=0"),
-            *("dataset.preview_pairs=0", "devices.quiet_share=0", "devices.jpeg_share=0"),
-        ]
-        run_factory(words)
-        config = compose_config(words)
-        frames = tuple(open_reader(config.scenes).discover().frames)
-        rows = [_row(config, frames, chosen, pictures) for chosen in (*ARTEFACTS, "the usual")]
+        config, frames = rendered(Path(folder), places)
+        rows = [_row(config, frames, asked, pictures) for asked in ASKED]
     columns = ("removed", "pictures", "dB before", "dB after", "gone, %", "all else kept, %")
     note = (
-        "Pictures of drawn devices. Each is denoised with --remove of one artefact and compared "
-        "with itself without it, under the same random streams; only pictures that have it count. "
+        "Pictures of drawn devices. Each is denoised with --remove of the artefacts and compared "
+        "with itself without them, under the same random streams; only pictures with some count. "
         f"The usual: {', '.join(DEFAULT)}."
     )
     return Section((Table(columns, tuple(rows)),), note)
 
 
+def rendered(folder: Path, places: int) -> tuple[FactoryConfig, tuple[FrameRef, ...]]:
+    """Frames of places that no training has seen, rendered; and what draws devices for them."""
+    words = [
+        *("experiment=any_sonar", "render=embree", f"scenes.locations={places}"),
+        *("scenes.first_location=5000", "scenes.frames_per_location=1"),
+        *(f"cache.dir={folder}/cache", f"dataset.dir={folder}/set", "split.test_fraction=0"),
+        *("dataset.preview_pairs=0", "devices.quiet_share=0", "devices.jpeg_share=0"),
+    ]
+    run_factory(words)
+    config = compose_config(words)
+    return config, tuple(open_reader(config.scenes).discover().frames)
+
+
 def _row(
-    config: FactoryConfig, frames: tuple[FrameRef, ...], chosen: str, pictures: int
+    config: FactoryConfig, frames: tuple[FrameRef, ...], asked: tuple[str, ...], pictures: int
 ) -> tuple[str | float, ...]:
-    removed = DEFAULT if chosen == "the usual" else (chosen,)
-    source = _Asked(config, frames, removed)
-    denoise = load_denoiser(None, "cpu", remove=removed)
+    removed, chosen = asked or DEFAULT, ", ".join(asked) or "the usual"
+    source = Asked(config, frames, removed)
+    denoise = asked_denoiser(None, "cpu", asked or None)
     found = []
     for number in range(pictures):
         sample = source.sample(number % len(source), number)
@@ -100,7 +113,7 @@ def _db(difference: Floats) -> float:
     return float(-10 * np.log10(np.square(difference).mean() + 1e-10))
 
 
-class _Asked(DeviceSource):
+class Asked(DeviceSource):
     """Pictures whose targets are all without the same artefacts."""
 
     def __init__(

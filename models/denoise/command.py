@@ -33,12 +33,13 @@ from simnfnd.models.denoise.files import (
     denoise_video,
 )
 from simnfnd.models.denoise.geometries import FIND, Geometries
+from simnfnd.models.denoise.in_turn import OVER, InTurn, asked_denoiser
 from simnfnd.models.denoise.inputs import Item, find_items
 from simnfnd.models.denoise.shards import denoise_shard, made_of_points, opened_shard
 from simnfnd.models.denoise.steady import Steady
 from simnfnd.models.denoise.suited import Suited
 from simnfnd.models.denoise.watch import Watched, watch
-from simnfnd.models.pretrained import POINTS
+from simnfnd.models.pretrained import POINTS, REMOVAL
 from simnfnd.models.removal import DEFAULT
 
 
@@ -56,7 +57,8 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--weights",
         help="weights.safetensors of a training, or the name of weights that ship (default: "
-        f"simnfnd, and for shards and pictures of the paper's points {POINTS})",
+        f"simnfnd, for shards and pictures of the paper's points {POINTS}, and {REMOVAL} for what "
+        f"--remove names of {', '.join(OVER)})",
     )
     parser.add_argument(
         "--remove",
@@ -129,7 +131,7 @@ def main(arguments: Sequence[str]) -> int:
         "precision": chosen.precision,
     }
     remove = None if chosen.remove is None else chosen.remove.split(",")
-    denoise = load_denoiser(chosen.weights, remove=remove, **how)
+    denoise = asked_denoiser(chosen.weights, remove=remove, **how)
     steady.see(denoise.looks)
     points = suited = None
     if chosen.weights is None and remove is None:
@@ -154,7 +156,7 @@ class _Work:
     """
 
     out: Path
-    denoise: Denoiser
+    denoise: Denoiser | InTurn
     points: Callable[[], Denoiser] | None
     suited: Suited | None
     geometries: Geometries

@@ -8,8 +8,8 @@ import numpy as np
 
 from simnfnd.factory.recordings.presentation import presentation_of
 from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.denoise.denoiser import Denoiser, known_geometry
-from simnfnd.models.denoise.files import Gray
+from simnfnd.models.denoise.denoiser import known_geometry
+from simnfnd.models.denoise.files import Denoise, Gray
 from simnfnd.models.denoise.points import likelihood
 from simnfnd.models.pretrained import POINTS
 
@@ -20,7 +20,7 @@ _SURE = 0.1
 class Suited:
     """Denoises each picture by the weights for its kind of noise, or by both where in doubt."""
 
-    def __init__(self, usual: Denoiser, points: Callable[[], Denoiser]) -> None:
+    def __init__(self, usual: Denoise, points: Callable[[], Denoise]) -> None:
         """usual: for real sonars.  points: gives those for the paper's noise, when needed."""
         self._usual, self._points = usual, points
         self._seen, self._of_points = 0, 0

@@ -11,6 +11,9 @@ DEFAULT = "simnfnd"
 POINTS = "simnfnd-paper"
 """Those for shards of acoustics.formation=points: trained on the paper's noise."""
 
+REMOVAL = "simnfnd-removal"
+"""Those for what lies over a picture (haze, spokes, ghosts, gains), where it is asked for."""
+
 
 def shipped(folder: Path | None = None) -> dict[str, Path]:
     """Name -> file of the weights in `folder` (default: those that ship)."""

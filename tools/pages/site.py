@@ -32,6 +32,7 @@ SHOWN = {
     "models/pretrained/simnfnd.md": "reference/weights-simnfnd.md",
     "models/pretrained/simnfnd-fast.md": "reference/weights-simnfnd-fast.md",
     "models/pretrained/simnfnd-recordings.md": "reference/weights-simnfnd-recordings.md",
+    "models/pretrained/simnfnd-removal.md": "reference/weights-simnfnd-removal.md",
     "models/pretrained/simnfnd-paper.md": "reference/weights-simnfnd-paper.md",
     "examples/didson/NOTICE.md": "project/lamprey-notice.md",
     "examples/load_with_workers.py": "reference/load_with_workers.py",

@@ -22,7 +22,7 @@ from tests.models.denoise.test_denoise_recordings import Halving
 @pytest.fixture
 def halving(monkeypatch: pytest.MonkeyPatch) -> Halving:
     made = Halving()
-    monkeypatch.setattr(command, "load_denoiser", lambda *given, **named: made)
+    monkeypatch.setattr(command, "asked_denoiser", lambda *given, **named: made)
     return made
 
 

@@ -34,7 +34,7 @@ class AsItIs:
 
 @pytest.fixture(autouse=True)
 def as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(command, "load_denoiser", lambda *given, **named: AsItIs())
+    monkeypatch.setattr(command, "asked_denoiser", lambda *given, **named: AsItIs())
 
 
 def error(picture: Gray, truth: Gray) -> float:

@@ -43,7 +43,7 @@ class Halving:
 @pytest.fixture
 def halving(monkeypatch: pytest.MonkeyPatch) -> Halving:
     made = Halving()
-    monkeypatch.setattr(command, "load_denoiser", lambda *given, **named: made)
+    monkeypatch.setattr(command, "asked_denoiser", lambda *given, **named: made)
     return made
 
 

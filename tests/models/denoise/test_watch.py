@@ -97,7 +97,7 @@ def test_a_folder_of_pictures_that_broke_off_is_done_again(tmp_path: Path) -> No
 def test_the_command_denoises_what_comes_until_it_is_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(command, "load_denoiser", lambda *given, **named: Halving())
+    monkeypatch.setattr(command, "asked_denoiser", lambda *given, **named: Halving())
     folder, out = tmp_path / "in", tmp_path / "out"
     folder.mkdir()
     whole = write_aris(tmp_path / "whole.aris", pings(2, 20, 48)).read_bytes()
