@@ -12,7 +12,7 @@ denoised, only the last waits.  Needs a sourced ROS 2 and `pip install 'simnfnd[
 import argparse
 
 from simnfnd import FactoryError
-from simnfnd.factory.recordings.fan_finder import find_fan
+from simnfnd.factory.recordings.fan_finder import find_geometry
 from simnfnd.factory.recordings.fans import polar_geometry
 from simnfnd.factory.recordings.ros_messages import IMAGE, SONAR, frame_of, with_samples
 from simnfnd.models.denoise.denoiser import load_denoiser
@@ -39,8 +39,7 @@ class Worker:
         else:
             shape = frame.samples.shape
             if shape not in self.fans:
-                found = find_fan(frame.samples)
-                self.fans[shape] = found.geometry if found else None
+                self.fans[shape] = find_geometry(frame.samples)
             geometry = self.fans[shape]
         denoised = denoise_image(frame.samples, self.denoise, geometry)
         return with_samples(message, self.kind, denoised, what)

@@ -52,7 +52,7 @@ def denoise(
 
     needed = ("torch", "safetensors", "cv2", "scipy")
     require(Need("simnfnd.denoise", module) for module in needed)
-    from simnfnd.factory.recordings.fan_finder import find_fan
+    from simnfnd.factory.recordings.fan_finder import find_geometry
     from simnfnd.factory.recordings.palettes import find_painted
     from simnfnd.models.denoise.files import denoise_image
     from simnfnd.models.pretrained import find_weights
@@ -86,8 +86,7 @@ def denoise(
     def place(image: npt.NDArray[Any]) -> FanGeometry | None:
         if not isinstance(geometry, str):
             return geometry
-        found = find_fan(image) if geometry == "find" else None
-        return None if found is None else found.geometry
+        return find_geometry(image) if geometry == "find" else None
 
     known = given.astype(np.float32) if given.dtype.kind == "f" else given
     if given.ndim == 3 and given.shape[2] in (3, 4):

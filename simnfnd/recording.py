@@ -80,13 +80,12 @@ class OpenRecording:
 
         if frame.beams is not None:
             return RecordedFrame(*fan_of(grey_of(frame), frame.beams), frame.time_s, frame)
-        from simnfnd.factory.recordings.fan_finder import find_fan  # of the extra sonar
+        from simnfnd.factory.recordings.fan_finder import find_geometry  # of the extra sonar
 
         # As `simnfnd denoise` does it: a video's fan stays where it was found first.
         shape = frame.samples.shape
         if self._moves or shape not in self._found:
-            found = find_fan(frame.samples)
-            self._found[shape] = found.geometry if found else None
+            self._found[shape] = find_geometry(frame.samples)
         return RecordedFrame(frame.samples, self._found[shape], frame.time_s, frame)
 
 

@@ -25,7 +25,7 @@ from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.dataset.describe.quality import psnr_db as picture_psnr_db
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.progress import progress_bar
-from simnfnd.factory.recordings.fan_finder import find_fan
+from simnfnd.factory.recordings.fan_finder import find_geometry
 from simnfnd.factory.renders.views import open_views
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.seeds import stream
@@ -134,8 +134,7 @@ def _pictures(
             quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(*_QUALITY))]
             levels = cv2.imdecode(cv2.imencode(".jpg", levels, quality)[1], cv2.IMREAD_GRAYSCALE)
         gray = levels.astype(np.float32) / np.float32(255)
-        fan = None if rng.random() < _UNTOLD else find_fan(gray)
-        yield gray, sample.clean, None if fan is None else fan.geometry
+        yield gray, sample.clean, None if rng.random() < _UNTOLD else find_geometry(gray)
 
 
 def _fit(found: Judged) -> dict[str, Floats]:

@@ -12,9 +12,11 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from simnfnd.evaluation.baselines.base import Gray
 from simnfnd.evaluation.baselines.bm3d import bm3d
@@ -120,8 +122,7 @@ def in_colours(path: Path, denoise: Denoiser) -> None:
     height, width = grey.shape
     size = (round(width * _COLOURS_HEIGHT_PX / height), _COLOURS_HEIGHT_PX)
     small = [cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in columns]
-    parts = [np.pad(one, ((0, 0), (0, _GAP_PX), (0, 0)), constant_values=255) for one in small]
-    cv2.imwrite(str(OUT / "colours.png"), np.hstack(parts)[:, :-_GAP_PX])
+    cv2.imwrite(str(OUT / "colours.png"), side_by_side(small, gap=255))
 
 
 def on_a_screen(path: Path, denoise: Denoiser) -> None:
@@ -152,16 +153,21 @@ def on_a_screen(path: Path, denoise: Denoiser) -> None:
     cv2.imwrite(str(OUT / "screen.png"), np.vstack([screen, result]))
 
 
-def tall(picture: Gray) -> Gray:
+def tall(picture: Gray, height_px: int = _HEIGHT_PX) -> Gray:
     """As high as all of them."""
-    width = round(picture.shape[1] * _HEIGHT_PX / picture.shape[0])
-    found = cv2.resize(picture, (width, _HEIGHT_PX), interpolation=cv2.INTER_AREA)
+    width = round(picture.shape[1] * height_px / picture.shape[0])
+    found = cv2.resize(picture, (width, height_px), interpolation=cv2.INTER_AREA)
     return np.asarray(found, np.float32)
 
 
-def side_by_side(pictures: Sequence[Gray], gap_px: int = _GAP_PX) -> Gray:
-    """With black between them."""
-    parts = [np.pad(one, ((0, 0), (0, gap_px))) for one in pictures]
+def side_by_side(
+    pictures: Sequence[npt.NDArray[Any]], gap_px: int = _GAP_PX, gap: float = 0
+) -> npt.NDArray[Any]:
+    """(H, W) or (H, W, colours) with the level `gap` between them."""
+    parts = []
+    for one in pictures:
+        around = [(0, 0), (0, gap_px)] + [(0, 0)] * (one.ndim - 2)
+        parts.append(np.pad(one, around, constant_values=gap))
     return np.hstack(parts)[:, :-gap_px]
 
 

@@ -11,37 +11,27 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-import cv2
-import numpy as np
-
 from benchmarks.denoising.bench_removal import PLACES, Asked, rendered
 from simnfnd.models.denoise.in_turn import asked_denoiser
+from tools.real_pictures import side_by_side, tall, write
 
 OUT = Path("docs/images/removal.png")
 SHOWN = (("spokes", 22), ("spokes", 42), ("haze", 19))
 """Artefact, and number of the picture."""
-_HEIGHT_PX, _GAP_PX = 420, 8
+_HEIGHT_PX = 420
 
 
 def main() -> None:
     """Make the picture."""
-    rows = []
+    parts = []
     with tempfile.TemporaryDirectory() as folder:
         config, frames = rendered(Path(folder), PLACES)
         for artefact, number in SHOWN:
             sample = Asked(config, frames, (artefact,)).sample(number % len(frames), number)
             assert sample.clean is not None
             denoised = asked_denoiser(None, "cpu", [artefact])(sample.noisy, sample.geometry)
-            rows.append([_shown(one) for one in (sample.noisy, denoised, sample.clean)])
-    # The pictures of an artefact stand beside each other, one artefact after the other.
-    cv2.imwrite(str(OUT), np.hstack([part for row in rows for part in row])[:, :-_GAP_PX])
-
-
-def _shown(picture: np.ndarray) -> np.ndarray:
-    size = round(picture.shape[1] * _HEIGHT_PX / picture.shape[0]), _HEIGHT_PX
-    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
-    grey = np.rint(np.clip(small, 0, 1) * 255).astype(np.uint8)
-    return np.pad(grey, ((0, 0), (0, _GAP_PX)), constant_values=255)
+            parts += [tall(one, _HEIGHT_PX) for one in (sample.noisy, denoised, sample.clean)]
+    write(OUT, side_by_side(parts, gap=1))
 
 
 if __name__ == "__main__":

@@ -15,11 +15,12 @@ from simnfnd.evaluation.baselines.base import Gray
 from simnfnd.evaluation.data.pairs import geometry_of
 from simnfnd.evaluation.methods.apply import denoised
 from simnfnd.evaluation.methods.method import Method
-from simnfnd.evaluation.real.shots import found_geometry, open_input
+from simnfnd.evaluation.real.shots import open_input
 from simnfnd.factory.dataset.read.pair_dataset import PairDataset
 from simnfnd.factory.dataset.read.reader import Split
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.labels import CLASSES
+from simnfnd.factory.recordings.fan_finder import find_geometry
 from simnfnd.factory.sonar.geometry import FanGeometry
 
 Mask = npt.NDArray[np.uint8]
@@ -78,7 +79,7 @@ def read_real(folder: str) -> Labelled:
                 f"real: {shot.path} is {_size(picture)}, {shots[0].path} {_size(found[0][1])}; "
                 "give pictures of one size"
             )
-        found.append((shot.name, picture, mask, geometry or found_geometry(picture)))
+        found.append((shot.name, picture, mask, geometry or find_geometry(picture)))
     return Labelled(*zip(*found, strict=True))
 
 

@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 
 from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.real.shots import Mask, Shot, Stretch, found_geometry, sector_of
+from simnfnd.evaluation.real.shots import Mask, Shot, Stretch, sector_of
 from simnfnd.factory.errors import FrameError
+from simnfnd.factory.recordings.fan_finder import find_geometry
 from simnfnd.factory.recordings.static import StaticGroup, find_groups, laid_over, moving
 from simnfnd.factory.sonar.geometry import FanGeometry
 
@@ -112,7 +113,7 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
         if geometry is None:
             # The frames of one file have one fan.
             same = recording and bool(shots) and fans[-1] is not None
-            geometry = fans[-1] if same else found_geometry(picture)
+            geometry = fans[-1] if same else find_geometry(picture)
         shots.append(shot)
         fans.append(geometry)
         sectors.append(sector_of(picture, geometry))
@@ -155,7 +156,7 @@ def judged(number: int, group: Group, places: Sequence[int], several: int) -> It
 def alone(shot: Shot) -> Judged:
     """A picture of no group: without a reference."""
     noisy, geometry = shot.read()
-    geometry = geometry or found_geometry(noisy)
+    geometry = geometry or find_geometry(noisy)
     return Judged(None, shot, noisy, None, sector_of(noisy, geometry), geometry)
 
 

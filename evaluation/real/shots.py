@@ -14,7 +14,6 @@ from simnfnd.evaluation.baselines.base import Gray
 from simnfnd.evaluation.realism.real import GEOMETRY_FILE, open_real
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import kind_of, open_recording
-from simnfnd.factory.recordings.fan_finder import find_fan
 from simnfnd.factory.recordings.fans import frame_picture
 from simnfnd.factory.sonar.geometry import FanGeometry
 
@@ -96,12 +95,6 @@ def open_input(given: str, search: int) -> tuple[list[Stretch], tuple[str, ...]]
             count = len(stretch.shots)
             notes += (f"of the {count} frames of {stretch.name} the first {search} are looked at",)
     return [Stretch(one.name, one.shots[:search]) for one in found], notes
-
-
-def found_geometry(picture: Gray) -> FanGeometry | None:
-    """The fan that is seen in (H, W) float32 in 0..1, if there is one."""
-    found = find_fan(picture)
-    return None if found is None else found.geometry
 
 
 def sector_of(picture: Gray, geometry: FanGeometry | None) -> Mask:

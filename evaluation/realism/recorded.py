@@ -9,7 +9,7 @@ from simnfnd.evaluation.realism.pictures import Source
 from simnfnd.evaluation.realism.polar import Gray
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import open_recording
-from simnfnd.factory.recordings.fan_finder import find_fan
+from simnfnd.factory.recordings.fan_finder import find_geometry
 from simnfnd.factory.recordings.fans import frame_picture
 from simnfnd.factory.sonar.geometry import FanGeometry
 
@@ -26,8 +26,7 @@ def recorded(path: Path) -> tuple[Source, ...]:
     for number in range(count):
         picture, geometry = frame_picture(path, number)
         if geometry is None and found is None:
-            seen = find_fan(picture)
-            found = None if seen is None else seen.geometry
+            found = find_geometry(picture)
         geometry = geometry or found
         if geometry is None:
             raise FactoryError(

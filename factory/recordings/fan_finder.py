@@ -63,13 +63,20 @@ def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
     if min(grey.shape) < _SMALLEST:
         return None
     found = _find_upright(grey, SURE) or _find_turned(grey)
-    if found is None:
-        # A video's ground is not quite flat; the wider, the farther it reaches into a fan's grain.
-        for spread in _GROUND_SPREADS:
-            alone = _largest_part(grey, spread)
-            if alone is not None and found is None:
-                found = _find_upright(alone, _SURE_ODD) or _find_turned(alone)
+    # A video's ground is not quite flat; the wider, the farther it reaches into a fan's grain.
+    for spread in _GROUND_SPREADS:
+        if found is not None:
+            break
+        alone = _largest_part(grey, spread)
+        if alone is not None:
+            found = _find_upright(alone, _SURE_ODD) or _find_turned(alone)
     return found
+
+
+def find_geometry(picture: npt.NDArray[Any]) -> FanGeometry | None:
+    """The geometry of the fan that `find_fan` sees, if it sees one."""
+    found = find_fan(picture)
+    return None if found is None else found.geometry
 
 
 def _find_turned(grey: npt.NDArray[np.uint8]) -> FoundFan | None:
@@ -85,7 +92,7 @@ def _find_turned(grey: npt.NDArray[np.uint8]) -> FoundFan | None:
 
 def _largest_part(grey: npt.NDArray[np.uint8], spread: int) -> npt.NDArray[np.uint8] | None:
     """What is largest on a flat ground, alone on black: a fan amid text and panels."""
-    ground = int(np.median(_border(grey)))
+    ground = int(np.median(border(grey)))
     shown = grey
     if ground > spread:
         shown = np.where(_ground(grey, ground, spread) > 0, 0, grey).astype(np.uint8)
@@ -153,13 +160,14 @@ def _black(grey: npt.NDArray[np.uint8]) -> int:
     return min(int(np.quantile(corner, 0.99)) for corner in _corners(grey))
 
 
-def _border(grey: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def border(grey: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The outermost pixels of (H, W), in one row."""
     return np.concatenate([grey[0], grey[-1], grey[:, 0], grey[:, -1]])
 
 
 def _without_page(grey: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
     """Black where a page of one bright grey reaches in from the picture's border."""
-    ground = _ground(grey, int(np.median(_border(grey))), _PAGE_SPREAD)
+    ground = _ground(grey, int(np.median(border(grey))), _PAGE_SPREAD)
     # JPEG rings beside the page.
     return np.where(cv2.dilate(ground, np.ones((3, 3), np.uint8)) > 0, 0, grey).astype(np.uint8)
 
@@ -168,7 +176,7 @@ def _ground(grey: npt.NDArray[np.uint8], level: int, spread: int) -> npt.NDArray
     """1 where pixels of a level reach in from the picture's border, else 0."""
     alike = (np.abs(grey.astype(np.int16) - level) <= spread).astype(np.uint8)
     _, parts = cv2.connectedComponents(alike, connectivity=4)
-    return np.isin(parts, np.setdiff1d(_border(parts), 0)).astype(np.uint8)
+    return np.isin(parts, np.setdiff1d(border(parts), 0)).astype(np.uint8)
 
 
 def _cropped(grey: npt.NDArray[np.uint8], black: int) -> tuple[npt.NDArray[np.uint8], int, int]:

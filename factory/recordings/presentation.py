@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from simnfnd.factory.recordings.fan_finder import border
 from simnfnd.factory.sonar.geometry import FanGeometry
 
 Grey = npt.NDArray[np.float32]
@@ -66,8 +67,7 @@ def presentation_of(grey: Grey, geometry: FanGeometry | None) -> Presentation:
 
 def is_negative(grey: Grey, geometry: FanGeometry) -> bool:
     """Whether echoes are dark on white, and so is the page around the fan."""
-    border = np.concatenate([grey[0], grey[-1], grey[:, 0], grey[:, -1]])
-    if geometry.layout == "polar" or np.median(border) <= _WHITE:
+    if geometry.layout == "polar" or np.median(border(grey)) <= _WHITE:
         return False
     inside = geometry.maps(0, 0, *grey.shape)["sector"] > 0
     if inside.all() or not inside.any() or grey[~inside].mean() <= _WHITE:

@@ -16,7 +16,7 @@ import numpy as np
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
-from simnfnd.factory.recordings.fan_finder import find_fan
+from simnfnd.factory.recordings.fan_finder import find_geometry
 from simnfnd.factory.recordings.presentation import presentation_of
 from simnfnd.factory.seeds import stream
 from simnfnd.models.data.images import list_images, read_sample
@@ -90,7 +90,6 @@ def digest_of(frames: Sequence[SampleRef]) -> str:
 def _frame(ref: SampleRef) -> Sample:
     grey, geometry = read_sample(ref)
     if geometry is None:
-        fan = find_fan(grey)
-        given = presentation_of(grey, None if fan is None else fan.geometry)
+        given = presentation_of(grey, find_geometry(grey))
         grey, geometry = given.shown(grey), given.geometry
     return Sample(grey, np.full_like(grey, np.nan), np.zeros_like(grey), geometry)

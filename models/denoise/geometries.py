@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from simnfnd.factory.recordings.fan_finder import find_fan
+from simnfnd.factory.recordings.fan_finder import find_geometry
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.data.fans import read_fans
 from simnfnd.models.denoise.inputs import Item
@@ -42,8 +42,7 @@ class Geometries:
         key = item.source, picture.shape
         if key in self._videos:
             return self._videos[key]
-        found = find_fan(picture)
-        geometry = found.geometry if found else None
+        geometry = find_geometry(picture)
         video = item.kind in ("video", "bag")
         if video:
             self._videos[key] = geometry

@@ -170,4 +170,5 @@ def test_in_python_and_while_learning() -> None:
     np.testing.assert_allclose(made[0].grey / made[1].grey, 20 / 16, rtol=1e-5)
     assert gain_of(made[0].grey) == pytest.approx(1, abs=1e-5)
     usual_shots = [Shot(grey), Shot(grey / 16)]
-    assert [one.grey for one in presented(usual_shots)] == [one.grey for one in usual_shots]
+    for made_usual, given_usual in zip(presented(usual_shots), usual_shots, strict=True):
+        assert made_usual.grey is given_usual.grey
