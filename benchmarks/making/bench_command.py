@@ -1,9 +1,9 @@
 """What a further frame costs through `simnfnd make` itself: by the difference of two runs.
 
-Everything is in it that a user pays: finding and reading the frame, the render and its cache entry,
-both pictures (512x512), the shard, the bars, and nothing that is paid once a run.  With --frame
-frames of FLSea VI, too: copies of the first one there, of which one depth differs by a thousandth,
-so that no render serves two.
+Each is the median of three.  Everything is in it that a user pays: finding and reading the frame,
+the render and its cache entry, both pictures (512x512), the shard, the bars, and nothing that is
+paid once a run.  With --frame frames of FLSea VI, too: copies of the first one there, of which one
+depth differs by a thousandth, so that no render serves two.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 from pathlib import Path
+from statistics import median
 
 import numpy as np
 from PIL import Image
@@ -21,6 +22,8 @@ from benchmarks.shared import frame_words, in_own_process, run_factory
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.scenes import open_reader
 
+# Single runs differ by a tenth of a second: by a tenth of what a further frame costs.
+TURNS = 3
 RENDERERS = ("analytic", "embree", "cycles")
 # One worker, for two would wait for each other's memory; a preview is paid once a run.
 ONE = ("scheduler.workers=1", "dataset.preview_pairs=0")
@@ -28,7 +31,7 @@ ONE = ("scheduler.workers=1", "dataset.preview_pairs=0")
 
 def measure(options: Options) -> Section:
     """A table for procedural frames, and one for real ones."""
-    few, many = options.amount(4, 1), options.amount(20, 2)
+    few, many = options.amount(4, 1), options.amount(44, 2)
     tables = []
     with tempfile.TemporaryDirectory(prefix="command-") as name:
         folder = Path(name)
@@ -71,17 +74,13 @@ def _table(
         for state in ("cold", "warm"):
             spent = []
             for count in counts:
-                kept = folder / renderer / str(count)
-                spent.append(
-                    run_factory(
-                        [
-                            *how,
-                            f"frames.limit={count}",
-                            f"cache.dir={kept / 'cache'}",
-                            f"dataset.dir={kept / state}",
-                        ]
-                    ).cpu
-                )
+                times = []
+                for turn in range(options.amount(TURNS)):
+                    kept = folder / renderer / str(count) / str(turn)
+                    # A warm run has the cache of the cold one before it.
+                    places = [f"cache.dir={kept / 'cache'}", f"dataset.dir={kept / state}"]
+                    times.append(run_factory([*how, f"frames.limit={count}", *places]).cpu)
+                spent.append(median(times))
             (less, more), (few, many) = spent, counts
             frame = (more - less) / (many - few)
             rows.append((f"{renderer}, {state}", recipe / frame, frame, less - few * frame))
