@@ -12,8 +12,8 @@ denoised, only the last waits.  Needs a sourced ROS 2 and `pip install 'simnfnd[
 import argparse
 
 from simnfnd import FactoryError
-from simnfnd.factory.recordings.fan_finder import find_geometry
-from simnfnd.factory.recordings.fans import polar_geometry
+from simnfnd.factory.recordings.fan.finder import find_geometry
+from simnfnd.factory.recordings.fan.pings import polar_geometry
 from simnfnd.factory.recordings.ros_messages import IMAGE, SONAR, frame_of, with_samples
 from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.denoise.files import denoise_image

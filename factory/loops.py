@@ -32,7 +32,7 @@ LOOPS = (
     "simnfnd.factory.scenes.seabed.loops.texture_loops",
     "simnfnd.factory.scenes.seabed.loops.viewpoint_loops",
     "simnfnd.factory.sonar.echo_loops",
-    "simnfnd.factory.recordings.fan_loops",
+    "simnfnd.factory.recordings.fan.loops",
     "simnfnd.factory.sonar.number_loops",
     "simnfnd.factory.sonar.picture_loops",
 )

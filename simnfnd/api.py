@@ -52,7 +52,7 @@ def denoise(
 
     needed = ("torch", "safetensors", "cv2", "scipy")
     require(Need("simnfnd.denoise", module) for module in needed)
-    from simnfnd.factory.recordings.fan_finder import find_geometry
+    from simnfnd.factory.recordings.fan.finder import find_geometry
     from simnfnd.factory.recordings.palettes import find_painted
     from simnfnd.models.denoise.files import denoise_image
     from simnfnd.models.pretrained import find_weights

@@ -25,7 +25,7 @@ from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.dataset.describe.quality import psnr_db as picture_psnr_db
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.progress import progress_bar
-from simnfnd.factory.recordings.fan_finder import find_geometry
+from simnfnd.factory.recordings.fan.finder import find_geometry
 from simnfnd.factory.renders.views import open_views
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.seeds import stream

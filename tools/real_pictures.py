@@ -22,8 +22,8 @@ from simnfnd.evaluation.baselines.base import Gray
 from simnfnd.evaluation.baselines.bm3d import bm3d
 from simnfnd.evaluation.real.groups import Judged, judged, search
 from simnfnd.evaluation.real.shots import Mask, open_input
-from simnfnd.factory.recordings.fan_finder import find_fan
-from simnfnd.factory.recordings.fans import frame_picture
+from simnfnd.factory.recordings.fan.finder import find_fan
+from simnfnd.factory.recordings.fan.pings import frame_picture
 from simnfnd.factory.recordings.palettes import find_painted
 from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
 from simnfnd.models.denoise.files import denoise_image

@@ -23,7 +23,7 @@ from simnfnd.evaluation.benchmark.sets import write_fans
 from simnfnd.evaluation.real.groups import LEAST, Group, judged, search
 from simnfnd.evaluation.real.shots import open_input
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings.fans import close_last
+from simnfnd.factory.recordings.fan.pings import close_last
 from simnfnd.factory.sonar.geometry import FanGeometry
 
 _SEARCHED = 600  # frames of a folder or recording

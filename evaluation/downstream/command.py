@@ -40,7 +40,7 @@ def run(config: DictConfig) -> None:
     from simnfnd.evaluation.downstream.pictures import LEAST_CLASSES, read_real, read_simulated
     from simnfnd.evaluation.methods.method import NOISY, Method, baselines_of
     from simnfnd.evaluation.methods.networks import networks_at
-    from simnfnd.factory.recordings.fans import close_last
+    from simnfnd.factory.recordings.fan.pings import close_last
 
     filters = [Method(b.name, "", dict(b.default)) for b in baselines_of(settings.baselines)]
     every = [NOISY, *filters, *networks_at(settings.models, {})]

@@ -20,7 +20,7 @@ from simnfnd.factory.dataset.read.pair_dataset import PairDataset
 from simnfnd.factory.dataset.read.reader import Split
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.labels import CLASSES
-from simnfnd.factory.recordings.fan_finder import find_geometry
+from simnfnd.factory.recordings.fan.finder import find_geometry
 from simnfnd.factory.sonar.geometry import FanGeometry
 
 Mask = npt.NDArray[np.uint8]

@@ -35,7 +35,7 @@ def run(config: DictConfig) -> None:
     from simnfnd.evaluation.real.judging import judge
     from simnfnd.evaluation.real.shots import open_input
     from simnfnd.factory.files import check_writable
-    from simnfnd.factory.recordings.fans import close_last
+    from simnfnd.factory.recordings.fan.pings import close_last
     from simnfnd.factory.workers.tasks import TaskPool
 
     if settings.tuned is not None and not Path(settings.tuned).is_file():

@@ -12,7 +12,7 @@ import numpy as np
 from simnfnd.evaluation.baselines.base import Gray
 from simnfnd.evaluation.real.shots import Mask, Shot, Stretch, sector_of
 from simnfnd.factory.errors import FrameError
-from simnfnd.factory.recordings.fan_finder import find_geometry
+from simnfnd.factory.recordings.fan.finder import find_geometry
 from simnfnd.factory.recordings.static import StaticGroup, find_groups, laid_over, moving
 from simnfnd.factory.sonar.geometry import FanGeometry
 

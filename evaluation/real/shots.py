@@ -14,7 +14,7 @@ from simnfnd.evaluation.baselines.base import Gray
 from simnfnd.evaluation.realism.real import GEOMETRY_FILE, open_real
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import kind_of, open_recording
-from simnfnd.factory.recordings.fans import frame_picture
+from simnfnd.factory.recordings.fan.pings import frame_picture
 from simnfnd.factory.sonar.geometry import FanGeometry
 
 Mask = npt.NDArray[np.bool_]

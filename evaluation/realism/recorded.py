@@ -9,8 +9,8 @@ from simnfnd.evaluation.realism.pictures import Source
 from simnfnd.evaluation.realism.polar import Gray
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import open_recording
-from simnfnd.factory.recordings.fan_finder import find_geometry
-from simnfnd.factory.recordings.fans import frame_picture
+from simnfnd.factory.recordings.fan.finder import find_geometry
+from simnfnd.factory.recordings.fan.pings import frame_picture
 from simnfnd.factory.sonar.geometry import FanGeometry
 
 

@@ -19,7 +19,7 @@ from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import check_writable, write_atomically
 from simnfnd.factory.recordings import kind_of, open_recording
 from simnfnd.factory.recordings.base import FULL_SCALE, Samples
-from simnfnd.factory.recordings.fan_finder import FoundFan, find_fan
+from simnfnd.factory.recordings.fan.finder import FoundFan, find_fan
 from simnfnd.factory.sonar.geometry import FanGeometry
 
 COLUMNS = (

@@ -14,7 +14,7 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import write_atomically
 from simnfnd.factory.recordings import is_recording, open_recording
 from simnfnd.factory.recordings.base import Frame
-from simnfnd.factory.recordings.fans import fan_of, grey_of
+from simnfnd.factory.recordings.fan.pings import fan_of, grey_of
 
 
 def main(words: list[str]) -> None:

@@ -18,7 +18,7 @@ from simnfnd.factory.dataset.read.reader import reading
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import Frame, Recording, open_recording
 from simnfnd.factory.recordings.base import FULL_SCALE
-from simnfnd.factory.recordings.fans import fan_of, grey_of
+from simnfnd.factory.recordings.fan.pings import fan_of, grey_of
 from simnfnd.factory.recordings.pictures import Pictures
 
 Picture = npt.NDArray[np.uint8]

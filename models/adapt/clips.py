@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.recordings import Frame, open_recording
-from simnfnd.factory.recordings.fans import grey_of, polar_geometry
+from simnfnd.factory.recordings.fan.pings import grey_of, polar_geometry
 from simnfnd.factory.recordings.palettes import grey_of_colours
 from simnfnd.factory.recordings.pictures import read_grey
 from simnfnd.factory.recordings.presentation import presentation_of

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import PICTURE_SUFFIXES, is_recording, open_recording
-from simnfnd.factory.recordings.fans import frame_picture
+from simnfnd.factory.recordings.fan.pings import frame_picture
 from simnfnd.factory.recordings.pictures import read_grey, read_picture
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.data.pairs import Image, Sample, SampleRef

@@ -16,7 +16,7 @@ import numpy as np
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
-from simnfnd.factory.recordings.fan_finder import find_geometry
+from simnfnd.factory.recordings.fan.finder import find_geometry
 from simnfnd.factory.recordings.presentation import presentation_of
 from simnfnd.factory.seeds import stream
 from simnfnd.models.data.images import list_images, read_sample

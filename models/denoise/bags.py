@@ -12,7 +12,7 @@ import numpy.typing as npt
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.recordings import Frame
 from simnfnd.factory.recordings.base import Samples
-from simnfnd.factory.recordings.fans import fan_of, grey_of, polar_geometry
+from simnfnd.factory.recordings.fan.pings import fan_of, grey_of, polar_geometry
 from simnfnd.factory.recordings.ros_messages import SONAR
 from simnfnd.factory.recordings.rosbag import RosBag
 from simnfnd.factory.sonar.geometry import FanGeometry

@@ -16,7 +16,7 @@ from simnfnd.factory.files import write_atomically
 from simnfnd.factory.recordings import Frame, Recording, open_recording
 from simnfnd.factory.recordings.aris.file import ArisFile
 from simnfnd.factory.recordings.base import FULL_SCALE
-from simnfnd.factory.recordings.fans import fan_of, grey_of, polar_geometry
+from simnfnd.factory.recordings.fan.pings import fan_of, grey_of, polar_geometry
 from simnfnd.factory.recordings.pictures import read_picture
 from simnfnd.factory.recordings.video import VideoFile
 from simnfnd.factory.sonar.geometry import FanGeometry

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from simnfnd.factory.recordings.fan_finder import find_geometry
+from simnfnd.factory.recordings.fan.finder import find_geometry
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.data.fans import read_fans
 from simnfnd.models.denoise.inputs import Item

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from simnfnd.factory.recordings.fan_finder import FoundFan, find_fan
+from simnfnd.factory.recordings.fan.finder import FoundFan, find_fan
 from simnfnd.factory.sonar.geometry import FanGeometry
 from tests.factory.recordings.fan_pictures import Grey, fan, preset
 from tests.factory.recordings.screens import LEFT, TOP, screen

@@ -14,7 +14,7 @@ import pytest
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import open_recording
-from simnfnd.factory.recordings.fans import fan_of, grey_of
+from simnfnd.factory.recordings.fan.pings import fan_of, grey_of
 from simnfnd.factory.recordings.ros_messages import COMPRESSED, IMAGE, SONAR, typestore
 from simnfnd.factory.recordings.rosbag import RosBag
 from tests.factory.recordings.bag_files import compressed, image, sonar, write_bag

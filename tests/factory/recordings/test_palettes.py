@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simnfnd.factory.recordings.fan_finder import find_fan
+from simnfnd.factory.recordings.fan.finder import find_fan
 from simnfnd.factory.recordings.palettes import SUM, find_painted, grey_of_colours
 from tests.factory.recordings.fan_pictures import fan, preset
 from tests.factory.recordings.screens import LEFT, TOP, screen, with_rings

@@ -16,7 +16,7 @@ from simnfnd.factory.recordings import is_recording, kind_of, open_recording
 from simnfnd.factory.recordings.aris.beams import BEAM_CENTRES_DEG
 from simnfnd.factory.recordings.aris.file import ArisFile
 from simnfnd.factory.recordings.base import Beams
-from simnfnd.factory.recordings.fans import fan_of, grey_of, polar_geometry
+from simnfnd.factory.recordings.fan.pings import fan_of, grey_of, polar_geometry
 from tests.factory.recordings.recording_files import (
     DATA,
     pings,

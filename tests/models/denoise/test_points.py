@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from simnfnd import denoise, make_pair
 from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
-from simnfnd.factory.recordings.fans import frame_picture
+from simnfnd.factory.recordings.fan.pings import frame_picture
 from simnfnd.models.denoise import suited
 from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import simnfnd
-from simnfnd.factory.recordings.fan_finder import find_fan
+from simnfnd.factory.recordings.fan.finder import find_fan
 from simnfnd.factory.recordings.presentation import gain_of, presentation_of
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.adapt.clips import Shot, presented

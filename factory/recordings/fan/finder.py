@@ -1,7 +1,7 @@
 """The geometry of a fan picture, found in the picture itself: where its black border ends.
 
 A fan picture is lit inside a sector and black outside it, mostly with far range on top.  The sector
-is found that best tells lit from black pixels (`fan_outline`), and then looked at for how much of
+is found that best tells lit from black pixels (`outline`), and then looked at for how much of
 its outline is really there.  Where there is none, the picture is turned by quarters, looked at as a
 negative, and what is largest in it alone.
 """
@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.recordings.fan_outline import Numbers, fit_sector
+from simnfnd.factory.recordings.fan.outline import Numbers, fit_sector
 from simnfnd.factory.recordings.palettes import find_painted
 from simnfnd.factory.sonar.geometry import FanGeometry
 
@@ -209,10 +209,10 @@ def _bytes(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
 
 
 def _inside(sector: Numbers, height: int, width: int) -> npt.NDArray[np.uint8]:
-    from simnfnd.factory.recordings import fan_loops
+    from simnfnd.factory.recordings.fan import loops
 
     top, bottom = np.empty(width), np.empty(width)
-    fan_loops.column_limits(sector, np.arange(width, dtype=np.float64), top, bottom)
+    loops.column_limits(sector, np.arange(width, dtype=np.float64), top, bottom)
     row = np.arange(height)[:, None]
     return ((row >= top) & (row <= bottom)).astype(np.uint8)
 

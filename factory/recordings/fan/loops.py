@@ -1,6 +1,6 @@
 """Compiled loops that hold an outline of a fan against a picture; see `simnfnd.factory.compiled`.
 
-The outline is that of `simnfnd.factory.recordings.fan_outline`, which says what the numbers mean.
+The outline is that of `simnfnd.factory.recordings.fan.outline`, which says what the numbers mean.
 """
 
 from __future__ import annotations

@@ -26,15 +26,15 @@ _MOST_SQUEEZE = 2.0
 def fit_sector(lit: npt.NDArray[np.bool_]) -> Numbers | None:
     """The sector that best separates lit from black pixels, None where there is none.
 
-    lit: (H, W).  The numbers are those of `_sector`, as `fan_loops` takes them.
+    lit: (H, W).  The numbers are those of `_sector`, as `loops` takes them.
     """
-    from simnfnd.factory.recordings import fan_loops  # loads numba
+    from simnfnd.factory.recordings.fan import loops  # loads numba
 
     guess = _first_guess(lit)
     if guess is None:
         return None
     outline, rows, cell = guess
-    above = fan_loops.lit_above(lit)
+    above = loops.lit_above(lit)
     coarse = _objective(above, outline, rows)
     if coarse is None:
         return None
@@ -130,12 +130,12 @@ def _objective(
     above: npt.NDArray[np.int32], outline: Numbers, rows: tuple[float, float]
 ) -> _Objective | None:
     """With the shares of lit pixels inside and outside `outline`; None if it parts nothing."""
-    from simnfnd.factory.recordings import fan_loops
+    from simnfnd.factory.recordings.fan import loops
 
     sector = _sector(outline, rows)
     if sector is None:
         return None
-    lit, area = fan_loops.lit_inside(above, sector, 1, False)
+    lit, area = loops.lit_inside(above, sector, 1, False)
     outside = above.size - above.shape[1] - area
     inside_share = float(np.clip(lit / max(area, 1.0), 0.05, 0.97))
     outside_share = float(np.clip((above[-1].sum() - lit) / max(outside, 1.0), 1e-3, 0.05))
@@ -150,7 +150,7 @@ def _objective(
 class _Objective:
     """How badly an outline tells lit from black, to be made small.
 
-    above: see `fan_loops.lit_above`.  rows: see `_first_guess`.
+    above: see `loops.lit_above`.  rows: see `_first_guess`.
     gain, price: of a lit and of a black pixel inside, logarithms of likelihood ratios.
     """
 
@@ -161,13 +161,13 @@ class _Objective:
 
     def cost(self, outline: Numbers, whole: bool = False) -> float:
         """Minus the logarithm of the likelihood, but for a constant."""
-        from simnfnd.factory.recordings import fan_loops
+        from simnfnd.factory.recordings.fan import loops
 
         sector = _sector(outline, self.rows)
         if sector is None:
             return 1e15
         step = max(1, self.above.shape[1] // 400)
-        lit, area = fan_loops.lit_inside(self.above, sector, step, whole)
+        lit, area = loops.lit_inside(self.above, sector, step, whole)
         return float(self.price * (area - lit) - self.gain * lit) * step
 
     def improve(self, outline: Numbers, size_px: float, squeezed: bool) -> Numbers:

@@ -1,0 +1,1 @@
+"""Fans: found in pictures, and made of pings."""
