@@ -14,8 +14,9 @@ import numpy.typing as npt
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
-from simnfnd.factory.recordings.base import PICTURE_SUFFIXES, TIFF_SUFFIXES
-from simnfnd.factory.recordings.pictures import in_unit_range, is_stack, read_picture
+from simnfnd.factory.recordings import PICTURE_SUFFIXES, SEQUENCES, kind_of
+from simnfnd.factory.recordings.arrays import is_table
+from simnfnd.factory.recordings.pictures import in_unit_range, read_picture
 
 ROW = -1
 """Stands in a `Place` for: an image file, no shard."""
@@ -56,7 +57,7 @@ def images_in(folder: Path) -> list[Path]:
     return sorted(
         path
         for path in folder.iterdir()
-        if path.suffix.lower() in PICTURE_SUFFIXES and path.is_file()
+        if path.suffix.lower() in PICTURE_SUFFIXES and path.is_file() and not is_table(path)
     )
 
 
@@ -78,7 +79,7 @@ def read_pair(noisy: Path) -> tuple[Gray, Gray, npt.NDArray[np.bool_] | None]:
 
 def read_gray(path: Path) -> Gray:
     """(H, W) float32 in 0..1 of an image file.  FactoryError when it is none, or in colour."""
-    if path.suffix.lower() in TIFF_SUFFIXES and is_stack(path):
+    if kind_of(path) in SEQUENCES:
         raise FactoryError(f"{path}: holds several pages; give each pair files of its own")
     image = read_picture(path)
     if image.ndim == 3:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from simnfnd.evaluation.realism.pictures import Collection, Source, label_of
 from simnfnd.evaluation.realism.recorded import recorded
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import PICTURE_SUFFIXES, is_recording
+from simnfnd.factory.recordings import PICTURE_SUFFIXES, is_recording, kind_of
 from simnfnd.factory.recordings.pictures import read_grey
 from simnfnd.factory.sonar.geometry import FanGeometry
 
@@ -65,7 +65,8 @@ def open_real(folder: str | Path) -> Collection:
         )
     table = root / GEOMETRY_FILE
     images = root / "Images" if (root / "Images").is_dir() else root
-    paths = sorted(path for path in images.iterdir() if path.suffix.lower() in PICTURE_SUFFIXES)
+    files = sorted(path for path in images.iterdir() if path.is_file())
+    paths = [path for path in files if kind_of(path) == "pictures"]
     if not paths and (
         recordings := [path for path in sorted(root.iterdir()) if is_recording(path)]
     ):

@@ -17,7 +17,7 @@ import numpy as np
 from simnfnd.factory.cli import Parser
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import check_writable, write_atomically
-from simnfnd.factory.recordings import kind_of, open_recording
+from simnfnd.factory.recordings import SEQUENCES, kind_of, open_recording
 from simnfnd.factory.recordings.base import FULL_SCALE, Samples
 from simnfnd.factory.recordings.fan.finder import FoundFan, find_fan
 from simnfnd.factory.sonar.geometry import FanGeometry
@@ -37,7 +37,7 @@ def main(words: list[str]) -> int:
         "pictures",
         nargs="+",
         type=Path,
-        help="pictures, folders of them, or videos and stacks (first frame)",
+        help="pictures, folders of them, or videos, stacks and arrays (first frame)",
     )
     parser.add_argument("--out", type=Path, help="folder for the pictures with the fan drawn in")
     given = parser.parse_args(words)
@@ -66,7 +66,7 @@ def main(words: list[str]) -> int:
 def _pictures(path: Path) -> Iterator[tuple[str, Samples]]:
     """(file name, pixels) of a picture, of each in a folder, or of a video's first frame."""
     kind = kind_of(path)
-    if kind not in ("pictures", "video", "stack"):
+    if kind not in ("pictures", *SEQUENCES):
         raise FactoryError(f"{path}: neither a picture nor a folder nor a video")
     with open_recording(path) as recording:
         if kind != "pictures":

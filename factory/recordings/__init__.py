@@ -12,6 +12,7 @@ from pathlib import Path
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings.base import (
+    ARRAY_SUFFIX,
     PICTURE_SUFFIXES,
     TIFF_SUFFIXES,
     Beams,
@@ -24,6 +25,7 @@ from simnfnd.factory.recordings.rosbag_files import is_bag_folder
 
 __all__ = [
     "PICTURE_SUFFIXES",
+    "SEQUENCES",
     "Beams",
     "Device",
     "Frame",
@@ -43,9 +45,13 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "rosbag": (f"{_ROOM}.rosbag:RosBag", (".bag", ".mcap", ".db3")),
     "video": (f"{_ROOM}.video:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
     "stack": (f"{_ROOM}.pictures:StackFile", ()),
+    "array": (f"{_ROOM}.arrays:ArrayFile", ()),
     "pictures": (f"{_ROOM}.pictures:Pictures", PICTURE_SUFFIXES),
 }
-"""Kind -> ("module:class", suffixes of its files); stacks have those of pictures."""
+"""Kind -> ("module:class", suffixes of its files); stacks and arrays have those of pictures."""
+
+SEQUENCES = ("video", "stack", "array")
+"""Kinds whose frames are pictures, one after the other."""
 
 # What OpenCV reads, which is an extra; bags say themselves what they need.
 _OPENCV = {"video": "reading videos", "pictures": "reading pictures"}
@@ -54,7 +60,8 @@ _OPENCV = {"video": "reading videos", "pictures": "reading pictures"}
 def kind_of(path: Path) -> str | None:
     """The kind of recording that a file's name says; None for others.
 
-    A TIFF file of several pages is a `stack`.  A folder is `rosbag` when it holds a bag of ROS 2,
+    A TIFF file of several pages is a `stack`, a NumPy file of several pictures an `array`; one
+    that holds no pictures is of no kind.  A folder is `rosbag` when it holds a bag of ROS 2,
     and `pictures` otherwise.
     """
     if path.is_dir():
@@ -65,6 +72,10 @@ def kind_of(path: Path) -> str | None:
 
         if is_stack(path):
             return "stack"
+    if suffix == ARRAY_SUFFIX and path.is_file():
+        from simnfnd.factory.recordings.arrays import kind_of_array
+
+        return {"picture": "pictures", "several": "array", "other": None}[kind_of_array(path)]
     for kind, (_, suffixes) in READERS.items():
         if suffix in suffixes:
             return kind

@@ -20,11 +20,16 @@ import numpy.typing as npt
 from simnfnd.factory.errors import FactoryError, FrameError
 
 TIFF_SUFFIXES = (".tif", ".tiff")
-PICTURE_SUFFIXES = (".png", *TIFF_SUFFIXES, ".jpg", ".jpeg", ".bmp", ".pgm")
+ARRAY_SUFFIX = ".npy"
+PICTURE_SUFFIXES = (
+    *(".png", *TIFF_SUFFIXES, ".jpg", ".jpeg", ".bmp", ".pgm", ".webp", ARRAY_SUFFIX),
+)
 FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 """dtype -> grey value of full scale, of the pixels that are read and written."""
 Samples = npt.NDArray[Any]
 
+MOST_PIXELS = 1 << 26
+"""Of a picture."""
 MOST_RANGES, MOST_BEAMS = 8192, 4096
 MOST_RANGE_M = 2000.0
 

@@ -15,8 +15,11 @@ import numpy.typing as npt
 from PIL import Image
 
 from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.recordings.arrays import is_table, read_array
 from simnfnd.factory.recordings.base import (
+    ARRAY_SUFFIX,
     FULL_SCALE,
+    MOST_PIXELS,
     PICTURE_SUFFIXES,
     FileOfFrames,
     Frame,
@@ -24,7 +27,6 @@ from simnfnd.factory.recordings.base import (
 )
 from simnfnd.factory.recordings.palettes import grey_of_colours
 
-MOST_PIXELS = 1 << 26
 _PAGES = {"L": "grey of 8 bits", "I;16": "of 16 bits", "F": "of floats", "RGB": "colours of 8 bits"}
 
 
@@ -57,7 +59,9 @@ class Pictures:
         if path.is_dir():
             found = sorted(path.iterdir())
             self.files = [
-                one for one in found if one.suffix.lower() in PICTURE_SUFFIXES and one.is_file()
+                one
+                for one in found
+                if one.suffix.lower() in PICTURE_SUFFIXES and one.is_file() and not is_table(one)
             ]
         if not self.files or not self.files[0].is_file():
             raise FactoryError(f"{path}: holds no picture ({', '.join(PICTURE_SUFFIXES)})")
@@ -87,8 +91,10 @@ class Pictures:
 def read_picture(path: Path) -> Samples:
     """The pixels of a file as stored, (H, W) or (H, W, colours).  Raises FrameError; see `decoded`.
 
-    Of a TIFF of several pages the first.
+    Of a TIFF of several pages, and of an array of several pictures, the first.
     """
+    if path.suffix.lower() == ARRAY_SUFFIX:
+        return read_array(path)
     try:
         content = path.read_bytes()
     except OSError as error:

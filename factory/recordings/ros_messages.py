@@ -19,6 +19,7 @@ import numpy.typing as npt
 from simnfnd.factory.errors import FrameError
 from simnfnd.factory.recordings.base import (
     MOST_BEAMS,
+    MOST_PIXELS,
     MOST_RANGE_M,
     MOST_RANGES,
     Beams,
@@ -27,7 +28,7 @@ from simnfnd.factory.recordings.base import (
     Samples,
     known,
 )
-from simnfnd.factory.recordings.pictures import MOST_PIXELS, decoded
+from simnfnd.factory.recordings.pictures import decoded
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore

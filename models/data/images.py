@@ -5,7 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import PICTURE_SUFFIXES, is_recording, open_recording
+from simnfnd.factory.recordings import (
+    PICTURE_SUFFIXES,
+    is_recording,
+    kind_of,
+    open_recording,
+)
 from simnfnd.factory.recordings.fan.pings import frame_picture
 from simnfnd.factory.recordings.pictures import read_grey, read_picture
 from simnfnd.factory.sonar.geometry import FanGeometry
@@ -28,7 +33,7 @@ def list_images(folder: str | Path, key: str = "data.folder") -> tuple[SampleRef
         place = path.parent.relative_to(root).as_posix()
         if path.is_file() and is_recording(path):
             found += _frames(path, path.relative_to(root).as_posix())
-        elif path.suffix.lower() in PICTURE_SUFFIXES and path.is_file():
+        elif path.is_file() and kind_of(path) == "pictures":
             found.append(SampleRef(path, 0, place, path.name))
     if not found:
         kinds = ", ".join(PICTURE_SUFFIXES)

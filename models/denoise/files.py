@@ -15,7 +15,8 @@ from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import write_atomically
 from simnfnd.factory.recordings import Frame, Recording, open_recording
 from simnfnd.factory.recordings.aris.file import ArisFile
-from simnfnd.factory.recordings.base import FULL_SCALE
+from simnfnd.factory.recordings.arrays import array_bytes
+from simnfnd.factory.recordings.base import ARRAY_SUFFIX, FULL_SCALE
 from simnfnd.factory.recordings.fan.pings import fan_of, grey_of, polar_geometry
 from simnfnd.factory.recordings.pictures import read_picture
 from simnfnd.factory.recordings.video import VideoFile
@@ -207,13 +208,25 @@ def _opened(item: Item) -> Recording:
         raise FrameError(str(error)) from error
 
 
+# JPEG is lossy at any quality; at 100 the least.  WebP is without loss above 100.
+_QUALITY = {
+    ".jpg": (cv2.IMWRITE_JPEG_QUALITY, 100),
+    ".jpeg": (cv2.IMWRITE_JPEG_QUALITY, 100),
+    ".webp": (cv2.IMWRITE_WEBP_QUALITY, 101),
+}
+
+
 def _write_image(path: Path, image: npt.NDArray[Any]) -> None:
-    # JPEG is lossy at any quality; at 100 the least.
-    options = [cv2.IMWRITE_JPEG_QUALITY, 100] if path.suffix.lower() in (".jpg", ".jpeg") else []
-    done, content = cv2.imencode(path.suffix, image, options)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix.lower() == ARRAY_SUFFIX:
+        write_atomically(path, array_bytes(image))
+        return
+    try:
+        done, content = cv2.imencode(path.suffix, image, _QUALITY.get(path.suffix.lower(), ()))
+    except cv2.error:  # WebP has 8 bits alone
+        done = False
     if not done:
         raise FrameError(f"{path}: {image.dtype} pixels do not fit this file format")
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, content.tobytes())
 
 

@@ -11,7 +11,8 @@ from typing import Literal
 from simnfnd.factory.dataset.format.manifest import MANIFEST_NAME
 from simnfnd.factory.dataset.read.reader import shard_paths
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import PICTURE_SUFFIXES, READERS, kind_of
+from simnfnd.factory.recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, kind_of
+from simnfnd.factory.recordings.arrays import is_table
 from simnfnd.factory.recordings.rosbag_files import is_bag_folder
 
 PING_KINDS = ("aris", "ddf", "oculus")
@@ -37,7 +38,7 @@ class Item:
 
     @cached_property
     def kind(self) -> Literal["image", "shard", "video", "pings", "bag"]:
-        """By the suffix of its name; a TIFF file of several pages is a `video`."""
+        """By the suffix of its name; a file of several pictures (TIFF, NumPy) is a `video`."""
         if self.source.suffix.lower() in SHARD_SUFFIXES:
             return "shard"
         kind = kind_of(self.source)
@@ -45,7 +46,7 @@ class Item:
             return "pings"
         if kind == "rosbag":
             return "bag"
-        return "video" if kind in ("video", "stack") else "image"
+        return "video" if kind in SEQUENCES else "image"
 
 
 def find_items(inputs: Sequence[Path], out: Path) -> list[Item]:
@@ -99,7 +100,10 @@ def items_below(folder: Path, out: Path) -> list[Item]:
     files = [
         file
         for file in folder.rglob("*")
-        if file.suffix.lower() in SUFFIXES and file.is_file() and file.parent not in bags
+        if file.suffix.lower() in SUFFIXES
+        and file.is_file()
+        and file.parent not in bags
+        and not is_table(file)
     ]
     found = [file for file in sorted([*bags, *files]) if not _is_below(file, out)]
     return [Item(file, file.relative_to(folder)) for file in found]

@@ -15,7 +15,8 @@ from PIL import Image, TiffImagePlugin
 from simnfnd.factory.errors import FrameError
 from simnfnd.factory.files import explain_os_errors, write_atomically
 from simnfnd.factory.quiet import quiet_stderr
-from simnfnd.factory.recordings.base import TIFF_SUFFIXES
+from simnfnd.factory.recordings.arrays import ArrayWriter
+from simnfnd.factory.recordings.base import ARRAY_SUFFIX, TIFF_SUFFIXES
 from simnfnd.factory.recordings.pictures import swapped
 
 CODECS = {".avi": "FFV1", ".mkv": "FFV1", ".mov": "FFV1", ".mp4": "png "}
@@ -27,8 +28,8 @@ class FrameFiles:
 
     They become a video at `path` when its container has a codec without loss (any other would add
     artefacts of its own), the frame rate is known and both sides are even, as the writer cuts odd
-    ones; pages of a TIFF file where `path` is one; NNNNNN.png in a folder of that name otherwise.
-    Videos and TIFF files appear when they are whole.
+    ones; pages of a TIFF file, or an array of NumPy, where `path` is one; NNNNNN.png in a folder of
+    that name otherwise.  Files appear when they are whole.
     """
 
     def __init__(self, path: Path, rate_hz: float | None) -> None:
@@ -37,11 +38,11 @@ class FrameFiles:
         self.rate_hz = rate_hz
         self.count = 0
         self._writer: cv2.VideoWriter | None = None
-        self._stack: StackWriter | None = None
+        self._stack: StackWriter | ArrayWriter | None = None
         self._partial = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
 
     def add(self, picture: npt.NDArray[Any]) -> None:
-        """The next frame, (H, W) or (H, W, 3) uint8; of a TIFF file also uint16 or float32.
+        """The next frame, (H, W) or (H, W, 3) uint8; of TIFF and arrays also uint16 or float32.
 
         Raises FrameError when another file has the place of a folder.
         """
@@ -65,6 +66,9 @@ class FrameFiles:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         if self.path.suffix.lower() in TIFF_SUFFIXES:
             self._stack = StackWriter(self._partial)
+            return
+        if self.path.suffix.lower() == ARRAY_SUFFIX:
+            self._stack = ArrayWriter(self._partial)
             return
         if code and self.rate_hz and not (height % 2 or width % 2) and not self.path.is_dir():
             fourcc = cv2.VideoWriter.fourcc(*code)

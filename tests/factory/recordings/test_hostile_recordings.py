@@ -35,6 +35,11 @@ def _png(path: Path) -> Path:
     return path
 
 
+def _array(path: Path, pictures: Any) -> Path:
+    np.save(path, pictures)
+    return path
+
+
 def _bag(path: Path, kind: str, compression: str = "") -> Path:
     store = typestore(1 if path.suffix == ".bag" else 2)
     makers: dict[str, Callable[..., Any]] = {SONAR: sonar, IMAGE: image, COMPRESSED: compressed}
@@ -51,6 +56,7 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
     "a.avi": lambda path: write_video(path, pings(4, 48, 64)),
     "a.tif": lambda path: write_stack(path, pings(4, 48, 64)),
     "a.png": _png,
+    "a.npy": lambda path: _array(path, pings(4, 48, 64)),
     "a.bag": lambda path: _bag(path, SONAR),
     "b.bag": lambda path: _bag(path, COMPRESSED, "lz4"),
     "a.mcap": lambda path: _bag(path, SONAR),

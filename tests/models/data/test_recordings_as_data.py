@@ -34,6 +34,21 @@ def test_frames_stand_beside_pictures(tmp_path: Path) -> None:
     np.testing.assert_array_equal(frames[1], read_sample(list_images(LAMPREY)[0])[0])
 
 
+def test_pictures_of_an_array_are_frames(tmp_path: Path) -> None:
+    pictures = pings(3, 30, 40)
+    np.save(tmp_path / "dive.npy", pictures)
+    np.save(tmp_path / "one.npy", pictures[1])
+    np.save(tmp_path / "poses.npy", np.zeros((3, 4, 4)))
+    found = list_images(tmp_path)
+    names = [*(f"dive.npy#{n}" for n in range(3)), "one.npy"]
+    assert [sample.frame for sample in found] == names
+    for number, place in ((0, 0), (2, 2), (3, 1)):
+        picture, _ = read_sample(found[number])
+        np.testing.assert_allclose(picture, pictures[place] / 255, atol=1e-6)
+    stretches, _ = open_input(str(tmp_path), 100)
+    assert [len(stretch.shots) for stretch in stretches] == [1, 3]
+
+
 def test_pages_of_a_stack_are_frames(tmp_path: Path) -> None:
     pages = write_stack(tmp_path / "dive.tif", pings(3, 30, 40))
     cv2.imwrite(str(tmp_path / "one.tif"), np.full((30, 40), 90, np.uint8))

@@ -82,6 +82,33 @@ def test_a_stack_becomes_one(tmp_path: Path, halving: Halving, dtype: Any) -> No
     assert (out / "compare" / "a.png").is_file()
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_arrays_become_arrays(tmp_path: Path, halving: Halving, dtype: Any) -> None:
+    """Of one picture or several, grey or in colours; tables beside them are left alone."""
+    full = 1 if dtype is np.uint8 else 257 if dtype is np.uint16 else 1 / 255
+    given = (pings(3, 41, 48) * full).astype(dtype)
+    coloured = np.stack([given[0], given[1], given[2]], axis=-1)
+    arrays = {"one": given[0], "several": given, "colours": coloured, "first": given[:1]}
+    for name, array in arrays.items():
+        np.save(tmp_path / f"{name}.npy", array)
+    np.save(tmp_path / "poses.npy", np.zeros((3, 4, 4)))
+    out = tmp_path / "out"
+    assert main([str(tmp_path), "--out", str(out), "--compare"]) == 0
+    assert {path.stem for path in out.iterdir()} == {*arrays, "compare"}
+    for name, array in arrays.items():
+        found = np.load(out / f"{name}.npy")
+        assert (found.dtype, found.shape) == (dtype, array.shape)
+        assert np.abs(found - array / 2.0).max() <= 0.5
+
+
+def test_a_webp_picture_is_written_without_loss(tmp_path: Path, halving: Halving) -> None:
+    picture = pings(1, 41, 48)[0]
+    assert cv2.imwrite(str(tmp_path / "a.webp"), picture, [cv2.IMWRITE_WEBP_QUALITY, 101])
+    assert main([str(tmp_path / "a.webp"), "--out", str(tmp_path / "out")]) == 0
+    found = cv2.imread(str(tmp_path / "out" / "a.webp"), cv2.IMREAD_GRAYSCALE)
+    assert np.abs(found - picture / 2.0).max() <= 0.5
+
+
 def test_a_stack_with_a_page_of_another_size_is_left_out(
     tmp_path: Path, halving: Halving, capsys: pytest.CaptureFixture[str]
 ) -> None:
