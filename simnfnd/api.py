@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from simnfnd.factory.render.base import Renderer, RenderSettings
     from simnfnd.factory.sonar.geometry import FanGeometry
     from simnfnd.models.denoise.denoiser import Denoiser
-    from simnfnd.models.denoise.in_turn import InTurn
+    from simnfnd.models.denoise.weighing.in_turn import InTurn
 
 
 def denoise(
@@ -70,7 +70,7 @@ def denoise(
     named = None if weights is None else path
     network = _denoiser(named, path.stat().st_mtime_ns, device, chosen, strength)
     if weights is None and remove is None:
-        from simnfnd.models.denoise.suited import Suited
+        from simnfnd.models.denoise.weighing.suited import Suited
         from simnfnd.models.pretrained import POINTS
 
         of_points = find_weights(POINTS)
@@ -171,6 +171,6 @@ def _denoiser(
     path: Path | None, changed_ns: int, device: str, remove: tuple[str, ...] | None, strength: float
 ) -> Denoiser | InTurn:
     """changed_ns: of the file, so that weights trained anew are loaded anew."""
-    from simnfnd.models.denoise.in_turn import asked_denoiser
+    from simnfnd.models.denoise.weighing.in_turn import asked_denoiser
 
     return asked_denoiser(path, device, remove, strength=strength)

@@ -3,8 +3,9 @@
     python -m tools.fit_points FOLDER [PICTURES]
 
 Makes places and pictures of both kinds in FOLDER (what is there is kept), denoises every picture by
-`simnfnd` and by `simnfnd-paper`, and fits the small network of `simnfnd.models.denoise.points` to
-which of them gains more; a quarter of the places is held out.  PICTURES of each kind: 600.
+`simnfnd` and by `simnfnd-paper`, and fits the small network of
+`simnfnd.models.denoise.weighing.points` to which of them gains more; a quarter of the places is
+held out.  PICTURES of each kind: 600.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from simnfnd.models.data.any_device import DeviceSource
 from simnfnd.models.data.pairs import Source
 from simnfnd.models.data.renders import RenderSource
 from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
-from simnfnd.models.denoise.points import FILE, figures, judged, saved, standardised
+from simnfnd.models.denoise.weighing.points import FILE, figures, judged, saved, standardised
 from simnfnd.models.pretrained import DEFAULT, POINTS
 
 Floats = npt.NDArray[np.float64]

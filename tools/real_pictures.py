@@ -1,4 +1,4 @@
-"""docs/images/real.png, real-crops.png, colours.png, screen.png: recordings, denoised.
+"""docs/images/real.png, real-crops.png, colours.png, screen.png, figure.png: recordings, denoised.
 
     python -m tools.real_pictures FOLDER
 
@@ -17,11 +17,14 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from simnfnd.evaluation.baselines.base import Gray
 from simnfnd.evaluation.baselines.bm3d import bm3d
 from simnfnd.evaluation.real.groups import Judged, judged, search
 from simnfnd.evaluation.real.shots import Mask, open_input
+from simnfnd.factory.recordings import open_recording
 from simnfnd.factory.recordings.fan.finder import find_fan
 from simnfnd.factory.recordings.fan.pings import frame_picture
 from simnfnd.factory.recordings.palettes import find_painted
@@ -67,6 +70,7 @@ def main(folder: Path) -> None:
     denoise = load_denoiser("simnfnd", "cpu")
     in_colours(folder / RECORDINGS[0].path, denoise)
     on_a_screen(folder / RECORDINGS[0].path, denoise)
+    in_a_figure(folder / RECORDINGS[1].path, denoise)
     whole: list[Gray] = []
     rows: list[Gray] = []
     for recording in RECORDINGS:
@@ -151,6 +155,29 @@ def on_a_screen(path: Path, denoise: Denoiser) -> None:
     assert seen is not None
     result = seen.repainted(denoise(seen.levels, found.geometry))
     cv2.imwrite(str(OUT / "screen.png"), np.vstack([screen, result]))
+
+
+def in_a_figure(path: Path, denoise: Denoiser) -> None:
+    """A ping as a fan and as it is stored, in axes: as drawn, and denoised."""
+    with open_recording(path) as recording:
+        frame = recording[2]
+    assert frame.beams is not None
+    bearings = np.array(frame.beams.azimuths_rad)
+    range_m = np.linspace(frame.beams.range_min_m, frame.beams.range_max_m, len(frame.samples))
+    across_m, along_m = range_m[:, None] * np.sin(bearings), range_m[:, None] * np.cos(bearings)
+    drawn = Figure(figsize=(7, 7), dpi=100, layout="constrained")
+    canvas = FigureCanvasAgg(drawn)
+    left, right = drawn.subplots(1, 2, width_ratios=(1, 2))
+    left.set_aspect("equal")
+    left.pcolormesh(across_m, along_m, frame.samples, cmap="gray", shading="nearest")
+    left.set(title="fan", xlabel="x [m]", ylabel="y [m]")
+    drawn.colorbar(right.imshow(frame.samples, cmap="gray", aspect="auto"))
+    right.set(title="samples", xlabel="beam", ylabel="range bin")
+    canvas.draw()  # type: ignore[no-untyped-call]
+    picture = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., 0])  # type: ignore[no-untyped-call]
+    fan = find_fan(picture)
+    result = denoise_image(picture, denoise, None if fan is None else fan.geometry)
+    cv2.imwrite(str(OUT / "figure.png"), side_by_side([picture, result], gap=255))
 
 
 def tall(picture: Gray, height_px: int = _HEIGHT_PX) -> Gray:

@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.denoising.bench_removal import PLACES, Asked, rendered
-from simnfnd.models.denoise.in_turn import asked_denoiser
+from simnfnd.models.denoise.weighing.in_turn import asked_denoiser
 from tools.real_pictures import side_by_side, tall, write
 
 OUT = Path("docs/images/removal.png")

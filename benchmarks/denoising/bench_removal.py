@@ -17,7 +17,7 @@ from simnfnd.factory.formation.contract import ARTEFACTS
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.scenes import open_reader
 from simnfnd.models.data.any_device import DeviceSource
-from simnfnd.models.denoise.in_turn import asked_denoiser
+from simnfnd.models.denoise.weighing.in_turn import asked_denoiser
 from simnfnd.models.removal import DEFAULT
 
 PLACES, PICTURES, LEAST = 12, 48, 1e-5

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.recordings.fan.finder import border
+from simnfnd.factory.recordings.fan.page import border
 from simnfnd.factory.sonar.geometry import FanGeometry
 
 Grey = npt.NDArray[np.float32]

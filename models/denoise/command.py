@@ -33,12 +33,12 @@ from simnfnd.models.denoise.files import (
     denoise_video,
 )
 from simnfnd.models.denoise.geometries import FIND, Geometries
-from simnfnd.models.denoise.in_turn import OVER, InTurn, asked_denoiser
 from simnfnd.models.denoise.inputs import Item, find_items
 from simnfnd.models.denoise.shards import denoise_shard, made_of_points, opened_shard
 from simnfnd.models.denoise.steady import Steady
-from simnfnd.models.denoise.suited import Suited
 from simnfnd.models.denoise.watch import Watched, watch
+from simnfnd.models.denoise.weighing.in_turn import OVER, InTurn, asked_denoiser
+from simnfnd.models.denoise.weighing.suited import Suited
 from simnfnd.models.pretrained import POINTS, REMOVAL
 from simnfnd.models.removal import DEFAULT
 

@@ -22,6 +22,7 @@ from simnfnd.factory.recordings.pictures import read_picture
 from simnfnd.factory.recordings.video import VideoFile
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise.compared import sheet
+from simnfnd.models.denoise.figures import denoise_figure
 from simnfnd.models.denoise.inputs import Item
 from simnfnd.models.denoise.steady import Steady
 from simnfnd.models.denoise.videos import FrameFiles
@@ -52,36 +53,43 @@ def denoise_image(
     """Denoise (H, W) or (H, W, C) uint8, uint16 or float32 (0..1); same shape and dtype out.
 
     looks: frames in their order, the image in the middle, all of its shape and dtype, for weights
-    that see several.  Colour channels are denoised one by one (once, when they are equal); an alpha
-    channel stays.  Raises ValueError for another dtype or shape, NaN, and floats outside 0..1.
+    that see several.  Of a figure with axes and text only the pictures change, see `figures`.
+    Colour channels are denoised one by one (once, when they are equal); an alpha channel stays.
+    Raises ValueError for another dtype or shape, NaN, and floats outside 0..1.
     """
     full = FULL_SCALE.get(str(image.dtype))
     if full is None:
         raise ValueError(f"pixels are {image.dtype}; expected {', '.join(FULL_SCALE)}")
-    if image.ndim == 3:
-        result = image.copy()
-        colours = 3 if image.shape[2] in (3, 4) else 1
-        for channel in range(colours):
-            plane = np.ascontiguousarray(image[..., channel])
-            same = channel and np.array_equal(plane, image[..., 0])
-            planes = [np.ascontiguousarray(look[..., channel]) for look in looks]
-            result[..., channel] = (
-                result[..., 0] if same else denoise_image(plane, denoise, geometry, planes)
-            )
-        return result
-    if image.ndim != 2 or 0 in image.shape:
+    if image.ndim not in (2, 3) or 0 in image.shape:
         raise ValueError(f"image has shape {image.shape}; expected (H, W) or (H, W, C)")
-    if image.dtype == np.float32 and not (image.min() >= 0 and image.max() <= 1):
+    if image.ndim == 2:
+        image, planes = image[..., np.newaxis], [look[..., np.newaxis] for look in looks]
+        return denoise_image(image, denoise, geometry, planes)[..., 0]
+    colours = image[..., :3] if image.shape[2] in (3, 4) else image[..., :1]
+    if image.dtype == np.float32 and not (colours.min() >= 0 and colours.max() <= 1):
         raise ValueError("float pixels must lie in 0..1; divide by full scale")
-    grey = image.astype(np.float32) / np.float32(full)
-    if looks:
-        seen = [look.astype(np.float32) / np.float32(full) for look in looks]
-        denoised = denoise(grey, geometry, looks=seen)
-    else:
-        denoised = denoise(grey, geometry)
-    if image.dtype == np.float32:
-        return denoised
-    return np.asarray(np.rint(denoised.astype(np.float64) * full).astype(image.dtype))
+    scaled = _planes(colours, full)
+    beside = [_planes(look, full) for look in looks]
+    page = scaled[0] if len(scaled) == 1 else np.mean(scaled, axis=0)
+    result = image.copy()
+    for channel, grey in enumerate(scaled):
+        if channel and np.array_equal(grey, scaled[0]):
+            result[..., channel] = result[..., 0]
+            continue
+        seen = [look[channel] for look in beside]
+        denoised = denoise_figure(grey, denoise, geometry, seen, page)
+        if full > 1:
+            denoised = np.rint(denoised.astype(np.float64) * full)
+        result[..., channel] = denoised.astype(image.dtype)
+    return result
+
+
+def _planes(colours: npt.NDArray[Any], full: float) -> list[Gray]:
+    """Each colour of (H, W, C) as float32 with full scale 1."""
+    return [
+        np.ascontiguousarray(colours[..., one], np.float32) / np.float32(full)
+        for one in range(colours.shape[2])
+    ]
 
 
 def denoise_file(

@@ -3,7 +3,7 @@
 A fan picture is lit inside a sector and black outside it, mostly with far range on top.  The sector
 is found that best tells lit from black pixels (`outline`), and then looked at for how much of
 its outline is really there.  Where there is none, the picture is turned by quarters, looked at as a
-negative, and what is largest in it alone.
+negative, and what is largest on a figure's page or in the picture alone.
 """
 
 from __future__ import annotations
@@ -17,6 +17,14 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.recordings.fan.outline import Numbers, fit_sector
+from simnfnd.factory.recordings.fan.page import (
+    MOST_BLACK,
+    Bytes,
+    Part,
+    largest_part,
+    parts_of_figure,
+    without_page,
+)
 from simnfnd.factory.recordings.palettes import find_painted
 from simnfnd.factory.sonar.geometry import FanGeometry
 
@@ -26,14 +34,11 @@ _SURE_ODD = 0.8  # turned fans and negatives
 _LEAST_TURNED = 0.15  # part of the picture that a turned fan fills, unlike the mask of some object
 
 _SMALLEST = 32  # pixels a side
-_MOST_BLACK = 48  # of 255: a border lighter than this is none
 _MOST_OUTSIDE = 0.05  # of all pixels may be lit and not in the sector
 _MOST_SQUEEZE = 1.95
 _MOST_MEDIAN = 127  # of 255: of a fan on a bright page
-_PAGE_SPREAD = 8  # of 255: a page around a fan is as even as that
 _GROUND_SPREADS = 2, 6  # of 255: the ground of a screen
-_HOLES = np.ones((7, 7), np.uint8)  # of zeros in a fan
-_LEAST_PART, _MOST_PART = 0.05, 0.9  # of all pixels: a fan on a screen
+_FILLED = 0.7  # of a sector by a picture of a figure
 _DIM = 0.25  # of full scale: pictures that are darker throughout are made brighter
 _LEAST_HALF_DEG, _MOST_HALF_DEG = 2.0, 88.0
 _PIECES = 12  # of each side of the outline, looked at one by one
@@ -59,15 +64,21 @@ def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
     None for a picture without a sector on black or on a bright page: a photo, a polar picture, a
     full rectangle.  Raises ValueError for another shape.
     """
-    grey = _bytes(picture)
+    grey, means = _bytes(picture)
     if min(grey.shape) < _SMALLEST:
         return None
     found = _find_upright(grey, SURE) or _find_turned(grey)
+    for part in parts_of_figure(grey if means is None else means)[:1]:
+        if found is None or not _is_filled(found.geometry, part, grey.shape):
+            shown = part.alone(grey)
+            # Where echoes are dark on white, the page is part of the scale.
+            if means is not None or np.median(shown[shown > 0]) <= _MOST_MEDIAN:
+                found = _find_upright(shown, _SURE_ODD) or _find_turned(shown) or found
     # A video's ground is not quite flat; the wider, the farther it reaches into a fan's grain.
     for spread in _GROUND_SPREADS:
         if found is not None:
             break
-        alone = _largest_part(grey, spread)
+        alone = largest_part(grey, spread)
         if alone is not None:
             found = _find_upright(alone, _SURE_ODD) or _find_turned(alone)
     return found
@@ -79,7 +90,7 @@ def find_geometry(picture: npt.NDArray[Any]) -> FanGeometry | None:
     return None if found is None else found.geometry
 
 
-def _find_turned(grey: npt.NDArray[np.uint8]) -> FoundFan | None:
+def _find_turned(grey: Bytes) -> FoundFan | None:
     """The fan with far range elsewhere."""
     for turns in (2, 1, 3):
         found = _find_upright(np.ascontiguousarray(np.rot90(grey, turns)), _SURE_ODD)
@@ -90,27 +101,17 @@ def _find_turned(grey: npt.NDArray[np.uint8]) -> FoundFan | None:
     return None
 
 
-def _largest_part(grey: npt.NDArray[np.uint8], spread: int) -> npt.NDArray[np.uint8] | None:
-    """What is largest on a flat ground, alone on black: a fan amid text and panels."""
-    ground = int(np.median(border(grey)))
-    shown = grey
-    if ground > spread:
-        shown = np.where(_ground(grey, ground, spread) > 0, 0, grey).astype(np.uint8)
-    lit = cv2.morphologyEx((shown > spread).astype(np.uint8), cv2.MORPH_CLOSE, _HOLES)
-    count, parts, stats, _ = cv2.connectedComponentsWithStats(lit, connectivity=4)
-    if count < 3:
-        return None  # a single one is no other picture than before
-    largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
-    if not _LEAST_PART <= stats[largest, cv2.CC_STAT_AREA] / grey.size <= _MOST_PART:
-        return None
-    return np.where(parts == largest, shown, 0).astype(np.uint8)
+def _is_filled(geometry: FanGeometry, part: Part, shape: tuple[int, ...]) -> bool:
+    """Whether a picture of a figure fills a sector, unlike axes that were drawn around it."""
+    inside = geometry.sector_mask(*shape)
+    return bool(part.alone(inside).sum() >= _FILLED * inside.sum())
 
 
-def _find_upright(grey: npt.NDArray[np.uint8], sure: float) -> FoundFan | None:
+def _find_upright(grey: Bytes, sure: float) -> FoundFan | None:
     """The fan with far range on top."""
     black = _black(grey)
-    if black > _MOST_BLACK:
-        shown, black = _without_page(grey), 0
+    if black > MOST_BLACK:
+        shown, black = without_page(grey), 0
         lit = shown[shown > 0]
         if lit.size and np.median(lit) > _MOST_MEDIAN:
             # Echoes are dark on white: the page is part of the scale, nothing there.
@@ -118,7 +119,7 @@ def _find_upright(grey: npt.NDArray[np.uint8], sure: float) -> FoundFan | None:
             black = _black(shown)
         elif not lit.size or _corners(shown)[0].any() or _corners(shown)[1].any():
             return None
-        if black > _MOST_BLACK:
+        if black > MOST_BLACK:
             return None
         grey = shown
     grey, top, left = _cropped(grey, black)
@@ -126,7 +127,7 @@ def _find_upright(grey: npt.NDArray[np.uint8], sure: float) -> FoundFan | None:
     if sector is None:
         return None
     # JPEG and MPEG ring on both sides of an edge: there the border is not quite black.
-    ringing = min(_level_beside(grey, sector), _MOST_BLACK)
+    ringing = min(_level_beside(grey, sector), MOST_BLACK)
     if ringing > black:
         again = fit_sector(grey > ringing)
         if again is not None:
@@ -149,37 +150,18 @@ def _find_upright(grey: npt.NDArray[np.uint8], sure: float) -> FoundFan | None:
     return FoundFan(moved, confidence)
 
 
-def _corners(grey: npt.NDArray[np.uint8]) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
+def _corners(grey: Bytes) -> tuple[Bytes, Bytes]:
     """Both upper ones, which no fan reaches."""
     size = max(2, min(grey.shape) // 40)
     return grey[:size, :size], grey[:size, -size:]
 
 
-def _black(grey: npt.NDArray[np.uint8]) -> int:
+def _black(grey: Bytes) -> int:
     """The level of the border: the lesser of the corners', as there may be text in the other."""
     return min(int(np.quantile(corner, 0.99)) for corner in _corners(grey))
 
 
-def border(grey: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """The outermost pixels of (H, W), in one row."""
-    return np.concatenate([grey[0], grey[-1], grey[:, 0], grey[:, -1]])
-
-
-def _without_page(grey: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """Black where a page of one bright grey reaches in from the picture's border."""
-    ground = _ground(grey, int(np.median(border(grey))), _PAGE_SPREAD)
-    # JPEG rings beside the page.
-    return np.where(cv2.dilate(ground, np.ones((3, 3), np.uint8)) > 0, 0, grey).astype(np.uint8)
-
-
-def _ground(grey: npt.NDArray[np.uint8], level: int, spread: int) -> npt.NDArray[np.uint8]:
-    """1 where pixels of a level reach in from the picture's border, else 0."""
-    alike = (np.abs(grey.astype(np.int16) - level) <= spread).astype(np.uint8)
-    _, parts = cv2.connectedComponents(alike, connectivity=4)
-    return np.isin(parts, np.setdiff1d(border(parts), 0)).astype(np.uint8)
-
-
-def _cropped(grey: npt.NDArray[np.uint8], black: int) -> tuple[npt.NDArray[np.uint8], int, int]:
+def _cropped(grey: Bytes, black: int) -> tuple[Bytes, int, int]:
     """What is not border, with some border around it; its first row and column."""
     lit = grey > black
     spans = []
@@ -191,13 +173,23 @@ def _cropped(grey: npt.NDArray[np.uint8], black: int) -> tuple[npt.NDArray[np.ui
     return np.ascontiguousarray(grey[rows, columns]), rows.start, columns.start
 
 
-def _bytes(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-    """(H, W) uint8; colours become the levels of their map, or their largest."""
+def _bytes(picture: npt.NDArray[Any]) -> tuple[Bytes, Bytes | None]:
+    """(H, W) of 8 bits: the levels of a map and the mean colours, or grey values and None."""
+    means = None
     if picture.ndim == 3:
         painted = find_painted(picture)
-        picture = picture[..., :3].max(axis=2) if painted is None else painted.levels
+        colours = picture[..., :3]
+        if painted is None:
+            picture = colours.max(axis=2)
+        else:
+            picture = painted.levels
+            means = np.rint(_grey_bytes(colours).mean(axis=2)).astype(np.uint8)
     if picture.ndim != 2:
         raise ValueError(f"picture has shape {picture.shape}; expected (H, W) or (H, W, colours)")
+    return _grey_bytes(picture), means
+
+
+def _grey_bytes(picture: npt.NDArray[Any]) -> Bytes:
     if picture.dtype == np.uint8:
         return picture
     full = float(np.iinfo(picture.dtype).max) if picture.dtype.kind in "iu" else 1.0
@@ -208,7 +200,7 @@ def _bytes(picture: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
     return np.asarray(np.ceil(np.clip(np.nan_to_num(picture / full), 0, 1) * 255), np.uint8)
 
 
-def _inside(sector: Numbers, height: int, width: int) -> npt.NDArray[np.uint8]:
+def _inside(sector: Numbers, height: int, width: int) -> Bytes:
     from simnfnd.factory.recordings.fan import loops
 
     top, bottom = np.empty(width), np.empty(width)
@@ -217,7 +209,7 @@ def _inside(sector: Numbers, height: int, width: int) -> npt.NDArray[np.uint8]:
     return ((row >= top) & (row <= bottom)).astype(np.uint8)
 
 
-def _level_beside(grey: npt.NDArray[np.uint8], sector: Numbers) -> int:
+def _level_beside(grey: Bytes, sector: Numbers) -> int:
     """The level below which 97 % of the pixels lie that are 2 to 8 pixels outside the sector."""
     inside = _inside(sector, *grey.shape)
     near = cv2.dilate(inside, np.ones((5, 5), np.uint8))

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise.files import Gray
 
-FILE = Path(__file__).parents[1] / "pretrained" / "points.json"
+FILE = Path(__file__).parents[2] / "pretrained" / "points.json"
 """What `tools.fit_points` wrote."""
 FORMAT = "simnfnd-points/1"
 

@@ -10,7 +10,7 @@ from simnfnd.factory.recordings.presentation import presentation_of
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise.denoiser import known_geometry
 from simnfnd.models.denoise.files import Denoise, Gray
-from simnfnd.models.denoise.points import likelihood
+from simnfnd.models.denoise.weighing.points import likelihood
 from simnfnd.models.pretrained import POINTS
 
 _SURE = 0.1

@@ -1,0 +1,59 @@
+"""Figures: pictures on a page with axes and text, of which the pictures alone are denoised."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from simnfnd.factory.recordings.fan.finder import find_geometry
+from simnfnd.factory.recordings.fan.page import Part, parts_of_figure
+from simnfnd.factory.sonar.geometry import FanGeometry
+
+Gray = npt.NDArray[np.float32]
+Denoise = Callable[..., Gray]
+"""See `simnfnd.models.denoise.files`."""
+
+_COVERED = 0.5  # of a part by a fan: then it is that fan
+
+
+def denoise_figure(
+    grey: Gray,
+    denoise: Denoise,
+    geometry: FanGeometry | None,
+    looks: Sequence[Gray],
+    page: Gray,
+) -> Gray:
+    """`denoise` of a picture, (H, W) in 0..1; of a figure, of each picture in it by itself.
+
+    geometry: of the largest of them, where it is known; then others are looked at, too.
+    page: (H, W) in 0..1, what shows where they are: `grey`, or the mean of all colours.
+    """
+    parts = _parts(page, geometry)
+    if geometry is not None or not parts:
+        result = _called(denoise, grey, geometry, looks)
+    else:
+        result = grey.copy()
+    for part in parts:
+        own = part.of(grey)
+        place = None if geometry is None else find_geometry(own)
+        denoised = _called(denoise, own, place, [part.of(look) for look in looks])
+        result[part.rows, part.columns][part.inside] = denoised[part.inside]
+    return result
+
+
+def _parts(page: Gray, geometry: FanGeometry | None) -> tuple[Part, ...]:
+    if geometry is not None and geometry.layout == "polar":
+        return ()
+    parts = parts_of_figure(np.rint(page * 255).astype(np.uint8), dark=geometry is None)
+    if geometry is None or not parts:
+        return parts
+    inside = geometry.sector_mask(*page.shape)
+    return tuple(one for one in parts if one.of(inside).mean() < _COVERED * one.inside.mean())
+
+
+def _called(
+    denoise: Denoise, grey: Gray, geometry: FanGeometry | None, looks: Sequence[Gray]
+) -> Gray:
+    return denoise(grey, geometry, looks=looks) if looks else denoise(grey, geometry)

@@ -1,0 +1,1 @@
+"""Which weights denoise a picture: those that suit its noise, or several in turn."""
