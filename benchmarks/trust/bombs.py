@@ -26,7 +26,7 @@ from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.pack import PackViews, read_contents, write_pack
 from simnfnd.factory.renders.cache import Cache
 from tests.factory.dataset.hostile import admit, whole
-from tests.factory.render.test_cache import some_view
+from tests.factory.render.small_views import some_view
 from tests.factory.test_small_files import LAUGHS, forged
 
 _BIG = 1 << 30

@@ -30,7 +30,7 @@ from simnfnd.factory.render.pack import PackViews, read_contents, write_pack
 from simnfnd.factory.renders.cache import Cache
 from simnfnd.factory.small_files import load_yaml, parse_json, parse_yaml, read_regular
 from tests.factory.dataset.hostile import whole
-from tests.factory.render.test_cache import some_view
+from tests.factory.render.small_views import some_view
 
 
 @pytest.fixture(autouse=True)

@@ -1,7 +1,8 @@
-"""manifest.jsonl: what a run settled since it wrote manifest.json, whatever became of it then."""
+"""manifest.json, and manifest.jsonl: what a run settled since then, whatever became of it."""
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -14,10 +15,12 @@ from simnfnd.factory.dataset.format.manifest import (
     Additions,
     Manifest,
     ShardInfo,
+    damage,
     load_manifest,
     save_manifest,
 )
 from simnfnd.factory.errors import FactoryError
+from tests.factory.dataset.some_shards import dataset
 
 START = Manifest("c0ffee", "simnfnd 0", {"seed": 1})
 
@@ -108,3 +111,54 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "manifest.jsonl").mkdir()
     with pytest.raises(FactoryError, match=r"dataset\.dir: cannot write .*manifest\.jsonl"):
         added.note(info(3).path, info(3))
+
+
+def test_manifest_reads_back_and_its_bytes_do_not_depend_on_order(tmp_path: Path) -> None:
+    manifest = dataset(tmp_path)
+    text = (tmp_path / "manifest.json").read_bytes()
+    assert load_manifest(tmp_path) == manifest
+    backwards = replace(manifest, shards=dict(reversed(list(manifest.shards.items()))))
+    save_manifest(tmp_path, backwards)
+    assert (tmp_path / "manifest.json").read_bytes() == text
+    document = json.loads(text)
+    assert document["totals"]["train"] == {
+        "samples": 8,
+        "shards": 2,
+        "bytes": sum((tmp_path / f"train/shard-0000{k}.h5").stat().st_size for k in (0, 1)),
+    }
+    for shard in document["shards"]:
+        assert damage(tmp_path, ShardInfo(**{**shard, "failed": ()})) is None
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["../secret.h5", "/etc/passwd", "train/../../x.h5", "test/shard-00000.h5", "train/x.txt"],
+)
+def test_a_manifest_that_names_files_elsewhere_is_refused(tmp_path: Path, path: str) -> None:
+    dataset(tmp_path)
+    document = json.loads((tmp_path / "manifest.json").read_text())
+    train = next(shard for shard in document["shards"] if shard["split"] == "train")
+    train["path"] = path
+    (tmp_path / "manifest.json").write_text(json.dumps(document))
+    with pytest.raises(FactoryError, match=r"manifest\.json: damaged"):
+        load_manifest(tmp_path)
+
+
+@given(cut=st.floats(0, 1), junk=st.binary(max_size=5))
+def test_a_damaged_manifest_is_one_clear_line(
+    tmp_path_factory: pytest.TempPathFactory, cut: float, junk: bytes
+) -> None:
+    folder = tmp_path_factory.getbasetemp() / "damaged-manifest"
+    if not folder.exists():
+        dataset(folder)
+        (folder / "whole").write_bytes((folder / "manifest.json").read_bytes())
+    whole = (folder / "whole").read_bytes()
+    at = int(cut * len(whole))
+    (folder / "manifest.json").write_bytes(whole[:at] + junk + whole[at + len(junk) :])
+    try:
+        load_manifest(folder)
+        said = "run again"
+    except FactoryError as error:
+        said = str(error)
+    assert "\n" not in said
+    assert "run again" in said

@@ -21,7 +21,7 @@ from simnfnd.factory.jobs.pending import PendingFrame, backoff_s
 from simnfnd.factory.jobs.settings import ShardSlice
 from simnfnd.factory.ownership import myself
 from simnfnd.factory.settings import build
-from tests.factory.jobs.test_scheduler import failures, litter, shard_bytes, wait_for
+from tests.factory.jobs.run_files import failures, litter, shard_bytes, wait_for
 from tests.fake_source import FakeConfig, FakePreparer, GentleSource, prepared_file, refs
 from tests.run_fake import make
 

@@ -2,68 +2,32 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
-import subprocess
-import sys
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.frame import Frame, Intrinsics
-from simnfnd.factory.render import Rendered, Renderer, RenderSettings, check_renderer, open_renderer
-from simnfnd.factory.render.albedo import albedo, linear_luminance
+from simnfnd.factory.frame import Intrinsics
+from simnfnd.factory.render import Rendered
 from simnfnd.factory.render.cloud import back_project, normals, surface_mask
 from simnfnd.factory.render.cloud.mesh import surface_mesh
 from simnfnd.factory.render.mount import Mount
-from simnfnd.factory.settings import build
-from tests.project_files import ROOT
+from tests.factory.render.renderers import (
+    ABOVE,
+    HERE,
+    KINDS,
+    LEFT,
+    digest,
+    opened,
+    relative_error,
+    render,
+)
 from tests.render_scenes import FLSEA, flsea_frame, frame_of, plane_depth, rays, yard
 
-ABOVE, LEFT = Mount((0.0, 0.0, 1.0)), Mount((0.0, 0.8, 0.5))
-HERE = Mount()
 CONSTANT = 0.5
-KINDS = ["analytic", "embree", "cycles", "points"]
 real_data = pytest.mark.skipif(not FLSEA.is_dir(), reason="no real data")
-
-_open: dict[RenderSettings, Renderer] = {}
-
-
-def opened(kind: str, **keys: Any) -> Renderer:
-    """One renderer for each setting: Blender starts once in a test session.
-
-    Traced are all pixels, and by Cycles the mesh (or, as `points`, spheres), unless keys say else.
-    """
-    keys = {"stride": 1, **keys}
-    if kind in ("cycles", "points"):
-        kind, keys = "cycles", {"geometry": "mesh" if kind == "cycles" else "points", **keys}
-    if kind in ("cycles", "embree"):
-        pytest.importorskip({"cycles": "bpy", "embree": "open3d"}[kind])
-    wanted: RenderSettings = build(RenderSettings, {"kind": kind, **keys})
-    if wanted not in _open:
-        _open[wanted] = open_renderer(wanted)
-    return _open[wanted]
-
-
-def render(kind: str, frame: Frame, mount: Mount = HERE, **keys: Any) -> Rendered:
-    return opened(kind, **keys).render(frame, mount)
-
-
-def relative_error(found: Rendered, expected: Rendered) -> npt.NDArray[np.float64]:
-    lit = found.insonified & expected.insonified
-    return np.asarray(np.abs(found.radiance[lit].astype(np.float64) / expected.radiance[lit] - 1))
-
-
-def digest(rendered: Rendered) -> str:
-    return hashlib.sha256(rendered.radiance.tobytes() + rendered.surface.tobytes()).hexdigest()
 
 
 # ---- the laws, computed by hand ----
@@ -265,217 +229,3 @@ def test_mesh_covers_every_surface_pixel_and_bridges_nothing(seed: int, edge_rat
     hit_m = scene.cast_rays(open3d.core.Tensor(sight))["t_hit"].numpy()
     np.testing.assert_allclose(hit_m[mask], depth_m[mask], rtol=1e-2)
     assert not np.isfinite(hit_m[~mask]).any()
-
-
-# ---- repeatability ----
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_same_bytes_whatever_was_rendered_before(kind: str) -> None:
-    frame, other = yard(152, 242), yard(100, 130, seed=3)
-    mounts = (HERE,) if kind == "analytic" else (HERE, LEFT)
-    first = [digest(render(kind, frame, mount)) for mount in mounts]
-    render(kind, other, HERE if kind == "analytic" else ABOVE)
-    assert [digest(render(kind, frame, mount)) for mount in mounts] == first
-
-
-@pytest.fixture(scope="module")
-def fresh_process() -> Iterator[subprocess.Popen[str]]:
-    """Another process that renders the same with Cycles, started early as Blender takes a while."""
-    pytest.importorskip("bpy")
-    script = (
-        "from tests.factory.render.test_render import LEFT, digest, render, yard\n"
-        "print(digest(render('cycles', yard(152, 242), LEFT)))\n"
-    )
-    process = subprocess.Popen(
-        [sys.executable, "-c", script],
-        stdout=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
-    )
-    yield process
-    process.kill()
-    process.wait()
-
-
-def test_a_fresh_process_gives_the_same_bytes_and_prints_nothing_else(
-    fresh_process: subprocess.Popen[str],
-) -> None:
-    printed, _ = fresh_process.communicate(timeout=120)
-    assert fresh_process.returncode == 0
-    assert printed == digest(render("cycles", yard(152, 242), LEFT)) + "\n"
-
-
-def test_pixels_through_a_file_are_the_same_bits(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    from simnfnd.factory.render import blender
-
-    direct = digest(render("cycles", yard(152, 242), LEFT))
-    files = []
-    through_file = blender.render_to_file
-
-    def counted(stage: blender.Stage) -> npt.NDArray[np.float32]:
-        files.append(stage)
-        return through_file(stage)
-
-    monkeypatch.setattr(blender, "_render_to_memory", lambda stage: None)
-    monkeypatch.setattr(blender, "render_to_file", counted)
-    assert digest(render("cycles", yard(152, 242), LEFT)) == direct
-    assert files
-    assert capfd.readouterr().out == ""
-
-
-def test_pixels_come_from_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The fast way is undocumented: a Blender that closes it should be noticed here."""
-    from simnfnd.factory.render import blender
-
-    def refuse(stage: object) -> None:
-        raise AssertionError("went through a file")
-
-    opened("cycles")
-    monkeypatch.setattr(blender, "render_to_file", refuse)
-    assert render("cycles", yard(100, 130)).insonified.any()
-
-
-@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="Linux only")
-def test_starting_blender_leaves_every_core_usable() -> None:
-    from simnfnd.factory.render import blender
-
-    cores = os.sched_getaffinity(0)
-    with blender._one_core():
-        assert len(os.sched_getaffinity(0)) == 1
-    opened("cycles")
-    for thread in os.listdir("/proc/self/task"):
-        assert os.sched_getaffinity(int(thread)) == cores
-
-
-# ---- bounces and samples ----
-
-
-def _groove() -> Frame:
-    """Two walls that meet in an upright 90 degree groove, 3 m ahead."""
-    camera = Intrinsics(90.0, 90.0, 47.5, 31.5)
-    left = plane_depth(64, 96, camera, (-(0.5**0.5), 0.0, 0.5**0.5), 3 * 0.5**0.5)
-    right = plane_depth(64, 96, camera, (0.5**0.5, 0.0, 0.5**0.5), 3 * 0.5**0.5)
-    return frame_of(np.minimum(left, right), camera)
-
-
-def test_bounces_light_up_a_groove() -> None:
-    frame = _groove()
-    direct = render("cycles", frame, albedo="constant").radiance
-    bounced = render("cycles", frame, albedo="constant", bounces=2, samples=16).radiance
-    again = render("cycles", frame, albedo="constant", bounces=2, samples=16).radiance
-    np.testing.assert_array_equal(bounced, again)
-    assert bounced.mean() > 1.05 * direct.mean()
-    assert (bounced >= direct * 0.999).mean() > 0.999
-
-
-def test_bounces_change_nothing_on_a_flat_wall() -> None:
-    frame = frame_of(np.full((64, 96), 2.0), Intrinsics(90.0, 90.0, 47.5, 31.5))
-    direct = render("cycles", frame, albedo="constant").radiance
-    bounced = render("cycles", frame, albedo="constant", bounces=2, samples=16).radiance
-    np.testing.assert_allclose(bounced, direct, rtol=1e-3)
-
-
-def test_more_samples_stay_at_pixel_centres() -> None:
-    frame = yard(100, 130)
-    one, many = (render("cycles", frame, albedo="constant", samples=count) for count in (1, 8))
-    error = relative_error(many, one)
-    assert np.median(error) < 1e-3
-    assert np.percentile(error, 99) < 0.02
-
-
-# ---- albedo ----
-
-
-def test_albedo_rgb_is_linear_luminance() -> None:
-    rgb = np.array([[[255, 255, 255], [128, 128, 128], [255, 0, 0], [0, 0, 0]]], np.uint8)
-    np.testing.assert_allclose(
-        linear_luminance(rgb)[0], [1, 0.2158605, 0.2126, 0], rtol=1e-5, atol=1e-7
-    )
-    found = albedo(rgb, np.array([[True, True, False, True]]), "rgb")
-    np.testing.assert_allclose(found[0], [1, 0.2158605, 0, 0.01], rtol=1e-5)
-
-
-def test_flattened_albedo_forgets_light_and_keeps_texture() -> None:
-    rng = np.random.default_rng(0)
-    texture = rng.uniform(0.5, 1.5, (200, 300))
-    haze = np.linspace(0.02, 0.5, 300)[None, :] * np.linspace(1, 0.4, 200)[:, None]
-
-    def picture(linear: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
-        code = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-        grey: npt.NDArray[np.uint8] = np.round(255 * code).astype(np.uint8)
-        return np.repeat(grey[..., None], 3, axis=-1)
-
-    valid = np.ones((200, 300), np.bool_)
-    flat = albedo(picture(texture * haze), valid, "flattened")
-    assert flat.mean() == pytest.approx(0.5, abs=0.02)
-    assert flat.min() >= 0.1
-    assert flat.max() <= 1
-    assert np.corrcoef(flat.ravel(), texture.ravel())[0, 1] > 0.97
-    thirds = [part.mean() for part in np.array_split(flat, 3, axis=1)]
-    assert max(thirds) - min(thirds) < 0.03
-
-
-def test_flattened_albedo_ignores_unmeasured_pixels() -> None:
-    rgb = np.full((120, 160, 3), 90, np.uint8)
-    valid = np.ones((120, 160), np.bool_)
-    valid[:, 80:] = False
-    bright = rgb.copy()
-    bright[:, 80:] = 255
-    found = albedo(bright, valid, "flattened")
-    np.testing.assert_allclose(found[:, :80], 0.5, rtol=1e-4)
-    np.testing.assert_array_equal(found[:, 80:], 0)
-    np.testing.assert_array_equal(albedo(rgb, valid, "constant"), np.where(valid, 0.5, 0))
-
-
-# ---- settings and missing libraries ----
-
-
-@pytest.mark.parametrize(
-    ("kind", "module", "install"),
-    [
-        ("cycles", "bpy", 'pip install "simnfnd[blender]"'),
-        ("embree", "open3d", 'pip install "simnfnd[open3d]"'),
-    ],
-)
-def test_missing_library_is_one_line_with_the_way_out(
-    kind: str, module: str, install: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    wanted: RenderSettings = build(RenderSettings, {"kind": kind})
-    monkeypatch.setitem(sys.modules, module, None)
-    for attempt in (check_renderer, open_renderer):
-        with pytest.raises(FactoryError) as caught:
-            attempt(wanted)
-        text = str(caught.value)
-        assert "\n" not in text
-        for part in (f"render.kind={kind}", module, install, "render=analytic"):
-            assert part in text
-
-
-def test_library_that_does_not_load_is_named(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """Installed, but a shared library of the system is not there."""
-    (tmp_path / "bpy.py").write_text(
-        "raise ImportError('libXrender.so.1: cannot open shared object file')"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "bpy", raising=False)
-    with pytest.raises(FactoryError, match=r"libXrender\.so\.1.*make setup"):
-        open_renderer(build(RenderSettings, {"kind": "cycles"}))
-
-
-def test_points_are_for_cycles_only() -> None:
-    with pytest.raises(FactoryError, match=r"render\.geometry=points.*render\.geometry=auto"):
-        open_renderer(build(RenderSettings, {"kind": "embree", "geometry": "points"}))
-
-
-@pytest.mark.parametrize("kind", ["cycles", "embree", "analytic"])
-def test_config_file_lists_every_key(kind: str) -> None:
-    yaml = pytest.importorskip("yaml")
-    file = ROOT / "conf" / "render" / f"{kind}.yaml"
-    values = yaml.safe_load(file.read_text())
-    assert set(values) == set(RenderSettings.__dataclass_fields__)
-    assert build(RenderSettings, values) == build(RenderSettings, {"kind": kind})

@@ -22,7 +22,7 @@ from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.surface import Pixels, Surface, pixels_of, shade
 from simnfnd.factory.render.traced import apply_traced
 from simnfnd.factory.settings import build
-from tests.factory.render.test_render import ABOVE, HERE, LEFT, digest, relative_error, render
+from tests.factory.render.renderers import ABOVE, HERE, LEFT, digest, relative_error, render
 from tests.render_scenes import FLSEA, flsea_frame, frame_of, plane_depth, rays, yard
 
 CAMERA = Intrinsics(21.0, 19.0, 10.3, 8.6)

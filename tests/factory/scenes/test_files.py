@@ -23,46 +23,12 @@ from simnfnd.factory.frame import Intrinsics
 from simnfnd.factory.scenes.calibration import read_kalibr, scaled, undistorted, z_from_range
 from simnfnd.factory.scenes.images import read_depth, read_rgb
 from simnfnd.factory.scenes.poses import pose_at, redwood_poses
+from tests.factory.scenes.scene_files import KALIBR_IMUCAM
 from tests.project_files import ROOT
 
 CANYONS = ROOT / "../shared/data/flsea-vi/canyons/u_canyon"
 Array = npt.NDArray[Any]
 REAL = pytest.mark.skipif(not CANYONS.is_dir(), reason="FLSea frames are not here")
-
-KALIBR_IMUCAM = """Calibration results
-===================
-Normalized Residuals
-----------------------------
-Reprojection error (cam0):     mean 0.41, median 0.36, std: 0.27
-
-Transformation (cam0):
------------------------
-T_ci:  (imu0 to cam0):
-[[ 0.01 -0.99  0.02  0.1 ]
- [ 0.    0.    0.    1.  ]]
-
-timeshift cam0 to imu0: [s] (t_imu = t_cam + shift)
-0.0123
-
-Calibration configuration
-=========================
-
-cam0
------
-  Camera model: pinhole
-  Focal length: [1296.5, 1300.25]
-  Principal point: [501.5, 276.125]
-  Distortion model: radtan
-  Distortion coefficients: [-0.125, 0.0625, -4.5e-03, 0.0007]
-  Type: aprilgrid
-  Tags:
-    Size: 0.0594 [m]
-
-cam1
------
-  Camera model: pinhole
-  Focal length: [1.0, 2.0]
-"""
 
 KALIBR_CAM = """Calibration results
 ====================

@@ -13,7 +13,7 @@ from simnfnd.models.data.crops import VisitSampler
 from simnfnd.models.data.kept import KEPT, KeptSource, drawn
 from simnfnd.models.data.pairs import Sample
 from simnfnd.models.settings import RendersData
-from tests.models.training.test_training import data_settings
+from tests.models.data.data_settings import data_settings
 
 
 class Counting:

@@ -15,8 +15,8 @@ from simnfnd.models.data.sources import open_data
 from simnfnd.models.networks.ap_bsn import APBSN
 from simnfnd.models.training.blind_spots import log_scale
 from simnfnd.models.training.train import train
-from tests.models.networks.test_networks import stirred, tiny
-from tests.models.training.test_training import config_for
+from tests.models.networks.tiny_networks import stirred, tiny
+from tests.models.training.small_training import config_for
 from tests.small_dataset import write_dataset
 
 

@@ -16,8 +16,8 @@ from simnfnd.models.networks import build_network
 from simnfnd.models.networks.kdlae import KDLAE, frames_of
 from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.training.train import train
-from tests.models.networks.test_networks import TINY, stirred, tiny
-from tests.models.training.test_training import SMALL, config_for
+from tests.models.networks.tiny_networks import TINY, stirred, tiny
+from tests.models.training.small_training import SMALL, config_for
 from tests.small_dataset import write_dataset
 
 KDLAE_WORDS = ("model=kdlae", "model.frames=3", "model.widths=[4,4]", "data.frames=3")

@@ -20,8 +20,8 @@ from simnfnd.models.networks.three_stage import (
 from simnfnd.models.settings import TrainSettings
 from simnfnd.models.training.module import DenoisingModule
 from simnfnd.models.training.train import train
-from tests.models.networks.test_networks import stirred, tiny
-from tests.models.training.test_training import SMALL, config_for
+from tests.models.networks.tiny_networks import stirred, tiny
+from tests.models.training.small_training import SMALL, config_for
 from tests.small_dataset import write_dataset
 
 

@@ -18,7 +18,7 @@ from simnfnd.models.networks.dgp_srgan import Critic, DGPSRGANSettings
 from simnfnd.models.training.adversarial import AdversarialModule
 from simnfnd.models.training.gradient_penalty import GradientPenaltyModule, penalty
 from simnfnd.models.training.train import train
-from tests.models.training.test_training import config_for
+from tests.models.training.small_training import config_for
 from tests.small_dataset import write_dataset
 
 SMALL = (

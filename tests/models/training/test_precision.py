@@ -15,7 +15,7 @@ from simnfnd.models.networks.weights import load_weights
 from simnfnd.models.settings import ModelsSettings
 from simnfnd.models.training import precision
 from simnfnd.models.training.train import train
-from tests.models.training.test_training import SMALL, config_for
+from tests.models.training.small_training import SMALL, config_for
 from tests.small_dataset import write_dataset
 
 FLAGS = "processor\t: 0\nflags\t\t: fpu avx512f {}\n"

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from simnfnd.models.training.residual_statistics import median, residual_loss
 from simnfnd.models.training.train import train
-from tests.models.networks.test_networks import tiny
-from tests.models.training.test_training import config_for
+from tests.models.networks.tiny_networks import tiny
+from tests.models.training.small_training import config_for
 from tests.small_dataset import write_dataset
 
 NINE_LOOKS = 0.1175

@@ -23,7 +23,7 @@ from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.training.teacher import Teacher
 from simnfnd.models.training.train import train
-from tests.models.training.test_training import SMALL, config_for, train_small
+from tests.models.training.small_training import SMALL, config_for, train_small
 from tests.small_dataset import write_dataset
 
 SONARNET = {

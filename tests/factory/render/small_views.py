@@ -1,0 +1,48 @@
+"""A view, and the configuration of a small seabed whose renders are kept in a folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from simnfnd.factory.config import FactoryConfig, from_mapping
+from simnfnd.factory.render.mount import Mount
+from simnfnd.factory.render.view import View, view_of
+from tests.frames import ground_and_post, plain_render
+
+SMALL_SEABED = {
+    "kind": "seabed",
+    "locations": 1,
+    "frames_per_location": 3,
+    "width": 240,
+    "height": 160,
+}
+
+
+def some_view() -> View:
+    frame = ground_and_post()
+    return view_of(frame, plain_render(frame), Mount())
+
+
+def config(folder: Path, **keys: object) -> FactoryConfig:
+    return from_mapping(
+        {
+            "scenes": SMALL_SEABED,
+            "render": {"kind": "analytic"},
+            "cache": {"dir": str(folder)},
+            **keys,
+        }
+    )
+
+
+def same(one: View, other: View) -> bool:
+    return (
+        one.depth_m.tobytes() == other.depth_m.tobytes()
+        and one.radiance.tobytes() == other.radiance.tobytes()
+        and (one.intrinsics, one.mount) == (other.intrinsics, other.mount)
+        and np.array_equal(
+            np.asarray(one.world_from_camera, dtype=object),
+            np.asarray(other.world_from_camera, dtype=object),
+        )
+    )

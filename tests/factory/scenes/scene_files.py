@@ -1,0 +1,89 @@
+"""Small recordings as files: pictures, depth maps, trees of FLSea and TUM, a calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from simnfnd.factory.scenes import Scenes, open_reader
+from simnfnd.factory.scenes.base import Reader
+from simnfnd.factory.settings import build
+
+PINHOLE = [20.0, 20.0, 11.5, 7.5]
+
+Array = npt.NDArray[Any]
+RGB = np.arange(16 * 24 * 3, dtype=np.uint8).reshape(16, 24, 3)
+DEPTH = np.linspace(0.5, 6, 16 * 24, dtype=np.float32).reshape(16, 24)
+
+KALIBR_IMUCAM = """Calibration results
+===================
+Normalized Residuals
+----------------------------
+Reprojection error (cam0):     mean 0.41, median 0.36, std: 0.27
+
+Transformation (cam0):
+-----------------------
+T_ci:  (imu0 to cam0):
+[[ 0.01 -0.99  0.02  0.1 ]
+ [ 0.    0.    0.    1.  ]]
+
+timeshift cam0 to imu0: [s] (t_imu = t_cam + shift)
+0.0123
+
+Calibration configuration
+=========================
+
+cam0
+-----
+  Camera model: pinhole
+  Focal length: [1296.5, 1300.25]
+  Principal point: [501.5, 276.125]
+  Distortion model: radtan
+  Distortion coefficients: [-0.125, 0.0625, -4.5e-03, 0.0007]
+  Type: aprilgrid
+  Tags:
+    Size: 0.0594 [m]
+
+cam1
+-----
+  Camera model: pinhole
+  Focal length: [1.0, 2.0]
+"""
+
+
+def reader(kind: str, root: Path, **values: object) -> Reader:
+    settings: Any = build(Scenes, {"kind": kind, "root": str(root), **values}, "scenes")
+    return open_reader(settings)
+
+
+def write(path: Path, array: Array) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    options = {"compression": "tiff_lzw"} if path.suffix.startswith(".tif") else {}
+    Image.fromarray(array).save(path, **options)
+    return path
+
+
+def flsea_frame(
+    scene: Path, stamp: str, depth: Array | None = DEPTH, ending: str = "_SeaErra_abs_depth"
+) -> None:
+    write(scene / "imgs" / f"{stamp}.tiff", RGB)
+    if depth is not None:
+        write(scene / "depth" / f"{stamp}{ending}.tif", depth)
+
+
+def names(reader: Reader) -> list[str]:
+    return [ref.name for ref in reader.discover().frames]
+
+
+def tum_recording(folder: Path, rgb_s: list[str], depth_s: list[str]) -> Path:
+    for kind, times in (("rgb", rgb_s), ("depth", depth_s)):
+        for i, time in enumerate(times):
+            stored = RGB if kind == "rgb" else (DEPTH * 5000 + i).astype(np.uint16)
+            write(folder / kind / f"{time}.png", stored)
+        lines = [f"{time} {kind}/{time}.png" for time in times]
+        (folder / f"{kind}.txt").write_text("# timestamp filename\n" + "\n".join(lines) + "\n")
+    return folder

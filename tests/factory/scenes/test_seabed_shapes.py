@@ -1,0 +1,180 @@
+"""What the seabed is drawn with: depth and shadows as rays meet them, meshes, waves, noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from simnfnd.factory.scenes.seabed.casting import directions, view, z_buffer
+from simnfnd.factory.scenes.seabed.fields import lookup, tiles, waves
+from simnfnd.factory.scenes.seabed.names import PLACE_NAMES
+from simnfnd.factory.scenes.seabed.objects.meshes import (
+    Mesh,
+    box,
+    grid_triangles,
+    lathe,
+    rock,
+    sphere,
+    tube,
+)
+from simnfnd.factory.scenes.seabed.optics import Optics, camera
+from simnfnd.factory.scenes.seabed.photo import Scene, _light
+from simnfnd.factory.scenes.seabed.terrain import view_mesh
+from simnfnd.factory.scenes.seabed.viewpoint import choose_pose
+from simnfnd.factory.scenes.seabed.world import _field_of_view, build_world
+
+
+@pytest.mark.parametrize("location", [0, 1, 3, 6, 12])
+def test_the_path_keeps_clear_of_everything(location: int) -> None:
+    open3d: Any = pytest.importorskip("open3d")
+    world = build_world(location, PLACE_NAMES, 1.0, None)
+    side = np.arange(-36, 36, 0.3)
+    x, y = np.meshgrid(side, side, indexing="ij")
+    ground = np.stack([x, y, world.terrain.height_m(x, y)], axis=-1).reshape(-1, 3)
+    things = world.objects.mesh
+    meshes = ((ground, grid_triangles(len(side), len(side))), (things.vertices, things.triangles))
+    scenes = [ray_casting(open3d, *one) for one in meshes]
+    for pose in (*range(0, 60, 6), 5000):
+        eye = choose_pose(world, pose).eye
+        query = open3d.core.Tensor(eye[None].astype(np.float32))
+        for scene in scenes:
+            assert scene.compute_distance(query).numpy()[0] > 0.4
+        ground_m = world.terrain.height_m(eye[:1], eye[1:2])[0]
+        assert 0.7 <= eye[2] - ground_m <= 3.0
+
+
+def ray_casting(open3d: Any, vertices: npt.NDArray[Any], triangles: npt.NDArray[Any]) -> Any:
+    """Open3D's own ray-casting scene of a mesh: somebody else's arithmetic."""
+    scene = open3d.t.geometry.RaycastingScene(nthreads=1)
+    scene.add_triangles(
+        open3d.core.Tensor(np.ascontiguousarray(vertices, dtype=np.float32)),
+        open3d.core.Tensor(np.ascontiguousarray(triangles, dtype=np.uint32)),
+    )
+    return scene
+
+
+@pytest.mark.parametrize(
+    ("location", "optics"), [(2, camera(242, 152)), (6, camera(242, 152, 130, 20))]
+)
+def test_the_z_buffer_meets_what_rays_meet(location: int, optics: Optics) -> None:
+    """Depth and triangle of every pixel against Open3D's rays, near the lens and in wide views."""
+    open3d: Any = pytest.importorskip("open3d")
+    world = build_world(location, PLACE_NAMES, 1.0, None)
+    where = choose_pose(world, 1)
+    ground = view_mesh(world.terrain, where.eye, (-4.0, 4.0), (-0.9, 0.3), (80, 200)).points
+    objects, everything = world.objects, np.ones(len(world.objects.balls), dtype=np.bool_)
+    seen = z_buffer(where, optics, ground, objects, everything)
+    toward = directions(where.rotation, optics.intrinsics, optics.width, optics.height)
+    rays = np.concatenate([np.broadcast_to(where.eye, toward.shape), toward], axis=-1)
+    floor = grid_triangles(*ground.shape[:2])
+    answers = [
+        ray_casting(open3d, points, triangles).cast_rays(
+            open3d.core.Tensor(rays.astype(np.float32)), nthreads=1
+        )
+        for points, triangles in (
+            (ground.reshape(-1, 3), floor),
+            (objects.mesh.vertices, objects.mesh.triangles),
+        )
+    ]
+    floor_m, object_m = (answer["t_hit"].numpy() for answer in answers)
+    expected = np.minimum(floor_m, object_m)
+    met = seen.which >= 0
+    assert (met == np.isfinite(expected)).mean() > 0.9999
+    both = met & np.isfinite(expected)
+    error = np.abs(1 / seen.inverse[both] - expected[both]) / expected[both]
+    assert np.percentile(error, 99) < 1e-4
+    on_object = object_m < floor_m
+    assert ((seen.which >= len(floor)) == on_object)[both].mean() > 0.999
+
+
+def test_shadows_fall_where_rays_to_the_sun_are_blocked() -> None:
+    open3d: Any = pytest.importorskip("open3d")
+    world = build_world(4, PLACE_NAMES, 1.0, None)
+    optics, where = camera(484, 304), choose_pose(world, 1)
+    ground = view_mesh(world.terrain, where.eye, *_field_of_view(where, optics), (220, 160))
+    scene = Scene(
+        where, optics, ground, world.objects, world.finishes, world.palette, world.water, (0, 0)
+    )
+    hits = view(where, optics, ground, world.objects)
+    lit, free = _light(scene, hits)
+    assert 0 <= free.min() < 0.7
+    assert free.max() == 1
+    toward = directions(where.rotation, optics.intrinsics, optics.width, optics.height)[::2, ::2]
+    depth = hits.depth_m[::2, ::2, None]
+    near = np.isfinite(depth[..., 0]) & (depth[..., 0] < 10)
+    start = where.eye + np.where(near[..., None], depth, 1) * toward
+    start = start + (0.004 + 0.004 * depth) * hits.normals[::2, ::2]
+    sun = np.broadcast_to(world.water.sun_direction, start.shape)
+    rays = open3d.core.Tensor(np.concatenate([start, sun], axis=-1)[near].astype(np.float32))
+    dark = np.zeros(int(near.sum()), dtype=np.bool_)
+    things = world.objects.mesh
+    for points, triangles in (
+        (ground.points.reshape(-1, 3), ground.triangles),
+        (things.vertices, things.triangles),
+    ):
+        dark |= ray_casting(open3d, points, triangles).test_occlusions(rays, nthreads=1).numpy()
+    assert dark.mean() > 0.02  # there is something to find
+    assert ((lit[near] == 0) == dark).mean() > 0.97
+
+
+def volume(mesh: Mesh) -> float:
+    """Signed volume by the divergence theorem: positive where triangles face outward."""
+    a, b, c = (mesh.vertices[mesh.triangles[:, k]].astype(np.float64) for k in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        (lambda: box((2, 3, 4), (5, 5, 5)), 24),
+        (lambda: sphere(4), 4 / 3 * np.pi),
+        (lambda: lathe([[0, 0], [1, 0], [1, 2], [0, 2]], 200, crease=True), 2 * np.pi),
+        (lambda: tube([[0, 0, 0], [1, 0, 0], [3, 0, 0]], 0.5, 200), 3 * np.pi / 4),
+        (lambda: tube(_ring(400), 0.1, 200, closed=True), 2 * np.pi**2 * 0.01),
+    ],
+    ids=["box", "sphere", "lathe", "tube", "torus"],
+)
+def test_meshes_are_closed_and_face_outward(shape: Callable[[], Mesh], expected: float) -> None:
+    assert volume(shape()) == pytest.approx(expected, rel=0.01)
+
+
+def _ring(count: int) -> npt.NDArray[np.float64]:
+    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    return np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)])
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**31))
+def test_rocks_are_solid_and_of_about_unit_size(seed: int) -> None:
+    stone = rock(np.random.default_rng(seed), 3)
+    radius = np.linalg.norm(stone.vertices, axis=1)
+    assert radius.min() > 0.2
+    assert radius.max() < 1.8
+    assert 1 < volume(stone) < 6.5
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**31))
+def test_waves_have_unit_variance(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    field = waves(rng, 8.0, 0.5)
+    values = field(*rng.uniform(-2000, 2000, (2, 20_000)))
+    assert abs(float(values.mean())) < 0.1
+    assert float(values.std()) == pytest.approx(1, abs=0.1)
+
+
+def test_noise_pictures_repeat_without_a_seam_however_far_away() -> None:
+    u, v = np.random.default_rng(0).uniform(0, 3, (2, 40, 50)).astype(np.float32)
+    near = lookup(tiles().rock, u, v, 3.0)
+    far = lookup(tiles().rock, u + 90, v - 60, 3.0)
+    assert np.abs(near - far).mean() < 0.02
+    rock_tile = tiles().rock
+    step = np.abs(np.diff(rock_tile, axis=0)).mean()
+    assert np.abs(rock_tile[0] - rock_tile[-1]).mean() < 1.5 * step
+    assert rock_tile.std() == pytest.approx(1, abs=1e-3)

@@ -1,0 +1,49 @@
+"""A small dataset of the factory with its renders, and training data that is made of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from simnfnd.factory.cli.compose import compose_config
+from simnfnd.factory.cli.generate import run
+from simnfnd.factory.render.pack import write_pack
+from simnfnd.factory.renders.views import CachedViews
+from simnfnd.models.data.pairs import hold_out, read_table
+from simnfnd.models.data.renders import RenderSource, open_renders
+from simnfnd.models.settings import RendersData
+from tests.models.data.data_settings import composed
+
+WORDS = (
+    *("experiment=simnfnd", "scenes=seabed", "scenes.locations=4", "scenes.frames_per_location=1"),
+    *("scenes.width=160", "scenes.height=100", "render=analytic", "split.test=[]"),
+    *("sonar.image.width_px=48", "sonar.image.height_px=40", "sonar.beams=48"),
+    *("sonar.range_bins=40", "scheduler=serial", "scenes.objects=0.2", "dataset.preview_pairs=0"),
+)
+
+
+def rendered_dataset(folder: Path) -> tuple[Path, Path]:
+    """A dataset of the factory, and a pack of its renders."""
+    dataset, pack = folder / "data", folder / "views.pack"
+    config = compose_config([*WORDS, f"dataset.dir='{dataset}'", f"cache.dir='{folder / 'cache'}'"])
+    report, _ = run(config, [])
+    views = CachedViews(config)
+    from simnfnd.factory.scenes import open_reader
+
+    frames = open_reader(config.scenes).discover().frames
+    write_pack(pack, frames, views.view, config.sonar.mount, config.render.kind)
+    assert not report.failures
+    return dataset, pack
+
+
+def renders(rendered: tuple[Path, Path], **changes: Any) -> tuple[RenderSource, str]:
+    dataset, pack = rendered
+    settings, _ = composed("data=renders")
+    assert isinstance(settings.data, RendersData)
+    data = replace(settings.data, **{"pack": str(pack), **changes})
+    table = read_table(dataset, "train")
+    _, held = hold_out(table.samples, 0.3, 0)
+    found = open_renders(data, table, held, str(dataset), seed=5)
+    assert isinstance(found.source, RenderSource)
+    return found.source, found.said

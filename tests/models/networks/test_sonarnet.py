@@ -1,0 +1,203 @@
+"""SonarNet: what it is told, its mask and its weight, and the polar grid inside."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from simnfnd.factory.sonar.fan import fan_table, pixel_size
+from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
+from simnfnd.models.networks.cost import example
+from simnfnd.models.networks.network import Network
+from simnfnd.models.networks.polar import polar_grid
+from simnfnd.models.networks.sonarnet import SonarNet
+from simnfnd.models.removal import DEFAULT, vector
+from tests.models.networks.tiny_networks import stirred, tiny
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def told(network: Network, size: int) -> tuple[Tensor, dict[str, Tensor]]:
+    image, extras = example(network, size)
+    return image * extras["sector"], extras
+
+
+def test_only_what_a_network_uses_is_taken() -> None:
+    with pytest.raises(TypeError, match="UNet does not use sector"):
+        tiny("unet")(torch.zeros(1, 1, 8, 8), sector=torch.ones(1, 1, 8, 8))
+    with pytest.raises(TypeError, match="UNet has no heads"):
+        tiny("unet").with_heads(torch.zeros(1, 1, 8, 8))
+    network = stirred(tiny("sonarnet"))
+    image, extras = told(network, 32)
+    nothing = {name: None for name in extras}
+    assert torch.equal(network(image, **nothing), network(image))
+    assert not torch.allclose(network(image, **extras), network(image))
+
+
+def test_the_mask_gates_the_picture_inside_the_sector() -> None:
+    network = stirred(tiny("sonarnet"))
+    image, extras = told(network, 32)
+    image = image + 0.1
+    restored, logits, _ = network.with_heads(image, **extras)
+    outside = extras["sector"] == 0
+    assert outside.any()
+    assert torch.equal(restored[outside], image[outside])
+    assert (logits[outside] < 0).all()
+    open_gate = stirred(tiny("sonarnet", mask=False)).with_heads(image, **extras)[0]
+    gated = open_gate * torch.sigmoid(-logits)
+    torch.testing.assert_close(restored[~outside], gated[~outside])
+
+
+def test_the_weight_is_the_part_of_the_change_that_a_picture_gets() -> None:
+    network = stirred(tiny("sonarnet", forget=0.0))
+    assert isinstance(network, SonarNet)
+    image, extras = told(network, 32)
+    for known in ({}, extras):
+        for logit, part in ((-50.0, 0.0), (0.0, 0.5), (50.0, 1.0)):
+            with torch.no_grad():
+                network.blend.logit.weight.zero_()
+                network.blend.logit.bias.fill_(logit)
+            whole = network.with_heads(image, **known)
+            assert whole.weight.item() == pytest.approx(part)
+            torch.testing.assert_close(
+                network(image, **known), image + part * (whole.image - image)
+            )
+        assert not torch.equal(whole.image, image)
+
+
+def test_what_to_remove_changes_the_picture() -> None:
+    network = stirred(tiny("sonarnet"))
+    image, extras = told(network, 32)
+    usual = network(image, **extras)
+    default = torch.from_numpy(vector(DEFAULT))[None]
+    assert torch.equal(network(image, **extras, remove=default), usual)
+    speckle = torch.from_numpy(vector(["speckle"]))[None]
+    assert not torch.allclose(network(image, **extras, remove=speckle), usual)
+    with pytest.raises(ValueError, match="'hiss' is none of speckle, haze"):
+        vector(["hiss"])
+
+
+def test_a_network_that_looks_twice_does_not_care_for_left_and_right() -> None:
+    network = stirred(tiny("sonarnet", mirror=True))
+    once = stirred(tiny("sonarnet"))
+    image, extras = told(network, 32)
+    turned = {name: plane.flip(-1) for name, plane in extras.items()}
+    turned["azimuth_rad"] = -turned["azimuth_rad"]
+    for known, mirrored in (({}, {}), (extras, turned)):
+        both, logits, weight = network.with_heads(image, **known)
+        first, second = once.with_heads(image, **known), once.with_heads(image.flip(-1), **mirrored)
+        torch.testing.assert_close(both, (first.image + second.image.flip(-1)) / 2)
+        torch.testing.assert_close(weight, (first.weight + second.weight) / 2)
+        again = network.with_heads(image.flip(-1), **mirrored)
+        torch.testing.assert_close(again.image.flip(-1), both)
+        torch.testing.assert_close(again.shadow_logits.flip(-1), logits)
+
+
+def test_geometry_is_forgotten_in_training_alone() -> None:
+    network = stirred(tiny("sonarnet", forget=1.0))
+    image, extras = told(network, 32)
+    blind, seeing = network(image), network(image, **extras)
+    assert torch.equal(network.train()(image, **extras), blind)
+    assert not torch.allclose(blind, seeing)
+
+
+def test_colours_share_one_mask_and_one_geometry() -> None:
+    network = stirred(tiny("sonarnet"))
+    image, extras = told(network, 32)
+    colours = image.expand(-1, 3, -1, -1)
+    restored, logits, weight = network.with_heads(colours, **extras)
+    alone, mask, of_one = network.with_heads(image, **extras)
+    torch.testing.assert_close(weight, of_one)
+    torch.testing.assert_close(restored, alone.expand(-1, 3, -1, -1))
+    torch.testing.assert_close(logits, mask)
+
+
+# --- polar inside
+
+
+def fan_and_polar() -> tuple[Tensor, Tensor, dict[str, Tensor]]:
+    """A smooth polar picture, the factory's fan picture of it, and the maps of the fan."""
+    rows, columns, near = 80, 96, 0.3
+    sonar = SonarSettings(
+        name="test", frequency_khz=900, hfov_deg=60, vfov_deg=20, beams=columns, range_bins=rows,
+        image=ImageSettings(width_px=columns, height_px=rows),
+    )  # fmt: skip
+    u, v = np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, columns), indexing="ij")
+    polar = 0.5 + 0.25 * np.sin(7 * u + 2) + 0.25 * np.cos(9 * v * (1 + u))
+    fan = fan_table(sonar, near).bilinear(polar)
+    pixel = pixel_size(sonar, near)
+    ahead = 1 - (np.arange(rows)[:, None] + 0.5) * pixel
+    right = (np.arange(columns)[None] + 0.5 - columns / 2) * pixel
+    maps = {
+        "range_fraction": np.hypot(ahead, right),
+        "azimuth_rad": np.arctan2(right, ahead),
+        "sector": (fan > 0).astype(float),
+    }
+    tensors = {name: torch.tensor(x, dtype=torch.float32)[None, None] for name, x in maps.items()}
+    return (
+        torch.tensor(polar, dtype=torch.float32)[None, None],
+        torch.from_numpy(fan)[None, None],
+        tensors,
+    )
+
+
+def test_the_polar_grid_is_the_factorys() -> None:
+    polar, fan, maps = fan_and_polar()
+    grid = polar_grid(**maps, fan=None)
+    assert grid is not None
+    seen = grid.polar(fan)
+    # Away from the edges, where the fan ends between two pixels.
+    inner = np.s_[..., 4:-4, 4:-4]
+    assert (seen - polar)[inner].abs().max() < 0.02
+    near_row, far_row = grid.range_fraction[0, 0, [0, -1], 0].tolist()
+    assert near_row == pytest.approx(0.3, abs=0.02)
+    assert far_row == pytest.approx(1.0, abs=0.02)
+    bearings = grid.azimuth_rad[0, 0, 0, [0, -1]].tolist()
+    assert bearings == pytest.approx([-math.pi / 6, math.pi / 6], abs=0.02)
+
+
+def test_there_and_back_is_the_same_picture() -> None:
+    _, fan, maps = fan_and_polar()
+    grid = polar_grid(**maps, fan=None)
+    assert grid is not None
+    inside = torch.nn.functional.max_pool2d(1 - maps["sector"], 7, stride=1, padding=3) == 0
+    difference = (grid.fan(grid.polar(fan)) - fan)[inside].abs()
+    assert difference.max() < 0.02
+
+
+def test_a_mirrored_picture_has_the_mirrored_grid() -> None:
+    _, fan, maps = fan_and_polar()
+    grid = polar_grid(**maps, fan=None)
+    flipped = {name: x.flip(-1) for name, x in maps.items()}
+    flipped["azimuth_rad"] = -flipped["azimuth_rad"]
+    mirrored = polar_grid(**flipped, fan=None)
+    assert grid is not None
+    assert mirrored is not None
+    torch.testing.assert_close(
+        mirrored.polar(fan.flip(-1)), grid.polar(fan).flip(-1), atol=1e-4, rtol=0
+    )
+
+
+def test_polar_pictures_and_single_pixels_stay_as_they_are() -> None:
+    rows = torch.linspace(0.2, 1, 8)[None, None, :, None].expand(1, 1, 8, 6)
+    columns = torch.linspace(-0.3, 0.3, 6)[None, None, None].expand(1, 1, 8, 6)
+    assert polar_grid(rows, columns, torch.ones(1, 1, 8, 6)) is None
+    one = torch.full((1, 1, 1, 1), 0.5)
+    assert polar_grid(one, one, one) is None
+
+
+def test_a_window_without_sector_is_as_good_as_any() -> None:
+    network = stirred(tiny("sonarnet"))
+    image, extras = told(network, 32)
+    nothing = {**extras, "sector": torch.zeros_like(image)}
+    restored, logits, leave = network.with_heads(image, **nothing)
+    assert torch.isfinite(leave).all()
+    assert torch.equal(restored, image)
+    assert torch.isfinite(logits).all()

@@ -1,0 +1,41 @@
+"""The recipe of a small training, and the network that it trains."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_module
+from omegaconf import OmegaConf
+
+from simnfnd.factory.settings import build
+from simnfnd.models.settings import ModelsSettings
+from simnfnd.models.training.train import train
+
+TINY = {"kind": "nafnet", "width": 8, "encoder": [1, 1], "middle": 1, "decoder": [1, 1]}
+# The recipe of every small training here, as overrides of conf/models.yaml.
+SMALL = (
+    "model.width=8",
+    "model.encoder=[1,1]",
+    "model.decoder=[1,1]",
+    "data.patch=32",
+    "data.batch=4",
+    "train.steps=90",
+    "train.check_every=30",
+    "train.warmup=5",
+    "train.learning_rate=0.003",
+    "train.ema=0.95",
+    "tensorboard=false",
+    "pictures=0",
+)
+
+
+def config_for(dataset: Path, out: Path, *overrides: str) -> tuple[ModelsSettings, dict[str, Any]]:
+    with initialize_config_module("simnfnd.conf", version_base="1.3"):
+        composed = compose("models", [f"dataset.dir='{dataset}'", f"out='{out}'", *overrides])
+    values: Any = OmegaConf.to_container(composed, resolve=True)
+    return build(ModelsSettings, values), values
+
+
+def train_small(dataset: Path, out: Path, *overrides: str) -> dict[str, float | int]:
+    return train(*config_for(dataset, out, *SMALL, *overrides))

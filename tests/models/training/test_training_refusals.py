@@ -1,0 +1,117 @@
+"""What a training refuses, and that it says so in one line."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import torch
+
+from simnfnd.factory.errors import FactoryError
+from tests.models.training.small_training import train_small
+from tests.project_files import ROOT
+from tests.small_dataset import write_dataset
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread() -> None:
+    # Tiny networks gain nothing from more, and test runs side by side would fight for cores.
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_dataset(tmp_path_factory.mktemp("data"), train=24, test=4, size=48)
+
+
+def test_loss_that_is_no_number_stops_training(dataset: Path, tmp_path: Path) -> None:
+    with pytest.raises(FactoryError, match=r"the loss became (nan|inf).*learning_rate"):
+        train_small(dataset, tmp_path, "train.learning_rate=1e30", "train.warmup=0")
+    assert not (tmp_path / "weights.safetensors").exists()
+
+
+def test_damaged_sample_in_a_reading_process_is_one_line(tmp_path: Path) -> None:
+    broken = write_dataset(tmp_path / "data", train=8, test=0, size=48)
+    for path in sorted((broken / "train").glob("*.h5")):
+        with h5py.File(path, "r") as file:
+            places = [file["noisy"].id.get_chunk_info(row).byte_offset for row in range(4)]
+        content = bytearray(path.read_bytes())
+        for place in places:
+            content[place + 20] ^= 0xFF
+        path.write_bytes(content)
+    with pytest.raises(FactoryError, match=r"^\S*shard-0000\d\.h5: sample \d is damaged") as error:
+        train_small(broken, tmp_path / "out", "data.workers=1")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (("data.patch=64",), r"data\.patch=64 is larger than the images .*48x48"),
+        (("train.check_every=40",), "multiple of check_every"),
+        (("train.precision=16-mixed", "device=cpu"), "16-mixed needs a GPU"),
+        (("data.validation=1.0",), r"data\.validation"),
+        (("name=a/b",), "name"),
+    ],
+)
+def test_odd_settings_are_refused(
+    overrides: tuple[str, ...], words: str, dataset: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(FactoryError, match=words):
+        train_small(dataset, tmp_path, *overrides)
+
+
+def test_a_step_of_one_image_takes_it_whole(dataset: Path, tmp_path: Path) -> None:
+    words = ("data.patch=64", "data.batch=1", "data.crops=1")
+    row = train_small(dataset, tmp_path / "whole", *words)
+    assert np.isfinite(row["loss"])
+    stages = "data.stages=[{share: 0.5, patch: 64, batch: 2}]"
+    with pytest.raises(FactoryError, match=r"patch=64 is larger than .*or data\.batch=data\.crops"):
+        train_small(dataset, tmp_path / "mixed", *words, stages)
+
+
+def test_unusable_datasets_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(FactoryError, match="no such folder"):
+        train_small(tmp_path / "nowhere", tmp_path / "out")
+    only_test = write_dataset(tmp_path / "test only", train=0, test=2)
+    with pytest.raises(FactoryError, match="train split is empty"):
+        train_small(only_test, tmp_path / "out")
+    other = write_dataset(tmp_path / "other", train=4, test=0)
+    with h5py.File(other / "train" / "shard-00000.h5", "r+") as file:
+        file.attrs["schema"] = "simnfnd/2"
+    with pytest.raises(FactoryError, match=r"schema 'simnfnd/2'"):
+        train_small(other, tmp_path / "out")
+
+
+def test_output_that_cannot_be_written(dataset: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    with pytest.raises(FactoryError, match="out: cannot write"):
+        train_small(dataset, tmp_path / "file" / "model")
+
+
+def test_bad_command_lines_are_one_line(tmp_path: Path) -> None:
+    for arguments, words in (
+        ((), "dataset: give the folder"),
+        (("dataset=nowhere", "modle=nafnet"), "modle"),
+        (("dataset=nowhere", "model=vgg"), "vgg"),
+        (("denoise", "a.png"), "--out"),
+        (("denoise", "a.png", "--out", "o", "--weights", "w"), "a.png: no such file"),
+    ):
+        done = subprocess.run(
+            [sys.executable, "-m", "simnfnd.models", *arguments],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+        )
+        assert done.returncode == 2, done.stderr
+        assert words in done.stderr
+        assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
