@@ -27,15 +27,17 @@ def denoise_figure(
 ) -> Gray:
     """`denoise` of a picture, (H, W) in 0..1; of a figure, of each picture in it by itself.
 
+    A plot of lines, and an empty page, stay as they are.
+
     geometry: of the largest of them, where it is known; then others are looked at, too.
     page: (H, W) in 0..1, what shows where they are: `grey`, or the mean of all colours.
     """
     parts = _parts(page, geometry)
-    if geometry is not None or not parts:
+    if geometry is not None or parts is None:
         result = _called(denoise, grey, geometry, looks)
     else:
         result = grey.copy()
-    for part in parts:
+    for part in parts or ():
         own = part.of(grey)
         place = None if geometry is None else find_geometry(own)
         denoised = _called(denoise, own, place, [part.of(look) for look in looks])
@@ -43,9 +45,9 @@ def denoise_figure(
     return result
 
 
-def _parts(page: Gray, geometry: FanGeometry | None) -> tuple[Part, ...]:
+def _parts(page: Gray, geometry: FanGeometry | None) -> tuple[Part, ...] | None:
     if geometry is not None and geometry.layout == "polar":
-        return ()
+        return None
     parts = parts_of_figure(np.rint(page * 255).astype(np.uint8), dark=geometry is None)
     if geometry is None or not parts:
         return parts

@@ -68,7 +68,8 @@ def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
     if min(grey.shape) < _SMALLEST:
         return None
     found = _find_upright(grey, SURE) or _find_turned(grey)
-    for part in parts_of_figure(grey if means is None else means)[:1]:
+    parts = parts_of_figure(grey if means is None else means) or ()
+    for part in parts[:1]:
         if found is None or not _is_filled(found.geometry, part, grey.shape):
             shown = part.alone(grey)
             # Where echoes are dark on white, the page is part of the scale.

@@ -20,6 +20,7 @@ _HOLES = np.ones((7, 7), np.uint8)  # of zeros in a fan
 _LEAST_PART, _MOST_PART = 0.05, 0.9  # of all pixels: a fan on a screen
 
 _EVEN, _EVEN_SHARE = 2, 0.9  # of 255: so much of a figure's border is of one grey
+_LIGHT, _PAGE_SHARE = 190, 0.5  # of 255, and of all pixels: the page of a figure without pictures
 _ENCLOSED_PX = 12  # page that lines enclose, as between axes and a fan
 _LINES = np.ones((7, 7), np.uint8)  # what vanishes of a figure: axes, ticks, letters
 _LEAST_SIDE_PX, _LEAST_SHARE = 32, 0.02  # of a picture in a figure
@@ -79,17 +80,18 @@ class Part:
         return black
 
 
-def parts_of_figure(grey: Bytes, *, dark: bool = False) -> tuple[Part, ...]:
+def parts_of_figure(grey: Bytes, *, dark: bool = False) -> tuple[Part, ...] | None:
     """The pictures on a bright page of one grey, largest first, without axes, text and colour bars.
 
     grey: (H, W).  dark: of a dark page, too, but rectangles alone: what else is on black may well
-    be one picture in parts.  Empty for any other picture.
+    be one picture in parts.  Empty where there is nothing but lines and text, or nothing at all;
+    None for what is no figure.
     """
     edge = border(grey).astype(np.float32)
     level = float(np.median(edge))
     rectangles = level <= MOST_BLACK
     if (rectangles and not dark) or (np.abs(edge - level) <= _EVEN).mean() < _EVEN_SHARE:
-        return ()
+        return None
     alike = (np.abs(grey.astype(np.int16) - level) <= _EVEN).astype(np.uint8)
     _, areas, stats, _ = cv2.connectedComponentsWithStats(alike, connectivity=4)
     large = stats[:, cv2.CC_STAT_AREA] >= _ENCLOSED_PX
@@ -106,6 +108,8 @@ def parts_of_figure(grey: Bytes, *, dark: bool = False) -> tuple[Part, ...]:
         part = _part(grey, whole, stats[number], rectangles)
         if part is not None:
             found.append(part)
+    if not found and (level < _LIGHT or page.mean() < _PAGE_SHARE):
+        return None
     return tuple(found)
 
 

@@ -62,6 +62,12 @@ def test_a_rectangle_alone_changes(look: str) -> None:
     assert seen.min() > 0.05, "and none of the axes"
 
 
+def test_lines_and_empty_pages_stay() -> None:
+    drawn = figure([lambda axes: axes.plot(np.sin(np.arange(90)))])
+    for picture in (drawn.grey, drawn.picture, np.full((200, 200), 255, np.uint8)):
+        np.testing.assert_array_equal(denoise_image(picture, Dimming()), picture)
+
+
 def test_each_of_several_changes(tmp_path: Path) -> None:
     denoise = Dimming()
     drawn = figure([shown(speckle(seed)) for seed in range(4)], columns=2)
