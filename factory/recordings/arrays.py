@@ -25,15 +25,21 @@ _COLOURS = (1, 3, 4)
 _KINDS = "(H, W), (H, W, 3) or, of several pictures, (N, H, W) or (N, H, W, 3)"
 
 
-def kind_of_array(path: Path) -> Literal["picture", "several", "other"]:
+Kind = Literal["picture", "several", "other"]
+
+
+def kind_of_array(path: Path) -> Kind:
     """What the header of a .npy file says it holds; `picture` where it cannot be read.
 
     other: a shape that no pictures have, or values that are no numbers.
     """
     try:
-        array = _mapped(path)
+        return _kind(_mapped(path))
     except FrameError:
         return "picture"  # reading says what is wrong
+
+
+def _kind(array: npt.NDArray[Any]) -> Kind:
     sides = _sides(array.shape)
     if sides is None or min(sides) < LEAST_SIDE_PX or array.dtype.kind not in "uif":
         return "other"
@@ -51,7 +57,7 @@ def read_array(path: Path) -> Samples:
     Raises FrameError; floats of any size become float32.
     """
     array = _checked(path)
-    return _page(array if kind_of_array(path) == "picture" else array[0], str(path))
+    return _page(array if _kind(array) == "picture" else array[0], str(path))
 
 
 class ArrayFile(FileOfFrames):
@@ -59,7 +65,7 @@ class ArrayFile(FileOfFrames):
 
     def _open(self) -> None:
         array = _checked(self.path)
-        self._array = array if kind_of_array(self.path) == "several" else array[np.newaxis]
+        self._array = array if _kind(array) == "several" else array[np.newaxis]
 
     def __len__(self) -> int:
         return len(self._array)
@@ -106,11 +112,14 @@ class ArrayWriter:
         np.lib.format.write_array_header_1_0(self._file, header)  # type: ignore[no-untyped-call]
 
 
-def swapped(picture: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Colours from the order of NumPy's users (RGB) to OpenCV's or back; grey as it is."""
+def swapped(picture: npt.NDArray[Any]) -> Samples:
+    """Colours in OpenCV's order (BGR), or the other way round; numbers as the machine orders them.
+
+    picture: (H, W) or (H, W, C); what is beside three colours stays where it is.
+    """
     if picture.ndim == 3 and picture.shape[2] >= 3:
-        return np.concatenate([picture[..., 2::-1], picture[..., 3:]], axis=2)
-    return picture
+        picture = np.concatenate([picture[..., 2::-1], picture[..., 3:]], axis=2)
+    return picture.astype(picture.dtype.newbyteorder("="), copy=False)
 
 
 def _sides(shape: tuple[int, ...]) -> tuple[int, int] | None:
@@ -135,7 +144,7 @@ def _mapped(path: Path) -> npt.NDArray[Any]:
 def _checked(path: Path) -> npt.NDArray[Any]:
     """The array of a file, not read yet.  Raises FrameError unless it holds pictures."""
     array = _mapped(path)
-    if kind_of_array(path) == "other" or array.size == 0:
+    if _kind(array) == "other" or array.size == 0:
         raise FrameError(
             f"{path}: an array {array.shape} of {array.dtype} holds no pictures; expected "
             f"{_KINDS}, {LEAST_SIDE_PX} pixels or more on a side"
@@ -150,7 +159,7 @@ def _page(page: npt.NDArray[Any], what: str) -> Samples:
     if page.dtype.kind == "f":
         with np.errstate(over="ignore"):  # infinite: outside 0..1
             page = page.astype(np.float32)
-    page = page.astype(page.dtype.newbyteorder("="))
+    page = np.ascontiguousarray(swapped(page))
     if str(page.dtype) not in FULL_SCALE:
         raise FrameError(f"{what}: pixels are {page.dtype}; expected {', '.join(FULL_SCALE)}")
     if page.dtype == np.float32 and np.isnan(page).any():
@@ -160,4 +169,4 @@ def _page(page: npt.NDArray[Any], what: str) -> Samples:
             f"{what}: floats must be grey values from 0 to 1, these are {page.min():g} to "
             f"{page.max():g}; scale them (echoes in linear units: their logarithm)"
         )
-    return np.ascontiguousarray(swapped(page))
+    return page

@@ -8,14 +8,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.recordings.arrays import is_table, read_array
+from simnfnd.factory.recordings.arrays import is_table, read_array, swapped
 from simnfnd.factory.recordings.base import (
     ARRAY_SUFFIX,
     FULL_SCALE,
@@ -194,10 +194,3 @@ class StackFile(FileOfFrames):
         if hasattr(self, "_image"):
             self._image.close()
         super().close()
-
-
-def swapped(page: npt.NDArray[Any]) -> Samples:
-    """Colours in OpenCV's order, or the other way round; 16 bits in the order of the machine."""
-    if page.ndim == 3:
-        return page[..., ::-1]
-    return page.astype(page.dtype.newbyteorder("="), copy=False)

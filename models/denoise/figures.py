@@ -23,16 +23,15 @@ def denoise_figure(
     denoise: Denoise,
     geometry: FanGeometry | None,
     looks: Sequence[Gray],
-    page: Gray,
+    parts: Sequence[Part] | None,
 ) -> Gray:
     """`denoise` of a picture, (H, W) in 0..1; of a figure, of each picture in it by itself.
 
     A plot of lines, and an empty page, stay as they are.
 
     geometry: of the largest of them, where it is known; then others are looked at, too.
-    page: (H, W) in 0..1, what shows where they are: `grey`, or the mean of all colours.
+    parts: see `parts_of_page`.
     """
-    parts = _parts(page, geometry)
     if geometry is not None or parts is None:
         result = _called(denoise, grey, geometry, looks)
     else:
@@ -45,7 +44,11 @@ def denoise_figure(
     return result
 
 
-def _parts(page: Gray, geometry: FanGeometry | None) -> tuple[Part, ...] | None:
+def parts_of_page(page: Gray, geometry: FanGeometry | None) -> tuple[Part, ...] | None:
+    """The pictures of a figure, without the one whose fan is known; None for what is no figure.
+
+    page: (H, W) in 0..1, a grey picture, or the mean of all colours.
+    """
     if geometry is not None and geometry.layout == "polar":
         return None
     parts = parts_of_figure(np.rint(page * 255).astype(np.uint8), dark=geometry is None)

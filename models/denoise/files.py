@@ -22,7 +22,7 @@ from simnfnd.factory.recordings.pictures import read_picture
 from simnfnd.factory.recordings.video import VideoFile
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise.compared import sheet
-from simnfnd.models.denoise.figures import denoise_figure
+from simnfnd.models.denoise.figures import denoise_figure, parts_of_page
 from simnfnd.models.denoise.inputs import Item
 from simnfnd.models.denoise.steady import Steady
 from simnfnd.models.denoise.videos import FrameFiles
@@ -70,14 +70,14 @@ def denoise_image(
         raise ValueError("float pixels must lie in 0..1; divide by full scale")
     scaled = _planes(colours, full)
     beside = [_planes(look, full) for look in looks]
-    page = scaled[0] if len(scaled) == 1 else np.mean(scaled, axis=0)
+    parts = parts_of_page(scaled[0] if len(scaled) == 1 else np.mean(scaled, axis=0), geometry)
     result = image.copy()
     for channel, grey in enumerate(scaled):
         if channel and np.array_equal(grey, scaled[0]):
             result[..., channel] = result[..., 0]
             continue
         seen = [look[channel] for look in beside]
-        denoised = denoise_figure(grey, denoise, geometry, seen, page)
+        denoised = denoise_figure(grey, denoise, geometry, seen, parts)
         if full > 1:
             denoised = np.rint(denoised.astype(np.float64) * full)
         result[..., channel] = denoised.astype(image.dtype)

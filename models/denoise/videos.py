@@ -15,9 +15,8 @@ from PIL import Image, TiffImagePlugin
 from simnfnd.factory.errors import FrameError
 from simnfnd.factory.files import explain_os_errors, write_atomically
 from simnfnd.factory.quiet import quiet_stderr
-from simnfnd.factory.recordings.arrays import ArrayWriter
+from simnfnd.factory.recordings.arrays import ArrayWriter, swapped
 from simnfnd.factory.recordings.base import ARRAY_SUFFIX, TIFF_SUFFIXES
-from simnfnd.factory.recordings.pictures import swapped
 
 CODECS = {".avi": "FFV1", ".mkv": "FFV1", ".mov": "FFV1", ".mp4": "png "}
 """Suffix of a container -> the codec without loss that it holds."""
