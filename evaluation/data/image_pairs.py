@@ -15,7 +15,7 @@ import numpy.typing as npt
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
 from simnfnd.factory.recordings import PICTURE_SUFFIXES, SEQUENCES, kind_of
-from simnfnd.factory.recordings.arrays import is_table
+from simnfnd.factory.recordings.arrays.file import is_table
 from simnfnd.factory.recordings.pictures import in_unit_range, read_picture
 
 ROW = -1

@@ -11,8 +11,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.recordings.arrays import FORMATS, split_name
+from simnfnd.factory.recordings.arrays.levels import Levels
 from simnfnd.factory.recordings.base import (
-    ARRAY_SUFFIX,
     PICTURE_SUFFIXES,
     TIFF_SUFFIXES,
     Beams,
@@ -29,6 +30,7 @@ __all__ = [
     "Beams",
     "Device",
     "Frame",
+    "Levels",
     "Pose",
     "Recording",
     "is_recording",
@@ -45,10 +47,11 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "rosbag": (f"{_ROOM}.rosbag:RosBag", (".bag", ".mcap", ".db3")),
     "video": (f"{_ROOM}.video:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
     "stack": (f"{_ROOM}.pictures:StackFile", ()),
-    "array": (f"{_ROOM}.arrays:ArrayFile", ()),
+    "array": (f"{_ROOM}.arrays.file:ArrayFile", (".npz", ".mat")),
     "pictures": (f"{_ROOM}.pictures:Pictures", PICTURE_SUFFIXES),
 }
-"""Kind -> ("module:class", suffixes of its files); stacks and arrays have those of pictures."""
+"""Kind -> ("module:class", suffixes of its files); stacks have those of pictures, arrays also .npy
+and, where they are no shards, those of HDF5."""
 
 SEQUENCES = ("video", "stack", "array")
 """Kinds whose frames are pictures, one after the other."""
@@ -60,10 +63,11 @@ _OPENCV = {"video": "reading videos", "pictures": "reading pictures"}
 def kind_of(path: Path) -> str | None:
     """The kind of recording that a file's name says; None for others.
 
-    A TIFF file of several pages is a `stack`, a NumPy file of several pictures an `array`; one
-    that holds no pictures is of no kind.  A folder is `rosbag` when it holds a bag of ROS 2,
-    and `pictures` otherwise.
+    A TIFF file of several pages is a `stack`, a file of arrays an `array` (but .npy of one
+    picture); one that holds no pictures, or is a shard, is of no kind.  A folder is `rosbag` when
+    it holds a bag of ROS 2, and `pictures` otherwise.
     """
+    path, name = split_name(path)
     if path.is_dir():
         return "rosbag" if is_bag_folder(path) else "pictures"
     suffix = path.suffix.lower()
@@ -72,10 +76,12 @@ def kind_of(path: Path) -> str | None:
 
         if is_stack(path):
             return "stack"
-    if suffix == ARRAY_SUFFIX and path.is_file():
-        from simnfnd.factory.recordings.arrays import kind_of_array
+    if suffix in FORMATS and path.is_file():
+        from simnfnd.factory.recordings.arrays.file import kind_of_arrays
 
-        return {"picture": "pictures", "several": "array", "other": None}[kind_of_array(path)]
+        if name is not None:
+            return "array"
+        return {"picture": "pictures", "several": "array", "other": None}[kind_of_arrays(path)]
     for kind, (_, suffixes) in READERS.items():
         if suffix in suffixes:
             return kind
@@ -84,18 +90,25 @@ def kind_of(path: Path) -> str | None:
 
 def is_recording(path: Path) -> bool:
     """Whether a file or folder is one by its name: of a sonar, a bag or a video, not pictures."""
-    return path.exists() and kind_of(path) not in (None, "pictures")
+    return split_name(path)[0].exists() and kind_of(path) not in (None, "pictures")
 
 
-def open_recording(path: str | Path) -> Recording:
+def open_recording(path: str | Path, levels: Levels | None = None) -> Recording:
     """The recording in a file or folder.
 
+    path: of a file of arrays also FILE::NAME.  levels: of arrays, what shows as black and white.
     Raises FactoryError when there is none, it is of no known kind, or nothing of it can be read.
     """
     where = Path(path).expanduser()
-    if not where.exists():
+    if not split_name(where)[0].exists():
         raise FactoryError(f"{path}: no such file or folder")
     kind = kind_of(where)
+    if kind is None and split_name(where)[0].suffix.lower() in FORMATS:
+        kind = "array"  # which says what it lacks
+    if kind == "array" or (levels is not None and where.suffix.lower() in FORMATS):
+        from simnfnd.factory.recordings.arrays.file import ArrayFile
+
+        return ArrayFile(where, levels)
     if kind is None:
         known = ", ".join(suffix for _, suffixes in READERS.values() for suffix in suffixes)
         raise FactoryError(f"{path}: not a recording by its name ({known}, or a folder)")

@@ -15,7 +15,8 @@ import numpy.typing as npt
 from PIL import Image
 
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.recordings.arrays import is_table, read_array, swapped
+from simnfnd.factory.recordings.arrays.file import is_table, read_array
+from simnfnd.factory.recordings.arrays.levels import swapped
 from simnfnd.factory.recordings.base import (
     ARRAY_SUFFIX,
     FULL_SCALE,

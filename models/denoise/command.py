@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -15,7 +16,7 @@ from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import check_writable
 from simnfnd.factory.formation.contract import ARTEFACTS
 from simnfnd.factory.progress import progress_bar
-from simnfnd.factory.recordings import open_recording
+from simnfnd.factory.recordings import Levels, open_recording
 from simnfnd.factory.workers.memory import keep_freed_memory
 from simnfnd.models.denoise.bags import denoise_bag, open_bag
 from simnfnd.models.denoise.denoiser import (
@@ -51,7 +52,8 @@ def main(arguments: Sequence[str]) -> int:
         "inputs",
         nargs="*",
         metavar="IN",
-        help="image, folder, shard, video, .aris, .ddf, .raw, bag",
+        help="image, folder, shard, video, .aris, .ddf, .raw, bag, array (.npy; of .npz, .mat and "
+        "HDF5 also FILE::NAME)",
     )
     parser.add_argument("--out", required=True, help="folder for the results; names are kept")
     parser.add_argument(
@@ -82,6 +84,13 @@ def main(arguments: Sequence[str]) -> int:
         default=FIND,
         help="of images and videos: `find` it in the picture (default), `polar`, `none`, or a CSV "
         "table of fans as `simnfnd geometry` prints; shards and recordings know theirs",
+    )
+    parser.add_argument(
+        "--levels",
+        nargs=2,
+        type=float,
+        metavar=("BLACK", "WHITE"),
+        help="of arrays: which numbers show as black and as white, such as -60 0 for decibels",
     )
     parser.add_argument(
         "--topic",
@@ -118,8 +127,9 @@ def main(arguments: Sequence[str]) -> int:
     if not 0 <= chosen.strength <= 1:
         raise FactoryError(f"--strength {chosen.strength:g}: must lie between 0 and 1")
     out = Path(chosen.out).expanduser()
-    watched = Watched(Path(chosen.watch).expanduser(), out) if chosen.watch else None
-    items = find_items([Path(name).expanduser() for name in chosen.inputs], out)
+    levels = _levels(chosen.levels)
+    watched = Watched(Path(chosen.watch).expanduser(), out, levels) if chosen.watch else None
+    items = find_items([Path(name).expanduser() for name in chosen.inputs], out, levels)
     geometries = Geometries(chosen.geometry)
     steady = Steady(chosen.frames, items)
     check_writable(out, "--out")
@@ -144,6 +154,15 @@ def main(arguments: Sequence[str]) -> int:
         print(line)
     print(f"denoised: {work.done} file(s) in {out}")
     return 1 if failed and not watched else 0
+
+
+def _levels(given: Sequence[float] | None) -> Levels | None:
+    if given is None:
+        return None
+    black, white = given
+    if not (math.isfinite(black) and math.isfinite(white) and black != white):
+        raise FactoryError(f"--levels {black:g} {white:g}: give two different numbers")
+    return Levels(black, white)
 
 
 @dataclass
@@ -246,7 +265,7 @@ def _pictures(item: Item, topics: Sequence[str]) -> int:
                 return len(shard["noisy"])
         if item.kind == "bag":
             return len(open_bag(item, topics))
-        with open_recording(item.source) as recording:
+        with open_recording(item.source, item.levels) as recording:
             return len(recording)
     except FactoryError:
         return 0

@@ -15,7 +15,7 @@ from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.files import write_atomically
 from simnfnd.factory.recordings import Frame, Recording, open_recording
 from simnfnd.factory.recordings.aris.file import ArisFile
-from simnfnd.factory.recordings.arrays import array_bytes
+from simnfnd.factory.recordings.arrays.file import ArrayFile
 from simnfnd.factory.recordings.base import ARRAY_SUFFIX, FULL_SCALE
 from simnfnd.factory.recordings.fan.pings import fan_of, grey_of, polar_geometry
 from simnfnd.factory.recordings.pictures import read_picture
@@ -115,7 +115,11 @@ def denoise_file(
         text = str(error)
         named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
         raise FrameError(named) from error
-    _write_image(out / item.relative, denoised)
+    if item.source.suffix.lower() == ARRAY_SUFFIX:
+        with ArrayFile(item.source) as array, FrameFiles(out / item.relative, None, array) as files:
+            files.add(denoised)
+    else:
+        _write_image(out / item.relative, denoised)
     if compare:
         write_compared(out, item.relative, [(image, denoised)])
     tick()
@@ -136,7 +140,8 @@ def denoise_video(
     See `FrameFiles` for which.  FrameError when it has no frames.
     """
     shown = []
-    with _opened(item) as recording, FrameFiles(out / item.relative, rate_of(recording)) as files:
+    path = out / item.relative
+    with _opened(item) as recording, FrameFiles(path, rate_of(recording), recording) as files:
 
         def place(picture: npt.NDArray[Any]) -> FanGeometry | None:
             return geometry_of(item, picture)
@@ -211,7 +216,7 @@ def rate_of(recording: Recording) -> float | None:
 
 def _opened(item: Item) -> Recording:
     try:
-        return open_recording(item.source)
+        return open_recording(item.source, item.levels)
     except FactoryError as error:
         raise FrameError(str(error)) from error
 
@@ -226,9 +231,6 @@ _QUALITY = {
 
 def _write_image(path: Path, image: npt.NDArray[Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix.lower() == ARRAY_SUFFIX:
-        write_atomically(path, array_bytes(image))
-        return
     try:
         done, content = cv2.imencode(path.suffix, image, _QUALITY.get(path.suffix.lower(), ()))
     except cv2.error:  # WebP has 8 bits alone

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -11,17 +11,17 @@ from typing import Literal
 from simnfnd.factory.dataset.format.manifest import MANIFEST_NAME
 from simnfnd.factory.dataset.read.reader import shard_paths
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, kind_of
-from simnfnd.factory.recordings.arrays import is_table
+from simnfnd.factory.recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, Levels, kind_of
+from simnfnd.factory.recordings.arrays import FORMATS, HDF5_SUFFIXES, split_name
+from simnfnd.factory.recordings.arrays.file import is_table
 from simnfnd.factory.recordings.rosbag_files import is_bag_folder
 
 PING_KINDS = ("aris", "ddf", "oculus")
 """Recordings (`simnfnd.factory.recordings`) whose frames are pings, not pictures."""
-SHARD_SUFFIXES = (".h5", ".hdf5")
 SUFFIXES = (
     *PICTURE_SUFFIXES,
-    *SHARD_SUFFIXES,
-    *(suffix for kind in ("video", "rosbag", *PING_KINDS) for suffix in READERS[kind][1]),
+    *HDF5_SUFFIXES,
+    *(suffix for kind in ("video", "array", "rosbag", *PING_KINDS) for suffix in READERS[kind][1]),
 )
 
 
@@ -29,19 +29,27 @@ SUFFIXES = (
 class Item:
     """One input file (or a folder that is a bag) and its name below the output folder.
 
+    source: of a file of arrays also FILE::NAME.
     checked: a shard that another process has opened without harm.
+    levels: of arrays, what shows as black and white.
     """
 
     source: Path
     relative: Path
     checked: bool = False
+    levels: Levels | None = None
 
     @cached_property
     def kind(self) -> Literal["image", "shard", "video", "pings", "bag"]:
-        """By the suffix of its name; a file of several pictures (TIFF, NumPy) is a `video`."""
-        if self.source.suffix.lower() in SHARD_SUFFIXES:
+        """By the suffix of its name; a file of several pictures (TIFF, arrays) is a `video`."""
+        suffix = self.source.suffix.lower()
+        if self.checked:
             return "shard"
         kind = kind_of(self.source)
+        if kind is None and suffix in HDF5_SUFFIXES:
+            return "shard"
+        if self.levels is not None and suffix in FORMATS:
+            return "video"
         if kind in PING_KINDS:
             return "pings"
         if kind == "rosbag":
@@ -49,35 +57,40 @@ class Item:
         return "video" if kind in SEQUENCES else "image"
 
 
-def find_items(inputs: Sequence[Path], out: Path) -> list[Item]:
+def find_items(inputs: Sequence[Path], out: Path, levels: Levels | None = None) -> list[Item]:
     """The files to denoise, in a fixed order.
 
     A folder stands for all such files below it, a dataset's folder for its shards
-    alone.  Raises FactoryError when there is nothing, two results would have one name, or a result
-    would replace its input.
+    alone.  levels: of files of arrays.
+
+    Raises FactoryError when there is nothing, two results would have one name, or a result would
+    replace its input.
     """
     items: dict[Path, Item] = {}
     for path in inputs:
-        for item in _of_input(path, out):
+        for found in _of_input(path, out):
+            item = replace(found, levels=levels)
             other = items.setdefault(item.relative, item)
             if other.source.resolve() != item.source.resolve():
                 raise FactoryError(
                     f"{other.source} and {item.source} would both become {item.relative}; "
                     "denoise them into different folders"
                 )
-            if (out / item.relative).resolve() == item.source.resolve():
-                raise FactoryError(f"--out {out}: would overwrite the input {item.source}")
+            file, _ = split_name(item.source)
+            if (out / item.relative).resolve() == file.resolve():
+                raise FactoryError(f"--out {out}: would overwrite the input {file}")
     return list(items.values())
 
 
 def _of_input(path: Path, out: Path) -> Iterator[Item]:
-    if path.is_file():
-        if path.suffix.lower() not in SUFFIXES:
+    file, _ = split_name(path)
+    if file.is_file():
+        if file.suffix.lower() not in SUFFIXES:
             raise FactoryError(
                 f"{path}: neither an image nor a shard nor a video or recording "
                 f"({', '.join(SUFFIXES)})"
             )
-        yield Item(path, Path(path.name))
+        yield Item(path, Path(file.name))
     elif not path.is_dir():
         raise FactoryError(f"{path}: no such file or folder")
     elif is_bag_folder(path):

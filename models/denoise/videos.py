@@ -15,8 +15,9 @@ from PIL import Image, TiffImagePlugin
 from simnfnd.factory.errors import FrameError
 from simnfnd.factory.files import explain_os_errors, write_atomically
 from simnfnd.factory.quiet import quiet_stderr
-from simnfnd.factory.recordings.arrays import ArrayWriter, swapped
-from simnfnd.factory.recordings.base import ARRAY_SUFFIX, TIFF_SUFFIXES
+from simnfnd.factory.recordings.arrays.file import ArrayCopy, ArrayFile
+from simnfnd.factory.recordings.arrays.levels import swapped
+from simnfnd.factory.recordings.base import TIFF_SUFFIXES, Recording
 
 CODECS = {".avi": "FFV1", ".mkv": "FFV1", ".mov": "FFV1", ".mp4": "png "}
 """Suffix of a container -> the codec without loss that it holds."""
@@ -27,17 +28,18 @@ class FrameFiles:
 
     They become a video at `path` when its container has a codec without loss (any other would add
     artefacts of its own), the frame rate is known and both sides are even, as the writer cuts odd
-    ones; pages of a TIFF file, or an array of NumPy, where `path` is one; NNNNNN.png in a folder of
-    that name otherwise.  Files appear when they are whole.
+    ones; pages of a TIFF file where `path` is one; a copy of `source` where that is an array;
+    NNNNNN.png in a folder of that name otherwise.  Files appear when they are whole.
     """
 
-    def __init__(self, path: Path, rate_hz: float | None) -> None:
-        """rate_hz: frames a second; None: unknown."""
+    def __init__(self, path: Path, rate_hz: float | None, source: Recording | None = None) -> None:
+        """rate_hz: frames a second; None: unknown.  source: whose frames they are."""
         self.path = path
         self.rate_hz = rate_hz
         self.count = 0
         self._writer: cv2.VideoWriter | None = None
-        self._stack: StackWriter | ArrayWriter | None = None
+        self._source = source
+        self._stack: StackWriter | ArrayCopy | None = None
         self._partial = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
 
     def add(self, picture: npt.NDArray[Any]) -> None:
@@ -66,8 +68,9 @@ class FrameFiles:
         if self.path.suffix.lower() in TIFF_SUFFIXES:
             self._stack = StackWriter(self._partial)
             return
-        if self.path.suffix.lower() == ARRAY_SUFFIX:
-            self._stack = ArrayWriter(self._partial)
+        if isinstance(self._source, ArrayFile):
+            with explain_os_errors(self.path, "--out"):
+                self._stack = self._source.copy_with_others(self._partial)
             return
         if code and self.rate_hz and not (height % 2 or width % 2) and not self.path.is_dir():
             fourcc = cv2.VideoWriter.fourcc(*code)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.recordings import Levels
 from simnfnd.models.denoise.inputs import Item, items_below
 
 State = tuple[tuple[str, int, int], ...]
@@ -21,13 +23,16 @@ class Watched:
     once, and again when it has changed; not at all when its result is younger than it is.
     """
 
-    def __init__(self, folder: Path, out: Path) -> None:
-        """Raises FactoryError when there is no such folder, or it is that of the results."""
+    def __init__(self, folder: Path, out: Path, levels: Levels | None = None) -> None:
+        """levels: of files of arrays.
+
+        Raises FactoryError when there is no such folder, or it is that of the results.
+        """
         if not folder.is_dir():
             raise FactoryError(f"--watch {folder}: no such folder")
         if folder.resolve() == out.resolve():
             raise FactoryError(f"--out {out}: is the folder that is watched; give another one")
-        self.folder, self.out = folder, out
+        self.folder, self.out, self.levels = folder, out, levels
         self._seen: dict[Path, State] = {}
         self._given: dict[Path, State] = {}
 
@@ -47,7 +52,7 @@ class Watched:
                 self._given[item.source] = state
                 changed_ns = max((change for _, _, change in state), default=0)
                 if not _is_younger(self.out / item.relative, changed_ns):
-                    ready.append((changed_ns, item))
+                    ready.append((changed_ns, replace(item, levels=self.levels)))
         self._seen = seen
         return [item for _, item in sorted(ready, key=lambda one: (one[0], one[1].relative))]
 

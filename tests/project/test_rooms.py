@@ -230,7 +230,7 @@ ALLOWED = {
         "factory: ground",
     },
     "factory/noise": {"factory/dataset", "factory/formation", "factory/sonar", "factory: ground"},
-    "factory/recordings": {"factory/sonar", "factory: ground"},
+    "factory/recordings": {"factory/dataset", "factory/sonar", "factory: ground"},
     "factory/render": {"factory: ground"},
     "factory/renders": {"factory/dataset", "factory/render", "factory/scenes", "factory: ground"},
     "factory/scenes": {"factory/render", "factory: ground"},

@@ -10,7 +10,7 @@ import pytest
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import is_recording, kind_of, open_recording
-from simnfnd.factory.recordings.arrays import ArrayWriter, is_table
+from simnfnd.factory.recordings.arrays.file import is_table
 from simnfnd.factory.recordings.pictures import read_grey, read_picture
 from tests.factory.recordings.recording_files import pings
 
@@ -93,16 +93,5 @@ def test_files_that_are_no_arrays(tmp_path: Path) -> None:
         with pytest.raises(FactoryError, match=r"a.npy: .*array"):
             read_picture(path)
     np.save(path, np.array([{1: 2}], dtype=object), allow_pickle=True)
-    with pytest.raises(FactoryError, match="not a readable NumPy array"):
+    with pytest.raises(FactoryError, match="not a readable file of arrays"):
         read_picture(path)
-
-
-@pytest.mark.parametrize("count", [1, 9, 1001])
-def test_what_is_written_in_turn_is_one_array(tmp_path: Path, count: int) -> None:
-    """However many digits the count has."""
-    pictures = np.random.default_rng(5).integers(0, 256, (count, 16, 18, 3), dtype=np.uint8)
-    writer = ArrayWriter(tmp_path / "a.npy")
-    for picture in pictures:
-        writer.add(picture)
-    writer.close()
-    np.testing.assert_array_equal(np.load(tmp_path / "a.npy"), pictures[..., ::-1])

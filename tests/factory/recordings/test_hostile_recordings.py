@@ -17,6 +17,7 @@ from simnfnd.factory.recordings import open_recording
 from simnfnd.factory.recordings.fan.pings import fan_of, grey_of
 from simnfnd.factory.recordings.ros_messages import COMPRESSED, IMAGE, SONAR, typestore
 from simnfnd.factory.recordings.rosbag import RosBag
+from tests.factory.recordings.array_files import write_array
 from tests.factory.recordings.bag_files import compressed, image, sonar, write_bag
 from tests.factory.recordings.recording_files import (
     pings,
@@ -32,11 +33,6 @@ MUTATIONS = 200
 
 def _png(path: Path) -> Path:
     assert cv2.imwrite(str(path), pings(1, 60, 48)[0])
-    return path
-
-
-def _array(path: Path, pictures: Any) -> Path:
-    np.save(path, pictures)
     return path
 
 
@@ -56,7 +52,10 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
     "a.avi": lambda path: write_video(path, pings(4, 48, 64)),
     "a.tif": lambda path: write_stack(path, pings(4, 48, 64)),
     "a.png": _png,
-    "a.npy": lambda path: _array(path, pings(4, 48, 64)),
+    **{
+        name: lambda path: write_array(path, pings(4, 48, 64))
+        for name in ("a.npy", "a.npz", "b.npz", "a.mat", "b.mat", "a.h5")
+    },
     "a.bag": lambda path: _bag(path, SONAR),
     "b.bag": lambda path: _bag(path, COMPRESSED, "lz4"),
     "a.mcap": lambda path: _bag(path, SONAR),

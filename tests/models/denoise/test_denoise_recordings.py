@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import open_recording
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise import command
@@ -17,6 +18,7 @@ from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.files import Gray
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
+from tests.factory.recordings.array_files import write_array
 from tests.factory.recordings.fan_pictures import fan, preset
 from tests.factory.recordings.recording_files import (
     pings,
@@ -99,6 +101,44 @@ def test_arrays_become_arrays(tmp_path: Path, halving: Halving, dtype: Any) -> N
         found = np.load(out / f"{name}.npy")
         assert (found.dtype, found.shape) == (dtype, array.shape)
         assert np.abs(found - array / 2.0).max() <= 0.5
+
+
+@pytest.mark.parametrize("name", ["a.npz", "b.npz", "a.mat", "b.mat", "a.h5"])
+def test_arrays_in_files_of_several(tmp_path: Path, halving: Halving, name: str) -> None:
+    """The same file comes back, with other pictures."""
+    given = pings(5, 41, 48)
+    folder = tmp_path / "in"
+    folder.mkdir()
+    write_array(folder / name, given, poses=np.zeros((5, 4, 4)))
+    write_array(folder / f"z{name}", np.zeros((5, 4, 4)))
+    out = tmp_path / "out"
+    # HDF5 without pictures is taken for a shard, and is none.
+    assert main([str(folder), "--out", str(out)]) == int(name.endswith(".h5"))
+    assert [path.name for path in out.iterdir()] == [name]
+    with open_recording(out / name) as after:
+        found = np.array([frame.samples for frame in after])
+    assert np.abs(found - given / 2.0).max() <= 0.5
+
+
+def test_an_array_is_named_and_its_levels_are_told(
+    tmp_path: Path, halving: Halving, capsys: pytest.CaptureFixture[str]
+) -> None:
+    decibels = np.linspace(-60, 0, 5 * 41 * 48).reshape(5, 41, 48)
+    path = write_array(tmp_path / "a.npz", decibels, mask=np.zeros((5, 41, 48), np.uint8))
+    out = ["--out", str(tmp_path / "out")]
+    with pytest.raises(FactoryError, match=r"name one, a\.npz::frames"):
+        main([str(path), *out])
+    with pytest.raises(FactoryError, match="give two different numbers"):
+        main([f"{path}::frames", "--levels", "3", "3", *out])
+    assert main([f"{path}::frames", "--levels", "-60", "0", *out]) == 0
+    found = np.load(tmp_path / "out" / "a.npz")
+    np.testing.assert_allclose(found["frames"], decibels / 2 - 30, atol=1e-4)
+    assert not found["mask"].any()
+    np.save(tmp_path / "one.npy", decibels[0].astype("f4"))
+    assert main([str(tmp_path / "one.npy"), "--levels", "-60", "0", *out]) == 0
+    np.testing.assert_allclose(
+        np.load(tmp_path / "out" / "one.npy"), decibels[0] / 2 - 30, atol=1e-4
+    )
 
 
 def test_a_webp_picture_is_written_without_loss(tmp_path: Path, halving: Halving) -> None:
