@@ -1,4 +1,4 @@
-"""Figures: pictures on a page with axes and text, of which the pictures alone are denoised."""
+"""What is no echo stays: the page, axes and text of a figure, lines drawn over a fan."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from simnfnd.factory.recordings.fan.drawn import filled, without_lines
 from simnfnd.factory.recordings.fan.finder import find_geometry
 from simnfnd.factory.recordings.fan.page import Part, parts_of_figure
 from simnfnd.factory.sonar.geometry import FanGeometry
@@ -24,22 +25,24 @@ def denoise_figure(
     geometry: FanGeometry | None,
     looks: Sequence[Gray],
     parts: Sequence[Part] | None,
+    *,
+    drawn: bool = True,
 ) -> Gray:
     """`denoise` of a picture, (H, W) in 0..1; of a figure, of each picture in it by itself.
 
     A plot of lines, and an empty page, stay as they are.
 
     geometry: of the largest of them, where it is known; then others are looked at, too.
-    parts: see `parts_of_page`.
+    parts: see `parts_of_page`.  drawn: whether lines may be drawn over a fan.
     """
     if geometry is not None or parts is None:
-        result = _called(denoise, grey, geometry, looks)
+        result = _called(denoise, grey, geometry, looks, drawn)
     else:
         result = grey.copy()
     for part in parts or ():
         own = part.of(grey)
         place = None if geometry is None else find_geometry(own)
-        denoised = _called(denoise, own, place, [part.of(look) for look in looks])
+        denoised = _called(denoise, own, place, [part.of(look) for look in looks], drawn)
         result[part.rows, part.columns][part.inside] = denoised[part.inside]
     return result
 
@@ -59,6 +62,16 @@ def parts_of_page(page: Gray, geometry: FanGeometry | None) -> tuple[Part, ...] 
 
 
 def _called(
-    denoise: Denoise, grey: Gray, geometry: FanGeometry | None, looks: Sequence[Gray]
+    denoise: Denoise,
+    grey: Gray,
+    geometry: FanGeometry | None,
+    looks: Sequence[Gray],
+    drawn: bool,
 ) -> Gray:
-    return denoise(grey, geometry, looks=looks) if looks else denoise(grey, geometry)
+    """`denoise` of a picture without the lines that are drawn over its fan, which stay."""
+    lines = without_lines(grey, geometry) if drawn else None
+    if lines is None:
+        return denoise(grey, geometry, looks=looks) if looks else denoise(grey, geometry)
+    shown, where = lines
+    seen = [filled(look, where) for look in looks]
+    return np.where(where, grey, _called(denoise, shown, geometry, seen, drawn=False))
