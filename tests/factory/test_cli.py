@@ -3,7 +3,6 @@
 import json
 import shutil
 import sys
-from pathlib import Path
 
 import cv2
 import h5py
@@ -11,30 +10,16 @@ import numpy as np
 import pytest
 
 from simnfnd.command import main
+from tests.factory.cli_frames import FAST, ground, write_frame
 from tests.project_files import ROOT
 
 FLSEA = ROOT.parent / "shared/data/flsea-vi"
-FAST = ["render=analytic", "scheduler.workers=1", "dataset.preview_pairs=0"]
 
 
 def run(monkeypatch, *words: str) -> int:
     """Exit code of `simnfnd make WORDS`, in this process."""
     monkeypatch.setattr(sys, "argv", ["simnfnd"])  # Hydra's words are put there
     return main(words, default="make")
-
-
-def write_frame(root: Path, name: str, depth_m: np.ndarray, scene="canyons/u_canyon") -> None:
-    folder = root / scene
-    (folder / "imgs").mkdir(parents=True, exist_ok=True)
-    (folder / "depth").mkdir(parents=True, exist_ok=True)
-    rgb = np.random.default_rng(0).integers(60, 200, (*depth_m.shape, 3), dtype=np.uint8)
-    cv2.imwrite(str(folder / "imgs" / f"{name}.tiff"), rgb)
-    cv2.imwrite(str(folder / "depth" / f"{name}_SeaErra_abs_depth.tif"), depth_m.astype(np.float32))
-
-
-def ground(height=96, width=152) -> np.ndarray:
-    v = np.arange(height)[:, None] / height
-    return np.broadcast_to(1.5 / (0.15 + 0.5 * v), (height, width)).astype(np.float32)
 
 
 @pytest.fixture

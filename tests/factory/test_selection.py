@@ -10,7 +10,7 @@ from simnfnd.command import main
 from simnfnd.factory.config import digest, from_mapping, identity
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.selection import choose_frames, split_frames, split_warnings
-from tests.factory.test_cli import FAST, ground, write_frame
+from tests.factory.cli_frames import FAST, ground, write_frame
 
 
 def settings(**groups):

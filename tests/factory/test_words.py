@@ -8,7 +8,7 @@ import pytest
 from simnfnd.command import main
 from simnfnd.factory.cli.nearest import catalogue
 from simnfnd.factory.cli.words import readable
-from tests.factory.test_cli import FAST, ground, write_frame
+from tests.factory.cli_frames import FAST, ground, write_frame
 from tests.project_files import ROOT
 
 ROOTS = ("factory", "models", "evaluation", "real", "downstream", "realism", "fit", "campaign")

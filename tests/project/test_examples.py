@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import json
-import os
 import pickle
 import runpy
 import subprocess
@@ -22,10 +21,9 @@ from simnfnd import denoise
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
 from tests.fake_ros import write_fake_ros
+from tests.project.run_example import EXAMPLES, run
 from tests.project_files import ROOT
 from tests.small_dataset import write_dataset
-
-EXAMPLES = ROOT / "examples"
 
 
 @pytest.fixture(scope="module")
@@ -44,22 +42,6 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save_manifest(root, manifest)
     write_index(root, manifest)
     return root
-
-
-def run(
-    script: str, *words: str, python: str = sys.executable, cwd: Path
-) -> subprocess.CompletedProcess[str]:
-    environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    if python == sys.executable:
-        environment["PYTHONPATH"] = str(ROOT)
-    return subprocess.run(
-        [python, str(EXAMPLES / script), *words],
-        cwd=cwd,
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
 
 
 def test_h5py_alone_reads_index_and_shards(dataset: Path, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import simnfnd
+from tests.project.frames import frame
 from tests.small_dataset import write_dataset
 
 # Run by Python before anything else, in this process and in those it starts.
@@ -78,17 +79,7 @@ def test_importing_costs_nothing() -> None:
 
 # --- make_pair ----------------------------------------------------------------------------------
 
-H, W = 96, 152
 PLACE: dict[str, Any] = {"fx": 120.0, "fy": 120.0, "cx": 76.0, "cy": 48.0}
-
-
-def frame() -> tuple[np.ndarray, np.ndarray]:
-    """Sloping ground with a few pixels that were not measured."""
-    v = np.arange(H)[:, None] / H
-    depth_m = np.broadcast_to(1.5 / (0.15 + 0.5 * v), (H, W)).astype(np.float32).copy()
-    depth_m[:4, :4] = np.nan
-    rgb = np.random.default_rng(0).integers(60, 200, (H, W, 3), dtype=np.uint8)
-    return rgb, depth_m
 
 
 def test_a_pair_of_a_frame_in_memory() -> None:

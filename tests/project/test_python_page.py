@@ -12,7 +12,7 @@ import pytest
 import simnfnd
 from simnfnd.factory.sonar.geometry import FanGeometry
 from tests.factory.recordings.recording_files import pings, write_aris
-from tests.project.test_face import frame
+from tests.project.frames import frame
 from tests.project_files import ROOT
 from tests.small_dataset import write_dataset
 

@@ -29,7 +29,7 @@ from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
-from tests.evaluation.baselines.test_baselines import noisy_scene, run, scene
+from tests.evaluation.baselines.scenes import noisy_scene, run, scene
 
 Array = npt.NDArray[Any]
 

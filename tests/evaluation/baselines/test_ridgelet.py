@@ -12,7 +12,7 @@ from simnfnd.evaluation.baselines import REGISTRY
 from simnfnd.evaluation.baselines.base import BaselineError
 from simnfnd.evaluation.baselines.ridgelet import _lines, basis, finite_radon, inverse_finite_radon
 from simnfnd.evaluation.metrics.fidelity import psnr
-from tests.evaluation.baselines.test_baselines import noisy_scene, run, scene
+from tests.evaluation.baselines.scenes import noisy_scene, run, scene
 
 Array = npt.NDArray[Any]
 PRIMES = (3, 5, 7, 11, 17, 31)

@@ -30,7 +30,7 @@ from simnfnd.evaluation.metrics.speckle import (
     zone_enl,
 )
 from simnfnd.evaluation.metrics.texture import Scene
-from tests.evaluation.metrics.test_metrics import waves
+from tests.evaluation.metrics.waves import waves
 
 Array = npt.NDArray[Any]
 

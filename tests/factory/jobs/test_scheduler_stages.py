@@ -10,7 +10,6 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -22,16 +21,11 @@ from simnfnd.factory.jobs.settings import ShardSlice
 from simnfnd.factory.ownership import myself
 from simnfnd.factory.settings import build
 from tests.factory.jobs.run_files import failures, litter, shard_bytes, wait_for
-from tests.fake_source import FakeConfig, FakePreparer, GentleSource, prepared_file, refs
+from tests.factory.jobs.staged import staged
+from tests.fake_source import FakeConfig, GentleSource, prepared_file, refs
 from tests.run_fake import make
 
 SERIAL = {"backend": "serial"}
-
-
-def staged(directory: Path, config: FakeConfig = FakeConfig(), **changes: Any):  # noqa: B008
-    """`make` with frames that are prepared by other workers, in a folder beside the dataset."""
-    config = replace(config, prepared=config.prepared or str(directory.parent / "prepared"))
-    return make(directory, config, source=GentleSource, preparer=FakePreparer, **changes)
 
 
 @pytest.fixture(scope="module")

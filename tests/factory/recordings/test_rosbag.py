@@ -22,8 +22,8 @@ from tests.factory.recordings.bag_files import (
     sonar,
     write_bag,
 )
+from tests.factory.recordings.mutations import MUTATIONS, mutated, use
 from tests.factory.recordings.recording_files import pings
-from tests.factory.recordings.test_hostile_recordings import MUTATIONS, mutated, use
 
 CASES = [
     ("a.bag", {}),

@@ -33,11 +33,6 @@ from tests.small_dataset import fan_images
 MDD = ROOT.parent / "shared" / "data" / "mdd"
 
 
-@pytest.fixture(autouse=True, scope="module")
-def one_thread() -> None:
-    torch.set_num_threads(1)
-
-
 # --- geometry
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
 from simnfnd.factory.errors import FactoryError
@@ -26,11 +25,6 @@ from simnfnd.models.training.module import DenoisingModule
 from simnfnd.models.training.train import train
 from tests.models.data.data_settings import SMALL, _no_picture, composed
 from tests.models.data.small_renders import rendered_dataset, renders
-
-
-@pytest.fixture(autouse=True, scope="module")
-def one_thread() -> None:
-    torch.set_num_threads(1)
 
 
 @pytest.fixture(scope="module")

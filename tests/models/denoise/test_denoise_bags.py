@@ -16,7 +16,7 @@ from simnfnd.models.denoise.command import main
 from tests.factory.recordings.bag_files import content, image, sonar, write_bag
 from tests.factory.recordings.fan_pictures import fan, preset
 from tests.factory.recordings.recording_files import pings
-from tests.models.denoise.test_denoise_recordings import Halving
+from tests.models.denoise.halving import Halving
 
 
 @pytest.fixture

@@ -12,10 +12,8 @@ import torch
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import open_recording
-from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise import command
 from simnfnd.models.denoise.command import main
-from simnfnd.models.denoise.files import Gray
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
 from tests.factory.recordings.array_files import write_array
@@ -27,19 +25,7 @@ from tests.factory.recordings.recording_files import (
     write_oculus,
     write_stack,
 )
-
-
-class Halving:
-    """A denoiser whose result is easy to foretell, and which keeps what it was told."""
-
-    digest, pictures, unchanged, looks = "0", 0, 0, 1
-
-    def __init__(self) -> None:
-        self.told: list[FanGeometry | None] = []
-
-    def __call__(self, gray: Gray, geometry: FanGeometry | None = None) -> Gray:
-        self.told.append(geometry)
-        return gray / 2
+from tests.models.denoise.halving import Halving
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.inputs import Item
 from simnfnd.models.denoise.watch import Watched, watch
 from tests.factory.recordings.recording_files import pings, write_aris, write_oculus
-from tests.models.denoise.test_denoise_recordings import Halving
+from tests.models.denoise.halving import Halving
 
 PNG = cv2.imencode(".png", np.full((30, 40), 80, np.uint8))[1].tobytes()
 

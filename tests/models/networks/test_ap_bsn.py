@@ -20,11 +20,6 @@ from tests.models.training.small_training import config_for
 from tests.small_dataset import write_dataset
 
 
-@pytest.fixture(autouse=True, scope="module")
-def one_thread() -> None:
-    torch.set_num_threads(1)
-
-
 def network(**changes: int) -> APBSN:
     found = stirred(tiny("ap_bsn", **changes))
     assert isinstance(found, APBSN)

@@ -23,11 +23,6 @@ from tests.small_dataset import write_dataset
 KDLAE_WORDS = ("model=kdlae", "model.frames=3", "model.widths=[4,4]", "data.frames=3")
 
 
-@pytest.fixture(autouse=True, scope="module")
-def one_thread() -> None:
-    torch.set_num_threads(1)
-
-
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_dataset(tmp_path_factory.mktemp("data"), train=12, test=0, size=48)

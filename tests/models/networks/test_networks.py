@@ -28,11 +28,6 @@ SHIPPED = {
 }
 
 
-@pytest.fixture(autouse=True, scope="module")
-def one_thread() -> None:
-    torch.set_num_threads(1)
-
-
 def test_every_network_is_tried_here() -> None:
     assert sorted(TINY) == KINDS
 

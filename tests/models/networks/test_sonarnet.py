@@ -19,11 +19,6 @@ from simnfnd.models.removal import DEFAULT, vector
 from tests.models.networks.tiny_networks import stirred, tiny
 
 
-@pytest.fixture(autouse=True, scope="module")
-def one_thread() -> None:
-    torch.set_num_threads(1)
-
-
 def told(network: Network, size: int) -> tuple[Tensor, dict[str, Tensor]]:
     image, extras = example(network, size)
     return image * extras["sector"], extras

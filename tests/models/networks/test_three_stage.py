@@ -25,11 +25,6 @@ from tests.models.training.small_training import SMALL, config_for
 from tests.small_dataset import write_dataset
 
 
-@pytest.fixture(autouse=True, scope="module")
-def one_thread() -> None:
-    torch.set_num_threads(1)
-
-
 def three_stage() -> ThreeStage:
     network = stirred(tiny("three_stage"))
     assert isinstance(network, ThreeStage)

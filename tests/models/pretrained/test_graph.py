@@ -25,7 +25,7 @@ from simnfnd.models.pretrained.export import main
 from simnfnd.models.pretrained.graph import LAYOUTS, Graph, Layout
 from simnfnd.models.pretrained.traced import OPSET, compared, write_onnx
 from tests.factory.recordings.fan_pictures import fan, preset
-from tests.project.test_examples import run
+from tests.project.run_example import run
 
 TINY: dict[str, dict[str, Any]] = {
     "ap_bsn": {"width": 4, "modules": 1, "train_stride": 3, "use_stride": 2, "passes": 3},

@@ -30,11 +30,6 @@ SMALL = (
 SETTINGS = SIDTGANSettings("sid_tgan", 4, 1, 2, 4, 1.0, 0.1, 0.01)
 
 
-@pytest.fixture(autouse=True, scope="module")
-def one_thread() -> None:
-    torch.set_num_threads(1)
-
-
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_dataset(tmp_path_factory.mktemp("data"), train=16, test=0, size=48)

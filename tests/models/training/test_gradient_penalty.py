@@ -30,11 +30,6 @@ SMALL = (
 SETTINGS = DGPSRGANSettings("dgp_srgan", 4, 1, 4, 0.001, 10.0)
 
 
-@pytest.fixture(autouse=True, scope="module")
-def one_thread() -> None:
-    torch.set_num_threads(1)
-
-
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_dataset(tmp_path_factory.mktemp("data"), train=8, test=0, size=48)

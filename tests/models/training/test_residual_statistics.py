@@ -20,11 +20,6 @@ NINE_LOOKS = 0.1175
 """Variance of the logarithm of a gamma variable of shape 9."""
 
 
-@pytest.fixture(autouse=True, scope="module")
-def one_thread() -> None:
-    torch.set_num_threads(1)
-
-
 def speckled(seed: int = 0, count: int = 4) -> tuple[Tensor, Tensor]:
     """(noisy, clean), (count, 1, 48, 64)."""
     rng = np.random.default_rng(seed)

@@ -31,12 +31,6 @@ from tests.project_files import ROOT
 from tests.small_dataset import write_dataset
 
 
-@pytest.fixture(autouse=True, scope="module")
-def one_thread() -> None:
-    # Tiny networks gain nothing from more, and test runs side by side would fight for cores.
-    torch.set_num_threads(1)
-
-
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_dataset(tmp_path_factory.mktemp("data"), train=24, test=4, size=48)

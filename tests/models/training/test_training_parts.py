@@ -18,12 +18,6 @@ from tests.project_files import ROOT
 from tests.small_dataset import fan_images
 
 
-@pytest.fixture(autouse=True, scope="module")
-def one_thread() -> None:
-    # Tiny networks gain nothing from more, and test runs side by side would fight for cores.
-    torch.set_num_threads(1)
-
-
 @pytest.mark.parametrize("size", [(1, 1), (17, 30), (48, 64), (33, 5)])
 def test_nafnet_takes_any_size(size: tuple[int, int]) -> None:
     network = build_network(TINY)

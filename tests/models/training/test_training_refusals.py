@@ -10,18 +10,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-import torch
 
 from simnfnd.factory.errors import FactoryError
 from tests.models.training.small_training import train_small
 from tests.project_files import ROOT
 from tests.small_dataset import write_dataset
-
-
-@pytest.fixture(autouse=True, scope="module")
-def one_thread() -> None:
-    # Tiny networks gain nothing from more, and test runs side by side would fight for cores.
-    torch.set_num_threads(1)
 
 
 @pytest.fixture(scope="module")
