@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy import ndimage
 
-from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.recordings.video import VideoFile
+from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.denoise.command import main
@@ -25,47 +20,10 @@ from simnfnd.models.denoise.compared import CAPTION_PX
 from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.denoise.files import denoise_image
 from simnfnd.models.denoise.inputs import Item, find_items
-from simnfnd.models.denoise.tile import starts, tiled
-from simnfnd.models.denoise.videos import CODECS, FrameFiles
-from simnfnd.models.networks import build_network
 from simnfnd.models.networks.network import Network
-from simnfnd.models.networks.weights import load_weights, save_weights
+from simnfnd.models.networks.weights import save_weights
+from tests.models.denoise.untrained import half, through_network, untrained_sonarnet
 from tests.small_dataset import fan_images, write_dataset, write_manifest
-
-TINY = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 0, "decoder": [1]}
-
-
-def half(gray: npt.NDArray[np.float32], geometry: object = None) -> npt.NDArray[np.float32]:
-    """A denoiser whose result is easy to foretell."""
-    return gray / 2
-
-
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Weights of an untrained network: it changes images, and by how much can be computed."""
-    torch.manual_seed(0)
-    path = tmp_path_factory.mktemp("weights") / "weights.safetensors"
-    save_weights(path, build_network(TINY), TINY, {})
-    return path
-
-
-def untrained_sonarnet(folder: Path) -> Path:
-    """Weights of a network that can be told what to remove."""
-    config = {
-        **{"kind": "sonarnet", "widths": [4, 4], "blocks": [0, 0], "polar": False},
-        **{"lines": True, "mask": True, "forget": 0.0},
-    }
-    torch.manual_seed(0)
-    path = folder / "weights.safetensors"
-    save_weights(path, build_network(config), config, {})
-    return path
-
-
-def through_network(weights: Path, image: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-    network = load_weights(weights).network
-    with torch.inference_mode():
-        result = network(torch.from_numpy(image.astype(np.float32))[None, None])
-    return np.asarray(np.clip(result[0, 0].numpy(), 0, 1), dtype=np.float64)
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
@@ -277,141 +235,6 @@ def test_nothing_to_denoise(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("words", encoding="utf-8")
     with pytest.raises(FactoryError, match="neither an image nor a shard"):
         find_items([tmp_path / "notes.txt"], tmp_path / "out")
-
-
-@pytest.mark.parametrize("name", ["dive.avi", "dive.mp4", "dive.webm"])
-def test_videos_become_videos_or_folders(weights: Path, tmp_path: Path, name: str) -> None:
-    noisy, _, _ = fan_images(48, np.random.default_rng(1))
-    grey = (noisy * 255).astype(np.uint8)
-    path = tmp_path / "dive.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 12.5, (48, 48))
-    for shift in range(3):
-        writer.write(cv2.cvtColor(np.roll(grey, shift, axis=1), cv2.COLOR_GRAY2BGR))
-    writer.release()
-    path = path.rename(tmp_path / name)
-    with VideoFile(path) as recording:
-        originals = [frame.samples for frame in recording]
-    out = tmp_path / "out"
-    assert main([str(path), "--out", str(out), "--weights", str(weights), "--compare"]) == 0
-    if name != "dive.webm":
-        with VideoFile(out / name) as recording:
-            assert recording.rate_hz == pytest.approx(12.5)
-            results = [frame.samples for frame in recording]
-    else:
-        frames = sorted((out / name).iterdir())
-        assert [frame.name for frame in frames] == ["000000.png", "000001.png", "000002.png"]
-        results = [np.asarray(cv2.imread(str(frame), cv2.IMREAD_UNCHANGED)) for frame in frames]
-    assert len(results) == len(originals) == 3
-    for original, result in zip(originals, results, strict=True):
-        assert result.shape == original.shape
-        assert np.abs(result - through_network(weights, original / 255.0) * 255).max() <= 0.51
-    assert (out / "compare" / "dive.png").is_file()
-    assert sorted(entry.name for entry in out.iterdir()) == sorted(["compare", name])
-
-
-@pytest.mark.parametrize("name", [f"a{suffix}" for suffix in CODECS])
-@pytest.mark.parametrize("colours", [(), (3,)])
-def test_frames_survive_in_every_container(
-    tmp_path: Path, name: str, colours: Any, capfd: pytest.CaptureFixture[str]
-) -> None:
-    frames = np.random.default_rng(3).integers(0, 256, (4, 30, 46, *colours), dtype=np.uint8)
-    with FrameFiles(tmp_path / name, 7.5) as files:
-        for frame in frames:
-            files.add(frame)
-    with VideoFile(tmp_path / name) as recording:
-        assert recording.rate_hz == pytest.approx(7.5)
-        np.testing.assert_array_equal([frame.samples for frame in recording], frames)
-    assert [entry.name for entry in tmp_path.iterdir()] == [name]
-    assert not capfd.readouterr().err, "what OpenCV says of codecs is of no use to anybody"
-
-
-@pytest.mark.parametrize(("shape", "rate_hz"), [((31, 46), 7.5), ((30, 47), 7.5), ((30, 46), None)])
-def test_frames_that_fit_no_container_are_pictures(
-    tmp_path: Path, shape: tuple[int, int], rate_hz: float | None
-) -> None:
-    frame = np.random.default_rng(3).integers(0, 256, shape, dtype=np.uint8)
-    with FrameFiles(tmp_path / "a.avi", rate_hz) as files:
-        files.add(frame)
-        files.add(frame)
-    assert sorted(path.name for path in (tmp_path / "a.avi").iterdir()) == [
-        "000000.png",
-        "000001.png",
-    ]
-    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "a.avi/000001.png"), -1), frame)
-    (tmp_path / "b.avi").write_bytes(b"mine")
-    with (
-        pytest.raises(FrameError, match=r"b\.avi: is there already"),
-        FrameFiles(tmp_path / "b.avi", None) as files,
-    ):
-        files.add(frame)
-
-
-def test_a_video_that_broke_off_leaves_nothing(tmp_path: Path) -> None:
-    def fails() -> None:
-        with FrameFiles(tmp_path / "a.avi", 10.0) as files:
-            files.add(np.zeros((30, 46), np.uint8))
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        fails()
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_video_that_is_none_leaves_nothing(weights: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    (tmp_path / "broken.mp4").write_bytes(b"no video")
-    with pytest.raises(FactoryError, match=r"broken\.mp4: not a readable video"):
-        main([str(tmp_path / "broken.mp4"), "--out", str(out), "--weights", str(weights)])
-
-
-@given(st.integers(1, 400), st.integers(8, 64), st.data())
-def test_tiles_cover_every_pixel_and_share_enough(
-    size: int, tile: int, data: st.DataObject
-) -> None:
-    overlap = data.draw(st.integers(0, tile // 2))
-    found = starts(size, tile, overlap)
-    assert found[0] == 0
-    assert found[-1] + tile >= size
-    assert size <= tile or found[-1] + tile == size
-    for first, second in pairwise(found):
-        assert overlap <= first + tile - second < tile
-
-
-def test_tiles_leave_no_seam() -> None:
-    rng = np.random.default_rng(0)
-    image = rng.random((90, 130)).astype(np.float32)
-    scale = {"scale": np.linspace(0, 1, 90 * 130, dtype=np.float32).reshape(90, 130)}
-
-    def local(part: npt.NDArray[np.float32], maps: Any) -> npt.NDArray[np.float32]:
-        # What a network with a small field of view does: pixels and their neighbours.
-        return np.asarray(ndimage.uniform_filter(part, 5, mode="nearest") * maps["scale"])
-
-    whole, parts = local(image, scale), tiled(local, image, scale, 48, 20)
-    np.testing.assert_allclose(parts[3:-3, 3:-3], whole[3:-3, 3:-3], atol=0.02)
-    middle = np.abs(parts - whole)[3:-3, 3:-3]
-    assert np.median(middle) < 1e-6
-
-    def brightening(part: npt.NDArray[np.float32], maps: Any) -> npt.NDArray[np.float32]:
-        # Each tile comes out brighter than the one before: the worst seam that there could be.
-        brightening.calls += 1  # type: ignore[attr-defined]
-        return np.full(part.shape, brightening.calls, np.float32)  # type: ignore[attr-defined]
-
-    brightening.calls = 0  # type: ignore[attr-defined]
-    blended = tiled(brightening, np.zeros((40, 200), np.float32), {}, 60, 20)
-    assert np.abs(np.diff(blended, axis=1)).max() <= 1.01 / 20
-    with pytest.raises(ValueError, match="half of the tile"):
-        tiled(local, image, scale, 32, 20)
-
-
-def test_large_pictures_are_denoised_in_tiles(weights: Path) -> None:
-    noisy, _, _ = fan_images(96, np.random.default_rng(2))
-    whole = load_denoiser(weights, "cpu")(noisy)
-    parts = load_denoiser(weights, "cpu", tile=64, overlap=24)(noisy)
-    # NAFNet's attention is a mean over the tile, so a little differs.
-    assert np.abs(whole - parts).max() < 0.05
-    assert parts.dtype == np.float32
-    with pytest.raises(FactoryError, match="--overlap 40: must be at most half"):
-        main(["x.png", "--out", "o", "--tile", "64", "--overlap", "40"])
 
 
 def test_geometry_reaches_the_network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,21 @@
+"""What tests of `denoise` share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from simnfnd.models.networks import build_network
+from simnfnd.models.networks.weights import save_weights
+from tests.models.denoise.untrained import TINY
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Weights of an untrained network: it changes images, and by how much can be computed."""
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("weights") / "weights.safetensors"
+    save_weights(path, build_network(TINY), TINY, {})
+    return path

@@ -1,0 +1,39 @@
+"""Networks that nobody has trained, and what tests give `denoise` instead."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from simnfnd.models.networks import build_network
+from simnfnd.models.networks.weights import load_weights, save_weights
+
+TINY = {"kind": "nafnet", "width": 4, "encoder": [1], "middle": 0, "decoder": [1]}
+
+
+def half(gray: npt.NDArray[np.float32], geometry: object = None) -> npt.NDArray[np.float32]:
+    """A denoiser whose result is easy to foretell."""
+    return gray / 2
+
+
+def untrained_sonarnet(folder: Path) -> Path:
+    """Weights of a network that can be told what to remove."""
+    config = {
+        **{"kind": "sonarnet", "widths": [4, 4], "blocks": [0, 0], "polar": False},
+        **{"lines": True, "mask": True, "forget": 0.0},
+    }
+    torch.manual_seed(0)
+    path = folder / "weights.safetensors"
+    save_weights(path, build_network(config), config, {})
+    return path
+
+
+def through_network(weights: Path, image: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    network = load_weights(weights).network
+    with torch.inference_mode():
+        result = network(torch.from_numpy(image.astype(np.float32))[None, None])
+    return np.asarray(np.clip(result[0, 0].numpy(), 0, 1), dtype=np.float64)
