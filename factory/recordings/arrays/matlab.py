@@ -70,17 +70,19 @@ class _Rewriting:
 
     def __init__(self, source: Path, name: str, array: Page, header: Header, path: Path) -> None:
         self._source, self._name, self._path = source, name, path
-        self._array, self._single, self._count = array, header.single, 0
+        self._array, self._header, self._count = array, header, 0
 
     def add(self, page: Page) -> None:
         """See `Rewriting`."""
-        self._array[() if self._single else (..., self._count)] = page
+        self._array[() if self._header.single else (..., self._count)] = page
         self._count += 1
 
     def close(self) -> None:
         """See `Rewriting`."""
         import scipy.io
 
+        if self._count < self._header.shape[0]:
+            return  # broken off: nobody will see the file
         try:
             held = scipy.io.loadmat(self._source)
             kept = {key: value for key, value in held.items() if not str(key).startswith("_")}

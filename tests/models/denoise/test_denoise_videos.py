@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.recordings import open_recording
 from simnfnd.factory.recordings.video import VideoFile
 from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.videos import CODECS, FrameFiles
+from tests.factory.recordings.array_files import write_array
+from tests.factory.recordings.recording_files import pings
 from tests.models.denoise.untrained import through_network
 from tests.small_dataset import fan_images
 
@@ -100,3 +103,23 @@ def test_a_video_that_is_none_leaves_nothing(weights: Path, tmp_path: Path) -> N
     (tmp_path / "broken.mp4").write_bytes(b"no video")
     with pytest.raises(FactoryError, match=r"broken\.mp4: not a readable video"):
         main([str(tmp_path / "broken.mp4"), "--out", str(out), "--weights", str(weights)])
+
+
+@pytest.mark.parametrize("name", ["a.npy", "a.npz", "a.mat", "b.mat", "a.h5"])
+def test_arrays_that_broke_off_leave_nothing(tmp_path: Path, name: str) -> None:
+    source = write_array(tmp_path / name, pings(5, 20, 24))
+    before = source.read_bytes()
+    target = tmp_path / "out" / name
+    with pytest.raises(FrameError, match="of no use"):
+        _break_off(source, target)
+    assert list(target.parent.iterdir()) == []
+    assert source.read_bytes() == before
+
+
+def _break_off(source: Path, target: Path) -> None:
+    with (
+        open_recording(source) as recording,
+        FrameFiles(target, None, recording) as files,
+    ):
+        files.add(recording[0].samples)
+        raise FrameError("of no use")
