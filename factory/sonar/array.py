@@ -221,7 +221,9 @@ def vertical_pattern(sine: Floats, vfov_deg: float, array: ArraySettings) -> Flo
 def vertical_width_rad(vfov_deg: float, array: ArraySettings) -> float:
     """Equivalent two-way width of the vertical beam, radians: its pattern's integral."""
     sine = np.linspace(-1, 1, 4097)
-    return float(np.trapz(vertical_pattern(sine, vfov_deg, array), sine))
+    pattern = vertical_pattern(sine, vfov_deg, array)
+    # By trapezia; NumPy's own function is called `trapz` before 2.0 and `trapezoid` from 2.0 on.
+    return float(np.sum(np.diff(sine) * (pattern[1:] + pattern[:-1]) / 2.0))
 
 
 def directivity_db(array: ArraySettings, vfov_deg: float) -> float:

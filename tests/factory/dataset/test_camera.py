@@ -50,7 +50,7 @@ def recording(folder: Path, *sizes: tuple[int, int]) -> dict[str, Any]:
         lines.append(f"{number}.png,{number}_depth.png,dive{number}\n")
     (folder / "frames.csv").write_text("".join(lines))
     lens = ground_and_post(*sizes[0]).intrinsics
-    camera = [lens.fx, lens.fy, lens.cx, lens.cy]
+    camera = [float(number) for number in (lens.fx, lens.fy, lens.cx, lens.cy)]
     return {"kind": "csv_list", "file": str(folder / "frames.csv"), "intrinsics": camera}
 
 
