@@ -13,7 +13,11 @@ from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.factory.recordings import kind_of
 from simnfnd.models.data.images import NoisySource, list_images, read_sample, smallest_side
 from simnfnd.models.data.olddata import OldDataSource
+from simnfnd.models.data.recordings import digest_of
+from simnfnd.models.data.sources import open_data
+from tests.factory.recordings.array_files import write_array
 from tests.factory.recordings.recording_files import pings, write_stack
+from tests.models.data.data_settings import composed
 from tests.project_files import ROOT
 
 LAMPREY = ROOT / "examples" / "didson" / "lamprey.avi"
@@ -47,6 +51,21 @@ def test_pictures_of_an_array_are_frames(tmp_path: Path) -> None:
         np.testing.assert_allclose(picture, pictures[place] / 255, atol=1e-6)
     stretches, _ = open_input(str(tmp_path), 100)
     assert [len(stretch.shots) for stretch in stretches] == [1, 3]
+
+
+def test_an_array_is_named(tmp_path: Path) -> None:
+    """Of a file with several, for training and for `evaluate real` alike."""
+    pictures = pings(9, 30, 40)
+    path = write_array(tmp_path / "a.npz", pictures, other=pictures[:2])
+    found = list_images(f"{path}::frames")
+    assert [sample.frame for sample in found] == [f"a.npz::frames#{n}" for n in range(9)]
+    picture, _ = read_sample(found[5])
+    np.testing.assert_allclose(picture, pictures[5] / 255, atol=1e-6)
+    assert digest_of(found) == digest_of(list_images(f"{path}::other"))  # that of the file
+    words = ("data=self_supervised", f"data.folder='{path}::frames'", "data.patch=16")
+    assert len(open_data(composed(*words)[0]).validation) > 0
+    stretches, _ = open_input(f"{path}::frames", 100)
+    assert [len(stretch.shots) for stretch in stretches] == [9]
 
 
 def test_pages_of_a_stack_are_frames(tmp_path: Path) -> None:
