@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -49,12 +52,15 @@ class Matlab(Arrays):
         return array if header.single else array[..., number]
 
     def _array(self, name: str) -> Page:
-        import scipy.io
-
         if self._read is None or self._read[0] != name:
             if self.headers[name].bytes > MOST_BYTES:
                 raise MemoryError
-            self._read = name, scipy.io.loadmat(self._path, variable_names=[name])[name]
+            try:
+                self._read = name, _loaded(self._path, variable_names=[name])[name]
+            except np.exceptions.ComplexWarning as error:
+                raise FrameError(
+                    f"{self._path}: {name} holds complex numbers; save their magnitude, in decibels"
+                ) from error
         return self._read[1]
 
     def rewriting(self, name: str, path: Path) -> _Rewriting:
@@ -84,9 +90,7 @@ class _Rewriting:
         if self._count < self._header.shape[0]:
             return  # broken off: nobody will see the file
         try:
-            held = scipy.io.loadmat(self._source)
-            kept = {key: value for key, value in held.items() if not str(key).startswith("_")}
-            kept[self._name] = self._array
+            kept = dict(_variables(self._source)) | {self._name: self._array}
             scipy.io.savemat(self._path, kept, do_compression=True, long_field_names=True)
         except OSError:
             raise
@@ -95,6 +99,30 @@ class _Rewriting:
                 f"{self._source}: holds objects that cannot be written again; save "
                 f"{self._name} alone in a file of its own"
             ) from error
+
+
+def _variables(path: Path) -> Iterator[tuple[str, Any]]:
+    """Each of a file's own variables, of the class that it has in MATLAB."""
+    import scipy.io
+
+    for name, _, _ in scipy.io.whosmat(path):
+        try:
+            yield name, _loaded(path, variable_names=[name])[name]
+        except np.exceptions.ComplexWarning:
+            yield name, scipy.io.loadmat(path, variable_names=[name])[name]
+
+
+def _loaded(path: Path, **which: Any) -> dict[str, Any]:
+    """Variables with their classes: whole numbers of class double are stored as smaller ones.
+
+    Raises ComplexWarning for complex numbers, of which SciPy would leave out the imaginary part.
+    """
+    import scipy.io
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", np.exceptions.ComplexWarning)
+        found: dict[str, Any] = scipy.io.loadmat(path, mat_dtype=True, **which)
+    return found
 
 
 def list_arrays(path: Path) -> dict[str, Header]:

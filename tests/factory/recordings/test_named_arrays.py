@@ -176,6 +176,33 @@ def test_classes_of_matlab_that_are_no_pictures(tmp_path: Path) -> None:
     assert (found["name"], found["nested"]) == ("lamprey", {"a": 1})
 
 
+def test_whole_numbers_of_class_double_stay_of_that_class(tmp_path: Path) -> None:
+    """MATLAB stores them as small integers."""
+    others = {"weights": np.arange(3) * 1j, "gains": np.arange(5.0)}
+    path = write_array(tmp_path / "b.mat", pings(5, 30, 40).astype("f8"), **others)
+    with (
+        open_recording(path) as recording,
+        pytest.raises(FrameError, match=r"from 0 to 1, these are 0 to 255.*--levels"),
+    ):
+        recording[0]
+    with ArrayFile(path, Levels(0, 255)) as file:
+        copy = file.copy_with_others(tmp_path / "c.mat")
+        for frame in file:
+            copy.add(frame.samples / 2)
+        copy.close()
+    assert scipy.io.whosmat(tmp_path / "c.mat") == scipy.io.whosmat(path)
+    assert scipy.io.whosmat(path)[0][2] == "double"
+    np.testing.assert_array_equal(
+        scipy.io.loadmat(tmp_path / "c.mat")["weights"], [others["weights"]]
+    )
+
+
+def test_complex_echoes_are_refused(tmp_path: Path) -> None:
+    path = write_array(tmp_path / "b.mat", pings(5, 30, 40) * 1j)
+    with open_recording(path) as recording, pytest.raises(FrameError, match="their magnitude"):
+        recording[0]
+
+
 @pytest.mark.parametrize("kind", ["external file", "link", "virtual"])
 def test_hdf5_that_points_elsewhere_is_not_followed(tmp_path: Path, kind: str) -> None:
     pictures = pings(3, 30, 40)

@@ -57,7 +57,7 @@ def test_an_aris_recording_becomes_one(tmp_path: Path, halving: Halving) -> None
 def test_a_stack_becomes_one(tmp_path: Path, halving: Halving, dtype: Any) -> None:
     """All of its pages, and not the first alone."""
     full = 1 if dtype is np.uint8 else 257 if dtype is np.uint16 else 1 / 255
-    pages = (pings(3, 41, 48) * full).astype(dtype)
+    pages = (pings(3, 41, 48) * float(full)).astype(dtype)
     write_stack(tmp_path / "a.tif", pages)
     write_stack(tmp_path / "one.tif", pages[:1])
     out = tmp_path / "out"
@@ -74,7 +74,7 @@ def test_a_stack_becomes_one(tmp_path: Path, halving: Halving, dtype: Any) -> No
 def test_arrays_become_arrays(tmp_path: Path, halving: Halving, dtype: Any) -> None:
     """Of one picture or several, grey or in colours; tables beside them are left alone."""
     full = 1 if dtype is np.uint8 else 257 if dtype is np.uint16 else 1 / 255
-    given = (pings(3, 41, 48) * full).astype(dtype)
+    given = (pings(3, 41, 48) * float(full)).astype(dtype)
     coloured = np.stack([given[0], given[1], given[2]], axis=-1)
     arrays = {"one": given[0], "several": given, "colours": coloured, "first": given[:1]}
     for name, array in arrays.items():
