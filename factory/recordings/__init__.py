@@ -96,7 +96,8 @@ def is_recording(path: Path) -> bool:
 def open_recording(path: str | Path, levels: Levels | None = None) -> Recording:
     """The recording in a file or folder.
 
-    path: of a file of arrays also FILE::NAME.  levels: of arrays, what shows as black and white.
+    path: of a file of arrays also FILE::NAME.  levels: of arrays and TIFF files, what shows as
+        black and white.
     Raises FactoryError when there is none, it is of no known kind, or nothing of it can be read.
     """
     where = Path(path).expanduser()
@@ -105,6 +106,10 @@ def open_recording(path: str | Path, levels: Levels | None = None) -> Recording:
     kind = kind_of(where)
     if kind is None and split_name(where)[0].suffix.lower() in FORMATS:
         kind = "array"  # which says what it lacks
+    if levels is not None and where.suffix.lower() in TIFF_SUFFIXES:
+        from simnfnd.factory.recordings.pictures import StackFile
+
+        return StackFile(where, levels)
     if kind == "array" or (levels is not None and where.suffix.lower() in FORMATS):
         from simnfnd.factory.recordings.arrays.file import ArrayFile
 

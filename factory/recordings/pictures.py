@@ -16,7 +16,7 @@ from PIL import Image
 
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.recordings.arrays.file import is_table, read_array
-from simnfnd.factory.recordings.arrays.levels import swapped
+from simnfnd.factory.recordings.arrays.levels import Levels, swapped
 from simnfnd.factory.recordings.base import (
     ARRAY_SUFFIX,
     FULL_SCALE,
@@ -134,7 +134,10 @@ def in_unit_range(picture: Samples, what: str) -> npt.NDArray[np.float32]:
     """Float32 with full scale 1, of the same shape.  Raises FrameError for floats outside 0..1."""
     scaled = picture.astype(np.float32) / np.float32(FULL_SCALE[str(picture.dtype)])
     if not (scaled.min() >= 0 and scaled.max() <= 1):
-        raise FrameError(f"{what}: float pixels must lie in 0..1; divide by full scale")
+        raise FrameError(
+            f"{what}: float pixels must lie in 0..1; divide by full scale, or denoise with "
+            "--levels BLACK WHITE"
+        )
     return np.asarray(scaled)
 
 
@@ -157,7 +160,12 @@ def is_stack(path: Path) -> bool:
 
 
 class StackFile(FileOfFrames):
-    """A stack; a `Recording` of pictures, (H, W) or (H, W, 3) BGR, one a page."""
+    """A TIFF file; a `Recording` of pictures, (H, W) or (H, W, 3) BGR, one a page."""
+
+    def __init__(self, path: Path, levels: Levels | None = None) -> None:
+        """levels: of grey pages, what shows as black and white; None: numbers as they are."""
+        self.levels = levels
+        super().__init__(path)
 
     def _open(self) -> None:
         with one_line(f"{self.path}: not a readable TIFF file"):
@@ -171,15 +179,21 @@ class StackFile(FileOfFrames):
         return self._count
 
     def _read(self, number: int) -> Frame:
+        page = self.page(number)
+        if self.levels is not None and page.ndim == 2:
+            return Frame(number, self.levels.shown(page))
+        if page.dtype == np.float32:
+            in_unit_range(page, f"{self.path}: page {number + 1}")
+        return Frame(number, page)
+
+    def page(self, number: int) -> Samples:
+        """A page as it is stored, colours in BGR order.  Raises FrameError."""
         with one_line(f"{self.path}: page {number + 1} cannot be read"):
             self._image.seek(number)
             # ImageJ writes 16 bits with the most significant byte first.
             size, mode = self._image.size, self._image.mode.replace("I;16B", "I;16")
             if size == self._first and mode in _PAGES:
-                page = np.ascontiguousarray(swapped(np.asarray(self._image)))
-                if mode == "F":
-                    in_unit_range(page, f"{self.path}: page {number + 1}")
-                return Frame(number, page)
+                return np.ascontiguousarray(swapped(np.asarray(self._image)))
         if size != self._first:
             raise FrameError(
                 f"{self.path}: page {number + 1} has {size[0]} x {size[1]} pixels, the first "

@@ -90,7 +90,8 @@ def main(arguments: Sequence[str]) -> int:
         nargs=2,
         type=float,
         metavar=("BLACK", "WHITE"),
-        help="of arrays: which numbers show as black and as white, such as -60 0 for decibels",
+        help="of arrays and TIFF files: which numbers show as black and as white, such as -60 0 "
+        "for decibels",
     )
     parser.add_argument(
         "--topic",

@@ -18,7 +18,7 @@ from simnfnd.factory.recordings.aris.file import ArisFile
 from simnfnd.factory.recordings.arrays.file import ArrayFile
 from simnfnd.factory.recordings.base import ARRAY_SUFFIX, FULL_SCALE
 from simnfnd.factory.recordings.fan.pings import fan_of, grey_of, polar_geometry
-from simnfnd.factory.recordings.pictures import read_picture
+from simnfnd.factory.recordings.pictures import in_unit_range, read_picture
 from simnfnd.factory.recordings.video import VideoFile
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise.compared import sheet
@@ -114,6 +114,8 @@ def denoise_file(
 
     try:
         image = read_picture(item.source)
+        if image.dtype == np.float32:
+            in_unit_range(image, str(item.source))
         seen = (steady or Steady()).of_picture(item, image, place)
         denoised = seen.finished(denoise_image(seen.picture, denoise, seen.geometry, seen.looks))
     except (FactoryError, ValueError) as error:

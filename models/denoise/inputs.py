@@ -14,6 +14,7 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, Levels, kind_of
 from simnfnd.factory.recordings.arrays import FORMATS, HDF5_SUFFIXES, split_name
 from simnfnd.factory.recordings.arrays.file import is_table
+from simnfnd.factory.recordings.base import TIFF_SUFFIXES
 from simnfnd.factory.recordings.rosbag_files import is_bag_folder
 
 PING_KINDS = ("aris", "ddf", "oculus")
@@ -31,7 +32,7 @@ class Item:
 
     source: of a file of arrays also FILE::NAME.
     checked: a shard that another process has opened without harm.
-    levels: of arrays, what shows as black and white.
+    levels: of arrays and TIFF files, what shows as black and white.
     """
 
     source: Path
@@ -48,7 +49,7 @@ class Item:
         kind = kind_of(self.source)
         if kind is None and suffix in HDF5_SUFFIXES:
             return "shard"
-        if self.levels is not None and suffix in FORMATS:
+        if self.levels is not None and suffix in (*FORMATS, *TIFF_SUFFIXES):
             return "video"
         if kind in PING_KINDS:
             return "pings"

@@ -18,6 +18,7 @@ from simnfnd.factory.quiet import quiet_stderr
 from simnfnd.factory.recordings.arrays.file import ArrayCopy, ArrayFile
 from simnfnd.factory.recordings.arrays.levels import swapped
 from simnfnd.factory.recordings.base import TIFF_SUFFIXES, Recording
+from simnfnd.factory.recordings.pictures import StackFile
 
 CODECS = {".avi": "FFV1", ".mkv": "FFV1", ".mov": "FFV1", ".mp4": "png "}
 """Suffix of a container -> the codec without loss that it holds."""
@@ -66,7 +67,8 @@ class FrameFiles:
         code = CODECS.get(self.path.suffix.lower())
         self.path.parent.mkdir(parents=True, exist_ok=True)
         if self.path.suffix.lower() in TIFF_SUFFIXES:
-            self._stack = StackWriter(self._partial)
+            stack = self._source if isinstance(self._source, StackFile) else None
+            self._stack = StackWriter(self._partial, stack)
             return
         if isinstance(self._source, ArrayFile):
             with explain_os_errors(self.path, "--out"):
@@ -129,11 +131,16 @@ class FrameFiles:
 class StackWriter:
     """Takes pages in order, each compressed without loss; close it."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, source: StackFile | None = None) -> None:
+        """source: whose pages they are; on its scale they are written."""
         self._writer = TiffImagePlugin.AppendingTiffWriter(str(path), new=True)
+        self._source, self._count = source, 0
 
     def add(self, picture: npt.NDArray[Any]) -> None:
         """The next page, (H, W) uint8, uint16 or float32 or (H, W, 3) uint8 BGR."""
+        if self._source is not None and self._source.levels is not None and picture.ndim == 2:
+            picture = self._source.levels.stored(picture, self._source.page(self._count))
+        self._count += 1
         page = Image.fromarray(np.ascontiguousarray(swapped(picture)))
         page.save(self._writer, format="TIFF", compression="tiff_adobe_deflate")
         self._writer.newFrame()

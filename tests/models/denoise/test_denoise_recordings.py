@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from PIL import Image, ImageSequence
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import open_recording
@@ -125,6 +126,21 @@ def test_an_array_is_named_and_its_levels_are_told(
     np.testing.assert_allclose(
         np.load(tmp_path / "out" / "one.npy"), decibels[0] / 2 - 30, atol=1e-4
     )
+
+
+@pytest.mark.parametrize("pages", [1, 3])
+def test_tiff_files_of_decibels(tmp_path: Path, halving: Halving, pages: int) -> None:
+    decibels = (pings(pages, 41, 48) * 75 / 255.0 - 70).astype("f4")
+    write_stack(tmp_path / "a.tif", decibels)
+    out = ["--out", str(tmp_path / "out")]
+    with pytest.raises(FactoryError, match=r"in 0\.\.1; divide by full scale, or denoise with --l"):
+        main([str(tmp_path / "a.tif"), *out])
+    assert main([str(tmp_path / "a.tif"), "--levels", "-60", "0", *out]) == 0
+    with Image.open(tmp_path / "out" / "a.tif") as found:
+        after = np.array([np.asarray(page) for page in ImageSequence.Iterator(found)])
+    within = (decibels >= -60) & (decibels <= 0)
+    np.testing.assert_array_equal(after[~within], decibels[~within])
+    np.testing.assert_allclose(after[within], decibels[within] / 2 - 30, atol=1e-4)
 
 
 def test_a_webp_picture_is_written_without_loss(tmp_path: Path, halving: Halving) -> None:
