@@ -14,7 +14,7 @@ from simnfnd.evaluation.baselines.base import Gray
 from simnfnd.evaluation.realism.real import GEOMETRY_FILE, open_real
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import kind_of, open_recording
-from simnfnd.factory.recordings.arrays import split_name
+from simnfnd.factory.recordings.arrays import file_of
 from simnfnd.factory.recordings.fan.pings import frame_picture
 from simnfnd.factory.sonar.geometry import FanGeometry
 
@@ -75,7 +75,7 @@ def open_input(given: str, search: int) -> tuple[list[Stretch], tuple[str, ...]]
     Raises FactoryError when there is nothing, or a recording cannot be opened.
     """
     root = Path(given).expanduser()
-    if not split_name(root)[0].exists():
+    if not file_of(root).exists():
         raise FactoryError(f"real={root}: no such folder or recording")
     notes: tuple[str, ...] = ()
     if root.is_dir() and ((root / IMAGES).is_dir() or (root / GEOMETRY_FILE).is_file()):
@@ -116,7 +116,7 @@ def spread(shots: Sequence[Shot], limit: int | None) -> list[Shot]:
 
 
 def _below(root: Path) -> list[Stretch]:
-    if split_name(root)[0].is_file():
+    if file_of(root).is_file():
         return [_recording(root, root.name)]
     found = []
     folders = [root, *(path for path in sorted(root.rglob("*")) if path.is_dir())]

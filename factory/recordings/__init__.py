@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings.arrays import FORMATS, split_name
+from simnfnd.factory.recordings.arrays import FORMATS, file_of, split_name
 from simnfnd.factory.recordings.arrays.levels import Levels
 from simnfnd.factory.recordings.base import (
     PICTURE_SUFFIXES,
@@ -56,6 +56,8 @@ and, where they are no shards, those of HDF5."""
 SEQUENCES = ("video", "stack", "array")
 """Kinds whose frames are pictures, one after the other."""
 
+_WITH_LEVELS = ("stack", "array")
+
 # What OpenCV reads, which is an extra; bags say themselves what they need.
 _OPENCV = {"video": "reading videos", "pictures": "reading pictures"}
 
@@ -90,7 +92,7 @@ def kind_of(path: Path) -> str | None:
 
 def is_recording(path: Path) -> bool:
     """Whether a file or folder is one by its name: of a sonar, a bag or a video, not pictures."""
-    return split_name(path)[0].exists() and kind_of(path) not in (None, "pictures")
+    return file_of(path).exists() and kind_of(path) not in (None, "pictures")
 
 
 def open_recording(path: str | Path, levels: Levels | None = None) -> Recording:
@@ -101,24 +103,20 @@ def open_recording(path: str | Path, levels: Levels | None = None) -> Recording:
     Raises FactoryError when there is none, it is of no known kind, or nothing of it can be read.
     """
     where = Path(path).expanduser()
-    if not split_name(where)[0].exists():
+    file = file_of(where)
+    if not file.exists():
         raise FactoryError(f"{path}: no such file or folder")
-    kind = kind_of(where)
-    if kind is None and split_name(where)[0].suffix.lower() in FORMATS:
+    kind, suffix = kind_of(where), file.suffix.lower()
+    if levels is not None and suffix in TIFF_SUFFIXES:
+        kind = "stack"
+    elif suffix in FORMATS and (kind is None or levels is not None):
         kind = "array"  # which says what it lacks
-    if levels is not None and where.suffix.lower() in TIFF_SUFFIXES:
-        from simnfnd.factory.recordings.pictures import StackFile
-
-        return StackFile(where, levels)
-    if kind == "array" or (levels is not None and where.suffix.lower() in FORMATS):
-        from simnfnd.factory.recordings.arrays.file import ArrayFile
-
-        return ArrayFile(where, levels)
     if kind is None:
         known = ", ".join(suffix for _, suffixes in READERS.values() for suffix in suffixes)
         raise FactoryError(f"{path}: not a recording by its name ({known}, or a folder)")
     if kind in _OPENCV and find_spec("cv2") is None:
         raise FactoryError(f"{path}: {_OPENCV[kind]} needs cv2: pip install 'simnfnd[sonar]'")
     module, name = READERS[kind][0].split(":")
-    recording: Recording = getattr(import_module(module), name)(where)
+    reader = getattr(import_module(module), name)
+    recording: Recording = reader(where, levels) if kind in _WITH_LEVELS else reader(where)
     return recording

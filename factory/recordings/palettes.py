@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from simnfnd.factory.recordings.base import FULL_SCALE, Samples
+from simnfnd.factory.recordings.marks import means_around
 
 Colours = npt.NDArray[np.float32]
 """(N, 3), 0 to 255."""
@@ -158,10 +159,9 @@ def _without_marks(
 
     unknown = (~known).astype(np.uint8)
     wide = cv2.morphologyEx(unknown, cv2.MORPH_OPEN, np.ones((_STROKE, _STROKE), np.uint8))
-    there = cv2.blur(known.astype(np.float32), (_STROKE, _STROKE))
-    drawn = (unknown > wide) & (there > 0)
-    mean = cv2.blur(levels, (_STROKE, _STROKE)) / np.maximum(there, 1e-6)
-    filled = np.where(drawn, mean, levels).astype(np.float32)
+    means, there = means_around(levels, known, _STROKE)
+    drawn = (unknown > wide) & there
+    filled = np.where(drawn, means, levels).astype(np.float32)
     if not mixed:
         return filled, known
     _, parts, stats, _ = cv2.connectedComponentsWithStats(unknown, connectivity=8)

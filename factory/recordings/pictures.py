@@ -186,6 +186,12 @@ class StackFile(FileOfFrames):
             in_unit_range(page, f"{self.path}: page {number + 1}")
         return Frame(number, page)
 
+    def stored(self, number: int, picture: Samples) -> Samples:
+        """What became of page `number` as the file has its numbers, where levels were told."""
+        if self.levels is None or picture.ndim != 2:
+            return picture
+        return self.levels.stored(picture, self.page(number))
+
     def page(self, number: int) -> Samples:
         """A page as it is stored, colours in BGR order.  Raises FrameError."""
         with one_line(f"{self.path}: page {number + 1} cannot be read"):

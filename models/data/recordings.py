@@ -16,7 +16,7 @@ import numpy as np
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
-from simnfnd.factory.recordings.arrays import split_name
+from simnfnd.factory.recordings.arrays import file_of
 from simnfnd.factory.recordings.fan.finder import find_geometry
 from simnfnd.factory.recordings.presentation import presentation_of
 from simnfnd.factory.seeds import stream
@@ -84,7 +84,7 @@ def frames_with_geometry(paths: Sequence[str]) -> tuple[SampleRef, ...]:
 def digest_of(frames: Sequence[SampleRef]) -> str:
     """Changes with the content of the files, not with where they lie."""
     hashes = sorted(
-        {path: sha256_of(split_name(path)[0]) for path in {one.path for one in frames}}.values()
+        {path: sha256_of(file_of(path)) for path in {one.path for one in frames}}.values()
     )
     return hashlib.blake2b(repr(hashes).encode(), digest_size=8).hexdigest()
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
-from simnfnd.factory.recordings.arrays import split_name
+from simnfnd.factory.recordings.arrays import file_of
 from simnfnd.factory.storage.copies import local_folder
 from simnfnd.models.data.composed import composed
 from simnfnd.models.data.images import NoisySource, list_images, smallest_side
@@ -136,7 +136,7 @@ def _of_dataset(
 def _digest(samples: tuple[SampleRef, ...]) -> str:
     """Changes with the names and the content of image files, not with where they lie."""
     paths = {sample.path for sample in samples}
-    hashes = {path: sha256_of(split_name(path)[0]) for path in paths}
+    hashes = {path: sha256_of(file_of(path)) for path in paths}
     found = [(sample.scene, sample.frame, hashes[sample.path]) for sample in samples]
     return hashlib.blake2b(repr(found).encode(), digest_size=8).hexdigest()
 

@@ -12,7 +12,7 @@ from simnfnd.factory.dataset.format.manifest import MANIFEST_NAME
 from simnfnd.factory.dataset.read.reader import shard_paths
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, Levels, kind_of
-from simnfnd.factory.recordings.arrays import FORMATS, HDF5_SUFFIXES, split_name
+from simnfnd.factory.recordings.arrays import FORMATS, HDF5_SUFFIXES, file_of
 from simnfnd.factory.recordings.arrays.file import is_table
 from simnfnd.factory.recordings.base import TIFF_SUFFIXES
 from simnfnd.factory.recordings.rosbag_files import is_bag_folder
@@ -77,14 +77,14 @@ def find_items(inputs: Sequence[Path], out: Path, levels: Levels | None = None) 
                     f"{other.source} and {item.source} would both become {item.relative}; "
                     "denoise them into different folders"
                 )
-            file, _ = split_name(item.source)
+            file = file_of(item.source)
             if (out / item.relative).resolve() == file.resolve():
                 raise FactoryError(f"--out {out}: would overwrite the input {file}")
     return list(items.values())
 
 
 def _of_input(path: Path, out: Path) -> Iterator[Item]:
-    file, _ = split_name(path)
+    file = file_of(path)
     if file.is_file():
         if file.suffix.lower() not in SUFFIXES:
             raise FactoryError(

@@ -48,6 +48,8 @@ class FrameFiles:
 
         Raises FrameError when another file has the place of a folder.
         """
+        if isinstance(self._source, ArrayFile | StackFile):
+            picture = self._source.stored(self.count, picture)
         if not self.count:
             self._open(picture)
         if self._stack is not None:
@@ -67,8 +69,7 @@ class FrameFiles:
         code = CODECS.get(self.path.suffix.lower())
         self.path.parent.mkdir(parents=True, exist_ok=True)
         if self.path.suffix.lower() in TIFF_SUFFIXES:
-            stack = self._source if isinstance(self._source, StackFile) else None
-            self._stack = StackWriter(self._partial, stack)
+            self._stack = StackWriter(self._partial)
             return
         if isinstance(self._source, ArrayFile):
             with explain_os_errors(self.path, "--out"):
@@ -131,16 +132,11 @@ class FrameFiles:
 class StackWriter:
     """Takes pages in order, each compressed without loss; close it."""
 
-    def __init__(self, path: Path, source: StackFile | None = None) -> None:
-        """source: whose pages they are; on its scale they are written."""
+    def __init__(self, path: Path) -> None:
         self._writer = TiffImagePlugin.AppendingTiffWriter(str(path), new=True)
-        self._source, self._count = source, 0
 
     def add(self, picture: npt.NDArray[Any]) -> None:
         """The next page, (H, W) uint8, uint16 or float32 or (H, W, 3) uint8 BGR."""
-        if self._source is not None and self._source.levels is not None and picture.ndim == 2:
-            picture = self._source.levels.stored(picture, self._source.page(self._count))
-        self._count += 1
         page = Image.fromarray(np.ascontiguousarray(swapped(picture)))
         page.save(self._writer, format="TIFF", compression="tiff_adobe_deflate")
         self._writer.newFrame()

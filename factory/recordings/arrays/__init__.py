@@ -29,3 +29,8 @@ def split_name(path: str | Path) -> tuple[Path, str | None]:
     file, separator, name = str(path).partition(_SEPARATOR)
     named = bool(separator and name) and Path(file).suffix.lower() in FORMATS
     return (Path(file), name) if named and not where.exists() else (where, None)
+
+
+def file_of(path: str | Path) -> Path:
+    """The file of FILE or FILE::NAME."""
+    return split_name(path)[0]

@@ -18,6 +18,10 @@ LEAST_SIDE_PX = 16
 MOST_BYTES = 1 << 33
 """Of an array that its format reads as a whole."""
 _COLOURS = (1, 3, 4)
+MATLAB_CLASSES = {"double": "f8", "single": "f4"} | {
+    f"{sign}int{8 * size}": f"{sign or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4)
+}
+"""Class -> dtype; the others (logical, char, cell, struct, sparse) are no pictures."""
 
 
 @dataclass(frozen=True)
@@ -81,10 +85,12 @@ class Rewriting(Protocol):
 class Arrays(ABC):
     """An opened file.
 
-    headers: name -> array, of those that may be pictures.
+    headers: name -> array, of those that may be pictures.  held: what is there instead, where that
+    can be said in few words.
     """
 
     headers: Mapping[str, Header]
+    held = ""
 
     @abstractmethod
     def page(self, name: str, number: int) -> Page:

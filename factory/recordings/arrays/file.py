@@ -81,7 +81,7 @@ class ArrayFile(FileOfFrames):
         Raises FactoryError when it holds no pictures, or several arrays of them and none is named.
         """
         file, self._name = split_name(path)
-        self._levels = levels
+        self.levels = levels
         super().__init__(file)
 
     def _open(self) -> None:
@@ -92,7 +92,7 @@ class ArrayFile(FileOfFrames):
             held = f"; it has {_named(headers)}" if headers else ""
             raise FrameError(f"{self.path}: holds no pictures named {name}{held}")
         if not headers:
-            held = getattr(self._arrays, "held", "")
+            held = self._arrays.held
             shapes = _MATLAB if self.path.suffix.lower() == ".mat" else _KINDS
             raise FrameError(
                 f"{self.path}: {f'{held} holds' if held else 'holds'} no pictures; expected "
@@ -114,22 +114,27 @@ class ArrayFile(FileOfFrames):
         return self.header.shape[0]
 
     def page(self, number: int) -> npt.NDArray[Any]:
-        """A picture as it is stored, red first.  Raises FrameError."""
+        """A picture as it is stored, colours in BGR order.  Raises FrameError."""
         with _one_line(f"{self.path}: picture {number + 1} cannot be read; is the file damaged?"):
-            return self._arrays.page(self.name, number)
+            return np.ascontiguousarray(swapped(self._arrays.page(self.name, number)))
 
     def _read(self, number: int) -> Frame:
         what = f"{self.path}: picture {number + 1}"
         if self.header.single:
             what = str(self.path)
         page = self.page(number)
-        if self._levels is None:
-            return Frame(number, as_samples(page, what))
-        return Frame(number, np.ascontiguousarray(swapped(self._levels.shown(page))))
+        shown = as_samples(page, what) if self.levels is None else self.levels.shown(page)
+        return Frame(number, shown)
+
+    def stored(self, number: int, picture: Samples) -> Samples:
+        """What became of picture `number` as the file has its numbers, where levels were told."""
+        if self.levels is None:
+            return picture
+        return self.levels.stored(picture, self.page(number))
 
     def copy_with_others(self, path: Path) -> ArrayCopy:
         """A copy of the file at `path`, whose pictures are given anew."""
-        return ArrayCopy(self, self._arrays.rewriting(self.name, path), self._levels)
+        return ArrayCopy(self._arrays.rewriting(self.name, path), self.header.dtype)
 
     def close(self) -> None:
         """See `Recording`."""
@@ -141,17 +146,12 @@ class ArrayFile(FileOfFrames):
 class ArrayCopy:
     """Takes pictures in order, as the file's dtype; close it."""
 
-    def __init__(self, source: ArrayFile, rewriting: Rewriting, levels: Levels | None) -> None:
-        self._source, self._rewriting, self._levels = source, rewriting, levels
-        self._count = 0
+    def __init__(self, rewriting: Rewriting, dtype: np.dtype[Any]) -> None:
+        self._rewriting, self._dtype = rewriting, dtype
 
     def add(self, picture: Samples) -> None:
-        """The next picture, (H, W) or (H, W, colours) in BGR order, as the source's was read."""
-        page = swapped(picture)
-        if self._levels is not None:
-            page = self._levels.stored(page, self._source.page(self._count))
-        self._rewriting.add(page.astype(self._source.header.dtype))
-        self._count += 1
+        """The next picture, (H, W) or (H, W, colours) in BGR order."""
+        self._rewriting.add(swapped(picture).astype(self._dtype))
 
     def close(self) -> None:
         """Write what is left."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from simnfnd.factory.dataset.read.reader import look_at
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings.arrays.base import Arrays, Header, Page, header_of
+from simnfnd.factory.recordings.arrays.base import MATLAB_CLASSES, Arrays, Header, Page, header_of
 
 _MOST_CHUNK_BYTES = 1 << 29
 _MOST_NAMES = 100_000
@@ -23,8 +23,7 @@ _FILTERS = (
     *(h5py.h5z.FILTER_SZIP, h5py.h5z.FILTER_LZF, h5py.h5z.FILTER_SCALEOFFSET),
     h5py.h5z.FILTER_NBIT,
 )
-_NUMBERS = (b"double", b"single", b"uint8", b"uint16", b"int16", b"int32", b"uint32", b"int8")
-"""Of MATLAB's classes; the others (logical, char, cell, struct) are no pictures."""
+_NUMBERS = tuple(name.encode() for name in MATLAB_CLASSES)
 
 
 class Hdf5(Arrays):

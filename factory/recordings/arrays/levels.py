@@ -43,7 +43,6 @@ def as_samples(page: npt.NDArray[Any], what: str) -> Samples:
     if page.dtype.kind == "f":
         with np.errstate(over="ignore"):  # infinite: outside 0..1
             page = page.astype(np.float32)
-    page = np.ascontiguousarray(swapped(page))
     if str(page.dtype) not in FULL_SCALE:
         raise FrameError(
             f"{what}: pixels are {page.dtype}; expected {', '.join(FULL_SCALE)}, or give --levels"

@@ -11,13 +11,16 @@ import numpy as np
 
 from simnfnd.factory.dataset.read.reader import look_at
 from simnfnd.factory.errors import FrameError
-from simnfnd.factory.recordings.arrays.base import MOST_BYTES, Arrays, Header, Page, header_of
+from simnfnd.factory.recordings.arrays.base import (
+    MATLAB_CLASSES,
+    MOST_BYTES,
+    Arrays,
+    Header,
+    Page,
+    header_of,
+)
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_CLASSES = {"double": "f8", "single": "f4"} | {
-    f"{sign}int{8 * size}": f"{sign or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4)
-}
-"""Class -> dtype; the others (logical, char, cell, struct, sparse) are no pictures."""
 
 
 def open_matlab(path: Path) -> Arrays:
@@ -131,7 +134,7 @@ def list_arrays(path: Path) -> dict[str, Header]:
 
     found = {}
     for name, shape, kind in scipy.io.whosmat(path):
-        dtype = _CLASSES.get(kind)
+        dtype = MATLAB_CLASSES.get(kind)
         header = dtype and header_of(tuple(map(int, shape)), np.dtype(dtype), matlab=True)
         if header:
             found[name] = header

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from simnfnd.factory.recordings.marks import means_around
 from simnfnd.factory.sonar.geometry import FanGeometry
 
 Gray = npt.NDArray[np.float32]
@@ -93,13 +94,8 @@ def _widens(pixels: Mask, range_px: Gray) -> bool:
 
 def filled(grey: Gray, drawn: Mask) -> Gray:
     """The mean of what is around them where marks are drawn."""
-    import cv2  # an extra, as are pictures
-
-    size = (_AROUND_PX, _AROUND_PX)
-    free = (~drawn).astype(np.float32)
-    there = cv2.blur(free, size)
-    mean = cv2.blur(grey * free, size) / np.maximum(there, np.float32(1e-6))
-    return np.where(drawn & (there > 0), mean, grey).astype(np.float32)
+    means, known = means_around(grey, ~drawn, _AROUND_PX)
+    return np.where(drawn & known, means, grey).astype(np.float32)
 
 
 @dataclass(frozen=True)

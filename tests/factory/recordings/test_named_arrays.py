@@ -132,8 +132,8 @@ def test_levels(tmp_path: Path, name: str) -> None:
         np.testing.assert_allclose(shown[2][5], np.clip(decibels[2, 5] / 60 + 1, 0, 1), atol=1e-6)
         assert shown[2][3, 4] == 0
         copy = file.copy_with_others(target)
-        for picture in shown:
-            copy.add(picture / 2)
+        for number, picture in enumerate(shown):
+            copy.add(file.stored(number, picture / 2))
         copy.close()
     found = array_of(target, "frames")
     within = (decibels >= -60) & (decibels <= 0)
@@ -188,7 +188,7 @@ def test_whole_numbers_of_class_double_stay_of_that_class(tmp_path: Path) -> Non
     with ArrayFile(path, Levels(0, 255)) as file:
         copy = file.copy_with_others(tmp_path / "c.mat")
         for frame in file:
-            copy.add(frame.samples / 2)
+            copy.add(file.stored(frame.number, frame.samples / 2))
         copy.close()
     assert scipy.io.whosmat(tmp_path / "c.mat") == scipy.io.whosmat(path)
     assert scipy.io.whosmat(path)[0][2] == "double"

@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 
+from simnfnd.models.denoise import command
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
+from tests.models.denoise.halving import Halving
 from tests.models.denoise.untrained import TINY
 
 
@@ -19,3 +21,10 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("weights") / "weights.safetensors"
     save_weights(path, build_network(TINY), TINY, {})
     return path
+
+
+@pytest.fixture
+def halving(monkeypatch: pytest.MonkeyPatch) -> Halving:
+    made = Halving()
+    monkeypatch.setattr(command, "asked_denoiser", lambda *given, **named: made)
+    return made

@@ -11,19 +11,11 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import open_recording
 from simnfnd.factory.recordings.ros_messages import IMAGE, SONAR, typestore
 from simnfnd.factory.recordings.rosbag import RosBag
-from simnfnd.models.denoise import command
 from simnfnd.models.denoise.command import main
 from tests.factory.recordings.bag_files import content, image, sonar, write_bag
 from tests.factory.recordings.fan_pictures import fan, preset
 from tests.factory.recordings.recording_files import pings
 from tests.models.denoise.halving import Halving
-
-
-@pytest.fixture
-def halving(monkeypatch: pytest.MonkeyPatch) -> Halving:
-    made = Halving()
-    monkeypatch.setattr(command, "asked_denoiser", lambda *given, **named: made)
-    return made
 
 
 def test_bags_become_bags(tmp_path: Path, halving: Halving) -> None:

@@ -13,7 +13,6 @@ from PIL import Image, ImageSequence
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.recordings import open_recording
-from simnfnd.models.denoise import command
 from simnfnd.models.denoise.command import main
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
@@ -27,13 +26,6 @@ from tests.factory.recordings.recording_files import (
     write_stack,
 )
 from tests.models.denoise.halving import Halving
-
-
-@pytest.fixture
-def halving(monkeypatch: pytest.MonkeyPatch) -> Halving:
-    made = Halving()
-    monkeypatch.setattr(command, "asked_denoiser", lambda *given, **named: made)
-    return made
 
 
 def test_an_aris_recording_becomes_one(tmp_path: Path, halving: Halving) -> None:
