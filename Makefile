@@ -34,16 +34,7 @@ $(stamp): pyproject.toml constraints.txt
 		|| { echo "error: $(VENV) is not Python 3.11; remove it and run make setup again" >&2; exit 2; }
 	$(python) -m pip install --disable-pip-version-check --quiet $(PIP_ARGS) \
 		-c constraints.txt -e '.[all,dev,docs]'
-	@$(MAKE) --no-print-directory names
 	@touch $@
-
-# The rooms under their import name, as links, for tools that read files and run no import hook:
-# mypy, and editors (add $(VENV)/names to their search path).
-.PHONY: names
-names:
-	@mkdir -p $(VENV)/names/simnfnd
-	@for room in simnfnd/*.py simnfnd/py.typed factory models evaluation conf; do \
-		ln -sfn "$(CURDIR)/$$room" $(VENV)/names/simnfnd/; done
 
 demo: $(stamp) ## make a small dataset from nothing and a preview of it
 	$(VENV)/bin/simnfnd demo $(ARGS)
@@ -55,7 +46,8 @@ test: $(stamp) ## run the tests
 check: $(stamp) ## lint, formatting and types
 	$(python) -m ruff check
 	$(python) -m ruff format --check
-	MYPYPATH=$(VENV)/names:. $(python) -m mypy
+	$(python) -m mypy
+	$(VENV)/bin/lint-imports
 
 docs: $(stamp) ## build the docs site into build/docs
 	NO_MKDOCS_2_WARNING=1 $(python) -m mkdocs build --quiet --strict $(ARGS)

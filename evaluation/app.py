@@ -8,7 +8,7 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from simnfnd.factory.cli import accept_dataset_folder, run_app
+from ..factory.cli import accept_dataset_folder, run_app
 
 
 def hydra_verb(task: Callable[[DictConfig], Any], config_name: str, words: Sequence[str]) -> int:

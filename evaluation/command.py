@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
-from simnfnd.evaluation.app import hydra_verb
-from simnfnd.factory.cli.extras import Need, require
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.settings import build
-from simnfnd.factory.storage.copies import local_folder
+from ..factory.cli.extras import Need, require
+from ..factory.errors import FactoryError
+from ..factory.settings import build
+from ..factory.storage.copies import local_folder
+from .app import hydra_verb
 
 if TYPE_CHECKING:
-    from simnfnd.evaluation.settings import EvaluationSettings
+    from .settings import EvaluationSettings
 
 
 def report(words: Sequence[str]) -> int:
@@ -35,7 +35,7 @@ def run(config: DictConfig) -> None:
     settings = settings_of(config)
     require(needs_of(settings))
     # Only after the configuration is known: `--help` and typing errors answer at once.
-    from simnfnd.evaluation.report import build as builder
+    from .report import build as builder
 
     builder.build(settings)
 
@@ -43,9 +43,9 @@ def run(config: DictConfig) -> None:
 def run_tune(config: DictConfig) -> None:
     """Tune the baselines on validation pairs."""
     settings = settings_of(config)
-    from simnfnd.evaluation.methods import tuning
-    from simnfnd.evaluation.methods.method import baselines_of
-    from simnfnd.factory.workers.tasks import TaskPool
+    from ..factory.scheduler.workers.tasks import TaskPool
+    from .methods import tuning
+    from .methods.method import baselines_of
 
     with TaskPool(settings.workers) as pool:
         print("\n".join(tuning.tune(settings, baselines_of(settings.baselines), pool)))
@@ -63,7 +63,7 @@ def needs_of(settings: EvaluationSettings) -> Iterator[Need]:
 
 def settings_of(config: DictConfig) -> EvaluationSettings:
     """The checked settings.  FactoryError names the key that is wrong."""
-    from simnfnd.evaluation.settings import EvaluationSettings
+    from .settings import EvaluationSettings
 
     if config.dataset.dir is None:
         raise FactoryError("dataset: give the folder that `simnfnd make` made, dataset=DIR")

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.metrics.statistics import Paired, holm, paired
-from simnfnd.evaluation.report.files import read_results
-from simnfnd.evaluation.report.names import METRIC_NAMES, written, written_p
-from simnfnd.evaluation.report.tables import percent
-from simnfnd.factory.cli import Parser
-from simnfnd.factory.dataset.describe import markdown
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import check_writable, write_atomically
+from ..factory.cli import Parser
+from ..factory.dataset.describe import markdown
+from ..factory.errors import FactoryError
+from ..factory.files import check_writable, write_atomically
+from .metrics.statistics import Paired, holm, paired
+from .report.files import read_results
+from .report.names import METRIC_NAMES, written, written_p
+from .report.tables import percent
 
 _ALPHA = 0.05
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from simnfnd.factory.errors import FactoryError
+from ..factory.errors import FactoryError
 
 
 def named(words: Sequence[str], first: str, rest: str | None = None) -> list[str]:

@@ -12,11 +12,11 @@ denoised, only the last waits.  Needs a sourced ROS 2 and `pip install 'simnfnd[
 import argparse
 
 from simnfnd import FactoryError
-from simnfnd.factory.recordings.fan.finder import find_geometry
-from simnfnd.factory.recordings.fan.pings import polar_geometry
-from simnfnd.factory.recordings.ros_messages import IMAGE, SONAR, frame_of, with_samples
 from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.denoise.files import denoise_image
+from simnfnd.models.recordings.fan.finder import find_geometry
+from simnfnd.models.recordings.fan.pings import polar_geometry
+from simnfnd.models.recordings.ros_messages import IMAGE, SONAR, frame_of, with_samples
 
 
 class Worker:

@@ -12,22 +12,22 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 from pydantic import Field, TypeAdapter, model_validator
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.dataset.format.layers import CAMERA_LAYERS
-from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.devices.settings import DeviceSettings
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.formation.field.settings import AcousticsSettings
-from simnfnd.factory.formation.resample import ResampleSettings
-from simnfnd.factory.jobs.settings import SchedulerSettings, ShardSlice
-from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings, blocks
-from simnfnd.factory.render.base import RenderSettings
-from simnfnd.factory.renders.cache import CacheSettings
-from simnfnd.factory.scenes import Scenes
-from simnfnd.factory.scenes.base import INTEGERS_PER_M
-from simnfnd.factory.scenes.seabed.reader import SeabedSettings, seeing
-from simnfnd.factory.settings import STRICT, build
-from simnfnd.factory.sonar.acoustics import WaterSettings
-from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
+from .dataset.format.layers import CAMERA_LAYERS
+from .dataset.format.settings import DatasetSettings
+from .errors import FactoryError
+from .imaging.coherent.settings import AcousticsSettings
+from .imaging.resample import ResampleSettings
+from .noise.registry import EFFECTS, NoiseSettings, blocks
+from .render.base import RenderSettings
+from .render.cache.cache import CacheSettings
+from .scenes import Scenes
+from .scenes.base import INTEGERS_PER_M
+from .scenes.seabed.reader import SeabedSettings, seeing
+from .scheduler.settings import SchedulerSettings, ShardSlice
+from .settings import STRICT, build
+from .sonar.acoustics import WaterSettings
+from .sonar.settings import ImageSettings, SonarSettings
+from .sonar_randomization.settings import DeviceSettings
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig

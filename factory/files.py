@@ -18,8 +18,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Protocol
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.ownership import check_fences, space
+from .errors import FactoryError
+from .ownership import check_fences, space
 
 _TEMPORARY = re.compile(
     r"\..+\.[^.-]+-(?P<space>[0-9a-f]{8})-(?P<pid>\d+)-[0-9a-f]{16}\.tmp$"

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from simnfnd.factory.dataset.describe import format_texts as texts
-from simnfnd.factory.dataset.format.layers import (
+from .dataset.describe import format_texts as texts
+from .dataset.format.layers import (
     ECHO_FIELDS,
     ECHO_FOLDER,
     OPTIONAL_LAYERS,
@@ -16,10 +16,10 @@ from simnfnd.factory.dataset.format.layers import (
     layers,
     stores_grey,
 )
-from simnfnd.factory.dataset.format.schema import ROOT_ATTRIBUTES, SCHEMA, VALUE_RANGES
-from simnfnd.factory.labels import CLASSES
-from simnfnd.factory.meta.record import columns, requested
-from simnfnd.factory.noise.registry import NoiseSettings
+from .dataset.format.schema import ROOT_ATTRIBUTES, SCHEMA, VALUE_RANGES
+from .labels import CLASSES
+from .noise.registry import NoiseSettings
+from .sample_table.record import columns, requested
 
 _HEAD = f"""\
 # The dataset format `{SCHEMA}`

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.errors import FrameError
+from .errors import FrameError
 
 # No imaging sonar sees farther, and no camera nearer.
 _LIKELY_M = (0.005, 300.0)

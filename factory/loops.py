@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import importlib
 
-from simnfnd.factory.progress import stage_if_slow
+from .progress import stage_if_slow
 
 LOOPS = (
     "simnfnd.factory.dataset.describe.window_loops",
     "simnfnd.factory.dataset.write.checksum_loops",
-    "simnfnd.factory.formation.field.cells.cell_loops",
-    "simnfnd.factory.formation.field.display_loops",
-    "simnfnd.factory.formation.field.kernels",
-    "simnfnd.factory.formation.field.cells.path_loops",
-    "simnfnd.factory.formation.field.pixel_rows",
-    "simnfnd.factory.formation.field.placing",
-    "simnfnd.factory.formation.field.cells.world_loops",
+    "simnfnd.factory.imaging.coherent.cells.cell_loops",
+    "simnfnd.factory.imaging.coherent.display_loops",
+    "simnfnd.factory.imaging.coherent.kernels",
+    "simnfnd.factory.imaging.coherent.cells.path_loops",
+    "simnfnd.factory.imaging.coherent.pixel_rows",
+    "simnfnd.factory.imaging.coherent.placing",
+    "simnfnd.factory.imaging.coherent.cells.world_loops",
     "simnfnd.factory.render.albedo",
     "simnfnd.factory.render.cloud.joints",
     "simnfnd.factory.render.cloud.planes",
@@ -32,7 +32,7 @@ LOOPS = (
     "simnfnd.factory.scenes.seabed.loops.texture_loops",
     "simnfnd.factory.scenes.seabed.loops.viewpoint_loops",
     "simnfnd.factory.sonar.echo_loops",
-    "simnfnd.factory.recordings.fan.loops",
+    "simnfnd.models.recordings.fan.loops",
     "simnfnd.factory.sonar.number_loops",
     "simnfnd.factory.sonar.picture_loops",
 )

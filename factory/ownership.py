@@ -17,8 +17,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.small_files import parse_json, read_regular
+from .errors import FactoryError
+from .small_files import parse_json, read_regular
 
 _MOST_BYTES = 1 << 12
 

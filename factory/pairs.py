@@ -16,27 +16,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.format.echoes import EchoList
-from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
-from simnfnd.factory.devices import draw as devices
-from simnfnd.factory.errors import FrameError
-from simnfnd.factory.formation import layers as truth
-from simnfnd.factory.formation.contract import Floats, Scene
-from simnfnd.factory.formation.registry import FORMATIONS
-from simnfnd.factory.frame import Frame, FrameRef
-from simnfnd.factory.meta.camera import Camera
-from simnfnd.factory.meta.record import columns, image_axes, record, requested, requested_row
-from simnfnd.factory.noise.draws import StreamNames, draw
-from simnfnd.factory.renders.views import CachedViews, Views, open_views
-from simnfnd.factory.sonar import polar, surface, transfer
-from simnfnd.factory.sonar.fan import lay_out, lay_out_nearest
-from simnfnd.factory.sonar.window import Window
-from simnfnd.factory.sonar.window_fit import conical, fit_window, set_window
+from .dataset.format.echoes import EchoList
+from .dataset.format.sample import Axis, Column, Pair
+from .errors import FrameError
+from .frame import Frame, FrameRef
+from .imaging import layers as truth
+from .imaging.contract import Floats, Scene
+from .imaging.registry import FORMATIONS
+from .noise.draws import StreamNames, draw
+from .render.cache.views import CachedViews, Views, open_views
+from .sample_table.camera import Camera
+from .sample_table.record import columns, image_axes, record, requested, requested_row
+from .sonar import polar, surface, transfer
+from .sonar.fan import lay_out, lay_out_nearest
+from .sonar.window import Window
+from .sonar.window_fit import conical, fit_window, set_window
+from .sonar_randomization import draw as devices
 
 if TYPE_CHECKING:
-    from simnfnd.factory.config import FactoryConfig
-    from simnfnd.factory.noise.registry import NoiseSettings
-    from simnfnd.factory.render.base import Rendered
+    from .config import FactoryConfig
+    from .noise.registry import NoiseSettings
+    from .render.base import Rendered
 
 _DRAWS = 40
 """Devices that may be drawn for a picture until one sees some of the frame."""
@@ -110,7 +110,7 @@ class PairMaker:
 
 
 def _chosen(found: tuple[FrameRef, ...], config: FactoryConfig) -> tuple[FrameRef, ...]:
-    from simnfnd.factory.selection import choose_frames
+    from .selection import choose_frames
 
     return choose_frames(found, config)
 

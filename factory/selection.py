@@ -6,9 +6,9 @@ import fnmatch
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 
-from simnfnd.factory.config import FactoryConfig, SplitSettings
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.frame import FrameRef
+from .config import FactoryConfig, SplitSettings
+from .errors import FactoryError
+from .frame import FrameRef
 
 _Scene = tuple[str, str]
 

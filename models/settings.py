@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.settings import STRICT, build
+from ..factory.errors import FactoryError
+from ..factory.settings import STRICT, build
 
 
 def _odd(frames: int) -> int:

@@ -16,12 +16,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from simnfnd.api import denoise, make_pair
-    from simnfnd.factory import __version__
-    from simnfnd.factory.dataset import PairDataset
-    from simnfnd.factory.dataset.format.sample import Pair
-    from simnfnd.factory.errors import FactoryError, FrameError
-    from simnfnd.recording import OpenRecording, RecordedFrame, open_recording
+    from .api import denoise, make_pair
+    from .factory import __version__
+    from .factory.dataset import PairDataset
+    from .factory.dataset.format.sample import Pair
+    from .factory.errors import FactoryError, FrameError
+    from .recording import OpenRecording, RecordedFrame, open_recording
 
 __all__ = [
     "FactoryError",

@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from simnfnd.factory.config import FactoryConfig
-    from simnfnd.factory.dataset.format.sample import Pair
-    from simnfnd.factory.render.base import Renderer, RenderSettings
-    from simnfnd.factory.sonar.geometry import FanGeometry
-    from simnfnd.models.denoise.denoiser import Denoiser
-    from simnfnd.models.denoise.weighing.in_turn import InTurn
+    from .factory.config import FactoryConfig
+    from .factory.dataset.format.sample import Pair
+    from .factory.render.base import Renderer, RenderSettings
+    from .factory.sonar.geometry import FanGeometry
+    from .models.denoise.denoiser import Denoiser
+    from .models.denoise.weighing.in_turn import InTurn
 
 
 def denoise(
@@ -48,14 +48,14 @@ def denoise(
     Raises ValueError for another shape or dtype, NaN, and floats outside 0..1; FactoryError for
     weights that are not there, a missing GPU, and where the extra `train` is not installed.
     """
-    from simnfnd.factory.cli.extras import Need, require
+    from .factory.cli.extras import Need, require
 
     needed = ("torch", "safetensors", "cv2", "scipy")
     require(Need("simnfnd.denoise", module) for module in needed)
-    from simnfnd.factory.recordings.fan.finder import find_geometry
-    from simnfnd.factory.recordings.palettes import find_painted
-    from simnfnd.models.denoise.files import denoise_image
-    from simnfnd.models.pretrained import find_weights
+    from .models.denoise.files import denoise_image
+    from .models.pretrained import find_weights
+    from .models.recordings.fan.finder import find_geometry
+    from .models.recordings.palettes import find_painted
 
     given = np.asarray(picture)
     if given.ndim not in (2, 3):
@@ -70,8 +70,8 @@ def denoise(
     named = None if weights is None else path
     network = _denoiser(named, path.stat().st_mtime_ns, device, chosen, strength)
     if weights is None and remove is None:
-        from simnfnd.models.denoise.weighing.suited import Suited
-        from simnfnd.models.pretrained import POINTS
+        from .models.denoise.weighing.suited import Suited
+        from .models.pretrained import POINTS
 
         of_points = find_weights(POINTS)
         changed_ns = of_points.stat().st_mtime_ns
@@ -133,11 +133,11 @@ def make_pair(
     Raises FrameError when the frame has no usable depth or the sonar would see nothing of it, and
     FactoryError for wrong words and modules that are not installed.
     """
-    from simnfnd.factory.cli.extras import needs_of, require
-    from simnfnd.factory.frame import Frame, FrameRef, Intrinsics, checked
-    from simnfnd.factory.pairs import PairMaker
-    from simnfnd.factory.render.view import view_of
-    from simnfnd.factory.renders.views import OneView
+    from .factory.cli.extras import needs_of, require
+    from .factory.frame import Frame, FrameRef, Intrinsics, checked
+    from .factory.pairs import PairMaker
+    from .factory.render.cache.views import OneView
+    from .factory.render.view import view_of
 
     settings = _config((*config, *(() if seed is None else (f"seed={seed}",))))
     require(needs_of(settings))
@@ -153,7 +153,7 @@ def make_pair(
 
 @lru_cache(maxsize=8)
 def _config(words: tuple[str, ...]) -> FactoryConfig:
-    from simnfnd.factory.cli.compose import compose_config
+    from .factory.cli.compose import compose_config
 
     # The frame is at hand, so where recordings are does not matter.
     return compose_config(words, {"kind": "csv_list", "root": ".", "intrinsics": [1, 1, 0, 0]})
@@ -161,7 +161,7 @@ def _config(words: tuple[str, ...]) -> FactoryConfig:
 
 @lru_cache(maxsize=1)
 def _renderer(settings: RenderSettings) -> Renderer:
-    from simnfnd.factory.render import open_renderer
+    from .factory.render import open_renderer
 
     return open_renderer(settings)
 
@@ -171,6 +171,6 @@ def _denoiser(
     path: Path | None, changed_ns: int, device: str, remove: tuple[str, ...] | None, strength: float
 ) -> Denoiser | InTurn:
     """changed_ns: of the file, so that weights trained anew are loaded anew."""
-    from simnfnd.models.denoise.weighing.in_turn import asked_denoiser
+    from .models.denoise.weighing.in_turn import asked_denoiser
 
     return asked_denoiser(path, device, remove, strength=strength)

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 
-from simnfnd.verbs import VERBS, Verb
+from .verbs import VERBS, Verb
 
 _HELP = ("-h", "--help")
 _COMPLETION = ("--shell-completion", "-sc")
@@ -32,7 +32,7 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
     if "--version" in given[:2]:
         return _print(f"simnfnd {_version()}")
     if given[:1] == ["--complete"]:
-        from simnfnd.completion import complete
+        from .completion import complete
 
         for offered in complete(given[1 + (given[1:2] == ["--"]) :]):
             print(offered)
@@ -46,8 +46,8 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
         given.insert(0, default)
     if not given or given[0] in (*_HELP, "help"):
         return _print(overview())
-    from simnfnd.factory.cli import guard
-    from simnfnd.factory.errors import FactoryError
+    from .factory.cli import guard
+    from .factory.errors import FactoryError
 
     def run() -> int | None:
         name, verb, rest = find(given)
@@ -75,8 +75,8 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
 
 def _shell_completion(words: Sequence[str]) -> int:
     """Print the script that teaches a shell; also for words of Hydra's own, `install=bash`."""
-    from simnfnd.completion import script
-    from simnfnd.factory.cli import guard
+    from .completion import script
+    from .factory.cli import guard
 
     return guard(lambda: _print(script(words[0] if words else "?")))
 
@@ -86,7 +86,7 @@ def find(words: Sequence[str]) -> tuple[str, Verb, list[str]]:
 
     Raises FactoryError, one line, for a word that is none.
     """
-    from simnfnd.factory.errors import FactoryError
+    from .factory.errors import FactoryError
 
     name, rest = words[0], list(words[1:])
     verb = VERBS.get(name)
@@ -157,7 +157,7 @@ def head(name: str, verb: Verb) -> str:
     if verb.verbs:
         lines += ["", "Verbs of its own:", *_own_verbs(name, verb)]
     if verb.needs:
-        from simnfnd.factory.cli.extras import EXTRAS, install_command
+        from .factory.cli.extras import EXTRAS, install_command
 
         lines += ["", f"Needs {install_command(*(EXTRAS[module] for module in verb.needs))}"]
     return "\n".join(lines)
@@ -169,13 +169,13 @@ def _own_verbs(name: str, verb: Verb) -> Iterator[str]:
 
 def _check_installed(name: str, verb: Verb) -> None:
     """Raise FactoryError when a module that the verb needs is not installed."""
-    from simnfnd.factory.cli.extras import Need, require
+    from .factory.cli.extras import Need, require
 
     require(Need(f"simnfnd {name}", module) for module in verb.needs)
 
 
 def _of_an_extra(error: ModuleNotFoundError) -> bool:
-    from simnfnd.factory.cli.extras import EXTRAS
+    from .factory.cli.extras import EXTRAS
 
     return (error.name or "").split(".")[0] in EXTRAS
 
@@ -186,7 +186,7 @@ def _is_option(word: str) -> bool:
 
 
 def _version() -> str:
-    from simnfnd.factory import __version__
+    from .factory import __version__
 
     return __version__
 

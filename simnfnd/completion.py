@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from simnfnd.verbs import VERBS, Verb
+from .verbs import VERBS, Verb
 
 _BASH = r"""
 _simnfnd() {
@@ -75,7 +75,7 @@ SCRIPTS = {"bash": _BASH, "zsh": _ZSH, "fish": _FISH}
 
 def script(shell: str) -> str:
     """The script of a shell.  Raises FactoryError for another one."""
-    from simnfnd.factory.errors import FactoryError
+    from .factory.errors import FactoryError
 
     name = shell.removeprefix("install=")
     if name not in SCRIPTS:
@@ -107,7 +107,7 @@ def complete(words: Sequence[str]) -> list[str]:
 
 def _settings(current: str, verb: Verb, given: set[str]) -> list[str]:
     """Groups, and keys up to their next dot; behind `=` the choices, or true and false."""
-    from simnfnd.factory.cli.nearest import catalogue
+    from .factory.cli.nearest import catalogue
 
     known = catalogue(verb.config)
     key, equals, _ = current.partition("=")

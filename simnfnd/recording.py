@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from simnfnd.factory.recordings import Frame, Recording
-    from simnfnd.factory.sonar.geometry import FanGeometry
+    from .factory.sonar.geometry import FanGeometry
+    from .models.recordings import Frame, Recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class OpenRecording:
     """An opened recording: iterate, index or measure it; close it, or use it in `with`."""
 
     def __init__(self, recording: Recording) -> None:
-        from simnfnd.factory.recordings.pictures import Pictures
+        from .models.recordings.pictures import Pictures
 
         self._recording = recording
         # Pictures of a folder may have a fan each.
@@ -76,11 +76,11 @@ class OpenRecording:
         self.close()
 
     def _shown(self, frame: Frame) -> RecordedFrame:
-        from simnfnd.factory.recordings.fan.pings import fan_of, grey_of
+        from .models.recordings.fan.pings import fan_of, grey_of
 
         if frame.beams is not None:
             return RecordedFrame(*fan_of(grey_of(frame), frame.beams), frame.time_s, frame)
-        from simnfnd.factory.recordings.fan.finder import find_geometry  # of the extra sonar
+        from .models.recordings.fan.finder import find_geometry  # of the extra sonar
 
         # As `simnfnd denoise` does it: a video's fan stays where it was found first.
         shape = frame.samples.shape
@@ -98,6 +98,6 @@ def open_recording(path: str | Path) -> OpenRecording:
     Frames are read when they are asked for.  Raises FactoryError, one line, for a file that is not
     there, of no known kind, or damaged.
     """
-    from simnfnd.factory.recordings import open_recording as opened
+    from .models.recordings import open_recording as opened
 
     return OpenRecording(opened(path))

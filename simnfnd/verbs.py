@@ -236,7 +236,7 @@ VERBS: dict[str, Verb] = {
             ),
             "fit": Verb(
                 JUDGE, "the noise parameters that come nearest to real pictures",
-                "simnfnd.evaluation.fit.command:fit",
+                "simnfnd.evaluation.calibrate.command:fit",
                 ("simnfnd evaluate fit mdd name=mine trials=100",
                  "simnfnd evaluate fit mdd -- experiment=physical scenes=pack "
                  "scenes.root=views.pack"),

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from simnfnd.factory.config import FactoryConfig, from_mapping
-from simnfnd.factory.formation.field.scene import FieldScene
-from simnfnd.factory.formation.field.signal import Ping
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.gallery.statistics import FAR_M, NEAR_M, constant_field
+from simnfnd.factory.imaging.coherent.scene import FieldScene
+from simnfnd.factory.imaging.coherent.signal import Ping
 from simnfnd.factory.pairs import ObservedFrame, observe
 from simnfnd.factory.render.base import Rendered
 

@@ -8,12 +8,12 @@ from typing import Any
 
 from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.jobs.job import Job
-from simnfnd.factory.jobs.ledger import RunReport
-from simnfnd.factory.jobs.plan import plan_shards
-from simnfnd.factory.jobs.run import make_dataset
-from simnfnd.factory.jobs.settings import SchedulerSettings
-from simnfnd.factory.workers.signals import Interrupted
+from simnfnd.factory.scheduler.job import Job
+from simnfnd.factory.scheduler.ledger import RunReport
+from simnfnd.factory.scheduler.plan import plan_shards
+from simnfnd.factory.scheduler.run import make_dataset
+from simnfnd.factory.scheduler.settings import SchedulerSettings
+from simnfnd.factory.scheduler.workers.signals import Interrupted
 from tests.fake_source import FakeConfig, FakeSource, refs, rerun
 
 IDENTITY = {"seed": 0, "noise": {"background": {"density": {"uniform": [0.1, 0.5]}}}}

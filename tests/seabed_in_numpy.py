@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from simnfnd.factory.scenes.seabed.casting import Hits, lens_of
 from simnfnd.factory.scenes.seabed.fields import STEPS, Floats, dither, smoothstep, tiles
 from simnfnd.factory.scenes.seabed.photo import Scene
+from simnfnd.factory.scenes.seabed.rasterizer import Hits, lens_of
 
 
 def channels(words: npt.NDArray[np.int32]) -> Floats:

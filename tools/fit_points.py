@@ -26,8 +26,7 @@ from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.dataset.describe.quality import psnr_db as picture_psnr_db
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.progress import progress_bar
-from simnfnd.factory.recordings.fan.finder import find_geometry
-from simnfnd.factory.renders.views import open_views
+from simnfnd.factory.render.cache.views import open_views
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.seeds import stream
 from simnfnd.factory.sonar.geometry import FanGeometry
@@ -37,6 +36,7 @@ from simnfnd.models.data.renders import RenderSource
 from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
 from simnfnd.models.denoise.weighing.points import FILE, figures, judged, saved, standardised
 from simnfnd.models.pretrained import DEFAULT, POINTS
+from simnfnd.models.recordings.fan.finder import find_geometry
 
 Floats = npt.NDArray[np.float64]
 

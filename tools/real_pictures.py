@@ -20,16 +20,16 @@ import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.baselines.bm3d import bm3d
+from simnfnd.evaluation.filters.base import Gray
+from simnfnd.evaluation.filters.bm3d import bm3d
 from simnfnd.evaluation.real.groups import Judged, judged, search
 from simnfnd.evaluation.real.shots import Mask, open_input
-from simnfnd.factory.recordings import open_recording
-from simnfnd.factory.recordings.fan.finder import find_fan
-from simnfnd.factory.recordings.fan.pings import frame_picture
-from simnfnd.factory.recordings.palettes import find_painted
 from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
 from simnfnd.models.denoise.files import denoise_image
+from simnfnd.models.recordings import open_recording
+from simnfnd.models.recordings.fan.finder import find_fan
+from simnfnd.models.recordings.fan.pings import frame_picture
+from simnfnd.models.recordings.palettes import find_painted
 
 OUT = Path("docs/images")
 _HEIGHT_PX, _CROP_PX, _ZOOM, _GAP_PX = 620, 130, 3, 8

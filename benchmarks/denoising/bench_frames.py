@@ -21,7 +21,7 @@ import numpy.typing as npt
 from benchmarks.report import Options, Section, Table
 from benchmarks.shared import run_factory
 from simnfnd.evaluation.metrics.frames import frame_noise, grain_correlation, ks_distance
-from simnfnd.factory.recordings import open_recording
+from simnfnd.models.recordings import open_recording
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT.parent / "shared/data"

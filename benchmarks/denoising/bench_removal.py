@@ -13,8 +13,8 @@ from benchmarks.report import Options, Section, Table
 from benchmarks.shared import run_factory
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
-from simnfnd.factory.formation.contract import ARTEFACTS
 from simnfnd.factory.frame import FrameRef
+from simnfnd.factory.imaging.contract import ARTEFACTS
 from simnfnd.factory.scenes import open_reader
 from simnfnd.models.data.any_device import DeviceSource
 from simnfnd.models.denoise.weighing.in_turn import asked_denoiser

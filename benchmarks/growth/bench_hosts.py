@@ -191,7 +191,7 @@ def _worker(
         own = f"tc qdisc add dev eth0 root netem delay {DELAY_MS}ms || renice -n 15 $$; {own}"
     words = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nworkers", "1",
              "--nthreads", "1", "--memory-limit", "0", "--no-dashboard",
-             "--preload", "simnfnd.factory.workers.dask_preload"]  # fmt: skip
+             "--preload", "simnfnd.factory.scheduler.workers.dask_preload"]  # fmt: skip
     there = {**environment, "SIMNFND_CLOUD_CACHE": f"{here}/copies", "HOME": here, "TMPDIR": here}
     process = subprocess.Popen(
         ["ip", "netns", "exec", f"sonar-{host}", "unshare", "-m", "sh", "-c", own, "sh", *words],

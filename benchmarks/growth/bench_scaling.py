@@ -34,7 +34,7 @@ from simnfnd.factory.dataset.write.failures import Failure, add_failures, save_f
 from simnfnd.factory.dataset.write.index import write_index
 from simnfnd.factory.files import sha256_of
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.jobs.plan import plan_shards
+from simnfnd.factory.scheduler.plan import plan_shards
 
 PAIRS = (100, 1_000, 10_000)
 SHARDS = (1_000, 10_000, 100_000)
@@ -173,7 +173,7 @@ def _run(folder: Path, variants: int) -> tuple[float, float, float, float, int]:
 
 def manifest_row(shards: int) -> tuple[Cell, ...]:
     """Manifest and resume of a dataset of that many shards."""
-    from simnfnd.factory.jobs.resume import take_up
+    from simnfnd.factory.scheduler.resume import take_up
 
     clock = Laps()
     tasks = plan_shards({"train": [FrameRef("reef", "a", f"{n:07d}") for n in range(shards)]}, 1, 1)
@@ -274,10 +274,10 @@ def _task_row(shards: int) -> tuple[Cell, ...]:
 def run_shards(shards: int, backend: str) -> tuple[float, float]:
     """Wall seconds of the run loop over so many shards, and CPU seconds of its own process."""
     from simnfnd.factory.dataset.write.folder import open_folder
-    from simnfnd.factory.jobs.job import Job
-    from simnfnd.factory.jobs.lock import Lock
-    from simnfnd.factory.jobs.run import make_shards
-    from simnfnd.factory.jobs.settings import SchedulerSettings
+    from simnfnd.factory.scheduler.job import Job
+    from simnfnd.factory.scheduler.lock import Lock
+    from simnfnd.factory.scheduler.run import make_shards
+    from simnfnd.factory.scheduler.settings import SchedulerSettings
     from tests.fake_source import FakeConfig, FakeSource, refs, rerun
 
     tasks = plan_shards({"train": refs(shards)}, 1, 1)

@@ -18,10 +18,10 @@ from benchmarks.memory import workers_of
 from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.failures import load_failures
-from simnfnd.factory.jobs.job import Job
-from simnfnd.factory.jobs.plan import plan_shards
-from simnfnd.factory.jobs.run import make_dataset
-from simnfnd.factory.jobs.settings import SchedulerSettings
+from simnfnd.factory.scheduler.job import Job
+from simnfnd.factory.scheduler.plan import plan_shards
+from simnfnd.factory.scheduler.run import make_dataset
+from simnfnd.factory.scheduler.settings import SchedulerSettings
 from tests.fake_source import FakeConfig, FakePreparer, GentleSource, refs, rerun
 
 FRAMES_PER_SHARD = 3

@@ -26,7 +26,7 @@ from benchmarks.shared import (
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.scenes import open_reader
-from simnfnd.factory.workers.memory import keep_freed_memory
+from simnfnd.factory.scheduler.workers.memory import keep_freed_memory
 
 PICTURES = (
     *("sonar.beams=512", "sonar.range_bins=512"),
@@ -140,7 +140,7 @@ def warm(words: list[str], repeats: int, count: int) -> Spent:
 
 def prepare(words: list[str]) -> None:
     """Leave the frame's render in the cache, as a worker that renders does."""
-    from simnfnd.factory.renders.views import ViewMaker
+    from simnfnd.factory.render.cache.views import ViewMaker
 
     config = compose_config(words)
     ViewMaker(config).prepare(open_reader(config.scenes).discover().frames[0])

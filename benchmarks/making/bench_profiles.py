@@ -19,7 +19,7 @@ from benchmarks.report import Options, Section, Table
 from benchmarks.shared import PROVENANCE, frame_words, in_own_process
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.scenes import open_reader
-from simnfnd.factory.workers.memory import keep_freed_memory
+from simnfnd.factory.scheduler.workers.memory import keep_freed_memory
 
 DEVICES = {
     "512x512": PICTURES,

@@ -20,14 +20,14 @@ from benchmarks.report import Options, Section, Table
 from benchmarks.shared import cpu_seconds, frame_words, write_pair
 from simnfnd.factory import pairs, seeds
 from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.formation import resample
-from simnfnd.factory.formation.clouds import effect_clouds, noisy_cloud
-from simnfnd.factory.meta.record import columns as sample_columns
-from simnfnd.factory.meta.record import image_axes
+from simnfnd.factory.imaging import resample
+from simnfnd.factory.imaging.clouds import effect_clouds, noisy_cloud
 from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.render import open_renderer
 from simnfnd.factory.render.cloud import back_project
 from simnfnd.factory.render.view import decode, encode, view_of
+from simnfnd.factory.sample_table.record import columns as sample_columns
+from simnfnd.factory.sample_table.record import image_axes
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.sonar import polar, transfer
 from simnfnd.factory.sonar.echoes import join

@@ -12,7 +12,7 @@ from benchmarks.shared import PROVENANCE, clock
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.writer import write_shard
-from simnfnd.factory.meta.record import columns, image_axes
+from simnfnd.factory.sample_table.record import columns, image_axes
 
 REPEATS = 5
 CODECS = {

@@ -26,8 +26,8 @@ from simnfnd.factory.dataset.format.sample import Pair
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.index import write_index
 from simnfnd.factory.dataset.write.writer import write_shard
-from simnfnd.factory.meta.record import columns, image_axes
 from simnfnd.factory.pairs import make_pair, observe
+from simnfnd.factory.sample_table.record import columns, image_axes
 
 SHARDS, PER_SHARD, ROUNDS = 4, 60, 7
 Compression = Literal["gzip", "zstd", "none"]

@@ -20,11 +20,11 @@ from simnfnd.factory.dataset.check.validate import validate
 from simnfnd.factory.dataset.format.manifest import load_manifest
 from simnfnd.factory.dataset.read.config_file import dataset_settings
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.jobs.lock import Lock
 from simnfnd.factory.render import view as views
+from simnfnd.factory.render.cache.cache import Cache
 from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.pack import PackViews, read_contents, write_pack
-from simnfnd.factory.renders.cache import Cache
+from simnfnd.factory.scheduler.lock import Lock
 from tests.factory.dataset.hostile import admit, whole
 from tests.factory.render.small_views import some_view
 from tests.factory.test_small_files import LAUGHS, forged

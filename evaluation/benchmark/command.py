@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from simnfnd.factory.cli import Parser
-from simnfnd.factory.cli.extras import Need, require
-from simnfnd.factory.errors import FactoryError
+from ...factory.cli import Parser
+from ...factory.cli.extras import Need, require
+from ...factory.errors import FactoryError
 
 if TYPE_CHECKING:
-    from simnfnd.evaluation.benchmark.folder import Benchmark
-    from simnfnd.evaluation.benchmark.methods import Entrant
+    from .folder import Benchmark
+    from .methods import Entrant
 
 _FOLDER = Path("outputs", "benchmark")
 
@@ -30,8 +30,8 @@ def main(words: Sequence[str]) -> int:
 def make(words: Sequence[str]) -> int:
     """Make the sets, and enter the noisy pictures themselves."""
     given = _make_parser().parse_args(list(words))
-    from simnfnd.evaluation.benchmark.making import make_benchmark
-    from simnfnd.evaluation.benchmark.sets import MOST_PAIRS
+    from .making import make_benchmark
+    from .sets import MOST_PAIRS
 
     sizes = _sizes(given.sizes)
     if not 1 <= given.pairs <= MOST_PAIRS:
@@ -49,8 +49,8 @@ def make(words: Sequence[str]) -> int:
 def enter(words: Sequence[str]) -> int:
     """Measure a method and write its result; 2 when its pictures do not fit."""
     given = _enter_parser().parse_args(list(words))
-    from simnfnd.evaluation.benchmark.entering import check_name, enter_method
-    from simnfnd.evaluation.benchmark.folder import Benchmark
+    from .entering import check_name, enter_method
+    from .folder import Benchmark
 
     if given.tuned and given.baseline is None:
         raise FactoryError("--tuned: is for --baseline")
@@ -75,13 +75,13 @@ def table(words: Sequence[str]) -> int:
     parser = Parser(prog="simnfnd benchmark table")
     _add_benchmark(parser)
     given = parser.parse_args(list(words))
-    from simnfnd.evaluation.benchmark.folder import Benchmark
+    from .folder import Benchmark
 
     return _show(Benchmark(given.benchmark))
 
 
 def _show(benchmark: Benchmark) -> int:
-    from simnfnd.evaluation.benchmark import page, results
+    from . import page, results
 
     found, refused = results.read_all(benchmark)
     for line in refused:
@@ -98,7 +98,7 @@ def _entrant(given: Any, benchmark: Benchmark) -> Entrant:
         require(Need("--weights", module) for module in ("torch", "safetensors"))
     if given.onnx is not None:
         require([Need("--onnx", "onnxruntime")])
-    from simnfnd.evaluation.benchmark import methods, programs, tuning
+    from . import methods, programs, tuning
 
     if given.denoised is not None:
         return methods.Folder(given.denoised)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from simnfnd.evaluation.benchmark import pictures, results
-from simnfnd.evaluation.benchmark.folder import VERSION, Benchmark
-from simnfnd.evaluation.benchmark.measure import Figures, measure
-from simnfnd.evaluation.benchmark.methods import Entrant
-from simnfnd.evaluation.benchmark.results import ABOUT_MOST, SCHEMA, Made, Result, SetResult
-from simnfnd.factory import __version__
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import check_writable, refuse_files
-from simnfnd.factory.progress import progress_bar
-from simnfnd.factory.settings import build
+from ...factory import __version__
+from ...factory.errors import FactoryError
+from ...factory.files import check_writable, refuse_files
+from ...factory.progress import progress_bar
+from ...factory.settings import build
+from . import pictures, results
+from .folder import VERSION, Benchmark
+from .measure import Figures, measure
+from .methods import Entrant
+from .results import ABOUT_MOST, SCHEMA, Made, Result, SetResult
 
 
 def check_name(benchmark: Benchmark, name: str, about: str, *, replace: bool) -> None:

@@ -22,14 +22,14 @@ import numpy.typing as npt
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from simnfnd.evaluation.benchmark import pictures
-from simnfnd.evaluation.benchmark.pictures import Gray8
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import write_atomically
-from simnfnd.factory.settings import STRICT, build
-from simnfnd.factory.small_files import one_line, parse_json, read_regular
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.data.fans import read_fans
+from ...factory.errors import FactoryError
+from ...factory.files import write_atomically
+from ...factory.settings import STRICT, build
+from ...factory.small_files import one_line, parse_json, read_regular
+from ...factory.sonar.geometry import FanGeometry
+from ...models.data.fans import read_fans
+from . import pictures
+from .pictures import Gray8
 
 SCHEMA: Final = "simnfnd-benchmark/1"
 VERSION = 1

@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from simnfnd.evaluation.benchmark import page, recorded, sets
-from simnfnd.evaluation.benchmark.entering import enter_method
-from simnfnd.evaluation.benchmark.folder import (
+from ...factory import __version__
+from ...factory.errors import FactoryError
+from ...factory.files import refuse_files, whole_folder
+from ...factory.loops import compile_all
+from ...factory.progress import stage
+from . import page, recorded, sets
+from .entering import enter_method
+from .folder import (
     NOISY,
     PRACTICE,
     REFERENCES,
@@ -17,13 +22,8 @@ from simnfnd.evaluation.benchmark.folder import (
     Manifest,
     SetEntry,
 )
-from simnfnd.evaluation.benchmark.results import read_all
-from simnfnd.evaluation.benchmark.tuning import filter_of
-from simnfnd.factory import __version__
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import refuse_files, whole_folder
-from simnfnd.factory.loops import compile_all
-from simnfnd.factory.progress import stage
+from .results import read_all
+from .tuning import filter_of
 
 NOISY_NAME = "noisy"
 

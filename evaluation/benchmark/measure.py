@@ -7,18 +7,18 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.benchmark.folder import Entry, PictureSet
-from simnfnd.evaluation.benchmark.pictures import Gray8, in_unit_range
-from simnfnd.evaluation.data.picture import Picture, sector_of
-from simnfnd.evaluation.metrics.checks import MetricError, checked_pair
-from simnfnd.evaluation.metrics.edges import edge_preservation
-from simnfnd.evaluation.metrics.fidelity import SSIM_SMALLEST, finite_psnr
-from simnfnd.evaluation.metrics.measure import score_pair
-from simnfnd.evaluation.metrics.reference import Compared, Reference
-from simnfnd.evaluation.metrics.speckle import enl, homogeneous_zones, m_index
-from simnfnd.evaluation.real.score import score
-from simnfnd.evaluation.report.names import Metric
-from simnfnd.factory.errors import FactoryError
+from ...factory.errors import FactoryError
+from ..data.picture import Picture, sector_of
+from ..metrics.checks import MetricError, checked_pair
+from ..metrics.edges import edge_preservation
+from ..metrics.fidelity import SSIM_SMALLEST, finite_psnr
+from ..metrics.measure import score_pair
+from ..metrics.reference import Compared, Reference
+from ..metrics.speckle import enl, homogeneous_zones, m_index
+from ..real.score import score
+from ..report.names import Metric
+from .folder import Entry, PictureSet
+from .pictures import Gray8, in_unit_range
 
 Gray = npt.NDArray[np.float32]
 Figures = dict[str, float]

@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.evaluation.benchmark import pictures
-from simnfnd.evaluation.benchmark.folder import Benchmark, Entry, PictureSet
-from simnfnd.evaluation.benchmark.pictures import Gray8, Pixels
-from simnfnd.evaluation.methods.apply import denoised
-from simnfnd.evaluation.methods.method import Method, reason, weights_digest
-from simnfnd.evaluation.methods.networks import network, networks_at
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.sonar.geometry import FanGeometry
+from ...factory.errors import FactoryError
+from ...factory.sonar.geometry import FanGeometry
+from ..methods.apply import denoised
+from ..methods.method import Method, reason, weights_digest
+from ..methods.networks import network, networks_at
+from . import pictures
+from .folder import Benchmark, Entry, PictureSet
+from .pictures import Gray8, Pixels
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from simnfnd.evaluation.benchmark import table
-from simnfnd.evaluation.benchmark.folder import Benchmark
-from simnfnd.evaluation.benchmark.results import Result
-from simnfnd.evaluation.report.pages import own_file, render
-from simnfnd.factory.files import write_atomically
+from ...factory.files import write_atomically
+from ..report.pages import own_file, render
+from . import table
+from .folder import Benchmark
+from .results import Result
 
 PAGE, TEXT = "table.html", "table.md"
 

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import write_atomically
-from simnfnd.factory.small_files import one_line, read_regular
+from ...factory.errors import FactoryError
+from ...factory.files import write_atomically
+from ...factory.small_files import one_line, read_regular
 
 Pixels = npt.NDArray[Any]
 Gray8 = npt.NDArray[np.uint8]

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.evaluation.benchmark import pictures
-from simnfnd.evaluation.benchmark.folder import PictureSet
-from simnfnd.evaluation.benchmark.methods import Entrant, Given
-from simnfnd.evaluation.benchmark.pictures import Pixels
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import sha256_of
-from simnfnd.factory.small_files import one_line
-from simnfnd.models.removal import DEFAULT, vector
+from ...factory.errors import FactoryError
+from ...factory.files import sha256_of
+from ...factory.small_files import one_line
+from ...models.removal import DEFAULT, vector
+from . import pictures
+from .folder import PictureSet
+from .methods import Entrant, Given
+from .pictures import Pixels
 
 _MAPS = ("range_fraction", "azimuth_rad", "sector")
 _TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64, "tensor(float16)": np.float16}

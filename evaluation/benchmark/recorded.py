@@ -8,8 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from simnfnd.evaluation.benchmark import pictures
-from simnfnd.evaluation.benchmark.folder import (
+from ...factory.errors import FactoryError
+from ...factory.sonar.geometry import FanGeometry
+from ...models.recordings.fan.pings import close_last
+from ..real.groups import LEAST, Group, judged, search
+from ..real.shots import open_input
+from . import pictures
+from .folder import (
     CLEAN,
     GEOMETRY,
     MASKS,
@@ -19,12 +24,7 @@ from simnfnd.evaluation.benchmark.folder import (
     Entry,
     SetEntry,
 )
-from simnfnd.evaluation.benchmark.sets import write_fans
-from simnfnd.evaluation.real.groups import LEAST, Group, judged, search
-from simnfnd.evaluation.real.shots import open_input
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings.fan.pings import close_last
-from simnfnd.factory.sonar.geometry import FanGeometry
+from .sets import write_fans
 
 _SEARCHED = 600  # frames of a folder or recording
 _FRAMES = 8  # of a group, evenly spread

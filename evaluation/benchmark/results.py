@@ -14,12 +14,12 @@ import numpy.typing as npt
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from simnfnd.evaluation.benchmark.folder import VERSION, Benchmark, Digest, Name, load_json, sealed
-from simnfnd.evaluation.benchmark.measure import METRICS, Figures
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import write_atomically
-from simnfnd.factory.settings import STRICT, build
-from simnfnd.factory.small_files import one_line
+from ...factory.errors import FactoryError
+from ...factory.files import write_atomically
+from ...factory.settings import STRICT, build
+from ...factory.small_files import one_line
+from .folder import VERSION, Benchmark, Digest, Name, load_json, sealed
+from .measure import METRICS, Figures
 
 SCHEMA: Final = "simnfnd-benchmark-result/1"
 ABOUT_MOST = 300

@@ -13,20 +13,20 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.benchmark import pictures
-from simnfnd.evaluation.benchmark.folder import CLEAN, GEOMETRY, MASKS, Entry, SetEntry
-from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.config import FactoryConfig
-from simnfnd.factory.dataset.format.sample import Pair
-from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.files import write_atomically
-from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.pairs import PairMaker
-from simnfnd.factory.render.view import View
-from simnfnd.factory.renders.views import OneView, ViewMaker
-from simnfnd.factory.scenes import frames_of, open_reader
-from simnfnd.factory.selection import choose_frames
-from simnfnd.factory.sonar.geometry import FanGeometry
+from ...factory.cli.compose import compose_config
+from ...factory.config import FactoryConfig
+from ...factory.dataset.format.sample import Pair
+from ...factory.errors import FactoryError, FrameError
+from ...factory.files import write_atomically
+from ...factory.frame import FrameRef
+from ...factory.pairs import PairMaker
+from ...factory.render.cache.views import OneView, ViewMaker
+from ...factory.render.view import View
+from ...factory.scenes import frames_of, open_reader
+from ...factory.selection import choose_frames
+from ...factory.sonar.geometry import FanGeometry
+from . import pictures
+from .folder import CLEAN, GEOMETRY, MASKS, Entry, SetEntry
 
 PAIRS, SIZES, SEED = 16, (256, 512), 1
 MOST_PAIRS = 1000

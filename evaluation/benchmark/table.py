@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.evaluation.benchmark.folder import Benchmark, PictureSet
-from simnfnd.evaluation.benchmark.measure import METRICS, RANKED
-from simnfnd.evaluation.benchmark.results import Result
-from simnfnd.evaluation.metrics.statistics import Estimate, Paired, estimate, holm, paired
-from simnfnd.evaluation.report.names import written, written_p
-from simnfnd.factory.dataset.describe import markdown
+from ...factory.dataset.describe import markdown
+from ..metrics.statistics import Estimate, Paired, estimate, holm, paired
+from ..report.names import written, written_p
+from .folder import Benchmark, PictureSet
+from .measure import METRICS, RANKED
+from .results import Result
 
 _RESAMPLES, _SEED = 2000, 0
 _WITH_INTERVAL = ("psnr", "psnr_levels")

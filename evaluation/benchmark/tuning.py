@@ -8,20 +8,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simnfnd.evaluation.baselines import chosen
-from simnfnd.evaluation.baselines.base import Baseline, Gray, Parameters
-from simnfnd.evaluation.benchmark.folder import Benchmark, PictureSet
-from simnfnd.evaluation.benchmark.measure import RANKED
-from simnfnd.evaluation.benchmark.methods import Own
-from simnfnd.evaluation.benchmark.pictures import in_unit_range
-from simnfnd.evaluation.methods.method import Method
-from simnfnd.evaluation.metrics.fidelity import finite_psnr, psnr
-from simnfnd.evaluation.metrics.levels import Levels, fit_levels
-from simnfnd.evaluation.real.score import psnr_of
-from simnfnd.evaluation.real.tuning import line_search
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.progress import stage
-from simnfnd.factory.sonar.geometry import FanGeometry
+from ...factory.errors import FactoryError
+from ...factory.progress import stage
+from ...factory.sonar.geometry import FanGeometry
+from ..filters import chosen
+from ..filters.base import Baseline, Gray, Parameters
+from ..methods.method import Method
+from ..metrics.fidelity import finite_psnr, psnr
+from ..metrics.levels import Levels, fit_levels
+from ..real.score import psnr_of
+from ..real.tuning import line_search
+from .folder import Benchmark, PictureSet
+from .measure import RANKED
+from .methods import Own
+from .pictures import in_unit_range
 
 _FRAMES = 8  # practice pictures that a filter is tuned on, evenly spread
 

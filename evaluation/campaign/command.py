@@ -8,8 +8,8 @@ from typing import Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
-from simnfnd.factory.cli import run_app
-from simnfnd.factory.settings import build
+from ...factory.cli import run_app
+from ...factory.settings import build
 
 
 def main(words: Sequence[str]) -> int:
@@ -20,8 +20,8 @@ def main(words: Sequence[str]) -> int:
 
 def run(config: DictConfig) -> int:
     """Do, or show, what the configuration says."""
-    from simnfnd.evaluation.campaign.execute import Campaign
-    from simnfnd.evaluation.campaign.settings import CampaignSettings
+    from .execute import Campaign
+    from .settings import CampaignSettings
 
     container = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     settings: CampaignSettings = build(CampaignSettings, cast(dict[str, Any], container))

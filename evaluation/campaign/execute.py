@@ -16,7 +16,12 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from simnfnd.evaluation.campaign.plan import (
+from ...factory.errors import FactoryError
+from ...factory.files import check_writable, sha256_of, write_atomically
+from ...factory.scheduler.lock import Lock
+from ...factory.scheduler.workers.signals import Interrupted, stop_signals
+from ...models import WEIGHTS_NAME
+from .plan import (
     Folders,
     Step,
     data_steps,
@@ -24,14 +29,9 @@ from simnfnd.evaluation.campaign.plan import (
     training_name,
     training_steps,
 )
-from simnfnd.evaluation.campaign.processes import Processes, Programs
-from simnfnd.evaluation.campaign.settings import CampaignSettings, RowSettings
-from simnfnd.evaluation.campaign.trainings import write_trainings
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import check_writable, sha256_of, write_atomically
-from simnfnd.factory.jobs.lock import Lock
-from simnfnd.factory.workers.signals import Interrupted, stop_signals
-from simnfnd.models import WEIGHTS_NAME
+from .processes import Processes, Programs
+from .settings import CampaignSettings, RowSettings
+from .trainings import write_trainings
 
 _CLEAR_CPU_S, _CLEAR = 4.0, 0.3
 _SOME_FAILED = 1

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from simnfnd.evaluation.campaign.settings import CampaignSettings, Places, RowSettings
-from simnfnd.models import WEIGHTS_NAME
+from ...models import WEIGHTS_NAME
+from .settings import CampaignSettings, Places, RowSettings
 
 EFFECTS = ("range_spreading", "multipath", "azimuth", "background")
 """The paper's four kinds of noise; each has a test set with nothing else."""

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.settings import STRICT
+from ...factory.settings import STRICT
 
 Count = Annotated[int, Field(ge=1)]
 

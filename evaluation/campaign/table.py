@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.campaign.trainings import Training, read_trainings
-from simnfnd.evaluation.metrics.statistics import Estimate, estimate
-from simnfnd.evaluation.report.files import read_content, read_results
-from simnfnd.factory.cli import Parser
-from simnfnd.factory.dataset.describe import markdown
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import write_atomically
-from simnfnd.models import WEIGHTS_NAME
+from ...factory.cli import Parser
+from ...factory.dataset.describe import markdown
+from ...factory.errors import FactoryError
+from ...factory.files import write_atomically
+from ...models import WEIGHTS_NAME
+from ..metrics.statistics import Estimate, estimate
+from ..report.files import read_content, read_results
+from .trainings import Training, read_trainings
 
 QUALITY = ("psnr", "ssim", "gmsd", "shadow_iou")
 COUNTING = ("procedural", "real")
@@ -123,8 +123,8 @@ def scores_of(
 
 def costs_of(folder: Path, trainings: Sequence[Training]) -> dict[str, dict[str, float]]:
     """Row -> parameters, GMAC at 256x256 and CPU ms of one core at 512x512, measured here."""
-    from simnfnd.models.networks.cost import measure
-    from simnfnd.models.networks.weights import load_weights
+    from ...models.networks.cost import measure
+    from ...models.networks.weights import load_weights
 
     found: dict[str, dict[str, float]] = {}
     for one in trainings:

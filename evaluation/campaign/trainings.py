@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from simnfnd.evaluation.campaign.plan import Folders
-from simnfnd.evaluation.methods.networks import networks_at
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import write_atomically
+from ...factory.errors import FactoryError
+from ...factory.files import write_atomically
+from ..methods.networks import networks_at
+from .plan import Folders
 
 CAMPAIGN_NAME = "campaign.json"
 SCHEMA = "simnfnd-campaign/1"

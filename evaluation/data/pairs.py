@@ -13,24 +13,24 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.data import image_pairs
-from simnfnd.evaluation.data.picture import Picture, sector_of
-from simnfnd.factory.dataset.format.manifest import load_manifest
-from simnfnd.factory.dataset.read.image_stack import ImageStack
-from simnfnd.factory.dataset.read.reader import (
+from ...factory.dataset.format.manifest import load_manifest
+from ...factory.dataset.read.image_stack import ImageStack
+from ...factory.dataset.read.reader import (
     Split,
     open_shard,
     reading,
     shard_paths,
     value_range,
 )
-from simnfnd.factory.dataset.read.source import CORE, read_image
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import sha256_of
+from ...factory.dataset.read.source import CORE, read_image
+from ...factory.errors import FactoryError
+from ...factory.files import sha256_of
+from ..filters.base import Gray
+from . import image_pairs
+from .picture import Picture, sector_of
 
 if TYPE_CHECKING:
-    from simnfnd.factory.sonar.geometry import FanGeometry
+    from ...factory.sonar.geometry import FanGeometry
 
 Place = tuple[str, int]
 """Shard file and row, or a noisy image file and image_pairs.ROW."""
@@ -157,7 +157,7 @@ def input_of(item: Item, looks: bool) -> Gray:
 @lru_cache(maxsize=64)
 def geometry_of(place: Place) -> FanGeometry | None:
     """Where range and bearing are in a picture of a dataset; None where nothing says so."""
-    from simnfnd.factory.sonar.geometry import FanGeometry, recorded_sonar
+    from ...factory.sonar.geometry import FanGeometry, recorded_sonar
 
     path, row = place
     if row == image_pairs.ROW:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.baselines.base import Gray
+from ..filters.base import Gray
 
 Mask = npt.NDArray[np.bool_]
 

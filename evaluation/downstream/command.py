@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
-from simnfnd.evaluation.app import hydra_verb
-from simnfnd.evaluation.overrides import named
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.settings import build
+from ...factory.errors import FactoryError
+from ...factory.settings import build
+from ..app import hydra_verb
+from ..overrides import named
 
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from simnfnd.evaluation.downstream.pictures import Labelled
-    from simnfnd.evaluation.downstream.settings import DownstreamSettings
-    from simnfnd.evaluation.downstream.trainings import Done, Training
-    from simnfnd.evaluation.methods.method import Method
+    from ..methods.method import Method
+    from .pictures import Labelled
+    from .settings import DownstreamSettings
+    from .trainings import Done, Training
 
     Found = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32] | None]
 
@@ -35,12 +35,12 @@ def run(config: DictConfig) -> None:
     settings = settings_of(config)
     import numpy as np
 
-    from simnfnd.evaluation.downstream import report, trainings
-    from simnfnd.evaluation.downstream.components import components, similarity
-    from simnfnd.evaluation.downstream.pictures import LEAST_CLASSES, read_real, read_simulated
-    from simnfnd.evaluation.methods.method import NOISY, Method, baselines_of
-    from simnfnd.evaluation.methods.networks import networks_at
-    from simnfnd.factory.recordings.fan.pings import close_last
+    from ...models.recordings.fan.pings import close_last
+    from ..methods.method import NOISY, Method, baselines_of
+    from ..methods.networks import networks_at
+    from . import report, trainings
+    from .components import components, similarity
+    from .pictures import LEAST_CLASSES, read_real, read_simulated
 
     filters = [Method(b.name, "", dict(b.default)) for b in baselines_of(settings.baselines)]
     every = [NOISY, *filters, *networks_at(settings.models, {})]
@@ -80,14 +80,14 @@ def _trained(
     done: Done,
 ) -> dict[Training, str]:
     """Do what is not done; the key of each training."""
-    from simnfnd.evaluation.downstream import trainings
-    from simnfnd.evaluation.downstream.pictures import denoised_by, inputs_of, targets_of
-    from simnfnd.evaluation.measurement.fingerprint import (
+    from ...factory.progress import progress_bar
+    from ..measurement.fingerprint import (
         network_digest,
         program_digest,
         sources_digest,
     )
-    from simnfnd.factory.progress import progress_bar
+    from . import trainings
+    from .pictures import denoised_by, inputs_of, targets_of
 
     real, simulated = pictures
     own = [f"simnfnd.evaluation.downstream.{one}" for one in _DECIDING]
@@ -143,7 +143,7 @@ _DECIDING = ("boxes", "counts", "network", "pictures")
 
 def settings_of(config: DictConfig) -> DownstreamSettings:
     """The checked settings.  FactoryError names the key that is wrong."""
-    from simnfnd.evaluation.downstream.settings import DownstreamSettings
+    from .settings import DownstreamSettings
 
     values = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     if not values["real"]:

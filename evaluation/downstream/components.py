@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.baselines.base import Gray
+from ..filters.base import Gray
 
 # Pixels: speckle lies below, the fan's outline and brightness above.
 _FINE, _BROAD, _STEP = 4, 24, 8

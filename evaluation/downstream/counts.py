@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.downstream.boxes import boxes_of, hits, scored_boxes
-from simnfnd.evaluation.downstream.pictures import WALL
+from .boxes import boxes_of, hits, scored_boxes
+from .pictures import WALL
 
 Indices = npt.NDArray[np.int64]
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.downstream.counts import Counts
-from simnfnd.evaluation.downstream.pictures import WALL
-from simnfnd.factory.seeds import stream
+from ...factory.seeds import stream
+from .counts import Counts
+from .pictures import WALL
 
 Values = npt.NDArray[np.float64]
 

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from simnfnd.factory.seeds import stream
-from simnfnd.models.networks.unet import residual_blocks
+from ...factory.seeds import stream
+from ...models.networks.unet import residual_blocks
 
 _WIDTHS = (16, 32, 64)
 _STRIDE = 8

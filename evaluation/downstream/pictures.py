@@ -11,17 +11,17 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.data.pairs import geometry_of
-from simnfnd.evaluation.methods.apply import denoised
-from simnfnd.evaluation.methods.method import Method
-from simnfnd.evaluation.real.shots import open_input
-from simnfnd.factory.dataset.read.pair_dataset import PairDataset
-from simnfnd.factory.dataset.read.reader import Split
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.labels import CLASSES
-from simnfnd.factory.recordings.fan.finder import find_geometry
-from simnfnd.factory.sonar.geometry import FanGeometry
+from ...factory.dataset.read.pair_dataset import PairDataset
+from ...factory.dataset.read.reader import Split
+from ...factory.errors import FactoryError
+from ...factory.labels import CLASSES
+from ...factory.sonar.geometry import FanGeometry
+from ...models.recordings.fan.finder import find_geometry
+from ..data.pairs import geometry_of
+from ..filters.base import Gray
+from ..methods.apply import denoised
+from ..methods.method import Method
+from ..real.shots import open_input
 
 Mask = npt.NDArray[np.uint8]
 Indices = npt.NDArray[np.int64]

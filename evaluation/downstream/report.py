@@ -11,8 +11,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.downstream.counts import Counts
-from simnfnd.evaluation.downstream.figures import (
+from ...factory.dataset.describe import markdown
+from ...factory.files import write_atomically
+from ...factory.labels import CLASSES
+from ..methods.method import NOISY
+from ..report.content import plain
+from ..report.names import written
+from .counts import Counts
+from .figures import (
     AP_CLASSES,
     AP_OBJECTS,
     MIOU,
@@ -23,15 +29,9 @@ from simnfnd.evaluation.downstream.figures import (
     drawn_figures,
     interval,
 )
-from simnfnd.evaluation.downstream.pictures import Labelled
-from simnfnd.evaluation.downstream.settings import DownstreamSettings
-from simnfnd.evaluation.downstream.trainings import Training
-from simnfnd.evaluation.methods.method import NOISY
-from simnfnd.evaluation.report.content import plain
-from simnfnd.evaluation.report.names import written
-from simnfnd.factory.dataset.describe import markdown
-from simnfnd.factory.files import write_atomically
-from simnfnd.factory.labels import CLASSES
+from .pictures import Labelled
+from .settings import DownstreamSettings
+from .trainings import Training
 
 TABLE_NAME, DATA_NAME = "downstream.md", "downstream.json"
 

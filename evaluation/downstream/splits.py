@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.seeds import stream
+from ...factory.errors import FactoryError
+from ...factory.seeds import stream
 
 
 def folds_of(component: npt.NDArray[np.int64], folds: int, seed: int) -> npt.NDArray[np.int64]:

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.downstream.counts import Counts, counts_of
-from simnfnd.evaluation.downstream.splits import folds_of, labelled_of
-from simnfnd.evaluation.measurement.lines import LineFile
+from ..measurement.lines import LineFile
+from .counts import Counts, counts_of
+from .splits import folds_of, labelled_of
 
 Pictures = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
@@ -119,8 +119,8 @@ def run(
     inputs: label of a method -> what it makes of the real pictures, and of the factory's.
     targets: the classes of both.  settings: for `network.trained`, but the seed.
     """
-    from simnfnd.evaluation.downstream.network import probabilities, trained
-    from simnfnd.factory.seeds import spawn_key
+    from ...factory.seeds import spawn_key
+    from .network import probabilities, trained
 
     real, simulated = inputs(training.method)
     source, truth = (real, targets[0])

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from simnfnd.factory.files import explain_os_errors
+from ...factory.files import explain_os_errors
 
 
 class LineFile:

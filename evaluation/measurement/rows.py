@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.data.pairs import Item, picture
-from simnfnd.evaluation.measurement.fingerprint import network_digest, program_digest
-from simnfnd.evaluation.measurement.store import Figures, FigureStore
-from simnfnd.evaluation.measurement.task import Task, measure_task
-from simnfnd.evaluation.methods.method import NOISY, Method
-from simnfnd.evaluation.metrics import fidelity as metrics
-from simnfnd.evaluation.settings import EvaluationSettings
-from simnfnd.factory.progress import progress_bar
-from simnfnd.factory.workers.tasks import TaskLost, TaskPool
+from ...factory.progress import progress_bar
+from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
+from ..data.pairs import Item, picture
+from ..methods.method import NOISY, Method
+from ..metrics import fidelity as metrics
+from ..settings import EvaluationSettings
+from .fingerprint import network_digest, program_digest
+from .store import Figures, FigureStore
+from .task import Task, measure_task
 
 Values = npt.NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from simnfnd.evaluation.measurement.lines import LineFile
+from .lines import LineFile
 
 Figures = dict[str, float]
 MEASURED_NAME = "measured.jsonl"

@@ -7,18 +7,18 @@ import time
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 
-from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.data.pairs import Item, input_of, picture
-from simnfnd.evaluation.measurement.store import Figures
-from simnfnd.evaluation.methods.apply import denoised
-from simnfnd.evaluation.methods.method import Method, reason
-from simnfnd.evaluation.methods.networks import network
-from simnfnd.evaluation.metrics.checks import MetricError, checked_pair
-from simnfnd.evaluation.metrics.fidelity import SSIM_SMALLEST
-from simnfnd.evaluation.metrics.measure import score_pair
-from simnfnd.evaluation.metrics.reference import Compared
-from simnfnd.evaluation.metrics.texture import Scene
-from simnfnd.factory.errors import FactoryError
+from ...factory.errors import FactoryError
+from ..data.pairs import Item, input_of, picture
+from ..filters.base import Gray
+from ..methods.apply import denoised
+from ..methods.method import Method, reason
+from ..methods.networks import network
+from ..metrics.checks import MetricError, checked_pair
+from ..metrics.fidelity import SSIM_SMALLEST
+from ..metrics.measure import score_pair
+from ..metrics.reference import Compared
+from ..metrics.texture import Scene
+from .store import Figures
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simnfnd.evaluation.baselines import REGISTRY
-from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.data.pairs import Place, geometry_of
-from simnfnd.evaluation.methods.method import Method
-from simnfnd.evaluation.methods.networks import network
+from ..data.pairs import Place, geometry_of
+from ..filters import REGISTRY
+from ..filters.base import Gray
+from .method import Method
+from .networks import network
 
 if TYPE_CHECKING:
-    from simnfnd.factory.sonar.geometry import FanGeometry
+    from ...factory.sonar.geometry import FanGeometry
 
 
 def denoised(

@@ -12,12 +12,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from simnfnd.evaluation.baselines import REGISTRY, chosen
-from simnfnd.evaluation.baselines import base as base_module
-from simnfnd.evaluation.baselines.base import Baseline, Parameters
-from simnfnd.evaluation.metrics.levels import Levels
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import sha256_of
+from ...factory.errors import FactoryError
+from ...factory.files import sha256_of
+from ..filters import REGISTRY, chosen
+from ..filters import base as base_module
+from ..filters.base import Baseline, Parameters
+from ..metrics.levels import Levels
 
 FAST = ("median", "gaussian", "bilateral", "nlm", "grey_opening")
 GROUPS = {"fast": FAST, "paper": (*FAST, "bm3d")}
@@ -115,7 +115,7 @@ def weights_digest(path: str) -> str:
 @lru_cache(maxsize=64)
 def sees_several(path: str) -> bool:
     """Whether a network sees several pictures of a scene; False for a file that holds none."""
-    from simnfnd.models.networks.weights import load_weights
+    from ...models.networks.weights import load_weights
 
     try:
         return load_weights(path).network.looks > 1

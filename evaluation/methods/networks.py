@@ -8,16 +8,16 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.data.pairs import Place, geometry_of
-from simnfnd.evaluation.methods.method import Method
-from simnfnd.evaluation.settings import EvaluationSettings
-from simnfnd.factory.errors import FactoryError
-from simnfnd.models import WEIGHTS_NAME
-from simnfnd.models.data.looks import amid
+from ...factory.errors import FactoryError
+from ...models import WEIGHTS_NAME
+from ...models.data.looks import amid
+from ..data.pairs import Place, geometry_of
+from ..filters.base import Gray
+from ..settings import EvaluationSettings
+from .method import Method
 
 if TYPE_CHECKING:
-    from simnfnd.factory.sonar.geometry import FanGeometry
+    from ...factory.sonar.geometry import FanGeometry
 
 
 def networks_of(settings: EvaluationSettings) -> list[Method]:
@@ -38,9 +38,9 @@ def shipped_for(settings: EvaluationSettings) -> list[str]:
     """Name of the weights that `simnfnd denoise` takes for the pictures; [] without torch."""
     if not all(map(find_spec, ("torch", "safetensors"))):
         return []
-    from simnfnd.models.denoise.inputs import Item
-    from simnfnd.models.denoise.shards import made_of_points
-    from simnfnd.models.pretrained import DEFAULT, POINTS
+    from ...models.denoise.inputs import Item
+    from ...models.denoise.shards import made_of_points
+    from ...models.pretrained import DEFAULT, POINTS
 
     shard = next(Path(settings.dataset.dir).glob("*/shard-*.h5"), None)
     return [
@@ -69,7 +69,7 @@ class Network:
 
     def __init__(self, weights: str, device: str) -> None:
         """Raises FactoryError for a file that holds no weights of a network."""
-        from simnfnd.models.denoise.denoiser import load_denoiser
+        from ...models.denoise.denoiser import load_denoiser
 
         self._denoise = load_denoiser(weights, device)
 
@@ -107,8 +107,8 @@ def costs_of(networks: Sequence[Method]) -> dict[str, dict[str, float]]:
     """Label -> gmac (for 256x256 pixels) and parameters of each network, as docs/models.md."""
     if not networks:
         return {}
-    from simnfnd.models.networks.cost import count_macs
-    from simnfnd.models.networks.weights import load_weights
+    from ...models.networks.cost import count_macs
+    from ...models.networks.weights import load_weights
 
     found = {}
     for method in networks:
@@ -135,7 +135,7 @@ def _weights(path: Path, key: str) -> Path:
                 "file"
             )
     if not path.is_file():
-        from simnfnd.models.pretrained import find_weights
+        from ...models.pretrained import find_weights
 
         try:
             path = find_weights(str(path))
@@ -146,7 +146,7 @@ def _weights(path: Path, key: str) -> Path:
 
 def _ships(name: str) -> bool:
     """Whether weights of this name ship; a folder may have the same name."""
-    from simnfnd.models.pretrained import find_weights
+    from ...models.pretrained import find_weights
 
     try:
         find_weights(name)

@@ -16,17 +16,17 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.evaluation.baselines import REGISTRY
-from simnfnd.evaluation.baselines.base import Baseline, Gray, Parameters
-from simnfnd.evaluation.data.pairs import Item, geometry_of, input_of, items_of, picture
-from simnfnd.evaluation.methods.method import reason, shown
-from simnfnd.evaluation.metrics.fidelity import finite_psnr, psnr
-from simnfnd.evaluation.metrics.levels import Levels, fit_levels
-from simnfnd.evaluation.settings import EvaluationSettings
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import explain_os_errors, write_atomically
-from simnfnd.factory.progress import progress_bar
-from simnfnd.factory.workers.tasks import TaskLost, TaskPool
+from ...factory.errors import FactoryError
+from ...factory.files import explain_os_errors, write_atomically
+from ...factory.progress import progress_bar
+from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
+from ..data.pairs import Item, geometry_of, input_of, items_of, picture
+from ..filters import REGISTRY
+from ..filters.base import Baseline, Gray, Parameters
+from ..metrics.fidelity import finite_psnr, psnr
+from ..metrics.levels import Levels, fit_levels
+from ..settings import EvaluationSettings
+from .method import reason, shown
 
 SCHEMA = "simnfnd-tuned/1"
 
@@ -93,7 +93,7 @@ def validation_items(settings: EvaluationSettings) -> list[Item]:
     """The pairs to tune on: those that `simnfnd train` validates on, with the same seed."""
     try:
         # torch takes seconds to import; the split must be the very one of training.
-        from simnfnd.models.data.pairs import hold_out, read_table, spread
+        from ...models.data.pairs import hold_out, read_table, spread
     except ImportError as error:
         raise FactoryError(
             'tune shares the validation split of models: pip install "simnfnd[train]"'

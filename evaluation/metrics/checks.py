@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.errors import FactoryError
+from ...factory.errors import FactoryError
 
 Image = npt.NDArray[Any]
 Mask = npt.NDArray[np.bool_]

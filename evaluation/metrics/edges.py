@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.metrics.checks import Image, Mask, checked_mask, checked_pair
+from .checks import Image, Mask, checked_mask, checked_pair
 
 Values = npt.NDArray[np.float64]
 

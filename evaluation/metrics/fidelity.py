@@ -12,12 +12,12 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.metrics.checks import Image as Image
-from simnfnd.evaluation.metrics.checks import Mask as Mask
-from simnfnd.evaluation.metrics.checks import MetricError as MetricError
-from simnfnd.evaluation.metrics.checks import checked_mask, checked_pair
-from simnfnd.evaluation.metrics.reference import Reference, mean_of_blocks
-from simnfnd.factory.dataset.describe.similarity import RADIUS_PX, inner
+from ...factory.dataset.describe.similarity import RADIUS_PX, inner
+from .checks import Image as Image
+from .checks import Mask as Mask
+from .checks import MetricError as MetricError
+from .checks import checked_mask, checked_pair
+from .reference import Reference, mean_of_blocks
 
 PSNR_CAP_DB = 100.0
 """What a pair of identical images (infinite PSNR) counts as in a mean; see `finite_psnr`."""

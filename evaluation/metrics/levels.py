@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.baselines.base import Gray
+from ..filters.base import Gray
 
 Floats = npt.NDArray[np.floating]
 

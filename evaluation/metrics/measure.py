@@ -6,10 +6,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from simnfnd.evaluation.data.picture import sector_of
-from simnfnd.evaluation.metrics import fidelity as metrics
-from simnfnd.evaluation.metrics.checks import checked_pair
-from simnfnd.evaluation.metrics.reference import Compared, Reference
+from ..data.picture import sector_of
+from . import fidelity as metrics
+from .checks import checked_pair
+from .reference import Compared, Reference
 
 
 @dataclass(frozen=True)

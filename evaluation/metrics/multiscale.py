@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from simnfnd.evaluation.metrics.checks import Image, checked_pair
-from simnfnd.evaluation.metrics.reference import Compared, Reference
-from simnfnd.factory.dataset.describe.similarity import inner
+from ...factory.dataset.describe.similarity import inner
+from .checks import Image, checked_pair
+from .reference import Compared, Reference
 
 WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
 """Exponents of the five scales, the finest first (Wang et al. 2003, section 3.2)."""

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.describe.similarity import SsimReference
+from ...factory.dataset.describe.similarity import SsimReference
 
 Values = npt.NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.metrics.checks import Image, Mask, MetricError, checked_mask, checked_pair
+from .checks import Image, Mask, MetricError, checked_mask, checked_pair
 
 Values = npt.NDArray[np.float64]
 

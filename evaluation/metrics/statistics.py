@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.seeds import stream
+from ...factory.seeds import stream
 
 Values = npt.NDArray[np.float64]
 

@@ -9,13 +9,13 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.data.picture import Picture
-from simnfnd.evaluation.metrics.checks import MetricError
-from simnfnd.evaluation.metrics.edges import Edges
-from simnfnd.evaluation.metrics.fidelity import deviation
-from simnfnd.evaluation.metrics.multiscale import SMALLEST, ms_ssim_of
-from simnfnd.evaluation.metrics.reference import Compared, Reference
-from simnfnd.evaluation.metrics.speckle import (
+from ..data.picture import Picture
+from .checks import MetricError
+from .edges import Edges
+from .fidelity import deviation
+from .multiscale import SMALLEST, ms_ssim_of
+from .reference import Compared, Reference
+from .speckle import (
     contrast_to_noise,
     enl,
     homogeneous_zones,

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
-from simnfnd.evaluation.app import hydra_verb
-from simnfnd.evaluation.overrides import named
-from simnfnd.factory.cli.extras import Need, require
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.settings import build
+from ...factory.cli.extras import Need, require
+from ...factory.errors import FactoryError
+from ...factory.settings import build
+from ..app import hydra_verb
+from ..overrides import named
 
 if TYPE_CHECKING:
-    from simnfnd.evaluation.real.settings import RealSettings
+    from .settings import RealSettings
 
 
 def real(words: Sequence[str]) -> int:
@@ -28,15 +28,15 @@ def run(config: DictConfig) -> None:
     settings = settings_of(config)
     if settings.models:
         require(Need("models=", module) for module in ("torch", "safetensors"))
-    from simnfnd.evaluation.methods.method import baselines_of, methods_of
-    from simnfnd.evaluation.methods.networks import networks_at
-    from simnfnd.evaluation.methods.tuning import load_tuned
-    from simnfnd.evaluation.real import report
-    from simnfnd.evaluation.real.judging import judge
-    from simnfnd.evaluation.real.shots import open_input
-    from simnfnd.factory.files import check_writable
-    from simnfnd.factory.recordings.fan.pings import close_last
-    from simnfnd.factory.workers.tasks import TaskPool
+    from ...factory.files import check_writable
+    from ...factory.scheduler.workers.tasks import TaskPool
+    from ...models.recordings.fan.pings import close_last
+    from ..methods.method import baselines_of, methods_of
+    from ..methods.networks import networks_at
+    from ..methods.tuning import load_tuned
+    from . import report
+    from .judging import judge
+    from .shots import open_input
 
     if settings.tuned is not None and not Path(settings.tuned).is_file():
         raise FactoryError(f"tuned={settings.tuned}: no such file; `evaluation tune` writes one")
@@ -69,7 +69,7 @@ def run(config: DictConfig) -> None:
 
 def settings_of(config: DictConfig) -> RealSettings:
     """The checked settings.  FactoryError names the key that is wrong."""
-    from simnfnd.evaluation.real.settings import RealSettings
+    from .settings import RealSettings
 
     values = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     if not values["real"]:

@@ -9,12 +9,12 @@ from typing import overload
 import cv2
 import numpy as np
 
-from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.real.shots import Mask, Shot, Stretch, sector_of
-from simnfnd.factory.errors import FrameError
-from simnfnd.factory.recordings.fan.finder import find_geometry
-from simnfnd.factory.recordings.static import StaticGroup, find_groups, laid_over, moving
-from simnfnd.factory.sonar.geometry import FanGeometry
+from ...factory.errors import FrameError
+from ...factory.sonar.geometry import FanGeometry
+from ...models.recordings.fan.finder import find_geometry
+from ...models.recordings.static import StaticGroup, find_groups, laid_over, moving
+from ..filters.base import Gray
+from .shots import Mask, Shot, Stretch, sector_of
 
 LEAST = 6
 """Frames of a group: with fewer the reference is hardly cleaner than the frames."""

@@ -10,9 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.evaluation.baselines.base import Baseline
-from simnfnd.evaluation.methods.method import NOISY, Method
-from simnfnd.evaluation.real.groups import (
+from ...factory.errors import FactoryError
+from ...factory.progress import progress_bar
+from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
+from ..filters.base import Baseline
+from ..methods.method import NOISY, Method
+from .groups import (
     LEAST,
     Group,
     Judged,
@@ -21,14 +24,11 @@ from simnfnd.evaluation.real.groups import (
     judged,
     search,
 )
-from simnfnd.evaluation.real.measure import RealRow, measure, multi_frame_rows
-from simnfnd.evaluation.real.settings import RealSettings
-from simnfnd.evaluation.real.shots import Shot, Stretch, spread
-from simnfnd.evaluation.real.summary import Groups, Summary, summaries
-from simnfnd.evaluation.real.tuning import Part, Task, Tuned, parts_of, tuned
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.progress import progress_bar
-from simnfnd.factory.workers.tasks import TaskLost, TaskPool
+from .measure import RealRow, measure, multi_frame_rows
+from .settings import RealSettings
+from .shots import Shot, Stretch, spread
+from .summary import Groups, Summary, summaries
+from .tuning import Part, Task, Tuned, parts_of, tuned
 
 TUNED = "tuned on others"
 """Form of the filters' rows."""

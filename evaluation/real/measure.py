@@ -11,16 +11,16 @@ from functools import lru_cache
 
 import numpy as np
 
-from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.methods.apply import denoised
-from simnfnd.evaluation.methods.method import Method, reason
-from simnfnd.evaluation.methods.networks import network
-from simnfnd.evaluation.metrics.edges import edge_preservation
-from simnfnd.evaluation.metrics.speckle import contrast_to_noise, enl, m_index, ratio_mean
-from simnfnd.evaluation.real.groups import Judged
-from simnfnd.evaluation.real.scenes import SIDE, Scene, scene_of
-from simnfnd.evaluation.real.score import Score, score
-from simnfnd.factory.workers.tasks import TaskLost, TaskPool
+from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
+from ..filters.base import Gray
+from ..methods.apply import denoised
+from ..methods.method import Method, reason
+from ..methods.networks import network
+from ..metrics.edges import edge_preservation
+from ..metrics.speckle import contrast_to_noise, enl, m_index, ratio_mean
+from .groups import Judged
+from .scenes import SIDE, Scene, scene_of
+from .score import Score, score
 
 Figures = dict[str, float]
 

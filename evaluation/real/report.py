@@ -7,17 +7,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from simnfnd.evaluation.baselines import REGISTRY
-from simnfnd.evaluation.methods.method import shown
-from simnfnd.evaluation.real.groups import LEAST_LEFT, MOST_OTHERS
-from simnfnd.evaluation.real.judging import TUNED, Outcome
-from simnfnd.evaluation.real.measure import RealRow
-from simnfnd.evaluation.real.summary import MARGINS, Summary, plain
-from simnfnd.evaluation.report.examples import as_data_uri
-from simnfnd.evaluation.report.names import Metric, written
-from simnfnd.evaluation.report.pages import own_file, render
-from simnfnd.factory.dataset.describe import markdown
-from simnfnd.factory.files import write_atomically
+from ...factory.dataset.describe import markdown
+from ...factory.files import write_atomically
+from ..filters import REGISTRY
+from ..methods.method import shown
+from ..report.examples import as_data_uri
+from ..report.names import Metric, written
+from ..report.pages import own_file, render
+from .groups import LEAST_LEFT, MOST_OTHERS
+from .judging import TUNED, Outcome
+from .measure import RealRow
+from .summary import MARGINS, Summary, plain
 
 COLUMNS = {
     "psnr_db": Metric("PSNR, dB", 2, 1),

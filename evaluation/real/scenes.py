@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.metrics.speckle import homogeneous_zones
-from simnfnd.factory.errors import FactoryError
+from ...factory.errors import FactoryError
+from ..filters.base import Gray
+from ..metrics.speckle import homogeneous_zones
 
 Mask = npt.NDArray[np.bool_]
 

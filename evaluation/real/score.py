@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.metrics.fidelity import decibels, finite_psnr, psnr, ssim
-from simnfnd.evaluation.metrics.levels import fit_levels
+from ..metrics.fidelity import decibels, finite_psnr, psnr, ssim
+from ..metrics.levels import fit_levels
 
 Gray = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from simnfnd.evaluation.settings import Count
-from simnfnd.factory.settings import STRICT
+from ...factory.settings import STRICT
+from ..settings import Count
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -10,13 +10,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.realism.real import GEOMETRY_FILE, open_real
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import kind_of, open_recording
-from simnfnd.factory.recordings.arrays import file_of
-from simnfnd.factory.recordings.fan.pings import frame_picture
-from simnfnd.factory.sonar.geometry import FanGeometry
+from ...factory.errors import FactoryError
+from ...factory.sonar.geometry import FanGeometry
+from ...models.recordings import kind_of, open_recording
+from ...models.recordings.arrays import file_of
+from ...models.recordings.fan.pings import frame_picture
+from ..filters.base import Gray
+from ..realism.real import GEOMETRY_FILE, open_real
 
 Mask = npt.NDArray[np.bool_]
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.metrics.statistics import Estimate, estimate
-from simnfnd.evaluation.real.measure import Figures, RealRow
+from ..metrics.statistics import Estimate, estimate
+from .measure import Figures, RealRow
 
 MARGINS = {"psnr_db": "margin_db", "ssim": "margin_ssim"}
 """Figure -> name of what a row has more of it than the best filter."""

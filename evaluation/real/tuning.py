@@ -15,11 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simnfnd.evaluation.baselines import REGISTRY
-from simnfnd.evaluation.baselines.base import Baseline, Parameters
-from simnfnd.evaluation.methods.method import reason
-from simnfnd.evaluation.real.groups import Group, Judged
-from simnfnd.evaluation.real.score import psnr_of
+from ..filters import REGISTRY
+from ..filters.base import Baseline, Parameters
+from ..methods.method import reason
+from .groups import Group, Judged
+from .score import psnr_of
 
 FOLDS = 2
 FRAMES_OF_A_GROUP = 2

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
-from simnfnd.evaluation.app import hydra_verb
-from simnfnd.evaluation.overrides import named
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.settings import build
+from ...factory.errors import FactoryError
+from ...factory.settings import build
+from ..app import hydra_verb
+from ..overrides import named
 
 if TYPE_CHECKING:
-    from simnfnd.evaluation.realism.pictures import Collection
-    from simnfnd.evaluation.realism.settings import RealismSettings
+    from .pictures import Collection
+    from .settings import RealismSettings
 
 
 def realism(words: Sequence[str]) -> int:
@@ -25,10 +25,10 @@ def realism(words: Sequence[str]) -> int:
 
 def run(config: DictConfig) -> None:
     """Measure, compare, print the table and write the report."""
-    from simnfnd.evaluation.realism import report, tables
-    from simnfnd.evaluation.realism.compare import compare
-    from simnfnd.evaluation.realism.measure import measure
-    from simnfnd.evaluation.realism.real import open_real
+    from . import report, tables
+    from .compare import compare
+    from .measure import measure
+    from .real import open_real
 
     settings = settings_of(config)
     real = open_real(settings.real).at_most(settings.limit)
@@ -52,8 +52,8 @@ def run(config: DictConfig) -> None:
 
 def _simulations(settings: RealismSettings) -> dict[str, Collection]:
     """Name -> pictures; two folders of one name get a number."""
-    from simnfnd.evaluation.realism.real import open_real
-    from simnfnd.evaluation.realism.simulated import open_dataset
+    from .real import open_real
+    from .simulated import open_dataset
 
     found: dict[str, Collection] = {}
     for folder in settings.sim:
@@ -71,7 +71,7 @@ def _simulations(settings: RealismSettings) -> dict[str, Collection]:
 
 def settings_of(config: DictConfig) -> RealismSettings:
     """The checked settings.  FactoryError names the key that is wrong."""
-    from simnfnd.evaluation.realism.settings import RealismSettings
+    from .settings import RealismSettings
 
     values = cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
     usage = "give both folders: simnfnd evaluate realism REAL SIM"

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.realism.distances import STATISTICS, Rows, Statistic, prepare
-from simnfnd.evaluation.realism.measure import Measured
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.progress import progress_bar
-from simnfnd.factory.seeds import stream
+from ...factory.errors import FactoryError
+from ...factory.progress import progress_bar
+from ...factory.seeds import stream
+from .distances import STATISTICS, Rows, Statistic, prepare
+from .measure import Measured
 
 _BLOCKS = 12
 SMALLEST = 8

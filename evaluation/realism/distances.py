@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.realism.measure import Measured
+from .measure import Measured
 
 Values = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.intp]

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.realism.pictures import Collection
-from simnfnd.evaluation.realism.polar import Gray, Grid
-from simnfnd.evaluation.realism.statistics import artefacts, features, texture, windows
-from simnfnd.factory.progress import progress_bar
+from ...factory.progress import progress_bar
+from .pictures import Collection
+from .polar import Gray, Grid
+from .statistics import artefacts, features, texture, windows
 
 Values = npt.NDArray[np.float64]
 

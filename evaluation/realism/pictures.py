@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from simnfnd.evaluation.realism.polar import Gray, Grid, to_polar
-from simnfnd.factory.sonar.geometry import FanGeometry
+from ...factory.sonar.geometry import FanGeometry
+from .polar import Gray, Grid, to_polar
 
 
 @dataclass(frozen=True)

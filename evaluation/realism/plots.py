@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.realism.compare import Comparison
-from simnfnd.evaluation.realism.measure import Measured
-from simnfnd.evaluation.realism.polar import Gray
+from .compare import Comparison
+from .measure import Measured
+from .polar import Gray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

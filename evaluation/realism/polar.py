@@ -11,8 +11,8 @@ import numpy.typing as npt
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.settings import STRICT
-from simnfnd.factory.sonar.geometry import FanGeometry
+from ...factory.settings import STRICT
+from ...factory.sonar.geometry import FanGeometry
 
 Gray = npt.NDArray[np.float32]
 

@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.realism.pictures import Collection, Source, label_of
-from simnfnd.evaluation.realism.recorded import recorded
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import PICTURE_SUFFIXES, is_recording, kind_of
-from simnfnd.factory.recordings.pictures import read_grey
-from simnfnd.factory.sonar.geometry import FanGeometry
+from ...factory.errors import FactoryError
+from ...factory.sonar.geometry import FanGeometry
+from ...models.recordings import PICTURE_SUFFIXES, is_recording, kind_of
+from ...models.recordings.pictures import read_grey
+from .pictures import Collection, Source, label_of
+from .recorded import recorded
 
 GEOMETRY_FILE = "geometry.csv"
 _FAN = ("apex_x_px", "apex_y_px", "near_px", "far_px")

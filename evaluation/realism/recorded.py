@@ -5,13 +5,13 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-from simnfnd.evaluation.realism.pictures import Source
-from simnfnd.evaluation.realism.polar import Gray
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import open_recording
-from simnfnd.factory.recordings.fan.finder import find_geometry
-from simnfnd.factory.recordings.fan.pings import frame_picture
-from simnfnd.factory.sonar.geometry import FanGeometry
+from ...factory.errors import FactoryError
+from ...factory.sonar.geometry import FanGeometry
+from ...models.recordings import open_recording
+from ...models.recordings.fan.finder import find_geometry
+from ...models.recordings.fan.pings import frame_picture
+from .pictures import Source
+from .polar import Gray
 
 
 def recorded(path: Path) -> tuple[Source, ...]:

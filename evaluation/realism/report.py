@@ -9,14 +9,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from simnfnd.evaluation.realism.compare import Comparison, Interval, overall
-from simnfnd.evaluation.realism.measure import Measured
-from simnfnd.evaluation.realism.pictures import Collection
-from simnfnd.evaluation.realism.plots import draw_all
-from simnfnd.evaluation.realism.settings import RealismSettings
-from simnfnd.evaluation.realism.tables import number, sums, table, times
-from simnfnd.evaluation.report.pages import render
-from simnfnd.factory.errors import FactoryError
+from ...factory.errors import FactoryError
+from ..report.pages import render
+from .compare import Comparison, Interval, overall
+from .measure import Measured
+from .pictures import Collection
+from .plots import draw_all
+from .settings import RealismSettings
+from .tables import number, sums, table, times
 
 
 def write(

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from simnfnd.evaluation.realism.polar import Grid
-from simnfnd.factory.settings import STRICT
+from ...factory.settings import STRICT
+from .polar import Grid
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -8,20 +8,20 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from simnfnd.evaluation.realism.pictures import Collection, Source, label_of
-from simnfnd.evaluation.realism.polar import Gray
-from simnfnd.factory.dataset.read.image_stack import ImageStack
-from simnfnd.factory.dataset.read.reader import (
+from ...factory.dataset.read.image_stack import ImageStack
+from ...factory.dataset.read.reader import (
     Split,
     open_shard,
     reading,
     shard_paths,
     value_range,
 )
-from simnfnd.factory.dataset.read.source import read_image
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.sonar.geometry import FanGeometry, recorded_sonar
-from simnfnd.factory.sonar.settings import SonarSettings
+from ...factory.dataset.read.source import read_image
+from ...factory.errors import FactoryError
+from ...factory.sonar.geometry import FanGeometry, recorded_sonar
+from ...factory.sonar.settings import SonarSettings
+from .pictures import Collection, Source, label_of
+from .polar import Gray
 
 # Pictures with data in less of the sector than this say too little along the bearing.
 _LEAST = 0.25

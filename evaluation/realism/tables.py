@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from simnfnd.evaluation.realism.compare import Comparison, overall
-from simnfnd.factory.dataset.describe import markdown
+from ...factory.dataset.describe import markdown
+from .compare import Comparison, overall
 
 _OVERALL = {
     "geometric_mean_ratio": "mean ratio",

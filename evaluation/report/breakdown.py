@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.data.pairs import Item
-from simnfnd.evaluation.measurement.rows import Row
-from simnfnd.evaluation.metrics.statistics import estimate
-from simnfnd.evaluation.report.content import as_dict
-from simnfnd.evaluation.settings import EvaluationSettings
+from ..data.pairs import Item
+from ..measurement.rows import Row
+from ..metrics.statistics import estimate
+from ..settings import EvaluationSettings
+from .content import as_dict
 
 _MOST_PLACES = 12
 _PAIRS_A_BIN = 8

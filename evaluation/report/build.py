@@ -7,22 +7,22 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from simnfnd.evaluation.data.pairs import Item, drawn_of, items_of, picture
-from simnfnd.evaluation.measurement.rows import Row, measure_rows
-from simnfnd.evaluation.measurement.store import FigureStore
-from simnfnd.evaluation.methods import tuning
-from simnfnd.evaluation.methods.method import NOISY, baselines_of, methods_of
-from simnfnd.evaluation.methods.networks import costs_of, networks_of
-from simnfnd.evaluation.report import figures, files, page
-from simnfnd.evaluation.report.breakdown import breakdown_of
-from simnfnd.evaluation.report.content import content_of, shown_rows
-from simnfnd.evaluation.report.examples import examples_of
-from simnfnd.evaluation.report.robustness import flat_config, robustness_of
-from simnfnd.evaluation.settings import EvaluationSettings
-from simnfnd.factory.dataset.read.reader import open_shard
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import check_writable
-from simnfnd.factory.workers.tasks import TaskPool
+from ...factory.dataset.read.reader import open_shard
+from ...factory.errors import FactoryError
+from ...factory.files import check_writable
+from ...factory.scheduler.workers.tasks import TaskPool
+from ..data.pairs import Item, drawn_of, items_of, picture
+from ..measurement.rows import Row, measure_rows
+from ..measurement.store import FigureStore
+from ..methods import tuning
+from ..methods.method import NOISY, baselines_of, methods_of
+from ..methods.networks import costs_of, networks_of
+from ..settings import EvaluationSettings
+from . import figures, files, page
+from .breakdown import breakdown_of
+from .content import content_of, shown_rows
+from .examples import examples_of
+from .robustness import flat_config, robustness_of
 
 
 def build(settings: EvaluationSettings) -> dict[str, Any]:

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.evaluation.baselines import REGISTRY
-from simnfnd.evaluation.data.pairs import Item
-from simnfnd.evaluation.measurement.rows import Row
-from simnfnd.evaluation.metrics.statistics import (
+from ..data.pairs import Item
+from ..filters import REGISTRY
+from ..measurement.rows import Row
+from ..metrics.statistics import (
     Estimate,
     Paired,
     estimate,
@@ -19,9 +19,9 @@ from simnfnd.evaluation.metrics.statistics import (
     holm,
     paired,
 )
-from simnfnd.evaluation.report import paper
-from simnfnd.evaluation.report.names import METRIC_NAMES
-from simnfnd.evaluation.settings import EvaluationSettings
+from ..settings import EvaluationSettings
+from . import paper
+from .names import METRIC_NAMES
 
 SCHEMA = "simnfnd-report/1"
 _COMPARED = ("psnr", "ssim", "gmsd", "psnr_fan", "ssim_fan", "gmsd_fan", "shadow_iou")

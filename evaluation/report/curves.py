@@ -7,9 +7,9 @@ from typing import Any
 
 from markupsafe import Markup
 
-from simnfnd.evaluation.report.charts import Point, Series, chart
-from simnfnd.evaluation.report.content import shown_rows
-from simnfnd.evaluation.report.robustness import curve_of
+from .charts import Point, Series, chart
+from .content import shown_rows
+from .robustness import curve_of
 
 Content = Mapping[str, Any]
 

@@ -11,16 +11,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from simnfnd.evaluation.baselines.base import Gray
-from simnfnd.evaluation.data.image_pairs import images_in, read_gray
-from simnfnd.evaluation.data.pairs import Item, input_of, picture
-from simnfnd.evaluation.measurement.rows import Row
-from simnfnd.evaluation.methods.apply import denoised
-from simnfnd.evaluation.methods.method import Method
-from simnfnd.evaluation.metrics.fidelity import finite_psnr, psnr
-from simnfnd.evaluation.settings import EvaluationSettings
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.workers.tasks import TaskLost, TaskPool
+from ...factory.errors import FactoryError
+from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
+from ..data.image_pairs import images_in, read_gray
+from ..data.pairs import Item, input_of, picture
+from ..filters.base import Gray
+from ..measurement.rows import Row
+from ..methods.apply import denoised
+from ..methods.method import Method
+from ..metrics.fidelity import finite_psnr, psnr
+from ..settings import EvaluationSettings
 
 
 @dataclass(frozen=True)

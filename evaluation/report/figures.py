@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from simnfnd.evaluation.methods.method import Method
-from simnfnd.evaluation.report.content import shown_rows
-from simnfnd.evaluation.report.examples import Example, real_examples
-from simnfnd.evaluation.report.names import METRIC_NAMES, written
-from simnfnd.evaluation.settings import EvaluationSettings
-from simnfnd.factory.files import write_atomically
-from simnfnd.factory.workers.tasks import TaskPool
+from ...factory.files import write_atomically
+from ...factory.scheduler.workers.tasks import TaskPool
+from ..methods.method import Method
+from ..settings import EvaluationSettings
+from .content import shown_rows
+from .examples import Example, real_examples
+from .names import METRIC_NAMES, written
 
 _ROWS = 40
 

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.evaluation.data.pairs import Item
-from simnfnd.evaluation.measurement.rows import Row
-from simnfnd.evaluation.metrics import fidelity as metrics
-from simnfnd.evaluation.report import tables
-from simnfnd.evaluation.report.content import SCHEMA, best_forms
-from simnfnd.evaluation.report.names import written_p
-from simnfnd.factory.dataset.describe import markdown
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import write_atomically
+from ...factory.dataset.describe import markdown
+from ...factory.errors import FactoryError
+from ...factory.files import write_atomically
+from ..data.pairs import Item
+from ..measurement.rows import Row
+from ..metrics import fidelity as metrics
+from . import tables
+from .content import SCHEMA, best_forms
+from .names import written_p
 
 RESULTS_NAME = "results.parquet"
 REPORT_NAME = "report.json"

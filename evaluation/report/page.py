@@ -9,13 +9,13 @@ from typing import Any
 
 from markupsafe import Markup
 
-from simnfnd.evaluation.report import curves, files
-from simnfnd.evaluation.report.content import best_forms
-from simnfnd.evaluation.report.examples import Example, as_data_uri
-from simnfnd.evaluation.report.names import METRIC_NAMES
-from simnfnd.evaluation.report.pages import own_file, render
-from simnfnd.evaluation.report.paper import TABLE_METRICS
-from simnfnd.factory.files import write_atomically
+from ...factory.files import write_atomically
+from . import curves, files
+from .content import best_forms
+from .examples import Example, as_data_uri
+from .names import METRIC_NAMES
+from .pages import own_file, render
+from .paper import TABLE_METRICS
 
 PAGE_NAME = "report.html"
 

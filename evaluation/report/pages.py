@@ -11,9 +11,9 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from simnfnd.evaluation.methods.method import shown
-from simnfnd.evaluation.report import tables
-from simnfnd.evaluation.report.names import METRIC_NAMES, written, written_p
+from ..methods.method import shown
+from . import tables
+from .names import METRIC_NAMES, written, written_p
 
 
 def render(template: str, filters: Mapping[str, Any] | None = None, **values: Any) -> str:

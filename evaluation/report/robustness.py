@@ -7,15 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from simnfnd.evaluation.data.pairs import items_of
-from simnfnd.evaluation.measurement.rows import Row, measure_rows
-from simnfnd.evaluation.measurement.store import FigureStore
-from simnfnd.evaluation.methods.method import Method
-from simnfnd.evaluation.metrics.statistics import estimate, paired
-from simnfnd.evaluation.report.content import as_dict, paired_dict
-from simnfnd.evaluation.settings import DatasetFolder, EvaluationSettings
-from simnfnd.factory.dataset.format.manifest import load_manifest
-from simnfnd.factory.workers.tasks import TaskPool
+from ...factory.dataset.format.manifest import load_manifest
+from ...factory.scheduler.workers.tasks import TaskPool
+from ..data.pairs import items_of
+from ..measurement.rows import Row, measure_rows
+from ..measurement.store import FigureStore
+from ..methods.method import Method
+from ..metrics.statistics import estimate, paired
+from ..settings import DatasetFolder, EvaluationSettings
+from .content import as_dict, paired_dict
 
 Content = dict[str, Any]
 

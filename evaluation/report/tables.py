@@ -7,10 +7,10 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from simnfnd.evaluation.methods.method import shown
-from simnfnd.evaluation.report.names import METRIC_NAMES, written, written_p
-from simnfnd.evaluation.report.paper import TABLE_METRICS
-from simnfnd.factory.dataset.describe import markdown
+from ...factory.dataset.describe import markdown
+from ..methods.method import shown
+from .names import METRIC_NAMES, written, written_p
+from .paper import TABLE_METRICS
 
 Content = Mapping[str, Any]
 

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from simnfnd.factory.cli.words import readable
-from simnfnd.factory.errors import FactoryError
+from ..errors import FactoryError
+from .words import readable
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -100,7 +100,7 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
             ) from error
         finally:
             # Of a sweep; only where one was begun is the module there.
-            if kept := sys.modules.get("simnfnd.factory.workers.kept"):
+            if kept := sys.modules.get("simnfnd.factory.scheduler.workers.kept"):
                 kept.release_workers()
         return max(codes, default=0)
 
@@ -166,7 +166,7 @@ def say_error(error: Exception) -> int:
 
 def config_line(error: Exception, config_name: str) -> str:
     """Hydra's several lines in one, with the remedy.  config_name: of conf/<config_name>.yaml."""
-    from simnfnd.factory.cli.nearest import explained
+    from .nearest import explained
 
     if line := explained(str(error), config_name):
         return line

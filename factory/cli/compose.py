@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from simnfnd.factory.cli.words import readable
-from simnfnd.factory.errors import FactoryError
+from ..errors import FactoryError
+from .words import readable
 
 if TYPE_CHECKING:
-    from simnfnd.factory.config import FactoryConfig
+    from ..config import FactoryConfig
 
 
 def compose_config(words: Sequence[str], scenes: Mapping[str, Any] | None = None) -> FactoryConfig:
@@ -37,9 +37,9 @@ def compose_points(
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 
-    from simnfnd.factory.cli import config_line
-    from simnfnd.factory.config import composed_values, from_mapping
-    from simnfnd.factory.distribution import as_override
+    from ..config import composed_values, from_mapping
+    from ..distribution import as_override
+    from . import config_line
 
     sweep = any(word in ("-m", "--multirun") for word in words)
     overrides = [as_override(word) for word in readable(words) if not word.startswith("-")]

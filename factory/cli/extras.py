@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
-from simnfnd.factory.errors import FactoryError
+from ..errors import FactoryError
 
 if TYPE_CHECKING:
-    from simnfnd.factory.config import FactoryConfig
+    from ..config import FactoryConfig
 
 EXTRAS = {
     "cv2": "sonar",

@@ -8,9 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from simnfnd.factory.cli import PRELOADED
-from simnfnd.factory.cli.extras import needs_of, require
-from simnfnd.factory.config import (
+from ..config import (
     FactoryConfig,
     FramesSettings,
     composed_values,
@@ -19,23 +17,25 @@ from simnfnd.factory.config import (
     identity,
     plain,
 )
-from simnfnd.factory.dataset.describe.quality import seen_sector_deg
-from simnfnd.factory.dataset.format.schema import Provenance
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.pairs import pair_maker
-from simnfnd.factory.progress import stage_if_slow
-from simnfnd.factory.renders.cache import Limit
-from simnfnd.factory.renders.views import ViewMaker, check_views, with_cache
-from simnfnd.factory.selection import choose_frames, frames_digest, split_frames, split_warnings
-from simnfnd.factory.storage.copies import shown
-from simnfnd.factory.workers import template
+from ..dataset.describe.quality import seen_sector_deg
+from ..dataset.format.schema import Provenance
+from ..errors import FactoryError
+from ..frame import FrameRef
+from ..pairs import pair_maker
+from ..progress import stage_if_slow
+from ..render.cache.cache import Limit
+from ..render.cache.views import ViewMaker, check_views, with_cache
+from ..scheduler.workers import template
+from ..selection import choose_frames, frames_digest, split_frames, split_warnings
+from ..storage.copies import shown
+from . import PRELOADED
+from .extras import needs_of, require
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from simnfnd.factory.jobs.job import Job
-    from simnfnd.factory.jobs.ledger import RunReport
+    from ..scheduler.job import Job
+    from ..scheduler.ledger import RunReport
 
 # So many procedural frames take minutes.
 _MANY = 50
@@ -47,7 +47,7 @@ def generate(composed: DictConfig) -> int:
     0: every frame became pairs.  1: some frames failed (listed in failed.jsonl), the rest is there.
     Raises FactoryError when nothing can be made.
     """
-    from simnfnd.factory.cli.sweep import note_result
+    from .sweep import note_result
 
     config = from_mapping(composed_values(composed))
     report, directory = run(config, arguments=sys.argv[1:])
@@ -60,8 +60,8 @@ def generate(composed: DictConfig) -> int:
 
 def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     """Discover, plan and make one dataset.  `arguments` are the words that would make it again."""
-    from simnfnd.factory.jobs.run import make_dataset
-    from simnfnd.factory.loops import compile_all
+    from ..loops import compile_all
+    from ..scheduler.run import make_dataset
 
     require(needs_of(config))
     check_views(config)
@@ -94,11 +94,11 @@ def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
 
     Prints what the recordings lack.  Raises FactoryError when no frame is left.
     """
-    from simnfnd.factory import __version__
-    from simnfnd.factory.jobs.extend import plan_extension
-    from simnfnd.factory.jobs.job import Job, work_folder
-    from simnfnd.factory.jobs.plan import plan_shards
-    from simnfnd.factory.scenes import open_reader
+    from .. import __version__
+    from ..scenes import open_reader
+    from ..scheduler.extend import plan_extension
+    from ..scheduler.job import Job, work_folder
+    from ..scheduler.plan import plan_shards
 
     with stage_if_slow(f"looking for the frames of scenes={config.scenes.kind}"):
         discovery = open_reader(config.scenes).discover()

@@ -15,10 +15,10 @@ gc.disable()
 
 # What is absent or broken is told by the task that needs it.
 with suppress(Exception):
-    import simnfnd.factory.jobs.worker
-    import simnfnd.factory.pairs
-    import simnfnd.factory.renders.views  # noqa: F401
-    from simnfnd.factory.loops import compile_all
+    from .. import pairs  # noqa: F401
+    from ..loops import compile_all
+    from ..render.cache import views  # noqa: F401
+    from ..scheduler import worker  # noqa: F401
 
     compile_all()
 

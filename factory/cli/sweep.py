@@ -12,8 +12,8 @@ from hydra.experimental.callback import Callback
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from simnfnd.factory.config import FactoryConfig
-    from simnfnd.factory.jobs.ledger import RunReport
+    from ..config import FactoryConfig
+    from ..scheduler.ledger import RunReport
 
 _RESULT = "result.json"
 
@@ -26,7 +26,7 @@ def note_result(directory: Path, config: FactoryConfig, report: RunReport, exit_
     from hydra.core.hydra_config import HydraConfig
     from hydra.types import RunMode
 
-    from simnfnd.factory.dataset.describe.quality import mean_psnr_db
+    from ..dataset.describe.quality import mean_psnr_db
 
     if not HydraConfig.initialized() or HydraConfig.get().mode != RunMode.MULTIRUN:
         return
@@ -54,7 +54,7 @@ class SweepTable(Callback):
 
         `run_app` stops them: after an error Hydra calls nobody back.
         """
-        from simnfnd.factory.workers.kept import keep_workers
+        from ..scheduler.workers.kept import keep_workers
 
         keep_workers()
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from simnfnd.factory.cli import Parser
-from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.renders.cache import Cache
+from ..cli import Parser
+from ..cli.compose import compose_config
+from ..errors import FactoryError
+from ..render.cache.cache import Cache
 
 _EPILOG = (
     "KEY=VALUE words are those of `simnfnd make`; cache.dir is the one that matters to stats, "
@@ -58,11 +58,11 @@ def _verify(cache: Cache) -> int:
 
 
 def _pack(overrides: list[str], out: Path | None, small: bool) -> int:
-    from simnfnd.factory.render.pack import write_pack
-    from simnfnd.factory.render.view import FINE, SMALL
-    from simnfnd.factory.renders.views import CachedViews
-    from simnfnd.factory.scenes import frames_of, open_reader
-    from simnfnd.factory.selection import choose_frames
+    from ..render.cache.views import CachedViews
+    from ..render.pack import write_pack
+    from ..render.view import FINE, SMALL
+    from ..scenes import frames_of, open_reader
+    from ..selection import choose_frames
 
     if out is None:
         raise FactoryError("cache pack: which file? give --out FILE")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from simnfnd.factory.cli import Parser
-from simnfnd.factory.cli.extras import Need, require
-from simnfnd.factory.dataset.format.schema import SPLITS
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.export import FORMATS, export
-from simnfnd.factory.export.hub import check_hub, push
-from simnfnd.factory.storage.copies import local_folder
+from ..cli import Parser
+from ..cli.extras import Need, require
+from ..dataset.format.schema import SPLITS
+from ..errors import FactoryError
+from ..export import FORMATS, export
+from ..export.hub import check_hub, push
+from ..storage.copies import local_folder
 
 # Format -> the modules that write it: of the extra `export`, and of `sonar`.
 _NEEDS = {

@@ -6,14 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from simnfnd.factory.cli import Parser
-from simnfnd.factory.dataset.format.manifest import CONFIG_NAME, load_manifest
-from simnfnd.factory.dataset.write.failures import FAILURES_NAME, load_failures
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.small_files import load_yaml, one_line
+from ..cli import Parser
+from ..dataset.format.manifest import CONFIG_NAME, load_manifest
+from ..dataset.write.failures import FAILURES_NAME, load_failures
+from ..errors import FactoryError
+from ..small_files import load_yaml, one_line
 
 if TYPE_CHECKING:
-    from simnfnd.factory.config import FactoryConfig
+    from ..config import FactoryConfig
 
 
 def main(words: list[str]) -> int:
@@ -51,7 +51,7 @@ def main(words: list[str]) -> int:
 
 def _rerun(directory: Path, failed: list[str], settings: list[str]) -> int:
     """Make the failed frames once more.  Nothing that the dataset's files say is executed."""
-    from simnfnd.factory.cli.generate import run
+    from ..cli.generate import run
 
     frames = tuple(dict.fromkeys(failed))
     retry = Path(f"{directory}-retry")
@@ -91,8 +91,8 @@ def _stored(directory: Path, settings: list[str]) -> FactoryConfig:
     A dataset may come from a stranger, so it does not choose where renders are written or which
     cluster is connected to.
     """
-    from simnfnd.factory.cli.compose import compose_config
-    from simnfnd.factory.config import from_mapping
+    from ..cli.compose import compose_config
+    from ..config import from_mapping
 
     path = directory / CONFIG_NAME
     try:

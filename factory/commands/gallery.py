@@ -11,19 +11,19 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from simnfnd.factory.cli import Parser
-from simnfnd.factory.cli.extras import needs_of, require
-from simnfnd.factory.config import FactoryConfig, from_mapping
-from simnfnd.factory.dataset.describe.quality import psnr_db
-from simnfnd.factory.distribution import Distribution, number
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.frame import Frame, FrameRef
-from simnfnd.factory.gallery import figures
-from simnfnd.factory.gallery.figures import Figure, Panel
-from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings
-from simnfnd.factory.pairs import ObservedFrame, make_pair, observe
-from simnfnd.factory.render.base import Rendered
-from simnfnd.factory.sonar.surface import insonified
+from ..cli import Parser
+from ..cli.extras import needs_of, require
+from ..config import FactoryConfig, from_mapping
+from ..dataset.describe.quality import psnr_db
+from ..distribution import Distribution, number
+from ..errors import FactoryError
+from ..frame import Frame, FrameRef
+from ..gallery import figures
+from ..gallery.figures import Figure, Panel
+from ..noise.registry import EFFECTS, NoiseSettings
+from ..pairs import ObservedFrame, make_pair, observe
+from ..render.base import Rendered
+from ..sonar.surface import insonified
 
 # The paper's view from above, drawn larger than data sets need.
 _PICTURE = (
@@ -85,7 +85,7 @@ def compose(settings: Iterable[str]) -> FactoryConfig:
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 
-    from simnfnd.factory.distribution import as_override
+    from ..distribution import as_override
 
     words = [as_override(word) for word in settings]
     base = _PICTURE if any(word.startswith("scenes=") for word in words) else _SCENES + _PICTURE
@@ -128,9 +128,9 @@ def _end(distribution: Distribution, quantile: float) -> float:
 
 
 def _views(config: FactoryConfig) -> Iterator[View]:
-    from simnfnd.factory.render import open_renderer
-    from simnfnd.factory.scenes import frames_of, open_reader
-    from simnfnd.factory.selection import choose_frames
+    from ..render import open_renderer
+    from ..scenes import frames_of, open_reader
+    from ..selection import choose_frames
 
     reader = open_reader(config.scenes)
     found = choose_frames(frames_of(reader), config)

@@ -14,13 +14,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from simnfnd.factory.cli import Parser
-from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.files import check_writable, write_atomically
-from simnfnd.factory.recordings import SEQUENCES, kind_of, open_recording
-from simnfnd.factory.recordings.base import FULL_SCALE, Samples
-from simnfnd.factory.recordings.fan.finder import FoundFan, find_fan
-from simnfnd.factory.sonar.geometry import FanGeometry
+from ...models.recordings import SEQUENCES, kind_of, open_recording
+from ...models.recordings.base import FULL_SCALE, Samples
+from ...models.recordings.fan.finder import FoundFan, find_fan
+from ..cli import Parser
+from ..errors import FactoryError, FrameError
+from ..files import check_writable, write_atomically
+from ..sonar.geometry import FanGeometry
 
 COLUMNS = (
     "file", "apex_x", "apex_y", "edge_slope", "top_row", "bottom_row", "squeeze",

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.cli import Parser
-from simnfnd.factory.cli.extras import Need, require
-from simnfnd.factory.dataset.describe.summary import DatasetSummary, summarize
-from simnfnd.factory.dataset.format.layers import CAMERA_LAYERS
-from simnfnd.factory.dataset.read.config_file import dataset_settings
-from simnfnd.factory.storage.copies import local_folder
+from ..cli import Parser
+from ..cli.extras import Need, require
+from ..dataset.describe.summary import DatasetSummary, summarize
+from ..dataset.format.layers import CAMERA_LAYERS
+from ..dataset.read.config_file import dataset_settings
+from ..storage.copies import local_folder
 
 _BAR = 40
 _BINS = 10
@@ -31,7 +31,7 @@ def main(words: list[str]) -> None:
     found = summarize(local_folder(given.path), given.pairs)
     print("\n".join(report(found, str(given.path))))
     if given.png is not None:
-        from simnfnd.factory.dataset.describe.summary_figure import draw
+        from ..dataset.describe.summary_figure import draw
 
         print(f"\nfigure: {draw(found, given.png)}")
 

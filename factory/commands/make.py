@@ -6,8 +6,8 @@ import os
 import sys
 from collections.abc import Sequence
 
-from simnfnd.factory.cli import PRELOADED, run_app
-from simnfnd.factory.workers import template
+from ..cli import PRELOADED, run_app
+from ..scheduler.workers import template
 
 _LOCAL = ("scheduler=local", "scheduler=paper48", "scheduler.backend=local")
 
@@ -22,8 +22,8 @@ def main(words: Sequence[str]) -> int:
         # Now, so that it loads beside what this process has to load.
         template.start(PRELOADED)
 
-    from simnfnd.factory.cli.generate import generate
-    from simnfnd.factory.distribution import as_override
+    from ..cli.generate import generate
+    from ..distribution import as_override
 
     # Hydra's parser refuses a flag between overrides; people write it where they like.
     flags = [word for word in words if word in ("-m", "--multirun")]

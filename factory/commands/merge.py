@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.factory.cli import Parser
-from simnfnd.factory.dataset.describe.card import write_card
-from simnfnd.factory.dataset.describe.croissant import write_croissant
-from simnfnd.factory.dataset.describe.preview import preview
-from simnfnd.factory.dataset.format.manifest import (
+from ..cli import Parser
+from ..dataset.describe.card import write_card
+from ..dataset.describe.croissant import write_croissant
+from ..dataset.describe.preview import preview
+from ..dataset.format.manifest import (
     MANIFEST_NAME,
     PARTS,
     Manifest,
@@ -25,15 +25,15 @@ from simnfnd.factory.dataset.format.manifest import (
     load_manifest,
     save_manifest,
 )
-from simnfnd.factory.dataset.format.schema import SPLITS, Provenance
-from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.read.config_file import dataset_settings
-from simnfnd.factory.dataset.read.reader import open_shard
-from simnfnd.factory.dataset.read.source import Source, open_source
-from simnfnd.factory.dataset.write.folder import open_folder
-from simnfnd.factory.dataset.write.index import write_index
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import refuse_files, whole_folder
+from ..dataset.format.schema import SPLITS, Provenance
+from ..dataset.format.settings import DatasetSettings
+from ..dataset.read.config_file import dataset_settings
+from ..dataset.read.reader import open_shard
+from ..dataset.read.source import Source, open_source
+from ..dataset.write.folder import open_folder
+from ..dataset.write.index import write_index
+from ..errors import FactoryError
+from ..files import refuse_files, whole_folder
 
 # What may differ: which frames there are, how their noise is seeded, and how they are stored.
 _FREE = ("seed", "scenes", "frames", "frames_found", "split", "scheduler", *PARTS)
@@ -177,7 +177,7 @@ def _common_licence(directories: Sequence[Path]) -> str | None:
 
 def _provenance(manifests: Mapping[Path, Manifest]) -> Provenance:
     """What all have in common, and under `merged` what each was made with."""
-    from simnfnd.factory.config import digest  # needs the settings of every room, but only here
+    from ..config import digest  # needs the settings of every room, but only here
 
     configs = [manifest.config for manifest in manifests.values()]
     common = {

@@ -16,23 +16,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.cli import Parser
-from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.cli.extras import needs_of, require
-from simnfnd.factory.distribution import as_override
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.gallery import figures
-from simnfnd.factory.gallery.device_statistics import device_table
-from simnfnd.factory.gallery.figures import Figure, Panel
-from simnfnd.factory.gallery.statistics import table
-from simnfnd.factory.noise.registry import FIELD_EFFECTS
-from simnfnd.factory.pairs import make_pair, observe
+from ..cli import Parser
+from ..cli.compose import compose_config
+from ..cli.extras import needs_of, require
+from ..distribution import as_override
+from ..errors import FactoryError
+from ..gallery import figures
+from ..gallery.device_statistics import device_table
+from ..gallery.figures import Figure, Panel
+from ..gallery.statistics import table
+from ..noise.registry import FIELD_EFFECTS
+from ..pairs import make_pair, observe
 
 if TYPE_CHECKING:
-    from simnfnd.factory.config import FactoryConfig
-    from simnfnd.factory.dataset.format.sample import Pair
-    from simnfnd.factory.frame import Frame
-    from simnfnd.factory.render.base import Rendered
+    from ..config import FactoryConfig
+    from ..dataset.format.sample import Pair
+    from ..frame import Frame
+    from ..render.base import Rendered
 
 Picture = npt.NDArray[np.generic]
 
@@ -96,9 +96,9 @@ def pictures(out: Path, settings: Iterable[str] = ()) -> list[Path]:
 
 
 def _first_frame(config: FactoryConfig) -> tuple[Frame, Rendered]:
-    from simnfnd.factory.render import open_renderer
-    from simnfnd.factory.scenes import frames_of, open_reader
-    from simnfnd.factory.selection import choose_frames
+    from ..render import open_renderer
+    from ..scenes import frames_of, open_reader
+    from ..selection import choose_frames
 
     reader = open_reader(config.scenes)
     frame = reader.load(choose_frames(frames_of(reader), config)[0])

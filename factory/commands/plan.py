@@ -14,17 +14,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from simnfnd.factory.cli import Parser
-from simnfnd.factory.cli.compose import compose_points
-from simnfnd.factory.cli.extras import needs_of, require
-from simnfnd.factory.cli.generate import say_warnings
-from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.jobs.plan import ShardTask, plan_shards
-from simnfnd.factory.workers.machine import available_memory_bytes
+from ..cli import Parser
+from ..cli.compose import compose_points
+from ..cli.extras import needs_of, require
+from ..cli.generate import say_warnings
+from ..errors import FactoryError, FrameError
+from ..frame import FrameRef
+from ..scheduler.plan import ShardTask, plan_shards
+from ..scheduler.workers.machine import available_memory_bytes
 
 if TYPE_CHECKING:
-    from simnfnd.factory.config import FactoryConfig
+    from ..config import FactoryConfig
 
 _PROBED = 3
 
@@ -79,9 +79,9 @@ def main(words: list[str]) -> int:
 
 
 def _planned(config: FactoryConfig) -> tuple[tuple[FrameRef, ...], tuple[ShardTask, ...]]:
-    from simnfnd.factory.renders.views import check_views
-    from simnfnd.factory.scenes import frames_of, open_reader
-    from simnfnd.factory.selection import choose_frames, split_frames, split_warnings
+    from ..render.cache.views import check_views
+    from ..scenes import frames_of, open_reader
+    from ..selection import choose_frames, split_frames, split_warnings
 
     require(needs_of(config))
     check_views(config, touch=False)
@@ -101,13 +101,13 @@ def _added(
     how: tuple[int, int, Mapping[str, int | None]],
 ) -> tuple[tuple[ShardTask, ...]] | None:
     """The shards that a dataset which is there lacks; None when there is none."""
-    from simnfnd.factory import __version__
-    from simnfnd.factory.config import digest, identity
-    from simnfnd.factory.dataset.format.manifest import load_manifest
-    from simnfnd.factory.dataset.format.schema import Provenance
-    from simnfnd.factory.jobs.earlier import read_earlier
-    from simnfnd.factory.jobs.extend import plan_extension, refuse_other_settings
-    from simnfnd.factory.selection import frames_digest
+    from .. import __version__
+    from ..config import digest, identity
+    from ..dataset.format.manifest import load_manifest
+    from ..dataset.format.schema import Provenance
+    from ..scheduler.earlier import read_earlier
+    from ..scheduler.extend import plan_extension, refuse_other_settings
+    from ..selection import frames_digest
 
     values = {**identity(config), "frames_found": frames_digest(frames)}
     directory = config.dataset.directory(digest(values))
@@ -128,12 +128,12 @@ def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
     The first render of a process, which has Blender to load, is not counted.
     Raises FactoryError when none of the three can be made.
     """
-    from simnfnd.factory.dataset.format.schema import Provenance
-    from simnfnd.factory.dataset.write.writer import write_shard
-    from simnfnd.factory.pairs import pair_maker
-    from simnfnd.factory.render.view import encode
-    from simnfnd.factory.renders.views import ViewMaker, with_cache
-    from simnfnd.factory.workers.memory import keep_freed_memory
+    from ..dataset.format.schema import Provenance
+    from ..dataset.write.writer import write_shard
+    from ..pairs import pair_maker
+    from ..render.cache.views import ViewMaker, with_cache
+    from ..render.view import encode
+    from ..scheduler.workers.memory import keep_freed_memory
 
     keep_freed_memory()  # as the workers do whose time is to be foretold
     chosen = [frames[k * len(frames) // _PROBED] for k in range(min(_PROBED, len(frames)))]
@@ -176,7 +176,7 @@ def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
 
 def _kept(config: FactoryConfig, frames: Sequence[FrameRef]) -> int:
     """Frames whose render is at hand."""
-    from simnfnd.factory.renders.views import open_views
+    from ..render.cache.views import open_views
 
     if not config.cache.enabled and config.scenes.kind != "pack":
         return 0
@@ -202,7 +202,7 @@ def _fits(config: FactoryConfig, disk: float, render: int, noise: int) -> bool:
 
 
 def _cores() -> int:
-    from simnfnd.factory.workers.machine import usable_cores
+    from ..scheduler.workers.machine import usable_cores
 
     return usable_cores()
 

@@ -7,14 +7,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from simnfnd.factory.cli import Parser
-from simnfnd.factory.dataset.format.manifest import damage, load_manifest
-from simnfnd.factory.dataset.format.schema import SPLITS
-from simnfnd.factory.dataset.write.failures import load_failures
-from simnfnd.factory.dataset.write.folder import STATUS_NAME, slice_manifests
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.jobs.lock import owner_of
-from simnfnd.factory.small_files import parse_json, read_regular
+from ..cli import Parser
+from ..dataset.format.manifest import damage, load_manifest
+from ..dataset.format.schema import SPLITS
+from ..dataset.write.failures import load_failures
+from ..dataset.write.folder import STATUS_NAME, slice_manifests
+from ..errors import FactoryError
+from ..scheduler.lock import owner_of
+from ..small_files import parse_json, read_regular
 
 
 def main(words: list[str]) -> int:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from simnfnd.factory.cli import Parser
-from simnfnd.factory.dataset.check.validate import validate
-from simnfnd.factory.storage.copies import local_folder
+from ..cli import Parser
+from ..dataset.check.validate import validate
+from ..storage.copies import local_folder
 
 
 def main(words: list[str]) -> int:

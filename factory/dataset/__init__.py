@@ -1,5 +1,5 @@
 """The files of a dataset."""
 
-from simnfnd.factory.dataset.read.pair_dataset import PairDataset
+from .read.pair_dataset import PairDataset
 
 __all__ = ["PairDataset"]

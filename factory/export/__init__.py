@@ -7,10 +7,10 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 
-from simnfnd.factory.dataset.read.reader import Split
-from simnfnd.factory.dataset.read.source import open_source
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import refuse_files, whole_folder
+from ..dataset.read.reader import Split
+from ..dataset.read.source import open_source
+from ..errors import FactoryError
+from ..files import refuse_files, whole_folder
 
 # --to -> module with `write(source, folder) -> str`, which fills an empty folder and returns one
 # line that says what it wrote.  Those of `LABELLED` have `write_labelled(pictures, folder)`, too.
@@ -46,7 +46,7 @@ def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") 
 def _filler(dataset: Path, to: str, split: Split) -> Callable[[Path], str]:
     writer = import_module(FORMATS[to])
     if to in LABELLED:
-        from simnfnd.factory.export.objects import is_mdd, labelled_mdd  # of the extra sonar
+        from .objects import is_mdd, labelled_mdd  # of the extra sonar
 
         if is_mdd(dataset):
             return partial(writer.write_labelled, labelled_mdd(dataset, split))

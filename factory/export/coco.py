@@ -10,8 +10,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from simnfnd.factory.dataset.read.source import Source
-from simnfnd.factory.export.objects import (
+from ..dataset.read.source import Source
+from .objects import (
     LEAST_PX,
     Labelled,
     LabelledSet,
@@ -20,7 +20,7 @@ from simnfnd.factory.export.objects import (
     summary,
     write_pictures,
 )
-from simnfnd.factory.export.outlines import outlines
+from .outlines import outlines
 
 
 def write(source: Source, folder: Path) -> str:

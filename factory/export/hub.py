@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from simnfnd.factory.errors import FactoryError
+from ..errors import FactoryError
 
 
 def check_hub(repo: str) -> None:

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.factory.dataset.describe.card import hub_fields
-from simnfnd.factory.dataset.read.config_file import dataset_settings
-from simnfnd.factory.dataset.read.source import Sample, Source
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.export.pictures import is_picture, png
+from ..dataset.describe.card import hub_fields
+from ..dataset.read.config_file import dataset_settings
+from ..dataset.read.source import Sample, Source
+from ..errors import FactoryError
+from .pictures import is_picture, png
 
 SAMPLES_PER_FILE = 1000
 # The hub reads whole row groups to show one row.

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from simnfnd.factory.dataset.format.schema import stored_image
-from simnfnd.factory.dataset.read.source import Source
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.export.notes import write_notes
-from simnfnd.factory.export.pictures import png
-from simnfnd.factory.labels import CLASSES
+from ..dataset.format.schema import stored_image
+from ..dataset.read.source import Source
+from ..errors import FactoryError
+from ..labels import CLASSES
+from .notes import write_notes
+from .pictures import png
 
 # Background and the eleven objects of MDD, in its order.
 MDD_CLASSES = CLASSES[:12]

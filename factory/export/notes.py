@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from simnfnd.factory.dataset.read.config_file import dataset_settings
-from simnfnd.factory.dataset.read.source import Source
+from ..dataset.read.config_file import dataset_settings
+from ..dataset.read.source import Source
 
 
 def write_notes(source: Source, folder: Path, reading: str) -> None:

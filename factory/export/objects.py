@@ -10,15 +10,15 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.format.schema import SPLITS, stored_image
-from simnfnd.factory.dataset.read.reader import Split
-from simnfnd.factory.dataset.read.source import Source
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.export.mdd import MDD_CLASSES
-from simnfnd.factory.export.notes import write_notes, write_text
-from simnfnd.factory.export.pictures import png
-from simnfnd.factory.labels import CLASSES
-from simnfnd.factory.recordings.pictures import Pictures
+from ...models.recordings.pictures import Pictures
+from ..dataset.format.schema import SPLITS, stored_image
+from ..dataset.read.reader import Split
+from ..dataset.read.source import Source
+from ..errors import FactoryError
+from ..labels import CLASSES
+from .mdd import MDD_CLASSES
+from .notes import write_notes, write_text
+from .pictures import png
 
 LEAST_PX = 8
 """An object that shows in fewer pixels is no larger than a speckle, and is left out."""

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from simnfnd.factory.dataset.read.source import Source, json_record
-from simnfnd.factory.export.notes import write_notes
-from simnfnd.factory.export.pictures import is_picture, png, sixteen_bit
+from ..dataset.read.source import Source, json_record
+from .notes import write_notes
+from .pictures import is_picture, png, sixteen_bit
 
 
 def write(source: Source, folder: Path) -> str:

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.read.source import Sample, Source, json_record
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.export.notes import write_notes
+from ..dataset.read.source import Sample, Source, json_record
+from ..errors import FactoryError
+from .notes import write_notes
 
 # SonarImageData.DTYPE_*.
 _MESSAGE_DTYPES = {"uint8": 0, "float32": 8}

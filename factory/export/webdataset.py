@@ -9,10 +9,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from simnfnd.factory.dataset.read.source import Sample, Source, json_record
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.export.notes import write_notes
-from simnfnd.factory.export.pictures import is_picture, npy, png
+from ..dataset.read.source import Sample, Source, json_record
+from ..errors import FactoryError
+from .notes import write_notes
+from .pictures import is_picture, npy, png
 
 SAMPLES_PER_TAR = 1000
 

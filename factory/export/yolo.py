@@ -11,8 +11,8 @@ from pathlib import Path
 
 import yaml
 
-from simnfnd.factory.dataset.read.source import Source
-from simnfnd.factory.export.objects import (
+from ..dataset.read.source import Source
+from .objects import (
     LEAST_PX,
     Labelled,
     LabelledSet,
@@ -21,7 +21,7 @@ from simnfnd.factory.export.objects import (
     summary,
     write_pictures,
 )
-from simnfnd.factory.export.outlines import joined, outlines
+from .outlines import joined, outlines
 
 
 def write(source: Source, folder: Path) -> str:

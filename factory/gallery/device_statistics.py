@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.formation.field.received import received
-from simnfnd.factory.formation.field.scene import FieldScene
-from simnfnd.factory.gallery.statistics import constant_field
-from simnfnd.factory.noise.draws import StreamNames, draw
-from simnfnd.factory.pairs import observe
+from ..cli.compose import compose_config
+from ..imaging.coherent.received import received
+from ..imaging.coherent.scene import FieldScene
+from ..noise.draws import StreamNames, draw
+from ..pairs import observe
+from .statistics import constant_field
 
 _PICTURES = 8
 _EDGE_M = 0.12

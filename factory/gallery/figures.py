@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.describe import palette
-from simnfnd.factory.files import explain_os_errors, write_atomically
-from simnfnd.factory.frame import Frame
-from simnfnd.factory.render.base import Rendered
-from simnfnd.factory.sonar.echoes import Echoes
+from ..dataset.describe import palette
+from ..files import explain_os_errors, write_atomically
+from ..frame import Frame
+from ..render.base import Rendered
+from ..sonar.echoes import Echoes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,16 +12,16 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.distribution import Distribution
-from simnfnd.factory.formation.field.received import received
-from simnfnd.factory.formation.field.scene import FieldScene
-from simnfnd.factory.formation.field.signal import beamform_power
-from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
-from simnfnd.factory.noise.draws import StreamNames, draw
-from simnfnd.factory.noise.registry import FIELD_EFFECTS
-from simnfnd.factory.pairs import make_pair, observe
-from simnfnd.factory.render.base import Rendered
+from ..cli.compose import compose_config
+from ..distribution import Distribution
+from ..frame import Frame, FrameRef, Intrinsics
+from ..imaging.coherent.received import received
+from ..imaging.coherent.scene import FieldScene
+from ..imaging.coherent.signal import beamform_power
+from ..noise.draws import StreamNames, draw
+from ..noise.registry import FIELD_EFFECTS
+from ..pairs import make_pair, observe
+from ..render.base import Rendered
 
 NEAR_M, FAR_M = 4.0, 8.0
 _VARIANTS = 8

@@ -14,13 +14,13 @@ from typing import Any, cast
 
 import numpy as np
 
-from simnfnd.factory import seeds
-from simnfnd.factory.dataset.format.sample import Column
-from simnfnd.factory.distribution import Distribution
-from simnfnd.factory.formation.contract import Artefact, Stage
-from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.noise.effect import Effect, Parameter, Scope
-from simnfnd.factory.noise.registry import EFFECTS, NoiseSettings, blocks
+from .. import seeds
+from ..dataset.format.sample import Column
+from ..distribution import Distribution
+from ..frame import FrameRef
+from ..imaging.contract import Artefact, Stage
+from .effect import Effect, Parameter, Scope
+from .registry import EFFECTS, NoiseSettings, blocks
 
 Names = tuple[str | int, ...]
 Value = float | int | str

@@ -9,9 +9,9 @@ from typing import Any, Literal
 
 from pydantic.dataclasses import dataclass as validated
 
-from simnfnd.factory.distribution import Distribution, number
-from simnfnd.factory.formation.contract import Artefact, Stage
-from simnfnd.factory.settings import STRICT
+from ..distribution import Distribution, number
+from ..imaging.contract import Artefact, Stage
+from ..settings import STRICT
 
 Scope = Literal["sample", "recording", "world"]
 

@@ -14,38 +14,38 @@ from typing import Annotated, Any, get_type_hints
 from pydantic import SerializerFunctionWrapHandler, model_serializer
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.noise.effect import Effect, EffectSettings
-from simnfnd.factory.noise.field.beam_gain import BEAM_GAIN, BeamGainSettings
-from simnfnd.factory.noise.field.crosstalk import CROSSTALK, CrosstalkSettings
-from simnfnd.factory.noise.field.image_source import (
+from ..settings import STRICT
+from .effect import Effect, EffectSettings
+from .field.beam_gain import BEAM_GAIN, BeamGainSettings
+from .field.crosstalk import CROSSTALK, CrosstalkSettings
+from .field.image_source import (
     BOTTOM_MULTIPATH,
     SURFACE_MULTIPATH,
     BottomMultipathSettings,
     SurfaceMultipathSettings,
 )
-from simnfnd.factory.noise.field.near_range import (
+from .field.near_range import (
     COMB_LINES,
     RING_DOWN,
     CombLinesSettings,
     RingDownSettings,
 )
-from simnfnd.factory.noise.field.path_speckle import PATH_SPECKLE, PathSpeckleSettings
-from simnfnd.factory.noise.field.receiver import RECEIVER, ReceiverSettings
-from simnfnd.factory.noise.field.saturation import SATURATION, SaturationSettings
-from simnfnd.factory.noise.field.scintillation import SCINTILLATION, ScintillationSettings
-from simnfnd.factory.noise.field.sector_edges import SECTOR_EDGES, SectorEdgesSettings
-from simnfnd.factory.noise.field.sidelobe_arcs import SIDELOBE_ARCS, SidelobeArcsSettings
-from simnfnd.factory.noise.field.speckle import SPECKLE, SpeckleSettings
-from simnfnd.factory.noise.field.spokes import SPOKES, SpokesSettings
-from simnfnd.factory.noise.field.texture import TEXTURE, TextureSettings
-from simnfnd.factory.noise.field.tvg_error import TVG_ERROR, TvgErrorSettings
-from simnfnd.factory.noise.field.volume import VOLUME, VolumeSettings
-from simnfnd.factory.noise.points.azimuth import AZIMUTH, AzimuthSettings
-from simnfnd.factory.noise.points.background import BACKGROUND, BackgroundSettings
-from simnfnd.factory.noise.points.multipath import MULTIPATH, MultipathSettings
-from simnfnd.factory.noise.points.range_arc import RANGE_ARC, RangeArcSettings
-from simnfnd.factory.noise.points.range_spreading import RANGE_SPREADING, RangeSpreadingSettings
-from simnfnd.factory.settings import STRICT
+from .field.path_speckle import PATH_SPECKLE, PathSpeckleSettings
+from .field.receiver import RECEIVER, ReceiverSettings
+from .field.saturation import SATURATION, SaturationSettings
+from .field.scintillation import SCINTILLATION, ScintillationSettings
+from .field.sector_edges import SECTOR_EDGES, SectorEdgesSettings
+from .field.sidelobe_arcs import SIDELOBE_ARCS, SidelobeArcsSettings
+from .field.speckle import SPECKLE, SpeckleSettings
+from .field.spokes import SPOKES, SpokesSettings
+from .field.texture import TEXTURE, TextureSettings
+from .field.tvg_error import TVG_ERROR, TvgErrorSettings
+from .field.volume import VOLUME, VolumeSettings
+from .points.azimuth import AZIMUTH, AzimuthSettings
+from .points.background import BACKGROUND, BackgroundSettings
+from .points.multipath import MULTIPATH, MultipathSettings
+from .points.range_arc import RANGE_ARC, RangeArcSettings
+from .points.range_spreading import RANGE_SPREADING, RangeSpreadingSettings
 
 
 @dataclass(frozen=True, config=STRICT)

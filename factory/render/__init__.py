@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.render.base import Rendered, Renderer, RenderSettings
-from simnfnd.factory.render.libraries import check_installed
+from ..errors import FactoryError
+from .base import Rendered, Renderer, RenderSettings
+from .libraries import check_installed
 
 __all__ = ["RenderSettings", "Rendered", "Renderer", "check_renderer", "open_renderer"]
 
@@ -35,13 +35,13 @@ def open_renderer(settings: RenderSettings) -> Renderer:
     check_renderer(settings)
     # A worker that only adds noise must not pay for Blender or Open3D: import what is asked for.
     if settings.kind == "cycles":
-        from simnfnd.factory.render.cycles import CyclesRenderer
+        from .cycles import CyclesRenderer
 
         return CyclesRenderer(settings)
     if settings.kind == "embree":
-        from simnfnd.factory.render.embree import EmbreeRenderer
+        from .embree import EmbreeRenderer
 
         return EmbreeRenderer(settings)
-    from simnfnd.factory.render.analytic import AnalyticRenderer
+    from .analytic import AnalyticRenderer
 
     return AnalyticRenderer(settings)

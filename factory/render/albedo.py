@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.compiled import compiled
-from simnfnd.factory.render.cloud.joints import READ
+from ..compiled import compiled
+from .cloud.joints import READ
 
 MEAN_ALBEDO = 0.5
 

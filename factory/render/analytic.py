@@ -6,10 +6,10 @@ mount it lights what the sonar cannot see (`casts_shadows` is False, for callers
 
 from __future__ import annotations
 
-from simnfnd.factory.frame import Frame
-from simnfnd.factory.render.base import Rendered, RenderSettings
-from simnfnd.factory.render.mount import Mount
-from simnfnd.factory.render.surface import pixels_of
+from ..frame import Frame
+from .base import Rendered, RenderSettings
+from .mount import Mount
+from .surface import pixels_of
 
 
 class AnalyticRenderer:

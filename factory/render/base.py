@@ -10,9 +10,9 @@ import numpy.typing as npt
 from pydantic import BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.frame import Frame
-from simnfnd.factory.render.mount import Mount
-from simnfnd.factory.settings import STRICT
+from ..frame import Frame
+from ..settings import STRICT
+from .mount import Mount
 
 
 def _stride(value: Any) -> Any:

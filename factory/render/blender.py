@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.frame import Intrinsics
-from simnfnd.factory.render.base import RenderSettings
-from simnfnd.factory.render.libraries import missing
+from ..frame import Intrinsics
+from .base import RenderSettings
+from .libraries import missing
 
 _SENSOR_WIDTH_MM = 36.0
 

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.frame import Frame
-from simnfnd.factory.render import blender
-from simnfnd.factory.render.base import Rendered, RenderSettings
-from simnfnd.factory.render.cloud.mesh import SHADOW_BIAS, surface_mesh
-from simnfnd.factory.render.mount import Mount
-from simnfnd.factory.render.surface import Surface, pixels_of
+from ..frame import Frame
+from . import blender
+from .base import Rendered, RenderSettings
+from .cloud.mesh import SHADOW_BIAS, surface_mesh
+from .mount import Mount
+from .surface import Surface, pixels_of
 
 
 class CyclesRenderer:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from simnfnd.factory.errors import FactoryError
+from ..errors import FactoryError
 
 MODULE = {"cycles": "bpy", "embree": "open3d"}
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.settings import STRICT
+from ..settings import STRICT
 
 # Rows are the sonar's axes in camera axes, for a sonar that looks where the camera looks.
 _SONAR_FROM_CAMERA_AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])

@@ -17,13 +17,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from simnfnd.factory import __version__
-from simnfnd.factory.errors import FactoryError, NotRendered
-from simnfnd.factory.files import explain_os_errors
-from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.render.mount import Mount
-from simnfnd.factory.render.view import FINE, Precision, View, decode, encode
-from simnfnd.factory.small_files import open_regular, parse_json
+from .. import __version__
+from ..errors import FactoryError, NotRendered
+from ..files import explain_os_errors
+from ..frame import FrameRef
+from ..small_files import open_regular, parse_json
+from .mount import Mount
+from .view import FINE, Precision, View, decode, encode
 
 _SCHEMA = "simnfnd-pack 2"
 _CONTENTS = "pack.json"
@@ -171,7 +171,7 @@ def _ref(item: Mapping[str, object]) -> FrameRef:
 
 
 class PackViews:
-    """Renders in a pack; a `simnfnd.factory.renders.views.Views`."""
+    """Renders in a pack; a `simnfnd.factory.render.cache.views.Views`."""
 
     def __init__(self, root: str, mount: Mount) -> None:
         """Raises FactoryError when the pack was made for another mount of the sonar."""
@@ -184,11 +184,11 @@ class PackViews:
             )
 
     def holds(self, ref: FrameRef) -> bool:
-        """See `simnfnd.factory.renders.views.Views`."""
+        """See `simnfnd.factory.render.cache.views.Views`."""
         return ref in self._contents.members
 
     def view(self, ref: FrameRef) -> View:
-        """See `simnfnd.factory.renders.views.Views`."""
+        """See `simnfnd.factory.render.cache.views.Views`."""
         if ref not in self._contents.members:
             raise NotRendered(ref.name)
         try:

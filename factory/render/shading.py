@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.compiled import compiled
-from simnfnd.factory.render.cloud.joints import DOWN, READ, RIGHT, Bits, Doubles, Floats
+from ..compiled import compiled
+from .cloud.joints import DOWN, READ, RIGHT, Bits, Doubles, Floats
 
 _ZERO = np.float32(0)
 _LEAST_M2 = np.float32(1e-12)

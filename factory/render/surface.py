@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.frame import Frame, Intrinsics
-from simnfnd.factory.render import shading
-from simnfnd.factory.render import traced as traced_light
-from simnfnd.factory.render.albedo import albedo
-from simnfnd.factory.render.base import RenderSettings
-from simnfnd.factory.render.cloud import directions
-from simnfnd.factory.render.cloud import joints as edges
+from ..frame import Frame, Intrinsics
+from . import shading
+from . import traced as traced_light
+from .albedo import albedo
+from .base import RenderSettings
+from .cloud import directions
+from .cloud import joints as edges
 
 # Traced and closed-form light differ by rounding; a ratio of anything fainter tells nothing.
 _FAINTEST = 1e-12

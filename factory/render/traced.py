@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.compiled import compiled
-from simnfnd.factory.render.cloud.joints import READ, Doubles, Floats
+from ..compiled import compiled
+from .cloud.joints import READ, Doubles, Floats
 
 _ZERO = np.float32(0)
 

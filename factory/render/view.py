@@ -25,10 +25,10 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
-from simnfnd.factory.render.base import Rendered
-from simnfnd.factory.render.mount import Mount
-from simnfnd.factory.small_files import parse_json
+from ..frame import Frame, FrameRef, Intrinsics
+from ..small_files import parse_json
+from .base import Rendered
+from .mount import Mount
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -131,7 +131,7 @@ def view_of(frame: Frame, rendered: Rendered, mount: Mount) -> View:
 
 def encode(view: View, precision: Precision = FINE) -> bytes:
     """The view as bytes; `decode(encode(view))` is the view itself when it was rounded alike."""
-    from simnfnd.factory.render.cloud.planes import pack  # loads numba
+    from .cloud.planes import pack  # loads numba
 
     lit = view.radiance > 0
     codes = view.codes if precision == FINE else None
@@ -271,7 +271,7 @@ def _values(
     parts: list[bytes], shape: tuple[int, int], precision: Precision
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Depth and radiance of each pixel, (H, W) float32."""
-    from simnfnd.factory.render.cloud.planes import unpack  # loads numba
+    from .cloud.planes import unpack  # loads numba
 
     block = precision.block
     depth_m = unpack(parts[0], shape, _table(_NEAREST_M, precision.depth_step))
@@ -288,7 +288,7 @@ def _rounded(
     values: npt.NDArray[np.float32], low: float, step: float
 ) -> tuple[Codes, npt.NDArray[np.float32]]:
     """Code of each value, see `planes.rounded`, and what the code stands for."""
-    from simnfnd.factory.render.cloud.planes import rounded  # loads numba
+    from .cloud.planes import rounded  # loads numba
 
     return rounded(values, low, step, _table(low, step))
 

@@ -7,13 +7,13 @@ from typing import Annotated
 
 from pydantic import Field
 
-from simnfnd.factory.scenes.base import Discovery, Reader, SceneSettings, frames_of
-from simnfnd.factory.scenes.csv_list import CsvListSettings
-from simnfnd.factory.scenes.flsea import FlseaSettings
-from simnfnd.factory.scenes.pack import PackSettings
-from simnfnd.factory.scenes.redwood import RedwoodSettings
-from simnfnd.factory.scenes.seabed import SeabedSettings
-from simnfnd.factory.scenes.tum import TumSettings
+from .base import Discovery, Reader, SceneSettings, frames_of
+from .csv_list import CsvListSettings
+from .flsea import FlseaSettings
+from .pack import PackSettings
+from .redwood import RedwoodSettings
+from .seabed import SeabedSettings
+from .tum import TumSettings
 
 __all__ = ["Discovery", "Reader", "SceneSettings", "Scenes", "frames_of", "open_reader"]
 

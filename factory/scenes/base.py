@@ -9,8 +9,8 @@ from typing import Literal, Protocol
 
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.frame import Frame, FrameRef
-from simnfnd.factory.settings import STRICT
+from ..frame import Frame, FrameRef
+from ..settings import STRICT
 
 INTEGERS_PER_M = {"csv_list": 1000.0, "redwood": 1000.0, "tum": 5000.0}
 """scenes.kind -> what integer depth is divided by where `depth_scale` is null."""

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BeforeValidator, Field
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.frame import Intrinsics
+from ..errors import FactoryError
+from ..frame import Intrinsics
 
 
 def _four(value: Any) -> Any:

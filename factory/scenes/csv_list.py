@@ -20,15 +20,15 @@ import numpy.typing as npt
 from pydantic import AfterValidator, Field
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
-from simnfnd.factory.scenes.base import Discovery, SceneSettings
-from simnfnd.factory.scenes.calibration import Pinhole
-from simnfnd.factory.scenes.images import read_depth, read_rgb
-from simnfnd.factory.scenes.poses import numbered_lines
-from simnfnd.factory.scenes.rgbd import finished_frame
-from simnfnd.factory.scenes.roots import Root, is_there
-from simnfnd.factory.settings import STRICT
+from ..errors import FactoryError
+from ..frame import Frame, FrameRef, Intrinsics
+from ..settings import STRICT
+from .base import Discovery, SceneSettings
+from .calibration import Pinhole
+from .images import read_depth, read_rgb
+from .poses import numbered_lines
+from .rgbd import finished_frame
+from .roots import Root, is_there
 
 _EXPECTED = "a CSV file of rgb,depth lines"
 

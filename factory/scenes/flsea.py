@@ -19,14 +19,14 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
-from simnfnd.factory.scenes.base import Discovery, SceneSettings
-from simnfnd.factory.scenes.calibration import read_kalibr, scaled
-from simnfnd.factory.scenes.images import read_depth, read_rgb
-from simnfnd.factory.scenes.rgbd import finished_frame
-from simnfnd.factory.scenes.roots import LeftOut, Root, root_folder, visible_files
-from simnfnd.factory.settings import STRICT
+from ..errors import FactoryError
+from ..frame import Frame, FrameRef, Intrinsics
+from ..settings import STRICT
+from .base import Discovery, SceneSettings
+from .calibration import read_kalibr, scaled
+from .images import read_depth, read_rgb
+from .rgbd import finished_frame
+from .roots import LeftOut, Root, root_folder, visible_files
 
 # Scene -> location, all twelve.
 SCENES = {

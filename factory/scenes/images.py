@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.errors import FrameError
-from simnfnd.factory.quiet import quiet_stderr
+from ..errors import FrameError
+from ..quiet import quiet_stderr
 
 # Pillow modes whose conversion to RGB loses nothing but transparency.
 _COLOUR_MODES = frozenset({"RGB", "RGBA", "RGBX", "L", "LA", "P", "PA", "YCbCr"})

@@ -7,11 +7,11 @@ from typing import Literal
 
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.frame import Frame, FrameRef
-from simnfnd.factory.scenes.base import Discovery, SceneSettings
-from simnfnd.factory.scenes.roots import Root
-from simnfnd.factory.settings import STRICT
+from ..errors import FactoryError, FrameError
+from ..frame import Frame, FrameRef
+from ..settings import STRICT
+from .base import Discovery, SceneSettings
+from .roots import Root
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -31,7 +31,7 @@ class PackReader:
 
     def discover(self) -> Discovery:
         """See `simnfnd.factory.scenes.base.Reader`."""
-        from simnfnd.factory.render.pack import read_contents
+        from ..render.pack import read_contents
 
         contents = read_contents(Path(self.settings.root).expanduser())
         if not contents.members:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.scenes.roots import listing
+from ..errors import FactoryError
+from .roots import listing
 
 Pose = npt.NDArray[np.float64]
 

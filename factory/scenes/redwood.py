@@ -17,14 +17,15 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
-from simnfnd.factory.scenes.base import Discovery, SceneSettings
-from simnfnd.factory.scenes.calibration import Pinhole
-from simnfnd.factory.scenes.images import read_depth, read_rgb
-from simnfnd.factory.scenes.poses import redwood_poses
-from simnfnd.factory.scenes.rgbd import finished_frame
-from simnfnd.factory.scenes.roots import (
+from ..errors import FactoryError
+from ..frame import Frame, FrameRef, Intrinsics
+from ..settings import STRICT
+from .base import Discovery, SceneSettings
+from .calibration import Pinhole
+from .images import read_depth, read_rgb
+from .poses import redwood_poses
+from .rgbd import finished_frame
+from .roots import (
     LeftOut,
     Root,
     folder_name,
@@ -32,7 +33,6 @@ from simnfnd.factory.scenes.roots import (
     root_folder,
     visible_files,
 )
-from simnfnd.factory.settings import STRICT
 
 _COLOUR_FOLDERS = ("color", "rgb", "image")
 _COLOUR_SUFFIXES = (".jpg", ".jpeg", ".png")

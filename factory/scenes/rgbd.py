@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.errors import FrameError
-from simnfnd.factory.frame import Frame, FrameRef, Intrinsics, checked
-from simnfnd.factory.scenes.base import SceneSettings
-from simnfnd.factory.scenes.calibration import undistorted, z_from_range
+from ..errors import FrameError
+from ..frame import Frame, FrameRef, Intrinsics, checked
+from .base import SceneSettings
+from .calibration import undistorted, z_from_range
 
 
 def finished_frame(

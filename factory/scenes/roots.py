@@ -11,7 +11,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator
 
-from simnfnd.factory.errors import FactoryError
+from ..errors import FactoryError
 
 # What the process lacks: every other folder would fail as well.
 _OF_THE_PROCESS = {errno.EMFILE, errno.ENFILE, errno.ENOMEM}

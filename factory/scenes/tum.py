@@ -19,14 +19,15 @@ import numpy as np
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
-from simnfnd.factory.scenes.base import INTEGERS_PER_M, Discovery, SceneSettings
-from simnfnd.factory.scenes.calibration import Pinhole, scaled
-from simnfnd.factory.scenes.images import read_depth, read_rgb
-from simnfnd.factory.scenes.poses import numbered_lines, pose_at
-from simnfnd.factory.scenes.rgbd import finished_frame
-from simnfnd.factory.scenes.roots import (
+from ..errors import FactoryError
+from ..frame import Frame, FrameRef, Intrinsics
+from ..settings import STRICT
+from .base import INTEGERS_PER_M, Discovery, SceneSettings
+from .calibration import Pinhole, scaled
+from .images import read_depth, read_rgb
+from .poses import numbered_lines, pose_at
+from .rgbd import finished_frame
+from .roots import (
     LeftOut,
     Root,
     folder_name,
@@ -34,7 +35,6 @@ from simnfnd.factory.scenes.roots import (
     recordings,
     root_folder,
 )
-from simnfnd.factory.settings import STRICT
 
 # Colour cameras of the three Kinects as the set publishes them.
 FREIBURG = {

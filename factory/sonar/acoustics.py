@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.settings import STRICT
+from ..settings import STRICT
 
 
 @dataclass(frozen=True, config=STRICT)

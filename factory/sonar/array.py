@@ -20,7 +20,7 @@ import numpy.typing as npt
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.settings import STRICT
+from ..settings import STRICT
 
 Floats = npt.NDArray[np.float64]
 WindowName = Literal["uniform", "hann", "hamming", "taylor", "chebyshev"]

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.factory.compiled import compiled
-from simnfnd.factory.sonar.number_loops import FLOATS, atan2, cos
+from ..compiled import compiled
+from .number_loops import FLOATS, atan2, cos
 
 _F = np.float32
 _ZERO = _F(0)

@@ -9,8 +9,8 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.sonar.settings import SonarSettings
-from simnfnd.factory.sonar.window import Window
+from .settings import SonarSettings
+from .window import Window
 
 AnyNumber = TypeVar("AnyNumber", bound=np.generic)
 
@@ -35,7 +35,7 @@ class FanTable:
 
     def bilinear(self, polar: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
         """(H, W) float32 fan picture of a (range_bins, beams) image; 0 outside the sector."""
-        from simnfnd.factory.sonar import picture_loops  # loads numba
+        from . import picture_loops  # loads numba
 
         fan = np.zeros(self.inside.shape, np.float32)
         picture_loops.bilinear(

@@ -13,10 +13,10 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.settings import build
-from simnfnd.factory.sonar.fan import pixel_size
-from simnfnd.factory.sonar.settings import SonarSettings
+from ..errors import FactoryError
+from ..settings import build
+from .fan import pixel_size
+from .settings import SonarSettings
 
 Maps = dict[str, npt.NDArray[np.float32]]
 """`range_fraction` (range over range_max), `azimuth_rad` (positive to the right), `sector` (1 where

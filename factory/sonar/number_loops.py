@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.factory.compiled import compiled
+from ..compiled import compiled
 
 _F = np.float32
 _ONE, _ZERO, _TINY = _F(1), _F(0), _F(1e-30)

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.factory.compiled import compiled
-from simnfnd.factory.sonar.echo_loops import PICTURE, cell, nearest_beam
-from simnfnd.factory.sonar.number_loops import FLOATS
+from ..compiled import compiled
+from .echo_loops import PICTURE, cell, nearest_beam
+from .number_loops import FLOATS
 
 _F = np.float32
 

@@ -7,9 +7,9 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.sonar.echoes import Echoes
-from simnfnd.factory.sonar.settings import SonarSettings
-from simnfnd.factory.sonar.window import Window
+from .echoes import Echoes
+from .settings import SonarSettings
+from .window import Window
 
 Polar = npt.NDArray[np.float32]
 Grid = tuple[bool, np.float32, np.float32, int, np.float32, np.float32, int, Polar]
@@ -65,7 +65,7 @@ def density(echoes: Echoes, window: Window, rows: int, columns: int) -> npt.NDAr
 
     The cells divide the range window and the sector that the camera saw evenly.
     """
-    from simnfnd.factory.sonar import picture_loops  # loads numba
+    from . import picture_loops  # loads numba
 
     left_rad = np.float32(window.azimuth_min_rad)
     per_rad = np.float32(columns / max(window.azimuth_span_rad, 1e-9))
@@ -76,7 +76,7 @@ def density(echoes: Echoes, window: Window, rows: int, columns: int) -> npt.NDAr
 
 
 def _cells(echoes: Echoes, bins: Grid) -> npt.NDArray[np.int32]:
-    from simnfnd.factory.sonar import picture_loops  # loads numba
+    from . import picture_loops  # loads numba
 
     cells = np.empty(len(echoes), np.int32)
     places = (echoes.range_m, echoes.azimuth_rad, echoes.elevation_rad)
@@ -89,7 +89,7 @@ def accumulate(echoes: Echoes, window: Window, sonar: SonarSettings, *more: Echo
 
     more: further echoes of the same cloud, which then need not be joined.
     """
-    from simnfnd.factory.sonar import picture_loops  # loads numba
+    from . import picture_loops  # loads numba
 
     size = sonar.range_bins * sonar.beams + 1
     level, how = np.zeros(size, np.float32), _HOW[sonar.accumulate]
@@ -104,7 +104,7 @@ def accumulate(echoes: Echoes, window: Window, sonar: SonarSettings, *more: Echo
 
 def spread_points(level: Polar, sonar: SonarSettings) -> Polar:
     """Blur by the device's point-spread; echo energy is kept except at the picture's border."""
-    from simnfnd.factory.sonar import picture_loops  # loads numba
+    from . import picture_loops  # loads numba
 
     blurred = np.empty(level.shape, np.float32)
     down, across = gaussian(sonar.point_spread.range_bins), gaussian(sonar.point_spread.beams)
@@ -127,7 +127,7 @@ def covered(hit: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     hit: (range_bins, beams) bool, bins that hold an echo of the full-density cloud.  Bins smaller
     than the pixel grid of the camera leave pinholes that are no shadow: they are closed.
     """
-    from simnfnd.factory.sonar import picture_loops  # loads numba
+    from . import picture_loops  # loads numba
 
     closed = np.empty(hit.shape, np.bool_)
     picture_loops.close(np.ascontiguousarray(hit), _PINHOLE_ROWS, _PINHOLE_BEAMS, closed)

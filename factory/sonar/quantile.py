@@ -16,7 +16,7 @@ def quantiles(
     As numpy's default has it: between the values of the two nearest ranks, linearly.
     skip: so many of the smallest do not count.
     """
-    from simnfnd.factory.sonar import number_loops  # loads numba
+    from . import number_loops  # loads numba
 
     places = [skip + fraction * (len(values) - 1 - skip) for fraction in fractions]
     ranks = np.array([(int(place), min(int(place) + 1, len(values) - 1)) for place in places])

@@ -10,9 +10,9 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.render.mount import Mount
-from simnfnd.factory.settings import STRICT
-from simnfnd.factory.sonar.array import ArraySettings
+from ..render.mount import Mount
+from ..settings import STRICT
+from .array import ArraySettings
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]

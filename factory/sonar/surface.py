@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.frame import Frame
-from simnfnd.factory.render.base import Rendered
-from simnfnd.factory.render.mount import Mount
-from simnfnd.factory.sonar import polar
-from simnfnd.factory.sonar.echoes import Echoes
-from simnfnd.factory.sonar.settings import SonarSettings
-from simnfnd.factory.sonar.window import Window
+from ..frame import Frame
+from ..render.base import Rendered
+from ..render.mount import Mount
+from . import polar
+from .echoes import Echoes
+from .settings import SonarSettings
+from .window import Window
 
 # Beyond this a surface is seen edge on and its area is not known.
 _GRAZING_COSINE = 0.05
@@ -83,7 +83,7 @@ class LitSurface:
 
 def extent(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Extent:
     """What the window of a picture is fitted to."""
-    from simnfnd.factory.sonar import echo_loops  # loads numba
+    from . import echo_loops  # loads numba
 
     lit_m = np.empty(frame.depth_m.size + 1, np.float32)
     sector = (
@@ -103,7 +103,7 @@ def insonified(
     frame: Frame, rendered: Rendered, window: Window, sonar: SonarSettings
 ) -> Insonified:
     """The lit surface inside the window, with time-varying gain."""
-    from simnfnd.factory.sonar import echo_loops  # loads numba
+    from . import echo_loops  # loads numba
 
     pixels = frame.depth_m.size + 1
     made = [np.empty(pixels, np.float32) for _ in range(4)]
@@ -124,11 +124,11 @@ def mount_weight(frame: Frame, mount: Mount, exponent: float) -> npt.NDArray[np.
     r_c^2 dO / cos_c with the camera's, and backscatter by cos_s^n leaves cos_s^n / r_s^4 of it:
     cos_s^(n - 1) / cos_c (r_c / r_s)^2.
     """
-    from simnfnd.factory.render.cloud import directions
+    from ..render.cloud import directions
 
     # Both load numba.
-    from simnfnd.factory.render.cloud.joints import joints
-    from simnfnd.factory.render.shading import facing
+    from ..render.cloud.joints import joints
+    from ..render.shading import facing
 
     depth_m = np.ascontiguousarray(frame.depth_m, np.float32)
     across, down = directions(frame.intrinsics, *depth_m.shape)

@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.sonar.quantile import quantiles
-from simnfnd.factory.sonar.settings import TransferSettings
+from .quantile import quantiles
+from .settings import TransferSettings
 
 # What a level is: decibels are 20 log10 of an amplitude, 10 log10 of an intensity.
 Quantity = Literal["amplitude", "intensity"]

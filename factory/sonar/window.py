@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.sonar.echoes import Echoes
+from .echoes import Echoes
 
 
 @dataclass(frozen=True)

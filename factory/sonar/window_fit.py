@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from simnfnd.factory import seeds
-from simnfnd.factory.errors import FrameError
-from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.sonar.quantile import quantiles
-from simnfnd.factory.sonar.settings import SonarSettings
-from simnfnd.factory.sonar.surface import Extent
-from simnfnd.factory.sonar.window import Window
+from .. import seeds
+from ..errors import FrameError
+from ..frame import FrameRef
+from .quantile import quantiles
+from .settings import SonarSettings
+from .surface import Extent
+from .window import Window
 
 # Ends of the automatic window: a few stray points must not decide what everybody sees.
 _QUANTILES = (0.005, 0.99)

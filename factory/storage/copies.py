@@ -15,12 +15,12 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import explain_os_errors
-from simnfnd.factory.small_files import read_regular
-from simnfnd.factory.storage.alone import alone
-from simnfnd.factory.storage.room import copies_folder, make_room, touch
-from simnfnd.factory.storage.store import Store, is_url
+from ..errors import FactoryError
+from ..files import explain_os_errors
+from ..small_files import read_regular
+from .alone import alone
+from .room import copies_folder, make_room, touch
+from .store import Store, is_url
 
 ORIGIN_NAME = ".origin"
 _SHARD = re.compile(r"(train|test)/[A-Za-z0-9_-]+\.h5")

@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from simnfnd.factory.storage.publish import Publication
+from .publish import Publication
 
 _EVERY_S = 2.0
 

@@ -1,6 +1,6 @@
 """One run at a time at a URL: an object that is only written where there is none.
 
-As `simnfnd.factory.jobs.lock` keeps it in folders: an owner that can be looked up from here is;
+As `factory.scheduler.lock` keeps it in folders: an owner that can be looked up from here is;
 any other holds as long as it has written its lock in the last ten minutes, by the storage's clock
 and ours.
 """
@@ -16,10 +16,10 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.ownership import is_alive, myself
-from simnfnd.factory.small_files import parse_json
-from simnfnd.factory.storage.store import Store
+from ..errors import FactoryError
+from ..ownership import is_alive, myself
+from ..small_files import parse_json
+from .store import Store
 
 LOCK_NAME = ".lock"
 _BEAT_S = 20.0

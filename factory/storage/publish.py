@@ -9,12 +9,12 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import outlet
-from simnfnd.factory.storage.copies import shard_names, take_copy, url_of
-from simnfnd.factory.storage.lock import LOCK_NAME, StoreLock, read_lock
-from simnfnd.factory.storage.room import make_room
-from simnfnd.factory.storage.store import Store
+from ..errors import FactoryError
+from ..files import outlet
+from .copies import shard_names, take_copy, url_of
+from .lock import LOCK_NAME, StoreLock, read_lock
+from .room import make_room
+from .store import Store
 
 _OURS = ("config.yaml", "manifest.json")
 _WORK = ".work"

@@ -7,7 +7,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from simnfnd.factory.errors import FactoryError
+from ..errors import FactoryError
 
 _KEPT_BYTES = 10_000_000_000
 _LIMIT = "SIMNFND_CLOUD_CACHE_BYTES"

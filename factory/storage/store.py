@@ -10,7 +10,7 @@ from datetime import datetime
 from functools import cached_property
 from typing import Any
 
-from simnfnd.factory.errors import FactoryError
+from ..errors import FactoryError
 
 _URL = re.compile(r"([a-z][a-z0-9+.-]*)://(.+)")
 # What pip has to bring for a protocol.

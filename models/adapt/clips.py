@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.recordings import Frame, open_recording
-from simnfnd.factory.recordings.fan.pings import grey_of, polar_geometry
-from simnfnd.factory.recordings.palettes import grey_of_colours
-from simnfnd.factory.recordings.pictures import read_grey
-from simnfnd.factory.recordings.presentation import presentation_of
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.data.pairs import Image
-from simnfnd.models.denoise.geometries import Geometries
-from simnfnd.models.denoise.inputs import Item, find_items
+from ...factory.errors import FactoryError, FrameError
+from ...factory.sonar.geometry import FanGeometry
+from ..data.pairs import Image
+from ..denoise.geometries import Geometries
+from ..denoise.inputs import Item, find_items
+from ..recordings import Frame, open_recording
+from ..recordings.fan.pings import grey_of, polar_geometry
+from ..recordings.palettes import grey_of_colours
+from ..recordings.pictures import read_grey
+from ..recordings.presentation import presentation_of
 
 RUN = 16
 """So many frames that follow each other are read together where not all can be."""

@@ -7,18 +7,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from simnfnd.factory.cli import Parser
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import check_writable, sha256_of
-from simnfnd.models.denoise.geometries import FIND, Geometries
-from simnfnd.models.pretrained import find_weights
+from ...factory.cli import Parser
+from ...factory.errors import FactoryError
+from ...factory.files import check_writable, sha256_of
+from ..denoise.geometries import FIND, Geometries
+from ..pretrained import find_weights
 
 if TYPE_CHECKING:
-    from simnfnd.models.adapt.clips import Found
-    from simnfnd.models.adapt.lessons import BlindLesson, StillLesson
-    from simnfnd.models.adapt.simulated import Simulated
-    from simnfnd.models.adapt.tuning import Tuned
-    from simnfnd.models.networks.network import Network
+    from ..networks.network import Network
+    from .clips import Found
+    from .objectives import BlindLesson, StillLesson
+    from .simulated import Simulated
+    from .tuning import Tuned
 
 _BATCH, _RATE = 2, 1e-3
 
@@ -33,7 +33,7 @@ def main(arguments: Sequence[str]) -> int:
     check_writable(out.parent, "--out")
     geometries = Geometries(chosen.geometry)
 
-    from simnfnd.models.adapt.clips import read_clips
+    from .clips import read_clips
 
     found = read_clips([Path(name).expanduser() for name in chosen.recordings], out, geometries)
     for line in found.skipped[:3]:
@@ -118,9 +118,9 @@ def _adapt(chosen: Any, found: Found, start: Path, out: Path) -> int:
     # torch takes seconds to import: only when there is something to learn from.
     import torch
 
-    from simnfnd.models.adapt.lessons import KeptLesson
-    from simnfnd.models.adapt.tuning import Pace, tune
-    from simnfnd.models.networks.weights import load_weights, save_weights
+    from ..networks.weights import load_weights, save_weights
+    from .objectives import KeptLesson
+    from .tuning import Pace, tune
 
     if chosen.device == "gpu" and not torch.cuda.is_available():
         raise FactoryError("--device gpu: no usable GPU here; use --device cpu")
@@ -167,8 +167,8 @@ def _adapt(chosen: Any, found: Found, start: Path, out: Path) -> int:
 
 
 def _network(model: Mapping[str, Any], trained: Network) -> Network:
-    from simnfnd.models.networks import build_network
-    from simnfnd.models.networks.weights import channels_last
+    from ..networks import build_network
+    from ..networks.weights import channels_last
 
     network = build_network(model)
     network.load_state_dict(trained.state_dict())
@@ -179,8 +179,8 @@ def _lesson(
     found: Found, chosen: Any, device: str
 ) -> tuple[StillLesson | BlindLesson, dict[str, Any]]:
     """What there is to learn from in the recordings, and facts about it."""
-    from simnfnd.models.adapt.lessons import BlindLesson, StillLesson
-    from simnfnd.models.adapt.still import find_lessons
+    from .objectives import BlindLesson, StillLesson
+    from .still import find_lessons
 
     read = sum(len(clip.shots) for clip in found.clips)
     if read < 2:
@@ -212,7 +212,7 @@ def _lesson(
 
 
 def _simulated(chosen: Any) -> Simulated:
-    from simnfnd.models.adapt.simulated import of_dataset, of_reliefs
+    from .simulated import of_dataset, of_reliefs
 
     if chosen.pairs is not None:
         return of_dataset(chosen.pairs, chosen.seed)
@@ -220,7 +220,7 @@ def _simulated(chosen: Any) -> Simulated:
 
 
 def _said(lesson: StillLesson | BlindLesson, tuned: Tuned) -> str:
-    from simnfnd.models.adapt.lessons import StillLesson
+    from .objectives import StillLesson
 
     figures = f"before {tuned.before:.2f}, after {tuned.after:.2f} dB"
     if isinstance(lesson, StillLesson):

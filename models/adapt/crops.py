@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.data.pairs import Batch, Image
+from ...factory.sonar.geometry import FanGeometry
+from ..data.pairs import Batch, Image
 
 PATCH = 192
 """Crops have as many pixels as a square of this side, where pictures are large enough."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from simnfnd.models.data.pairs import Image
+from ..data.pairs import Image
 
 
 def psnr_after_levels(picture: Image, reference: Image) -> float:

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
-from simnfnd.factory.errors import FrameError
-from simnfnd.factory.frame import Frame, FrameRef, Intrinsics, checked
-from simnfnd.factory.pairs import PairMaker
-from simnfnd.factory.render import open_renderer
-from simnfnd.factory.render.view import view_of
-from simnfnd.factory.renders.views import OneView
-from simnfnd.factory.seeds import stream
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.data.pairs import Image, PairSource, Sample, hold_out, read_table
+from ...factory.cli.compose import compose_config
+from ...factory.dataset.read.pair_dataset import in_unit_range
+from ...factory.errors import FrameError
+from ...factory.frame import Frame, FrameRef, Intrinsics, checked
+from ...factory.pairs import PairMaker
+from ...factory.render import open_renderer
+from ...factory.render.cache.views import OneView
+from ...factory.render.view import view_of
+from ...factory.seeds import stream
+from ...factory.sonar.geometry import FanGeometry
+from ..data.pairs import Image, PairSource, Sample, hold_out, read_table
 
 RECIPES: tuple[tuple[str, ...], ...] = (
     ("experiment=simnfnd",),

@@ -15,8 +15,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.recordings.averaging import LEAST_ALIKE
-from simnfnd.factory.recordings.static import (
+from ...factory.sonar.geometry import FanGeometry
+from ..data.pairs import Image
+from ..recordings.averaging import LEAST_ALIKE
+from ..recordings.static import (
     StaticGroup,
     aligned,
     find_groups,
@@ -24,9 +26,7 @@ from simnfnd.factory.recordings.static import (
     references,
     shifted,
 )
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.adapt.clips import RUN, Clip, Shot
-from simnfnd.models.data.pairs import Image
+from .clips import RUN, Clip, Shot
 
 LEAST = 4
 """Fewer frames make no stretch: too little is known of what stands still."""

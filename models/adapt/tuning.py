@@ -13,11 +13,11 @@ import torch
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.progress import progress_bar
-from simnfnd.factory.seeds import stream
-from simnfnd.models.adapt.lessons import Lesson
-from simnfnd.models.networks.network import Network
+from ...factory.errors import FactoryError
+from ...factory.progress import progress_bar
+from ...factory.seeds import stream
+from ..networks.network import Network
+from .objectives import Lesson
 
 WARMUP = 10
 """Steps in which the learning rate climbs, and whose pace says how many fit into the time."""

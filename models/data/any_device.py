@@ -12,19 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.factory.config import FactoryConfig
-from simnfnd.factory.devices import draw as devices
-from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.formation.contract import ARTEFACTS
-from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.noise.draws import DrawnEffect, StreamNames, draw
-from simnfnd.factory.pairs import ObservedFrame, observe_by
-from simnfnd.factory.renders.views import Views, open_views
-from simnfnd.factory.seeds import stream
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.data.looks import stacked
-from simnfnd.models.data.pairs import Image, Sample, weakened
-from simnfnd.models.removal import DEFAULT, vector
+from ...factory.config import FactoryConfig
+from ...factory.errors import FactoryError, FrameError
+from ...factory.frame import FrameRef
+from ...factory.imaging.contract import ARTEFACTS
+from ...factory.noise.draws import DrawnEffect, StreamNames, draw
+from ...factory.pairs import ObservedFrame, observe_by
+from ...factory.render.cache.views import Views, open_views
+from ...factory.seeds import stream
+from ...factory.sonar.geometry import FanGeometry
+from ...factory.sonar_randomization import draw as devices
+from ..removal import DEFAULT, vector
+from .looks import stacked
+from .pairs import Image, Sample, weakened
 
 _ATTEMPTS = 40
 _LEAST_ECHOES = 0.02

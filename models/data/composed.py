@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from simnfnd.factory.config import FactoryConfig
+from ...factory.config import FactoryConfig
 
 
 def composed(words: Sequence[str]) -> FactoryConfig:
     """The configuration of `simnfnd make` with these words.  Raises FactoryError for a bad one."""
     from hydra.core.global_hydra import GlobalHydra
 
-    from simnfnd.factory.cli.compose import compose_config
+    from ...factory.cli.compose import compose_config
 
     # Hydra composes one configuration at a time, and that of this training is the one at present.
     state = GlobalHydra.get_state()

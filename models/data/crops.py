@@ -15,13 +15,13 @@ import torch
 from torch import distributed
 from torch.utils.data import Dataset, Sampler
 
-from simnfnd.factory.dataset.read.stream import Windows
-from simnfnd.factory.seeds import stream
-from simnfnd.factory.sonar.geometry import Maps
-from simnfnd.models.data.kept import KEPT, drawn
-from simnfnd.models.data.pairs import Batch, Sample, Source
-from simnfnd.models.removal import DEFAULT, vector
-from simnfnd.models.settings import DataSettings, RendersData
+from ...factory.dataset.read.stream import Windows
+from ...factory.seeds import stream
+from ...factory.sonar.geometry import Maps
+from ..removal import DEFAULT, vector
+from ..settings import DataSettings, RendersData
+from .kept import KEPT, drawn
+from .pairs import Batch, Sample, Source
 
 Window = tuple[slice, slice]
 _WHOLE: Window = (slice(None), slice(None))

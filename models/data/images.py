@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import (
+from ...factory.errors import FactoryError
+from ...factory.sonar.geometry import FanGeometry
+from ..recordings import (
     PICTURE_SUFFIXES,
     is_recording,
     kind_of,
     open_recording,
 )
-from simnfnd.factory.recordings.fan.pings import frame_picture
-from simnfnd.factory.recordings.pictures import read_grey, read_picture
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.data.pairs import Image, Sample, SampleRef
+from ..recordings.fan.pings import frame_picture
+from ..recordings.pictures import read_grey, read_picture
+from .pairs import Image, Sample, SampleRef
 
 
 def list_images(folder: str | Path, key: str = "data.folder") -> tuple[SampleRef, ...]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import OrderedDict
 
-from simnfnd.factory.seeds import stream
-from simnfnd.models.data.pairs import Sample, Source
+from ...factory.seeds import stream
+from .pairs import Sample, Source
 
 KEPT = 96
 """Pictures in memory; one of 700x500 pixels takes 4 MB."""

@@ -11,17 +11,17 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import ndimage
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.formation.clouds import effect_clouds, noisy_cloud
-from simnfnd.factory.noise.draws import Draws, StreamNames, draw
-from simnfnd.factory.noise.registry import NoiseSettings
-from simnfnd.factory.recordings import is_recording
-from simnfnd.factory.sonar.echoes import Echoes, in_plane
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.factory.sonar.window import Window
-from simnfnd.models.data.fans import read_fans
-from simnfnd.models.data.images import read_sample
-from simnfnd.models.data.pairs import Image, Sample, SampleRef, weakened
+from ...factory.errors import FactoryError
+from ...factory.imaging.clouds import effect_clouds, noisy_cloud
+from ...factory.noise.draws import Draws, StreamNames, draw
+from ...factory.noise.registry import NoiseSettings
+from ...factory.sonar.echoes import Echoes, in_plane
+from ...factory.sonar.geometry import FanGeometry
+from ...factory.sonar.window import Window
+from ..recordings import is_recording
+from .fans import read_fans
+from .images import read_sample
+from .pairs import Image, Sample, SampleRef, weakened
 
 _FAR_M = 10.0
 """Range of the far edge: the noise knows fractions of the range alone, so any would do."""

@@ -14,18 +14,18 @@ import numpy.typing as npt
 import torch
 from torch.utils.data import Dataset
 
-from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.format.manifest import load_manifest
-from simnfnd.factory.dataset.read.open_shards import OpenShards
-from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
-from simnfnd.factory.dataset.read.reader import Split, open_shard
-from simnfnd.factory.dataset.read.stream import Windows
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.seeds import stream
-from simnfnd.factory.sonar.geometry import FanGeometry, recorded_sonar
-from simnfnd.factory.sonar.settings import SonarSettings
-from simnfnd.factory.storage.copies import url_of
-from simnfnd.models.data.looks import amid
+from ...factory.dataset import PairDataset
+from ...factory.dataset.format.manifest import load_manifest
+from ...factory.dataset.read.open_shards import OpenShards
+from ...factory.dataset.read.pair_dataset import in_unit_range
+from ...factory.dataset.read.reader import Split, open_shard
+from ...factory.dataset.read.stream import Windows
+from ...factory.errors import FactoryError
+from ...factory.seeds import stream
+from ...factory.sonar.geometry import FanGeometry, recorded_sonar
+from ...factory.sonar.settings import SonarSettings
+from ...factory.storage.copies import url_of
+from .looks import amid
 
 Image = npt.NDArray[np.float32]
 Anything = TypeVar("Anything")

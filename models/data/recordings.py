@@ -14,14 +14,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import sha256_of
-from simnfnd.factory.recordings.arrays import file_of
-from simnfnd.factory.recordings.fan.finder import find_geometry
-from simnfnd.factory.recordings.presentation import presentation_of
-from simnfnd.factory.seeds import stream
-from simnfnd.models.data.images import list_images, read_sample
-from simnfnd.models.data.pairs import Sample, SampleRef, Source
+from ...factory.errors import FactoryError
+from ...factory.files import sha256_of
+from ...factory.seeds import stream
+from ..recordings.arrays import file_of
+from ..recordings.fan.finder import find_geometry
+from ..recordings.presentation import presentation_of
+from .images import list_images, read_sample
+from .pairs import Sample, SampleRef, Source
 
 _KEPT = 64
 """Frames in memory; one of 700x500 pixels takes 2 MB."""

@@ -14,23 +14,23 @@ from typing import Any
 import numpy as np
 import yaml
 
-from simnfnd.factory.config import FactoryConfig, digest, from_mapping, plain
-from simnfnd.factory.dataset.format.manifest import CONFIG_NAME
-from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
-from simnfnd.factory.distribution import Distribution, number
-from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.noise.registry import NoiseSettings
-from simnfnd.factory.pairs import PairMaker
-from simnfnd.factory.renders.views import open_views
-from simnfnd.factory.scenes import frames_of, open_reader
-from simnfnd.factory.seeds import stream
-from simnfnd.factory.selection import choose_frames, split_frames
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.factory.sonar.settings import SonarSettings
-from simnfnd.models.data.looks import stacked, variants_of
-from simnfnd.models.data.pairs import PairTable, Sample, SampleRef, Source, spread, weakened
-from simnfnd.models.settings import RendersData, Scale
+from ...factory.config import FactoryConfig, digest, from_mapping, plain
+from ...factory.dataset.format.manifest import CONFIG_NAME
+from ...factory.dataset.read.pair_dataset import in_unit_range
+from ...factory.distribution import Distribution, number
+from ...factory.errors import FactoryError, FrameError
+from ...factory.frame import FrameRef
+from ...factory.noise.registry import NoiseSettings
+from ...factory.pairs import PairMaker
+from ...factory.render.cache.views import open_views
+from ...factory.scenes import frames_of, open_reader
+from ...factory.seeds import stream
+from ...factory.selection import choose_frames, split_frames
+from ...factory.sonar.geometry import FanGeometry
+from ...factory.sonar.settings import SonarSettings
+from ..settings import RendersData, Scale
+from .looks import stacked, variants_of
+from .pairs import PairTable, Sample, SampleRef, Source, spread, weakened
 
 _DECIDE = ("devices", "noise", "acoustics", "sonar", "water")
 """Groups of the configuration that decide the pictures of drawn devices."""
@@ -236,8 +236,8 @@ def _by_any_device(
     said: str,
     seed: int,
 ) -> Renders:
-    from simnfnd.models.data.any_device import DeviceSource
-    from simnfnd.models.data.composed import composed
+    from .any_device import DeviceSource
+    from .composed import composed
 
     drawn = composed((f"experiment={data.experiment}", *data.factory))
     config = replace(

@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import sha256_of
-from simnfnd.factory.recordings.arrays import file_of
-from simnfnd.factory.storage.copies import local_folder
-from simnfnd.models.data.composed import composed
-from simnfnd.models.data.images import NoisySource, list_images, smallest_side
-from simnfnd.models.data.pairs import PairSource, SampleRef, Source, hold_out, read_table, spread
-from simnfnd.models.settings import (
+from ...factory.errors import FactoryError
+from ...factory.files import sha256_of
+from ...factory.storage.copies import local_folder
+from ..recordings.arrays import file_of
+from ..settings import (
     DataSettings,
     ModelsSettings,
     OldData,
@@ -22,6 +19,9 @@ from simnfnd.models.settings import (
     RendersData,
     SelfSupervisedData,
 )
+from .composed import composed
+from .images import NoisySource, list_images, smallest_side
+from .pairs import PairSource, SampleRef, Source, hold_out, read_table, spread
 
 _SMALLEST = 11
 """Side of the window of SSIM, pixels."""
@@ -60,7 +60,7 @@ def open_data(settings: ModelsSettings) -> Data:
     facts: dict[str, Any] = {"images": len(found), "images.content": _digest(found)}
     if isinstance(data, SelfSupervisedData):
         return Data(NoisySource(learning), NoisySource(held), labels, facts)
-    from simnfnd.models.data.olddata import OldDataSource
+    from .olddata import OldDataSource
 
     noise = composed(data.factory).noise
     if data.geometry != "polar":
@@ -122,7 +122,7 @@ def _of_dataset(
         )
     else:
         # Only here: it brings the readers and the whole of the factory.
-        from simnfnd.models.data.renders import open_renders
+        from .renders import open_renders
 
         renders = open_renders(data, table, held, folder, settings.seed)
         facts |= renders.facts

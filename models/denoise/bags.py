@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy.typing as npt
 
-from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.recordings import Frame
-from simnfnd.factory.recordings.base import Samples
-from simnfnd.factory.recordings.fan.pings import fan_of, grey_of, polar_geometry
-from simnfnd.factory.recordings.ros_messages import SONAR
-from simnfnd.factory.recordings.rosbag import RosBag
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.denoise.files import (
+from ...factory.errors import FactoryError, FrameError
+from ...factory.sonar.geometry import FanGeometry
+from ..recordings import Frame
+from ..recordings.base import Samples
+from ..recordings.fan.pings import fan_of, grey_of, polar_geometry
+from ..recordings.ros_messages import SONAR
+from ..recordings.rosbag import RosBag
+from .files import (
     COMPARED,
     Denoise,
     Find,
@@ -24,8 +24,8 @@ from simnfnd.models.denoise.files import (
     denoise_image,
     write_compared,
 )
-from simnfnd.models.denoise.inputs import Item
-from simnfnd.models.denoise.steady import Steady
+from .inputs import Item
+from .temporal import Steady
 
 
 def open_bag(item: Item, topics: Sequence[str]) -> RosBag:

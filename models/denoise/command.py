@@ -11,15 +11,17 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from simnfnd.factory.cli import Parser
-from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.files import check_writable
-from simnfnd.factory.formation.contract import ARTEFACTS
-from simnfnd.factory.progress import progress_bar
-from simnfnd.factory.recordings import Levels, open_recording
-from simnfnd.factory.workers.memory import keep_freed_memory
-from simnfnd.models.denoise.bags import denoise_bag, open_bag
-from simnfnd.models.denoise.denoiser import (
+from ...factory.cli import Parser
+from ...factory.errors import FactoryError, FrameError
+from ...factory.files import check_writable
+from ...factory.imaging.contract import ARTEFACTS
+from ...factory.progress import progress_bar
+from ...factory.scheduler.workers.memory import keep_freed_memory
+from ..pretrained import POINTS, REMOVAL
+from ..recordings import Levels, open_recording
+from ..removal import DEFAULT
+from .bags import denoise_bag, open_bag
+from .denoiser import (
     EXACT,
     OVERLAP,
     PRECISIONS,
@@ -27,21 +29,19 @@ from simnfnd.models.denoise.denoiser import (
     Denoiser,
     load_denoiser,
 )
-from simnfnd.models.denoise.files import (
+from .files import (
     Tick,
     denoise_file,
     denoise_pings,
     denoise_video,
 )
-from simnfnd.models.denoise.geometries import FIND, Geometries
-from simnfnd.models.denoise.inputs import Item, find_items
-from simnfnd.models.denoise.shards import denoise_shard, made_of_points, opened_shard
-from simnfnd.models.denoise.steady import Steady
-from simnfnd.models.denoise.watch import Watched, watch
-from simnfnd.models.denoise.weighing.in_turn import OVER, InTurn, asked_denoiser
-from simnfnd.models.denoise.weighing.suited import Suited
-from simnfnd.models.pretrained import POINTS, REMOVAL
-from simnfnd.models.removal import DEFAULT
+from .geometries import FIND, Geometries
+from .inputs import Item, find_items
+from .shards import denoise_shard, made_of_points, opened_shard
+from .temporal import Steady
+from .watch import Watched, watch
+from .weighing.in_turn import OVER, InTurn, asked_denoiser
+from .weighing.suited import Suited
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.recordings.base import FULL_SCALE
+from ..recordings.base import FULL_SCALE
 
 CAPTION_PX = 20
 """Height of the line with the names."""

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings.presentation import presentation_of
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.denoise.files import Gray
-from simnfnd.models.denoise.scales import by_scales
-from simnfnd.models.denoise.tile import Maps, tiled
-from simnfnd.models.removal import DEFAULT, vector
+from ...factory.errors import FactoryError
+from ...factory.sonar.geometry import FanGeometry
+from ..recordings.presentation import presentation_of
+from ..removal import DEFAULT, vector
+from .files import Gray
+from .scales import by_scales
+from .tile import Maps, tiled
 
 TILE, OVERLAP = 1024, 96
 EXACT = "32-true"
@@ -50,7 +50,7 @@ class Denoiser:
         """
         import torch  # seconds; `--help` and typing errors need not wait for it
 
-        from simnfnd.models.networks.weights import load_weights
+        from ..networks.weights import load_weights
 
         self.trained = load_weights(weights)
         self.digest = hashlib.sha256(weights.read_bytes()).hexdigest()
@@ -123,7 +123,7 @@ class Denoiser:
     def _denoise_tile(self, gray: Gray, maps: Maps) -> tuple[Gray, float]:
         import torch
 
-        from simnfnd.models.training.samples import denoise_with_weight
+        from ..training.samples import denoise_with_weight
 
         images = {"noisy": gray, **maps}
         batch = {
@@ -159,7 +159,7 @@ def known_geometry(
 
 def _is_half(precision: str, device: str) -> bool:
     """Whether to compute in bfloat16; FactoryError for an unknown precision."""
-    from simnfnd.models.training.precision import cpu_has_bf16, gpu_has_bf16
+    from ..training.precision import cpu_has_bf16, gpu_has_bf16
 
     if precision not in PRECISIONS:
         raise FactoryError(f"--precision {precision}: is none of {', '.join(PRECISIONS)}")
@@ -199,6 +199,6 @@ def load_denoiser(
     these.  remove, strength, precision: see `Denoiser`.
     Raises FactoryError when there are none, and as `Denoiser` does.
     """
-    from simnfnd.models.pretrained import find_weights
+    from ..pretrained import find_weights
 
     return Denoiser(find_weights(weights), device, tile, overlap, remove, strength, precision)

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.recordings.fan.drawn import filled, without_lines
-from simnfnd.factory.recordings.fan.finder import find_geometry
-from simnfnd.factory.recordings.fan.page import Part, parts_of_figure
-from simnfnd.factory.sonar.geometry import FanGeometry
+from ...factory.sonar.geometry import FanGeometry
+from ..recordings.fan.drawn import filled, without_lines
+from ..recordings.fan.finder import find_geometry
+from ..recordings.fan.page import Part, parts_of_figure
 
 Gray = npt.NDArray[np.float32]
 Denoise = Callable[..., Gray]

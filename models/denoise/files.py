@@ -11,21 +11,21 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.files import write_atomically
-from simnfnd.factory.recordings import Frame, Recording, open_recording
-from simnfnd.factory.recordings.aris.file import ArisFile
-from simnfnd.factory.recordings.arrays.file import ArrayFile
-from simnfnd.factory.recordings.base import ARRAY_SUFFIX, FULL_SCALE
-from simnfnd.factory.recordings.fan.pings import fan_of, grey_of, polar_geometry
-from simnfnd.factory.recordings.pictures import in_unit_range, read_picture
-from simnfnd.factory.recordings.video import VideoFile
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.denoise.compared import sheet
-from simnfnd.models.denoise.figures import denoise_figure, parts_of_page
-from simnfnd.models.denoise.inputs import Item
-from simnfnd.models.denoise.steady import Steady
-from simnfnd.models.denoise.videos import FrameFiles
+from ...factory.errors import FactoryError, FrameError
+from ...factory.files import write_atomically
+from ...factory.sonar.geometry import FanGeometry
+from ..recordings import Frame, Recording, open_recording
+from ..recordings.aris.file import ArisFile
+from ..recordings.arrays.file import ArrayFile
+from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE
+from ..recordings.fan.pings import fan_of, grey_of, polar_geometry
+from ..recordings.pictures import in_unit_range, read_picture
+from ..recordings.video import VideoFile
+from .compared import sheet
+from .figures import denoise_figure, parts_of_page
+from .inputs import Item
+from .temporal import Steady
+from .videos import FrameFiles
 
 SCHEMA = "simnfnd-denoised/1"
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy.typing as npt
 
-from simnfnd.factory.recordings.fan.finder import find_geometry
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.data.fans import read_fans
-from simnfnd.models.denoise.inputs import Item
+from ...factory.sonar.geometry import FanGeometry
+from ..data.fans import read_fans
+from ..recordings.fan.finder import find_geometry
+from .inputs import Item
 
 FIND, POLAR, NONE = "find", "polar", "none"
 

@@ -8,17 +8,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
-from simnfnd.factory.dataset.format.manifest import MANIFEST_NAME
-from simnfnd.factory.dataset.read.reader import shard_paths
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, Levels, kind_of
-from simnfnd.factory.recordings.arrays import FORMATS, HDF5_SUFFIXES, file_of
-from simnfnd.factory.recordings.arrays.file import is_table
-from simnfnd.factory.recordings.base import TIFF_SUFFIXES
-from simnfnd.factory.recordings.rosbag_files import is_bag_folder
+from ...factory.dataset.format.manifest import MANIFEST_NAME
+from ...factory.dataset.read.reader import shard_paths
+from ...factory.errors import FactoryError
+from ..recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, Levels, kind_of
+from ..recordings.arrays import FORMATS, HDF5_SUFFIXES, file_of
+from ..recordings.arrays.file import is_table
+from ..recordings.base import TIFF_SUFFIXES
+from ..recordings.rosbag_files import is_bag_folder
 
 PING_KINDS = ("aris", "ddf", "oculus")
-"""Recordings (`simnfnd.factory.recordings`) whose frames are pings, not pictures."""
+"""Recordings (`simnfnd.models.recordings`) whose frames are pings, not pictures."""
 SUFFIXES = (
     *PICTURE_SUFFIXES,
     *HDF5_SUFFIXES,

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import h5py
 
-from simnfnd.factory.dataset.read.image_stack import ImageStack
-from simnfnd.factory.dataset.read.reader import check_in_isolation, open_shard, value_range
-from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.files import write_atomically
-from simnfnd.factory.sonar.geometry import FanGeometry, recorded_sonar
-from simnfnd.models.denoise.files import (
+from ...factory.dataset.read.image_stack import ImageStack
+from ...factory.dataset.read.reader import check_in_isolation, open_shard, value_range
+from ...factory.errors import FactoryError, FrameError
+from ...factory.files import write_atomically
+from ...factory.sonar.geometry import FanGeometry, recorded_sonar
+from .files import (
     COMPARED,
     SCHEMA,
     Denoise,
@@ -22,7 +22,7 @@ from simnfnd.models.denoise.files import (
     denoise_image,
     write_compared,
 )
-from simnfnd.models.denoise.inputs import Item
+from .inputs import Item
 
 
 def denoise_shard(

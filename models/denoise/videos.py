@@ -12,13 +12,13 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, TiffImagePlugin
 
-from simnfnd.factory.errors import FrameError
-from simnfnd.factory.files import explain_os_errors, write_atomically
-from simnfnd.factory.quiet import quiet_stderr
-from simnfnd.factory.recordings.arrays.file import ArrayCopy, ArrayFile
-from simnfnd.factory.recordings.arrays.levels import swapped
-from simnfnd.factory.recordings.base import TIFF_SUFFIXES, Recording
-from simnfnd.factory.recordings.pictures import StackFile
+from ...factory.errors import FrameError
+from ...factory.files import explain_os_errors, write_atomically
+from ...factory.quiet import quiet_stderr
+from ..recordings.arrays.file import ArrayCopy, ArrayFile
+from ..recordings.arrays.levels import swapped
+from ..recordings.base import TIFF_SUFFIXES, Recording
+from ..recordings.pictures import StackFile
 
 CODECS = {".avi": "FFV1", ".mkv": "FFV1", ".mov": "FFV1", ".mp4": "png "}
 """Suffix of a container -> the codec without loss that it holds."""

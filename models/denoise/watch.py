@@ -8,9 +8,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import Levels
-from simnfnd.models.denoise.inputs import Item, items_below
+from ...factory.errors import FactoryError
+from ..recordings import Levels
+from .inputs import Item, items_below
 
 State = tuple[tuple[str, int, int], ...]
 """Name, size and time of change (ns) of a file, or of each file of a bag's folder."""

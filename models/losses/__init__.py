@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.settings import build
-from simnfnd.models.losses.base import Loss
-from simnfnd.models.losses.charbonnier import Charbonnier
-from simnfnd.models.losses.l1 import L1
-from simnfnd.models.losses.newloss import NewLoss
+from ...factory.errors import FactoryError
+from ...factory.settings import build
+from .base import Loss
+from .charbonnier import Charbonnier
+from .l1 import L1
+from .newloss import NewLoss
 
 LOSSES: dict[str, type[Loss]] = {"l1": L1, "charbonnier": Charbonnier, "newloss": NewLoss}
 

@@ -11,8 +11,8 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor
 from torch.nn import functional
 
-from simnfnd.factory.settings import STRICT
-from simnfnd.models.networks.lines import MapLines
+from ...factory.settings import STRICT
+from ..networks.lines import MapLines
 
 NotNegative = Annotated[float, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0)]

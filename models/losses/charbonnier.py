@@ -7,8 +7,8 @@ from typing import Literal
 from pydantic.dataclasses import dataclass
 from torch import Tensor
 
-from simnfnd.factory.settings import STRICT
-from simnfnd.models.losses.base import BatchTensors, Loss, Positive
+from ...factory.settings import STRICT
+from .base import BatchTensors, Loss, Positive
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)

@@ -10,8 +10,8 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor
 from torch.nn import functional
 
-from simnfnd.factory.settings import STRICT
-from simnfnd.models.losses.base import BatchTensors, Loss, NotNegative, Positive
+from ...factory.settings import STRICT
+from .base import BatchTensors, Loss, NotNegative, Positive
 
 Shadow = Literal["literal", "ste", "sigmoid", "bce", "dice", "zone"]
 

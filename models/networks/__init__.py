@@ -38,11 +38,11 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.settings import build
+from ...factory.errors import FactoryError
+from ...factory.settings import build
 
 if TYPE_CHECKING:
-    from simnfnd.models.networks.network import Network
+    from .network import Network
 
 NETWORKS = {
     "ap_bsn": ("simnfnd.models.networks.ap_bsn", "APBSNSettings", "APBSN"),

@@ -21,8 +21,8 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 from torch.nn import functional
 
-from simnfnd.factory.settings import STRICT
-from simnfnd.models.networks.network import Network, Pointwise
+from ...factory.settings import STRICT
+from .network import Network, Pointwise
 
 Stride = Annotated[int, Field(ge=1, le=16)]
 PASSES = 7

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from simnfnd.models.networks.network import padded
+from .network import padded
 
 _FIRST = 3.0
 """Logit of the weight before anything is learned: 95 % of the change."""

@@ -18,10 +18,10 @@ import yaml
 from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.models.networks import NETWORKS, build_network
-from simnfnd.models.networks.network import Network
-from simnfnd.models.networks.weights import channels_last
+from ...factory.errors import FactoryError
+from . import NETWORKS, build_network
+from .network import Network
+from .weights import channels_last
 
 _REPEATS = 3
 

@@ -19,9 +19,9 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
-from simnfnd.factory.settings import STRICT
-from simnfnd.models.networks.network import Network
-from simnfnd.models.networks.unet import ResidualBlock, residual_blocks
+from ...factory.settings import STRICT
+from .network import Network
+from .unet import ResidualBlock, residual_blocks
 
 _DEPTH = 3
 """Frames that a 3-D convolution sees at once."""

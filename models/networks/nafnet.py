@@ -12,8 +12,8 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
-from simnfnd.factory.settings import STRICT
-from simnfnd.models.networks.network import LayerNorm, Network, Pointwise, down_and_up, halves
+from ...factory.settings import STRICT
+from .network import LayerNorm, Network, Pointwise, down_and_up, halves
 
 Blocks = Annotated[int, Field(ge=0, le=64)]
 

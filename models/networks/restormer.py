@@ -15,8 +15,8 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 from torch.nn import functional
 
-from simnfnd.factory.settings import STRICT
-from simnfnd.models.networks.network import LayerNorm, Network, Pointwise, halves
+from ...factory.settings import STRICT
+from .network import LayerNorm, Network, Pointwise, halves
 
 Blocks = Annotated[int, Field(ge=0, le=64)]
 Heads = Annotated[int, Field(ge=1, le=64)]

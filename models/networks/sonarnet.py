@@ -27,14 +27,14 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 from torch.nn import functional
 
-from simnfnd.factory.formation.contract import ARTEFACTS
-from simnfnd.factory.settings import STRICT
-from simnfnd.models.networks.blend_head import BlendHead
-from simnfnd.models.networks.lines import GridLines, LineContext, MapLines
-from simnfnd.models.networks.network import Network, NetworkOutput, Step, down_and_up, padded
-from simnfnd.models.networks.polar import polar_grid
-from simnfnd.models.networks.unet import residual_blocks
-from simnfnd.models.removal import DEFAULT, vector
+from ...factory.imaging.contract import ARTEFACTS
+from ...factory.settings import STRICT
+from ..removal import DEFAULT, vector
+from .blend_head import BlendHead
+from .lines import GridLines, LineContext, MapLines
+from .network import Network, NetworkOutput, Step, down_and_up, padded
+from .polar import polar_grid
+from .unet import residual_blocks
 
 _MAPS = ("range_fraction", "azimuth_rad", "sector")
 _TOLD = 32  # features of what is to be removed

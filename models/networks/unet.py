@@ -14,8 +14,8 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 from torch.nn import functional
 
-from simnfnd.factory.settings import STRICT
-from simnfnd.models.networks.network import Network, down_and_up
+from ...factory.settings import STRICT
+from .network import Network, down_and_up
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -13,10 +13,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import nn
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import write_atomically
-from simnfnd.models.networks import build_network
-from simnfnd.models.networks.network import Network
+from ...factory.errors import FactoryError
+from ...factory.files import write_atomically
+from . import build_network
+from .network import Network
 
 FORMAT = "simnfnd-denoiser/1"
 # One header entry, because safetensors does not keep the order of several.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from simnfnd.factory.errors import FactoryError
+from ...factory.errors import FactoryError
 
 DEFAULT = "simnfnd"
 """Name of the weights that `simnfnd denoise` takes when none are given."""

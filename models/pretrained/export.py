@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from simnfnd.factory import __version__
-from simnfnd.factory.cli import Parser
-from simnfnd.factory.cli.extras import Need, require
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import check_writable, write_atomically
-from simnfnd.models.pretrained import find_weights
+from ...factory import __version__
+from ...factory.cli import Parser
+from ...factory.cli.extras import Need, require
+from ...factory.errors import FactoryError
+from ...factory.files import check_writable, write_atomically
+from . import find_weights
 
 if TYPE_CHECKING:
-    from simnfnd.models.networks.network import Network
-    from simnfnd.models.pretrained.graph import Layout
+    from ..networks.network import Network
+    from .graph import Layout
 
 LIMIT_MB = 8.0
 """What ships must be small enough to live in the repository."""
@@ -134,9 +134,9 @@ def export_graph(
     """
     if to == "onnx":
         require(Need("--to onnx", module) for module in ("onnx", "onnxruntime"))
-    from simnfnd.models.networks.weights import load_weights
-    from simnfnd.models.pretrained.graph import MAPS, Graph, described
-    from simnfnd.models.pretrained.traced import OPSET, write_onnx, write_torchscript
+    from ..networks.weights import load_weights
+    from .graph import MAPS, Graph, described
+    from .traced import OPSET, write_onnx, write_torchscript
 
     trained = load_weights(weights)
     model = {**trained.model, **(changes or {})}
@@ -169,8 +169,8 @@ def export(
     """
     import torch  # slow; mistakes on the command line are reported before
 
-    from simnfnd.models.networks.cost import count_macs
-    from simnfnd.models.networks.weights import load_weights, save_weights
+    from ..networks.cost import count_macs
+    from ..networks.weights import load_weights, save_weights
 
     trained = load_weights(weights)
     for name, tensor in trained.network.state_dict().items():
@@ -217,7 +217,7 @@ def _changed(
     network: Network, model: Mapping[str, Any], changes: Mapping[str, Any] | None
 ) -> Network:
     """The network of the `model` group with these weights."""
-    from simnfnd.models.networks import build_network
+    from ..networks import build_network
 
     changed = build_network(model)
     try:

@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.formation.contract import ARTEFACTS
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.networks.network import Network
-from simnfnd.models.removal import DEFAULT, vector
+from ...factory.errors import FactoryError
+from ...factory.imaging.contract import ARTEFACTS
+from ...factory.sonar.geometry import FanGeometry
+from ..networks.network import Network
+from ..removal import DEFAULT, vector
 
 Layout = Literal["none", "fan", "polar"]
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)

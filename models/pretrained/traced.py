@@ -17,10 +17,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from simnfnd.factory import __version__
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import check_writable, write_atomically
-from simnfnd.models.pretrained.graph import Graph, described, wanted
+from ...factory import __version__
+from ...factory.errors import FactoryError
+from ...factory.files import check_writable, write_atomically
+from .graph import Graph, described, wanted
 
 OPSET = 18
 """ONNX operators: GridSample and sums by ScatterElements came with 16, LayerNormalization with 17.

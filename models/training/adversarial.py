@@ -14,13 +14,13 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim import Optimizer
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.models.data.pairs import Batch
-from simnfnd.models.losses.base import Loss
-from simnfnd.models.networks.network import Network
-from simnfnd.models.networks.sid_tgan import SIDTGAN, Discriminator
-from simnfnd.models.settings import TrainSettings
-from simnfnd.models.training.module import DenoisingModule, learning_rate_factor
+from ...factory.errors import FactoryError
+from ..data.pairs import Batch
+from ..losses.base import Loss
+from ..networks.network import Network
+from ..networks.sid_tgan import SIDTGAN, Discriminator
+from ..settings import TrainSettings
+from .module import DenoisingModule, learning_rate_factor
 
 
 class AdversarialModule(DenoisingModule):

@@ -6,18 +6,18 @@ from collections.abc import Mapping, Sequence
 
 from torch import Tensor
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.models.losses import build_loss
-from simnfnd.models.networks import build_network
-from simnfnd.models.networks.lines import LineContext
-from simnfnd.models.networks.network import Network
-from simnfnd.models.networks.unet import ResidualBlock
-from simnfnd.models.networks.weights import load_weights
-from simnfnd.models.pretrained import find_weights
-from simnfnd.models.settings import ModelsSettings, SelfSupervisedData
-from simnfnd.models.training.module import DenoisingModule
-from simnfnd.models.training.self_supervised import SelfSupervisedModule
-from simnfnd.models.training.teacher import Teacher
+from ...factory.errors import FactoryError
+from ..losses import build_loss
+from ..networks import build_network
+from ..networks.lines import LineContext
+from ..networks.network import Network
+from ..networks.unet import ResidualBlock
+from ..networks.weights import load_weights
+from ..pretrained import find_weights
+from ..settings import ModelsSettings, SelfSupervisedData
+from .module import DenoisingModule
+from .self_supervised import SelfSupervisedModule
+from .teacher import Teacher
 
 _GROWN = (ResidualBlock, LineContext)
 """Parts that a network can be grown by: they begin as the identity."""
@@ -57,8 +57,8 @@ def build_module(settings: ModelsSettings) -> DenoisingModule:
             )
         return SelfSupervisedModule(network, loss, settings.train, settings.seed, settings.data)
     if network.adversarial:
-        from simnfnd.models.training.adversarial import SIDTGANModule
-        from simnfnd.models.training.gradient_penalty import GradientPenaltyModule
+        from .adversarial import SIDTGANModule
+        from .gradient_penalty import GradientPenaltyModule
 
         penalised = settings.model["kind"] == "dgp_srgan"
         module = GradientPenaltyModule if penalised else SIDTGANModule

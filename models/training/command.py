@@ -8,10 +8,10 @@ from typing import Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
-from simnfnd.factory.cli import accept_dataset_folder, run_app
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.settings import build
-from simnfnd.models import WEIGHTS_NAME
+from ...factory.cli import accept_dataset_folder, run_app
+from ...factory.errors import FactoryError
+from ...factory.settings import build
+from .. import WEIGHTS_NAME
 
 
 def main(words: Sequence[str]) -> int:
@@ -28,13 +28,13 @@ def run(config: DictConfig) -> None:
             "dataset: give the folder that `simnfnd make` made, dataset=DIR "
             "(or `simnfnd denoise --help` to use trained weights)"
         )
-    from simnfnd.models.settings import ModelsSettings
+    from ..settings import ModelsSettings
 
     container = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     values = cast(dict[str, Any], container)
     settings: ModelsSettings = build(ModelsSettings, values)
     # torch and Lightning take seconds to import: only when there is something to train.
-    from simnfnd.models.training.train import is_main_process, output_folder, train
+    from .train import is_main_process, output_folder, train
 
     best = train(settings, values)
     if not is_main_process():

@@ -12,10 +12,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from simnfnd.factory.seeds import stream
-from simnfnd.models.networks.dgp_srgan import DGPSRGAN, Critic
-from simnfnd.models.networks.network import Network
-from simnfnd.models.training.adversarial import AdversarialModule
+from ...factory.seeds import stream
+from ..networks.dgp_srgan import DGPSRGAN, Critic
+from ..networks.network import Network
+from .adversarial import AdversarialModule
 
 
 class GradientPenaltyModule(AdversarialModule):

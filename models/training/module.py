@@ -11,15 +11,15 @@ from lightning.pytorch import LightningModule
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.seeds import stream
-from simnfnd.models.data.pairs import Batch
-from simnfnd.models.losses.base import Loss
-from simnfnd.models.networks.network import Network, known_extras
-from simnfnd.models.networks.weights import channels_last
-from simnfnd.models.settings import TrainSettings
-from simnfnd.models.training.quality import psnr_db, shadow_iou, ssim
-from simnfnd.models.training.teacher import Teacher
+from ...factory.errors import FactoryError
+from ...factory.seeds import stream
+from ..data.pairs import Batch
+from ..losses.base import Loss
+from ..networks.network import Network, known_extras
+from ..networks.weights import channels_last
+from ..settings import TrainSettings
+from .quality import psnr_db, shadow_iou, ssim
+from .teacher import Teacher
 
 Row = dict[str, float | int]
 

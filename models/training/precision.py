@@ -9,10 +9,10 @@ from typing import Any
 
 import torch
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.models.networks import build_network
-from simnfnd.models.settings import ModelsSettings
-from simnfnd.models.training.validation import CHECKPOINT_NAME, read_checkpoint
+from ...factory.errors import FactoryError
+from ..networks import build_network
+from ..settings import ModelsSettings
+from .validation import CHECKPOINT_NAME, read_checkpoint
 
 _CPU_FLAGS = ("avx512_bf16", "amx_bf16")
 _CPU_FACTS = Path("/proc/cpuinfo")

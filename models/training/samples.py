@@ -11,11 +11,11 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import write_atomically
-from simnfnd.models.data.pairs import Batch
-from simnfnd.models.networks.network import Network
-from simnfnd.models.training.quality import psnr_db
+from ...factory.errors import FactoryError
+from ...factory.files import write_atomically
+from ..data.pairs import Batch
+from ..networks.network import Network
+from .quality import psnr_db
 
 _GAP = 4
 

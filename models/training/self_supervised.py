@@ -24,14 +24,14 @@ from torch import Tensor
 from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel
 
-from simnfnd.factory.seeds import stream
-from simnfnd.models.data.pairs import Batch
-from simnfnd.models.losses.base import Loss
-from simnfnd.models.networks.network import Network
-from simnfnd.models.settings import SelfSupervisedData, TrainSettings
-from simnfnd.models.training.blind_spots import log_scale, mask_blind_spots
-from simnfnd.models.training.module import DenoisingModule
-from simnfnd.models.training.residual_statistics import residual_loss
+from ...factory.seeds import stream
+from ..data.pairs import Batch
+from ..losses.base import Loss
+from ..networks.network import Network
+from ..settings import SelfSupervisedData, TrainSettings
+from .blind_spots import log_scale, mask_blind_spots
+from .module import DenoisingModule
+from .residual_statistics import residual_loss
 
 _VALIDATION = -1
 _NEIGHBOURS = ((0, 1), (0, 2), (1, 3), (2, 3))

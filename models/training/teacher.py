@@ -7,10 +7,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from simnfnd.models.data.pairs import Batch
-from simnfnd.models.losses.base import Loss
-from simnfnd.models.networks.network import known_extras
-from simnfnd.models.networks.weights import channels_last, load_weights
+from ..data.pairs import Batch
+from ..losses.base import Loss
+from ..networks.network import known_extras
+from ..networks.weights import channels_last, load_weights
 
 
 class Teacher:

@@ -15,28 +15,28 @@ import yaml
 from lightning.pytorch import Trainer
 from torch.utils.data import DataLoader
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import check_writable, sha256_of, write_atomically
-from simnfnd.models import WEIGHTS_NAME
-from simnfnd.models.data.crops import (
+from ...factory.errors import FactoryError
+from ...factory.files import check_writable, sha256_of, write_atomically
+from .. import WEIGHTS_NAME
+from ..data.crops import (
     Crops,
     VisitSampler,
     WholeImages,
     concatenate,
     whole_image_batch,
 )
-from simnfnd.models.data.kept import KeptSource
-from simnfnd.models.data.pairs import Batch, windows_of
-from simnfnd.models.data.recordings import WithRecordings, digest_of, frames_with_geometry
-from simnfnd.models.data.sources import Data, open_data
-from simnfnd.models.networks.weights import load_weights
-from simnfnd.models.pretrained import find_weights
-from simnfnd.models.settings import DataSettings, ModelsSettings, RendersData
-from simnfnd.models.training.beginning import build_module
-from simnfnd.models.training.module import DenoisingModule, Row
-from simnfnd.models.training.precision import with_precision
-from simnfnd.models.training.samples import write_samples
-from simnfnd.models.training.validation import (
+from ..data.kept import KeptSource
+from ..data.pairs import Batch, windows_of
+from ..data.recordings import WithRecordings, digest_of, frames_with_geometry
+from ..data.sources import Data, open_data
+from ..networks.weights import load_weights
+from ..pretrained import find_weights
+from ..settings import DataSettings, ModelsSettings, RendersData
+from .beginning import build_module
+from .module import DenoisingModule, Row
+from .precision import with_precision
+from .samples import write_samples
+from .validation import (
     CHECKPOINT_NAME,
     ValidationCallback,
     best_row,

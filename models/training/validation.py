@@ -16,14 +16,14 @@ from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import Checkpoint
 from torch import Tensor
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import write_atomically
-from simnfnd.factory.progress import progress_bar
-from simnfnd.models import WEIGHTS_NAME
-from simnfnd.models.data.pairs import Batch
-from simnfnd.models.networks.weights import save_weights
-from simnfnd.models.training.module import DenoisingModule, Row
-from simnfnd.models.training.samples import contact_sheet, write_grey
+from ...factory.errors import FactoryError
+from ...factory.files import write_atomically
+from ...factory.progress import progress_bar
+from .. import WEIGHTS_NAME
+from ..data.pairs import Batch
+from ..networks.weights import save_weights
+from .module import DenoisingModule, Row
+from .samples import contact_sheet, write_grey
 
 CHECKPOINT_NAME = "checkpoint.ckpt"
 METRICS_NAME = "metrics.csv"

@@ -31,7 +31,7 @@ from simnfnd.evaluation.report.files import read_results
 from simnfnd.factory.dataset.format.sample import Pair
 from simnfnd.factory.dataset.read.reader import open_shard, shard_paths
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.workers.tasks import TaskLost, TaskPool
+from simnfnd.factory.scheduler.workers.tasks import TaskLost, TaskPool
 from tests.evaluation.evaluation_settings import evaluation, settings_for
 from tests.small_dataset import add_shard, fan_images, write_dataset, write_manifest
 

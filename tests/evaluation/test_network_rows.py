@@ -19,7 +19,7 @@ from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.methods.networks import costs_of, networks_of
 from simnfnd.evaluation.metrics.fidelity import psnr
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.workers.tasks import TaskPool
+from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from tests.evaluation.evaluation_settings import settings_for
 from tests.small_dataset import write_dataset
 

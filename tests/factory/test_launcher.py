@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from simnfnd.command import main
-from simnfnd.factory.workers import kept
+from simnfnd.factory.scheduler.workers import kept
 from tests.project_files import ROOT
 
 

@@ -21,11 +21,12 @@ from scipy import ndimage, special
 from simnfnd.factory import seeds
 from simnfnd.factory.config import from_mapping
 from simnfnd.factory.dataset.describe import similarity
-from simnfnd.factory.formation import resample
 from simnfnd.factory.frame import Frame
+from simnfnd.factory.imaging import resample
 from simnfnd.factory.render.albedo import _box
 from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.render.cloud import back_project
+from simnfnd.factory.scheduler.workers.memory import keep_freed_memory
 from simnfnd.factory.settings import build
 from simnfnd.factory.sonar import polar, surface, transfer
 from simnfnd.factory.sonar.echoes import Echoes, from_xyz, join
@@ -34,7 +35,6 @@ from simnfnd.factory.sonar.quantile import quantiles
 from simnfnd.factory.sonar.settings import SonarSettings, TransferSettings
 from simnfnd.factory.sonar.window import Window
 from simnfnd.factory.sonar.window_fit import fit_window
-from simnfnd.factory.workers.memory import keep_freed_memory
 from tests.clouds import camera_scene, window
 from tests.frames import ground_and_post, plain_render
 from tests.project_files import ROOT

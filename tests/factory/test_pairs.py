@@ -6,7 +6,7 @@ import pytest
 from simnfnd.factory import pairs
 from simnfnd.factory.config import FactoryConfig, from_mapping
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.meta.record import columns, image_axes
+from simnfnd.factory.sample_table.record import columns, image_axes
 from simnfnd.factory.sonar.fan import fan_table
 from tests.frames import POST_M, ground_and_post, plain_render
 
@@ -126,7 +126,7 @@ def test_voxel_resampling_by_open3d_keeps_the_asked_fraction():
 
 def test_thinning_first_has_the_distribution_of_thinning_everything():
     """Scene first, noise in proportion: mean and spread of the level as when all is thinned."""
-    from simnfnd.factory.formation import resample
+    from simnfnd.factory.imaging import resample
     from simnfnd.factory.noise.points.background import background
     from simnfnd.factory.sonar import polar
     from tests.clouds import uniform_scene, window

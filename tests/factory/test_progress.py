@@ -11,9 +11,9 @@ from itertools import pairwise
 import pytest
 
 from simnfnd.factory import progress
-from simnfnd.factory.jobs.progress import Estimate
-from simnfnd.factory.jobs.settings import Crew
-from tests.factory.jobs.staged import staged
+from simnfnd.factory.scheduler.progress import Estimate
+from simnfnd.factory.scheduler.settings import Crew
+from tests.factory.scheduler.staged import staged
 from tests.fake_source import FakeConfig
 from tests.project_files import ROOT
 from tests.run_fake import make
@@ -99,7 +99,7 @@ def test_a_stage_is_named_only_when_it_lasts(capfd):
 TERMINAL = """
 import sys
 from pathlib import Path
-from tests.factory.jobs.staged import staged
+from tests.factory.scheduler.staged import staged
 from tests.fake_source import FakeConfig
 staged(Path(sys.argv[1]), FakeConfig(delay_s=0.02), scheduler={"backend": "serial"})
 """

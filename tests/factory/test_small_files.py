@@ -23,11 +23,11 @@ from simnfnd.factory.dataset.format.manifest import load_manifest
 from simnfnd.factory.dataset.read.config_file import dataset_settings
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.jobs.lock import Lock, owner_of
 from simnfnd.factory.render import view as views
+from simnfnd.factory.render.cache.cache import Cache
 from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.pack import PackViews, read_contents, write_pack
-from simnfnd.factory.renders.cache import Cache
+from simnfnd.factory.scheduler.lock import Lock, owner_of
 from simnfnd.factory.small_files import load_yaml, parse_json, parse_yaml, read_regular
 from tests.factory.dataset.hostile import whole
 from tests.factory.render.small_views import some_view

@@ -11,7 +11,7 @@ import pytest
 
 import simnfnd
 from simnfnd.factory.sonar.geometry import FanGeometry
-from tests.factory.recordings.recording_files import pings, write_aris
+from tests.models.recordings.recording_files import pings, write_aris
 from tests.project.frames import frame
 from tests.project_files import ROOT
 from tests.small_dataset import write_dataset

@@ -43,7 +43,7 @@ def parts() -> Iterator[tuple[str, list[Part]]]:
             "simnfnd.evaluation.downstream.settings",
             "DownstreamSettings",
         ),
-        ("evaluate fit", "fit", "simnfnd.evaluation.fit.settings", "FitSettings"),
+        ("evaluate fit", "fit", "simnfnd.evaluation.calibrate.settings", "FitSettings"),
         ("campaign", "campaign", "simnfnd.evaluation.campaign.settings", "CampaignSettings"),
     ):
         kind = getattr(import_module(module), settings)
@@ -56,9 +56,9 @@ def parts() -> Iterator[tuple[str, list[Part]]]:
 
 def _make() -> Iterator[Part]:
     from simnfnd.factory.config import FactoryConfig
-    from simnfnd.factory.devices.settings import DeviceSettings
     from simnfnd.factory.noise.registry import FIELD_EFFECTS
     from simnfnd.factory.scenes import Scenes
+    from simnfnd.factory.sonar_randomization.settings import DeviceSettings
 
     values = composed("factory")
     said = conf_comments(

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.seeds import stream
+from ....factory.seeds import stream
 
 Gray = npt.NDArray[np.float32]
 

@@ -15,15 +15,15 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.format.axes import image_axes
-from simnfnd.factory.dataset.format.echoes import echo_names, echo_problem, read_echoes
-from simnfnd.factory.dataset.format.layers import Layer, layers, stores_grey
-from simnfnd.factory.dataset.format.layout import optional_layers
-from simnfnd.factory.dataset.format.links import object_inside
-from simnfnd.factory.dataset.format.schema import SPLITS, VALUE_RANGES
-from simnfnd.factory.dataset.read.image_stack import ImageStack
-from simnfnd.factory.dataset.read.reader import read_attributes, reading
-from simnfnd.factory.errors import FactoryError
+from ...errors import FactoryError
+from ..format.axes import image_axes
+from ..format.echoes import echo_names, echo_problem, read_echoes
+from ..format.layers import Layer, layers, stores_grey
+from ..format.layout import optional_layers
+from ..format.links import object_inside
+from ..format.schema import SPLITS, VALUE_RANGES
+from ..read.image_stack import ImageStack
+from ..read.reader import read_attributes, reading
 
 # A table that is wrong in every row is reported a few times, not a thousand times.
 _MOST_PROBLEMS = 8

@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from simnfnd.factory.dataset.check.facts import SampleKey, ShardFacts, index_problems, shard_facts
-from simnfnd.factory.dataset.format.layout import inside
-from simnfnd.factory.dataset.format.manifest import (
+from ...errors import FactoryError
+from ...files import is_temporary
+from ..format.layout import inside
+from ..format.manifest import (
     INDEX_NAME,
     MANIFEST_NAME,
     Manifest,
     damage,
     load_manifest,
 )
-from simnfnd.factory.dataset.format.schema import SPLITS
-from simnfnd.factory.dataset.read.isolated import IsolatedProcess
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import is_temporary
+from ..format.schema import SPLITS
+from ..read.isolated import IsolatedProcess
+from .facts import SampleKey, ShardFacts, index_problems, shard_facts
 
 _LIMIT_S = 60.0
 # Slower than any disk: a shard that takes longer is not read but stuck.

@@ -7,16 +7,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from simnfnd.factory.dataset.format.echoes import echo_names
-from simnfnd.factory.dataset.format.layout import optional_layers
-from simnfnd.factory.dataset.format.manifest import Manifest
-from simnfnd.factory.dataset.format.schema import SCHEMA, SPLITS, Provenance
-from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.read.overview import Overview, read_overview
-from simnfnd.factory.dataset.read.reader import reading
-from simnfnd.factory.dataset.write.failures import FAILURES_NAME, Failure
-from simnfnd.factory.dataset.write.folder import CARD_NAME, PREVIEW_NAME
-from simnfnd.factory.files import write_atomically
+from ...files import write_atomically
+from ..format.echoes import echo_names
+from ..format.layout import optional_layers
+from ..format.manifest import Manifest
+from ..format.schema import SCHEMA, SPLITS, Provenance
+from ..format.settings import DatasetSettings
+from ..read.overview import Overview, read_overview
+from ..read.reader import reading
+from ..write.failures import FAILURES_NAME, Failure
+from ..write.folder import CARD_NAME, PREVIEW_NAME
 
 # Identifiers that the Hugging Face hub knows; anything else goes there as "other" with a name.
 _HUB_LICENCES = (

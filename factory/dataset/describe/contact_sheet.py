@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
-from simnfnd.factory.dataset.describe import palette
+from . import palette
 
 _PANEL, _GAP = 340, 12  # pixels: a panel's width, and between panels
 _LEFT, _UNDER, _OVER, _HEAD, _EDGE = 92, 58, 46, 78, 30

@@ -11,14 +11,14 @@ import json
 from pathlib import Path
 from typing import Any
 
-from simnfnd.factory.dataset.describe.card import PAPER
-from simnfnd.factory.dataset.format.echoes import PLACE, echo_names
-from simnfnd.factory.dataset.format.layout import optional_layers
-from simnfnd.factory.dataset.format.manifest import INDEX_NAME, MANIFEST_NAME, Manifest
-from simnfnd.factory.dataset.format.schema import SCHEMA, SPLITS
-from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.read.reader import reading
-from simnfnd.factory.files import sha256_of, write_atomically
+from ...files import sha256_of, write_atomically
+from ..format.echoes import PLACE, echo_names
+from ..format.layout import optional_layers
+from ..format.manifest import INDEX_NAME, MANIFEST_NAME, Manifest
+from ..format.schema import SCHEMA, SPLITS
+from ..format.settings import DatasetSettings
+from ..read.reader import reading
+from .card import PAPER
 
 CROISSANT_NAME = "croissant.json"
 

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.describe.contact_sheet import Shown, draw
-from simnfnd.factory.dataset.format.axes import image_axes
-from simnfnd.factory.dataset.format.manifest import MANIFEST_NAME, load_manifest
-from simnfnd.factory.dataset.format.schema import VALUE_RANGES
-from simnfnd.factory.dataset.read.image_stack import ImageStack
-from simnfnd.factory.dataset.read.overview import SampleName, read_overview
-from simnfnd.factory.dataset.read.reader import check_in_isolation, listed_shards, reading
-from simnfnd.factory.dataset.read.source import read_image
-from simnfnd.factory.dataset.write.folder import PREVIEW_NAME
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import write_atomically
+from ...errors import FactoryError
+from ...files import write_atomically
+from ..format.axes import image_axes
+from ..format.manifest import MANIFEST_NAME, load_manifest
+from ..format.schema import VALUE_RANGES
+from ..read.image_stack import ImageStack
+from ..read.overview import SampleName, read_overview
+from ..read.reader import check_in_isolation, listed_shards, reading
+from ..read.source import read_image
+from ..write.folder import PREVIEW_NAME
+from .contact_sheet import Shown, draw
 
 _PANELS = ("noisy", "clean", "shadow")
 

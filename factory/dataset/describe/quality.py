@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.describe.similarity import RADIUS_PX, SsimReference, inner
+from .similarity import RADIUS_PX, SsimReference, inner
 
 # Equal pictures count as this much, so that a mean stays finite.
 PSNR_CAP_DB = 100.0

@@ -76,6 +76,6 @@ def inner(values: npt.NDArray[Scalar]) -> npt.NDArray[Scalar]:
 
 def window(values: Values) -> Values:
     """(H, W) means under the Gaussian window, borders mirrored."""
-    from simnfnd.factory.dataset.describe.window_loops import windowed  # compiled
+    from .window_loops import windowed  # compiled
 
     return np.asarray(windowed(np.ascontiguousarray(values, np.float64), _WINDOW))

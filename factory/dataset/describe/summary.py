@@ -10,13 +10,13 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.describe.quality import psnr_db, ssim
-from simnfnd.factory.dataset.format.echoes import PLACE, echo_names
-from simnfnd.factory.dataset.format.manifest import INDEX_NAME
-from simnfnd.factory.dataset.read.image_stack import ImageStack
-from simnfnd.factory.dataset.read.reader import check_in_isolation, reading
-from simnfnd.factory.dataset.read.source import Source, open_shards, open_source, read_image
-from simnfnd.factory.errors import FactoryError
+from ...errors import FactoryError
+from ..format.echoes import PLACE, echo_names
+from ..format.manifest import INDEX_NAME
+from ..read.image_stack import ImageStack
+from ..read.reader import check_in_isolation, reading
+from ..read.source import Source, open_shards, open_source, read_image
+from .quality import psnr_db, ssim
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.describe import palette
-from simnfnd.factory.dataset.describe.summary import DatasetSummary
-from simnfnd.factory.files import write_atomically
+from ...files import write_atomically
+from . import palette
+from .summary import DatasetSummary
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from numba.extending import intrinsic
 
-from simnfnd.factory.compiled import compiled
+from ...compiled import compiled
 
 Values = npt.NDArray[np.float64]
 

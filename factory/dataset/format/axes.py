@@ -5,9 +5,9 @@ from __future__ import annotations
 import h5py
 import numpy as np
 
-from simnfnd.factory.dataset.format.layers import CAMERA_LAYERS, ECHO_FOLDER
-from simnfnd.factory.dataset.format.sample import Axis
-from simnfnd.factory.errors import FactoryError
+from ...errors import FactoryError
+from .layers import CAMERA_LAYERS, ECHO_FOLDER
+from .sample import Axis
 
 # First byte, end and name of a piece of data.
 Place = tuple[int, int, str]

@@ -23,10 +23,10 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.format.axes import axis_names, image_axes
-from simnfnd.factory.dataset.format.layers import ECHO_FOLDER
-from simnfnd.factory.dataset.format.schema import CHECKSUMS, ROOT_ATTRIBUTES, SEALS
-from simnfnd.factory.errors import FactoryError
+from ...errors import FactoryError
+from .axes import axis_names, image_axes
+from .layers import ECHO_FOLDER
+from .schema import CHECKSUMS, ROOT_ATTRIBUTES, SEALS
 
 _CONTENTS, _TEXTS = SEALS
 # Addresses in the file; what they lead to is in `_texts` by name.

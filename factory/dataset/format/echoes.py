@@ -16,11 +16,11 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.format.axes import Place, contiguous_place
-from simnfnd.factory.dataset.format.checksums import all_picture_sums, crc32
-from simnfnd.factory.dataset.format.layers import ECHO_FIELDS, ECHO_FOLDER, MAX_PIXELS, Layer
-from simnfnd.factory.dataset.format.links import dataset_inside, exists, object_inside
-from simnfnd.factory.errors import FactoryError, FrameError
+from ...errors import FactoryError, FrameError
+from .axes import Place, contiguous_place
+from .checksums import all_picture_sums, crc32
+from .layers import ECHO_FIELDS, ECHO_FOLDER, MAX_PIXELS, Layer
+from .links import dataset_inside, exists, object_inside
 
 PLACE = f"{ECHO_FOLDER}place"
 _GRID = "grid"

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import h5py
 import numpy as np
 
-from simnfnd.factory.dataset.format.schema import SCHEMA
-from simnfnd.factory.errors import FactoryError
+from ...errors import FactoryError
+from .schema import SCHEMA
 
 _DEFLATE, _LZF, _ZSTD, _FLETCHER32 = 1, 32000, 32015, 3
 _CODECS = {_DEFLATE: "gzip", _LZF: "lzf", _ZSTD: "zstd"}

@@ -7,8 +7,8 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.labels import CLASSES
+from ...errors import FactoryError
+from ...labels import CLASSES
 
 # A picture of 4096 x 4096; the largest imaging sonars have 2048 beams.
 MAX_PIXELS = 1 << 24

@@ -18,11 +18,12 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.format.axes import Place, contiguous_place
-from simnfnd.factory.dataset.format.checksums import check_contents, has_checksums
-from simnfnd.factory.dataset.format.echoes import check_echoes, echo_names
-from simnfnd.factory.dataset.format.filters import chain_of
-from simnfnd.factory.dataset.format.layers import (
+from ...errors import FactoryError
+from .axes import Place, contiguous_place
+from .checksums import check_contents, has_checksums
+from .echoes import check_echoes, echo_names
+from .filters import chain_of
+from .layers import (
     CHANNELS,
     EFFECT_FOLDER,
     MAX_PIXELS,
@@ -31,15 +32,14 @@ from simnfnd.factory.dataset.format.layers import (
     layers,
     stores_grey,
 )
-from simnfnd.factory.dataset.format.links import dataset_inside, exists, object_inside
-from simnfnd.factory.dataset.format.schema import (
+from .links import dataset_inside, exists, object_inside
+from .schema import (
     CHECKSUMS,
     REQUIRED_COLUMNS,
     SCHEMA,
     SPLITS,
     VALUE_RANGES,
 )
-from simnfnd.factory.errors import FactoryError
 
 _MAX_ROW_BYTES = 1 << 16
 _MAX_LAYERS = 64

@@ -7,7 +7,7 @@ from typing import Any
 
 import h5py
 
-from simnfnd.factory.errors import FactoryError
+from ...errors import FactoryError
 
 
 def object_inside(file: h5py.File, name: str) -> Any:

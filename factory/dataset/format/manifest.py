@@ -14,18 +14,18 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from simnfnd.factory.dataset.format.schema import SCHEMA, SPLITS
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import (
+from ...errors import FactoryError
+from ...files import (
     explain_os_errors,
     put_out,
     remove_file,
     sha256_of,
     write_atomically,
 )
-from simnfnd.factory.ownership import check_fences
-from simnfnd.factory.small_files import one_line, parse_json, read_regular
-from simnfnd.factory.storage.copies import fetched
+from ...ownership import check_fences
+from ...small_files import one_line, parse_json, read_regular
+from ...storage.copies import fetched
+from .schema import SCHEMA, SPLITS
 
 MANIFEST_NAME = "manifest.json"
 # What was settled since manifest.json was written; gone when a run has ended.

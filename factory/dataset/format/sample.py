@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.frame import FrameRef
+from ...frame import FrameRef
 
 if TYPE_CHECKING:
-    from simnfnd.factory.dataset.format.echoes import EchoList
+    from .echoes import EchoList
 
 
 @dataclass(frozen=True, eq=False)

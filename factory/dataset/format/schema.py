@@ -16,9 +16,9 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.format.layers import CHANNELS, MAX_PIXELS, Layer, layers, stores_grey
-from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
-from simnfnd.factory.errors import FactoryError, FrameError
+from ...errors import FactoryError, FrameError
+from .layers import CHANNELS, MAX_PIXELS, Layer, layers, stores_grey
+from .sample import Axis, Column, Pair
 
 SCHEMA = "simnfnd/1"
 SPLITS = ("train", "test")

@@ -8,10 +8,10 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.dataset.format.schema import DATASET_NAME
-from simnfnd.factory.settings import STRICT
-from simnfnd.factory.storage.copies import folder_of
-from simnfnd.factory.storage.store import is_url
+from ...settings import STRICT
+from ...storage.copies import folder_of
+from ...storage.store import is_url
+from .schema import DATASET_NAME
 
 LayerName = Literal[
     "effects",

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from simnfnd.factory.dataset.format.manifest import CONFIG_NAME
-from simnfnd.factory.dataset.format.schema import DATASET_NAME
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.small_files import load_yaml, one_line
+from ...errors import FactoryError
+from ...small_files import load_yaml, one_line
+from ..format.manifest import CONFIG_NAME
+from ..format.schema import DATASET_NAME
 
 
 def dataset_settings(directory: Path) -> dict[str, object]:

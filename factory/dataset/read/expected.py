@@ -7,10 +7,10 @@ from pathlib import Path
 
 import h5py
 
-from simnfnd.factory.dataset.format.manifest import ShardInfo
-from simnfnd.factory.dataset.read.reader import check_split
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import sha256_of
+from ...errors import FactoryError
+from ...files import sha256_of
+from ..format.manifest import ShardInfo
+from .reader import check_split
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.format.checksums import crc32, picture_sums
-from simnfnd.factory.dataset.format.filters import chain_of, fletcher32
-from simnfnd.factory.dataset.read.lzf import LZF_GROWTH, lzf_length
+from ..format.checksums import crc32, picture_sums
+from ..format.filters import chain_of, fletcher32
+from .lzf import LZF_GROWTH, lzf_length
 
 Image = npt.NDArray[Any]
 

@@ -17,7 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
-from simnfnd.factory.errors import FactoryError
+from ...errors import FactoryError
 
 T = TypeVar("T")
 
@@ -126,7 +126,7 @@ def _limit_memory() -> None:
     import resource
 
     # Its imports count as what the process has.
-    import simnfnd.factory.dataset.read.reader  # noqa: F401
+    from . import reader  # noqa: F401
 
     most = _address_space_bytes() + _MEMORY_BYTES
     _, allowed = resource.getrlimit(resource.RLIMIT_AS)

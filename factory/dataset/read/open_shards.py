@@ -12,11 +12,11 @@ from typing import Any
 import h5py
 import numpy as np
 
-from simnfnd.factory.dataset.format.checksums import all_picture_sums
-from simnfnd.factory.dataset.format.echoes import EchoList, read_echoes
-from simnfnd.factory.dataset.read.image_stack import Image, ImageStack
-from simnfnd.factory.dataset.read.reader import open_shard
-from simnfnd.factory.errors import FactoryError
+from ...errors import FactoryError
+from ..format.checksums import all_picture_sums
+from ..format.echoes import EchoList, read_echoes
+from .image_stack import Image, ImageStack
+from .reader import open_shard
 
 # A process may have 1024 files open as a rule, and a loader may read several datasets.
 _MOST_FILES = 64

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from simnfnd.factory.dataset.format.axes import image_axes
-from simnfnd.factory.dataset.format.manifest import Manifest
-from simnfnd.factory.dataset.read.reader import reading
-from simnfnd.factory.errors import FactoryError
+from ...errors import FactoryError
+from ..format.axes import image_axes
+from ..format.manifest import Manifest
+from .reader import reading
 
 
 @dataclass(frozen=True)

@@ -14,30 +14,30 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.format.axes import image_axes
-from simnfnd.factory.dataset.format.echoes import EchoList
-from simnfnd.factory.dataset.format.layers import EFFECT_FOLDER, layers
-from simnfnd.factory.dataset.format.manifest import (
+from ...errors import FactoryError
+from ...seeds import stream
+from ...storage.copies import local_folder
+from ..format.axes import image_axes
+from ..format.echoes import EchoList
+from ..format.layers import EFFECT_FOLDER, layers
+from ..format.manifest import (
     INDEX_NAME,
     MANIFEST_NAME,
     load_manifest,
 )
-from simnfnd.factory.dataset.format.sample import Axis
-from simnfnd.factory.dataset.format.schema import VALUE_RANGES
-from simnfnd.factory.dataset.read.expected import Expected
-from simnfnd.factory.dataset.read.image_stack import Image
-from simnfnd.factory.dataset.read.open_shards import OpenShards
-from simnfnd.factory.dataset.read.reader import (
+from ..format.sample import Axis
+from ..format.schema import VALUE_RANGES
+from .expected import Expected
+from .image_stack import Image
+from .open_shards import OpenShards
+from .reader import (
     Split,
     check_in_isolation,
     listed_shards,
     reading,
 )
-from simnfnd.factory.dataset.read.stream import WINDOW, Windows
-from simnfnd.factory.dataset.read.tables import keep_rows, kept_rows, read_tables
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.seeds import stream
-from simnfnd.factory.storage.copies import local_folder
+from .stream import WINDOW, Windows
+from .tables import keep_rows, kept_rows, read_tables
 
 Sample = dict[str, Image]
 Verify = Literal["checksums", "hash"]

@@ -14,16 +14,16 @@ from typing import Any, Literal, TypeVar
 import h5py
 import numpy as np
 
-from simnfnd.factory.dataset.format.axes import axis_names
-from simnfnd.factory.dataset.format.checksums import check_texts, has_checksums
-from simnfnd.factory.dataset.format.echoes import echo_names
-from simnfnd.factory.dataset.format.layout import check_shard, inside, optional_layers
-from simnfnd.factory.dataset.format.manifest import Manifest, load_manifest
-from simnfnd.factory.dataset.format.schema import SPLITS
-from simnfnd.factory.dataset.read.isolated import IsolatedProcess
-from simnfnd.factory.dataset.read.sound import is_sound, note_sound, state_of
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.storage.copies import fetched, url_of
+from ...errors import FactoryError
+from ...storage.copies import fetched, url_of
+from ..format.axes import axis_names
+from ..format.checksums import check_texts, has_checksums
+from ..format.echoes import echo_names
+from ..format.layout import check_shard, inside, optional_layers
+from ..format.manifest import Manifest, load_manifest
+from ..format.schema import SPLITS
+from .isolated import IsolatedProcess
+from .verified import is_sound, note_sound, state_of
 
 T = TypeVar("T")
 Split = Literal["train", "test", "all"]

@@ -12,12 +12,12 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.format.axes import image_axes
-from simnfnd.factory.dataset.format.layout import config_of, optional_layers
-from simnfnd.factory.dataset.format.sample import Column
-from simnfnd.factory.dataset.read.image_stack import ImageStack
-from simnfnd.factory.dataset.read.reader import Split, check_split, reading, shard_paths
-from simnfnd.factory.errors import FactoryError
+from ...errors import FactoryError
+from ..format.axes import image_axes
+from ..format.layout import config_of, optional_layers
+from ..format.sample import Column
+from .image_stack import ImageStack
+from .reader import Split, check_split, reading, shard_paths
 
 CORE = ("noisy", "clean", "shadow")
 Value = float | int | str

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.read.reader import bring
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.storage.copies import url_of
-from simnfnd.factory.storage.room import sure_bytes, touch
+from ...errors import FactoryError
+from ...storage.copies import url_of
+from ...storage.room import sure_bytes, touch
+from .reader import bring
 
 WINDOW = 16
 THREADS = 4

@@ -18,14 +18,14 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.dataset.format.layout import check_shard
-from simnfnd.factory.dataset.format.manifest import ShardInfo
-from simnfnd.factory.dataset.read.reader import look_at, read_attributes, reading
-from simnfnd.factory.dataset.read.stream import THREADS
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import write_atomically
-from simnfnd.factory.storage.copies import url_of
-from simnfnd.factory.storage.store import Store
+from ...errors import FactoryError
+from ...files import write_atomically
+from ...storage.copies import url_of
+from ...storage.store import Store
+from ..format.layout import check_shard
+from ..format.manifest import ShardInfo
+from .reader import look_at, read_attributes, reading
+from .stream import THREADS
 
 Rows = npt.NDArray[np.void]
 Piece = tuple[int, bytes]

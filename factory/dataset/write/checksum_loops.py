@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.compiled import compiled
+from ...compiled import compiled
 
 _WORD = 0xFFFFFFFF
 

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from isal import isal_zlib
 
-from simnfnd.factory.dataset.format.filters import fletcher32
+from ..format.filters import fletcher32
 
 # What isal calls levels are others than zlib's, but these two are alike in size.
 _ISAL_LEVEL = 1

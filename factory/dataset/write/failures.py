@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from simnfnd.factory.dataset.format.manifest import part_name
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import explain_os_errors, put_out, write_atomically
-from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.ownership import check_fences
-from simnfnd.factory.small_files import one_line, parse_json, read_regular
+from ...errors import FactoryError
+from ...files import explain_os_errors, put_out, write_atomically
+from ...frame import FrameRef
+from ...ownership import check_fences
+from ...small_files import one_line, parse_json, read_regular
+from ..format.manifest import part_name
 
 FAILURES_NAME = "failed.jsonl"
 _MOST_BYTES = 1 << 27

@@ -11,7 +11,18 @@ from typing import Any
 
 import yaml
 
-from simnfnd.factory.dataset.format.manifest import (
+from ...errors import FactoryError
+from ...files import (
+    check_writable,
+    explain_os_errors,
+    is_temporary,
+    remove_file,
+    remove_stale_temporaries,
+    write_atomically,
+)
+from ...ownership import check_fences
+from ...small_files import read_regular
+from ..format.manifest import (
     ADDED_NAME,
     CONFIG_NAME,
     MANIFEST_NAME,
@@ -21,19 +32,8 @@ from simnfnd.factory.dataset.format.manifest import (
     part_name,
     save_manifest,
 )
-from simnfnd.factory.dataset.format.schema import SCHEMA, SPLITS, Provenance, plain_values
-from simnfnd.factory.dataset.write.failures import FAILURES_NAME
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import (
-    check_writable,
-    explain_os_errors,
-    is_temporary,
-    remove_file,
-    remove_stale_temporaries,
-    write_atomically,
-)
-from simnfnd.factory.ownership import check_fences
-from simnfnd.factory.small_files import read_regular
+from ..format.schema import SCHEMA, SPLITS, Provenance, plain_values
+from .failures import FAILURES_NAME
 
 CARD_NAME = "README.md"
 PREVIEW_NAME = "preview.png"

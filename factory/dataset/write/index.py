@@ -15,11 +15,14 @@ from typing import Any
 import h5py
 import numpy as np
 
-from simnfnd.factory.dataset.format.axes import image_axes
-from simnfnd.factory.dataset.format.layers import EFFECT_FOLDER, layers
-from simnfnd.factory.dataset.format.layout import optional_layers
-from simnfnd.factory.dataset.format.manifest import INDEX_NAME, Manifest, ShardInfo
-from simnfnd.factory.dataset.format.schema import (
+from ...errors import FactoryError
+from ...files import write_atomically
+from ...storage.copies import url_of
+from ..format.axes import image_axes
+from ..format.layers import EFFECT_FOLDER, layers
+from ..format.layout import optional_layers
+from ..format.manifest import INDEX_NAME, Manifest, ShardInfo
+from ..format.schema import (
     LIBRARY_VERSIONS,
     ROOT_ATTRIBUTES,
     SAMPLE_DIMENSION,
@@ -28,12 +31,9 @@ from simnfnd.factory.dataset.format.schema import (
     config_text,
     layer_attributes,
 )
-from simnfnd.factory.dataset.read.reader import bring, reading
-from simnfnd.factory.dataset.write.virtual import VirtualStacks
-from simnfnd.factory.dataset.write.writer import write_axis
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import write_atomically
-from simnfnd.factory.storage.copies import url_of
+from ..read.reader import bring, reading
+from .virtual import VirtualStacks
+from .writer import write_axis
 
 # Of metadata that HDF5 keeps in memory: a virtual dataset kept there takes 4 kB a shard, closed or
 # not.

@@ -17,8 +17,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from simnfnd.factory.dataset.format.manifest import ShardInfo
-from simnfnd.factory.dataset.format.schema import LIBRARY_VERSIONS
+from ..format.manifest import ShardInfo
+from ..format.schema import LIBRARY_VERSIONS
 
 # Entries that HDF5 holds at a time: 4 MB of them.
 _PART = 256
@@ -151,6 +151,6 @@ def _framed(size: int, entries: int) -> bytes:
 
 
 def _lookup3(content: bytes) -> int:
-    from simnfnd.factory.dataset.write.checksum_loops import lookup3
+    from .checksum_loops import lookup3
 
     return lookup3(content)

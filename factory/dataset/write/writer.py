@@ -10,12 +10,14 @@ from typing import Any
 import h5py
 import numpy as np
 
-from simnfnd.factory.dataset.format.checksums import crc32, write_checksums
-from simnfnd.factory.dataset.format.echoes import EchoList, write_echoes
-from simnfnd.factory.dataset.format.layers import Layer, layers, stores_grey
-from simnfnd.factory.dataset.format.manifest import ShardInfo
-from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
-from simnfnd.factory.dataset.format.schema import (
+from ...errors import FactoryError, FrameError
+from ...files import explain_os_errors, write_atomically
+from ..format.checksums import crc32, write_checksums
+from ..format.echoes import EchoList, write_echoes
+from ..format.layers import Layer, layers, stores_grey
+from ..format.manifest import ShardInfo
+from ..format.sample import Axis, Column, Pair
+from ..format.schema import (
     LIBRARY_VERSIONS,
     SAMPLE_DIMENSION,
     Provenance,
@@ -26,10 +28,8 @@ from simnfnd.factory.dataset.format.schema import (
     stored_image,
     table_dtype,
 )
-from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.write.chunks import write_gzip_chunk
-from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.files import explain_os_errors, write_atomically
+from ..format.settings import DatasetSettings
+from .chunks import write_gzip_chunk
 
 _IMAGE_BLOCK_BYTES = 1 << 20
 

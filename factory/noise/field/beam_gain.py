@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber, NonNegative
-from simnfnd.factory.formation.field.expected import Expected
-from simnfnd.factory.formation.field.signal import Floats, Ping
-from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
-from simnfnd.factory.settings import STRICT
+from ...distribution import AnyNumber, NonNegative
+from ...imaging.coherent.expected import Expected
+from ...imaging.coherent.signal import Floats, Ping
+from ...settings import STRICT
+from ..effect import Effect, EffectSettings, parameter
 
 
 @dataclass(frozen=True, config=STRICT)

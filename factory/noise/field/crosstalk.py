@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber, Positive
-from simnfnd.factory.formation.field.expected import Expected
-from simnfnd.factory.formation.field.signal import Floats, Ping
-from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
-from simnfnd.factory.settings import STRICT
+from ...distribution import AnyNumber, Positive
+from ...imaging.coherent.expected import Expected
+from ...imaging.coherent.signal import Floats, Ping
+from ...settings import STRICT
+from ..effect import Effect, EffectSettings, parameter
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -34,7 +34,7 @@ def crosstalk(
     spacing_beams: float,
 ) -> Floats:
     """The field with what leaks from `spacing_beams` to the left and to the right."""
-    from simnfnd.factory.formation.field import kernels  # loads numba
+    from ...imaging.coherent import kernels  # loads numba
 
     kernels.beside(field, max(round(spacing_beams), 1), 10 ** (level_db / 20))
     return field
@@ -49,7 +49,7 @@ def expect_crosstalk(
     spacing_beams: float,
 ) -> None:
     """Intensities of the leaks, and what they add in phase: beams that overlap are alike."""
-    from simnfnd.factory.formation.field import display_loops  # loads numba
+    from ...imaging.coherent import display_loops  # loads numba
 
     leak, step = 10 ** (level_db / 20), max(round(spacing_beams), 1)
     alike = _alike(ping, step)

@@ -12,13 +12,13 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber, NonNegative
-from simnfnd.factory.formation.contract import Floats
-from simnfnd.factory.formation.field.expected import Expected
-from simnfnd.factory.formation.field.signal import Ping, Signal
-from simnfnd.factory.formation.field.tables import vertical_table
-from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
-from simnfnd.factory.settings import STRICT
+from ...distribution import AnyNumber, NonNegative
+from ...imaging.coherent.expected import Expected
+from ...imaging.coherent.signal import Ping, Signal
+from ...imaging.coherent.tables import vertical_table
+from ...imaging.contract import Floats
+from ...settings import STRICT
+from ..effect import Effect, EffectSettings, parameter
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -71,7 +71,7 @@ def _with_images(
     signal: Signal, ping: Ping, height_m: float, loss_db: float, tilt_deg: float
 ) -> Signal:
     """Echoes by way of a level plane `height_m` above the sonar (negative: below)."""
-    from simnfnd.factory.formation.field.cells import world_loops  # loads numba
+    from ...imaging.coherent.cells import world_loops  # loads numba
 
     scene, mount, tilt_rad = ping.scatterers, ping.sonar.mount, np.deg2rad(tilt_deg)
     bins = signal.power.size

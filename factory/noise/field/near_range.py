@@ -10,11 +10,11 @@ from collections.abc import Iterator
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber, NonNegative, Positive
-from simnfnd.factory.formation.field.expected import Expected
-from simnfnd.factory.formation.field.signal import Floats, Ping
-from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
-from simnfnd.factory.settings import STRICT
+from ...distribution import AnyNumber, NonNegative, Positive
+from ...imaging.coherent.expected import Expected
+from ...imaging.coherent.signal import Floats, Ping
+from ...settings import STRICT
+from ..effect import Effect, EffectSettings, parameter
 
 # Weaker than this against full scale it is not computed, dB.
 _FAINTEST_DB = -90

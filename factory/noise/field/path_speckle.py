@@ -11,11 +11,11 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import NonNegative, Positive
-from simnfnd.factory.formation.field.signal import Ping, Signal, gaussian_table
-from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
-from simnfnd.factory.noise.field.speckle import expect_speckle
-from simnfnd.factory.settings import STRICT
+from ...distribution import NonNegative, Positive
+from ...imaging.coherent.signal import Ping, Signal, gaussian_table
+from ...settings import STRICT
+from ..effect import Effect, EffectSettings, parameter
+from .speckle import expect_speckle
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -34,8 +34,8 @@ def path_speckle(
     signal: Signal, ping: Ping, rng: np.random.Generator, *, looks: float, scatterer_m: float
 ) -> Signal:
     """The field of the cells instead of the mean power of the echoes."""
-    from simnfnd.factory.formation.field.cells import cell_loops, path_loops
-    from simnfnd.factory.formation.field.cells.path_cells import edge_m, path_cells, turns
+    from ...imaging.coherent.cells import cell_loops, path_loops
+    from ...imaging.coherent.cells.path_cells import edge_m, path_cells, turns
 
     scene, amplitude = ping.scatterers, np.sqrt(ping.scatterers.loss)
     cells = path_cells(ping, scatterer_m or edge_m(ping))

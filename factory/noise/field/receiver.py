@@ -12,17 +12,17 @@ from typing import Literal
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber
-from simnfnd.factory.formation.field.expected import Expected
-from simnfnd.factory.formation.field.signal import (
+from ...distribution import AnyNumber
+from ...imaging.coherent.expected import Expected
+from ...imaging.coherent.signal import (
     Floats,
     Ping,
     add_white_noise,
     beamform,
     white_noise,
 )
-from simnfnd.factory.noise.effect import Effect, EffectSettings, option, parameter
-from simnfnd.factory.settings import STRICT
+from ...settings import STRICT
+from ..effect import Effect, EffectSettings, option, parameter
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -11,11 +11,11 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import NonNegative
-from simnfnd.factory.formation.field.expected import Expected
-from simnfnd.factory.formation.field.signal import Floats, Ping
-from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
-from simnfnd.factory.settings import STRICT
+from ...distribution import NonNegative
+from ...imaging.coherent.expected import Expected
+from ...imaging.coherent.signal import Floats, Ping
+from ...settings import STRICT
+from ..effect import Effect, EffectSettings, parameter
 
 _NEPERS_PER_DB = np.log(10) / 10  # of intensity
 

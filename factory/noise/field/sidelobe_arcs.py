@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber
-from simnfnd.factory.formation.field.expected import Expected
-from simnfnd.factory.formation.field.signal import Floats, Ping
-from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
-from simnfnd.factory.settings import STRICT
+from ...distribution import AnyNumber
+from ...imaging.coherent.expected import Expected
+from ...imaging.coherent.signal import Floats, Ping
+from ...settings import STRICT
+from ..effect import Effect, EffectSettings, parameter
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -30,7 +30,7 @@ def sidelobe_arcs(
     field: Floats, ping: Ping, rng: np.random.Generator, *, level_db: float
 ) -> Floats:
     """The field with each row's leak, of one random phase a row."""
-    from simnfnd.factory.formation.field import kernels  # loads numba
+    from ...imaging.coherent import kernels  # loads numba
 
     strongest = np.empty((field.shape[0], field.shape[2]), np.float32)
     kernels.loudest(field, strongest)

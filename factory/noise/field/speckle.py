@@ -15,17 +15,17 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import NonNegative, Positive
-from simnfnd.factory.formation.field.expected import Expected
-from simnfnd.factory.formation.field.signal import (
+from ...distribution import NonNegative, Positive
+from ...imaging.coherent.expected import Expected
+from ...imaging.coherent.signal import (
     Floats,
     Ping,
     Signal,
     beamform,
     gaussian_table,
 )
-from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
-from simnfnd.factory.settings import STRICT
+from ...settings import STRICT
+from ..effect import Effect, EffectSettings, parameter
 
 # Edge of a world cell over what the device tells apart; power is then within 0.15 dB.
 _CELL = 0.3
@@ -50,7 +50,7 @@ def speckle(
     signal: Signal, ping: Ping, rng: np.random.Generator, *, looks: float, scatterer_m: float
 ) -> Signal:
     """The scatterers' complex field instead of the mean power of the echoes."""
-    from simnfnd.factory.formation.field.cells import cell_loops
+    from ...imaging.coherent.cells import cell_loops
 
     scene, amplitude = ping.scatterers, np.sqrt(ping.scatterers.loss)
     cells = scene.world_cells(scatterer_m or _CELL * min(ping.bin_m, ping.resolution_m))

@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber, NonNegative
-from simnfnd.factory.formation.field.expected import Expected
-from simnfnd.factory.formation.field.signal import Floats, Ping
-from simnfnd.factory.noise.effect import Effect, EffectSettings, option, parameter
-from simnfnd.factory.settings import STRICT
+from ...distribution import AnyNumber, NonNegative
+from ...imaging.coherent.expected import Expected
+from ...imaging.coherent.signal import Floats, Ping
+from ...settings import STRICT
+from ..effect import Effect, EffectSettings, option, parameter
 
 # Beyond so many widths a spoke is not there.
 _REACH = 4

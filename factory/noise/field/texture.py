@@ -13,11 +13,11 @@ from functools import lru_cache
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import Positive
-from simnfnd.factory.formation.field.expected import Expected
-from simnfnd.factory.formation.field.signal import Floats, Ping, gaussian_table
-from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
-from simnfnd.factory.settings import STRICT
+from ...distribution import Positive
+from ...imaging.coherent.expected import Expected
+from ...imaging.coherent.signal import Floats, Ping, gaussian_table
+from ...settings import STRICT
+from ..effect import Effect, EffectSettings, parameter
 
 _STEPS, _REACH = 1024, 5.5
 
@@ -38,7 +38,7 @@ def texture(
     field: Floats, ping: Ping, rng: np.random.Generator, *, shape: float, patch_m: float
 ) -> Floats:
     """The field, every bin that a surface fills weakened or strengthened by sqrt(tau)."""
-    from simnfnd.factory.formation.field.cells import world_loops
+    from ...imaging.coherent.cells import world_loops
 
     scene = ping.scatterers
     normal = np.empty(len(scene.filled), np.float32)
@@ -52,7 +52,7 @@ def texture(
 
 def gamma_of_normal(normal: Floats, shape: float) -> Floats:
     """Gamma(nu, 1 / nu) values at the quantiles of standard normal ones; mean 1."""
-    from simnfnd.factory.formation.field.cells import world_loops
+    from ...imaging.coherent.cells import world_loops
 
     gamma = np.empty(len(normal), np.float32)
     world_loops.interpolated(normal, _quantiles(shape), _REACH, gamma)

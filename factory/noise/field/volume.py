@@ -10,13 +10,13 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import AnyNumber
-from simnfnd.factory.formation.contract import Floats
-from simnfnd.factory.formation.field.expected import Expected
-from simnfnd.factory.formation.field.signal import Ping, Signal, add_white_noise
-from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
-from simnfnd.factory.settings import STRICT
-from simnfnd.factory.sonar import array
+from ...distribution import AnyNumber
+from ...imaging.coherent.expected import Expected
+from ...imaging.coherent.signal import Ping, Signal, add_white_noise
+from ...imaging.contract import Floats
+from ...settings import STRICT
+from ...sonar import array
+from ..effect import Effect, EffectSettings, parameter
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import NonNegative, choice, uniform
-from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
-from simnfnd.factory.settings import STRICT
-from simnfnd.factory.sonar.echoes import Echoes, in_plane
-from simnfnd.factory.sonar.window import Window
+from ...distribution import NonNegative, choice, uniform
+from ...settings import STRICT
+from ...sonar.echoes import Echoes, in_plane
+from ...sonar.window import Window
+from ..effect import Effect, EffectSettings, parameter
 
 
 @dataclass(frozen=True, config=STRICT)

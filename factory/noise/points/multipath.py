@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import Fraction, NonNegative, choice, uniform
-from simnfnd.factory.noise.effect import Effect, EffectSettings, parameter
-from simnfnd.factory.settings import STRICT
-from simnfnd.factory.sonar import polar
-from simnfnd.factory.sonar.echoes import Echoes, in_plane
-from simnfnd.factory.sonar.window import Window
+from ...distribution import Fraction, NonNegative, choice, uniform
+from ...settings import STRICT
+from ...sonar import polar
+from ...sonar.echoes import Echoes, in_plane
+from ...sonar.window import Window
+from ..effect import Effect, EffectSettings, parameter
 
 # Cells of the density map, along range and bearing: about the size of the ghosts.
 _CELLS = (64, 48)

@@ -17,11 +17,11 @@ import numpy as np
 import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.distribution import NonNegative, uniform
-from simnfnd.factory.noise.effect import Effect, EffectSettings, option, parameter
-from simnfnd.factory.settings import STRICT
-from simnfnd.factory.sonar.echoes import Echoes, from_xyz
-from simnfnd.factory.sonar.window import Window
+from ...distribution import NonNegative, uniform
+from ...settings import STRICT
+from ...sonar.echoes import Echoes, from_xyz
+from ...sonar.window import Window
+from ..effect import Effect, EffectSettings, option, parameter
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -60,7 +60,7 @@ def range_spreading(
 
 def _half_normal(rng: np.random.Generator, count: int) -> npt.NDArray[np.float32]:
     """(count,) float32 draws of |N(0, 1)|, by the inverse of its distribution."""
-    from simnfnd.factory.sonar import number_loops  # loads numba
+    from ...sonar import number_loops  # loads numba
 
     size = np.empty(count, np.float32)
     number_loops.half_normal(rng.random(count, dtype=np.float32), size)

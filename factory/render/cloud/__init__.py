@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.frame import Intrinsics
+from ...frame import Intrinsics
 
 # A step between neighbours is large when over this part of the edge ratio.  At the default ratio
 # that is 2 % of the depth, more than the steps in which structured-light cameras measure.

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.compiled import compiled
-from simnfnd.factory.render.cloud import LARGE_STEP, SLOPE_CHANGE
+from ...compiled import compiled
+from . import LARGE_STEP, SLOPE_CHANGE
 
 Floats = npt.NDArray[np.float32]
 Doubles = npt.NDArray[np.float64]

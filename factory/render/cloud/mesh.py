@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.frame import Intrinsics
-from simnfnd.factory.render.cloud import Quads, cut_quads, joined_pixels
+from ...frame import Intrinsics
+from . import Quads, cut_quads, joined_pixels
 
 # A tangent plane seen edge-on runs away: the rim keeps this part of the edge ratio to its pixel.
 _RIM_REACH = 0.25

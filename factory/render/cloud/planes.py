@@ -11,7 +11,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.compiled import compiled
+from ...compiled import compiled
 
 Codes = npt.NDArray[np.uint16]
 

@@ -4,7 +4,7 @@ A location is a number: it fixes the ground, the objects, the water and the came
 are drawn by one z-buffer, so depth, labels and pictures agree to the pixel.
 """
 
-from simnfnd.factory.labels import CLASSES
-from simnfnd.factory.scenes.seabed.reader import SeabedReader, SeabedSettings
+from ...labels import CLASSES
+from .reader import SeabedReader, SeabedSettings
 
 __all__ = ["CLASSES", "SeabedReader", "SeabedSettings"]

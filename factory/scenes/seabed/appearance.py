@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simnfnd.factory.scenes.seabed.fields import Floats
-from simnfnd.factory.scenes.seabed.objects.meshes import Colour
+from .fields import Floats
+from .objects.meshes import Colour
 
 
 @dataclass(frozen=True)

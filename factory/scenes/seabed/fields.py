@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.seeds import stream
+from ...seeds import stream
 
 Floats = npt.NDArray[np.float32]
 Arrays = npt.NDArray[np.floating[Any]]  # any precision
@@ -38,7 +38,7 @@ class Waves:
     def __call__(self, *coordinates_m: Arrays) -> Floats:
         """The field at D coordinate arrays (metres, one shape), float32 of that shape."""
         # Reading a configuration imports this module; only making frames needs numba.
-        from simnfnd.factory.scenes.seabed.loops.field_loops import add_waves
+        from .loops.field_loops import add_waves
 
         first = np.asarray(coordinates_m[0])
         axes = np.stack([np.asarray(axis, dtype=np.float32).ravel() for axis in coordinates_m])
@@ -117,7 +117,7 @@ def lookup(
     period_m: float,
 ) -> Floats:
     """Values of a periodic (S, S) `tile`, one period every `period_m`, at coordinates."""
-    from simnfnd.factory.scenes.seabed.loops.field_loops import look_up
+    from .loops.field_loops import look_up
 
     u, v = (np.ascontiguousarray(axis, dtype=np.float32) for axis in (u_m, v_m))
     values = np.empty(u.shape, dtype=np.float32)
@@ -175,7 +175,7 @@ def _fractal(
 
 def _cells(rng: np.random.Generator, count: int) -> Floats:
     """Periodic lumps: minus the distance to the nearest of `count` random points."""
-    from simnfnd.factory.scenes.seabed.loops.field_loops import cell_borders
+    from .loops.field_loops import cell_borders
 
     lumps = np.empty((TILE // 2, TILE // 2), dtype=np.float32)
     cell_borders(rng.random((count, 2)), lumps)

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.scenes.poses import numbered_lines
+from ...errors import FactoryError
+from ..poses import numbered_lines
 
 COLUMNS = ("time_s", "surge_m", "sway_m", "heave_m", "roll_deg", "pitch_deg", "yaw_deg")
 _MOST_FRAMES = 10_000

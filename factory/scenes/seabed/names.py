@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-from simnfnd.factory.labels import ObjectName
+from ...labels import ObjectName
 
 KindName = ObjectName
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simnfnd.factory.frame import Intrinsics
+from ...frame import Intrinsics
 
 FOCAL_PER_WIDTH = 1168.0 / 968.0
 """Of the FLSea camera, which sees 45 degrees across."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.scenes.seabed.fields import Waves, waves
-from simnfnd.factory.scenes.seabed.places import Place, draw
-from simnfnd.factory.scenes.seabed.terrain import Terrain
+from .biomes import Place, draw
+from .fields import Waves, waves
+from .terrain import Terrain
 
 Points = npt.NDArray[np.float64]
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.scenes.seabed.appearance import Palette
-from simnfnd.factory.scenes.seabed.casting import Hits, Objects, Pose, lens_of, whole
-from simnfnd.factory.scenes.seabed.fields import TILE, WORLD_SEED, Floats, dither, tiles
-from simnfnd.factory.scenes.seabed.optics import Optics
-from simnfnd.factory.scenes.seabed.terrain import GroundMesh
-from simnfnd.factory.scenes.seabed.water import Water
-from simnfnd.factory.seeds import stream
+from ...seeds import stream
+from .appearance import Palette
+from .fields import TILE, WORLD_SEED, Floats, dither, tiles
+from .optics import Optics
+from .rasterizer import Hits, Objects, Pose, lens_of, whole
+from .terrain import GroundMesh
+from .water import Water
 
 _OCCLUSION_REACH_M = 0.45
 _NEAR_MAP_M, _FAR_MAP_M = 6.0, 36.0  # sides of the two maps of what the sun meets
@@ -37,7 +37,7 @@ class Scene:
 
 def photograph(rng: np.random.Generator, scene: Scene, hits: Hits) -> npt.NDArray[np.uint8]:
     """The (H, W, 3) picture of what a view meets."""
-    from simnfnd.factory.scenes.seabed.loops import colour_loops
+    from .loops import colour_loops
 
     water, where = scene.water, scene.where
     lit, free = _light(scene, hits)
@@ -67,7 +67,7 @@ def _light(scene: Scene, hits: Hits) -> tuple[Floats, Floats]:
     coarse one.  Openness is the share of the near surroundings that is open: dark in corners and
     under things.
     """
-    from simnfnd.factory.scenes.seabed.loops.surface_loops import light, sun_blocks
+    from .loops.surface_loops import light, sun_blocks
 
     shape = tuple(-(-size // 2) for size in hits.depth_m.shape)
     lit, free = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
@@ -104,8 +104,8 @@ def _sun_map(
     scene: Scene, slope: Floats, place: Floats, cells: int, blocks: npt.NDArray[np.bool_]
 ) -> Floats:
     """(cells, cells) greatest height that the sun's light meets, where `blocks` are looked at."""
-    from simnfnd.factory.scenes.seabed.loops.ground_loops import shading_triangles
-    from simnfnd.factory.scenes.seabed.loops.raster_loops import cover
+    from .loops.ground_loops import shading_triangles
+    from .loops.raster_loops import cover
 
     points, objects = scene.ground.points, scene.objects
     tops = np.full((cells, cells), -np.inf, dtype=np.float32)
@@ -189,7 +189,7 @@ def develop(rng: np.random.Generator, colour: Floats, haze: Floats) -> npt.NDArr
 
     colour: (H, W, 3) linear.  haze: (3,) what the black level takes away.
     """
-    from simnfnd.factory.scenes.seabed.loops.picture_loops import expose, through_lens
+    from .loops.picture_loops import expose, through_lens
 
     seen = np.empty_like(colour)
     through_lens(colour, haze.astype(np.float32), _blur_weights(), seen)

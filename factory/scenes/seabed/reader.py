@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from simnfnd.factory.errors import FrameError
-from simnfnd.factory.frame import Frame, FrameRef, checked
-from simnfnd.factory.scenes.base import Discovery, SceneSettings
-from simnfnd.factory.scenes.roots import Root
-from simnfnd.factory.scenes.seabed.movement import Movement, movements
-from simnfnd.factory.scenes.seabed.names import PLACE_NAMES, KindName, PlaceName
-from simnfnd.factory.scenes.seabed.optics import HFOV_DEG
-from simnfnd.factory.settings import STRICT
+from ...errors import FrameError
+from ...frame import Frame, FrameRef, checked
+from ...settings import STRICT
+from ..base import Discovery, SceneSettings
+from ..roots import Root
+from .movement import Movement, movements
+from .names import PLACE_NAMES, KindName, PlaceName
+from .optics import HFOV_DEG
 
 if TYPE_CHECKING:
-    from simnfnd.factory.scenes.seabed.world import World
+    from .world import World
 
 _LAST = 10_000  # names have four digits and sort as numbers do
 _HELD = 2  # a location takes a second to build and tens of megabytes
@@ -101,8 +101,8 @@ class SeabedReader:
                 f"{ref.name}: not a procedural frame; names are like seabed/seabed-0007/0003"
             )
         # Reading a configuration imports this module, but needs nothing that makes pictures.
-        from simnfnd.factory.scenes.seabed.optics import camera
-        from simnfnd.factory.scenes.seabed.world import take
+        from .optics import camera
+        from .world import take
 
         world = self._world(int(scene[1]))
         settings = self._settings
@@ -120,7 +120,7 @@ class SeabedReader:
         return movements(Path(self._settings.path).expanduser())
 
     def _world(self, location: int) -> World:
-        from simnfnd.factory.scenes.seabed.world import build_world
+        from .world import build_world
 
         if location not in self._worlds:
             places = self._settings.places or PLACE_NAMES

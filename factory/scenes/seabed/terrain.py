@@ -11,14 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.scenes.seabed.fields import (
+from .fields import (
     Arrays,
     Floats,
     Waves,
     smoothstep,
     tiles,
 )
-from simnfnd.factory.scenes.seabed.objects.meshes import Indices, grid_triangles
+from .objects.meshes import Indices, grid_triangles
 
 FAR_M = 36.0  # the ground ends here; water hides it long before
 
@@ -115,7 +115,7 @@ class Terrain:
         Returns (R, C, 3) positions, and (R, C, 3) attributes: rockiness, gravel share, relief (in
         units of its standard deviation, negative in crevices).
         """
-        from simnfnd.factory.scenes.seabed.loops.ground_loops import relieve
+        from .loops.ground_loops import relieve
 
         x, y = np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32)
         outcrop = self.outcrop(x, y)
@@ -166,7 +166,7 @@ class Ripples:
 
 def grid_normals(points: Floats) -> Floats:
     """(R, C, 3) unit normals of a (R, C, 3) grid of points, turned upward."""
-    from simnfnd.factory.scenes.seabed.loops.ground_loops import normals_of_grid
+    from .loops.ground_loops import normals_of_grid
 
     normals = np.empty_like(points)
     normals_of_grid(points, normals)

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from simnfnd.factory.frame import Intrinsics
-from simnfnd.factory.scenes.seabed.casting import Pose, lens_of, pose, z_buffer
-from simnfnd.factory.scenes.seabed.gaps import MOST_LOST
-from simnfnd.factory.scenes.seabed.optics import Optics, camera
-from simnfnd.factory.scenes.seabed.terrain import FAR_M
+from ...frame import Intrinsics
+from .depth_dropout import MOST_LOST
+from .optics import Optics, camera
+from .rasterizer import Pose, lens_of, pose, z_buffer
+from .terrain import FAR_M
 
 if TYPE_CHECKING:
-    from simnfnd.factory.scenes.seabed.world import World
+    from .world import World
 
 _EVERY = 16  # pixels of FLSea's camera from one ray to the next
 _SIDE_DEG, _DOWN_DEG = 50, 20
@@ -29,7 +29,7 @@ def choose_pose(world: World, frame: int) -> Pose:
     A good view has ground to throw shadows on, objects at middle range, something missing but not
     much, and nothing right before the lens.
     """
-    from simnfnd.factory.scenes.seabed.loops.viewpoint_loops import judge
+    from .loops.viewpoint_loops import judge
 
     eye = world.path.eye(frame, world.terrain)
     heading, pitch, roll = world.path.attitude_deg(frame)

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simnfnd.factory.scenes.seabed.fields import Floats
-from simnfnd.factory.scenes.seabed.places import draw
+from .biomes import draw
+from .fields import Floats
 
 Triple = tuple[float, float, float]
 

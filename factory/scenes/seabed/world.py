@@ -9,9 +9,21 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.frame import Frame, FrameRef
-from simnfnd.factory.scenes.seabed.appearance import Palette, draw_palette
-from simnfnd.factory.scenes.seabed.casting import (
+from ...frame import Frame, FrameRef
+from ...seeds import stream
+from .appearance import Palette, draw_palette
+from .biomes import PLACES, draw_terrain
+from .depth_dropout import measured
+from .fields import WORLD_SEED, Floats
+from .movement import Movement, moved
+from .names import PlaceName
+from .objects.kinds import KINDS
+from .objects.meshes import mesh
+from .objects.placement import Item, Site, furnish
+from .optics import Optics
+from .path import Path, draw_loop, draw_path
+from .photo import Scene, photograph
+from .rasterizer import (
     Objects,
     Pose,
     directions,
@@ -19,21 +31,9 @@ from simnfnd.factory.scenes.seabed.casting import (
     objects_of,
     view,
 )
-from simnfnd.factory.scenes.seabed.fields import WORLD_SEED, Floats
-from simnfnd.factory.scenes.seabed.gaps import measured
-from simnfnd.factory.scenes.seabed.movement import Movement, moved
-from simnfnd.factory.scenes.seabed.names import PlaceName
-from simnfnd.factory.scenes.seabed.objects.kinds import KINDS
-from simnfnd.factory.scenes.seabed.objects.meshes import mesh
-from simnfnd.factory.scenes.seabed.objects.site import Item, Site, furnish
-from simnfnd.factory.scenes.seabed.optics import Optics
-from simnfnd.factory.scenes.seabed.path import Path, draw_loop, draw_path
-from simnfnd.factory.scenes.seabed.photo import Scene, photograph
-from simnfnd.factory.scenes.seabed.places import PLACES, draw_terrain
-from simnfnd.factory.scenes.seabed.terrain import Terrain, view_mesh
-from simnfnd.factory.scenes.seabed.viewpoint import choose_pose
-from simnfnd.factory.scenes.seabed.water import Water, draw_water
-from simnfnd.factory.seeds import stream
+from .terrain import Terrain, view_mesh
+from .viewpoint import choose_pose
+from .water import Water, draw_water
 
 
 @dataclass(frozen=True, eq=False)

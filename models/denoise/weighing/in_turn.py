@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
-from simnfnd.models.denoise.files import Gray
-from simnfnd.models.pretrained import REMOVAL
+from ....factory.sonar.geometry import FanGeometry
+from ...pretrained import REMOVAL
+from ..denoiser import Denoiser, load_denoiser
+from ..files import Gray
 
 OVER: tuple[str, ...] = ("haze", "spokes", "ghosts", "gains")
 """Artefacts that `REMOVAL` was trained on: they need whole beams and arcs to be seen."""

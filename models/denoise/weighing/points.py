@@ -19,8 +19,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.denoise.files import Gray
+from ....factory.sonar.geometry import FanGeometry
+from ..files import Gray
 
 FILE = Path(__file__).parents[2] / "pretrained" / "points.json"
 """What `tools.fit_points` wrote."""

@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from simnfnd.factory.recordings.presentation import presentation_of
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.denoise.denoiser import known_geometry
-from simnfnd.models.denoise.files import Denoise, Gray
-from simnfnd.models.denoise.weighing.points import likelihood
-from simnfnd.models.pretrained import POINTS
+from ....factory.sonar.geometry import FanGeometry
+from ...pretrained import POINTS
+from ...recordings.presentation import presentation_of
+from ..denoiser import known_geometry
+from ..files import Denoise, Gray
+from .points import likelihood
 
 _SURE = 0.1
 """Nearer to 0 or 1 than this, one of both denoises alone; between, both, weighed."""

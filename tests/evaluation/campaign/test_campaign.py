@@ -20,7 +20,7 @@ from simnfnd.evaluation.campaign.plan import Folders, training_steps
 from simnfnd.evaluation.campaign.trainings import write_trainings
 from simnfnd.evaluation.report.content import SCHEMA as REPORT_SCHEMA
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.jobs.lock import Lock
+from simnfnd.factory.scheduler.lock import Lock
 from simnfnd.factory.settings import build
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights

@@ -14,7 +14,7 @@ from simnfnd.evaluation.downstream.report import about_components, counted_class
 from simnfnd.evaluation.downstream.splits import folds_of, labelled_of
 from simnfnd.evaluation.downstream.trainings import planned
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import PICTURE_SUFFIXES
+from simnfnd.models.recordings import PICTURE_SUFFIXES
 from tests.project_files import ROOT
 
 Array = npt.NDArray[Any]

@@ -16,8 +16,8 @@ from simnfnd.evaluation.metrics.frames import (
 )
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.pairs import make_pair, observe
-from simnfnd.factory.recordings import open_recording
 from simnfnd.factory.scenes.seabed.movement import moved, movements
+from simnfnd.models.recordings import open_recording
 from tests.frames import ground_and_post, plain_render
 
 ROOT = Path(__file__).parents[3]

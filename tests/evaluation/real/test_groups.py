@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from simnfnd.command import main
-from simnfnd.evaluation.baselines import REGISTRY
+from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.methods.method import NOISY, Method
 from simnfnd.evaluation.real.groups import Group, alone, judged, nearest
 from simnfnd.evaluation.real.measure import RealRow, _task, measure
 from simnfnd.evaluation.real.shots import Shot, open_input
 from simnfnd.evaluation.real.summary import Groups, summaries
 from simnfnd.evaluation.real.tuning import line_search, parts_of
-from simnfnd.factory.workers.tasks import TaskPool
+from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
 from tests.evaluation.real.static_scenes import SHAPE, frames, shuffled

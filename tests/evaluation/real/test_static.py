@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from simnfnd.evaluation.real.score import score
-from simnfnd.factory.recordings.static import (
+from simnfnd.models.recordings.static import (
     aligned,
     find_groups,
     moving,

@@ -16,10 +16,10 @@ from simnfnd.evaluation.realism import compare, real
 from simnfnd.evaluation.realism.measure import Measured, joined, measure_picture
 from simnfnd.evaluation.realism.polar import Grid, to_polar
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings.pictures import read_grey
 from simnfnd.factory.sonar.fan import fan_table
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
+from simnfnd.models.recordings.pictures import read_grey
 from tests.evaluation.realism.realism_pictures import polar_folder, sonar_picture
 from tests.project_files import ROOT
 

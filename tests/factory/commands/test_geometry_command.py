@@ -12,7 +12,7 @@ import pytest
 from simnfnd.command import main
 from simnfnd.factory.errors import FactoryError
 from simnfnd.models.data.fans import read_fans
-from tests.factory.recordings.fan_pictures import fan, preset
+from tests.models.recordings.fan_pictures import fan, preset
 
 
 def test_table_and_drawings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

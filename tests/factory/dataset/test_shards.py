@@ -258,7 +258,7 @@ def test_the_folder_is_named_by_the_config_unless_given() -> None:
 
 
 def test_slow_or_missing_libraries_are_not_imported_for_the_shards() -> None:
-    code = "import sys, simnfnd.factory.jobs.run; print(*sorted(sys.modules))"
+    code = "import sys, simnfnd.factory.scheduler.run; print(*sorted(sys.modules))"
     result = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True
     )

@@ -10,10 +10,9 @@ import pytest
 
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
-from simnfnd.factory.formation.field.received import received
-from simnfnd.factory.formation.field.signal import Ping, Signal
-from simnfnd.factory.formation.field.tables import vertical_table
-from simnfnd.factory.meta.record import columns
+from simnfnd.factory.imaging.coherent.received import received
+from simnfnd.factory.imaging.coherent.signal import Ping, Signal
+from simnfnd.factory.imaging.coherent.tables import vertical_table
 from simnfnd.factory.noise.draws import Draws, StreamNames, draw
 from simnfnd.factory.noise.field.beam_gain import beam_gain
 from simnfnd.factory.noise.field.crosstalk import crosstalk
@@ -29,6 +28,7 @@ from simnfnd.factory.noise.field.tvg_error import tvg_error
 from simnfnd.factory.noise.field.volume import volume
 from simnfnd.factory.noise.registry import EFFECTS, FIELD_EFFECTS, NoiseSettings, blocks
 from simnfnd.factory.pairs import ObservedFrame, make_pair, observe
+from simnfnd.factory.sample_table.record import columns
 from simnfnd.factory.sonar.acoustics import thermal_noise_db
 from simnfnd.factory.sonar.array import directivity_db
 from tests.constant_field import config, constant_field, observed, ping_of
@@ -412,7 +412,7 @@ def test_noise_workers_need_no_renderer_and_no_torch() -> None:
 
     code = (
         "import sys, simnfnd.factory.pairs\n"
-        "import simnfnd.factory.formation.field.kernels\n"
+        "import simnfnd.factory.imaging.coherent.kernels\n"
         "sys.exit(bool({'bpy', 'open3d', 'torch'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -13,11 +13,11 @@ from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.errors import FactoryError, NotRendered
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.pairs import pair_maker
+from simnfnd.factory.render.cache.cache import Cache, CacheSettings, Limit
+from simnfnd.factory.render.cache.key import FrameKeys
+from simnfnd.factory.render.cache.views import CachedViews, ViewMaker
 from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.pack import PackViews, read_contents, write_pack
-from simnfnd.factory.renders.cache import Cache, CacheSettings, Limit
-from simnfnd.factory.renders.key import FrameKeys
-from simnfnd.factory.renders.views import CachedViews, ViewMaker
 from tests.factory.render.small_views import SMALL_SEABED, config, same, some_view
 from tests.project_files import ROOT
 

@@ -12,8 +12,8 @@ import pytest
 
 from simnfnd.command import main
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.renders.key import FrameKeys
-from tests.factory.jobs.run_files import shard_bytes
+from simnfnd.factory.render.cache.key import FrameKeys
+from tests.factory.scheduler.run_files import shard_bytes
 
 WORDS = [
     *("render=analytic", "scenes.locations=2", "scenes.frames_per_location=2"),

@@ -11,11 +11,11 @@ from scipy import ndimage
 
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.scenes.seabed import SeabedReader, SeabedSettings, photo, terrain
-from simnfnd.factory.scenes.seabed.casting import Hits, Objects
+from simnfnd.factory.scenes.seabed.depth_dropout import _ellipse, measured
 from simnfnd.factory.scenes.seabed.fields import Floats, tiles
-from simnfnd.factory.scenes.seabed.gaps import _ellipse, measured
 from simnfnd.factory.scenes.seabed.objects.meshes import tube
 from simnfnd.factory.scenes.seabed.photo import Scene
+from simnfnd.factory.scenes.seabed.rasterizer import Hits, Objects
 from simnfnd.factory.seeds import stream
 from tests.seabed_in_numpy import between, channels, plain_colour
 

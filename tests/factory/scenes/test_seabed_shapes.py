@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simnfnd.factory.scenes.seabed.casting import directions, view, z_buffer
 from simnfnd.factory.scenes.seabed.fields import lookup, tiles, waves
 from simnfnd.factory.scenes.seabed.names import PLACE_NAMES
 from simnfnd.factory.scenes.seabed.objects.meshes import (
@@ -25,6 +24,7 @@ from simnfnd.factory.scenes.seabed.objects.meshes import (
 )
 from simnfnd.factory.scenes.seabed.optics import Optics, camera
 from simnfnd.factory.scenes.seabed.photo import Scene, _light
+from simnfnd.factory.scenes.seabed.rasterizer import directions, view, z_buffer
 from simnfnd.factory.scenes.seabed.terrain import view_mesh
 from simnfnd.factory.scenes.seabed.viewpoint import choose_pose
 from simnfnd.factory.scenes.seabed.world import _field_of_view, build_world

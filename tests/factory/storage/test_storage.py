@@ -21,9 +21,9 @@ import pytest
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.check.validate import validate
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.jobs import run
-from simnfnd.factory.jobs.ledger import RunReport
-from simnfnd.factory.jobs.settings import ShardSlice
+from simnfnd.factory.scheduler import run
+from simnfnd.factory.scheduler.ledger import RunReport
+from simnfnd.factory.scheduler.settings import ShardSlice
 from simnfnd.factory.storage import copies, room
 from simnfnd.factory.storage.copies import folder_of, forget_copy, local_folder, url_of
 from simnfnd.factory.storage.lock import StoreLock

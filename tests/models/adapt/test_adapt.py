@@ -16,7 +16,7 @@ from simnfnd.models.adapt import simulated
 from simnfnd.models.adapt.clips import natural, read_clips, runs
 from simnfnd.models.adapt.command import main
 from simnfnd.models.adapt.crops import crop, crop_size
-from simnfnd.models.adapt.lessons import StillLesson
+from simnfnd.models.adapt.objectives import StillLesson
 from simnfnd.models.adapt.score import psnr_after_levels
 from simnfnd.models.adapt.still import find_lessons
 from simnfnd.models.denoise.denoiser import load_denoiser

@@ -13,7 +13,6 @@ import torch
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.noise.draws import Draws, StreamNames, draw
-from simnfnd.factory.recordings.pictures import read_grey
 from simnfnd.factory.settings import build
 from simnfnd.factory.sonar.fan import fan_table
 from simnfnd.factory.sonar.geometry import FanGeometry
@@ -22,6 +21,7 @@ from simnfnd.models.data.fans import read_fans
 from simnfnd.models.data.images import list_images
 from simnfnd.models.data.olddata import OldDataSource, with_noise
 from simnfnd.models.data.sources import open_data
+from simnfnd.models.recordings.pictures import read_grey
 from simnfnd.models.settings import DATA
 from simnfnd.models.training.blind_spots import mask_blind_spots
 from simnfnd.models.training.self_supervised import neighbour_pairs, select_pixels

@@ -10,14 +10,14 @@ import numpy as np
 
 from simnfnd.evaluation.real.shots import open_input
 from simnfnd.factory.noise.registry import NoiseSettings
-from simnfnd.factory.recordings import kind_of
 from simnfnd.models.data.images import NoisySource, list_images, read_sample, smallest_side
 from simnfnd.models.data.olddata import OldDataSource
 from simnfnd.models.data.recordings import digest_of
 from simnfnd.models.data.sources import open_data
-from tests.factory.recordings.array_files import write_array
-from tests.factory.recordings.recording_files import pings, write_stack
+from simnfnd.models.recordings import kind_of
 from tests.models.data.data_settings import composed
+from tests.models.recordings.array_files import write_array
+from tests.models.recordings.recording_files import pings, write_stack
 from tests.project_files import ROOT
 
 LAMPREY = ROOT / "examples" / "didson" / "lamprey.avi"

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import open_recording
-from simnfnd.factory.recordings.ros_messages import IMAGE, SONAR, typestore
-from simnfnd.factory.recordings.rosbag import RosBag
 from simnfnd.models.denoise.command import main
-from tests.factory.recordings.bag_files import content, image, sonar, write_bag
-from tests.factory.recordings.fan_pictures import fan, preset
-from tests.factory.recordings.recording_files import pings
+from simnfnd.models.recordings import open_recording
+from simnfnd.models.recordings.ros_messages import IMAGE, SONAR, typestore
+from simnfnd.models.recordings.rosbag import RosBag
 from tests.models.denoise.halving import Halving
+from tests.models.recordings.bag_files import content, image, sonar, write_bag
+from tests.models.recordings.fan_pictures import fan, preset
+from tests.models.recordings.recording_files import pings
 
 
 def test_bags_become_bags(tmp_path: Path, halving: Halving) -> None:

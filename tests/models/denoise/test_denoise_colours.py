@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from simnfnd.factory.recordings import open_recording
-from simnfnd.factory.recordings.palettes import find_painted
 from simnfnd.models.denoise import command
 from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.files import Gray
-from simnfnd.models.denoise.steady import Steady
+from simnfnd.models.denoise.temporal import Steady
+from simnfnd.models.recordings import open_recording
+from simnfnd.models.recordings.palettes import find_painted
 from tests.models.adapt.scenes import noisy, scene
 
 Bytes = npt.NDArray[Any]

@@ -14,7 +14,7 @@ from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise import command
 from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.files import Gray, denoise_image
-from tests.factory.recordings.figure_pictures import Bytes, Drawn, figure, sector, shown
+from tests.models.recordings.figure_pictures import Bytes, Drawn, figure, sector, shown
 
 
 class Dimming:

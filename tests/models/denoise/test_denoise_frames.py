@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import open_recording
-from simnfnd.factory.recordings.averaging import Averager, windows
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise import command
 from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.files import Gray
 from simnfnd.models.denoise.inputs import Item
-from simnfnd.models.denoise.steady import neighbours
-from tests.factory.recordings.recording_files import write_aris
+from simnfnd.models.denoise.temporal import neighbours
+from simnfnd.models.recordings import open_recording
+from simnfnd.models.recordings.averaging import Averager, windows
 from tests.models.adapt.scenes import SIDE, noisy, scene, write
+from tests.models.recordings.recording_files import write_aris
 
 EVERYWHERE = np.ones((SIDE, SIDE), bool)
 

@@ -11,12 +11,12 @@ import pytest
 import torch
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import open_recording
 from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
-from tests.factory.recordings.recording_files import write_aris
+from simnfnd.models.recordings import open_recording
+from tests.models.recordings.recording_files import write_aris
 
 CONFIG: dict[str, Any] = {"kind": "kdlae", "frames": 5, "widths": [4, 4], "blocks": 1}
 

@@ -12,20 +12,20 @@ import torch
 from PIL import Image, ImageSequence
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.recordings import open_recording
 from simnfnd.models.denoise.command import main
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
-from tests.factory.recordings.array_files import write_array
-from tests.factory.recordings.fan_pictures import fan, preset
-from tests.factory.recordings.recording_files import (
+from simnfnd.models.recordings import open_recording
+from tests.models.denoise.halving import Halving
+from tests.models.recordings.array_files import write_array
+from tests.models.recordings.fan_pictures import fan, preset
+from tests.models.recordings.recording_files import (
     pings,
     write_aris,
     write_ddf,
     write_oculus,
     write_stack,
 )
-from tests.models.denoise.halving import Halving
 
 
 def test_an_aris_recording_becomes_one(tmp_path: Path, halving: Halving) -> None:

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.recordings import open_recording
-from simnfnd.factory.recordings.video import VideoFile
 from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.videos import CODECS, FrameFiles
-from tests.factory.recordings.array_files import write_array
-from tests.factory.recordings.recording_files import pings
+from simnfnd.models.recordings import open_recording
+from simnfnd.models.recordings.video import VideoFile
 from tests.models.denoise.untrained import through_network
+from tests.models.recordings.array_files import write_array
+from tests.models.recordings.recording_files import pings
 from tests.small_dataset import fan_images
 
 

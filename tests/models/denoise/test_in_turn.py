@@ -16,7 +16,7 @@ from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
 from simnfnd.models.denoise.weighing.in_turn import InTurn, asked_denoiser
 from simnfnd.models.pretrained import REMOVAL
-from tests.factory.recordings.fan_pictures import fan, preset
+from tests.models.recordings.fan_pictures import fan, preset
 
 Grey = npt.NDArray[np.float32]
 

@@ -16,12 +16,12 @@ from scipy import ndimage
 
 from simnfnd import denoise, make_pair
 from simnfnd.factory.dataset.read.pair_dataset import in_unit_range
-from simnfnd.factory.recordings.fan.pings import frame_picture
 from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
 from simnfnd.models.denoise.weighing import suited
 from simnfnd.models.denoise.weighing.points import figures, likelihood
 from simnfnd.models.denoise.weighing.suited import Suited
+from simnfnd.models.recordings.fan.pings import frame_picture
 from tests.project_files import ROOT
 from tools.fit_points import Judged, _fit, _line
 

@@ -14,13 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import simnfnd
-from simnfnd.factory.recordings.fan.finder import find_fan
-from simnfnd.factory.recordings.presentation import gain_of, presentation_of
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.adapt.clips import Shot, presented
 from simnfnd.models.denoise.command import main
-from tests.factory.recordings.fan_pictures import fan, preset
-from tests.factory.recordings.screens import LEFT, TOP, screen, with_rings
+from simnfnd.models.recordings.fan.finder import find_fan
+from simnfnd.models.recordings.presentation import gain_of, presentation_of
+from tests.models.recordings.fan_pictures import fan, preset
+from tests.models.recordings.screens import LEFT, TOP, screen, with_rings
 
 
 @given(st.floats(1e-4, 1), st.integers(0, 2**31))

@@ -24,7 +24,7 @@ from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.pretrained.export import main
 from simnfnd.models.pretrained.graph import LAYOUTS, Graph, Layout
 from simnfnd.models.pretrained.traced import OPSET, compared, write_onnx
-from tests.factory.recordings.fan_pictures import fan, preset
+from tests.models.recordings.fan_pictures import fan, preset
 from tests.project.run_example import run
 
 TINY: dict[str, dict[str, Any]] = {

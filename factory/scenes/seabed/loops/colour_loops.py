@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.factory.compiled import compiled
-from simnfnd.factory.scenes.seabed.loops.field_loops import ROWS
-from simnfnd.factory.scenes.seabed.loops.light_loops import (
+from ....compiled import compiled
+from .field_loops import ROWS
+from .light_loops import (
     net_of_light,
     roughen,
     shine_back,
@@ -20,7 +20,7 @@ from simnfnd.factory.scenes.seabed.loops.light_loops import (
     through_water,
     weave,
 )
-from simnfnd.factory.scenes.seabed.loops.texture_loops import look, look_close, place, seek
+from .texture_loops import look, look_close, place, seek
 
 _F = np.float32
 _ZERO, _ONE, _TWO, _THREE, _HALF = _F(0), _F(1), _F(2), _F(3), _F(0.5)

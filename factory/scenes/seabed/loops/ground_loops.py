@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.factory.compiled import compiled
-from simnfnd.factory.scenes.seabed.loops.field_loops import READ, ROWS
+from ....compiled import compiled
+from .field_loops import READ, ROWS
 
 _F = np.float32
 _ZERO, _ONE = _F(0), _F(1)

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.factory.compiled import compiled
-from simnfnd.factory.scenes.seabed.loops.texture_loops import FAR
+from ....compiled import compiled
+from .texture_loops import FAR
 
 _F = np.float32
 _ROUND = _F(12582912)

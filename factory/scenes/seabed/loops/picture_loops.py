@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.factory.compiled import compiled
-from simnfnd.factory.scenes.seabed.fields import STEPS
-from simnfnd.factory.scenes.seabed.loops.texture_loops import byte
+from ....compiled import compiled
+from ..fields import STEPS
+from .texture_loops import byte
 
 _F = np.float32
 _ZERO, _ONE = _F(0), _F(1)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.factory.compiled import compiled
+from ....compiled import compiled
 
 _NEAR_M = 0.02  # what is nearer to the lens is not seen
 _ONE = np.float32(1)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.factory.compiled import compiled
-from simnfnd.factory.scenes.seabed.loops.raster_loops import POINTS, TRIANGLES
+from ....compiled import compiled
+from .raster_loops import POINTS, TRIANGLES
 
 _F = np.float32
 _STEPS = (0.12, 0.3, 0.6, 1.0)  # along a ray that looks for what is near

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.factory.compiled import compiled
-from simnfnd.factory.scenes.seabed.fields import FINE_M, STEPS, TEXTURE_M
+from ....compiled import compiled
+from ..fields import FINE_M, STEPS, TEXTURE_M
 
 _F = np.float32
 _STEP = _F(1 / STEPS)

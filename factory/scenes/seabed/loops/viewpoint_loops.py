@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.factory.compiled import compiled
+from ....compiled import compiled
 
 _MATRICES = "float64[:, :, ::1]"
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.scenes.seabed.objects.meshes import (
+from .meshes import (
     Colour,
     Mesh,
     bar,

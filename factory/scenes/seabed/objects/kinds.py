@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from simnfnd.factory.scenes.seabed.objects import debris, nature, structures
-from simnfnd.factory.scenes.seabed.objects.meshes import Mesh
+from . import debris, nature, structures
+from .meshes import Mesh
 
 
 @dataclass(frozen=True)

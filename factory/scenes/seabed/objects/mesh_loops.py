@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from simnfnd.factory.compiled import compiled
-from simnfnd.factory.scenes.seabed.loops.raster_loops import POINTS, TRIANGLES
+from ....compiled import compiled
+from ..loops.raster_loops import POINTS, TRIANGLES
 
 
 @compiled(f"void({POINTS}, {TRIANGLES}, float32[:, ::1])")

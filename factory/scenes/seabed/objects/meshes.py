@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.scenes.seabed.fields import Arrays, Floats, waves
+from ..fields import Arrays, Floats, waves
 
 Indices = npt.NDArray[np.int32]
 Colour = tuple[float, float, float]
@@ -80,7 +80,7 @@ def join(parts: Iterable[Mesh]) -> Mesh:
 
 def vertex_normals(vertices: Floats, triangles: Indices) -> Floats:
     """(V, 3) unit normals, the area-weighted mean of the triangles around each vertex."""
-    from simnfnd.factory.scenes.seabed.objects.mesh_loops import point_normals
+    from .mesh_loops import point_normals
 
     normals = np.empty(vertices.shape, dtype=np.float32)
     point_normals(np.ascontiguousarray(vertices), np.ascontiguousarray(triangles), normals)
@@ -136,7 +136,7 @@ def tube(
     colour: npt.ArrayLike = GREY,
 ) -> Mesh:
     """A round bar along an (N, 3) path; radius and colour may change along it; ends are capped."""
-    from simnfnd.factory.scenes.seabed.objects.mesh_loops import bend_tube
+    from .mesh_loops import bend_tube
 
     points = np.ascontiguousarray(path, dtype=np.float64)
     radii = np.ascontiguousarray(radius, dtype=np.float64).reshape(-1)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.scenes.seabed.fields import waves
-from simnfnd.factory.scenes.seabed.objects.debris import pick
-from simnfnd.factory.scenes.seabed.objects.meshes import (
+from ..fields import waves
+from .debris import pick
+from .meshes import (
     Colour,
     Mesh,
     grid_triangles,

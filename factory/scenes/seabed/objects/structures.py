@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from simnfnd.factory.scenes.seabed.objects.debris import PAINTS, RUST, STEEL, pick
-from simnfnd.factory.scenes.seabed.objects.meshes import (
+from .debris import PAINTS, RUST, STEEL, pick
+from .meshes import (
     Colour,
     Mesh,
     bar,
@@ -19,7 +19,7 @@ from simnfnd.factory.scenes.seabed.objects.meshes import (
     rotation,
     tube,
 )
-from simnfnd.factory.scenes.seabed.objects.nature import coral
+from .nature import coral
 
 CONCRETE: tuple[Colour, ...] = ((0.42, 0.41, 0.38), (0.34, 0.34, 0.32), (0.50, 0.48, 0.43))
 BARS: tuple[Colour, ...] = (PAINTS[1], PAINTS[3], PAINTS[5], RUST, STEEL)

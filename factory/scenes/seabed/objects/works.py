@@ -10,9 +10,9 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from simnfnd.factory.scenes.seabed.fields import Floats, smoothstep
-from simnfnd.factory.scenes.seabed.objects.debris import PAINTS, RUST, STEEL, pick, tire
-from simnfnd.factory.scenes.seabed.objects.meshes import (
+from ..fields import Floats, smoothstep
+from .debris import PAINTS, RUST, STEEL, pick, tire
+from .meshes import (
     Mesh,
     box,
     join,
@@ -21,7 +21,7 @@ from simnfnd.factory.scenes.seabed.objects.meshes import (
     rough,
     tube,
 )
-from simnfnd.factory.scenes.seabed.objects.structures import CONCRETE, tinted
+from .structures import CONCRETE, tinted
 
 Points = npt.NDArray[np.float64]
 GroundHeight = Callable[[Points, Points], Floats]

@@ -1,0 +1,121 @@
+"""What a classical denoising method is to the report: a pure function and a grid to tune it on."""
+
+from __future__ import annotations
+
+import inspect
+import itertools
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ...factory.errors import FactoryError
+
+if TYPE_CHECKING:
+    from ...factory.sonar.geometry import FanGeometry
+
+Gray = npt.NDArray[np.float32]
+"""(H, W) in 0..1, 0 = no echo; for methods of several looks (T, H, W)."""
+
+Number = int | float
+Parameters = dict[str, Number]
+
+
+_NOTHING_BEYOND: dict[str, tuple[Number, ...]] = {
+    "size": (2, 3),  # a window of one pixel is no filter
+    "iterations": (1,),
+    "levels": (1, 8),  # the eighth averages 256 pixels, a whole picture
+    "memory": (1.0,),
+    "sigma_px": (0.2,),  # a Gaussian so narrow is a single pixel
+    "strength": (1000.0,),  # nothing is above such a threshold
+    "sigma_gray": (100.0,),  # all grey values count alike: the Gaussian blur
+}
+
+
+class BaselineError(FactoryError, ValueError):
+    """A method gave something that is no picture, or got parameters that it does not have."""
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """One method.
+
+    function: (image, **parameters) -> (H, W); the image is (H, W) or, with `looks`, (T, H, W).  One
+        with a parameter `geometry` gets where range and bearing are, or None.
+    default: what its authors or its library recommend, scaled to 0..1.
+    grid: the values to try of each parameter, ascending; parameters not in it stay at the default.
+    source: where the method was published.
+    """
+
+    name: str
+    function: Callable[..., npt.NDArray[np.floating]]
+    default: Mapping[str, Number]
+    grid: Mapping[str, tuple[Number, ...]]
+    source: str
+    looks: bool = False
+
+    def __post_init__(self) -> None:
+        # The first parameter is the image.
+        names = [name for name in self._arguments()[1:] if name != "geometry"]
+        if set(self.default) != set(names) or not set(self.grid) <= set(names):
+            raise BaselineError(f"{self.name}: default or grid do not fit its parameters {names}")
+
+    def _arguments(self) -> list[str]:
+        return list(inspect.signature(self.function).parameters)
+
+    @property
+    def uses_geometry(self) -> bool:
+        """Whether it can use where range and bearing are."""
+        return "geometry" in self._arguments()
+
+    def program(self) -> str:
+        """The source of the method: of its module and of those here that it takes things from."""
+        own = sys.modules[self.function.__module__]
+        package = __name__.rpartition(".")[0]
+        names = {getattr(thing, "__module__", None) or "" for thing in vars(own).values()}
+        others = sorted(name for name in names if name.startswith(f"{package}."))
+        return "".join(
+            inspect.getsource(sys.modules[name])
+            for name in [own.__name__, *(name for name in others if name != own.__name__)]
+        )
+
+    def points(self) -> list[Parameters]:
+        """Every combination of the grid, completed by the defaults."""
+        combinations = itertools.product(*self.grid.values())
+        return [{**self.default, **dict(zip(self.grid, c, strict=True))} for c in combinations]
+
+    def edges(self, point: Mapping[str, Number]) -> list[str]:
+        """Names of the parameters that stand at an open end of their axis of the grid.
+
+        An end beyond which there is nothing (see `_NOTHING_BEYOND`) is not open.
+        """
+        return [
+            name
+            for name, axis in self.grid.items()
+            if len(axis) > 1
+            and point[name] in (axis[0], axis[-1])
+            and point[name] not in _NOTHING_BEYOND.get(name, ())
+        ]
+
+    def __call__(
+        self,
+        image: npt.NDArray[Any],
+        parameters: Mapping[str, Number],
+        geometry: FanGeometry | None = None,
+    ) -> Gray:
+        """The denoised picture, (H, W) float32 clipped to 0..1.
+
+        geometry: where range and bearing are, if known; most methods do not look at it.
+        Raises BaselineError when the method gives another shape or a value that is no number.
+        """
+        image = np.ascontiguousarray(image, dtype=np.float32)
+        known = {"geometry": geometry} if self.uses_geometry else {}
+        result = np.asarray(self.function(image, **parameters, **known))
+        if result.shape != image.shape[-2:]:
+            raise BaselineError(f"{self.name}: gave {result.shape} for {image.shape[-2:]}")
+        if not np.isfinite(result).all():
+            raise BaselineError(f"{self.name}: gave NaN or infinite pixels")
+        return np.clip(result, 0, 1).astype(np.float32)

@@ -1,0 +1,128 @@
+"""The page and what it asks for, over HTTP on loopback."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import re
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qsl
+
+from PIL import Image
+
+from ...factory.errors import FactoryError
+from .shown import Picture, Shown
+
+ADDRESS = "127.0.0.1"
+_PAGE = Path(__file__).with_name("page.html")
+_PICTURE = re.compile(r"/picture/(\d{1,12})/(\d{1,3})\.png")
+_FACTS = re.compile(r"/facts/(\d{1,12})\.json")
+
+
+class Viewer(ThreadingHTTPServer):
+    """Serves what is shown until it is shut down; `url` is where."""
+
+    daemon_threads = True
+
+    def __init__(self, shown: Shown, port: int = 0) -> None:
+        """port: 0 takes a free one.  Raises FactoryError when it is taken."""
+        try:
+            super().__init__((ADDRESS, port), _Handler)
+        except (OSError, OverflowError) as error:
+            raise FactoryError(f"--port {port}: cannot be used ({error})") from error
+        self.shown = shown
+        # Files are read by one thread at a time.
+        self.lock = threading.Lock()
+        self.url = f"http://{ADDRESS}:{self.server_port}/"
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: Viewer
+
+    def do_GET(self) -> None:
+        # A page of somebody else whose name was made to point here sends its own name.
+        if self.headers.get("Host") not in (
+            f"{ADDRESS}:{self.server.server_port}",
+            f"localhost:{self.server.server_port}",
+        ):
+            self._send(403, "text/plain", b"not for other names")
+            return
+        try:
+            with self.server.lock:
+                kind, content = self._answer(*self.path.split("?", 1))
+            self._send(200, kind, content)
+        except LookupError:
+            self._send(404, "text/plain", b"not found")
+        except FactoryError as error:
+            self._send(500, "text/plain; charset=utf-8", str(error).encode())
+
+    def _answer(self, path: str, query: str = "") -> tuple[str, bytes]:
+        shown = self.server.shown
+        if path == "/":
+            return "text/html; charset=utf-8", _PAGE.read_bytes()
+        if path == "/about.json":
+            about = {"title": shown.title, "count": len(shown), "layers": shown.layers}
+            chosen_by = {"scenes": shown.filters.scenes, "ranges": shown.filters.ranges}
+            return _json(about | chosen_by)
+        if path == "/found.json":
+            return _json(shown.found(*_wanted(query)))
+        if found := _PICTURE.fullmatch(path):
+            number, layer = map(int, found.groups())
+            if number >= len(shown) or layer >= len(shown.layers):
+                raise LookupError
+            return "image/png", _png(shown.picture(number, layer))
+        if found := _FACTS.fullmatch(path):
+            number = int(found[1])
+            if number >= len(shown):
+                raise LookupError
+            return _json(shown.facts(number))
+        raise LookupError
+
+    def _send(self, code: int, kind: str, content: bytes) -> None:
+        self.send_response(code)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(content)))
+        self.send_header("X-Content-Type-Options", "nosniff")
+        own = "default-src 'self'; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+        self.send_header("Content-Security-Policy", own)
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, *_: object) -> None:
+        """Nothing: the terminal is the user's."""
+
+
+def _png(picture: Picture) -> bytes:
+    buffer = io.BytesIO()
+    # Blue comes first in ours.
+    Image.fromarray(picture[..., ::-1] if picture.ndim == 3 else picture).save(
+        buffer, "PNG", compress_level=1
+    )
+    return buffer.getvalue()
+
+
+def _wanted(query: str) -> tuple[str | None, dict[str, tuple[float, float]]]:
+    """`scene=NAME&in:COLUMN=LEAST..MOST` in parts; LookupError for other words."""
+    scene, ranges = None, {}
+    for key, value in parse_qsl(query, max_num_fields=50):
+        if key == "scene":
+            scene = value
+            continue
+        kind, _, column = key.partition(":")
+        least, dots, most = value.partition("..")
+        try:
+            ends = float(least or -math.inf), float(most or math.inf)
+        except ValueError:
+            raise LookupError(value) from None
+        if kind != "in" or not dots:
+            raise LookupError(key)
+        ranges[column] = ends
+    return scene, ranges
+
+
+def _json(value: Any) -> tuple[str, bytes]:
+    return "application/json", json.dumps(value).encode()

@@ -1,0 +1,164 @@
+"""The expected displayed picture: what the average of many noisy pictures of one scene shows.
+
+A display of levels shows less than the level of the mean intensity: speckle of L looks is
+gamma-distributed, and E[10 log10 I] lies psi(L) - ln L nepers below 10 log10 E[I], 2.51 dB for one
+look (psi: digamma).  So every effect says what it makes of the expected intensities, and the
+transfer curve is averaged over their distribution, clipping included.
+
+An effect is random (speckle, texture, spokes: it averages out) or systematic (haze, the receiver's
+floor, a wrong gain, ghosts: it is there in every picture).  Target mean_log keeps the systematic
+ones, target restored has none of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from ...sonar import transfer
+from ...sonar.settings import TransferSettings
+from ..contract import DrawnEffect, Floats
+from .signal import Ping
+
+# The table of expected grey values: levels over full scale, dB, and their fluctuation.
+_BEYOND_DB, _STEPS_PER_DB, _VARIANCES, _QUANTILES, _SHIFTS = 30.0, 2, 9, 512, 33
+_DARKEST_DB = -120.0
+
+
+@dataclass(eq=False)
+class Expected:
+    """Expected intensities of a ping, (range_bins, beams) float32 each; effects change them.
+
+    echo: of what fluctuates as speckle does and texture can change; noise: of what else does.
+    steady: of what does not fluctuate.  textured: the part of echo and steady that texture varies.
+    looks: independent fields whose intensities are averaged, whole or not.  shape: nu of the
+        texture.
+    standing: part of the speckle's power that is the same in every ping.
+    scintillation_nepers2: variance of the logarithm of the intensity that comes on top of all.
+    """
+
+    echo: Floats
+    noise: Floats
+    steady: Floats
+    textured: Floats
+    looks: float = 1
+    shape: float = np.inf
+    standing: float = 0.0
+    scintillation_nepers2: float = 0.0
+
+    def scale(self, factor: npt.NDArray[np.floating]) -> None:
+        """Multiply all intensities; factor: of a shape that broadcasts."""
+        factor = factor.astype(np.float32)
+        for plane in (self.echo, self.noise, self.steady, self.textured):
+            plane *= factor
+
+    def total(self) -> Floats:
+        """(range_bins, beams) expected intensity."""
+        return self.echo + self.noise + self.steady
+
+
+def expected(
+    ping: Ping,
+    effects: Sequence[DrawnEffect],
+    *,
+    systematic: bool = True,
+    realised: bool = False,
+    standing: float = 0.0,
+) -> Expected:
+    """The expected intensities after time-varying gain.
+
+    systematic: whether the systematic ones of the effects act, or the random ones alone.
+    realised: whether random effects act as they do in this one sample, where that can be told, or
+        on average.
+    standing: part of the speckle's power that averaging leaves, as it is in this sample.
+    """
+    none = [np.zeros(ping.shape, np.float32) for _ in range(3)]
+    state = Expected(none[0], none[1], ping.expected.copy(), none[2], standing=standing)
+    for stage in ("echo", "beam", "picture"):
+        if stage == "picture":
+            state.scale(ping.gain[:, None])
+        for effect in effects:
+            if effect.stage == stage and (systematic or not effect.systematic):
+                (effect.realise if realised else effect.expect)(state, ping)
+    return state
+
+
+def display(state: Expected, full_scale: float, settings: TransferSettings) -> Floats:
+    """(range_bins, beams) float32 expected grey values.
+
+    full_scale: intensity that is shown as grey value 1.
+    """
+    from . import display_loops  # loads numba
+
+    # E[x^p]^(1/p) of a log-normal x of median 1.
+    full_scale /= float(np.exp(_power(settings) * state.scintillation_nepers2 / 2))
+    if not (state.echo.any() or state.noise.any()):
+        return transfer.grey(np.sqrt(state.steady), float(np.sqrt(full_scale)), settings)
+    grey = np.empty_like(state.echo)
+    display_loops.displayed(
+        state.echo,
+        state.noise,
+        state.steady,
+        state.textured,
+        state.looks,
+        full_scale,
+        _texture_shifts_db(state.shape, _power(settings)),
+        _table(settings),
+        _lowest_db(settings),
+        _STEPS_PER_DB,
+        grey,
+    )
+    return grey
+
+
+def _power(settings: TransferSettings) -> float:
+    """The power of the intensity that is displayed; 0 for its logarithm, soft or not."""
+    return {"linear": 0.5, "power": 0.5 * settings.exponent}.get(settings.kind, 0.0)
+
+
+def _lowest_db(settings: TransferSettings) -> float:
+    is_log = settings.kind in ("log", "soft_log")
+    return -settings.dynamic_range_db - _BEYOND_DB if is_log else _DARKEST_DB
+
+
+@lru_cache(maxsize=8)
+def _table(settings: TransferSettings) -> Floats:
+    """(variances, levels) expected grey values of gamma-distributed intensities.
+
+    variances: 0 to 1 in equal steps, of the intensity over its mean squared.  A constant in speckle
+    (Rice) is nearly gamma-distributed, too, with its own variance (Nakagami).
+    """
+    from scipy import special  # slow to import
+
+    low_db = _lowest_db(settings)
+    count = round((_BEYOND_DB - low_db) * _STEPS_PER_DB) + 1
+    mean = 10 ** ((low_db + np.arange(count) / _STEPS_PER_DB) / 10)
+    chance = (np.arange(_QUANTILES) + 0.5) / _QUANTILES
+    rows = [transfer.grey(np.sqrt(mean), 1.0, settings)]
+    for variance in np.linspace(0, 1, _VARIANCES)[1:]:
+        quantiles = special.gammaincinv(1 / variance, chance) * variance
+        shown = transfer.grey(np.sqrt(mean[:, None] * quantiles), 1.0, settings)
+        rows.append(shown.mean(axis=1, dtype=np.float64).astype(np.float32))
+    return np.ascontiguousarray(rows, np.float32)
+
+
+@lru_cache(maxsize=64)
+def _texture_shifts_db(shape: float, power: float) -> Floats:
+    """(33,) dB by which gamma texture lowers a displayed level, from none of it to all.
+
+    That is 10 / p log10 E[tau^p] of the displayed power p, and 10 E[log10 tau] for the logarithm.
+    """
+    from scipy import special  # slow to import
+
+    if not np.isfinite(shape):
+        return np.zeros(_SHIFTS, np.float32)
+    nu = shape / np.linspace(0, 1, _SHIFTS)[1:]
+    if power:
+        nepers = (special.gammaln(nu + power) - special.gammaln(nu)) / power - np.log(nu)
+    else:
+        nepers = special.digamma(nu) - np.log(nu)
+    return np.asarray(np.concatenate([[0], 10 / np.log(10) * nepers]), np.float32)

@@ -1,0 +1,257 @@
+"""The scene as scatterers: every lit pixel has a power, a polar bin and a place in the world.
+
+A pixel of solid angle dO sees the area r^2 dO / cos(incidence).  Its echo is, over the source
+level and without absorption,
+
+    albedo * mu * cos^n * (r^2 dO / cos) * b(elevation) / r^4
+
+(Urick 1983, ch. 8).  The render is albedo * cos / r^2, so with Lambert's n = 2 and the sonar at the
+camera the echo is render * mu * dO * b: the area is in the number of pixels, and is not counted
+twice.  Only for another exponent or a sonar elsewhere are the cosines themselves needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from ...errors import FrameError
+from ...frame import Frame
+from ...render.base import Rendered
+from ...sonar.acoustics import WaterSettings
+from ...sonar.settings import SonarSettings
+from ...sonar.surface import mount_weight
+from ...sonar.window import Window
+from .settings import AcousticsSettings
+from .tables import bin_centres_m, vertical_table
+
+Floats = npt.NDArray[np.float32]
+
+BEAM_STEPS = 16_384
+# Of one part of the table of cells: what the second cache of a core holds, in so few parts that
+# sorting into them is fast (with 64 it takes half as long again as with 32).
+_SLOTS = 131_072
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """The cells of the world in which N scatterers lie.
+
+    The scatterers of a cell share its coefficient; their amplitudes are such that a cell's power is
+    the sum of theirs.
+
+    names: (N,) uint32, the cell (hash) of each.
+    shares: (N,) float32, 1 / sqrt(scatterers of the cell): a factor on their amplitudes.
+    """
+
+    names: npt.NDArray[np.uint32]
+    shares: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Scatterers:
+    """N scatterers of one frame.
+
+    bins: (N,) int32 flat polar bin.  powers: (N,) float32 intensity over the source level, without
+    absorption.  pixels: (N,) int32 flat camera pixel; parts: (N,) float32, how far towards the one
+    below it lies, 0 to 1.  row_ends: (H,) int32, how many there are up to the end of each camera
+    row.
+    power: (range_bins, beams) float32, their sum a bin, with absorption: the sonar equation.
+    owner: (range_bins, beams) int32, a pixel that lies in the bin, -1 where none does.
+    in_beam: (range_bins, beams) bool, whether one within vfov_deg does.
+    loss: (range_bins,) float32 two-way absorption as a factor on intensity.
+    world_from_camera: (4, 4) float64; the identity where the recording has no pose.
+    """
+
+    bins: npt.NDArray[np.int32]
+    powers: Floats
+    pixels: npt.NDArray[np.int32]
+    parts: Floats
+    row_ends: npt.NDArray[np.int32]
+    power: Floats
+    owner: npt.NDArray[np.int32]
+    in_beam: npt.NDArray[np.bool_]
+    loss: Floats
+    frame: Frame
+    world_from_camera: npt.NDArray[np.float64]
+    _cells: dict[float, Cells] = field(default_factory=dict)
+
+    def world_cells(self, edge_m: float) -> Cells:
+        """The world cells of this edge in which the scatterers lie."""
+        if edge_m not in self._cells:
+            from .cells import cell_loops
+
+            across, down = directions(self.frame)
+            pose = np.ascontiguousarray(self.world_from_camera[:3])
+            size = len(self.pixels)
+            names, places = np.empty(size, np.uint32), np.empty(size, np.uint32)
+            cell_loops.cells(
+                self.pixels, self.parts, self.row_ends, self.frame.depth_m, across, down, pose,
+                edge_m, names, places,
+            )  # fmt: skip
+            self._cells.clear()
+            self._cells[edge_m] = Cells(names, shares(names, places))
+        return self._cells[edge_m]
+
+    @property
+    def filled(self) -> npt.NDArray[np.int32]:
+        """(M,) flat polar bins in which a surface lies."""
+        return self._surface[0]
+
+    @property
+    def filled_camera_m(self) -> Floats:
+        """(3, M) float32: a point of the surface in each of them, camera axes, metres."""
+        return self._surface[1]
+
+    @cached_property
+    def _surface(self) -> tuple[npt.NDArray[np.int32], Floats]:
+        from .cells import world_loops
+
+        size = self.owner.size
+        bins, points_m = np.empty(size, np.int32), np.empty((3, size), np.float32)
+        seen = directions(self.frame)
+        count = world_loops.surface_points(
+            self.owner.reshape(-1), self.frame.depth_m, *seen, bins, points_m
+        )
+        return bins[:count], np.ascontiguousarray(points_m[:, :count])
+
+
+def shares(names: npt.NDArray[np.uint32], places: npt.NDArray[np.uint32]) -> Floats:
+    """(N,) float32: see `Cells.shares`; the arguments are what `cell_loops.cells` gives."""
+    from .cells import cell_loops
+
+    made, work = np.empty(len(names), np.float32), np.empty((len(names), 2), np.uint32)
+    slots = 1 << (2 + len(names).bit_length())
+    parts = max(slots // _SLOTS, 1)
+    while not cell_loops.count(
+        names, places, parts, np.empty((slots // parts, 2), np.uint32), work, made
+    ):
+        parts //= 2
+    return made
+
+
+def scatterers(
+    frame: Frame,
+    rendered: Rendered,
+    window: Window,
+    sonar: SonarSettings,
+    water: WaterSettings,
+    acoustics: AcousticsSettings,
+    *,
+    patterned: bool = True,
+) -> Scatterers:
+    """All that echoes in a frame.
+
+    patterned: weigh by the vertical beam pattern; else all within vfov_deg counts alike.
+    Raises FrameError when nothing lies in the sonar's sector.
+    """
+    from . import placing
+
+    across, down = directions(frame)
+    edges, first_beam = beam_table(sonar)
+    size = sonar.range_bins * sonar.beams
+    power, owner = np.zeros(size, np.float32), np.full(size, -1, np.int32)
+    in_beam = np.zeros(size, np.bool_)
+    most = 2 * frame.depth_m.size
+    bins, of = np.empty(most, np.int32), np.empty(most, np.int32)
+    powers, parts = np.empty(most, np.float32), np.empty(most, np.float32)
+    row_ends = np.empty(len(down), np.int32)
+    mount = sonar.mount
+    count = placing.place(
+        frame.depth_m,
+        rendered.radiance,
+        _labels(frame),
+        _factor(frame, sonar, acoustics),
+        _reflectivity(frame, acoustics),
+        across,
+        down,
+        mount.rotation_sonar_from_camera().astype(np.float32),
+        mount.position_camera_m().astype(np.float32),
+        window.projection == "top_view",
+        window.range_min_m,
+        sonar.range_bins / window.range_span_m,
+        edges,
+        first_beam,
+        BEAM_STEPS / float(edges[-1] - edges[0]),
+        _pattern(sonar, patterned),
+        power,
+        in_beam,
+        float(np.sin(np.deg2rad(sonar.vfov_deg) / 2)),
+        owner,
+        bins,
+        powers,
+        of,
+        parts,
+        row_ends,
+    )
+    if not count:
+        raise FrameError(f"{frame.ref.name}: no echo inside the sonar's sector; check sonar.mount")
+    range_m = bin_centres_m(window, sonar).astype(np.float64)
+    absorption = water.absorption_db_per_m(sonar.frequency_khz)
+    loss = (10 ** (-2 * absorption * range_m / 10)).astype(np.float32)
+    pose = frame.world_from_camera
+    return Scatterers(
+        bins[:count],
+        powers[:count],
+        of[:count],
+        parts[:count],
+        row_ends,
+        power.reshape(sonar.range_bins, sonar.beams) * loss[:, None],
+        owner.reshape(sonar.range_bins, sonar.beams),
+        in_beam.reshape(sonar.range_bins, sonar.beams),
+        loss,
+        frame,
+        np.eye(4) if pose is None else np.asarray(pose, np.float64),
+    )
+
+
+def directions(frame: Frame) -> tuple[Floats, Floats]:
+    """(W,) and (H,) float32: x / z of the columns and y / z of the rows."""
+    height, width = frame.depth_m.shape
+    camera = frame.intrinsics
+    across = (np.arange(width) - camera.cx) / camera.fx
+    down = (np.arange(height) - camera.cy) / camera.fy
+    return across.astype(np.float32), down.astype(np.float32)
+
+
+def _labels(frame: Frame) -> npt.NDArray[np.uint8]:
+    if frame.segmentation is None:
+        return np.empty((0, 0), np.uint8)
+    return frame.segmentation
+
+
+def _reflectivity(frame: Frame, acoustics: AcousticsSettings) -> Floats:
+    """(classes,) backscatter coefficients times the solid angle of the middle pixel."""
+    camera = frame.intrinsics
+    return np.asarray(np.array(acoustics.reflectivity()) / (camera.fx * camera.fy), np.float32)
+
+
+def _factor(frame: Frame, sonar: SonarSettings, acoustics: AcousticsSettings) -> Floats:
+    """(H, W): what the render lacks for other exponents than 2 or a sonar elsewhere, or (0, 0)."""
+    if acoustics.lambert_exponent == 2 and sonar.mount.colocated:
+        return np.empty((0, 0), np.float32)
+    return mount_weight(frame, sonar.mount, acoustics.lambert_exponent)
+
+
+def _pattern(sonar: SonarSettings, patterned: bool) -> Floats:
+    table = vertical_table(sonar)
+    if patterned:
+        return table
+    sine = np.linspace(-1, 1, len(table))
+    return np.asarray(np.abs(sine) <= np.sin(np.deg2rad(sonar.vfov_deg) / 2), np.float32)
+
+
+@lru_cache(maxsize=8)
+def beam_table(sonar: SonarSettings) -> tuple[Floats, npt.NDArray[np.int32]]:
+    """Sines of the beams' edges, and the beam at each of equal steps of the sine."""
+    centres = sonar.beam_centres_rad()
+    half = min(np.deg2rad(sonar.hfov_deg) / 2, np.deg2rad(89.9))
+    between = (centres[1:] + centres[:-1]) / 2
+    edges = np.sin(np.concatenate([[-half], between, [half]])).astype(np.float32)
+    steps = np.linspace(edges[0], edges[-1], BEAM_STEPS + 1)[:-1]
+    # One step back, for float32 may put a sine into the step before its own.
+    first = np.searchsorted(edges, steps - (steps[1] - steps[0]), side="right") - 1
+    return edges, np.clip(first, 0, sonar.beams - 1).astype(np.int32)

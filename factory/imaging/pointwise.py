@@ -1,0 +1,137 @@
+"""The paper's image formation: every echo is a point, a bin's level gathers its points.
+
+echoes -> resampled scene -+-> bins -> point-spread -> transfer curve -> clean picture
++ noise  -+-> the same                               -> noisy picture
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from .. import seeds
+from ..frame import FrameRef
+from ..sonar import polar, transfer
+from ..sonar.echoes import Echoes, join
+from ..sonar.settings import SonarSettings
+from ..sonar.surface import LitSurface
+from ..sonar.window import Window
+from . import resample
+from .clouds import EffectCloud, effect_clouds, noisy_cloud
+from .contract import DrawnEffect, Floats, Layers
+
+if TYPE_CHECKING:
+    from ..config import FactoryConfig
+
+
+@dataclass(frozen=True, eq=False)
+class PointScene:
+    """A frame as echoes at full density; a `contract.Scene`.
+
+    echoes: every insonified surface point in the window, strengths after time-varying gain.
+    filled: (range_bins, beams) bool, bins that hold one.
+    """
+
+    ref: FrameRef
+    window: Window
+    echoes: Echoes
+    filled: npt.NDArray[np.bool_]
+
+    def sample(
+        self, variant: int, effects: Sequence[DrawnEffect], config: FactoryConfig
+    ) -> PointSample:
+        """See `contract.Scene`."""
+        names = (self.ref.location, self.ref.scene, self.ref.frame, variant)
+        parameter = seeds.stream(config.seed, "parameter", "resample", *names)
+        rate, voxel_size_m = config.resample.rate.draw(parameter), None
+        if config.resample.kind == "random":
+            thinning = seeds.stream(config.seed, "resample", *names)
+            kept = movable = resample.random_subset(self.echoes, rate, thinning)
+        else:
+            voxel_size_m = resample.voxel_size_m(self.echoes, rate)
+            kept, movable = resample.voxel(self.echoes, voxel_size_m), self.echoes
+        clean_level = _image_level([kept], self.window, config.sonar)
+        return PointSample(
+            self.window,
+            config.sonar,
+            rate,
+            len(kept),
+            movable,
+            voxel_size_m,
+            clean_level,
+            transfer.full_scale(clean_level, config.sonar.transfer, "intensity"),
+            effect_clouds(effects, kept, movable, self.window),
+            effects,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PointSample:
+    """A resampled scene and what each effect makes of it; a `contract.Sample`.
+
+    movable: the scene's echoes before the noise.  voxel_size_m: of the resampling that follows the
+    noise, or None where `movable` is resampled already.  clouds: of each effect.  effects: all.
+    """
+
+    window: Window
+    sonar: SonarSettings
+    rate: float
+    points: int
+    movable: Echoes
+    voxel_size_m: float | None
+    clean_level: Floats
+    full_scale: float
+    clouds: tuple[EffectCloud, ...]
+    effects: Sequence[DrawnEffect] = ()
+
+    @cached_property
+    def added(self) -> Mapping[str, int]:
+        """See `contract.Sample`."""
+        return {cloud.name: len(cloud.echoes) for cloud in self.clouds}
+
+    @property
+    def clean_full_scale(self) -> float:
+        """See `contract.Sample`."""
+        return self.full_scale
+
+    @property
+    def clean(self) -> Floats:
+        """See `contract.Sample`."""
+        return transfer.grey(self.clean_level, self.full_scale, self.sonar.transfer, "intensity")
+
+    def noisy(self, effects: Collection[str]) -> Floats:
+        """See `contract.Sample`."""
+        chosen = [cloud for cloud in self.clouds if cloud.name in effects]
+        echoes = noisy_cloud(self.movable, chosen, self.full_scale)
+        if self.voxel_size_m is not None:
+            echoes = [resample.voxel(join(*echoes), self.voxel_size_m)]
+        level = _image_level(echoes, self.window, self.sonar)
+        return transfer.grey(level, self.full_scale, self.sonar.transfer, "intensity")
+
+    def without(self, artefacts: Collection[str]) -> Floats:
+        """See `contract.Sample`."""
+        kept = {effect.name for effect in self.effects if effect.artefact not in artefacts}
+        return self.noisy(kept) if kept else self.clean
+
+    def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Layers]:
+        """See `contract.Sample`; points have no units."""
+        return {}
+
+
+def observe(surface: LitSurface, config: FactoryConfig) -> PointScene:
+    """See `contract.Formation`."""
+    echoes, _, hit = surface.insonified
+    return PointScene(surface.frame.ref, surface.window, echoes, hit)
+
+
+def _image_level(echoes: Sequence[Echoes], window: Window, sonar: SonarSettings) -> Floats:
+    """(range_bins, beams) echo level as the device resolves it; 0 in beams without data."""
+    scene, *added = echoes
+    level = polar.spread_points(polar.accumulate(scene, window, sonar, *added), sonar)
+    level[:, ~polar.seen_beams(window, sonar)] = 0
+    return level

@@ -1,0 +1,152 @@
+"""Where the clean renders come from: made by one kind of worker, read by another.
+
+`ViewMaker` loads and renders frames and needs Blender or Open3D; `open_views` gives what it made to
+those that add noise, which need neither.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from ...dataset.format.sample import Prepared
+from ...errors import FrameError, NotRendered
+from ...frame import FrameRef
+from ..view import View, view_of
+from .cache import Cache
+from .key import FrameKeys
+
+if TYPE_CHECKING:
+    from ...config import FactoryConfig
+    from ..base import Renderer
+
+
+class Views(Protocol):
+    """Gives the renders of frames."""
+
+    def holds(self, ref: FrameRef) -> bool:
+        """Whether the frame's render is there."""
+
+    def view(self, ref: FrameRef) -> View:
+        """The frame's render.  Raises NotRendered when it is not there (any more)."""
+
+
+def open_views(config: FactoryConfig) -> Views:
+    """The renders that the configuration means: of the cache, or of a pack."""
+    if config.scenes.kind == "pack":
+        from ..pack import PackViews
+
+        return PackViews(config.scenes.root, config.sonar.mount)
+    return CachedViews(config)
+
+
+class CachedViews:
+    """Renders in the cache; a `Views`."""
+
+    def __init__(self, config: FactoryConfig) -> None:
+        self.cache = Cache(config.cache.folder)
+        self.keys = FrameKeys(config.scenes, config.render, config.sonar.mount)
+        self._expected: Mapping[str, str] = {}
+
+    def expect(self, keys: Mapping[str, str]) -> None:
+        """Look for these frames, by their names, under these keys and ask their files no more."""
+        self._expected = dict(keys)
+
+    def holds(self, ref: FrameRef) -> bool:
+        """See `Views`."""
+        try:
+            return self.cache.holds(self._key(ref))
+        except OSError:
+            return False
+
+    def view(self, ref: FrameRef) -> View:
+        """See `Views`."""
+        try:
+            view = self.cache.get(self._key(ref))
+        except OSError:
+            view = None
+        if view is None:
+            raise NotRendered(ref.name)
+        return view
+
+    def _key(self, ref: FrameRef) -> str:
+        """The frame's key.  Raises OSError when a file of it cannot be read."""
+        return self._expected.get(ref.name) or self.keys.of(ref)
+
+
+class OneView:
+    """A render in memory, whatever the frame's name; a `Views`."""
+
+    def __init__(self, view: View) -> None:
+        self._view = view
+
+    def holds(self, ref: FrameRef) -> bool:
+        """See `Views`."""
+        return True
+
+    def view(self, ref: FrameRef) -> View:
+        """See `Views`."""
+        return self._view
+
+
+class ViewMaker:
+    """Renders frames into the cache; a `simnfnd.factory.dataset.format.sample.Preparer`."""
+
+    def __init__(self, config: FactoryConfig) -> None:
+        from ...scenes import open_reader
+
+        self.config = config
+        self.reader = open_reader(config.scenes)
+        self.views = CachedViews(config)
+        self._renderer: Renderer | None = None
+
+    def prepare(self, ref: FrameRef) -> Prepared:
+        """Render one frame, unless that was done.  Raises FrameError when the frame is bad."""
+        try:
+            key = self.views.keys.of(ref)
+        except OSError as error:
+            self.reader.load(ref)  # knows best what to say about its files
+            raise FrameError(f"{ref.name}: {error.filename}: {error.strerror}") from error
+        if self.views.cache.holds(key):
+            # Whether it is whole shows when it is read, once: by the worker that needs it.
+            return Prepared(hit=True, bytes=0, key=key)
+        return Prepared(hit=False, bytes=self.views.cache.put(key, self.render(ref)), key=key)
+
+    def render(self, ref: FrameRef) -> View:
+        """Load and render one frame."""
+        if self._renderer is None:
+            # Not before it is needed: with all renders at hand nobody has to load Blender.
+            from .. import open_renderer
+
+            self._renderer = open_renderer(self.config.render)
+        frame = self.reader.load(ref)
+        mount = self.config.sonar.mount
+        return view_of(frame, self._renderer.render(frame, mount), mount)
+
+
+def check_views(config: FactoryConfig, *, touch: bool = True) -> None:
+    """Raise FactoryError when renders can be neither made nor kept; loads nothing heavy.
+
+    touch: try to write into the cache.
+    """
+    from .. import check_renderer
+
+    if config.scenes.kind == "pack":
+        return
+    check_renderer(config.render)
+    if config.cache.enabled and touch:
+        Cache(config.cache.folder).check()
+
+
+def with_cache(config: FactoryConfig, work: Path) -> FactoryConfig:
+    """The configuration with a cache that workers in any folder find.
+
+    With cache.enabled=false it is in `work`, which lasts as long as the run.
+    """
+    folder = config.cache.folder
+    if not config.cache.enabled:
+        folder = Path(os.path.abspath(work / "renders"))
+    return replace(config, cache=replace(config.cache, dir=str(folder)))

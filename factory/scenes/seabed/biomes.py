@@ -1,0 +1,266 @@
+"""Kinds of places: the ranges that a location's ground, objects and water are drawn from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from .fields import waves
+from .names import PlaceName
+from .terrain import Banks, Ripples, Terrain
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Ranges (low, high) that each location of this kind draws from.
+
+    loop_m: half axes of the camera's loop.  altitude_m: camera above the ground.
+    pitch_deg: camera below the horizon.  scatter: object kind -> how many, at density 1.
+    pebbles: small stones.  spread_m: typical distance of objects from the camera's loop.
+    banks: (foot distance from the axis, wall height) in metres, with `sides`.
+    look_across: how far the camera turns to the left of the axis, where a wall is (0 to 1).
+    structure: something built along the axis.
+    """
+
+    loop_m: tuple[Range, Range]
+    waters: tuple[str, ...]
+    scatter: dict[str, Range]
+    altitude_m: Range = (0.8, 1.6)
+    pitch_deg: Range = (14, 26)
+    spread_m: float = 1.8
+    pebbles: Range = (80, 240)
+    slope_deg: Range = (0, 8)
+    swell_m: Range = (0.08, 0.3)
+    outcrop_cover: Range = (0.0, 0.12)
+    outcrop_m: Range = (0.15, 0.5)
+    gravel_cover: Range = (0.05, 0.4)
+    ripples: float = 0.6
+    ripple_cover: Range = (0.4, 0.95)
+    banks: tuple[Range, Range] | None = None
+    sides: tuple[int, ...] = (1, -1)
+    look_across: float = 0.0
+    structure: Literal["pier", "quay"] | None = None
+
+
+_DEBRIS = {
+    "Bottle": (16, 26),
+    "Can": (16, 26),
+    "Drink-carton": (12, 20),
+    "Hook": (9, 15),
+    "Propeller": (5, 9),
+    "Shampoo-bottle": (12, 20),
+    "Standing-bottle": (12, 20),
+    "Tire": (6, 10),
+    "Valve": (8, 13),
+    "Chain": (3, 5),
+    "Barrel": (1, 4),
+}
+_SOME_DEBRIS = {name: (low * 0.2, high * 0.3) for name, (low, high) in _DEBRIS.items()}
+
+PLACES: dict[PlaceName, Place] = {
+    "debris": Place(
+        loop_m=((8, 11), (5, 8)),
+        waters=("clear", "green", "lake", "dark"),
+        scatter={
+            **_DEBRIS,
+            "Boulder": (10, 22),
+            "Block": (3, 7),
+            "Plant": (0, 16),
+            "Anchor": (1, 2),
+        },
+        altitude_m=(0.75, 1.3),
+        spread_m=1.2,
+    ),
+    "canyon": Place(
+        loop_m=((13, 16), (0.2, 0.45)),
+        waters=("cyan", "clear", "green"),
+        scatter={"Boulder": (60, 110), "Coral": (16, 36), "Chain": (0, 2), "Anchor": (0, 1)},
+        pitch_deg=(9, 18),
+        pebbles=(200, 420),
+        outcrop_cover=(0.05, 0.25),
+        ripples=0.8,
+        banks=((1.7, 2.7), (2.6, 5.5)),
+        spread_m=0.9,
+    ),
+    "reef": Place(
+        loop_m=((8, 12), (6, 9)),
+        waters=("deep", "clear", "green"),
+        scatter={
+            "Frame": (13, 20),
+            "Block": (18, 32),
+            "Tire": (8, 14),
+            "Coral": (20, 40),
+            "Boulder": (8, 16),
+            "Chain": (1, 3),
+            "Barrel": (1, 3),
+        },
+        altitude_m=(0.9, 2.0),
+        spread_m=1.8,
+    ),
+    "pier": Place(
+        loop_m=((12, 15), (0.8, 1.1)),
+        waters=("green", "dark", "clear", "lake"),
+        scatter={
+            **_SOME_DEBRIS,
+            "Tire": (4, 8),
+            "Block": (5, 10),
+            "Boulder": (14, 26),
+            "Anchor": (0, 2),
+            "Pipe": (1, 2),
+        },
+        pitch_deg=(11, 20),
+        structure="pier",
+        spread_m=1.5,
+    ),
+    "pipeline": Place(
+        loop_m=((9, 13), (4, 7)),
+        waters=("deep", "green", "clear"),
+        scatter={
+            "Pipe": (4, 6),
+            "Valve": (8, 14),
+            "Block": (7, 13),
+            "Boulder": (10, 22),
+            "Anchor": (1, 2),
+            "Chain": (2, 4),
+            "Hook": (2, 5),
+            "Plant": (0, 14),
+        },
+        spread_m=2.0,
+    ),
+    "rubble": Place(
+        loop_m=((8, 11), (6, 8)),
+        waters=("cyan", "clear", "green"),
+        scatter={"Boulder": (95, 150), "Coral": (8, 20), "Tire": (1, 3), "Anchor": (0, 2)},
+        pebbles=(350, 600),
+        slope_deg=(3, 14),
+        outcrop_cover=(0.1, 0.35),
+        gravel_cover=(0.3, 0.8),
+        ripples=0.3,
+        spread_m=2.6,
+    ),
+    "quay": Place(
+        loop_m=((12, 15), (0.7, 1.2)),
+        waters=("lake", "dark", "clear", "green"),
+        scatter={**_SOME_DEBRIS, "Boulder": (14, 30), "Block": (4, 9), "Barrel": (1, 3)},
+        structure="quay",
+        look_across=0.5,
+        spread_m=1.5,
+    ),
+    "sand": Place(
+        loop_m=((9, 12), (6, 9)),
+        waters=("clear", "cyan", "deep"),
+        scatter={
+            **_SOME_DEBRIS,
+            "Boulder": (6, 14),
+            "Plant": (20, 60),
+            "Anchor": (1, 3),
+            "Tire": (3, 6),
+            "Wall": (0, 2),
+        },
+        swell_m=(0.12, 0.4),
+        gravel_cover=(0.0, 0.15),
+        ripples=1.0,
+        ripple_cover=(0.8, 1.0),
+    ),
+    "garden": Place(
+        loop_m=((8, 11), (6, 8)),
+        waters=("clear", "cyan", "deep"),
+        scatter={"Coral": (90, 140), "Boulder": (30, 50), "Plant": (10, 40), "Block": (0, 4)},
+        outcrop_cover=(0.15, 0.45),
+        spread_m=2.4,
+    ),
+    "wall": Place(
+        loop_m=((12, 15), (0.8, 1.3)),
+        waters=("deep", "cyan", "clear"),
+        scatter={
+            "Boulder": (40, 70),
+            "Coral": (20, 40),
+            "Chain": (1, 3),
+            "Anchor": (0, 2),
+            "Frame": (1, 3),
+            "Tire": (0, 3),
+        },
+        slope_deg=(2, 12),
+        outcrop_cover=(0.05, 0.3),
+        banks=((2.2, 3.2), (3.5, 6.5)),
+        sides=(1,),
+        look_across=0.5,
+    ),
+}
+
+
+def draw(rng: np.random.Generator, span: Range) -> float:
+    """A uniform number in (low, high)."""
+    return float(rng.uniform(*span))
+
+
+def draw_terrain(rng: np.random.Generator, place: Place, heading_rad: float) -> Terrain:
+    """A ground of this kind of place; `heading_rad` is the direction of its walls."""
+    slope = np.tan(np.deg2rad(draw(rng, place.slope_deg)))
+    downhill = rng.uniform(0, 2 * np.pi)
+    longest = rng.uniform(9, 20)
+    return Terrain(
+        slope=(float(slope * np.cos(downhill)), float(slope * np.sin(downhill))),
+        swell=waves(rng, longest, 1.0, 1.2),
+        swell_m=draw(rng, place.swell_m),
+        outcrop=waves(rng, rng.uniform(4, 9), 0.7, 0.9),
+        outcrop_cover=draw(rng, place.outcrop_cover),
+        outcrop_m=draw(rng, place.outcrop_m),
+        gravel=waves(rng, 6.0, 0.5, 0.8),
+        gravel_cover=draw(rng, place.gravel_cover),
+        ripples=_ripples(rng, place) if rng.random() < place.ripples else None,
+        banks=_banks(rng, place, heading_rad),
+        rock_relief_m=rng.uniform(0.05, 0.11),
+        sand_relief_m=rng.uniform(0.006, 0.016),
+        offset_m=(rng.uniform(0, 50), rng.uniform(0, 50)),
+    )
+
+
+def _ripples(rng: np.random.Generator, place: Place) -> Ripples:
+    wavelength = rng.uniform(0.14, 0.55)
+    return Ripples(
+        wavelength_m=wavelength,
+        amplitude_m=wavelength * rng.uniform(0.045, 0.085),
+        heading_rad=rng.uniform(0, 2 * np.pi),
+        bend=waves(rng, 7.0, 0.8, 0.9),
+        bend_rad=rng.uniform(1.2, 2.6),
+        patches=waves(rng, 8.0, 1.5, 0.8),
+        cover=draw(rng, place.ripple_cover),
+    )
+
+
+def _banks(rng: np.random.Generator, place: Place, heading_rad: float) -> Banks | None:
+    if place.banks is None:
+        return None
+    half_width, height = (draw(rng, span) for span in place.banks)
+    # Ledges: steep faces and narrow steps take turns up the wall.
+    faces = int(rng.integers(2, 5))
+    rise = rng.dirichlet(np.full(faces, 3.0)) * height
+    knots = [(-1.2, 0.0), (0.0, 0.22)]
+    behind, level = 0.0, 0.22
+    for step in rise:
+        behind, level = behind + step * rng.uniform(0.12, 0.4), level + float(step)
+        knots.append((behind, level))
+        behind, level = behind + rng.uniform(0.15, 0.7), level + rng.uniform(0.03, 0.15)
+        knots.append((behind, level))
+    knots += [(behind + 6, level + rng.uniform(0.3, 1.5)), (behind + 40, level + 2.5)]
+    sharp = np.array(knots)
+    fine = np.arange(-1.6, behind + 12, 0.04)
+    rounded = np.convolve(
+        np.pad(np.interp(fine, sharp[:, 0], sharp[:, 1]), 4, mode="edge"), np.ones(9) / 9, "valid"
+    )
+    profile = np.concatenate([np.column_stack([fine, rounded]), sharp[-1:]])
+    return Banks(
+        heading_rad=heading_rad,
+        half_width_m=half_width,
+        sides=place.sides,
+        profile=profile,
+        winding=waves(rng, 26.0, 9.0, 1.2),
+        winding_m=rng.uniform(0.3, 1.2),
+        ragged=waves(rng, 3.5, 0.5, 0.9),
+        ragged_m=rng.uniform(0.15, 0.26),
+    )

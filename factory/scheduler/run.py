@@ -1,0 +1,172 @@
+"""From a job to a finished dataset folder: shards, manifest, failures, preview, descriptions."""
+
+from __future__ import annotations
+
+import shutil
+from contextlib import suppress
+from dataclasses import replace
+
+from ..dataset.describe.card import write_card
+from ..dataset.describe.croissant import write_croissant
+from ..dataset.describe.preview import preview
+from ..dataset.format.manifest import MAX_SHARDS, Manifest, load_manifest
+from ..dataset.format.schema import SPLITS
+from ..dataset.write.folder import empty_folder, forget_slices, open_folder
+from ..dataset.write.index import write_index
+from ..dataset.write.writer import compression_filter
+from ..errors import FactoryError
+from ..files import remove_stale_temporaries
+from ..progress import stage
+from ..storage.publish import Publication, publishing
+from .earlier import earlier_shards, provenances
+from .extend import begin_extension
+from .job import Job, work_folder
+from .ledger import Ledger, RunReport
+from .lock import Lock
+from .loop import Loop
+from .progress import ProgressBar
+from .resume import take_up
+from .settings import Crew
+from .workers.kept import leased
+from .workers.signals import Interrupted, stop_signals
+
+_NO_SLICES = {
+    "overwrite": "dataset.on_existing=overwrite: slices would delete each other's shards; "
+    "empty the folder first",
+    "extend": "dataset.on_existing=extend: a dataset is extended as a whole; run it without "
+    "shard.index and shard.count, or make the addition elsewhere and merge",
+}
+
+
+def make_dataset(job: Job) -> RunReport:
+    """Make the dataset of `job`, or finish it; running the same again keeps what is whole.
+
+    Raises FactoryError when the folder is another dataset's, cannot be written, nothing was
+    planned, or the job as a whole cannot be done (no room, no renderer, no worker that lives);
+    Interrupted (a KeyboardInterrupt with `exit_code`) on Ctrl-C and SIGTERM.
+    """
+    if not job.tasks:
+        raise FactoryError("nothing to make: no frame was chosen, or max_train and max_test are 0")
+    if len(job.tasks) > MAX_SHARDS:
+        raise FactoryError(
+            f"scheduler.shard_size={job.scheduler.shard_size}: gives {len(job.tasks)} shards, a "
+            f"manifest lists {MAX_SHARDS} at most; raise it"
+        )
+    compression_filter(job.dataset)
+    if job.shard.part and job.dataset.on_existing != "resume":
+        raise FactoryError(_NO_SLICES[job.dataset.on_existing])
+    apart = job.scheduler.address is not None
+    with (
+        stop_signals(),
+        Lock(job.directory, job.shard.part) as lock,
+        publishing(job.directory, job.shard.part, apart=apart) as publication,
+    ):
+        manifest = _open(job)
+        job = _with_earlier(job, manifest)
+        report = make_shards(job, manifest, lock, publication)
+        if not job.shard.part:
+            forget_slices(job.directory)
+            _describe(job, report)
+    return report
+
+
+def _open(job: Job) -> Manifest:
+    """Make the folder ready; returns what it already holds of this dataset."""
+    on_existing = job.dataset.on_existing
+    emptied = on_existing == "overwrite" and empty_folder(job.directory)
+    if on_existing == "extend" and job.extension:
+        for note in begin_extension(job.directory, job.provenance, job.extension):
+            stage(note)
+    return open_folder(
+        job.directory, job.config_values, job.provenance, job.shard.part, emptied=emptied
+    )
+
+
+def _with_earlier(job: Job, manifest: Manifest) -> Job:
+    """`job` with the shards that its dataset had before it was extended, if it was."""
+    earlier = earlier_shards(job.directory, manifest)
+    if not earlier:
+        return job
+    if job.extension is None or job.shard.part:
+        raise FactoryError(_NO_SLICES["extend"])
+    return replace(job, tasks=job.extension(earlier), earlier=provenances(manifest, earlier))
+
+
+def make_shards(
+    job: Job, manifest: Manifest, lock: Lock, publication: Publication | None = None
+) -> RunReport:
+    """Make every shard of the job that `manifest` does not hold whole already.
+
+    Raises as `make_dataset` does.  No worker process outlives the call, unless it ended well and
+    `keep_workers` was called before.
+    """
+    tasks = job.own_tasks
+    resumed = take_up(job.directory, tasks, manifest, whole=not job.shard.part)
+    for note in resumed.notes:
+        stage(note)
+    todo = resumed.todo
+    # Workers that share no folder prepare what they need themselves.
+    prepares = job.preparer and not (publication and publication.apart)
+    frames = len({ref.name for task in todo for ref, _ in task.items}) if prepares else 0
+    crew, note = job.scheduler.within_limits(job.scheduler.crew(len(todo), frames))
+    if note:
+        stage(note)
+    total = sum(task.samples for task in tasks)
+    progress = ProgressBar(job, crew, total, total - sum(task.samples for task in todo))
+    ledger = Ledger(job, resumed.manifest)
+    ledger.save_failures()
+    ledger.save()
+    state = "broken"
+    try:
+        # Also when nothing is left to do: a run may have been killed after its last shard.
+        _tidy(job)
+        if todo:
+            stage(f"starting {_workers(crew)} for {sum(task.samples for task in todo)} pairs")
+            largest = max(len(task.items) for task in todo)
+            try:
+                settings = job.scheduler.worker_settings(crew, largest, job.preload)
+                with leased(settings) as backend:
+                    Loop(job, resumed, ledger, progress, lock, backend, publication).run()
+            finally:
+                _tidy(job)
+        ledger.save_failures()
+        ledger.save()
+        state = "finished"
+    except BaseException as error:
+        state = "stopped" if isinstance(error, Interrupted) else "broken"
+        # What ended the run is reported, not that a full disk has no room for this either:
+        # manifest.jsonl has it all.
+        with suppress(FactoryError):
+            ledger.save_failures()
+            ledger.save()
+        raise
+    finally:
+        progress.close(state)
+    return ledger.report(already_done=len(tasks) - len(todo))
+
+
+def _workers(crew: Crew) -> str:
+    """Such as `2 workers (1 renders)`."""
+    count = f"{crew.total} worker{'s' if crew.total > 1 else ''}"
+    return f"{count} ({crew.render} of them for renders)" if crew.render else count
+
+
+def _tidy(job: Job) -> None:
+    """Remove the workers' journals, and what dead writers left half written."""
+    shutil.rmtree(work_folder(job.directory, job.shard), ignore_errors=True)
+    for split in SPLITS:
+        remove_stale_temporaries(job.directory / split)
+
+
+def _describe(job: Job, report: RunReport) -> None:
+    """Write all that stands beside the shards."""
+    finished = load_manifest(job.directory)
+    if finished is not None and report.samples:
+        stage(f"writing index, card{' and preview' if job.dataset.preview_pairs else ''}")
+        write_index(job.directory, finished)
+        if job.dataset.preview_pairs:
+            preview(job.directory, pairs=job.dataset.preview_pairs, trusted=True)
+        write_card(
+            job.directory, finished, job.provenance, job.dataset, report.failures, job.skipped
+        )
+        write_croissant(job.directory, finished, job.dataset)

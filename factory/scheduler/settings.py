@@ -1,0 +1,150 @@
+"""The `scheduler` group: how the work is spread over processes.  No pixel depends on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass as plain_dataclass
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from ..settings import STRICT
+from .workers.contract import BackendName, Pool, WorkerSettings
+from .workers.limits import workers_that_fit
+from .workers.machine import available_memory_bytes, usable_cores
+
+MAX_AUTO_WORKERS = 48
+# The rest is for the system's file cache and for other programs.
+_MEMORY_SHARE = 0.8
+
+RENDER, NOISE = "render", "noise"
+
+
+@plain_dataclass(frozen=True)
+class Crew:
+    """Numbers of worker processes.
+
+    render: may load Blender; they also add noise when nothing is left to render.
+    noise: light ones, for noise alone.
+    """
+
+    render: int
+    noise: int
+
+    @property
+    def total(self) -> int:
+        """All workers."""
+        return self.render + self.noise
+
+
+@dataclass(frozen=True, config=STRICT)
+class ShardSlice:
+    """Keys of `shard`: this run makes every `count`-th shard, from number `index` on."""
+
+    index: Annotated[int, Field(ge=0)] = 0
+    count: Annotated[int, Field(ge=1)] = 1
+
+    @model_validator(mode="after")
+    def _within(self) -> Self:
+        if self.index >= self.count:
+            raise ValueError(f"index must be 0 to count - 1 = {self.count - 1}, got {self.index}")
+        return self
+
+    @property
+    def part(self) -> str:
+        """What the slice's own files are named after, such as 0-of-4; empty for the whole."""
+        return f"{self.index}-of-{self.count}" if self.count > 1 else ""
+
+
+@dataclass(frozen=True, config=STRICT)
+class SchedulerSettings:
+    """Keys of the `scheduler` group.
+
+    backend: local (processes on this machine), serial (none; to debug), dask (a cluster).
+    address: of a Dask scheduler, tcp://host:port; None starts a Dask cluster on this machine.
+    workers: number of worker processes; auto is one a core, as many as fit the memory, at most 48.
+    render_workers: how many of them render; auto is at most one a core and what fits the memory.
+    start_all: start every worker at once, not when there is work for it.
+    shard_size: samples in a shard.  It decides which file a sample lies in.
+    threads: of each worker's numerical libraries.
+    frame_timeout_s: a frame that takes longer is given up and its worker replaced.
+    retries: how often a frame is tried again after its worker died or it took too long.
+    backoff_s: wait before the first such try; each later one waits twice as long.
+    recycle_frames: a worker is replaced by a fresh process after about this many frames.
+    memory_per_worker_gb, memory_per_renderer_gb: what auto counts for one of either kind.
+    """
+
+    backend: BackendName = "local"
+    address: str | None = None
+    workers: Annotated[int, Field(ge=1, le=1024)] | Literal["auto"] = "auto"
+    render_workers: Annotated[int, Field(ge=1, le=1024)] | Literal["auto"] = "auto"
+    start_all: bool = False
+    shard_size: Annotated[int, Field(ge=1)] = 32
+    threads: Annotated[int, Field(ge=1)] = 1
+    frame_timeout_s: Annotated[float, Field(gt=0)] = 300.0
+    retries: Annotated[int, Field(ge=0)] = 1
+    backoff_s: Annotated[float, Field(ge=0)] = 0.5
+    recycle_frames: Annotated[int, Field(ge=1)] = 200
+    memory_per_worker_gb: Annotated[float, Field(gt=0)] = 0.3
+    memory_per_renderer_gb: Annotated[float, Field(gt=0)] = 1.0
+
+    @model_validator(mode="after")
+    def _address(self) -> Self:
+        if self.address is not None and self.backend != "dask":
+            raise ValueError("address is for scheduler.backend=dask only")
+        return self
+
+    def crew(self, shards: int, frames: int) -> Crew:
+        """How many workers of either kind for that many shards, and frames to prepare."""
+        memory_gb = available_memory_bytes() / 1e9 * _MEMORY_SHARE
+        if self.workers == "auto":
+            fitting = int(memory_gb / self.memory_per_worker_gb)
+            total = max(1, min(usable_cores(), fitting, MAX_AUTO_WORKERS))
+        else:
+            total = self.workers
+        if not self.start_all:
+            total = min(total, max(shards, frames))
+        if not frames:
+            return Crew(0, total)
+        if self.render_workers == "auto":
+            left_gb = memory_gb - total * self.memory_per_worker_gb
+            more_gb = max(self.memory_per_renderer_gb - self.memory_per_worker_gb, 1e-3)
+            render = max(1, min(usable_cores(), int(left_gb / more_gb)))
+        else:
+            render = self.render_workers
+        render = min(render, total, frames)
+        return Crew(render, total - render)
+
+    def within_limits(self, crew: Crew) -> tuple[Crew, str]:
+        """As much of a crew as the limits of this process allow, and a line about the rest.
+
+        Raises FactoryError when they allow no worker.
+        """
+        if self.backend != "local":
+            return crew, ""
+        fitting, limit = workers_that_fit(crew.total)
+        if fitting >= crew.total:
+            return crew, ""
+        render = min(crew.render, max(1, crew.render * fitting // crew.total))
+        note = f"{limit}: {fitting} of {crew.total} workers fit and are used; raise it for more"
+        return Crew(render, fitting - render), note
+
+    def worker_settings(
+        self, crew: Crew, frames_per_shard: int, preload: tuple[str, ...] = ()
+    ) -> WorkerSettings:
+        """The processes of `crew`, for shards of at most so many frames.
+
+        preload: modules that every worker needs.
+        """
+        shards_per_worker = max(1, self.recycle_frames // frames_per_shard)
+        return WorkerSettings(
+            pools=(
+                Pool(RENDER, crew.render, (NOISE,), self.recycle_frames),
+                Pool(NOISE, crew.noise, (), shards_per_worker),
+            ),
+            backend=self.backend,
+            threads=self.threads,
+            start_all=self.start_all,
+            address=self.address,
+            preload=preload,
+        )

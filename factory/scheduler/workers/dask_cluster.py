@@ -1,0 +1,283 @@
+"""Workers of a Dask cluster: one on this machine, or any that a scheduler's address leads to.
+
+Each worker has one thread and a nanny that replaces it when it dies.  Dask retries nothing itself:
+a death is reported at once (`allowed-failures` 0 on clusters started here; docs/cluster.md says how
+to set it for others).  Tasks of a pool that not every worker serves go only to workers with a
+resource of the pool's name.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from ...errors import FactoryError
+from .contract import Pool, WorkerSettings
+from .template import THREAD_VARIABLES
+
+T = TypeVar("T")
+
+_LOGGING = "DASK_LOGGING__DISTRIBUTED"
+_CONNECT_S = 20.0
+_STOP_S = 4.0
+_REVIVE_EVERY_S = 2.0
+# A worker's start, and the way of a result that a worker has ready.
+_START_S = 120
+_RESULT_S = 60
+_RESTART_S = 30
+_STARTS = 5
+
+
+@dataclass(eq=False)
+class _Task:
+    pool: str
+    future: Future[Any]
+    remote: Any
+    deadline: float
+
+
+class DaskBackend:
+    """A `contract.Backend` over `distributed.Client`."""
+
+    def __init__(self, settings: WorkerSettings) -> None:
+        """Connect, or start a cluster.  Raises FactoryError when neither works."""
+        try:
+            import dask
+            import distributed
+        except ImportError as error:
+            raise FactoryError(
+                "scheduler.backend=dask needs the package distributed: "
+                "pip install 'simnfnd[cluster]', or choose scheduler=local"
+            ) from error
+        self._distributed: Any = distributed
+        self._cluster: Any = None
+        self._specs: dict[int, Any] = {}
+        self._revived = 0.0
+        self._tasks: dict[Future[Any], _Task] = {}
+        self._lock = threading.Lock()
+        self._settings: Any = dask.config.set({"distributed.scheduler.allowed-failures": 0})
+        # Read by the processes of a cluster that is started here: no line for every worker.
+        self._environment = os.environ.get(_LOGGING)
+        os.environ[_LOGGING] = "critical"
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        address = settings.address
+        try:
+            if address is None:
+                self._cluster = _start_cluster(distributed, settings)
+                self._specs = dict(self._cluster.worker_spec)
+                address = self._cluster.scheduler_address
+            self._client: Any = self._distributed.Client(
+                address, timeout=_CONNECT_S, set_as_default=False
+            )
+            self._restricted = _restricted(settings.pools)
+            self._total, self._serving = self._count(settings)
+        except (TimeoutError, OSError, ValueError) as error:
+            self.stop()
+            raise FactoryError(
+                f"scheduler.address={settings.address}: no Dask scheduler answers ({error}); "
+                "check the address, or start one (docs/cluster.md)"
+            ) from error
+
+    def _count(self, settings: WorkerSettings) -> tuple[int, dict[str, int]]:
+        """How many workers there are, and of them for each pool that not all of them serve."""
+        if self._cluster is not None:
+            self._client.wait_for_workers(settings.total, timeout=_START_S)
+        found = self._client.scheduler_info(n_workers=-1)["workers"].values()
+        if not found:
+            raise ValueError("it has no workers")
+        serving = {
+            name: sum(name in worker.get("resources", {}) for worker in found)
+            for name in self._restricted
+        }
+        for pool in settings.pools:
+            if pool.workers and serving.get(pool.name) == 0:
+                raise ValueError(f"no worker was started with --resources {pool.name}=1")
+        return len(found), serving
+
+    def _recount(self) -> None:
+        """Take in workers of a cluster of others that have come or gone."""
+        with suppress(Exception):
+            found = self._client.sync(
+                self._client.scheduler.identity, n_workers=-1, callback_timeout=_RESTART_S
+            )["workers"].values()
+            if found:
+                self._total = len(found)
+                self._serving = {
+                    name: sum(name in worker.get("resources", {}) for worker in found)
+                    for name in self._restricted
+                }
+
+    def free(self, pool: str) -> bool:
+        """Whether fewer tasks are under way than there are workers for them."""
+        with self._lock:
+            running = [task.pool for task in self._tasks.values()]
+        if len(running) >= self._total:
+            return False
+        return pool not in self._restricted or running.count(pool) < self._serving[pool]
+
+    def submit(
+        self, function: Callable[..., T], argument: Any, timeout_s: float, pool: str
+    ) -> Future[T]:
+        """Send `function(argument)` to a worker."""
+        remote = self._client.submit(
+            function,
+            argument,
+            pure=False,
+            retries=0,
+            resources={pool: 1} if pool in self._restricted else None,
+        )
+        future: Future[T] = Future()
+        task = _Task(pool, future, remote, time.monotonic() + timeout_s)
+        with self._lock:
+            self._tasks[future] = task
+        remote.add_done_callback(lambda _: self._done(task))
+        return future
+
+    def _done(self, task: _Task) -> None:
+        result, error = None, None
+        try:
+            if task.remote.status == "finished":
+                result = task.remote.result(timeout=_RESULT_S)
+            elif task.remote.status == "error":
+                error = task.remote.exception(timeout=_RESULT_S)
+            else:
+                error = _Lost("its task was lost")
+        except Exception as failed:
+            # What ran raises plain errors, and `poll` has the time limit of the task itself.
+            late = isinstance(failed, TimeoutError)
+            error = _Lost("its result did not arrive") if late else failed
+        with self._lock:
+            if self._tasks.pop(task.future, None) is None:
+                return
+        if error is None:
+            task.future.set_result(result)
+        else:
+            task.future.set_exception(error)
+
+    def why_died(self, error: BaseException) -> str | None:
+        """What killed the worker, if that is what `error` of a future means; else None."""
+        if isinstance(error, self._distributed.KilledWorker):
+            return "native crash or kill, its Dask worker died"
+        lost = (
+            _Lost,
+            self._distributed.CancelledError,
+            self._distributed.scheduler.NoValidWorkerError,
+        )
+        return f"its Dask worker was lost ({error})" if isinstance(error, lost) else None
+
+    def expire(self, future: Future[Any]) -> None:
+        """Let the next `poll` find the task too late."""
+        with self._lock:
+            if task := self._tasks.get(future):
+                task.deadline = 0.0
+
+    def poll(self) -> None:
+        """End tasks that are too late: Dask cannot stop a function, so its worker is restarted."""
+        now = time.monotonic()
+        if now - self._revived > _REVIVE_EVERY_S:
+            self._revived = now
+            if self._cluster is None:
+                self._recount()
+            else:
+                self._revive()
+        with self._lock:
+            late = [task for task in self._tasks.values() if now > task.deadline]
+            for task in late:
+                self._tasks.pop(task.future)
+        for task in late:
+            with suppress(Exception):
+                processing = self._client.sync(
+                    self._client.scheduler.processing, workers=None, callback_timeout=_RESTART_S
+                )
+                where = [worker for worker, keys in processing.items() if task.remote.key in keys]
+                self._client.restart_workers(where, timeout=_RESTART_S, raise_for_error=False)
+            task.future.set_exception(TimeoutError())
+
+    def _revive(self) -> None:
+        """Replace nannies of our own cluster that gave up: their worker died while it started."""
+        cluster = self._cluster
+        gone = [
+            name
+            for name in self._specs
+            if name not in cluster.workers
+            or cluster.workers[name].status.name in ("closed", "failed")
+        ]
+        if not gone:
+            return
+        for name in gone:
+            cluster.workers.pop(name, None)
+            cluster.worker_spec[name] = self._specs[name]
+        # What fails again is found again next time.
+        with suppress(Exception):
+            cluster.sync(cluster._correct_state, callback_timeout=60)
+
+    def stop(self) -> None:
+        """Leave the cluster; one that was started here is taken down."""
+        with self._lock:
+            self._tasks.clear()
+        if hasattr(self, "_client"):
+            with suppress(Exception):
+                self._client.close(timeout=_STOP_S)
+        if self._cluster is not None:
+            with suppress(Exception):
+                self._cluster.close(timeout=_STOP_S)
+        self._settings.__exit__(None, None, None)
+        if self._environment is None:
+            os.environ.pop(_LOGGING, None)
+        else:
+            os.environ[_LOGGING] = self._environment
+
+
+class _Lost(Exception):
+    """A task ended without a result of its own."""
+
+
+def _restricted(pools: Sequence[Pool]) -> frozenset[str]:
+    """Names of the pools that some workers do not serve."""
+    return frozenset(
+        pool.name for pool in pools if not all(other.takes(pool.name) for other in pools)
+    )
+
+
+def _start_cluster(distributed: Any, settings: WorkerSettings) -> Any:
+    """A scheduler and the workers of all pools as processes of this machine."""
+    env = dict.fromkeys(THREAD_VARIABLES, str(settings.threads))
+    restricted = _restricted(settings.pools)
+    workers = [pool for pool in settings.pools for _ in range(pool.workers)]
+
+    def spec(pool: Pool) -> dict[str, Any]:
+        options = {
+            "nthreads": 1,
+            "env": env,
+            "memory_limit": 0,
+            "death_timeout": _START_S,
+            "resources": {name: 1 for name in restricted if pool.takes(name)},
+            "preload": ["simnfnd.factory.scheduler.workers.dask_preload"],
+            "dashboard": False,
+        }
+        return {"cls": distributed.Nanny, "options": options}
+
+    for last in (False,) * (_STARTS - 1) + (True,):
+        try:
+            return distributed.SpecCluster(
+                workers={number: spec(pool) for number, pool in enumerate(workers)},
+                scheduler={
+                    "cls": distributed.Scheduler,
+                    "options": {"dashboard": False, "host": "127.0.0.1", "port": 0},
+                },
+                silence_logs=50,
+            )
+        except RuntimeError as error:  # a worker died while it started
+            if last:
+                raise FactoryError(
+                    f"scheduler.backend=dask: no cluster comes up on this machine ({error}); "
+                    "choose scheduler=local"
+                ) from error
+    raise AssertionError("unreachable")

@@ -1,0 +1,243 @@
+"""The device of one picture: drawn in one place, and the configuration that it means."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from .. import seeds
+from ..dataset.format.sample import Column
+from ..distribution import number
+from ..imaging.contract import Scene
+from ..noise.registry import EFFECTS, NoiseSettings, blocks
+from ..sonar.fan import fan_size
+from ..sonar.settings import (
+    ImageSettings,
+    RangeSettings,
+    SonarSettings,
+    TransferSettings,
+)
+from ..sonar.window import Window
+from .raster import Raster
+from .settings import DeviceSettings, distributions
+
+if TYPE_CHECKING:
+    from ..config import FactoryConfig
+
+_SOUND_SPEED_M_S = 1480.0
+"""Turns a range resolution into a bandwidth; the water's own speed is within 4 % of it."""
+_FEWEST_BINS = 64
+_LARGEST_POINTS_PX = 512
+"""Beyond, a picture of points has fewer echoes than pixels."""
+_POINTS_HFOV_DEG = 30.0
+_DARKEST = 0.8
+"""Of the median echo's grey value: a display that is no darker anywhere shows nothing."""
+_ODD = ("spokes", "ghosts", "gains")
+"""Artefacts that many recordings do not have; seen always, they teach to take detail for them."""
+
+
+@dataclass(frozen=True)
+class Device:
+    """What was drawn for one picture.
+
+    values: by the keys of `DeviceSettings`; shares are drawn as 1 or 0.
+    coins: effect -> whether a coin leaves it on, of `fewer_share` or, for odd ones, `odd_share`.
+    """
+
+    values: Mapping[str, float]
+    coins: Mapping[str, bool]
+
+    @property
+    def formation(self) -> Literal["points", "field"]:
+        """Which formation makes the picture."""
+        return "field" if self.values["field_share"] else "points"
+
+    def row(self) -> dict[str, float]:
+        """The values of `columns`."""
+        return {f"device.{name}": value for name, value in self.values.items()}
+
+    @property
+    def raster(self) -> Raster:
+        """How the picture becomes pixels."""
+        drawn = self.values
+        return Raster(
+            nearest=bool(drawn["nearest_share"]) and self.formation == "field",
+            enlarged=drawn["enlarged"] if drawn["enlarged_share"] else 1.0,
+            jpeg_quality=round(drawn["jpeg_quality"]) if drawn["jpeg_share"] else None,
+        )
+
+
+def fixed_raster(image: ImageSettings) -> Raster | None:
+    """How the one device of a configuration makes pixels; None where it interpolates, no more."""
+    if image.sampling == "bilinear" and image.enlarged == 1 and image.jpeg_quality is None:
+        return None
+    return Raster(image.sampling == "nearest", image.enlarged, image.jpeg_quality)
+
+
+def draw(settings: DeviceSettings, seed: int, *stream_names: str | int) -> Device:
+    """The device of the picture of this name; the same name draws the same."""
+    values = {}
+    for name, distribution in distributions(settings).items():
+        rng = seeds.stream(seed, "device", name, *stream_names)
+        value = distribution.draw(rng)
+        values[name] = float(rng.random() < value) if name.endswith("_share") else value
+    # Of a stream each, so that a further effect does not turn the coins of the others.
+    coins = {
+        name: seeds.stream(seed, "device", "coin", name, *stream_names).random() < 0.5
+        for name in EFFECTS
+    }
+    return Device(values, coins)
+
+
+def columns(settings: DeviceSettings) -> tuple[Column, ...]:
+    """Columns of the sample table: what was drawn for the device of each picture."""
+    return tuple(Column(f"device.{name}", "f8", _unit(name)) for name in distributions(settings))
+
+
+def _unit(name: str) -> str:
+    units = {"deg": "deg", "khz": "kHz", "px": "px", "m": "m", "db": "dB"}
+    return units.get(name.rsplit("_", 1)[-1], "1")
+
+
+def configured(config: FactoryConfig, device: Device, *, any_size: bool) -> FactoryConfig:
+    """The configuration of one picture by this device, but for what depends on its window.
+
+    any_size: whether pictures may differ in size and layout; else they keep `sonar.image`.
+    """
+    drawn, sonar = device.values, config.sonar
+    points = device.formation == "points"
+    height = round(drawn["height_px"]) if any_size else sonar.image.height_px
+    image = replace(sonar.image, height_px=height) if any_size else sonar.image
+    if any_size and drawn["polar_share"] and not points:
+        image = replace(image, layout="polar")
+    fixed = not points and not drawn["auto_range_share"]
+    near_far = (drawn["range_min_m"], drawn["range_max_m"]) if fixed else (0.2, 30.0)
+    sonar = replace(
+        sonar,
+        hfov_deg=drawn["hfov_deg"],
+        vfov_deg=drawn["vfov_deg"],
+        beam_azimuths_deg=None,
+        frequency_khz=drawn["frequency_khz"],
+        beams=round(drawn["beams"]),
+        range_bins=max(round(height * drawn["bins_per_px"]), _FEWEST_BINS),
+        image=image,
+        range=RangeSettings(auto=not fixed, min_m=near_far[0], max_m=near_far[1]),
+        transfer=_transfer(sonar.transfer, device),
+    )
+    acoustics = replace(
+        config.acoustics,
+        formation=device.formation,
+        tvg_log=drawn["tvg_log"],
+        standing=drawn["standing"] if drawn["standing_share"] and not points else 0.0,
+        lambert_exponent=drawn["lambert_exponent"],
+        reflectivity_db={
+            **config.acoustics.reflectivity_db,
+            "Background": drawn["background_db"],
+        },
+    )
+    if points:
+        sonar = _points(sonar, any_size)
+    noise = _of_formation(config.noise, device)
+    if not acoustics.standing and noise.scintillation is not None:
+        # What trembles beside speckle that is new in every ping cannot be told from it.
+        noise = replace(noise, scintillation=replace(noise.scintillation, enabled=False))
+    return replace(config, sonar=sonar, acoustics=acoustics, noise=noise, devices=None)
+
+
+def resolved(
+    config: FactoryConfig, device: Device, window: Window, *, any_size: bool
+) -> FactoryConfig:
+    """The same, with what the device resolves in its window, and a fan as wide as its sector."""
+    if device.formation == "points":
+        return config
+    drawn, sonar = device.values, config.sonar
+    resolution_m = window.range_span_m / sonar.range_bins * drawn["resolution_bins"]
+    array = replace(
+        sonar.array,
+        bandwidth_khz=float(np.clip(_SOUND_SPEED_M_S / (2000 * resolution_m), 1, 2000)),
+        beamwidth_deg=float(
+            np.clip(sonar.hfov_deg / sonar.beams * drawn["beamwidth_beams"], 0.05, 60)
+        ),
+    )
+    image = sonar.image
+    if any_size and image.layout == "fan":
+        across, ahead = fan_size(sonar.hfov_deg, window.near_fraction)
+        image = replace(image, width_px=int(np.ceil(image.height_px * (across / ahead))) + 1)
+    return replace(config, sonar=replace(sonar, array=array, image=image))
+
+
+def fitted(config: FactoryConfig, device: Device, scene: Scene) -> FactoryConfig:
+    """The same once the scene is known: the receiver's noise lies so far over its median echo."""
+    receiver, ping = config.noise.receiver, getattr(scene, "ping", None)
+    if ping is None or receiver is None or not receiver.enabled:
+        return config
+    echoes = ping.expected[ping.expected > 0]
+    level_db = device.values["receiver_db"]
+    if len(echoes):
+        level_db += 10 * float(np.log10(np.median(echoes) / ping.thermal_noise))
+    block = replace(receiver, level_db=number(level_db))
+    return replace(config, noise=replace(config.noise, receiver=block))
+
+
+def _points(sonar: SonarSettings, any_size: bool) -> SonarSettings:
+    """The paper's pictures: the view from above, a bin and a beam for each pixel."""
+    image = sonar.image
+    if any_size:
+        side = min(image.height_px, _LARGEST_POINTS_PX)
+        image = replace(image, layout="fan", height_px=side, width_px=side)
+    return replace(
+        sonar,
+        projection="top_view",
+        hfov_deg=max(sonar.hfov_deg, _POINTS_HFOV_DEG),
+        beams=image.width_px,
+        range_bins=image.height_px,
+        image=image,
+    )
+
+
+def _transfer(transfer: TransferSettings, device: Device) -> TransferSettings:
+    drawn = device.values
+    if device.formation == "points":
+        if not drawn["points_log_share"]:
+            return replace(transfer, kind="linear", percentile=90.0, reference=1.0)
+        # Decibels of an energy: half as many as of an amplitude.
+        range_db = drawn["dynamic_range_db"] / 2
+        return replace(
+            transfer, kind="log", percentile=90.0, reference=0.9, dynamic_range_db=range_db
+        )
+    if drawn["log_share"]:
+        soft = bool(drawn["soft_share"])
+        return replace(
+            transfer,
+            kind="soft_log" if soft else "log",
+            percentile=50.0,
+            reference=drawn["log_reference"],
+            dynamic_range_db=drawn["dynamic_range_db"],
+            black=min(drawn["black"], _DARKEST * drawn["log_reference"]) if soft else 0.0,
+        )
+    return replace(
+        transfer,
+        kind="power",
+        percentile=95.0,
+        reference=drawn["power_reference"],
+        exponent=drawn["exponent"],
+    )
+
+
+def _of_formation(noise: NoiseSettings, device: Device) -> NoiseSettings:
+    """The effects of the device's formation that are on in this picture."""
+    points = device.formation == "points"
+    changed: dict[str, Any] = {}
+    for name, block in blocks(noise).items():
+        on = block.enabled and (EFFECTS[name].stage == "points") == points
+        on = on and not device.values["quiet_share"]
+        odd = EFFECTS[name].artefact in _ODD and not points
+        if device.values["fewer_share"] or odd:
+            on = on and device.coins[name]
+        if odd:
+            on = on and bool(device.values["odd_share"])
+        changed[name] = replace(block, enabled=on)
+    return replace(noise, **changed)

@@ -1,0 +1,122 @@
+"""Recordings of real sonars, and of videos and pictures of them: `open_recording`.
+
+A reader is a module here with a class that takes a path and is a `base.Recording`; its line below
+says which files it reads.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+
+from ...factory.errors import FactoryError
+from .arrays import FORMATS, file_of, split_name
+from .arrays.levels import Levels
+from .base import (
+    PICTURE_SUFFIXES,
+    TIFF_SUFFIXES,
+    Beams,
+    Device,
+    Frame,
+    Pose,
+    Recording,
+)
+from .rosbag_files import is_bag_folder
+
+__all__ = [
+    "PICTURE_SUFFIXES",
+    "SEQUENCES",
+    "Beams",
+    "Device",
+    "Frame",
+    "Levels",
+    "Pose",
+    "Recording",
+    "is_recording",
+    "kind_of",
+    "open_recording",
+]
+
+_ROOM = "simnfnd.models.recordings"
+
+READERS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "aris": (f"{_ROOM}.aris.file:ArisFile", (".aris",)),
+    "ddf": (f"{_ROOM}.ddf:DdfFile", (".ddf",)),
+    "oculus": (f"{_ROOM}.oculus:OculusFile", (".raw", ".oculus")),
+    "rosbag": (f"{_ROOM}.rosbag:RosBag", (".bag", ".mcap", ".db3")),
+    "video": (f"{_ROOM}.video:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
+    "stack": (f"{_ROOM}.pictures:StackFile", ()),
+    "array": (f"{_ROOM}.arrays.file:ArrayFile", (".npz", ".mat")),
+    "pictures": (f"{_ROOM}.pictures:Pictures", PICTURE_SUFFIXES),
+}
+"""Kind -> ("module:class", suffixes of its files); stacks have those of pictures, arrays also .npy
+and, where they are no shards, those of HDF5."""
+
+SEQUENCES = ("video", "stack", "array")
+"""Kinds whose frames are pictures, one after the other."""
+
+_WITH_LEVELS = ("stack", "array")
+
+# What OpenCV reads, which is an extra; bags say themselves what they need.
+_OPENCV = {"video": "reading videos", "pictures": "reading pictures"}
+
+
+def kind_of(path: Path) -> str | None:
+    """The kind of recording that a file's name says; None for others.
+
+    A TIFF file of several pages is a `stack`, a file of arrays an `array` (but .npy of one
+    picture); one that holds no pictures, or is a shard, is of no kind.  A folder is `rosbag` when
+    it holds a bag of ROS 2, and `pictures` otherwise.
+    """
+    path, name = split_name(path)
+    if path.is_dir():
+        return "rosbag" if is_bag_folder(path) else "pictures"
+    suffix = path.suffix.lower()
+    if suffix in TIFF_SUFFIXES and path.is_file():
+        from .pictures import is_stack
+
+        if is_stack(path):
+            return "stack"
+    if suffix in FORMATS and path.is_file():
+        from .arrays.file import kind_of_arrays
+
+        if name is not None:
+            return "array"
+        return {"picture": "pictures", "several": "array", "other": None}[kind_of_arrays(path)]
+    for kind, (_, suffixes) in READERS.items():
+        if suffix in suffixes:
+            return kind
+    return None
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a file or folder is one by its name: of a sonar, a bag or a video, not pictures."""
+    return file_of(path).exists() and kind_of(path) not in (None, "pictures")
+
+
+def open_recording(path: str | Path, levels: Levels | None = None) -> Recording:
+    """The recording in a file or folder.
+
+    path: of a file of arrays also FILE::NAME.  levels: of arrays and TIFF files, what shows as
+        black and white.
+    Raises FactoryError when there is none, it is of no known kind, or nothing of it can be read.
+    """
+    where = Path(path).expanduser()
+    file = file_of(where)
+    if not file.exists():
+        raise FactoryError(f"{path}: no such file or folder")
+    kind, suffix = kind_of(where), file.suffix.lower()
+    if levels is not None and suffix in TIFF_SUFFIXES:
+        kind = "stack"
+    elif suffix in FORMATS and (kind is None or levels is not None):
+        kind = "array"  # which says what it lacks
+    if kind is None:
+        known = ", ".join(suffix for _, suffixes in READERS.values() for suffix in suffixes)
+        raise FactoryError(f"{path}: not a recording by its name ({known}, or a folder)")
+    if kind in _OPENCV and find_spec("cv2") is None:
+        raise FactoryError(f"{path}: {_OPENCV[kind]} needs cv2: pip install 'simnfnd[sonar]'")
+    module, name = READERS[kind][0].split(":")
+    reader = getattr(import_module(module), name)
+    recording: Recording = reader(where, levels) if kind in _WITH_LEVELS else reader(where)
+    return recording

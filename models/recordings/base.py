@@ -1,0 +1,240 @@
+"""What every reader of recordings gives: frames, one after the other or by number.
+
+A recording is opened without reading its samples.  Whatever a file says about itself is checked
+before it is used: a damaged or foreign file costs one line (FactoryError when nothing of it can be
+used, FrameError when one frame cannot), never memory or time.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from ...factory.errors import FactoryError, FrameError
+
+TIFF_SUFFIXES = (".tif", ".tiff")
+ARRAY_SUFFIX = ".npy"
+PICTURE_SUFFIXES = (
+    *(".png", *TIFF_SUFFIXES, ".jpg", ".jpeg", ".bmp", ".pgm", ".webp", ARRAY_SUFFIX),
+)
+FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
+"""dtype -> grey value of full scale, of the pixels that are read and written."""
+Samples = npt.NDArray[Any]
+
+MOST_PIXELS = 1 << 26
+"""Of a picture."""
+MOST_RANGES, MOST_BEAMS = 8192, 4096
+MOST_RANGE_M = 2000.0
+
+
+@dataclass(frozen=True)
+class Beams:
+    """Where the samples of one ping lie.
+
+    azimuths_rad: (beams,) bearings of the beams' centres, ascending, positive to the right.
+    range_min_m, range_max_m: where the first sample of a beam begins and the last one ends.
+    """
+
+    azimuths_rad: tuple[float, ...]
+    range_min_m: float
+    range_max_m: float
+
+
+@dataclass(frozen=True)
+class Pose:
+    """How the sonar stood, as far as the file says; None where it does not.
+
+    heading_deg, pitch_deg, roll_deg: of the sonar's compass.  depth_m: of the platform.
+    pan_deg, tilt_deg: of a rotator.  latitude_deg, longitude_deg: of a GPS.
+    """
+
+    heading_deg: float | None = None
+    pitch_deg: float | None = None
+    roll_deg: float | None = None
+    depth_m: float | None = None
+    pan_deg: float | None = None
+    tilt_deg: float | None = None
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
+
+
+@dataclass(frozen=True)
+class Device:
+    """The sonar and its settings, as far as the file says.
+
+    decibels: what full scale of the samples stands for, where they are logarithmic.
+    """
+
+    name: str = "unknown"
+    serial_number: int | None = None
+    frequency_khz: float | None = None
+    sound_speed_m_s: float | None = None
+    gain_db: float | None = None
+    gain_percent: float | None = None
+    decibels: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One frame.
+
+    number: counts from 0.
+    samples: with `beams`, (ranges, beams) uint8, uint16 or float32 (0..1), near range first, beams
+        from left to right; without, a picture, (H, W) or (H, W, colours) of such a dtype.
+    beams: None for a picture, of which only the pixels are known.
+    time_s: seconds since 1970 (UTC), or since the start where the file has no clock; None: unknown.
+    """
+
+    number: int
+    samples: Samples
+    beams: Beams | None = None
+    time_s: float | None = None
+    pose: Pose = field(default_factory=Pose)
+    device: Device = field(default_factory=Device)
+
+
+class Recording(Protocol):
+    """An opened recording; close it, or use it in a `with` statement."""
+
+    path: Path
+    warning: str
+    """What is wrong with the file though its frames can be read, in one line; mostly empty."""
+
+    def __len__(self) -> int:
+        """How many frames there are."""
+        ...
+
+    def __getitem__(self, number: int) -> Frame:
+        """One frame.  Raises IndexError, and FrameError when it cannot be used."""
+        ...
+
+    def __iter__(self) -> Iterator[Frame]:
+        """All frames in order.  Raises FrameError at one that cannot be used."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the file."""
+        ...
+
+    def __enter__(self) -> Self:
+        """The recording itself."""
+        ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close."""
+        ...
+
+
+class FileOfFrames(ABC):
+    """What readers of one file share; they add `_open`, `__len__` and `_read`."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises FactoryError when the file cannot be opened, or holds no whole frame."""
+        self.path = path
+        self.warning = ""
+        try:
+            self.size = path.stat().st_size
+            self._file = path.open("rb")
+        except OSError as error:
+            raise FactoryError(f"{path}: cannot be read ({error.strerror})") from error
+        try:
+            self._open()
+        except FrameError as error:
+            self.close()
+            raise FactoryError(str(error)) from error
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Read what the file says of all frames.  Raises FrameError when it is of another kind."""
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """Number of whole frames."""
+
+    @abstractmethod
+    def _read(self, number: int) -> Frame:
+        """Read a frame that is there.  Raises FrameError when it is damaged."""
+
+    def __getitem__(self, number: int) -> Frame:
+        if not 0 <= number < len(self):
+            raise IndexError(f"{self.path}: frame {number} of {len(self)}")
+        try:
+            return self._read(number)
+        except FrameError:
+            raise
+        except OSError as error:
+            raise FrameError(f"{self.path}: frame {number}: {error}") from error
+
+    def __iter__(self) -> Iterator[Frame]:
+        for number in range(len(self)):
+            yield self[number]
+
+    def close(self) -> None:
+        """See `Recording`."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def bytes_at(self, offset: int, count: int, what: str) -> bytes:
+        """`count` bytes.  Raises FrameError when the file ends before."""
+        if offset < 0 or count < 0 or offset + count > self.size:
+            raise FrameError(f"{self.path}: ends within {what}; the file is cut short or damaged")
+        self._file.seek(offset)
+        content = self._file.read(count)
+        if len(content) != count:
+            raise FrameError(f"{self.path}: ends within {what}; the file is cut short or damaged")
+        return content
+
+    def count_frames(self, start: int, stride: int) -> int:
+        """How many frames of `stride` bytes follow `start`; notes a rest as a warning.
+
+        Raises FrameError when there is none.
+        """
+        count, rest = divmod(self.size - start, stride)
+        if count < 1:
+            raise FrameError(f"{self.path}: ends within its first frame; the file is cut short")
+        if rest:
+            self.warning = f"{self.path}: ends within frame {count}, which is left out"
+        return count
+
+    def within(self, what: str, value: float, least: float, most: float) -> float:
+        """`value`.  Raises FrameError unless it is a number from `least` to `most`."""
+        if not least <= value <= most:
+            raise FrameError(
+                f"{self.path}: {what} is {value:g}, which cannot be ({least:g} to {most:g}); "
+                "the file is damaged or of another kind"
+            )
+        return value
+
+
+def header_layout(fields: Mapping[str, tuple[int, str]], size: int) -> np.dtype:
+    """The dtype of a header of `size` bytes: name -> (offset, kind) of the fields that are read."""
+    return np.dtype(
+        {
+            "names": list(fields),
+            "formats": [kind for _, kind in fields.values()],
+            "offsets": [offset for offset, _ in fields.values()],
+            "itemsize": size,
+        }
+    )
+
+
+def known(value: float, most: float = 1e6) -> float | None:
+    """A number of a header, or None where it is not finite or absurd."""
+    return float(value) if np.isfinite(value) and abs(value) <= most else None

@@ -1,0 +1,276 @@
+"""The geometry of a fan picture, found in the picture itself: where its black border ends.
+
+A fan picture is lit inside a sector and black outside it, mostly with far range on top.  The sector
+is found that best tells lit from black pixels (`outline`), and then looked at for how much of
+its outline is really there.  Where there is none, the picture is turned by quarters, looked at as a
+negative, and what is largest on a figure's page or in the picture alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ....factory.sonar.geometry import FanGeometry
+from ..palettes import find_painted
+from .outline import Numbers, fit_sector
+from .page import (
+    MOST_BLACK,
+    Bytes,
+    Part,
+    largest_part,
+    parts_of_figure,
+    without_page,
+)
+
+SURE = 0.7
+"""Fans found with less confidence are not returned."""
+_SURE_ODD = 0.8  # turned fans and negatives
+_LEAST_TURNED = 0.15  # part of the picture that a turned fan fills, unlike the mask of some object
+
+_SMALLEST = 32  # pixels a side
+_MOST_OUTSIDE = 0.05  # of all pixels may be lit and not in the sector
+_MOST_SQUEEZE = 1.95
+_MOST_MEDIAN = 127  # of 255: of a fan on a bright page
+_GROUND_SPREADS = 2, 6  # of 255: the ground of a screen
+_FILLED = 0.7  # of a sector by a picture of a figure
+_DIM = 0.25  # of full scale: pictures that are darker throughout are made brighter
+_LEAST_HALF_DEG, _MOST_HALF_DEG = 2.0, 88.0
+_PIECES = 12  # of each side of the outline, looked at one by one
+
+
+@dataclass(frozen=True)
+class FoundFan:
+    """A fan as it lies in a picture.
+
+    geometry: in pixels and shares of the largest range; metres cannot be seen.
+    confidence: 0..1, the share of the outline (both edges and the far arc, in equal parts) at which
+        the picture is lit just inside and black just outside.  A fan whose outline is half in the
+        dark has 0.5.
+    """
+
+    geometry: FanGeometry
+    confidence: float
+
+
+def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
+    """The fan in (H, W) or (H, W, colours) grey values of any number type, if there is one.
+
+    None for a picture without a sector on black or on a bright page: a photo, a polar picture, a
+    full rectangle.  Raises ValueError for another shape.
+    """
+    grey, means = _bytes(picture)
+    if min(grey.shape) < _SMALLEST:
+        return None
+    found = _find_upright(grey, SURE) or _find_turned(grey)
+    parts = parts_of_figure(grey if means is None else means) or ()
+    for part in parts[:1]:
+        if found is None or not _is_filled(found.geometry, part, grey.shape):
+            shown = part.alone(grey)
+            # Where echoes are dark on white, the page is part of the scale.
+            if means is not None or np.median(shown[shown > 0]) <= _MOST_MEDIAN:
+                found = _find_upright(shown, _SURE_ODD) or _find_turned(shown) or found
+    # A video's ground is not quite flat; the wider, the farther it reaches into a fan's grain.
+    for spread in _GROUND_SPREADS:
+        if found is not None:
+            break
+        alone = largest_part(grey, spread)
+        if alone is not None:
+            found = _find_upright(alone, _SURE_ODD) or _find_turned(alone)
+    return found
+
+
+def find_geometry(picture: npt.NDArray[Any]) -> FanGeometry | None:
+    """The geometry of the fan that `find_fan` sees, if it sees one."""
+    found = find_fan(picture)
+    return None if found is None else found.geometry
+
+
+def _find_turned(grey: Bytes) -> FoundFan | None:
+    """The fan with far range elsewhere."""
+    for turns in (2, 1, 3):
+        found = _find_upright(np.ascontiguousarray(np.rot90(grey, turns)), _SURE_ODD)
+        if found is not None:
+            geometry = found.geometry.turned_back(turns, *grey.shape)
+            if geometry.sector_mask(*grey.shape).mean() >= _LEAST_TURNED:
+                return replace(found, geometry=geometry)
+    return None
+
+
+def _is_filled(geometry: FanGeometry, part: Part, shape: tuple[int, ...]) -> bool:
+    """Whether a picture of a figure fills a sector, unlike axes that were drawn around it."""
+    inside = geometry.sector_mask(*shape)
+    return bool(part.alone(inside).sum() >= _FILLED * inside.sum())
+
+
+def _find_upright(grey: Bytes, sure: float) -> FoundFan | None:
+    """The fan with far range on top."""
+    black = _black(grey)
+    if black > MOST_BLACK:
+        shown, black = without_page(grey), 0
+        lit = shown[shown > 0]
+        if lit.size and np.median(lit) > _MOST_MEDIAN:
+            # Echoes are dark on white: the page is part of the scale, nothing there.
+            shown, sure = np.subtract(255, grey, dtype=np.uint8), max(sure, _SURE_ODD)
+            black = _black(shown)
+        elif not lit.size or _corners(shown)[0].any() or _corners(shown)[1].any():
+            return None
+        if black > MOST_BLACK:
+            return None
+        grey = shown
+    grey, top, left = _cropped(grey, black)
+    sector = fit_sector(grey > black)
+    if sector is None:
+        return None
+    # JPEG and MPEG ring on both sides of an edge: there the border is not quite black.
+    ringing = min(_level_beside(grey, sector), MOST_BLACK)
+    if ringing > black:
+        again = fit_sector(grey > ringing)
+        if again is not None:
+            black, sector = ringing, again
+    half_deg = np.rad2deg(np.arctan([-sector[4], sector[5]]))
+    if half_deg.min() < _LEAST_HALF_DEG or half_deg.max() > _MOST_HALF_DEG:
+        return None
+    outside = (grey > black) & (_inside(sector, *grey.shape) == 0)
+    if outside.mean() > _MOST_OUTSIDE:
+        return None
+    if abs(math.log(sector[6])) > math.log(_MOST_SQUEEZE):
+        return None
+    geometry = _geometry(sector)
+    confidence = _confidence(grey > black, geometry)
+    if confidence < sure:
+        return None
+    moved = replace(
+        geometry, apex_x_px=geometry.apex_x_px + left, apex_y_px=geometry.apex_y_px + top
+    )
+    return FoundFan(moved, confidence)
+
+
+def _corners(grey: Bytes) -> tuple[Bytes, Bytes]:
+    """Both upper ones, which no fan reaches."""
+    size = max(2, min(grey.shape) // 40)
+    return grey[:size, :size], grey[:size, -size:]
+
+
+def _black(grey: Bytes) -> int:
+    """The level of the border: the lesser of the corners', as there may be text in the other."""
+    return min(int(np.quantile(corner, 0.99)) for corner in _corners(grey))
+
+
+def _cropped(grey: Bytes, black: int) -> tuple[Bytes, int, int]:
+    """What is not border, with some border around it; its first row and column."""
+    lit = grey > black
+    spans = []
+    for share in (lit.mean(axis=1), lit.mean(axis=0)):
+        some = np.flatnonzero(share > 0.02)
+        ends = (int(some[0]), int(some[-1]) + 1) if len(some) else (0, len(share))
+        spans.append(slice(max(ends[0] - 16, 0), ends[1] + 16))
+    rows, columns = spans
+    return np.ascontiguousarray(grey[rows, columns]), rows.start, columns.start
+
+
+def _bytes(picture: npt.NDArray[Any]) -> tuple[Bytes, Bytes | None]:
+    """(H, W) of 8 bits: the levels of a map and the mean colours, or grey values and None."""
+    means = None
+    if picture.ndim == 3:
+        painted = find_painted(picture)
+        colours = picture[..., :3]
+        if painted is None:
+            picture = colours.max(axis=2)
+        else:
+            picture = painted.levels
+            means = np.rint(_grey_bytes(colours).mean(axis=2)).astype(np.uint8)
+    if picture.ndim != 2:
+        raise ValueError(f"picture has shape {picture.shape}; expected (H, W) or (H, W, colours)")
+    return _grey_bytes(picture), means
+
+
+def _grey_bytes(picture: npt.NDArray[Any]) -> Bytes:
+    if picture.dtype == np.uint8:
+        return picture
+    full = float(np.iinfo(picture.dtype).max) if picture.dtype.kind in "iu" else 1.0
+    # Samples of 10 or 12 bits in files of 16 leave most of the scale empty.
+    brightest = float(np.nan_to_num(picture, posinf=0).max(initial=0))
+    full = brightest if 0 < brightest < _DIM * full else full
+    # A level that is not zero stays one.
+    return np.asarray(np.ceil(np.clip(np.nan_to_num(picture / full), 0, 1) * 255), np.uint8)
+
+
+def _inside(sector: Numbers, height: int, width: int) -> Bytes:
+    from . import loops
+
+    top, bottom = np.empty(width), np.empty(width)
+    loops.column_limits(sector, np.arange(width, dtype=np.float64), top, bottom)
+    row = np.arange(height)[:, None]
+    return ((row >= top) & (row <= bottom)).astype(np.uint8)
+
+
+def _level_beside(grey: Bytes, sector: Numbers) -> int:
+    """The level below which 97 % of the pixels lie that are 2 to 8 pixels outside the sector."""
+    inside = _inside(sector, *grey.shape)
+    near = cv2.dilate(inside, np.ones((5, 5), np.uint8))
+    wide = cv2.dilate(inside, np.ones((17, 17), np.uint8))
+    beside = grey[(wide > 0) & (near == 0)]
+    return int(np.quantile(beside, 0.97)) if beside.size else 0
+
+
+def _geometry(sector: Numbers) -> FanGeometry:
+    apex_x, apex_y, far, near, left, right, squeeze = (float(value) for value in sector)
+    first, last = math.atan(left), math.atan(right)
+    return FanGeometry(
+        "fan",
+        near_fraction=near / far,
+        sector_rad=2 * max(-first, last),
+        azimuth_min_rad=first,
+        azimuth_max_rad=last,
+        apex_x_px=apex_x,
+        apex_y_px=apex_y,
+        far_px=far,
+        x_scale=squeeze,
+    )
+
+
+def _confidence(lit: npt.NDArray[np.bool_], fan: FanGeometry) -> float:
+    """See `FoundFan`."""
+    count = _PIECES * 12
+    # Some pixels away from the outline, as shares of the largest range.
+    away = np.maximum(np.linspace(0.004, 0.02, 5), np.arange(2, 7) / fan.far_px)
+    ranges = np.linspace(fan.near_fraction + 0.03, 0.97, count)[:, None]
+    bearings = np.linspace(fan.azimuth_min_rad, fan.azimuth_max_rad, count + 8)[4:-4, None]
+    seen = []
+    for edge_rad, side in ((fan.azimuth_min_rad, -1.0), (fan.azimuth_max_rad, 1.0)):
+        inner = _lit_share(lit, fan, ranges, edge_rad - side * away / ranges)
+        outer = _lit_share(lit, fan, ranges, edge_rad + side * away / ranges)
+        seen.append(_seen(inner, outer))
+    inner = _lit_share(lit, fan, 1 - away, bearings)
+    outer = _lit_share(lit, fan, 1 + away, bearings)
+    seen.append(_seen(inner, outer))
+    return float(np.mean(seen))
+
+
+def _seen(inner: Numbers, outer: Numbers) -> npt.NDArray[np.bool_]:
+    # Outside the picture all is black, and inside there must be something.
+    inner, outer = np.nan_to_num(inner), np.nan_to_num(outer)
+    return np.asarray((inner > 0.1) & (outer < 0.35 * inner))
+
+
+def _lit_share(
+    lit: npt.NDArray[np.bool_],
+    fan: FanGeometry,
+    ranges: npt.NDArray[Any],
+    bearings: npt.NDArray[Any],
+) -> Numbers:
+    """(_PIECES,) share of lit pixels of each piece of the outline, NaN outside the picture."""
+    height, width = lit.shape
+    row, column = (np.rint(place).astype(int) for place in fan.pixels(ranges, bearings))
+    row, column = np.broadcast_arrays(row, column)
+    there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    hit = there & lit[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    counts = there.reshape(_PIECES, -1).sum(axis=1)
+    share = hit.reshape(_PIECES, -1).sum(axis=1) / np.maximum(counts, 1)
+    return np.where(counts > 0, share, np.nan)

@@ -1,0 +1,200 @@
+"""The outline of a fan that best tells lit pixels from black ones.
+
+A pixel is lit with one probability inside the sector and with another outside; the outline with the
+greatest likelihood wins.  So holes (shadows, noise that reaches zero) and specks (ringing of JPEG
+or MPEG, text) cost little each.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from scipy import optimize
+
+Numbers = npt.NDArray[np.float64]
+
+_SIDE = 160  # the picture is made about this large for the first guess
+_LEAST_AREA = 0.03  # of the picture
+_PLAINLY = 30.0  # logarithm of a likelihood ratio
+_MOST_SQUEEZE = 2.0
+
+
+def fit_sector(lit: npt.NDArray[np.bool_]) -> Numbers | None:
+    """The sector that best separates lit from black pixels, None where there is none.
+
+    lit: (H, W).  The numbers are those of `_sector`, as `loops` takes them.
+    """
+    from . import loops  # loads numba
+
+    guess = _first_guess(lit)
+    if guess is None:
+        return None
+    outline, rows, cell = guess
+    above = loops.lit_above(lit)
+    coarse = _objective(above, outline, rows)
+    if coarse is None:
+        return None
+    outline = coarse.improve(outline, cell, squeezed=False)
+    # Now that the shares inside and outside are known better.
+    objective = _objective(above, outline, rows)
+    if objective is None:
+        return None
+    outline = objective.improve(outline, 1.0, squeezed=False)
+    squeezed = objective.improve(outline, 0.5, squeezed=True)
+    # Pixels are square unless the arcs say plainly that they are not.
+    if objective.cost(squeezed) < objective.cost(outline) - _PLAINLY:
+        outline = squeezed
+    outline = objective.polish(outline)
+    return _sector(outline, rows)
+
+
+def _first_guess(lit: npt.NDArray[np.bool_]) -> tuple[Numbers, tuple[float, float], float] | None:
+    """(outline, its two rows, pixels a cell) from the picture made small.
+
+    The outline: columns of the left edge at two rows, columns of the right edge at these, rows of
+    the far and the near arc in the sonar's column, logarithm of the squeeze.
+    """
+    height, width = lit.shape
+    scale = max(1, math.ceil(max(height, width) / _SIDE))
+    size = math.ceil(width / scale), math.ceil(height / max(1, math.ceil(height / _SIDE)))
+    share = cv2.resize(lit.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    share = cv2.blur(share, (3, 3))
+    some = share[share > 0.05]
+    if some.size < 20:
+        return None
+    dense = (share > 0.4 * np.median(some)).astype(np.uint8)
+    dense = cv2.morphologyEx(dense, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(dense, connectivity=8)
+    if count < 2:
+        return None
+    part = labels == 1 + np.argmax(stats[1:, cv2.CC_STAT_AREA])
+    if part.mean() < _LEAST_AREA:
+        return None
+    rows = np.flatnonzero(part.any(axis=1))
+    first = part[rows].argmax(axis=1)
+    last = part.shape[1] - 1 - part[rows, ::-1].argmax(axis=1)
+    left, right = _edge(rows, first), _edge(rows, part.shape[1] - 1 - last)
+    if left is None or right is None:
+        return None
+    right = np.array([-right[0], part.shape[1] - 1 - right[1]])
+    if left[0] - right[0] <= 1e-3:
+        return None
+    apex_row = (right[1] - left[1]) / (left[0] - right[0])
+    apex_column = int(np.clip(np.polyval(left, apex_row), 1, part.shape[1] - 2))
+    ahead = np.flatnonzero(part[:, apex_column - 1 : apex_column + 2].any(axis=1))
+    if not len(ahead):
+        return None
+    across, along = width / size[0], height / size[1]
+    pair = np.array([rows[len(rows) // 4], rows[-1]], float)
+    columns = [(np.polyval(line, pair) + 0.5) * across - 0.5 for line in (left, right)]
+    arcs = (np.array([ahead[0], ahead[-1]]) + 0.5) * along - 0.5
+    upper, lower = (pair + 0.5) * along - 0.5
+    return np.concatenate([*columns, arcs, [0.0]]), (float(upper), float(lower)), float(scale)
+
+
+def _edge(rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]) -> Numbers | None:
+    """(columns a row, column in row 0) of the line from the outermost column down."""
+    corner = int(np.flatnonzero(columns <= columns.min()).max())
+    y, x = rows[corner + 1 : -1].astype(float), columns[corner + 1 : -1].astype(float)
+    if len(y) < 6:
+        return None
+    weights = np.ones(len(y))
+    for _ in range(4):
+        line = np.polyfit(y, x, 1, w=weights)
+        off = np.abs(np.polyval(line, y) - x)
+        weights = 1 / (1 + (off / max(0.7, 1.5 * float(np.median(off)))) ** 2)
+    return np.asarray(line)
+
+
+def _sector(outline: Numbers, rows: tuple[float, float]) -> Numbers | None:
+    """apex_x, apex_y, far_px, near_px, tangents of the edges' bearings, squeeze."""
+    upper, lower = rows
+    left = (outline[1] - outline[0]) / (lower - upper)
+    right = (outline[3] - outline[2]) / (lower - upper)
+    if not (left > 1e-3 and right < -1e-3):
+        return None
+    apex_y = upper + (outline[2] - outline[0]) / (left - right)
+    apex_x = outline[0] + left * (apex_y - upper)
+    squeeze = math.exp(outline[6])
+    far, near = apex_y - outline[4], max(apex_y - outline[5], 0.0)
+    if not (far > near and 1 / _MOST_SQUEEZE < squeeze < _MOST_SQUEEZE):
+        return None
+    return np.array([apex_x, apex_y, far, near, -left / squeeze, -right / squeeze, squeeze])
+
+
+def _objective(
+    above: npt.NDArray[np.int32], outline: Numbers, rows: tuple[float, float]
+) -> _Objective | None:
+    """With the shares of lit pixels inside and outside `outline`; None if it parts nothing."""
+    from . import loops
+
+    sector = _sector(outline, rows)
+    if sector is None:
+        return None
+    lit, area = loops.lit_inside(above, sector, 1, False)
+    outside = above.size - above.shape[1] - area
+    inside_share = float(np.clip(lit / max(area, 1.0), 0.05, 0.97))
+    outside_share = float(np.clip((above[-1].sum() - lit) / max(outside, 1.0), 1e-3, 0.05))
+    if inside_share <= outside_share:
+        return None
+    gain = math.log(inside_share / outside_share)
+    price = math.log((1 - outside_share) / (1 - inside_share))
+    return _Objective(above, rows, gain, price)
+
+
+@dataclass(frozen=True)
+class _Objective:
+    """How badly an outline tells lit from black, to be made small.
+
+    above: see `loops.lit_above`.  rows: see `_first_guess`.
+    gain, price: of a lit and of a black pixel inside, logarithms of likelihood ratios.
+    """
+
+    above: npt.NDArray[np.int32]
+    rows: tuple[float, float]
+    gain: float
+    price: float
+
+    def cost(self, outline: Numbers, whole: bool = False) -> float:
+        """Minus the logarithm of the likelihood, but for a constant."""
+        from . import loops
+
+        sector = _sector(outline, self.rows)
+        if sector is None:
+            return 1e15
+        step = max(1, self.above.shape[1] // 400)
+        lit, area = loops.lit_inside(self.above, sector, step, whole)
+        return float(self.price * (area - lit) - self.gain * lit) * step
+
+    def improve(self, outline: Numbers, size_px: float, squeezed: bool) -> Numbers:
+        """The likeliest outline nearby; `size_px`: of the first steps; squeezed: of any squeeze."""
+        free = 7 if squeezed else 6
+        steps = np.diag([size_px] * 6 + [0.05])[:free, :free]
+
+        def cost(values: Numbers) -> float:
+            return self.cost(np.concatenate([values, outline[free:]]))
+
+        simplex = np.vstack([outline[:free], outline[:free] + steps])
+        options = {"initial_simplex": simplex, "maxfev": 40 * free, "xatol": 0.05, "fatol": 1.0}
+        best = optimize.minimize(
+            cost, outline[:free], method="Nelder-Mead", options={**options, "adaptive": True}
+        )
+        return np.concatenate([best.x, outline[free:]])
+
+    def polish(self, outline: Numbers) -> Numbers:
+        """Each end of an edge and each arc moved by itself to where it fits best."""
+        outline = outline.copy()
+        # The arcs first, from further away: a short one has hardly any weight until here.
+        for reach_px, parts in ((8.0, (5, 4)), (1.5, range(6)), (0.5, range(6))):
+            moves = np.linspace(-reach_px, reach_px, 21)
+            for at in parts:
+                tried = np.repeat(outline[None], len(moves), axis=0)
+                tried[:, at] += moves
+                costs = np.array([self.cost(one, whole=True) for one in tried])
+                # The middle of the places that are as good as the best.
+                outline = tried[costs <= costs.min() + 1e-6].mean(axis=0)
+        return outline

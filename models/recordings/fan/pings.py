@@ -1,0 +1,122 @@
+"""From the samples of a ping to a fan picture, and what is known of where range and bearing are."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from ....factory.errors import FactoryError
+from ....factory.sonar.fan import fan_table
+from ....factory.sonar.geometry import FanGeometry
+from ....factory.sonar.settings import ImageSettings, SonarSettings
+from .. import open_recording
+from ..base import FULL_SCALE, Beams, Frame, Recording
+from ..palettes import grey_of_colours
+
+MOST_ROWS = 1024
+_MOST_SIDE = 2048
+
+
+def grey_of(frame: Frame) -> npt.NDArray[np.float32]:
+    """The samples as float32 in 0..1, in the shape that they have."""
+    return frame.samples.astype(np.float32) / np.float32(FULL_SCALE[str(frame.samples.dtype)])
+
+
+def polar_geometry(beams: Beams, ranges: int) -> FanGeometry:
+    """Of the samples as they are: a row a range, a column a beam."""
+    left, right = _edges_rad(beams)
+    return FanGeometry(
+        "polar",
+        near_fraction=beams.range_min_m / beams.range_max_m,
+        sector_rad=2 * max(-left, right),
+        azimuth_min_rad=left,
+        azimuth_max_rad=right,
+        range_min_m=beams.range_min_m,
+        range_max_m=beams.range_max_m,
+        range_bins=ranges,
+        beam_azimuths_rad=beams.azimuths_rad,
+    )
+
+
+def fan_of(
+    samples: npt.NDArray[np.floating], beams: Beams
+) -> tuple[npt.NDArray[np.float32], FanGeometry]:
+    """(ranges, beams) -> (H, W) float32 fan with its geometry, far range on top, 0 outside.
+
+    A pixel is as long as a sample where that makes at most `MOST_ROWS` pixels ahead.
+    """
+    sonar = _sonar(beams, *samples.shape)
+    table = fan_table(sonar, beams.range_min_m / beams.range_max_m)
+    geometry = FanGeometry.from_sonar(
+        sonar, beams.range_min_m, beams.range_max_m, *_edges_rad(beams)
+    )
+    picture = table.bilinear(samples)
+    maps = geometry.maps(0, 0, *picture.shape)
+    # The sector of the beams need not be symmetric, the table's is.
+    return picture * maps["sector"], geometry
+
+
+@lru_cache(maxsize=8)
+def _sonar(beams: Beams, ranges: int, count: int) -> SonarSettings:
+    half = max(abs(edge) for edge in _edges_rad(beams))
+    near = beams.range_min_m / beams.range_max_m
+    pixel = (1 - near) / min(ranges, MOST_ROWS)
+    width, height = 2 * math.sin(half) / pixel, (1 - near * math.cos(half)) / pixel
+    shrink = min(1.0, _MOST_SIDE / max(width, height))
+    image = ImageSettings(
+        width_px=max(2, math.ceil(width * shrink)), height_px=max(2, math.ceil(height * shrink))
+    )
+    return SonarSettings(
+        name="recording",
+        hfov_deg=min(2 * math.degrees(half), 180.0),
+        beams=count,
+        range_bins=ranges,
+        beam_azimuths_deg=tuple(math.degrees(value) for value in beams.azimuths_rad),
+        image=image,
+    )
+
+
+def _edges_rad(beams: Beams) -> tuple[float, float]:
+    """Outer edges of the outermost beams, which reach as far out as to their neighbours."""
+    centres = beams.azimuths_rad
+    left = centres[0] - (centres[1] - centres[0]) / 2
+    right = centres[-1] + (centres[-1] - centres[-2]) / 2
+    return max(left, -math.pi / 2), min(right, math.pi / 2)
+
+
+def frame_picture(path: Path, number: int) -> tuple[npt.NDArray[np.float32], FanGeometry | None]:
+    """(H, W) float32 in 0..1, a ping as a fan; and the geometry, None where the file has none.
+
+    Raises FactoryError when it cannot be read.
+    """
+    frame = _opened(path)[number]
+    grey = grey_of(frame)
+    if not np.isfinite(grey).all():
+        raise FactoryError(f"{path}: frame {number} has NaN or infinite pixels")
+    if frame.beams is not None:
+        return fan_of(grey, frame.beams)
+    if grey.ndim == 3:
+        grey = grey_of_colours(grey)
+    return np.ascontiguousarray(np.clip(grey, 0, 1)), None
+
+
+_LAST: dict[Path, Recording] = {}
+"""The recording that this process read last, kept open for its next frame."""
+
+
+def close_last() -> None:
+    """Let go of the recording that was read last."""
+    for recording in _LAST.values():
+        recording.close()
+    _LAST.clear()
+
+
+def _opened(path: Path) -> Recording:
+    if path not in _LAST:
+        close_last()
+        _LAST[path] = open_recording(path)
+    return _LAST[path]

@@ -1,0 +1,287 @@
+"""Colours of sonar displays: the levels that a colour map painted, and the way back.
+
+Programs of sonars save pictures in colours, and a level of echo has one colour of a map.  Noise was
+in the levels, and only levels have means: between the blue and the red of a map lies its green, and
+between these colours themselves a violet that the map does not hold.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .base import FULL_SCALE, Samples
+from .marks import means_around
+
+Colours = npt.NDArray[np.float32]
+"""(N, 3), 0 to 255."""
+Levels = npt.NDArray[np.float32]
+
+_MAPS = (
+    *("JET", "TURBO", "RAINBOW", "PARULA", "VIRIDIS", "PLASMA", "INFERNO", "MAGMA", "CIVIDIS"),
+    *("DEEPGREEN", "OCEAN", "HOT", "BONE", "PINK", "AUTUMN", "WINTER", "SUMMER", "SPRING", "COOL"),
+)
+"""Of OpenCV; those that end as they begin are no scale of levels."""
+_JET_OF_MATPLOTLIB = (
+    ((0, 0.11, 0.34, 0.65, 1), (0.5, 1, 1, 0, 0)),
+    ((0, 0.125, 0.375, 0.64, 0.91, 1), (0, 0, 1, 1, 0, 0)),
+    ((0, 0.35, 0.66, 0.89, 1), (0, 0, 1, 1, 0.5)),
+)
+"""Levels, and blue, green and red at these, 0 to 1: beside OpenCV's by 1.6 of 255 on average."""
+_LOOKED_AT = 4000  # pixels from which a map is told
+_FLAT = 0.1  # part of the pixels from which one colour counts as background
+_NEAR, _BLURRED = 12.0, 36.0  # of 255: how far pixels may lie beside a map; JPEG mixes colours
+_ENOUGH = 0.9  # part of the pixels that must be of the map
+_LEAST = 64  # pixels beside the background
+_STEPS = 128  # of the sum of the channels
+_HALF_STEP = 0.5 / 255
+_MIXED, _MIXED_SHARE = 2.0, 0.1  # so far beside a map, of 255, lie so many where colours were mixed
+_SPECK = 30  # pixels of what mixing leaves
+_STROKE = 7  # pixels: what is as wide as that is a page or a panel, not a line
+_GREY, _COLOURED = (
+    3.0,
+    6.0,
+)  # of 255: what the channels of a grey picture and of marks on it differ by
+_EXACT, _EXACT_SHARE, _SOME = 1.5, 0.5, 0.2
+"""How near a known map half of the colours lie where others were drawn over it, and part of the
+pixels that must have colours at all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Palette:
+    """A colour map.
+
+    name: of a known map; `grey`, where colours were drawn over a grey picture; else `sum`: the
+        levels are the means of the three channels.
+    colours: (N, 3), the levels lie evenly from 0 to 1, or as `at` says.  at: (N,) ascending.
+    """
+
+    name: str
+    colours: Colours
+    at: Levels
+
+    def levels(self, colours: Colours) -> Levels:
+        """(N,) levels of colours, those of the nearest colours of the map."""
+        if self.name == SUM:
+            return np.asarray(colours.mean(axis=1) / np.float32(255))
+        return self.at[_nearest(colours, self.colours)]
+
+    def painted(self, levels: Levels) -> Colours:
+        """(..., 3) colours of levels, between the map's own in proportion."""
+        channels = [np.interp(levels, self.at, self.colours[:, k]) for k in range(3)]
+        return np.stack(channels, axis=-1).astype(np.float32)
+
+    def misses(self, colours: Colours) -> npt.NDArray[np.float32]:
+        """(N,) root mean square distance of the channels from the map, of 255."""
+        away = colours - self.painted(self.levels(colours))
+        return np.asarray(np.sqrt(np.square(away).mean(axis=1)))
+
+
+SUM, GREY = "sum", "grey"
+
+
+@dataclass(frozen=True, eq=False)
+class Painted:
+    """A picture whose colours stand for levels.
+
+    picture: (H, W, C) as it is stored.  levels: (H, W) in 0..1.  known: (H, W), False where a
+    colour is none of the map: a line of text, the page around the fan; the level is 0 there, or, of
+    a small mark, that of its surroundings.
+    """
+
+    picture: Samples
+    palette: Palette
+    levels: Levels
+    known: npt.NDArray[np.bool_]
+
+    def repainted(self, levels: Levels) -> Samples:
+        """The picture with other levels, (H, W); what did not change keeps its very colours."""
+        full = FULL_SCALE[str(self.picture.dtype)]
+        changed = self.known & (np.abs(levels - self.levels) >= _HALF_STEP)
+        colours = self.palette.painted(levels[changed]) * np.float32(full / 255)
+        if full > 1:
+            colours = np.rint(colours)
+        result = self.picture.copy()
+        result[changed, :3] = colours.astype(result.dtype)
+        return result
+
+
+def find_painted(picture: Samples, before: Palette | None = None) -> Painted | None:
+    """The levels of a picture in colours; None for a grey one, and for colours of no map.
+
+    picture: (H, W, C) uint8, uint16 or float32, red or blue first.  before: the map of the picture
+    before it; a known one is kept where it fits.  A known map is told by its colours; of others
+    each sum of the three channels must have one colour.
+    """
+    if picture.ndim != 3 or picture.shape[2] not in (3, 4) or str(picture.dtype) not in FULL_SCALE:
+        return None
+    flat = picture[..., :3].reshape(-1, 3)
+    if not len(flat) or (flat == flat[:, :1]).all():
+        return None
+    if picture.dtype == np.float32 and not (flat.min() >= 0 and flat.max() <= 1):
+        return None
+    codes = _codes(flat)
+    seen = _foreground(codes.reshape(picture.shape[:2]))
+    if len(seen) < _LEAST:
+        return None
+    # What is known of another map ends with the brightest colour of that picture.
+    kept = before is not None and before.name != SUM and _fits(before, seen, _NEAR)
+    palette = before if kept else _palette_of(seen)
+    if palette is None:
+        return None
+    # Few colours stand for many pixels.
+    codes, place = np.unique(codes, return_inverse=True)
+    colours = _uncoded(codes)
+    misses = palette.misses(colours)
+    near = misses <= (_COLOURED if palette.name == GREY else _BLURRED)
+    levels = np.where(near, palette.levels(colours), 0).astype(np.float32)
+    mixed = float((misses[place] > _MIXED).mean()) > _MIXED_SHARE
+    shape = picture.shape[:2]
+    known = near[place].reshape(shape)
+    return Painted(picture, palette, *_without_marks(levels[place].reshape(shape), known, mixed))
+
+
+def _without_marks(
+    levels: Levels, known: npt.NDArray[np.bool_], mixed: bool
+) -> tuple[Levels, npt.NDArray[np.bool_]]:
+    """Levels and what is known of them where specks, lines and letters are of no map.
+
+    They get the mean of what is known around them, else weights would see black ones; where JPEG or
+    a video mixed the colours specks are levels like others, elsewhere what somebody drew.
+    """
+    if known.all() or not known.any():
+        return levels, known
+    import cv2  # an extra, as are pictures with colours
+
+    unknown = (~known).astype(np.uint8)
+    wide = cv2.morphologyEx(unknown, cv2.MORPH_OPEN, np.ones((_STROKE, _STROKE), np.uint8))
+    means, there = means_around(levels, known, _STROKE)
+    drawn = (unknown > wide) & there
+    filled = np.where(drawn, means, levels).astype(np.float32)
+    if not mixed:
+        return filled, known
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(unknown, connectivity=8)
+    return filled, known | (drawn & (stats[parts, cv2.CC_STAT_AREA] <= _SPECK))
+
+
+def grey_of_colours(picture: Samples) -> Levels:
+    """(H, W) float32 in 0..1 of (H, W, C) colours, blue first: levels of a map, else luminance.
+
+    Equal channels stay exactly what they are.
+    """
+    scaled = picture.astype(np.float32) / np.float32(FULL_SCALE[str(picture.dtype)])
+    if picture.shape[2] < 3 or (picture[..., :3] == picture[..., :1]).all():
+        return np.ascontiguousarray(scaled[..., 0])
+    found = find_painted(picture)
+    if found is not None:
+        return found.levels
+    import cv2  # an extra, as are pictures with colours
+
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(scaled[..., :3]), cv2.COLOR_BGR2GRAY))
+
+
+def _palette_of(seen: Colours) -> Palette | None:
+    """The map that fits best; a known one where another fits hardly better."""
+    drawn_over = _exact(seen)
+    if drawn_over is not None:
+        return drawn_over
+    own = _by_sums(seen)
+    fit = {one: one.misses(seen).mean() for one in (*_known(), own) if _fits(one, seen, _NEAR)}
+    if not fit:
+        # JPEG of half the quality lies 9 beside a map on average, a murky photograph 14.
+        blurred = {one: one.misses(seen).mean() for one in _known() if _fits(one, seen, _BLURRED)}
+        fit = {one: miss for one, miss in blurred.items() if miss <= _NEAR}
+    return min(fit, key=lambda one: fit[one] + (one is own), default=None)
+
+
+def _exact(seen: Colours) -> Palette | None:
+    """The map, or grey, of most pixels, where marks in other colours are the rest."""
+    spread = np.ptp(seen, axis=1)
+    coloured = seen[spread > _GREY]
+    if len(coloured) < (1 - _EXACT_SHARE) * len(seen):
+        ramp = np.repeat(np.arange(256, dtype=np.float32)[:, None], 3, axis=1)
+        grey = Palette(GREY, ramp, ramp[:, 0] / np.float32(255))
+    else:
+        grey = None
+    if len(coloured) < max(_SOME * len(seen), _LEAST):
+        return grey
+    few = coloured[:: max(1, len(coloured) // 300)]
+    misses = {one: np.minimum(one.misses(few), _NEAR) for one in _known()}
+    fit = {
+        one: miss.mean() for one, miss in misses.items() if (miss <= _EXACT).mean() >= _EXACT_SHARE
+    }
+    return min(fit, key=lambda one: fit[one], default=grey)
+
+
+def _fits(palette: Palette, seen: Colours, near: float) -> bool:
+    few = seen[:: max(1, len(seen) // 300)]
+    return all(float((palette.misses(some) <= near).mean()) >= _ENOUGH for some in (few, seen))
+
+
+@cache
+def _known() -> tuple[Palette, ...]:
+    """Maps of OpenCV, blue first and red first; none without OpenCV."""
+    try:
+        import cv2  # an extra
+    except ImportError:
+        return ()
+    ramp = np.arange(256, dtype=np.uint8)[:, None]
+    at = (np.arange(256) / 255).astype(np.float32)
+    maps = [
+        (name.lower(), cv2.applyColorMap(ramp, getattr(cv2, f"COLORMAP_{name}"))[:, 0])
+        for name in _MAPS
+    ]
+    jet = np.stack([np.interp(at, *channel) for channel in _JET_OF_MATPLOTLIB], axis=1)
+    return tuple(
+        Palette(name, np.ascontiguousarray(one, np.float32), at)
+        for name, colours in (*maps, ("jet", np.rint(255 * jet)))
+        for one in (colours, colours[:, ::-1])
+    )
+
+
+def _by_sums(seen: Colours) -> Palette:
+    """The mean colour of each step of the channels' sum, and black at its foot."""
+    step = np.minimum(seen.mean(axis=1) * (_STEPS / 256), _STEPS - 1).astype(np.int64)
+    count = np.bincount(step, minlength=_STEPS)
+    there = count > 0
+    means = [np.bincount(step, seen[:, k], _STEPS)[there] / count[there] for k in range(3)]
+    colours = np.insert(np.stack(means, axis=1), 0, 0, axis=0).astype(np.float32)
+    return Palette(SUM, colours, colours.mean(axis=1) / np.float32(255))
+
+
+def _foreground(codes: npt.NDArray[np.uint32]) -> Colours:
+    """(N, 3) colours of pixels spread evenly, without those of flat areas.  codes: (H, W)."""
+    inner = codes[1:-1, 1:-1]
+    beside = (codes[:-2, 1:-1], codes[2:, 1:-1], codes[1:-1, :-2], codes[1:-1, 2:])
+    grain = inner[np.any([inner != one for one in beside], axis=0)]
+    codes = grain if len(grain) >= _LEAST else codes.ravel()
+    some = codes[:: max(1, len(codes) // (8 * _LOOKED_AT))]
+    _, place, count = np.unique(some, return_inverse=True, return_counts=True)
+    rare = some[count[place] <= _FLAT * len(some)]
+    return _uncoded(rare[:: max(1, len(rare) // _LOOKED_AT)])
+
+
+def _codes(flat: npt.NDArray[Any]) -> npt.NDArray[np.uint32]:
+    """(N,) one number a colour, its channels rounded to 8 bits."""
+    scale = 255 / FULL_SCALE[str(flat.dtype)]
+    channels = np.rint(np.clip(flat * np.float32(scale), 0, 255)).astype(np.uint32)
+    return np.asarray(channels[:, 0] | channels[:, 1] << 8 | channels[:, 2] << 16)
+
+
+def _uncoded(codes: npt.NDArray[np.uint32]) -> Colours:
+    channels = [codes >> shift & 255 for shift in (0, 8, 16)]
+    return np.asarray(np.stack(channels, axis=1), np.float32)
+
+
+def _nearest(colours: Colours, known: Colours) -> npt.NDArray[np.int64]:
+    """(N,) number of the nearest of the known colours; a few thousand at a time."""
+    half = np.square(known).sum(axis=1) / 2
+    parts = [
+        np.argmin(half - colours[start : start + 8192] @ known.T, axis=1)
+        for start in range(0, len(colours), 8192)
+    ]
+    return np.concatenate(parts) if parts else np.zeros(0, np.int64)

@@ -1,0 +1,217 @@
+"""Picture files, one or a folder of them in the order of their names, and TIFF files of pages."""
+
+from __future__ import annotations
+
+import struct
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from ...factory.errors import FactoryError, FrameError
+from .arrays.file import is_table, read_array
+from .arrays.levels import Levels, swapped
+from .base import (
+    ARRAY_SUFFIX,
+    FULL_SCALE,
+    MOST_PIXELS,
+    PICTURE_SUFFIXES,
+    FileOfFrames,
+    Frame,
+    Samples,
+)
+from .palettes import grey_of_colours
+
+_PAGES = {"L": "grey of 8 bits", "I;16": "of 16 bits", "F": "of floats", "RGB": "colours of 8 bits"}
+
+
+# What Pillow raises over files that are damaged or were made to do harm.
+_DAMAGE = (
+    *(OSError, ValueError, SyntaxError, EOFError, KeyError, TypeError, IndexError, MemoryError),
+    *(OverflowError, struct.error, Image.DecompressionBombError),
+)
+
+
+@contextmanager
+def one_line(words: str) -> Iterator[None]:
+    """FrameError with these words for what a damaged file makes Pillow raise, and no warnings."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except _DAMAGE as error:
+        raise FrameError(words) from error
+
+
+class Pictures:
+    """A `Recording` of pictures as they are stored, (H, W) or (H, W, colours)."""
+
+    def __init__(self, path: Path) -> None:
+        """A file, or a folder with files right in it.  Raises FactoryError when there are none."""
+        self.path = path
+        self.warning = ""
+        self.files = [path]
+        if path.is_dir():
+            found = sorted(path.iterdir())
+            self.files = [
+                one
+                for one in found
+                if one.suffix.lower() in PICTURE_SUFFIXES and one.is_file() and not is_table(one)
+            ]
+        if not self.files or not self.files[0].is_file():
+            raise FactoryError(f"{path}: holds no picture ({', '.join(PICTURE_SUFFIXES)})")
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def __getitem__(self, number: int) -> Frame:
+        if not 0 <= number < len(self):
+            raise IndexError(f"{self.path}: picture {number} of {len(self)}")
+        return Frame(number, read_picture(self.files[number]))
+
+    def __iter__(self) -> Iterator[Frame]:
+        for number in range(len(self)):
+            yield self[number]
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def read_picture(path: Path) -> Samples:
+    """The pixels of a file as stored, (H, W) or (H, W, colours).  Raises FrameError; see `decoded`.
+
+    Of a TIFF of several pages, and of an array of several pictures, the first.
+    """
+    if path.suffix.lower() == ARRAY_SUFFIX:
+        return read_array(path)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise FrameError(f"{path}: not a readable picture ({error.strerror})") from error
+    return decoded(content, str(path))
+
+
+def decoded(content: bytes, what: str) -> Samples:
+    """The pixels of a picture file, (H, W) or (H, W, colours).
+
+    what: names it in errors.  Raises FrameError when it cannot be read or is too large.
+    """
+    import cv2  # an extra
+
+    # Its size first: a small file can decode to gigabytes.
+    kinds = ", ".join(FULL_SCALE)
+    with (
+        one_line(f"{what}: not a readable picture of {kinds}"),
+        Image.open(BytesIO(content)) as header,
+    ):
+        width, height = header.size
+    if width * height > MOST_PIXELS:
+        raise FrameError(f"{what}: {width} x {height} pixels are more than can be read")
+    try:
+        picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        picture = None
+    if picture is None:
+        raise FrameError(f"{what}: not a readable picture")
+    if str(picture.dtype) not in FULL_SCALE:
+        raise FrameError(f"{what}: pixels are {picture.dtype}; expected {kinds}")
+    return np.asarray(picture)
+
+
+def in_unit_range(picture: Samples, what: str) -> npt.NDArray[np.float32]:
+    """Float32 with full scale 1, of the same shape.  Raises FrameError for floats outside 0..1."""
+    scaled = picture.astype(np.float32) / np.float32(FULL_SCALE[str(picture.dtype)])
+    if not (scaled.min() >= 0 and scaled.max() <= 1):
+        raise FrameError(
+            f"{what}: float pixels must lie in 0..1; divide by full scale, or denoise with "
+            "--levels BLACK WHITE"
+        )
+    return np.asarray(scaled)
+
+
+def read_grey(path: Path) -> npt.NDArray[np.float32]:
+    """(H, W) float32 in 0..1 of a file; of colours see `grey_of_colours`.  Raises FrameError."""
+    picture = read_picture(path)
+    grey = in_unit_range(picture, str(path))
+    return grey if picture.ndim == 2 else grey_of_colours(picture)
+
+
+def is_stack(path: Path) -> bool:
+    """Whether a file is a TIFF whose second page is as large as the first (no smaller copy)."""
+    try:
+        with one_line("no stack"), Image.open(path, formats=("TIFF",)) as image:
+            first = image.size
+            image.seek(1)
+            return image.size == first
+    except FrameError:
+        return False
+
+
+class StackFile(FileOfFrames):
+    """A TIFF file; a `Recording` of pictures, (H, W) or (H, W, 3) BGR, one a page."""
+
+    def __init__(self, path: Path, levels: Levels | None = None) -> None:
+        """levels: of grey pages, what shows as black and white; None: numbers as they are."""
+        self.levels = levels
+        super().__init__(path)
+
+    def _open(self) -> None:
+        with one_line(f"{self.path}: not a readable TIFF file"):
+            self._image = Image.open(self._file, formats=("TIFF",))
+            self._count = int(getattr(self._image, "n_frames", 1))
+        width, height = self._first = self._image.size
+        if width * height > MOST_PIXELS:
+            raise FrameError(f"{self.path}: {width} x {height} pixels are more than can be read")
+
+    def __len__(self) -> int:
+        return self._count
+
+    def _read(self, number: int) -> Frame:
+        page = self.page(number)
+        if self.levels is not None and page.ndim == 2:
+            return Frame(number, self.levels.shown(page))
+        if page.dtype == np.float32:
+            in_unit_range(page, f"{self.path}: page {number + 1}")
+        return Frame(number, page)
+
+    def stored(self, number: int, picture: Samples) -> Samples:
+        """What became of page `number` as the file has its numbers, where levels were told."""
+        if self.levels is None or picture.ndim != 2:
+            return picture
+        return self.levels.stored(picture, self.page(number))
+
+    def page(self, number: int) -> Samples:
+        """A page as it is stored, colours in BGR order.  Raises FrameError."""
+        with one_line(f"{self.path}: page {number + 1} cannot be read"):
+            self._image.seek(number)
+            # ImageJ writes 16 bits with the most significant byte first.
+            size, mode = self._image.size, self._image.mode.replace("I;16B", "I;16")
+            if size == self._first and mode in _PAGES:
+                return np.ascontiguousarray(swapped(np.asarray(self._image)))
+        if size != self._first:
+            raise FrameError(
+                f"{self.path}: page {number + 1} has {size[0]} x {size[1]} pixels, the first "
+                f"{self._first[0]} x {self._first[1]}; split the file"
+            )
+        raise FrameError(
+            f"{self.path}: page {number + 1} is of kind {mode}; expected "
+            f"{', '.join(_PAGES.values())}; convert it"
+        )
+
+    def close(self) -> None:
+        """See `Recording`."""
+        if hasattr(self, "_image"):
+            self._image.close()
+        super().close()

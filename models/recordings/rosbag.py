@@ -1,0 +1,210 @@
+"""Bags of ROS 1 (.bag) and ROS 2 (a folder, or one .mcap or .db3) by the library rosbags.
+
+Frames are the messages of some topics; `rewrite` makes the same bag with other samples in them.
+What a bag says of its message types is never run: see `ros_messages`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Self
+
+from ...factory.errors import FactoryError, FrameError
+from ...factory.files import explain_os_errors
+from .base import Frame, Samples
+from .ros_messages import (
+    COMPRESSED,
+    IMAGE,
+    SONAR,
+    digest_of,
+    frame_of,
+    typestore,
+    with_samples,
+)
+from .rosbag_files import (
+    added,
+    explained,
+    messages,
+    reading,
+    size_of,
+    writing,
+)
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+
+    from .rosbag_files import Reader
+
+KINDS = (SONAR, IMAGE, COMPRESSED)
+
+
+class RosBag:
+    """A bag; a `Recording`.
+
+    topics: whose messages are the frames.  Without, those of all sonars
+    (marine_acoustic_msgs/ProjectedSonarImage), or else the only one with pictures
+    (sensor_msgs/Image or CompressedImage).
+    Frames are read in order; one by number is searched from where reading stands.
+    """
+
+    def __init__(self, path: Path, topics: Sequence[str] = ()) -> None:
+        """Raises FactoryError when the bag cannot be read or has no such topics."""
+        try:
+            import cv2  # noqa: F401  (of the same extra)
+            import rosbags  # noqa: F401  (an extra)
+        except ImportError as error:
+            raise FactoryError(
+                f"{path}: reading bags needs {error.name}: pip install 'simnfnd[ros]'"
+            ) from error
+        self.path = path
+        self.warning = ""
+        self.version = 1 if path.is_file() and path.suffix.lower() == ".bag" else 2
+        try:
+            with reading(path, self.version) as reader:
+                found = list(reader.connections)
+        except FrameError as error:
+            raise FactoryError(str(error)) from error
+        self.connections = _chosen(path, found, topics, self.version)
+        self.topics = tuple(dict.fromkeys(one.topic for one in self.connections))
+        # A message takes a byte at least, whatever the bag says.
+        stated = sum(max(0, int(one.msgcount)) for one in self.connections)
+        self._count = min(stated, size_of(path))
+        if not self._count:
+            raise FactoryError(f"{path}: holds no message on {', '.join(self.topics)}")
+        self._next, self._frames = 0, self._read()
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, number: int) -> Frame:
+        if not 0 <= number < len(self):
+            raise IndexError(f"{self.path}: frame {number} of {len(self)}")
+        if number < self._next:
+            self._next, self._frames = 0, self._read()
+        for frame in self._frames:
+            self._next = frame.number + 1
+            if frame.number == number:
+                return frame
+        self._next = self._count
+        raise FrameError(f"{self.path}: ends before frame {number}; it is cut short or damaged")
+
+    def __iter__(self) -> Iterator[Frame]:
+        number = -1
+        for frame in self._read():
+            number = frame.number
+            yield frame
+        if number < 0:
+            raise FrameError(
+                f"{self.path}: holds none of the messages that it names; it is damaged"
+            )
+        if number + 1 < self._count:
+            self.warning = f"{self.path}: ends after {number + 1} of {self._count} frames"
+
+    def close(self) -> None:
+        """See `Recording`."""
+        self._frames.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _read(self) -> Generator[Frame]:
+        # A reader of its own, as two that read in turns would lose their places.
+        with reading(self.path, self.version) as reader:
+            chosen = _same(reader.connections, self.connections)
+            for number, (one, time_ns, data) in enumerate(messages(self.path, reader, chosen)):
+                message, what = self._message(one, data, number)
+                yield frame_of(message, one.msgtype, number, time_ns * 1e-9, what)
+
+    def _message(self, one: Connection, data: bytes, number: int) -> tuple[Any, str]:
+        """A message, and how errors name it."""
+        what = f"{self.path}: message {number} of {', '.join(self.topics)}"
+        store = typestore(self.version)
+        read = store.deserialize_ros1 if self.version == 1 else store.deserialize_cdr
+        with explained(what):
+            return read(data, one.msgtype), what
+
+    def rewrite(self, samples: Iterable[Samples], path: Path) -> None:
+        """The same bag with other samples in its frames, as another file or folder.
+
+        All else is copied: other topics, headers and stamps, the times of recording.
+        samples: of each frame in order, in the shape and type of `Frame.samples`.
+        Raises ValueError for samples of another shape, type or number, FrameError when the bag is
+        damaged, FactoryError when `path` is there or cannot be written.
+        """
+        if path.exists() and (path.is_dir() or not path.is_file()):
+            raise FactoryError(f"{path}: is there already; remove it, or give another --out")
+        with explain_os_errors(path, "--out"):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
+                # The library names the file of a ROS 2 bag as its folder.
+                target = Path(folder) / (path.stem if self.path.is_file() else path.name)
+                if self.version == 1:
+                    target = target.with_suffix(".bag")
+                with reading(self.path, self.version) as reader:
+                    self._write(reader, iter(samples), target)
+                if self.version == 2 and self.path.is_file():
+                    (target,) = (one for one in target.iterdir() if one.suffix in (".mcap", ".db3"))
+                os.replace(target, path)
+
+    def _write(self, reader: Reader, samples: Iterator[Samples], target: Path) -> None:
+        store = typestore(self.version)
+        serialized = store.serialize_ros1 if self.version == 1 else store.serialize_cdr
+        chosen = {one.id for one in _same(reader.connections, self.connections)}
+        with writing(self.path, reader, target) as writer:
+            with explained(str(self.path), passing=(OSError,)):
+                targets = {one.id: added(writer, one) for one in reader.connections}
+            number = 0
+            for one, time_ns, data in messages(self.path, reader, reader.connections):
+                content: bytes | memoryview = data
+                if one.id in chosen:
+                    message, what = self._message(one, data, number)
+                    new = next(samples, None)
+                    if new is None:
+                        raise ValueError(f"{self.path}: has more frames than samples were given")
+                    message = with_samples(message, one.msgtype, new, what)
+                    content = serialized(message, one.msgtype)
+                    number += 1
+                with explained(str(self.path), passing=(OSError,)):
+                    writer.write(targets[one.id], time_ns, content)
+        if next(samples, None) is not None:
+            raise ValueError(f"{self.path}: has fewer frames than samples were given")
+
+
+def _same(here: Sequence[Connection], wanted: Sequence[Connection]) -> list[Connection]:
+    """Those of another reader of the same bag."""
+    numbers = {one.id for one in wanted}
+    return [one for one in here if one.id in numbers]
+
+
+def _chosen(
+    path: Path, connections: Sequence[Connection], topics: Sequence[str], version: int
+) -> list[Connection]:
+    """The connections whose messages are the frames."""
+    fit = [one for one in connections if one.msgtype in KINDS]
+    names = ", ".join(dict.fromkeys(one.topic[:80] for one in fit)) or "none"
+    absent = [topic for topic in topics if topic not in {one.topic for one in fit}]
+    if absent:
+        raise FactoryError(f"{path}: has no pictures on the topic {absent[0]}; it has {names}")
+    if not fit:
+        kinds = "ProjectedSonarImage, Image or CompressedImage"
+        raise FactoryError(f"{path}: holds no topic with pictures ({kinds})")
+    sonars = [one for one in fit if one.msgtype == SONAR]
+    chosen = [one for one in fit if one.topic in topics] or sonars or fit
+    if not topics and not sonars and len({one.topic for one in fit}) > 1:
+        raise FactoryError(
+            f"{path}: has pictures on several topics ({names}); say with --topic which of them are "
+            "of a sonar"
+        )
+    for one in chosen:
+        if one.digest and one.digest not in ("*", digest_of(one.msgtype, version)):
+            raise FactoryError(
+                f"{path}: {one.topic} has another {one.msgtype} than this program knows (its "
+                f"fingerprint is {one.digest[:80]})"
+            )
+    return chosen

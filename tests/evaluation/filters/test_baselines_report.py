@@ -1,0 +1,313 @@
+"""Tuning on validation pairs and the leaderboard, from a dataset folder to the files."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simnfnd.command import main
+from simnfnd.evaluation.data.pairs import input_of, items_of, picture
+from simnfnd.evaluation.filters import REGISTRY
+from simnfnd.evaluation.filters.base import Baseline
+from simnfnd.evaluation.measurement.rows import Row, measure_rows
+from simnfnd.evaluation.measurement.store import FigureStore
+from simnfnd.evaluation.methods import tuning
+from simnfnd.evaluation.methods.method import baselines_of, methods_of
+from simnfnd.evaluation.metrics.fidelity import gmsd, psnr
+from simnfnd.evaluation.metrics.levels import fit_levels
+from simnfnd.evaluation.metrics.statistics import estimate, paired
+from simnfnd.evaluation.report import build as builder
+from simnfnd.factory.dataset.format.sample import Pair
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.scheduler.workers.tasks import TaskPool
+from tests.evaluation.evaluation_settings import evaluation, settings_for
+from tests.project_files import ROOT
+from tests.small_dataset import add_shard, fan_images, write_dataset
+
+
+def tune(dataset: Path, file: Path, *names: str, **changes: Any) -> list[str]:
+    """The lines of `evaluation tune` for these baselines."""
+    tuning_keys = {"file": str(file), **changes.pop("tuning", {})}
+    settings = settings_for(dataset, tuning=tuning_keys, **changes)
+    with TaskPool(settings.workers) as pool:
+        return tuning.tune(settings, baselines_of(names), pool)
+
+
+def measured(dataset: Path, file: Path, *names: str, **changes: Any) -> dict[str, Row]:
+    """The rows of these baselines in all their forms, by label."""
+    settings = settings_for(dataset, **changes)
+    methods = methods_of(baselines_of(names), tuning.load_tuned(file))
+    items = items_of(dataset, "test")
+    with closing(FigureStore(file.parent / "store")) as store, TaskPool(settings.workers) as pool:
+        found = measure_rows(settings, items, methods, store, pool)
+    return {row.method.label: row for row in found}
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two variants a frame, four train scenes of four frames; `limit` keeps the tests short."""
+    return write_dataset(tmp_path_factory.mktemp("data"), train=32, test=6, size=48, noise=0.15)
+
+
+def test_validation_is_what_training_holds_out(dataset: Path) -> None:
+    from simnfnd.models.data.pairs import hold_out, read_table
+
+    items = tuning.validation_items(settings_for(dataset, tuning={"pairs": 99}))
+    kept, held = hold_out(read_table(dataset, "train").samples, 0.3, 0)
+    assert {item.place for item in items} == {(str(s.path), s.row) for s in held}
+    assert not {item.scene for item in items} & {sample.scene.split("/")[1] for sample in kept}
+    assert all(item.shard.startswith("train/") for item in items)
+    few = tuning.validation_items(settings_for(dataset))
+    assert len(few) == 3
+
+
+def test_tuning_finds_the_best_of_the_grid(dataset: Path, tmp_path: Path) -> None:
+    file = tmp_path / "deep" / "tuned.json"
+    lines = tune(dataset, file, "gaussian", "identity")
+    content = json.loads(file.read_text(encoding="utf-8"))
+    assert set(content["baselines"]) == {"identity", "gaussian"}
+    items = tuning.validation_items(settings_for(dataset))
+    assert content["validation"] == [f"{item.shard}#{item.place[1]}" for item in items]
+
+    # By hand: every sigma on every pair.
+    baseline, plain, corrected = REGISTRY["gaussian"], {}, {}
+    for point in baseline.points():
+        pairs = [
+            (baseline(input_of(item, False), point), picture(item.place).clean) for item in items
+        ]
+        levels = fit_levels(pairs)
+        key = float(point["sigma_px"])
+        plain[key] = np.mean([psnr(c, i, data_range=1.0) for i, c in pairs])
+        corrected[key] = np.mean([psnr(c, levels(i), data_range=1.0) for i, c in pairs])
+    entry = content["baselines"]["gaussian"]
+    assert entry["tuned"]["psnr"] == pytest.approx(max(plain.values()))
+    assert entry["tuned"]["parameters"]["sigma_px"] == max(plain, key=lambda key: plain[key])
+    assert entry["tuned_levels"]["psnr_levels"] == pytest.approx(max(corrected.values()))
+    assert entry["default"]["psnr"] == pytest.approx(plain[1.0])
+    assert corrected[1.0] > plain[1.0] + 1, "the haze of the test images is an offset"
+    assert any(line.startswith("gaussian: ") and "tuned (sigma_px=" in line for line in lines)
+
+
+def test_tuned_results_are_kept_until_something_changes(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "tuned.json"
+    tune(dataset, file, "median")
+    before = file.read_bytes()
+    measured: list[tuning._Task] = []
+    honest = tuning._measure_point
+
+    def counted(task: Any) -> Any:
+        measured.append(task)
+        return honest(task)
+
+    monkeypatch.setattr(tuning, "_measure_point", counted)
+    again = tune(dataset, file, "median")
+    assert not measured
+    assert again[0].startswith("median: ")
+    tune(dataset, file, "grey_opening")
+    assert {task.baseline for task in measured} == {"grey_opening"}
+    measured.clear()
+    # Another grid, other pairs: another result.
+    median = REGISTRY["median"]
+    finer = Baseline("median", median.function, median.default, {"size": (3, 5)}, "here")
+    monkeypatch.setitem(REGISTRY, "median", finer)
+    tune(dataset, file, "median")
+    assert len(measured) == 2
+    monkeypatch.undo()
+    tune(dataset, file, "median", "grey_opening")
+    content = json.loads(file.read_text(encoding="utf-8"))["baselines"]
+    assert content["median"] == json.loads(before)["baselines"]["median"], "same bytes again"
+
+
+def test_tuning_never_opens_the_test_split(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data", train=16, test=4, size=48)
+    for path in (dataset / "test").glob("*.h5"):
+        path.write_bytes(b"nothing to read here")
+    tune(dataset, tmp_path / "t.json", "median")
+
+
+def test_an_optimum_at_the_edge_is_said(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gaussian = REGISTRY["gaussian"]
+    narrow = Baseline("gaussian", gaussian.function, gaussian.default, {"sigma_px": (0.3, 0.4)}, "")
+    monkeypatch.setitem(REGISTRY, "gaussian", narrow)
+    lines = tune(dataset, tmp_path / "t.json", "gaussian")
+    assert "warning: the optimum is at the edge of the grid in sigma_px" in lines[0]
+
+
+def break_a_method(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(image: Any) -> Any:
+        if image.mean() > 0:
+            raise ZeroDivisionError("no such\nluck")
+        return image
+
+    monkeypatch.setitem(REGISTRY, "broken", Baseline("broken", broken, {}, {}, "here"))
+
+
+def test_a_method_that_crashes_loses_its_row_alone(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    break_a_method(monkeypatch)
+    lines = tune(dataset, tmp_path / "t.json", "broken", "median")
+    assert lines[0] == "broken: lost (ZeroDivisionError: no such luck)"
+    assert lines[1].startswith("median: ")
+    settings = settings_for(
+        dataset,
+        baselines=["broken", "median"],
+        out=str(tmp_path / "out"),
+        tuning={"file": str(tmp_path / "t.json")},
+    )
+    content = builder.build(settings)
+    assert content["rows"][-1]["label"] == "broken"
+    assert content["rows"][-1]["lost"] == "ZeroDivisionError: no such luck"
+    assert {row["label"]: row["lost"] for row in content["rows"]}["median"] is None
+    text = (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
+    assert "| broken | lost: ZeroDivisionError: no such luck |" in text
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "lost: ZeroDivisionError" in page
+    with (tmp_path / "out" / "leaderboard.csv").open(encoding="utf-8") as file:
+        table = list(csv.DictReader(file))
+    assert table[-1]["method"] == "broken"
+    assert table[-1]["psnr"] == ""
+
+
+def test_rows_are_what_the_methods_give(dataset: Path, tmp_path: Path) -> None:
+    file = tmp_path / "t.json"
+    names = ("median", "recursive", "identity")
+    tune(dataset, file, *names)
+    rows = measured(dataset, file, *names, texture=True)
+    forms = ["", " + levels", " tuned", " tuned + levels"]
+    assert list(rows) == [
+        "noisy",
+        *(f"median{form}" for form in forms),
+        *(f"recursive{form}" for form in forms),
+        "noisy + levels",
+    ]
+    items, noisy, row = items_of(dataset, "test"), rows["noisy"], rows["median tuned + levels"]
+    # One pair by hand.
+    number = 4
+    pair = picture(items[number].place)
+    assert row.method.levels is not None
+    image = row.method.levels(REGISTRY["median"](pair.noisy, row.method.parameters))
+    assert row.values["psnr"][number] == pytest.approx(psnr(pair.clean, image, data_range=1.0))
+    fan = psnr(pair.clean, image, data_range=1.0, mask=pair.sector)
+    assert row.values["psnr_fan"][number] == pytest.approx(fan)
+    one = gmsd(pair.clean, image, data_range=1.0, pooled=False)
+    assert row.values["gmsd_unpooled"][number] == pytest.approx(one)
+    gains = row.values["psnr"] - noisy.values["psnr"]
+    groups = [item.group for item in items]
+    found = paired(
+        row.values["psnr"], noisy.values["psnr"], groups, better=1, resamples=200, seed=0
+    )
+    assert found.difference == estimate(gains, groups, resamples=200, seed=0)
+    assert found.difference.low > 0, "taking the haze off must help"
+    assert np.isnan(noisy.values["ms_ssim"]).all(), "48 pixels are too few for five scales"
+    assert noisy.values["ratio_mean"] == pytest.approx(1)
+    assert np.isfinite(row.values["edge_preservation"]).all()
+
+
+def test_tuning_in_processes_writes_the_same_bytes(dataset: Path, tmp_path: Path) -> None:
+    for workers in (1, 2):
+        tune(dataset, tmp_path / f"{workers}.json", "median", "grey_opening", workers=workers)
+    assert (tmp_path / "1.json").read_bytes() == (tmp_path / "2.json").read_bytes()
+
+
+def test_several_looks_beat_one(tmp_path: Path) -> None:
+    """Four variants of two frames, each with noise of its own over one clean image."""
+    rng = np.random.default_rng(0)
+    data = tmp_path / "data"
+    for split, scenes in (("train", 2), ("test", 1)):
+        pairs = []
+        for scene in range(scenes):
+            _, clean, shadow = fan_images(48, rng)
+            for variant in range(4):
+                noisy = np.clip(clean * rng.gamma(6, 1 / 6, clean.shape), 0, 1)
+                record: dict[str, float | int | str] = {
+                    "location": "here",
+                    "scene": f"{split}-{scene}",
+                    "frame": "0",
+                    "variant": variant,
+                }
+                pairs.append(Pair(noisy.astype(np.float32), clean, shadow, record))
+        add_shard(data, f"{split}/shard-00000.h5", pairs)
+    tune(data, tmp_path / "t.json", "recursive")
+    rows = measured(data, tmp_path / "t.json", "recursive")
+    assert rows["recursive tuned"].method.parameters == {"memory": 1.0}, "nothing moves"
+    gains = rows["recursive tuned"].values["psnr"] - rows["noisy"].values["psnr"]
+    # Four looks have a quarter of the variance: 6 dB, less what the logarithm's mean is off.
+    assert 4 < gains.mean() < 6.1
+    items = items_of(data, "test")
+    assert [item.looks[-1] for item in items] == [item.place for item in items]
+
+
+def test_several_looks_need_several_variants(tmp_path: Path) -> None:
+    dataset = write_dataset(tmp_path / "data", train=16, test=3, size=48)
+    assert [len(item.looks) for item in items_of(dataset, "test")] == [2, 2, 1]
+    assert all(item.looks[-1] == item.place for item in items_of(dataset, "test"))
+    row = measured(dataset, tmp_path / "t.json", "recursive")["recursive"]
+    assert row.lost == "needs several noise variants a frame"
+    assert math.isnan(row.milliseconds)
+
+
+def test_the_tune_command(dataset: Path, tmp_path: Path) -> None:
+    words = ("baselines=[median,gaussian]", f"tuning.file={tmp_path / 't.json'}")
+    done = evaluation("tune", f"dataset={dataset}", *words, "tuning.pairs=2", "workers=1")
+    assert done.returncode == 0, done.stderr
+    assert "gaussian: " in done.stdout
+    assert (tmp_path / "t.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("tune",), "dataset: give the folder"),
+        (("baselines=[wiener]", "dataset=."), "baselines: no 'wiener'"),
+        (("models=[nothing]", "dataset=."), "models: weights=nothing: no such file"),
+        (("tune", "dataset=.", "tuning.pairs=0"), "tuning.pairs: "),
+        (("robustness=[nowhere]", "dataset=."), "robustness=nowhere: no such folder"),
+    ],
+)
+def test_bad_settings_are_one_line(
+    arguments: tuple[str, ...],
+    words: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["evaluation"])
+    assert main(["evaluate", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+
+
+def test_bad_files_are_named(dataset: Path, tmp_path: Path) -> None:
+    file = tmp_path / "t.json"
+    for text in ("{", "[]", '{"schema": "other"}', '{"schema": "simnfnd-tuned/1"}'):
+        file.write_text(text, encoding="utf-8")
+        with pytest.raises(FactoryError, match=r"tuning\.file=.*not a file that"):
+            tuning.load_tuned(file)
+    (tmp_path / "taken").write_text("", encoding="utf-8")
+    with pytest.raises(FactoryError, match=r"tuning\.file: cannot write.*taken"):
+        tune(dataset, tmp_path / "taken" / "t.json", "identity")
+
+
+def test_the_leaderboard_does_not_import_torch() -> None:
+    """It runs where torch is not installed."""
+    code = "import sys, simnfnd.evaluation.report.build; print('torch' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "False"

@@ -1,0 +1,268 @@
+"""`simnfnd view`: what the page is given, to whom, and the page itself in Chromium."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError
+from urllib.parse import urlencode
+from urllib.request import Request, urlopen
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+
+from simnfnd.evaluation.viewer import server
+from simnfnd.evaluation.viewer.server import Viewer
+from simnfnd.evaluation.viewer.shown import Shown, open_shown
+from simnfnd.factory.errors import FactoryError
+from tests.factory.export.export_dataset import SHAPE, write
+from tests.models.recordings.recording_files import pings, write_aris, write_oculus
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+# Pressed one after the other: to the last, two back by ten (to the first), two on, swap.
+_KEYS = """
+<script>
+  const press = (key, shiftKey) => document.dispatchEvent(
+    new KeyboardEvent("keydown", {key, shiftKey, bubbles: true}));
+  const wait = setInterval(() => {
+    if (document.body.dataset.shown !== "0") return;
+    clearInterval(wait);
+    for (const key of ["End", "Home", "ArrowRight", "ArrowRight", "ArrowLeft", " "]) press(key);
+    press("ArrowRight", true);
+    press("ArrowLeft");
+  }, 50);
+</script>
+"""
+
+
+@contextmanager
+def served(shown: Shown) -> Iterator[str]:
+    with Viewer(shown) as viewer:
+        threading.Thread(target=viewer.serve_forever, daemon=True).start()
+        try:
+            yield viewer.url
+        finally:
+            viewer.shutdown()
+
+
+def fetched(url: str, host: str | None = None) -> bytes:
+    request = Request(url, headers={"Host": host} if host else {})
+    with urlopen(request, timeout=20) as answer:
+        content: bytes = answer.read()
+        return content
+
+
+def code(url: str, host: str | None = None) -> int:
+    with pytest.raises(HTTPError) as caught:
+        fetched(url, host)
+    return caught.value.code
+
+
+def picture(url: str, number: int, layer: int) -> np.ndarray:
+    content = np.frombuffer(fetched(f"{url}picture/{number}/{layer}.png"), np.uint8)
+    found = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("viewed") / "little", labels=True)
+
+
+def test_pictures_and_parameters_of_a_dataset(dataset: Path) -> None:
+    with served(open_shown(dataset)) as url:
+        about = json.loads(fetched(f"{url}about.json"))
+        assert (about["title"], about["count"]) == ("little", 12)
+        names = about["layers"]
+        assert names[:3] == ["noisy", "clean", "shadow"]
+        assert {"range", "segmentation", "instance"} <= set(names)
+        with h5py.File(dataset / "test/shard-00000.h5") as file:
+            stored: dict[str, Any] = {name: file[name][1] for name in names}
+            row = file["meta"][1]
+        order = json.loads(fetched(f"{url}facts/0.json"))["scene"]
+        number = 1 if order == "reef-test" else 10
+        np.testing.assert_array_equal(picture(url, number, 0), stored["noisy"])
+        np.testing.assert_array_equal(picture(url, number, 2), stored["shadow"] * 255)
+        colours = picture(url, number, names.index("segmentation"))
+        assert colours.shape == (*SHAPE, 3)
+        assert (colours.any(axis=-1) == (stored["segmentation"] > 0)).all()
+        facts = json.loads(fetched(f"{url}facts/{number}.json"))
+        assert facts["frame"] == row["frame"].decode()
+        assert facts["range_max_m"] == row["range_max_m"]
+        drawn = float(row["noise.background.density"])
+        assert facts["noise.background.density"] == (drawn if np.isfinite(drawn) else None)
+
+
+def test_samples_are_found_by_scene_and_by_what_was_drawn(dataset: Path) -> None:
+    shown = open_shown(dataset)
+    rows = [shown.facts(number) for number in range(len(shown))]
+    drawn = [row["noise.background.density"] for row in rows]
+    known = sorted(float(value) for value in drawn if value is not None)
+    assert len(known) < len(drawn), "the dataset has no value that was not drawn"
+    with served(shown) as url:
+        about = json.loads(fetched(f"{url}about.json"))
+        scenes = [f"{row['location']}/{row['scene']}" for row in rows]
+        assert about["scenes"] == sorted(set(scenes))
+        assert len(set(scenes)) > 1
+        least, most = about["ranges"]["noise.background.density"]
+        assert (least, most) == (known[0], known[-1])
+        assert "variant" not in about["ranges"]  # all alike
+
+        def found(**words: str) -> list[int]:
+            query = urlencode({key.replace("in_", "in:", 1): word for key, word in words.items()})
+            numbers: list[int] = json.loads(fetched(f"{url}found.json?{query}"))
+            return numbers
+
+        assert found() == list(range(12))
+        assert found(scene=scenes[4]) == [n for n in range(12) if scenes[n] == scenes[4]]
+        middle = known[len(known) // 2]
+        density = {"in_noise.background.density": f"..{middle}"}
+        low = [n for n, value in enumerate(drawn) if value is not None and float(value) <= middle]
+        assert found(**density) == low
+        both = found(scene=scenes[4], **density, in_range_max_m="5..")
+        assert both == [
+            n for n in low if scenes[n] == scenes[4] and float(rows[n]["range_max_m"] or 0) >= 5
+        ]
+        assert found(in_range_max_m="99..") == []
+        for words in ("scene=nowhere", "in:frame=1..2", "in:range_max_m=a..b", "range_max_m=1..2"):
+            assert code(f"{url}found.json?{words}") == 404, words
+
+
+def test_only_what_is_shown_and_only_to_this_machine(dataset: Path) -> None:
+    with served(open_shown(dataset)) as url:
+        assert url.startswith("http://127.0.0.1:")
+        port = url.rsplit(":", 1)[1].strip("/")
+        assert fetched(url, f"localhost:{port}").startswith(b"<!doctype html>")
+        assert code(url, "somebody.example") == 403
+        for path in ("picture/12/0.png", "picture/0/99.png", "facts/12.json", "../pyproject.toml",
+                     "picture/-1/0.png", "page.html"):  # fmt: skip
+            assert code(url + path) == 404, path
+
+
+def test_a_recording_before_and_after(tmp_path: Path) -> None:
+    given = pings(3, 40, 48)
+    before = write_aris(tmp_path / "before.aris", given)
+    after = write_aris(tmp_path / "after.aris", given // np.uint8(2))
+    with served(open_shown(before, after)) as url:
+        about = json.loads(fetched(f"{url}about.json"))
+        layers = ["before", "after"]
+        assert about.pop("scenes") == []
+        assert about.pop("ranges") == {}
+        assert about == {"title": "before.aris", "count": 3, "layers": layers}
+        assert json.loads(fetched(f"{url}found.json")) == [0, 1, 2]
+        assert code(f"{url}found.json?scene=a") == 404
+        fans = [picture(url, 2, layer).astype(int) for layer in (0, 1)]
+        assert fans[0].shape == fans[1].shape
+        assert np.abs(fans[1] - fans[0] / 2).max() <= 1.5
+        facts = json.loads(fetched(f"{url}facts/2.json"))
+        assert (facts["samples"], facts["name"]) == ("40x48", "ARIS 1800")
+
+
+def test_fans_of_denoised_pings_are_shown_without_their_samples(tmp_path: Path) -> None:
+    write_oculus(tmp_path / "a.raw", pings(2, 40, 32))
+    for number in range(2):
+        for name in ("", "_polar"):
+            path = tmp_path / "out" / f"{number:06d}{name}.png"
+            path.parent.mkdir(exist_ok=True)
+            cv2.imwrite(str(path), np.full((40, 30), 200 if name else 50 + number, np.uint8))
+    shown = open_shown(tmp_path / "a.raw", tmp_path / "out")
+    assert len(shown) == 2
+    assert (shown.picture(1, 1) == 51).all()
+
+
+def test_what_cannot_be_shown_costs_a_line(dataset: Path, tmp_path: Path) -> None:
+    with pytest.raises(FactoryError, match="no such file or folder"):
+        open_shown(tmp_path / "nowhere")
+    with pytest.raises(FactoryError, match="a dataset is shown alone"):
+        open_shown(dataset, dataset)
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.png").write_bytes(b"no picture")
+    with served(open_shown(tmp_path)) as url:
+        with pytest.raises(HTTPError) as caught:
+            fetched(f"{url}picture/0/0.png")
+        assert caught.value.code == 500
+        assert "a.png: not a readable picture" in caught.value.read().decode()
+        with pytest.raises(FactoryError, match=r"--port \d+: cannot be used"):
+            Viewer(open_shown(tmp_path), int(url.rsplit(":", 1)[1].strip("/")))
+
+
+# Choose a scene, then a range, step, and choose layers by key.
+_FILTER = """
+<script>
+  const press = (code, key, shiftKey) => document.dispatchEvent(
+    new KeyboardEvent("keydown", {code, key, shiftKey, bubbles: true}));
+  const steps = [
+    () => { press("KeyF", "f"); document.body.dataset.focus = document.activeElement.id; },
+    () => { const all = document.getElementById("scene"); all.value = SCENE;
+            all.dispatchEvent(new Event("change")); },
+    () => { document.getElementById("more").click();
+            const box = document.querySelector(".range");
+            box.querySelector("select").value = "range_max_m";
+            const to = box.querySelectorAll("input")[1];
+            to.value = MOST; to.dispatchEvent(new Event("input")); },
+    () => { press("End", "End"); press("Digit3", "3"); press("Digit2", "@", true); },
+  ];
+  const next = () => { if (steps.length) steps.shift()(); else clearInterval(wait); };
+  const wait = setInterval(next, 300);
+</script>
+"""
+
+
+def browsed(url: str, profile: Path) -> str:
+    """What the page has become in Chromium."""
+    command = [str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"]
+    options = ["--virtual-time-budget=5000", f"--user-data-dir={profile}"]
+    done = subprocess.run([*command, *options, url], capture_output=True, text=True, timeout=120)
+    return done.stdout
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+def test_the_page_steps_by_keyboard(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = tmp_path / "page.html"
+    page.write_text(server._PAGE.read_text(encoding="utf-8") + _KEYS, encoding="utf-8")
+    monkeypatch.setattr(server, "_PAGE", page)
+    with served(open_shown(dataset)) as url:
+        text = browsed(url, tmp_path / "profile")
+    # First, last, first, two on, one back, ten on, one back: number 10 of 0 to 11.
+    assert 'data-shown="10"' in text
+    assert ">11 of 12<" in text
+    assert "inset(0px 0px 0px 100%)" in text
+    assert 'src="picture/10/0.png"' in text
+    assert "noise.range_spreading.mode" not in text  # not drawn, so not said
+    assert "<td>range_max_m</td>" in text
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+def test_the_page_filters_by_scene_and_parameter(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = open_shown(dataset)
+    rows = [shown.facts(number) for number in range(len(shown))]
+    scene = f"{rows[3]['location']}/{rows[3]['scene']}"
+    of_scene = [n for n in range(12) if f"{rows[n]['location']}/{rows[n]['scene']}" == scene]
+    reach = sorted(float(rows[n]["range_max_m"] or 0) for n in of_scene)
+    most = reach[-2] + 1e-6
+    fit = [n for n in of_scene if float(rows[n]["range_max_m"] or 0) <= most]
+    assert 1 < len(fit) < len(of_scene) < 12
+    page = tmp_path / "page.html"
+    script = _FILTER.replace("SCENE", json.dumps(scene)).replace("MOST", str(most))
+    page.write_text(server._PAGE.read_text(encoding="utf-8") + script, encoding="utf-8")
+    monkeypatch.setattr(server, "_PAGE", page)
+    with served(shown) as url:
+        text = browsed(url, tmp_path / "profile")
+    assert f'data-shown="{fit[-1]}"' in text
+    assert f">{len(fit)} of {len(fit)} (number {fit[-1] + 1} of 12)<" in text
+    assert f'id="before" alt="" draggable="false" src="picture/{fit[-1]}/1.png"' in text
+    assert f'src="picture/{fit[-1]}/2.png"' in text
+    assert 'data-focus="scene"' in text

@@ -1,0 +1,384 @@
+"""The sonar equation against golden values: absorption, beams, pulse, losses, energy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from simnfnd.factory.cli.compose import compose_config
+from simnfnd.factory.config import digest, identity
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.imaging.coherent import beams as matrices
+from simnfnd.factory.imaging.coherent.scatterers import scatterers
+from simnfnd.factory.imaging.coherent.signal import beamform, beamform_power
+from simnfnd.factory.imaging.coherent.targets import backscatter
+from simnfnd.factory.pairs import make_pair, observe
+from simnfnd.factory.render.base import Rendered
+from simnfnd.factory.settings import build
+from simnfnd.factory.sonar import acoustics, array
+from simnfnd.factory.sonar.acoustics import WaterSettings
+from simnfnd.factory.sonar.array import ArraySettings, Taper
+from simnfnd.factory.sonar.settings import SonarSettings
+from simnfnd.factory.sonar.window import Window
+from tests.constant_field import FAR_M, NEAR_M, config, constant_field, observed, ping_of, scene_of
+from tests.project_files import ROOT
+
+CONF = ROOT / "conf"
+DEVICES = sorted(path.stem for path in (CONF / "sonar").glob("*.yaml"))
+SEA = {100: 0.0336, 375: 0.0898, 720: 0.2086, 750: 0.2223, 900: 0.2994, 1200: 0.4953,
+       1800: 1.0547, 2100: 1.4183, 3000: 2.8447}  # fmt: skip
+FRESH = {750: 0.1460, 1200: 0.3737, 1800: 0.8408, 3000: 2.3355}
+
+
+@pytest.mark.parametrize(("frequency_khz", "golden"), SEA.items())
+def test_absorption_of_the_sea(frequency_khz, golden):
+    assert acoustics.absorption_db_per_m(frequency_khz, 10, 35, 5, 8) == pytest.approx(
+        golden, abs=1e-3
+    )
+
+
+@pytest.mark.parametrize(("frequency_khz", "golden"), FRESH.items())
+def test_absorption_of_fresh_water(frequency_khz, golden):
+    assert acoustics.absorption_db_per_m(frequency_khz, 15, 0, 5, 8) == pytest.approx(
+        golden, abs=1e-3
+    )
+
+
+def francois_garrison(f: float, t: float, s: float, d: float, ph: float) -> float:
+    """The same formula written once more, as vectors of its terms."""
+    c = 1412 + 3.21 * t + 1.19 * s + 0.0167 * d
+    a = np.array([8.86 / c * 10 ** (0.78 * ph - 5), 21.44 * s / c * (1 + 0.025 * t)])
+    p = np.array([1, 1 - 1.37e-4 * d + 6.2e-9 * d**2])
+    f1 = 2.8 * (s / 35) ** 0.5 * 10 ** (4 - 1245 / (273 + t))
+    f2 = 8.17 * 10 ** (8 - 1990 / (273 + t)) / (1 + 0.0018 * (s - 35))
+    relax = np.array([f1, f2])
+    cold = np.polyval([-1.50e-8, 9.11e-7, -2.59e-5, 4.937e-4], t)
+    warm = np.polyval([-6.5e-10, 1.45e-7, -1.146e-5, 3.964e-4], t)
+    water = (cold if t <= 20 else warm) * (1 - 3.83e-5 * d + 4.9e-10 * d**2)
+    return float((a * p * relax * f**2 / (relax**2 + f**2)).sum() + water * f**2) / 1000
+
+
+@pytest.mark.parametrize("water", ["sea", "fresh"])
+def test_absorption_at_the_frequency_of_every_preset(water):
+    env: WaterSettings = build(
+        WaterSettings, yaml.safe_load((CONF / f"water/{water}.yaml").read_text())
+    )
+    for device in DEVICES:
+        frequency_khz = yaml.safe_load((CONF / f"sonar/{device}.yaml").read_text())["frequency_khz"]
+        golden = francois_garrison(
+            frequency_khz, env.temperature_c, env.salinity_psu, env.depth_m, env.ph
+        )
+        assert env.absorption_db_per_m(frequency_khz) == pytest.approx(golden, abs=1e-3)
+
+
+@given(
+    st.floats(10, 3000), st.floats(-2, 40), st.floats(0, 40), st.floats(0, 500), st.floats(7, 8.4)
+)
+@settings(max_examples=60, deadline=None)
+def test_absorption_is_positive_and_grows_with_frequency(f, t, s, d, ph):
+    low, high = (acoustics.absorption_db_per_m(x, t, s, d, ph) for x in (f, 1.1 * f))
+    assert 0 < low < high
+
+
+def test_thermal_noise_is_mellens() -> None:
+    assert acoustics.thermal_noise_db(1000, 0.001) == pytest.approx(45)
+    assert acoustics.thermal_noise_db(1000, 10) == pytest.approx(85)
+
+
+@pytest.mark.parametrize(
+    ("taper", "golden_db", "within_db"),
+    [
+        (Taper(window="uniform"), -13.26, 0.02),
+        (Taper(window="hann"), -31.47, 0.05),
+        (Taper(window="hamming"), -42.7, 0.1),
+        (Taper(window="taylor", sidelobe_db=30), -30, 0.5),
+        (Taper(window="chebyshev", sidelobe_db=50), -50, 0.1),
+    ],
+)
+def test_sidelobes_are_those_of_the_window(taper, golden_db, within_db):
+    u = np.linspace(0, 12, 12_001)
+    level_db = 20 * np.log10(np.abs(array.response(u, taper)) + 1e-9)
+    null = int(np.argmax(np.diff(level_db) > 0))
+    assert level_db[null:].max() == pytest.approx(golden_db, abs=within_db)
+
+
+@pytest.mark.parametrize("count", [4, 4095, 4096, 4097, 16386, 16387, 20000, 40001])
+def test_the_kept_table_of_a_window_is_its_response_to_the_bit(count: int) -> None:
+    steps = np.arange(-1, count - 1) / array._STEPS
+    for taper in (Taper(), Taper(window="uniform")):
+        np.testing.assert_array_equal(
+            array._response_table(count, taper), array.response(steps, taper)
+        )
+
+
+def test_a_point_leaks_into_other_beams_at_the_sidelobe_level() -> None:
+    """One way -13.26 dB, on intensity, through the whole mixing matrix."""
+    device = ArraySettings(beamwidth_deg=3, horizontal=Taper(window="uniform"))
+    beams = np.deg2rad(np.linspace(-30, 30, 1201))
+    level_db = 20 * np.log10(np.abs(array.beam_mixing(beams, device)[600]) + 1e-9)
+    level_db -= level_db[600]
+    null = 600 + int(np.argmax(np.diff(level_db[600:]) > 0))
+    assert level_db[null:].max() == pytest.approx(-13.26, abs=0.05)
+
+
+@pytest.mark.parametrize("window", ["uniform", "hann", "hamming", "taylor", "chebyshev"])
+def test_beams_are_as_wide_as_they_are_said_to_be(window):
+    taper = Taper(window=window)
+    length = array.aperture_wavelengths(2.0, taper)
+    assert array.response(np.sin(np.deg2rad(1.0)) * length, taper) ** 2 == pytest.approx(
+        0.5, rel=1e-3
+    )
+    if window == "uniform":
+        assert length == pytest.approx(50.8 / 2.0, rel=0.01)
+
+
+def test_range_resolution_is_c_over_2b() -> None:
+    device = ArraySettings(bandwidth_khz=30)
+    assert array.range_resolution_m(device, 1500) == pytest.approx(0.025)
+    kernel = array.range_kernel(0.001, replace(device, pulse=Taper(window="uniform")), 1500)
+    middle = len(kernel) // 2
+    assert kernel[middle + 25] == pytest.approx(0, abs=1e-6)  # the first null
+    assert array.range_kernel(1.0, device, 1500) == pytest.approx([1])
+
+
+@given(
+    st.integers(2, 200), st.floats(5, 160), st.floats(0.1, 10),
+    st.sampled_from(["uniform", "hann", "hamming", "taylor", "chebyshev"]), st.booleans(),
+)  # fmt: skip
+@settings(max_examples=20, deadline=None)
+def test_beam_mixing_keeps_energy_for_any_beams(beams, hfov_deg, width_deg, window, tabled):
+    table = None
+    if tabled:  # as close together in the middle as a linear array makes them
+        half = np.sin(np.deg2rad(hfov_deg / 2))
+        table = tuple(np.rad2deg(np.arcsin(np.linspace(-0.99, 0.99, beams) * half)))
+    sonar = SonarSettings(hfov_deg=hfov_deg, beams=beams, beam_azimuths_deg=table)
+    device = ArraySettings(beamwidth_deg=width_deg, horizontal=Taper(window=window))
+    mixing = array.beam_mixing(sonar.beam_centres_rad(), device)
+    np.testing.assert_allclose((mixing.astype(np.float64) ** 2).sum(axis=1), 1, rtol=1e-5)
+
+
+def test_the_blur_of_the_device_keeps_energy_and_is_the_matrix_product() -> None:
+    made = ping_of(observed(config()))
+    power = np.zeros(made.shape, np.float32)
+    rng = np.random.default_rng(0)
+    middle = (slice(40, -40), slice(None))
+    power[middle] = rng.random(power[middle].shape)
+    blurred = beamform_power(power, made)
+    assert blurred.sum() == pytest.approx(power.sum(), rel=1e-4)
+    kernel = made.kernel**2
+    along = np.apply_along_axis(np.convolve, 0, power.astype(np.float64), kernel, "same")
+    np.testing.assert_allclose(blurred, along @ made.mixing**2, rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "beams", [None, 129, (-20.0, -11.0, -3.0, 5.0, 9.0, 20.0)], ids=["even", "odd", "lopsided"]
+)
+def test_beams_in_halves_are_the_matrix_product(beams):
+    """To 2e-7 of the row's strongest number, and intensities never below zero."""
+    sonar: dict[str, Any] = {"beams": beams} if isinstance(beams, int) else {}
+    if isinstance(beams, tuple):
+        sonar = {"beams": len(beams), "beam_azimuths_deg": beams, "hfov_deg": 45}
+    made = ping_of(observed(config(sonar=sonar)))
+    rng = np.random.default_rng(2)
+    field = rng.standard_normal((1, 2, *made.shape)).astype(np.float32)
+    power = np.zeros(made.shape, np.float32)
+    power[:, -1] = 1  # on one side alone
+    mixing = made.mixing.astype(np.float64)
+    along = np.apply_along_axis(np.convolve, 2, field.astype(np.float64), made.kernel, "same")
+    np.testing.assert_allclose(beamform(field, made), along @ mixing, atol=5e-6)
+    along = np.apply_along_axis(np.convolve, 0, power.astype(np.float64), made.kernel**2, "same")
+    blurred = beamform_power(power, made)
+    assert blurred.min() >= 0
+    np.testing.assert_allclose(blurred, along @ mixing**2, atol=2e-7)
+
+
+@pytest.mark.parametrize("words", [["sonar.beams=512"], ["sonar=oculus_m1200d_hf"]])
+def test_beams_by_way_of_modes_are_the_matrix_product(words):
+    """As many beams as resolve nothing more; to 2e-5 of the row's strongest number."""
+    settings_ = compose_config(["experiment=physical", *words])
+    frame, rendered = constant_field(size=(60, 80))
+    made = ping_of(observe(frame, rendered, settings_))
+    factors = matrices.modes(settings_.sonar)
+    assert factors is not None
+    assert sum(one.shape[0] * one.shape[1] for one in factors) < 0.9 * (made.shape[1] // 2) ** 2 * 2
+    field = np.random.default_rng(3).standard_normal((1, 2, *made.shape)).astype(np.float32)
+    along = np.apply_along_axis(np.convolve, 2, field.astype(np.float64), made.kernel, "same")
+    expected = along @ made.mixing.astype(np.float64)
+    error = np.abs(beamform(field, made) - expected) / np.abs(expected).max(axis=-1, keepdims=True)
+    assert error.max() < 2e-5
+
+
+def test_factors_are_those_of_the_matrix() -> None:
+    rng = np.random.default_rng(4)
+    matrix = rng.standard_normal((30, 6)) @ rng.standard_normal((6, 40))
+    found = matrices.factors(matrix, 6)
+    assert found is not None
+    assert found[0].shape == (30, 6)
+    assert matrices.factors(matrix, 5) is None
+    np.testing.assert_allclose(found[0] @ found[1], matrix, atol=1e-5 * np.abs(matrix).max())
+
+
+def test_beams_that_resolve_each_other_have_no_modes() -> None:
+    assert matrices.modes(compose_config(["experiment=physical", "sonar=didson_hf"]).sonar) is None
+
+
+def _powers(depths_m: np.ndarray, plate_m: float, frequency_khz: float) -> np.ndarray:
+    """Total echo power of a plate that faces the sonar, at each distance."""
+    settings_ = config(
+        sonar={"frequency_khz": frequency_khz, "vfov_deg": 60,
+               "range": {"auto": False, "min_m": 0.5, "max_m": 40}, "range_bins": 2048},
+    )  # fmt: skip
+    totals = []
+    for depth_m in depths_m:
+        frame, _ = constant_field(size=(960, 960))
+        camera = replace(frame.intrinsics, fx=3000.0, fy=3000.0, cx=480.0, cy=480.0)
+        u = (np.arange(960) - 480) / 3000
+        inside = (np.abs(u) < plate_m / 2 / depth_m)[:, None] & (np.abs(u) < plate_m / 2 / depth_m)
+        depth = np.where(inside, np.float32(depth_m), np.float32(0))
+        square = 1 + u[:, None] ** 2 + u**2
+        # albedo cos / r^2 with the normal towards the camera
+        radiance = np.where(inside, square**-1.5 / depth_m**2, 0).astype(np.float32)
+        frame = replace(frame, depth_m=depth, intrinsics=camera)
+        window = Window("slant_range", 0.5, 40.0, -0.2, 0.2)
+        made = scatterers(
+            frame, Rendered(radiance, inside), window, settings_.sonar, settings_.water,
+            settings_.acoustics,
+        )  # fmt: skip
+        totals.append(made.power.sum(dtype=np.float64))
+    return np.array(totals)
+
+
+@pytest.mark.parametrize("frequency_khz", [100, 900, 3000])
+def test_a_small_target_loses_40_log_r_and_twice_the_absorption(frequency_khz):
+    """The two-way loss of the sonar equation, not counting the area twice."""
+    depths_m = np.array([2.0, 3.0, 5.0, 8.0])
+    level_db = 10 * np.log10(_powers(depths_m, 0.2, frequency_khz))
+    absorption = acoustics.absorption_db_per_m(frequency_khz, 10, 35, 5, 8)
+    expected_db = -40 * np.log10(depths_m) - 2 * absorption * depths_m
+    np.testing.assert_allclose(np.diff(level_db), np.diff(expected_db), atol=0.15)
+
+
+def test_a_target_has_its_cross_section() -> None:
+    """mu * area / r^4 for a plate seen face on: 10 log of it is the target strength minus 2 TL."""
+    (power,) = _powers(np.array([4.0]), 0.2, 100)
+    absorption = acoustics.absorption_db_per_m(100, 10, 35, 5, 8)
+    golden = 10 ** (-25 / 10) * 0.04 / 4**4 * 10 ** (-2 * absorption * 4 / 10)
+    assert power == pytest.approx(golden, rel=0.02)
+
+
+def test_backscatter_has_no_losses_left() -> None:
+    """Per plan area it is the same near and far, whatever the water absorbs."""
+    flat = []
+    for frequency_khz in (200, 3000):
+        settings_ = config(sonar={"frequency_khz": frequency_khz})
+        frame, rendered = constant_field()
+        made = scene_of(observe(frame, rendered, settings_))
+        flat.append(backscatter(made.surface, settings_))
+    np.testing.assert_allclose(flat[0], flat[1], rtol=1e-3)
+    # Equal power per bin over source level: sigma grows as r^4, area as r.
+    rows = flat[0].mean(axis=1)
+    range_m = np.linspace(NEAR_M, FAR_M, len(rows))
+    slope = np.polyfit(np.log10(range_m[5:-5]), np.log10(rows[5:-5]), 1)[0]
+    assert slope == pytest.approx(3, abs=0.1)
+
+
+def test_the_exponent_of_backscatter_is_that_of_the_cosine() -> None:
+    """A wall at an angle: cos^3 instead of cos^2 weakens it by the cosine."""
+    frame, rendered = constant_field()
+    angle = np.deg2rad(50)
+    across = (np.arange(frame.depth_m.shape[1]) - frame.intrinsics.cx) / frame.intrinsics.fx
+    depth = np.broadcast_to(5 / (1 + across * np.tan(angle)), frame.depth_m.shape)
+    frame = replace(frame, depth_m=np.ascontiguousarray(depth, np.float32))
+    level = {}
+    for exponent in (2.0, 3.0):
+        settings_ = config(acoustics={"lambert_exponent": exponent})
+        window = observe(frame, rendered, settings_).window
+        made = scatterers(
+            frame, rendered, window, settings_.sonar, settings_.water, settings_.acoustics
+        )
+        middle = np.abs(made.pixels % frame.depth_m.shape[1] - frame.intrinsics.cx) < 3
+        level[exponent] = made.powers[middle].mean()
+    assert level[3.0] / level[2.0] == pytest.approx(np.cos(angle), rel=0.02)
+
+
+def test_materials_differ_as_the_table_says() -> None:
+    frame, rendered = constant_field()
+    labels = np.zeros(frame.depth_m.shape, np.uint8)
+    labels[:, : labels.shape[1] // 2] = 9  # Tire
+    frame = replace(frame, segmentation=labels)
+    settings_ = config(acoustics={"reflectivity_db": {"Background": -25, "Tire": -15}})
+    window = observe(frame, rendered, settings_).window
+    made = scatterers(
+        frame, rendered, window, settings_.sonar, settings_.water, settings_.acoustics
+    )
+    halves = made.power[:, :60].mean(), made.power[:, -60:].mean()
+    assert halves[0] / halves[1] == pytest.approx(10, rel=0.02)
+
+
+def test_a_class_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(FactoryError, match=r"reflectivity_db: no class is called Tyre"):
+        config(acoustics={"reflectivity_db": {"Tyre": -10}})
+
+
+def test_echoes_outside_the_vertical_beam_are_as_weak_as_its_sidelobes() -> None:
+    sine = np.sin(np.deg2rad([0, 10, 30]))
+    straight, edge, beyond = array.vertical_pattern(sine, 20, ArraySettings())
+    assert straight == pytest.approx(1)
+    assert edge == pytest.approx(0.25, rel=1e-3)
+    assert beyond < 10 ** (-26.4 / 10)
+
+
+def test_tvg_levels_what_it_knows() -> None:
+    """40 log r + 2 a r undoes the losses of the constant field's opposite: here, power per bin."""
+    of = ping_of(observed(config(acoustics={"tvg_log": 0, "tvg_absorption": True})))
+    expected = beamform_power(of.scatterers.power, of) * of.gain[:, None]
+    rows = expected[30:-30].mean(axis=1)
+    assert rows.max() / rows.min() == pytest.approx(1, abs=0.05)
+
+
+@pytest.mark.parametrize("layout", ["polar", "fan"])
+@pytest.mark.parametrize("device", DEVICES)
+def test_every_preset_makes_a_picture(device, layout):
+    words = ["experiment=physical", f"sonar={device}", f"sonar.image.layout={layout}"]
+    settings_ = compose_config([*words, "sonar.range.min_m=1", "sonar.range.max_m=9"])
+    frame, rendered = constant_field(size=(240, 320))
+    pair = make_pair(observe(frame, rendered, settings_), 0, settings_)
+    assert pair.noisy.shape == settings_.sonar.shape()
+    echo = pair.clean.astype(np.float32) > 0
+    assert 0.2 < pair.clean.astype(np.float32)[echo].mean() / 255 <= 1
+    assert (pair.noisy != pair.clean)[echo].mean() > 0.5
+
+
+def test_the_papers_data_set_does_not_know_of_physics() -> None:
+    """Settings that do not reach its pictures do not reach its name either."""
+    plain = compose_config([])
+    assert not {"acoustics", "water"} & set(identity(plain))
+    assert "array" not in identity(plain)["sonar"]
+    other = compose_config(["water=fresh", "sonar.array.beamwidth_deg=3"])
+    assert digest(identity(other)) == digest(identity(plain))
+    physical = [compose_config(["experiment=physical", f"water={w}"]) for w in ("sea", "fresh")]
+    assert len({digest(identity(one)) for one in physical}) == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["noise=physical"], "noise.speckle acts on the complex field; set acoustics=field"),
+        (["acoustics=field"], "noise.range_spreading moves points"),
+        (["experiment=physical", "render.bounces=1"], "render.bounces adds the brightness"),
+        (["experiment=physical", "noise.speckle.looks=0"], "noise.speckle.looks: must lie in"),
+        (["sonar.array.horizontal.window=square"], "sonar.array.horizontal.window"),
+        (["water.ph=3"], "water.ph"),
+    ],
+)
+def test_mistakes_are_one_line(words, said):
+    with pytest.raises(FactoryError) as caught:
+        compose_config(words)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)

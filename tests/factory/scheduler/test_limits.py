@@ -1,0 +1,139 @@
+"""`ulimit`: as many workers as fit, and a line that says so."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+import yaml
+
+from simnfnd.factory.cli import guard
+from simnfnd.factory.scheduler.settings import Crew, SchedulerSettings
+from simnfnd.factory.scheduler.workers import limits
+from tests.project_files import ROOT
+
+CODE = """
+import resource, sys
+from pathlib import Path
+from simnfnd.factory.cli import guard
+from tests.run_fake import make
+if __name__ == "__main__":
+    limit, folder = int(sys.argv[1]), Path(sys.argv[2])
+    resource.setrlimit(resource.RLIMIT_NOFILE, (limit, limit))
+    print(guard(lambda: print(make(folder, workers=48, scheduler={"start_all": True}).samples)))
+"""
+
+
+@pytest.mark.parametrize(
+    ("limit", "said", "told"),
+    [
+        (64, r"ulimit -n is 64: [12] of 48 workers fit and are used; raise it", "32\n0\n"),
+        (40, r"error: scheduler.workers: ulimit -n is 40, in which no worker fits", "2\n"),
+    ],
+)
+def test_a_shell_with_few_open_files(tmp_path: Path, limit: int, said: str, told: str) -> None:
+    script = tmp_path / "run.py"
+    script.write_text(CODE)
+    done = subprocess.run(
+        [sys.executable, str(script), str(limit), str(tmp_path / "dataset")],
+        cwd=ROOT, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert re.search(said, done.stderr)
+    assert "Traceback" not in done.stderr
+    assert done.stdout == told
+
+
+@pytest.mark.parametrize(
+    ("crew", "fitting", "expected"),
+    [
+        (Crew(8, 40), 30, Crew(5, 25)),
+        (Crew(8, 40), 1, Crew(1, 0)),
+        (Crew(0, 48), 7, Crew(0, 7)),
+        (Crew(1, 1), 48, Crew(1, 1)),
+    ],
+)
+def test_both_kinds_of_workers_become_fewer(
+    crew: Crew, fitting: int, expected: Crew, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "simnfnd.factory.scheduler.settings.workers_that_fit",
+        lambda wanted: (fitting, "ulimit -v is 9"),
+    )
+    found, note = SchedulerSettings().within_limits(crew)
+    assert found == expected
+    assert note.startswith(f"ulimit -v is 9: {fitting} of {crew.total}") or found == crew
+    assert SchedulerSettings(backend="serial").within_limits(crew) == (crew, "")
+
+
+def test_a_limit_on_memory_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    import resource
+
+    # What other tests have loaded into this process must not count.
+    space = psutil.Process().memory_info().vms + (3 << 30)
+
+    def limit(which: int) -> tuple[int, int]:
+        return (space, space) if which == resource.RLIMIT_AS else (-1, -1)
+
+    monkeypatch.setattr(resource, "getrlimit", limit)
+    fitting, words = limits.workers_that_fit(48)
+    assert 4 < fitting < 30
+    assert words == f"ulimit -v is {space // 1024}"
+    assert limits.workers_that_fit(0) == (0, "")
+
+
+@pytest.mark.parametrize("which", ["n", "v"])
+def test_the_papers_48_processes_in_a_narrow_shell(
+    monkeypatch: pytest.MonkeyPatch, which: str
+) -> None:
+    import resource
+
+    kinds = {"n": resource.RLIMIT_NOFILE, "v": resource.RLIMIT_AS}
+    most = {"n": 256, "v": psutil.Process().memory_info().vms + (3 << 30)}[which]
+    monkeypatch.setattr(
+        resource, "getrlimit", lambda kind: (most, most) if kind == kinds[which] else (-1, -1)
+    )
+    values = yaml.safe_load((ROOT / "conf/scheduler/paper48.yaml").read_text())
+    del values["defaults"]
+    settings = SchedulerSettings(**values)
+    crew = settings.crew(480, 480)
+    assert crew.total == 48
+    found, note = settings.within_limits(crew)
+    assert 4 < found.total < 40
+    shown = most if which == "n" else most // 1024
+    assert note.startswith(
+        f"ulimit -{which} is {shown}: {found.total} of 48 workers fit and are used; raise it"
+    )
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (
+            PermissionError(13, "Permission denied", "a/train"),
+            "error: a/train: Permission denied",
+        ),
+        (
+            OSError(24, "Too many open files"),
+            "error: system: Too many open files; raise",
+        ),
+        (OSError(40, "Too many levels of symbolic links", "a"), "error: a: Too many levels"),
+        (MemoryError(), "error: memory: not enough of it"),
+    ],
+)
+def test_what_the_machine_refuses_is_one_line(
+    error: BaseException, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def action() -> None:
+        raise error
+
+    assert guard(action) == 2
+    told = capsys.readouterr().err
+    assert told.startswith(said)
+    assert told.count("\n") == 1
+    with pytest.raises(type(error)):
+        guard(action, debug=True)

@@ -1,0 +1,155 @@
+"""Worker processes by themselves: pools, tasks that die or take too long, what they import."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+
+import psutil
+import pytest
+
+from benchmarks.memory import workers_of
+from simnfnd.factory.scheduler.workers import slot
+from simnfnd.factory.scheduler.workers.backends import open_backend
+from simnfnd.factory.scheduler.workers.contract import BackendName, Pool, WorkerSettings
+from simnfnd.factory.scheduler.workers.tasks import TaskLost, TaskPool
+from tests.project_files import ROOT
+
+HEAVY, LIGHT = Pool("heavy", 1, also_takes=("light",)), Pool("light", 1)
+
+
+def task(name: str) -> tuple[str, int]:
+    """(name, process number), unless the name says to fail, die or sleep."""
+    if name == "fail":
+        raise ZeroDivisionError(name)
+    if name == "die":
+        os.kill(os.getpid(), signal.SIGKILL)
+    if name == "sleep":
+        time.sleep(60)
+    return name, os.getpid()
+
+
+def children() -> list[psutil.Process]:
+    return workers_of(os.getpid())
+
+
+def test_a_task_that_dies_or_sleeps_costs_itself_alone() -> None:
+    names = ["a", "die", "b", "sleep", "c"]
+    with TaskPool(2) as pool:
+        found = dict(pool.run(task, deque(names), lambda name: 2.0 if name == "sleep" else 60.0))
+    assert set(found) == set(names)
+    for name in "abc":
+        outcome = found[name]
+        assert not isinstance(outcome, TaskLost)
+        assert outcome[0] == name
+        assert outcome[1] != os.getpid()
+    died, slept = found["die"], found["sleep"]
+    assert isinstance(died, TaskLost)
+    assert "SIGKILL" in died.reason
+    assert slept == TaskLost("took longer than 2 s")
+    assert not children()
+
+
+def large(name: str) -> bytes:
+    """More than any buffer on the way holds; or death with half of it told."""
+    if name == "half":
+        threading.Timer(0.15, os.kill, (os.getpid(), signal.SIGKILL)).start()
+        # Whoever pickles this is at it when the time comes.
+        return bytes(1 << 28)
+    return bytes(1 << 22)
+
+
+def test_death_in_the_middle_of_an_answer_costs_its_task_alone() -> None:
+    with TaskPool(2) as pool:
+        found = dict(pool.run(large, deque(["half", "a", "half", "b"]), lambda _: 60.0))
+    assert isinstance(found["half"], TaskLost)
+    assert found["a"] == found["b"] == bytes(1 << 22)
+
+
+def test_a_worker_that_is_stopped_before_it_has_its_task_is_replaced(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(slot, "_START_S", 3.0)
+    workers = slot.Slot(LIGHT)
+    try:
+        assert workers.submit(task, "a", 60.0).result(60)[0] == "a"
+        (process,) = children()
+        process.suspend()
+        # Larger than the buffer between the two: sending it waits for the stopped process.
+        with pytest.raises(slot.WorkerDied, match="begun nothing after 3 s"):
+            workers.submit(len, bytes(1 << 24), 60.0).result(30)
+        assert workers.submit(len, bytes(1 << 24), 60.0).result(60) == 1 << 24
+        (other,) = children()
+        assert other.pid != process.pid
+    finally:
+        slot.stop_all([workers], 10.0)
+    assert not children()
+
+
+def test_a_worker_that_dies_idle_or_cannot_send_its_answer_is_no_end() -> None:
+    workers = slot.Slot(LIGHT)
+    try:
+        _, pid = workers.submit(task, "a", 60.0).result(60)
+        os.kill(pid, signal.SIGKILL)
+        died = "no"
+        try:
+            _, pid = workers.submit(task, "b", 60.0).result(60)
+        except slot.WorkerDied as error:  # found out only when it is asked
+            died = str(error)
+        assert died == "no" or "SIGKILL" in died
+        with pytest.raises(TypeError, match="cannot pickle"):
+            workers.submit(open, os.devnull, 60.0).result(60)
+        assert workers.submit(task, "c", 60.0).result(60)[0] == "c"
+    finally:
+        slot.stop_all([workers], 10.0)
+
+
+def test_tasks_may_be_added_between_results() -> None:
+    waiting, done = deque(["a"]), []
+    with TaskPool(1) as pool:
+        for name, outcome in pool.run(task, waiting, lambda _: 60.0):
+            assert outcome == (name, os.getpid()), "one worker is this process"
+            done.append(name)
+            if name == "a":
+                waiting.append("b")
+    assert done == ["a", "b"]
+
+
+def test_what_a_task_raises_is_raised_here_and_the_workers_stop() -> None:
+    with pytest.raises(ZeroDivisionError), TaskPool(2) as pool:
+        list(pool.run(task, deque(["fail"]), lambda _: 60.0))
+    assert not children()
+
+
+@pytest.mark.parametrize("backend", ["local", "dask"])
+def test_a_pool_that_takes_others_tasks_prefers_its_own(backend: BackendName) -> None:
+    workers = open_backend(WorkerSettings((HEAVY, LIGHT), backend))
+    try:
+        first = workers.submit(task, "a", 60.0, "heavy")
+        assert not workers.free("heavy")
+        assert workers.free("light")
+        second = workers.submit(task, "b", 60.0, "light")
+        (_, heavy), (_, light) = first.result(60), second.result(60)
+        assert heavy != light
+        assert workers.submit(task, "c", 60.0, "heavy").result(60) == ("c", heavy)
+    finally:
+        workers.stop()
+
+
+def test_workers_know_nothing_of_datasets() -> None:
+    code = (
+        "import pkgutil, sys, simnfnd.factory.scheduler.workers as room\n"
+        "for module in pkgutil.iter_modules(room.__path__):\n"
+        "    __import__(f'{room.__name__}.{module.name}')\n"
+        "print(*(name for name in sys.modules if name.startswith('simnfnd.factory.')))"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True
+    )
+    rooms = {name.split(".")[2] for name in result.stdout.split()}
+    assert rooms == {"workers", "errors"}

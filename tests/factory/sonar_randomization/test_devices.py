@@ -1,0 +1,192 @@
+"""Devices drawn for every picture: their draws, their record, their rasterisation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import simnfnd
+from simnfnd.factory.cli.compose import compose_config
+from simnfnd.factory.config import identity
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.noise.registry import blocks
+from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
+from simnfnd.factory.sonar.window import Window
+from simnfnd.factory.sonar_randomization import draw as devices
+from simnfnd.factory.sonar_randomization.draw import fixed_raster
+from simnfnd.factory.sonar_randomization.raster import Raster
+
+H, W = 96, 152
+PLACE: dict[str, Any] = {"fx": 180.0, "fy": 180.0, "cx": 76.0, "cy": 48.0}
+
+
+def pair(*words: str, variant: int = 0) -> Any:
+    """A pair of sloping ground with a block on it."""
+    down = np.arange(H)[:, None] / H
+    depth_m = np.broadcast_to(1.5 / (0.15 + 0.5 * down), (H, W)).astype(np.float32).copy()
+    depth_m[40:60, 60:90] *= 0.8
+    rgb = np.random.default_rng(0).integers(60, 200, (H, W, 3), dtype=np.uint8)
+    return simnfnd.make_pair(rgb, depth_m, **PLACE, variant=variant, config=(*_words(), *words))
+
+
+def _words() -> tuple[str, ...]:
+    return (
+        *("devices=any_sonar", "noise=any_sonar", "acoustics=field", "render=analytic"),
+        *("sonar.image.width_px=96", "sonar.image.height_px=96"),
+    )
+
+
+def test_every_variant_has_a_device_of_its_own_and_says_which() -> None:
+    rows = [pair(variant=number).record for number in range(6)]
+    assert len({row["device.bins_per_px"] for row in rows}) == 6
+    assert {row["device.field_share"] for row in rows} <= {0.0, 1.0}
+    assert all(20 <= row["device.hfov_deg"] <= 45 for row in rows)
+    # Effects of the other formation are off, and the table says so.
+    for row in rows:
+        points = row["device.field_share"] == 0
+        assert np.isnan(row["noise.speckle.looks"]) or not points
+        assert np.isnan(row["noise.background.density"]) or points
+
+
+def test_the_same_name_draws_the_same_device() -> None:
+    settings = compose_config(["experiment=any_sonar"]).devices
+    assert settings is not None
+    first, again, other = (devices.draw(settings, 0, "a", n) for n in (1, 1, 2))
+    assert first == again
+    assert first.values != other.values
+    drawn = [devices.draw(settings, 3, n) for n in range(400)]
+    assert np.mean([one.formation == "field" for one in drawn]) == pytest.approx(0.9, abs=0.05)
+    assert {round(one.values["beams"]) for one in drawn} == {48, 96, 128, 160, 256, 512}
+
+
+def test_drawn_values_given_as_numbers_make_the_same_picture() -> None:
+    first = pair(variant=3)
+    row = first.record
+    fixed = [
+        f"devices.{name.removeprefix('device.')}={value!r}"
+        for name, value in row.items()
+        if name.startswith("device.")
+    ]
+    again = pair(*fixed, variant=3)
+    np.testing.assert_array_equal(again.noisy, first.noisy)
+    np.testing.assert_array_equal(again.clean, first.clean)
+
+
+def test_a_quiet_picture_has_no_noise() -> None:
+    quiet = pair("devices.quiet_share=1", "devices.jpeg_share=0", "devices.field_share=0")
+    np.testing.assert_array_equal(quiet.noisy, quiet.clean)
+    loud = pair("devices.quiet_share=0", "devices.jpeg_share=0", "devices.field_share=0")
+    assert (loud.noisy != loud.clean).any()
+
+
+def test_odd_effects_are_those_of_a_share_of_the_pictures() -> None:
+    words = ("devices.field_share=1", "devices.quiet_share=0", "devices.fewer_share=0")
+    odd = ("spokes", "ring_down", "surface_multipath", "sidelobe_arcs", "tvg_error", "beam_gain")
+
+    def on(share: int, variant: int) -> dict[str, bool]:
+        config = compose_config(["experiment=any_sonar", *words, f"devices.odd_share={share}"])
+        assert config.devices is not None
+        device = devices.draw(config.devices, 0, variant)
+        noise = devices.configured(config, device, any_size=True).noise
+        return {name: block.enabled for name, block in blocks(noise).items()}
+
+    for variant in range(4):
+        without = on(0, variant)
+        assert not any(without[name] for name in odd)
+        assert all(without[name] for name in ("speckle", "receiver", "volume"))
+    share = np.mean([on(1, variant)[name] for variant in range(40) for name in odd])
+    assert share == pytest.approx(0.5, abs=0.15)
+
+
+def test_samples_tremble_where_speckle_stands_still() -> None:
+    words = ("devices.field_share=1", "devices.quiet_share=0", "devices.fewer_share=0")
+    for share in (0, 1):
+        config = compose_config(["experiment=any_sonar", *words, f"devices.standing_share={share}"])
+        assert config.devices is not None
+        device = devices.draw(config.devices, 0, 1)
+        made = devices.configured(config, device, any_size=True)
+        assert made.noise.scintillation is not None
+        assert (made.acoustics.standing > 0) == made.noise.scintillation.enabled == bool(share)
+
+
+def test_a_share_of_the_logarithms_end_softly() -> None:
+    words = (
+        *("devices.field_share=1", "devices.log_share=1"),
+        *("devices.black=0.3", "devices.soft_share=0.5"),
+    )
+    config = compose_config(["experiment=any_sonar", *words])
+    assert config.devices is not None
+    drawn = [devices.draw(config.devices, 0, number) for number in range(60)]
+    shown = [devices.configured(config, one, any_size=True).sonar.transfer for one in drawn]
+    soft = [one for one in shown if one.kind == "soft_log"]
+    assert 15 < len(soft) < 45
+    # Darker than the median echo, however the two were drawn.
+    assert all(0 < one.black < one.reference for one in soft)
+    assert all(one.black == 0 for one in shown if one.kind == "log")
+
+
+def test_the_receivers_noise_follows_the_echoes() -> None:
+    words = ("devices.field_share=1", "devices.quiet_share=0", "devices.fewer_share=0")
+    levels = [
+        pair(*words, f"devices.receiver_db={level}").record["noise.receiver.level_db"]
+        for level in (-20, -10)
+    ]
+    assert levels[1] - levels[0] == pytest.approx(10, abs=1e-6)
+
+
+def test_without_devices_nothing_of_them_is_in_a_datasets_identity() -> None:
+    assert "devices" not in identity(compose_config(["experiment=demo"]))
+    assert "devices" in identity(compose_config(["experiment=any_sonar"]))
+
+
+def test_a_wrong_key_is_named() -> None:
+    with pytest.raises(FactoryError, match=r"devices\.jpeg_share"):
+        compose_config(["experiment=any_sonar", "devices.jpeg_share=2"])
+
+
+def test_rasters_show_samples_as_they_are_or_between() -> None:
+    sonar = SonarSettings(
+        hfov_deg=30, beams=16, range_bins=24, image=ImageSettings(width_px=120, height_px=160)
+    )
+    window = Window("slant_range", 1.0, 4.0, -1.0, 1.0)
+    polar = (np.random.default_rng(0).integers(0, 256, (24, 16)) / 255).astype(np.float32)
+    nearest = Raster(nearest=True).picture(polar, window, sonar, noisy=True)
+    assert set(np.unique(nearest)) <= {0.0, *np.unique(polar)}
+    between = Raster().picture(polar, window, sonar, noisy=True)
+    assert len(np.unique(between)) > len(np.unique(polar))
+    enlarged = Raster(nearest=True, enlarged=1.7).picture(polar, window, sonar, noisy=True)
+    assert enlarged.shape == nearest.shape
+    assert np.abs(enlarged - nearest).mean() < 0.1
+    jpeg = Raster(nearest=True, jpeg_quality=75)
+    np.testing.assert_array_equal(jpeg.picture(polar, window, sonar, noisy=False), nearest)
+    traces = jpeg.picture(polar, window, sonar, noisy=True) - nearest
+    assert 0.001 < np.abs(traces).mean() < 0.1
+
+
+def test_one_device_may_make_its_pixels_in_the_same_ways() -> None:
+    words = ("devices=fixed", "noise=physical", "sonar.image.width_px=90")
+    usual = compose_config(["experiment=physical", "sonar.image.width_px=90"])
+    assert fixed_raster(usual.sonar.image) is None
+    said = identity(usual)["sonar"]["image"]
+    assert said == {"layout": "fan", "width_px": 90, "height_px": 256}
+    before = pair(*words)
+    for key, value in (("sampling", "nearest"), ("enlarged", 1.5), ("jpeg_quality", 60)):
+        config = compose_config(["experiment=physical", f"sonar.image.{key}={value}"])
+        assert identity(config)["sonar"]["image"][key] == value
+        made = pair(*words, f"sonar.image.{key}={value}")
+        assert made.noisy.shape == before.noisy.shape
+        assert (made.noisy != before.noisy).any()
+        # A clean picture has no traces of compression.
+        assert (made.clean != before.clean).any() == (key != "jpeg_quality")
+
+
+def test_a_device_that_sees_nothing_gives_way_to_the_next() -> None:
+    """All of the ground lies nearer than 4 m; half of the devices begin beyond it."""
+    far = "devices.range_min_m={choice: [0.7, 20]}"
+    words = (far, "devices.range_max_m=30", "devices.auto_range_share=0", "devices.field_share=1")
+    rows = [pair(*words, variant=number).record for number in range(6)]
+    assert {row["device.range_min_m"] for row in rows} == {0.7}
+    with pytest.raises(FactoryError, match="no echo inside"):
+        pair(*words, "devices.range_min_m=20")

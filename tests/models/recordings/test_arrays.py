@@ -1,0 +1,97 @@
+"""NumPy files as pictures and recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simnfnd.factory.errors import FactoryError
+from simnfnd.models.recordings import is_recording, kind_of, open_recording
+from simnfnd.models.recordings.arrays.file import is_table
+from simnfnd.models.recordings.pictures import read_grey, read_picture
+from tests.models.recordings.recording_files import pings
+
+
+def saved(path: Path, array: Any) -> Path:
+    np.save(path, array)
+    return path
+
+
+@pytest.mark.parametrize("dtype", ["u1", "<u2", ">u2", "f2", "f4", "f8"])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_a_picture_and_several(tmp_path: Path, dtype: str, order: Any) -> None:
+    values = pings(3, 30, 40) / (255 if dtype[0] == "f" else 1)
+    array = np.asarray(values.astype(dtype), order=order)
+    one, several = saved(tmp_path / "one.npy", array[1]), saved(tmp_path / "more.npy", array)
+    assert (kind_of(one), is_recording(one)) == ("pictures", False)
+    assert (kind_of(several), is_recording(several)) == ("array", True)
+    kept = np.dtype("f4") if dtype[0] == "f" else np.dtype(dtype).newbyteorder("=")
+    assert read_picture(one).dtype == kept
+    np.testing.assert_array_equal(read_picture(one), array[1].astype(kept))
+    with open_recording(several) as recording:
+        np.testing.assert_array_equal([frame.samples for frame in recording], array.astype(kept))
+        np.testing.assert_array_equal(recording[2].samples, array[2].astype(kept))
+    np.testing.assert_array_equal(read_picture(several), array[0].astype(kept))
+
+
+@pytest.mark.parametrize("colours", [1, 3, 4])
+def test_colours_are_red_first(tmp_path: Path, colours: int) -> None:
+    array = np.random.default_rng(3).integers(0, 256, (2, 20, 24, colours), dtype=np.uint8)
+    order = [0] if colours == 1 else [2, 1, 0, 3][:colours]
+    np.testing.assert_array_equal(
+        read_picture(saved(tmp_path / "a.npy", array[0])), array[0][..., order]
+    )
+    with open_recording(saved(tmp_path / "b.npy", array)) as recording:
+        np.testing.assert_array_equal(recording[1].samples, array[1][..., order])
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.zeros((400, 7)), np.zeros((50, 4, 4)), np.zeros(900), np.zeros((64, 64), bool),
+        np.zeros((2, 3, 64, 64, 3)), np.zeros((64, 64), "M8[s]"), np.zeros((64, 64), complex),
+    ],
+    ids=lambda array: f"{array.shape} {array.dtype}",
+)  # fmt: skip
+def test_tables_are_no_pictures(tmp_path: Path, array: Any) -> None:
+    """Poses and masks that lie beside pictures."""
+    path = saved(tmp_path / "a.npy", array)
+    assert kind_of(path) is None
+    assert is_table(path)
+    with pytest.raises(FactoryError, match=r"a.npy: an array .* holds no pictures; expected"):
+        read_picture(path)
+    with pytest.raises(FactoryError, match="holds no picture "):
+        open_recording(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("array", "words"),
+    [
+        (np.full((20, 20), 3.5), "from 0 to 1, these are 3.5 to 3.5; scale them"),
+        (np.full((20, 20), -40.0), "from 0 to 1, these are -40 to -40; scale them"),
+        (np.full((20, 20), np.nan), "holds NaN; set what was not measured to 0"),
+        (np.full((20, 20), 1e300), "from 0 to 1, these are inf to inf"),
+        (np.zeros((20, 20), np.int32), "pixels are int32; expected uint8, uint16, float32"),
+    ],
+)
+def test_values_that_are_no_grey_values(tmp_path: Path, array: Any, words: str) -> None:
+    with pytest.raises(FactoryError, match=f"a.npy: .*{words}"):
+        read_grey(saved(tmp_path / "a.npy", array))
+    several = saved(tmp_path / "b.npy", np.stack([array, array]))
+    with open_recording(several) as recording, pytest.raises(FactoryError, match=words):
+        recording[1]
+
+
+def test_files_that_are_no_arrays(tmp_path: Path) -> None:
+    whole = saved(tmp_path / "whole.npy", pings(3, 30, 40)).read_bytes()
+    for content in (b"", b"hello", whole[:60], whole[:-1], b"\x93NUMPY\x09\x00" + whole[8:]):
+        path = tmp_path / "a.npy"
+        path.write_bytes(content)
+        with pytest.raises(FactoryError, match=r"a.npy: .*array"):
+            read_picture(path)
+    np.save(path, np.array([{1: 2}], dtype=object), allow_pickle=True)
+    with pytest.raises(FactoryError, match="not a readable file of arrays"):
+        read_picture(path)

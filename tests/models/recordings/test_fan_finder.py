@@ -1,0 +1,259 @@
+"""Fans found in pictures, against the geometry that the pictures were made with."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.models.recordings.fan.finder import FoundFan, find_fan
+from tests.models.recordings.fan_pictures import Grey, fan, preset
+from tests.models.recordings.screens import LEFT, TOP, screen
+from tests.project_files import ROOT
+
+DATA = ROOT.parent / "shared" / "data"
+WHITE = (255,)
+PRESETS = sorted(path.stem for path in (ROOT / "conf" / "sonar").glob("*.yaml"))
+
+
+def check(found: FoundFan | None, true: FanGeometry) -> None:
+    assert found is not None
+    fan = found.geometry
+    # Where the apex lies far outside, two pixels are less than an edge of whole pixels can tell.
+    apex_px = max(2.0, 0.0025 * true.far_px)
+    assert fan.apex_x_px == pytest.approx(true.apex_x_px, abs=apex_px)
+    assert fan.apex_y_px == pytest.approx(true.apex_y_px, abs=apex_px)
+    # A short edge is a staircase of few pixels: most of one at its end turns it by this much.
+    length_px = true.far_px - true.near_px
+    edge_deg = max(0.3, math.degrees(0.7 / length_px))
+    for found_rad, true_rad in (
+        (fan.azimuth_min_rad, true.azimuth_min_rad),
+        (fan.azimuth_max_rad, true.azimuth_max_rad),
+    ):
+        assert math.degrees(found_rad) == pytest.approx(math.degrees(true_rad), abs=edge_deg)
+    assert fan.x_scale == pytest.approx(true.x_scale, abs=0.01)
+    assert fan.near_px == pytest.approx(true.near_px, abs=max(6, 0.02 * true.far_px))
+    assert fan.far_px == pytest.approx(true.far_px, abs=apex_px + 0.5)
+    assert fan.azimuth_max_rad <= fan.sector_rad / 2 + 1e-9
+    assert 0.8 <= found.confidence <= 1
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_fans_of_our_devices(name: str) -> None:
+    for size in ((192, 192), (256, 256), (512, 512), (640, 400), (400, 768), (1024, 1024)):
+        sonar = preset(name, *size)
+        for near in (0.05, 0.3, 0.6):
+            for holes in (False, True):
+                grey, true = fan(sonar, near, holes)
+                check(find_fan(grey), true)
+
+
+@pytest.mark.parametrize("squeeze", [0.7, 0.8, 1.25])
+def test_a_squeezed_fan(squeeze: float) -> None:
+    grey, true = fan(preset("aris_explorer_3000", 600, 600), 0.3, False)
+    width = round(600 * squeeze)
+    narrow = cv2.resize(grey, (width, 600), interpolation=cv2.INTER_NEAREST)
+    found = find_fan(np.asarray(narrow))
+    assert found is not None
+    assert found.geometry.x_scale == pytest.approx(squeeze, rel=0.02)
+    assert found.geometry.apex_y_px == pytest.approx(true.apex_y_px, abs=2.5)
+    assert found.geometry.apex_x_px == pytest.approx((width - 1) / 2, abs=1)
+
+
+def test_what_happens_to_pictures_on_their_way() -> None:
+    """JPEG, text, other types, margins and sizes leave the fan where it is."""
+    grey, true = fan(preset("didson_hf", 300, 500), 0.2, False)
+    check(find_fan(grey), true)
+    check(find_fan(grey.astype(np.uint16) * 257), true)
+    check(find_fan((grey / 255).astype(np.float32)), true)
+    check(find_fan(np.stack([grey] * 3, axis=-1)), true)
+    for quality in (95, 75, 50):
+        done, content = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, quality])
+        assert done
+        check(find_fan(np.asarray(cv2.imdecode(content, cv2.IMREAD_GRAYSCALE))), true)
+    text = cv2.copyMakeBorder(grey, 40, 40, 30, 50, cv2.BORDER_CONSTANT)
+    cv2.putText(text, "2013-06-14 12:00:01", (3, 14), cv2.FONT_HERSHEY_SIMPLEX, 0.4, WHITE)
+    found = find_fan(np.asarray(text))
+    assert found is not None
+    assert found.geometry.apex_x_px == pytest.approx(true.apex_x_px + 30, abs=2)
+    assert found.geometry.apex_y_px == pytest.approx(true.apex_y_px + 40, abs=2)
+
+
+@pytest.mark.parametrize("page", [255, 190])
+@pytest.mark.parametrize("kind", ["png", "jpg", "framed"])
+def test_a_fan_on_a_bright_page(page: int, kind: str) -> None:
+    grey, geometry = fan(preset("didson_hf", 300, 400), 0.3, holes=False)
+    inside = geometry.maps(0, 0, *grey.shape)["sector"] > 0
+    shown = grey if kind == "framed" else np.where(inside, grey, page).astype(np.uint8)
+    shown = np.pad(shown, 30, constant_values=page)
+    if kind == "jpg":
+        _, content = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, 90])
+        shown = np.asarray(cv2.imdecode(content, cv2.IMREAD_GRAYSCALE), np.uint8)
+    found = find_fan(shown)
+    assert found is not None
+    assert found.geometry.apex_x_px == pytest.approx(geometry.apex_x_px + 30, abs=2)
+    assert found.geometry.sector_rad == pytest.approx(geometry.sector_rad, rel=0.03)
+    negative = find_fan(255 - np.pad(grey, 30))
+    assert negative is not None, "echoes that are dark on white"
+    assert negative.geometry.apex_x_px == pytest.approx(geometry.apex_x_px + 30, abs=2)
+    assert find_fan(np.full((300, 300), page, np.uint8)) is None
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+@pytest.mark.parametrize("name", ["didson_hf", "oculus_m1200d_hf"])
+def test_fans_whose_far_range_is_not_on_top(name: str, turns: int) -> None:
+    grey, true = fan(preset(name, 300, 400), 0.3, holes=False)
+    found = find_fan(np.rot90(grey, -turns))
+    assert found is not None
+    assert found.geometry.quarter_turns == turns
+    turned = found.geometry.turned(*np.rot90(grey, -turns).shape)
+    check(FoundFan(turned, found.confidence), true)
+    # Masks of objects are no fans, however they lie.
+    spot = np.zeros_like(grey)
+    spot[50:90, 60:110] = np.rot90(grey, turns)[:40, :50]
+    of_spot = find_fan(spot)
+    assert of_spot is None or of_spot.geometry.quarter_turns == 0
+
+
+@pytest.mark.parametrize("ground", [(0, 0, 0), (45, 45, 45), (80, 30, 10), (240, 240, 240)])
+@pytest.mark.parametrize("turns", [0, 1])
+def test_a_fan_on_a_screen(ground: tuple[int, int, int], turns: int) -> None:
+    grey, true = fan(preset("didson_hf", 300, 400), 0.3, holes=False)
+    shown = screen(grey, true.sector_mask(*grey.shape), ground)
+    if turns:
+        fans = np.rot90(grey, -turns)
+        shown = screen(fans, true.turned_back(turns, *fans.shape).sector_mask(*fans.shape), ground)
+    found = find_fan(shown)
+    assert found is not None
+    upright = found.geometry.turned(*shown.shape[:2])
+    assert upright.sector_rad == pytest.approx(true.sector_rad, rel=0.03)
+    # A bright page is taken a pixel wider, as JPEG rings there: a narrow fan's apex moves by six.
+    close = 4 if max(ground) < 200 else 7
+    assert upright.far_px == pytest.approx(true.far_px, abs=close)
+    assert found.geometry.quarter_turns == turns
+    if not turns:
+        assert upright.apex_x_px == pytest.approx(true.apex_x_px + LEFT, abs=2)
+        assert upright.apex_y_px == pytest.approx(true.apex_y_px + TOP, abs=close)
+
+
+@pytest.mark.parametrize("quality", [95, 80])
+def test_a_fan_on_a_screen_that_was_compressed(quality: int) -> None:
+    grey, true = fan(preset("didson_hf", 300, 400), 0.3, holes=False)
+    shown = screen(grey, true.sector_mask(*grey.shape), (45, 45, 45))
+    _, content = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    found = find_fan(np.asarray(cv2.imdecode(content, cv2.IMREAD_COLOR)))
+    assert found is not None
+    assert found.geometry.sector_rad == pytest.approx(true.sector_rad, rel=0.2)
+    assert found.geometry.apex_x_px == pytest.approx(true.apex_x_px + LEFT, abs=0.02 * true.far_px)
+    assert found.geometry.apex_y_px == pytest.approx(true.apex_y_px + TOP, abs=0.08 * true.far_px)
+
+
+def test_confidence_says_how_much_of_the_outline_is_seen() -> None:
+    grey, _ = fan(preset("oculus_m1200d_hf", 400, 400), 0.1, False)
+    whole = find_fan(grey)
+    assert whole is not None
+    assert whole.confidence > 0.95
+    dark = grey.copy()
+    dark[:, 300:] = 0
+    part = find_fan(dark)
+    assert part is None or part.confidence < whole.confidence
+
+
+def no_fans() -> dict[str, npt.NDArray[Any]]:
+    rng = np.random.default_rng(0)
+    noise = rng.rayleigh(60, (300, 400)).clip(1, 255).astype(np.uint8)
+    made: dict[str, Grey] = {
+        "noise": noise,
+        "nothing": np.zeros((300, 400), np.uint8),
+        "one pixel": np.zeros((300, 400), np.uint8),
+        "tiny": noise[:20, :20],
+        "a row": noise[:1],
+    }
+    made["one pixel"][100, 100] = 255
+    for name in ("letterbox", "disc", "ellipse", "triangle", "polar", "specks"):
+        made[name] = np.zeros((300, 400), np.uint8)
+    made["letterbox"][50:250, 60:340] = noise[50:250, 60:340]
+    cv2.circle(made["disc"], (200, 150), 120, WHITE, -1)
+    cv2.ellipse(made["ellipse"], (200, 150), (160, 90), 0, 0, 360, WHITE, -1)
+    corners = np.array([(50, 50), (350, 50), (200, 150)])
+    cv2.fillPoly(made["triangle"], [corners], WHITE)
+    made["polar"][80:] = noise[80:]
+    made["specks"][rng.random((300, 400)) < 0.01] = 200
+    return made
+
+
+def test_pictures_without_a_fan() -> None:
+    for name, picture in no_fans().items():
+        for turns in range(4):
+            turned = np.rot90(picture, turns)
+            assert find_fan(turned) is None, (name, turns)
+            assert find_fan(255 - turned) is None, (name, turns, "negative")
+
+
+def test_other_shapes_are_refused() -> None:
+    with pytest.raises(ValueError, match="shape"):
+        find_fan(np.zeros(5, np.uint8))
+
+
+@pytest.mark.skipif(not (DATA / "flsea-vi").is_dir(), reason="no shared data")
+def test_photographs_have_no_fan() -> None:
+    photos = [*DATA.glob("flsea-vi/**/imgs/*.tiff"), *DATA.glob("redwood/color/*.jpg")]
+    assert len(photos) >= 10
+    for photo in photos:
+        assert find_fan(np.asarray(cv2.imread(str(photo)))) is None
+
+
+def mdd_table() -> list[dict[str, str]]:
+    with (DATA / "mdd" / "fan_geometry.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.skipif(not (DATA / "mdd").is_dir(), reason="no shared data")
+def test_mdd() -> None:
+    rows = mdd_table()
+    assert len(rows) == 117
+    for row in rows:
+        picture = cv2.imread(str(DATA / "mdd" / "Images" / row["file"]), cv2.IMREAD_UNCHANGED)
+        found = find_fan(np.asarray(picture))
+        assert found is not None
+        fan = found.geometry
+        assert fan.apex_x_px == pytest.approx(float(row["apex_x"]), abs=2)
+        assert fan.apex_y_px == pytest.approx(float(row["apex_y"]), abs=2)
+        squeeze = {"A": 1.0, "B": 0.8}[row["config"]]
+        assert fan.x_scale == pytest.approx(squeeze, abs=0.01)
+        half_deg = math.degrees(math.atan(float(row["edge_slope"]) / squeeze))
+        for edge_rad in (-fan.azimuth_min_rad, fan.azimuth_max_rad):
+            assert math.degrees(edge_rad) == pytest.approx(half_deg, abs=0.3)
+        assert found.confidence > 0.95
+
+
+def groups() -> list[Path]:
+    return sorted(DATA.glob("mdd-groups/*/*.png"))
+
+
+@pytest.mark.skipif(not groups(), reason="no shared data")
+def test_mdd_groups() -> None:
+    for path in groups()[::4]:
+        found = find_fan(np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))
+        assert found is not None, path
+        fan = found.geometry
+        assert (fan.apex_x_px, fan.apex_y_px) == pytest.approx((159.5, 603), abs=2)
+        assert fan.x_scale == pytest.approx(1, abs=0.01)
+
+
+@pytest.mark.skipif(not (DATA / "didson").is_dir(), reason="no shared data")
+def test_didson_video() -> None:
+    capture = cv2.VideoCapture(str(DATA / "didson" / "lamprey1.avi"))
+    for _ in range(5):
+        found = find_fan(np.asarray(capture.read()[1]))
+        assert found is not None
+        # 400 pixels for the device's sector of 28.8 degrees make 804 for the range.
+        assert found.geometry.far_px == pytest.approx(804, abs=6)
+        assert math.degrees(found.geometry.sector_rad) == pytest.approx(28.8, abs=0.6)

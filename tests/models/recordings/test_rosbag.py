@@ -1,0 +1,295 @@
+"""Bags go in and out: frames as they were written, all else as it was."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.models.recordings import kind_of, open_recording
+from simnfnd.models.recordings.ros_messages import COMPRESSED, IMAGE, SONAR, typestore
+from simnfnd.models.recordings.rosbag import RosBag
+from tests.models.recordings.bag_files import (
+    START_NS,
+    STEP_NS,
+    compressed,
+    content,
+    image,
+    sonar,
+    write_bag,
+)
+from tests.models.recordings.mutations import MUTATIONS, mutated, use
+from tests.models.recordings.recording_files import pings
+
+CASES = [
+    ("a.bag", {}),
+    ("b.bag", {"compression": "bz2"}),
+    ("c", {}),
+    ("d", {"storage": "mcap", "compression": "file"}),
+    ("e", {"compression": "message"}),
+    ("f.mcap", {}),
+    ("g.db3", {}),
+]
+
+
+def version(name: str) -> int:
+    return 1 if name.endswith(".bag") else 2
+
+
+def sonar_bag(path: Path, samples: np.ndarray, how: Any = None, **options: Any) -> Path:
+    store = typestore(version(path.name))
+    messages = [sonar(store, number, one, **options) for number, one in enumerate(samples)]
+    return write_bag(path, {"/sonar": (SONAR, messages)}, **(how or {}))
+
+
+@pytest.mark.parametrize(("name", "how"), CASES)
+def test_a_bag_goes_in_and_out(tmp_path: Path, name: str, how: dict[str, str]) -> None:
+    given = pings(4, 20, 16)
+    path = sonar_bag(tmp_path / name, given, how)
+    out = tmp_path / "out" / name
+    with open_recording(path) as bag:
+        assert isinstance(bag, RosBag)
+        assert len(bag) == 4
+        frames = list(bag)
+        np.testing.assert_array_equal(np.stack([frame.samples for frame in frames]), given)
+        assert [frame.number for frame in frames] == [0, 1, 2, 3]
+        assert [frame.time_s for frame in frames] == [1.6e9 + k + 0.25 for k in range(4)]
+        beams = frames[0].beams
+        assert beams is not None
+        np.testing.assert_allclose(np.rad2deg(beams.azimuths_rad), np.linspace(-30, 30, 16))
+        assert (beams.range_min_m, beams.range_max_m) == pytest.approx((1, 5), abs=1e-6)
+        assert (frames[0].device.name, frames[0].device.frequency_khz) == ("sonar", 1200)
+        assert bag[2].number == 2  # by number: on, again, and back
+        np.testing.assert_array_equal(bag[2].samples, given[2])
+        np.testing.assert_array_equal(bag[0].samples, given[0])
+        bag.rewrite((frame.samples // 2 for frame in bag), out)
+    assert kind_of(out) == "rosbag"
+    assert [one.name for one in out.parent.iterdir()] == [name]
+    before, after = list(content(path)), list(content(out))
+    assert [one[:3] for one in before] == [one[:3] for one in after]
+    assert {one[2] for one in after} == {
+        START_NS + k * STEP_NS + s for k in range(4) for s in (0, 1)
+    }
+    for (topic, _, _, old), (_, _, _, new) in zip(before, after, strict=True):
+        if topic == "/sonar":
+            half = old.image.data // 2
+            np.testing.assert_array_equal(new.image.data, half)
+            old.image.data = new.image.data = None
+        assert repr(old) == repr(new)
+    assert _compressed(path) == _compressed(out)
+
+
+def _compressed(path: Path) -> list[str]:
+    """What a bag says of its compression."""
+    if path.suffix == ".bag":
+        return [kind for kind in ("bz2", "lz4") if f"compression={kind}" in str(path.read_bytes())]
+    text = (path / "metadata.yaml").read_text() if path.is_dir() else ""
+    return [line.strip() for line in text.splitlines() if "compression" in line]
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
+@pytest.mark.parametrize("big", [False, True])
+def test_samples_of_every_type_and_order(tmp_path: Path, dtype: str, big: bool) -> None:
+    given = pings(2, 20, 16).astype(dtype)
+    given = given / np.float32(255) if dtype == "float32" else given * given.dtype.type(1)
+    path = sonar_bag(tmp_path / "a.bag", given, big=big)
+    with RosBag(path) as bag:
+        frames = list(bag)
+        assert frames[0].samples.dtype == np.dtype(dtype)
+        np.testing.assert_array_equal(np.stack([frame.samples for frame in frames]), given)
+        bag.rewrite([frame.samples[::-1] for frame in frames], tmp_path / "b.bag")
+    with open_recording(tmp_path / "b.bag") as bag:
+        np.testing.assert_array_equal(bag[1].samples, given[1][::-1])
+
+
+def test_beams_go_from_left_to_right_whatever_the_sign_of_y(tmp_path: Path) -> None:
+    given = pings(1, 20, 16)
+    paths = [sonar_bag(tmp_path / f"{side}.bag", given, side=side) for side in (1, -1)]
+    right, left = (open_recording(path)[0] for path in paths)
+    assert right.beams is not None
+    assert left.beams is not None
+    np.testing.assert_allclose(left.beams.azimuths_rad, right.beams.azimuths_rad)
+    np.testing.assert_array_equal(left.samples, right.samples)
+
+
+PICTURES = [
+    ("mono8", np.uint8, (30, 20)),
+    ("mono16", np.uint16, (30, 20)),
+    ("32FC1", np.float32, (30, 20)),
+    ("rgb8", np.uint8, (30, 20, 3)),
+    ("bgra8", np.uint8, (30, 20, 4)),
+]
+
+
+@pytest.mark.parametrize(("encoding", "dtype", "shape"), PICTURES)
+def test_pictures_keep_encoding_and_padding(
+    tmp_path: Path, encoding: str, dtype: Any, shape: tuple[int, ...]
+) -> None:
+    given = np.random.default_rng(1).integers(0, 256, shape).astype(dtype)
+    given = given / np.float32(255) if encoding == "32FC1" else given
+    store = typestore(2)
+    messages = [image(store, 0, given, encoding, padding=8)]
+    path = write_bag(tmp_path / "a.mcap", {"/pictures": (IMAGE, messages)})
+    with RosBag(path) as bag:
+        frame = bag[0]
+        assert frame.beams is None
+        np.testing.assert_array_equal(frame.samples, given)
+        bag.rewrite([frame.samples[::-1]], tmp_path / "b.mcap")
+    with open_recording(tmp_path / "b.mcap") as bag:
+        np.testing.assert_array_equal(bag[0].samples, given[::-1])
+    (message,) = (m for topic, _, _, m in content(tmp_path / "b.mcap") if topic == "/pictures")
+    rows = message.data.reshape(30, -1)
+    assert (rows[:, -8:] == 77).all()
+    assert message.encoding == encoding
+
+
+@pytest.mark.parametrize(("suffix", "apart"), [(".png", 0), (".jpg", 3)])
+def test_compressed_pictures_stay_so(tmp_path: Path, suffix: str, apart: int) -> None:
+    smooth = np.add.outer(np.arange(40), np.arange(60)).astype(np.uint8)
+    messages = [compressed(typestore(1), 0, smooth, suffix)]
+    path = write_bag(tmp_path / "a.bag", {"/pictures": (COMPRESSED, messages)})
+    with RosBag(path) as bag:
+        assert np.abs(bag[0].samples.astype(int) - smooth).max() <= apart
+        bag.rewrite([smooth // 2], tmp_path / "b.bag")
+    with open_recording(tmp_path / "b.bag") as bag:
+        assert np.abs(bag[0].samples.astype(int) - smooth // 2).max() <= apart
+    messages = [m for topic, _, _, m in content(tmp_path / "b.bag") if topic == "/pictures"]
+    assert bytes(messages[0].data[:2]) == {".png": b"\x89P", ".jpg": b"\xff\xd8"}[suffix]
+
+
+def test_which_topics_are_frames(tmp_path: Path) -> None:
+    store = typestore(2)
+    pictures = [image(store, number, one) for number, one in enumerate(pings(3, 12, 8))]
+    both = {"/front": (IMAGE, pictures), "/back": (IMAGE, pictures[:2])}
+    path = write_bag(tmp_path / "a.mcap", both)
+    with pytest.raises(FactoryError, match=r"several topics \(/front, /back\); say with --topic"):
+        open_recording(path)
+    assert len(RosBag(path, ["/back"])) == 2
+    assert len(RosBag(path, ["/back", "/front"])) == 5
+    with pytest.raises(
+        FactoryError, match=r"no pictures on the topic /notes; it has /front, /back"
+    ):
+        RosBag(path, ["/notes"])
+    sonars = [sonar(store, 0, pings(1, 12, 8)[0])]
+    path = write_bag(tmp_path / "b.mcap", {**both, "/sonar": (SONAR, sonars)})
+    with RosBag(path) as bag:
+        assert bag.topics == ("/sonar",)
+    path = write_bag(tmp_path / "c.mcap", {"/only": ("std_msgs/msg/String", [])})
+    with pytest.raises(FactoryError, match="holds no topic with pictures"):
+        open_recording(path)
+
+
+def test_types_that_nobody_knows_are_copied_and_never_run(tmp_path: Path) -> None:
+    from rosbags.rosbag1 import Reader, Writer
+
+    store, odd = typestore(1), "int32 a\n__import__('os').abort()\n"
+    with Writer(tmp_path / "a.bag") as writer:
+        other = writer.add_connection("/odd", "my_msgs/msg/Odd", msgdef=odd, md5sum="0" * 32)
+        pictures = writer.add_connection("/sonar", SONAR, typestore=store)
+        writer.write(other, 5, b"abc")
+        message = sonar(store, 0, pings(1, 12, 8)[0])
+        writer.write(pictures, 6, store.serialize_ros1(message, SONAR))
+    with RosBag(tmp_path / "a.bag") as bag:
+        bag.rewrite([bag[0].samples], tmp_path / "b.bag")
+    with Reader(tmp_path / "b.bag") as reader:
+        found = [(one.topic, one.msgdef.data, time, data) for one, time, data in reader.messages()]
+        assert found[0] == ("/odd", odd, 5, b"abc")
+
+
+def test_another_type_of_the_same_name_is_refused(tmp_path: Path) -> None:
+    from rosbags.rosbag1 import Writer
+
+    with Writer(tmp_path / "a.bag") as writer:
+        one = writer.add_connection("/sonar", SONAR, msgdef="int32 a\n", md5sum="1" * 32)
+        writer.write(one, 5, b"abcd")
+    with pytest.raises(FactoryError, match=r"/sonar has another .* fingerprint is 1111"):
+        open_recording(tmp_path / "a.bag")
+
+
+def test_what_a_message_says_must_fit(tmp_path: Path) -> None:
+    store, given = typestore(1), pings(1, 12, 8)[0]
+
+    def opened(message: Any, kind: str = SONAR) -> None:
+        path = tmp_path / "a.bag"
+        path.unlink(missing_ok=True)
+        with open_recording(write_bag(path, {"/p": (kind, [message])})) as bag:
+            list(bag)
+
+    message = sonar(store, 0, given)
+    message.image.dtype = 4
+    with pytest.raises(FrameError, match=r"message 0 of /p has samples of type 4"):
+        opened(message)
+    message = sonar(store, 0, given)
+    message.ranges = message.ranges**2
+    with pytest.raises(FrameError, match="ranges that do not ascend evenly"):
+        opened(message)
+    message = sonar(store, 0, given)
+    message.beam_directions = message.beam_directions[::2]
+    with pytest.raises(FrameError, match="8 beams and 4 directions"):
+        opened(message)
+    message = image(store, 0, given, "bayer_rggb8")
+    with pytest.raises(FrameError, match=r"the encoding 'bayer_rggb8', which cannot be denoised"):
+        opened(message, IMAGE)
+    message = compressed(store, 0, given)
+    message.data = message.data[8:]
+    with pytest.raises(FrameError, match=r"compressed as 'png'; JPEG and PNG can be read"):
+        opened(message, COMPRESSED)
+
+
+def test_samples_must_fit_the_bag(tmp_path: Path) -> None:
+    path = sonar_bag(tmp_path / "a.bag", pings(2, 20, 16))
+    with open_recording(path) as bag:
+        assert isinstance(bag, RosBag)
+        samples = [frame.samples for frame in bag]
+        for wrong, why in (
+            (samples[:1], "more frames"),
+            ([*samples, samples[0]], "fewer frames"),
+            ([one.T for one in samples], "samples are uint8"),
+            ([one.astype(np.float32) for one in samples], "samples are float32"),
+        ):
+            with pytest.raises(ValueError, match=why):
+                bag.rewrite(wrong, tmp_path / "b.bag")
+        (tmp_path / "there").mkdir()
+        with pytest.raises(FactoryError, match="is there already"):
+            bag.rewrite(samples, tmp_path / "there")
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["a.bag", "there"]
+
+
+def test_folders_with_odd_metadata(tmp_path: Path) -> None:
+    path = sonar_bag(tmp_path / "a", pings(2, 12, 8), {"storage": "mcap"})
+    metadata = path / "metadata.yaml"
+    whole = metadata.read_bytes()
+    secret = tmp_path / "secret.mcap"
+    secret.write_bytes(b"")
+    metadata.write_bytes(whole.replace(b"- a.mcap", b"- ../secret.mcap"))
+    with pytest.raises(FactoryError, match=r"files are missing"):
+        open_recording(path)
+    metadata.write_bytes(whole.replace(b"message_count: 2", b"message_count: 99"))
+    with open_recording(path) as bag:
+        assert len(list(bag)) == 2
+        assert "ends after 2 of 99 frames" in bag.warning
+        with pytest.raises(FrameError, match="ends before frame 5"):
+            bag[5]
+    rng = np.random.default_rng(4)
+    refused = 0
+    for number in range(MUTATIONS // 4):
+        metadata.write_bytes(mutated(whole, rng))
+        try:
+            use(path, again=False)
+        except FactoryError as error:
+            refused += 1
+            text = str(error)
+            assert "\n" not in text, number
+            assert str(path) in text
+    assert refused > 10
+
+
+def test_without_rosbags_the_cure_is_named(monkeypatch, tmp_path: Path) -> None:
+    path = sonar_bag(tmp_path / "a.bag", pings(1, 12, 8))
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    with pytest.raises(FactoryError, match=r"needs rosbags: pip install 'simnfnd\[ros\]'"):
+        open_recording(path)
