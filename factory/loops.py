@@ -9,6 +9,7 @@ from .progress import stage_if_slow
 LOOPS = (
     "simnfnd.factory.dataset.describe.window_loops",
     "simnfnd.factory.dataset.write.checksum_loops",
+    "simnfnd.factory.elementary",
     "simnfnd.factory.imaging.coherent.cells.cell_loops",
     "simnfnd.factory.imaging.coherent.display_loops",
     "simnfnd.factory.imaging.coherent.kernels",
@@ -21,19 +22,9 @@ LOOPS = (
     "simnfnd.factory.render.cloud.planes",
     "simnfnd.factory.render.shading",
     "simnfnd.factory.render.traced",
-    "simnfnd.factory.scenes.seabed.loops.colour_loops",
-    "simnfnd.factory.scenes.seabed.loops.field_loops",
-    "simnfnd.factory.scenes.seabed.loops.ground_loops",
-    "simnfnd.factory.scenes.seabed.loops.light_loops",
-    "simnfnd.factory.scenes.seabed.objects.mesh_loops",
-    "simnfnd.factory.scenes.seabed.loops.picture_loops",
-    "simnfnd.factory.scenes.seabed.loops.raster_loops",
-    "simnfnd.factory.scenes.seabed.loops.surface_loops",
-    "simnfnd.factory.scenes.seabed.loops.texture_loops",
-    "simnfnd.factory.scenes.seabed.loops.viewpoint_loops",
+    "simnfnd.factory.scenes.seabed.kernels",
     "simnfnd.factory.sonar.echo_loops",
     "simnfnd.models.recordings.fan.loops",
-    "simnfnd.factory.sonar.number_loops",
     "simnfnd.factory.sonar.picture_loops",
 )
 

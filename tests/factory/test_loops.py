@@ -265,12 +265,12 @@ def test_full_scale_is_a_percentile_of_the_echoing_bins() -> None:
 
 
 def test_half_normal_is_the_inverse_of_its_distribution() -> None:
-    from simnfnd.factory.sonar import number_loops
+    from simnfnd.factory import elementary
 
     lot = np.random.default_rng(0).random(100_000, dtype=np.float32)
     lot[:3] = 0, 2**-24, 1 - 2**-24  # the least and the most there is
     size = np.empty_like(lot)
-    number_loops.half_normal(lot, size)
+    elementary.half_normal(lot, size)
     expected = np.sqrt(2) * special.erfinv(lot.astype(np.float64))
     np.testing.assert_allclose(size, expected, rtol=1e-6)
 
