@@ -52,7 +52,7 @@ def _verb(name: str, verb: Verb) -> Iterator[str]:
 
 def _anchor(name: str) -> str:
     """Of the part of the page of keys; verbs that share settings share it."""
-    known = {"demo": "make", "evaluate tune": "evaluate", "campaign table": "campaign"}
+    known = {"demo": "make", "evaluate tune": "evaluate"}
     return "simnfnd-" + known.get(name, name).replace(" ", "-")
 
 

@@ -37,14 +37,7 @@ def parts() -> Iterator[tuple[str, list[Part]]]:
         ("evaluate", "evaluation", "simnfnd.evaluation.settings", "EvaluationSettings"),
         ("evaluate real", "real", "simnfnd.evaluation.real.settings", "RealSettings"),
         ("evaluate realism", "realism", "simnfnd.evaluation.realism.settings", "RealismSettings"),
-        (
-            "evaluate downstream",
-            "downstream",
-            "simnfnd.evaluation.downstream.settings",
-            "DownstreamSettings",
-        ),
         ("evaluate fit", "fit", "simnfnd.evaluation.calibrate.settings", "FitSettings"),
-        ("campaign", "campaign", "simnfnd.evaluation.campaign.settings", "CampaignSettings"),
     ):
         kind = getattr(import_module(module), settings)
         said = conf_comments((f"{name}.yaml", ""))
