@@ -44,7 +44,7 @@ def run_tune(config: DictConfig) -> None:
     """Tune the baselines on validation pairs."""
     settings = settings_of(config)
     from ..factory.scheduler.workers.tasks import TaskPool
-    from .methods import tuning
+    from . import tuning
     from .methods.method import baselines_of
 
     with TaskPool(settings.workers) as pool:

@@ -203,7 +203,7 @@ VERBS: dict[str, Verb] = {
             "simnfnd evaluate dataset=outputs/demo baselines=[all] models=[outputs/models/nafnet]",
             "simnfnd evaluate dataset=outputs/demo \"pictures=[{name: mine, dir: outputs/mine}]\"",
         ),
-        needs=("pyarrow", "skimage", *_SONAR), hydra=True, config="evaluation",
+        needs=("pandas", "skimage", *_SONAR), hydra=True, config="evaluation",
         verbs={
             "tune": Verb(
                 JUDGE, "the best parameters of the classical filters first",
@@ -216,7 +216,7 @@ VERBS: dict[str, Verb] = {
                 "simnfnd.evaluation.compare:main",
                 ("simnfnd evaluate compare outputs/evaluation/a outputs/evaluation/b "
                  "--row-b noisy",),
-                needs=("pyarrow", *_SONAR),
+                needs=("pandas", *_SONAR),
             ),
             "real": Verb(
                 JUDGE, "what methods make of real pictures and recordings",
