@@ -16,7 +16,7 @@ from ..pretrained import find_weights
 if TYPE_CHECKING:
     from ..networks.network import Network
     from .clips import Found
-    from .objectives import BlindLesson, StillLesson
+    from .objectives import StillLesson
     from .simulated import Simulated
     from .tuning import Tuned
 
@@ -175,11 +175,9 @@ def _network(model: Mapping[str, Any], trained: Network) -> Network:
     return channels_last(network).eval()
 
 
-def _lesson(
-    found: Found, chosen: Any, device: str
-) -> tuple[StillLesson | BlindLesson, dict[str, Any]]:
+def _lesson(found: Found, chosen: Any, device: str) -> tuple[StillLesson, dict[str, Any]]:
     """What there is to learn from in the recordings, and facts about it."""
-    from .objectives import BlindLesson, StillLesson
+    from .objectives import StillLesson
     from .still import find_lessons
 
     read = sum(len(clip.shots) for clip in found.clips)
@@ -191,10 +189,10 @@ def _lesson(
     share = f"{read} of {found.frames}" if read < found.frames else f"{read}"
     lessons = find_lessons(found.clips)
     if lessons is None:
-        shots = [shot for clip in found.clips for shot in clip.shots]
-        blind = BlindLesson(shots, chosen.batch, chosen.seed, device)
-        print(f"nothing stands still in {share} frames: single pixels are foretold (blind spots)")
-        return blind, {"adapted.by": "blind spots", "adapted.frames": len(blind.shots)}
+        raise FactoryError(
+            f"{found.clips[0].name}: nothing stands still in {share} frames, so no mean of other "
+            "frames can be learned from; record a scene with the sonar at rest"
+        )
     still = StillLesson(lessons, chosen.batch, chosen.seed, device, chosen.untold)
     learning, held = (
         sum(len(one.frames) for one in part) for part in (lessons.learning, lessons.held)
@@ -219,13 +217,9 @@ def _simulated(chosen: Any) -> Simulated:
     return of_reliefs(chosen.seed)
 
 
-def _said(lesson: StillLesson | BlindLesson, tuned: Tuned) -> str:
-    from .objectives import StillLesson
-
+def _said(lesson: StillLesson, tuned: Tuned) -> str:
     figures = f"before {tuned.before:.2f}, after {tuned.after:.2f} dB"
-    if isinstance(lesson, StillLesson):
-        worse = tuned.after < lesson.noisy
-        return f"frames held out, PSNR after levels: noisy {lesson.noisy:.2f}, {figures}" + (
-            "\nthat is less than the frames as they are; more --minutes may help" if worse else ""
-        )
-    return f"hidden pixels of frames held out, foretold: {figures}"
+    worse = tuned.after < lesson.noisy
+    return f"frames held out, PSNR after levels: noisy {lesson.noisy:.2f}, {figures}" + (
+        "\nthat is less than the frames as they are; more --minutes may help" if worse else ""
+    )

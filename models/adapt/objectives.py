@@ -1,8 +1,6 @@
 """What weights are fitted to, and how it is measured whether they have become better by it.
 
 - `StillLesson`: stretches in which the scene stands still: the mean of the other frames.
-- `BlindLesson`: frames of any kind: pixels are predicted from their surroundings
-  (`simnfnd.models.training.blind_spots`).
 - `KeptLesson`: simulated pictures, so that nothing is forgotten.
 """
 
@@ -20,21 +18,15 @@ from ...factory.seeds import stream
 from ..data.crops import concatenate, whole_image_batch
 from ..data.pairs import Batch, Image, Sample
 from ..networks.network import Network, known_extras
-from ..training.blind_spots import log_scale, mask_blind_spots
 from ..training.samples import denoise_batch
-from .clips import Shot
 from .crops import crop, crop_size
 from .score import psnr_after_levels
 from .simulated import Simulated
 from .still import Lessons, Still
 
 _MOST_MEASURED = 4
-_VALIDATION = -1
 
 T = TypeVar("T")
-
-# As conf/data/self_supervised.yaml has them.
-_LOG_GAIN, _MASKED, _RADIUS = 20.0, 0.01, 2
 
 
 class Lesson(Protocol):
@@ -102,57 +94,6 @@ class StillLesson:
     def noisy(self) -> float:
         """The figure of the frames as they are."""
         return float(np.mean([psnr_after_levels(frame, target) for frame, target, _ in self._held]))
-
-
-class BlindLesson:
-    """Frames alone, the last fifth held out; a `Lesson`."""
-
-    unit = "dB of pixels foretold"
-
-    def __init__(self, shots: Sequence[Shot], batch: int, seed: int, device: str = "cpu") -> None:
-        """shots: two or more."""
-        self.batch, self.seed, self.device = batch, seed, device
-        count = max(1, len(shots) // 5)
-        self.shots, held = list(shots[:-count]), list(shots[-count:])
-        self._held = _spread(held)
-
-    def loss(self, network: Network, step: int) -> Tensor:
-        """See `Lesson`."""
-        rng = stream(self.seed, "adapt", "blind", step)
-        shot = self.shots[int(rng.integers(len(self.shots)))]
-        size = crop_size(*shot.grey.shape)
-        batch = _on(
-            self.device,
-            concatenate([self._crop(shot, size, network, rng) for _ in range(self.batch)]),
-        )
-        return self._foretold(network, batch, rng)
-
-    def figure(self, network: Network) -> float:
-        """How well hidden pixels of the frames held out are foretold, dB on the log scale."""
-        losses = []
-        for number, shot in enumerate(self._held):
-            rng = stream(self.seed, "adapt", "blind", _VALIDATION, number)
-            batch = whole_image_batch(_hidden(shot), network.extras)
-            with torch.inference_mode():
-                loss = self._foretold(network, _on(self.device, batch), rng)
-            losses.append(float(loss))
-        return float(-10 * np.log10(max(float(np.mean(losses)), 1e-10)))
-
-    def _crop(
-        self, shot: Shot, size: tuple[int, int], network: Network, rng: np.random.Generator
-    ) -> Batch:
-        sample = _hidden(shot)
-        assert sample.clean is not None
-        return crop(sample.noisy, sample.clean, sample.geometry, size, network.extras, rng)
-
-    def _foretold(self, network: Network, batch: Batch, rng: np.random.Generator) -> Tensor:
-        noisy = batch["noisy"]
-        hidden, chosen = mask_blind_spots(noisy, rng, _MASKED, _RADIUS)
-        chosen = chosen * torch.isfinite(batch["clean"])
-        extras = known_extras(network, batch)
-        difference = log_scale(network(hidden, **extras), _LOG_GAIN) - log_scale(noisy, _LOG_GAIN)
-        loss: Tensor = (difference.square() * chosen).sum() / chosen.sum().clamp_min(1)
-        return loss
 
 
 class KeptLesson:
@@ -239,11 +180,6 @@ def _error(picture: Image, sample: Sample) -> float:
     """Mean squared difference to the clean picture."""
     assert sample.clean is not None
     return float(np.square(picture - sample.clean).mean())
-
-
-def _hidden(shot: Shot) -> Sample:
-    """A frame that is its own target inside the sector."""
-    return Sample(shot.grey, np.where(shot.sector, shot.grey, np.nan), None, shot.geometry)
 
 
 def _on(device: str, batch: Batch) -> Batch:

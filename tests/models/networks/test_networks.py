@@ -148,7 +148,6 @@ def test_a_description_that_makes_no_sense_is_refused(tmp_path: Path, model: Any
         ("ap_bsn", {"passes": 8}, r"model\.passes"),
         ("dgp_srgan", {"penalty": -1}, r"model\.penalty"),
         ("three_stage", {"width": 2}, r"model\.width"),
-        ("kdlae", {"frames": 4}, "frames must be odd"),
         ("kdlae", {"widths": [8]}, "two resolutions or more"),
         ("kdlae", {"channels": 3}, r"model\.channels"),
     ],

@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from simnfnd.factory.settings import build
 from simnfnd.models.losses import build_loss
-from simnfnd.models.networks.three_stage import (
+from simnfnd.models.networks.literature.three_stage import (
     ThreeStage,
     join_columns,
     join_rows,

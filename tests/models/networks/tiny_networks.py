@@ -16,7 +16,6 @@ TINY: dict[str, dict[str, Any]] = {
         **{"width": 8, "blocks": 2, "critic_width": 4},
         **{"adversarial": 0.001, "penalty": 10.0},
     },
-    "kdlae": {"frames": 3, "widths": [8, 8], "blocks": 1},
     "nafnet": {"width": 4, "encoder": [1, 1], "middle": 1, "decoder": [1, 1]},
     "restormer": {
         **{"width": 8, "blocks": [1, 1, 1], "refinement": 1},

@@ -14,8 +14,8 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
-from ...factory.settings import STRICT
-from .network import Network
+from ....factory.settings import STRICT
+from ..network import Network
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -20,9 +20,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.parametrizations import spectral_norm
 
-from ...factory.settings import STRICT
-from .network import LayerNorm, Network, Pointwise, down_and_up
-from .unet import residual_blocks
+from ....factory.settings import STRICT
+from ..network import LayerNorm, Network, Pointwise, down_and_up
+from ..unet import residual_blocks
 
 NotNegative = Annotated[float, Field(ge=0)]
 _DOWNSAMPLINGS = 3

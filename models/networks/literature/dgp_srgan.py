@@ -18,8 +18,8 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
-from ...factory.settings import STRICT
-from .network import Network
+from ....factory.settings import STRICT
+from ..network import Network
 
 NotNegative = Annotated[float, Field(ge=0)]
 _HALVINGS = 3

@@ -21,8 +21,8 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
-from ...factory.settings import STRICT
-from .network import Network, Pointwise
+from ....factory.settings import STRICT
+from ..network import Network, Pointwise
 
 _LEVELS = 3
 _REDUCTION = 4
