@@ -71,7 +71,7 @@ class Crops(Dataset[Batch]):
             top = int(rng.integers(height - shape[0] + 1))
             left = int(rng.integers(width - shape[1] + 1))
             flip = self.flip and rng.random() < 0.5
-            parts.append(_crop(sample, (top, left), shape, flip, self.extras))
+            parts.append(crop(sample, (top, left), shape, flip, self.extras))
         return concatenate(parts)
 
 
@@ -100,13 +100,14 @@ def whole_image_batch(sample: Sample, extras: Sequence[str] = ()) -> Batch:
     return batch | _told(sample, extras)
 
 
-def _crop(
+def crop(
     sample: Sample,
     corner: tuple[int, int],
     shape: tuple[int, int],
     flip: bool,
-    extras: Sequence[str],
+    extras: Sequence[str] = (),
 ) -> Batch:
+    """A batch of one of `shape` (rows, columns) from `corner` on, mirrored left to right or not."""
     (top, left), (height, width) = corner, shape
     window = np.s_[top : top + height, left : left + width]
     step = -1 if flip else 1

@@ -78,7 +78,7 @@ def test_every_stage_is_taught() -> None:
     loss = build_loss({"kind": "l1"})
     module = DenoisingModule(network, loss, settings)
     noisy, clean = torch.rand(2, 2, 1, 16, 16)
-    found = module.compute_loss({"noisy": noisy, "clean": clean}, 0)
+    found = module({"noisy": noisy, "clean": clean})
     expected = [functional.l1_loss(stage, clean) for stage in network.with_stages(noisy)]
     torch.testing.assert_close(found, torch.stack(expected).mean())
     found.backward()

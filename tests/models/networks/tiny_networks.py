@@ -10,7 +10,6 @@ from simnfnd.models.networks import build_network
 from simnfnd.models.networks.network import Network
 
 TINY: dict[str, dict[str, Any]] = {
-    "ap_bsn": {"width": 8, "modules": 1, "train_stride": 2, "use_stride": 1, "passes": 2},
     "dae": {"widths": [8, 16]},
     "dgp_srgan": {
         **{"width": 8, "blocks": 2, "critic_width": 4},
