@@ -102,14 +102,14 @@ VERBS: dict[str, Verb] = {
         ("simnfnd failed outputs/flsea", "simnfnd failed outputs/flsea --rerun"),
     ),
     "preview": Verb(
-        LOOK, "contact sheet of a dataset or recording", f"{_COMMANDS}.preview:main",
+        LOOK, "contact sheet of a dataset or recording", "simnfnd.evaluation.viewer.preview:main",
         (
             "simnfnd preview outputs/demo --out outputs/sheet.png --pairs 4",
             "simnfnd preview dive.aris --out outputs/dive.png",
         ),
     ),
     "view": Verb(
-        LOOK, "a dataset or recording in the browser, before and after", f"{_COMMANDS}.view:main",
+        LOOK, "a dataset or recording in the browser, before and after", "simnfnd.evaluation.viewer.command:main",
         ("simnfnd view outputs/demo", "simnfnd view dive.aris outputs/denoised/dive.aris"),
     ),
     "inspect": Verb(

@@ -8,16 +8,13 @@ what differs between machines.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.report import Options, Section, Table
-from benchmarks.shared import cpu_seconds, frame_words, write_pair
+from benchmarks.shared import Options, Section, Table, cpu_seconds, frame_words
 from simnfnd.factory import pairs, seeds
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.imaging import resample
@@ -26,8 +23,6 @@ from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.render import open_renderer
 from simnfnd.factory.render.cloud import back_project
 from simnfnd.factory.render.view import decode, encode, view_of
-from simnfnd.factory.sample_table.record import columns as sample_columns
-from simnfnd.factory.sample_table.record import image_axes
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.sonar import polar, transfer
 from simnfnd.factory.sonar.echoes import join
@@ -39,11 +34,10 @@ REPEATS = 9
 
 def measure(options: Options) -> Section:
     """Time every stage."""
-    with tempfile.TemporaryDirectory() as name:
-        return Section((_table(Path(name), options),))
+    return Section((_table(options),))
 
 
-def _table(folder: Path, options: Options) -> Table:
+def _table(options: Options) -> Table:
     config = compose_config(["render=embree", *frame_words(options.frame)])
     repeats = options.amount(REPEATS)
     sonar = config.sonar
@@ -62,10 +56,9 @@ def _table(folder: Path, options: Options) -> Table:
     full_scale = transfer.full_scale(level, sonar.transfer)
     grey = transfer.grey(level, full_scale, sonar.transfer)
     table = fan_table(sonar, window.near_fraction)
-    pair = pairs.make_pair(observed, 0, config)
 
     view = view_of(frame, rendered, sonar.mount)
-    packed, axes, columns = encode(view), image_axes(sonar), sample_columns(config.noise)
+    packed = encode(view)
 
     stages: dict[str, Callable[[], Any]] = {
         "load the frame (decode, or build the scene)": lambda: reader.load(ref),
@@ -86,7 +79,6 @@ def _table(folder: Path, options: Options) -> Table:
         "point-spread": lambda: polar.spread_points(level, sonar),
         "grey values": lambda: transfer.grey(level, full_scale, sonar.transfer),
         "fan, bilinear": lambda: table.bilinear(grey),
-        "shard of one pair, gzip-1": lambda: write_pair(pair, axes, columns, folder),
         "**make_pair, all of it**": lambda: pairs.make_pair(observed, 0, config),
     }
     plain = cpu_seconds(lambda: np.stack([cloud.range_m, cloud.azimuth_rad]).copy(), repeats)
@@ -95,5 +87,5 @@ def _table(folder: Path, options: Options) -> Table:
         for name, spent in ((name, cpu_seconds(one, repeats)) for name, one in stages.items())
     )
     note = f"{len(echoes)} echoes, {len(cloud)} points in the noisy cloud."
-    columns_ = ("stage", "times one plain pass", "CPU ms")
-    return Table(columns_, rows, note=note, bars="CPU ms")
+    columns = ("stage", "times one plain pass", "CPU ms")
+    return Table(columns, rows, note=note)

@@ -16,14 +16,27 @@ from statistics import median
 import numpy as np
 from PIL import Image
 
-from benchmarks.making.bench_pair import LITERAL, PICTURES, literal
-from benchmarks.report import Cell, Options, Section, Table
-from benchmarks.shared import frame_words, in_own_process, run_factory
+from benchmarks.literal import LiteralRecipe
+from benchmarks.shared import (
+    Cell,
+    Options,
+    Section,
+    Table,
+    cpu_seconds,
+    frame_words,
+    in_own_process,
+    quiet,
+    run_command,
+)
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.scenes import open_reader
 
 # Single runs differ by a tenth of a second: by a tenth of what a further frame costs.
 TURNS = 3
+PICTURES = (
+    *("sonar.beams=512", "sonar.range_bins=512"),
+    *("sonar.image.width_px=512", "sonar.image.height_px=512"),
+)
 RENDERERS = ("analytic", "embree", "cycles")
 # One worker, for two would wait for each other's memory; a preview is paid once a run.
 ONE = ("scheduler.workers=1", "dataset.preview_pairs=0")
@@ -50,25 +63,19 @@ def measure(options: Options) -> Section:
             tables.append(
                 _table(title, options.frame, words, (few, many), folder / "read", options)
             )
-    return Section(tuple(tables), "")
+    return Section(tables)
 
 
 def _table(
     title: str, root: str, words: list[str], counts: tuple[int, int], folder: Path, options: Options
 ) -> Table:
-    recipe = in_own_process(literal, [*frame_words(root), *PICTURES], options.amount(3)).cpu
-    rows: list[tuple[Cell, ...]] = [(LITERAL, 1.0, recipe, "")]
+    recipe = in_own_process(literal, [*frame_words(root), *PICTURES], options.amount(3))
+    rows: list[tuple[Cell, ...]] = [("literal recipe", 1.0, recipe, "")]
     # Not counted: the first run of a machine compiles the loops.
-    run_factory(
-        [
-            *words,
-            *ONE,
-            "render=analytic",
-            "frames.limit=1",
-            f"cache.dir={folder / 'no cache'}",
-            f"dataset.dir={folder / 'no'}",
-        ]
-    )
+    run_command(
+        "make", *words, *ONE, "render=analytic", "frames.limit=1",
+        f"cache.dir={folder / 'no cache'}", f"dataset.dir={folder / 'no'}",
+    )  # fmt: skip
     for renderer in RENDERERS:
         how = [*words, *PICTURES, *ONE, f"render={renderer}"]
         for state in ("cold", "warm"):
@@ -79,13 +86,22 @@ def _table(
                     kept = folder / renderer / str(count) / str(turn)
                     # A warm run has the cache of the cold one before it.
                     places = [f"cache.dir={kept / 'cache'}", f"dataset.dir={kept / state}"]
-                    times.append(run_factory([*how, f"frames.limit={count}", *places]).cpu)
+                    times.append(run_command("make", *how, f"frames.limit={count}", *places).cpu)
                 spent.append(median(times))
             (less, more), (few, many) = spent, counts
             frame = (more - less) / (many - few)
             rows.append((f"{renderer}, {state}", recipe / frame, frame, less - few * frame))
     columns = ("through the command", "times less CPU", "CPU s a further frame", "CPU s of a run")
-    return Table(columns, tuple(rows), title, bars="times less CPU")
+    return Table(columns, tuple(rows), title)
+
+
+def literal(words: list[str], repeats: int) -> float:
+    """CPU seconds of the paper's recipe for one frame."""
+    reader = open_reader(compose_config(words).scenes)
+    frame = reader.load(reader.discover().frames[0])
+    with tempfile.TemporaryDirectory() as folder, quiet():
+        recipe = LiteralRecipe(Path(folder))
+        return cpu_seconds(lambda: recipe.pair(frame), repeats)
 
 
 def copies(source: Path, target: Path, count: int) -> None:
