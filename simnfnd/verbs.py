@@ -109,7 +109,8 @@ VERBS: dict[str, Verb] = {
         ),
     ),
     "view": Verb(
-        LOOK, "a dataset or recording in the browser, before and after", "simnfnd.evaluation.viewer.command:main",
+        LOOK, "a dataset or recording in the browser, before and after",
+        "simnfnd.evaluation.viewer.command:main",
         ("simnfnd view outputs/demo", "simnfnd view dive.aris outputs/denoised/dive.aris"),
     ),
     "inspect": Verb(

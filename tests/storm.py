@@ -1,6 +1,6 @@
 """A run that everything happens to: its workers are killed at random, the run itself now and then.
 
-`python -m benchmarks.growth.storm DIR BACKEND DELAY_S SHARDS` is the run, with frames that cost
+`python -m tests.storm DIR BACKEND DELAY_S SHARDS` is the run, with frames that cost
 nothing but time, so that the storm is about the scheduler alone; `storm` is what happens to it.
 """
 
@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.memory import workers_of
 from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.failures import load_failures
@@ -23,6 +22,7 @@ from simnfnd.factory.scheduler.plan import plan_shards
 from simnfnd.factory.scheduler.run import make_dataset
 from simnfnd.factory.scheduler.settings import SchedulerSettings
 from tests.fake_source import FakeConfig, FakePreparer, GentleSource, refs, rerun
+from tests.worker_processes import workers_of
 
 FRAMES_PER_SHARD = 3
 KILLS = "reef/alpha/0004"
@@ -127,9 +127,9 @@ def _start(directory: Path, backend: str, delay_s: float, shards: int) -> subpro
     directory.parent.mkdir(parents=True, exist_ok=True)
     with (directory.parent / "errors.txt").open("a") as errors:
         return subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.growth.storm", *words],
+            [sys.executable, "-m", "tests.storm", *words],
             stderr=errors,
-            cwd=Path(__file__).parents[2],
+            cwd=Path(__file__).parents[1],
             start_new_session=True,
         )
 
