@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from .base import Gray
-from .bm3d import _alike, _all_blocks, _dct
+from ..base import Gray
+from ..bm3d import _alike, _all_blocks, _dct
 
 Floats = npt.NDArray[np.float32]
 

@@ -18,7 +18,7 @@ from functools import lru_cache, partial
 import numpy as np
 import numpy.typing as npt
 
-from .base import BaselineError, Gray
+from ..base import BaselineError, Gray
 from .logarithm import in_logarithm
 
 Floats = npt.NDArray[np.float32]

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from .base import Gray
+from ..base import Gray
 
 Floats = npt.NDArray[np.float32]
 

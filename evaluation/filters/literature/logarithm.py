@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from .base import Gray
+from ..base import Gray
 
 Floats = npt.NDArray[np.float32]
 

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import fft
 
-from .base import Gray
+from ..base import Gray
 
 Floats = npt.NDArray[np.float32]
 Spectra = npt.NDArray[np.complex64]

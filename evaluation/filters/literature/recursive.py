@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .base import Gray
+from ..base import Gray
 
 _FLOOR = 1 / 255  # one grey level: the logarithm of black
 

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from .base import Gray
-from .dualtree import Coefficients, Complex, forward, inverse
+from ..base import Gray
+from .dual_tree import Coefficients, Complex, forward, inverse
 from .logarithm import in_logarithm
 
 Floats = npt.NDArray[np.float32]
