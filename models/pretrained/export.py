@@ -24,7 +24,14 @@ if TYPE_CHECKING:
 LIMIT_MB = 8.0
 """What ships must be small enough to live in the repository."""
 
-_CARD = """# {name}
+_CARD = """---
+license: apache-2.0
+library_name: simnfnd
+pipeline_tag: image-to-image
+tags: [sonar, denoising, forward-looking-sonar]
+---
+
+# {name}
 
 A denoiser for forward-looking sonar pictures, made by `simnfnd train` of SimNFND {version}.
 `simnfnd denoise IN... --out DIR --weights {name}` uses it.
