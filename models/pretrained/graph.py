@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 import torch
@@ -31,6 +31,9 @@ class Graph(nn.Module):
     a picture was given, of networks that weigh it.
     """
 
+    tolerance: ClassVar[float] = 1e-4
+    """Largest difference from torch that is let through, in pictures of 0 to 1."""
+
     def __init__(self, network: Network, layout: Layout) -> None:
         """Raises FactoryError for a layout that the network has no use for."""
         super().__init__()
@@ -47,6 +50,13 @@ class Graph(nn.Module):
             setattr(network, "fan", layout == "fan")  # noqa: B010  (of sonarnet alone)
         # Without gradients and choices of training, as tracing keeps both.
         self.requires_grad_(False).eval()
+
+    @property
+    def axes(self) -> dict[str, dict[int, str]]:
+        """Name -> its dimensions of any size."""
+        pictures = [name for name in (*self.inputs, "denoised") if name != "remove"]
+        sizes = {0: "count", 2: "height", 3: "width"}
+        return {**{name: sizes for name in pictures}, "weight": {0: "count"}}
 
     def forward(self, noisy: Tensor, *told: Tensor) -> tuple[Tensor, ...]:
         """See the class."""
@@ -84,6 +94,11 @@ def described(graph: Graph) -> Mapping[str, str]:
         "azimuth_rad": "(N, 1, H, W) bearing of each pixel in radians, positive to the right",
         "sector": "(N, 1, H, W) 1 where the sonar measured, 0 elsewhere",
         "remove": f"(1, 6) 1 for each to remove of {', '.join(ARTEFACTS)}; usual: {usual}",
+        "frames": "(1, 1, H, W) log2 of the number of frames averaged, 0 for one",
+        "maps": "(1, 3, H, W) 2 range_fraction - 1, azimuth_rad, 1 - sector; 0, 0, -1 if unknown",
+        "beams": "(1, cells) beam of each cell at half the padded size; columns if unknown",
+        "arcs": "(1, cells) arc of each cell at half the padded size; rows if unknown",
+        "image": "(1, 1, H, W) the picture with the whole change",
         "denoised": "(N, 1, H, W) the picture denoised, 0 to 1",
         "weight": "(N) the part of its change that the picture was given, 0 to 1",
     }
