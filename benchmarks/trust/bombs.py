@@ -16,9 +16,9 @@ import numpy as np
 
 from simnfnd.factory.commands import failed, status
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.check.validate import validate
+from simnfnd.factory.dataset.validate import validate
 from simnfnd.factory.dataset.format.manifest import load_manifest
-from simnfnd.factory.dataset.read.config_file import dataset_settings
+from simnfnd.factory.dataset.read.source import dataset_settings
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.render import view as views
 from simnfnd.factory.render.cache.cache import Cache
