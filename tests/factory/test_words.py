@@ -11,7 +11,7 @@ from simnfnd.factory.cli.words import readable
 from tests.factory.cli_frames import FAST, ground, write_frame
 from tests.project_files import ROOT
 
-ROOTS = ("factory", "models", "evaluation", "real", "downstream", "realism", "fit", "campaign")
+ROOTS = ("factory", "models", "evaluation", "real", "realism", "fit")
 
 
 def said(monkeypatch, capfd, *words: str) -> str:

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.memory import workers_of
 from simnfnd.factory.dataset.format.manifest import load_manifest
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.plan import plan_shards
 from tests.factory.scheduler.run_files import failures, litter, shard_bytes, undisturbed_shards
 from tests.fake_source import BrokenSource, FakeConfig, LethalSource, refs
 from tests.run_fake import make
+from tests.worker_processes import workers_of
 
 
 @pytest.fixture(scope="module")

@@ -13,12 +13,12 @@ from collections import deque
 import psutil
 import pytest
 
-from benchmarks.memory import workers_of
 from simnfnd.factory.scheduler.workers import slot
 from simnfnd.factory.scheduler.workers.backends import open_backend
 from simnfnd.factory.scheduler.workers.contract import BackendName, Pool, WorkerSettings
 from simnfnd.factory.scheduler.workers.tasks import TaskLost, TaskPool
 from tests.project_files import ROOT
+from tests.worker_processes import workers_of
 
 HEAVY, LIGHT = Pool("heavy", 1, also_takes=("light",)), Pool("light", 1)
 
