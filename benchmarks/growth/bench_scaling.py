@@ -173,7 +173,7 @@ def _run(folder: Path, variants: int) -> tuple[float, float, float, float, int]:
 
 def manifest_row(shards: int) -> tuple[Cell, ...]:
     """Manifest and resume of a dataset of that many shards."""
-    from simnfnd.factory.scheduler.resume import take_up
+    from simnfnd.factory.scheduler.results import take_up
 
     clock = Laps()
     tasks = plan_shards({"train": [FrameRef("reef", "a", f"{n:07d}") for n in range(shards)]}, 1, 1)

@@ -16,7 +16,7 @@ from benchmarks.trust.bombs import BOMBS, PASSED_OVER
 from benchmarks.trust.flips import SHARD, flipped
 from benchmarks.trust.forged import forged
 from benchmarks.trust.guarded import answers
-from simnfnd.factory.commands import failed
+from simnfnd.factory.commands import status
 from simnfnd.factory.errors import FactoryError
 from tests.factory.dataset.hostile import whole
 
@@ -63,7 +63,7 @@ def _commands_run(base: Path) -> int:
         (root / "failed.jsonl").write_text(json.dumps({**line, "command": command}) + "\n")
         for words in ([str(root)], [str(root), "--rerun"]):
             with suppress(FactoryError):
-                failed.main(words)
+                status.main(words)
         ran += mark.exists()
     return ran
 

@@ -14,7 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from simnfnd.factory.commands import failed, status
+from simnfnd.factory.commands import status
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.check.validate import validate
 from simnfnd.factory.dataset.format.manifest import load_manifest
@@ -200,10 +200,10 @@ BOMBS: dict[str, tuple[Callable[[Path], None], Callable[[Path], Any]]] = {
     ),
     "failed.jsonl of numbers": (
         lambda f: _text(f, "failed.jsonl", b"[" + b"7777," * 26_000_000 + b"7]"),
-        lambda f: failed.main([str(f)]),
+        lambda f: status.main([str(f)]),
     ),
     "pipe as config.yaml": (lambda f: _pipe(f, "config.yaml"), dataset_settings),
-    "pipe as failed.jsonl": (lambda f: _pipe(f, "failed.jsonl"), lambda f: failed.main([str(f)])),
+    "pipe as failed.jsonl": (lambda f: _pipe(f, "failed.jsonl"), lambda f: status.main([str(f)])),
     "pipe as status.json": (lambda f: _pipe(f, "status.json"), lambda f: status.main([str(f)])),
     "pipe as .lock": (lambda f: _pipe(f, ".lock"), _hold),
     "pipe as a shard": (lambda f: _pipe(f, "train/shard-00000.h5"), _read),
