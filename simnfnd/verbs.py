@@ -46,7 +46,6 @@ MAKE, LOOK, PASS_ON, DENOISE, JUDGE = (
 _COMMANDS = "simnfnd.factory.commands"
 _SONAR = ("cv2", "scipy")
 _NETWORK = ("torch", "safetensors", *_SONAR)
-_BENCHMARK = ("skimage", "jinja2", *_SONAR)
 _TRAINING = ("torch", "lightning", "safetensors", "tensorboard", *_SONAR)
 
 
@@ -69,6 +68,7 @@ VERBS: dict[str, Verb] = {
             "scenes.intrinsics=[525,525,320,240]",
             "simnfnd make -m noise.background.density=0.1,0.5 resample.rate=0.1,0.3",
             "simnfnd make experiment=demo --cfg job",
+            "simnfnd make -m experiment=benchmark,benchmark_physical sonar.image.width_px=256,512",
         ),
         hydra=True, config="factory",
     ),
@@ -102,14 +102,15 @@ VERBS: dict[str, Verb] = {
         ),
     ),
     "preview": Verb(
-        LOOK, "contact sheet of a dataset or recording", f"{_COMMANDS}.preview:main",
+        LOOK, "contact sheet of a dataset or recording", "simnfnd.evaluation.viewer.preview:main",
         (
             "simnfnd preview outputs/demo --out outputs/sheet.png --pairs 4",
             "simnfnd preview dive.aris --out outputs/dive.png",
         ),
     ),
     "view": Verb(
-        LOOK, "a dataset or recording in the browser, before and after", f"{_COMMANDS}.view:main",
+        LOOK, "a dataset or recording in the browser, before and after",
+        "simnfnd.evaluation.viewer.command:main",
         ("simnfnd view outputs/demo", "simnfnd view dive.aris outputs/denoised/dive.aris"),
     ),
     "inspect": Verb(
@@ -191,6 +192,7 @@ VERBS: dict[str, Verb] = {
         (
             "simnfnd evaluate dataset=outputs/demo",
             "simnfnd evaluate dataset=outputs/demo baselines=[all] models=[outputs/models/nafnet]",
+            "simnfnd evaluate dataset=outputs/demo \"pictures=[{name: mine, dir: outputs/mine}]\"",
         ),
         needs=("pyarrow", "skimage", *_SONAR), hydra=True, config="evaluation",
         verbs={
@@ -219,12 +221,6 @@ VERBS: dict[str, Verb] = {
                 ("simnfnd evaluate realism mdd outputs/demo outputs/aris",),
                 needs=("skimage", *_SONAR), hydra=True, places=None, config="realism",
             ),
-            "downstream": Verb(
-                JUDGE, "what denoising is worth to segmentation and detection",
-                "simnfnd.evaluation.downstream.command:downstream",
-                ("simnfnd evaluate downstream mdd sim=outputs/labelled",),
-                needs=(*_NETWORK, "skimage"), hydra=True, places=1, config="downstream",
-            ),
             "fit": Verb(
                 JUDGE, "the noise parameters that come nearest to real pictures",
                 "simnfnd.evaluation.calibrate.command:fit",
@@ -232,60 +228,6 @@ VERBS: dict[str, Verb] = {
                  "simnfnd evaluate fit mdd -- experiment=physical scenes=pack "
                  "scenes.root=views.pack"),
                 needs=("optuna", "skimage", *_SONAR), hydra=True, places=None, config="fit",
-            ),
-        },
-    ),
-    "benchmark": Verb(
-        JUDGE, "fixed test sets, and a table of the methods that enter",
-        "simnfnd.evaluation.benchmark.command:main",
-        (
-            "simnfnd benchmark make --real dive.aris",
-            "simnfnd benchmark enter mine --denoised outputs/mine",
-            "simnfnd benchmark table",
-        ),
-        verbs={
-            "make": Verb(
-                JUDGE, "make the sets: noisy pictures, references, practice pairs",
-                "simnfnd.evaluation.benchmark.command:make",
-                (
-                    "simnfnd benchmark make",
-                    "simnfnd benchmark make --flsea flsea-vi --real mdd-groups lamprey.avi",
-                ),
-                needs=_BENCHMARK,
-            ),
-            "enter": Verb(
-                JUDGE, "measure a method on all sets: pictures, function, ONNX, program",
-                "simnfnd.evaluation.benchmark.command:enter",
-                (
-                    "simnfnd benchmark enter mine --denoised outputs/mine",
-                    "simnfnd benchmark enter mine --function package.module:denoise",
-                    "simnfnd benchmark enter mine --onnx mine.onnx",
-                    "simnfnd benchmark enter mine --command 'mine {in} {out}'",
-                    "simnfnd benchmark enter tv --baseline tv --tuned",
-                ),
-                needs=_BENCHMARK,
-            ),
-            "table": Verb(
-                JUDGE, "the table of all results whose hashes are right",
-                "simnfnd.evaluation.benchmark.command:table",
-                ("simnfnd benchmark table --benchmark outputs/benchmark",),
-                needs=_BENCHMARK,
-            ),
-        },
-    ),
-    "campaign": Verb(
-        JUDGE, "train and compare many networks", "simnfnd.evaluation.campaign.command:main",
-        (
-            "simnfnd campaign show=true",
-            "simnfnd campaign data.flsea=flsea-vi data.mdd=mdd out=outputs/campaign",
-        ),
-        needs=(*_TRAINING, "pyarrow", "skimage"), hydra=True, config="campaign",
-        verbs={
-            "table": Verb(
-                JUDGE, "the table of what a campaign has found",
-                "simnfnd.evaluation.campaign.table:campaign",
-                ("simnfnd campaign table outputs/campaign",),
-                needs=("pyarrow", *_SONAR),
             ),
         },
     ),

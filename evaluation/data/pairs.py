@@ -40,6 +40,7 @@ Place = tuple[str, int]
 class Item:
     """One pair: where it is and what it shows.
 
+    split, number: as `simnfnd export --to png` names it; of image files '' and their order.
     key: changes with the content of the pair.
     looks: the noise variants of the same frame in the same split, this one last; methods of
     several looks see all of them.
@@ -47,6 +48,8 @@ class Item:
 
     shard: str
     place: Place
+    split: str
+    number: int
     key: str
     location: str
     scene: str
@@ -68,8 +71,19 @@ def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
     """
     if image_pairs.is_folder_of_pairs(root):
         return [
-            Item(noisy.name, (str(noisy), image_pairs.ROW), key, "", root.name, noisy.stem, 0, ())
-            for noisy, key in image_pairs.noisy_files(root)
+            Item(
+                noisy.name,
+                (str(noisy), image_pairs.ROW),
+                "",
+                number,
+                key,
+                "",
+                root.name,
+                noisy.stem,
+                0,
+                (),
+            )
+            for number, (noisy, key) in enumerate(image_pairs.noisy_files(root))
         ][:limit]
     manifest = load_manifest(root) if root.is_dir() else None
     rows: list[tuple[str, Place, str, tuple[str, str, str, int]]] = []
@@ -86,10 +100,14 @@ def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
     frames: dict[tuple[str, str, str], list[Place]] = {}
     for _, place, _, identity in rows:
         frames.setdefault(identity[:3], []).append(place)
-    return [
-        Item(name, place, key, *identity, (*(p for p in frames[identity[:3]] if p != place), place))
-        for name, place, key, identity in rows
-    ][:limit]
+    numbers: dict[str, int] = {}
+    found = []
+    for name, place, key, identity in rows:
+        part = name.split("/")[0]
+        numbers[part] = numbers.get(part, -1) + 1
+        looks = (*(one for one in frames[identity[:3]] if one != place), place)
+        found.append(Item(name, place, part, numbers[part], key, *identity, looks))
+    return found[:limit]
 
 
 def identity_of(file: h5py.File, index: int) -> tuple[str, str, str, int]:

@@ -31,6 +31,7 @@ class Method:
     name: of the baseline in the registry, or of a network.
     form: '', 'tuned', '+ levels' or 'tuned + levels'.
     weights: of a network, else None.
+    folder, content: of denoised pictures of another program, and what changes with them.
     ablation: which row of the paper's Table 3 a network is, or ''.
     """
 
@@ -40,6 +41,8 @@ class Method:
     levels: Levels | None = None
     weights: str | None = None
     ablation: str = ""
+    folder: str | None = None
+    content: str = ""
 
     @property
     def label(self) -> str:
@@ -50,10 +53,19 @@ class Method:
     @property
     def looks(self) -> bool:
         """Whether it sees several pictures of a scene at once."""
+        if self.folder is not None:
+            return False
         if self.weights is None:
             known = REGISTRY.get(self.name)
             return known is not None and known.looks
         return sees_several(self.weights)
+
+    @property
+    def kind(self) -> str:
+        """What made it: baseline, network, or pictures (of another program)."""
+        if self.folder is not None:
+            return "pictures"
+        return "network" if self.weights is not None else "baseline"
 
     @property
     def is_noisy(self) -> bool:
@@ -63,12 +75,18 @@ class Method:
     @property
     def output(self) -> str:
         """Equal for rows that differ in their levels alone, so that they share the filtering."""
-        return f"{self.weights or self.name} {sorted(self.parameters.items())}"
+        source = self.folder or self.weights or self.name
+        return f"{source} {sorted(self.parameters.items())}"
 
     @property
     def key(self) -> str:
         """Changes with everything that decides the row's figures, but the pictures."""
-        program = weights_digest(self.weights) if self.weights else program_of(REGISTRY[self.name])
+        if self.folder is not None:
+            program = self.content
+        elif self.weights is not None:
+            program = weights_digest(self.weights)
+        else:
+            program = program_of(REGISTRY[self.name])
         levels = None if self.levels is None else [self.levels.gain, self.levels.offset]
         parts = [self.name, sorted(self.parameters.items()), levels, program]
         return hashlib.blake2b(json.dumps(parts).encode(), digest_size=12).hexdigest()

@@ -15,6 +15,7 @@ from ..data.pairs import Item, drawn_of, items_of, picture
 from ..measurement.rows import Row, measure_rows
 from ..measurement.store import FigureStore
 from ..methods import tuning
+from ..methods.given import given_methods
 from ..methods.method import NOISY, baselines_of, methods_of
 from ..methods.networks import costs_of, networks_of
 from ..settings import EvaluationSettings
@@ -35,13 +36,14 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
     baselines = baselines_of(settings.baselines)
     networks = networks_of(settings)
     items = items_of(Path(settings.dataset.dir), settings.split, settings.limit)
+    given = given_methods(settings.pictures, items)
     check_writable(out, "out")
     store = FigureStore(out)
     with TaskPool(settings.workers) as pool, contextlib.closing(store):
         for line in _tuned(settings, baselines, pool):
             print(line)
         tuned = tuning.load_tuned(settings.tuned_file)
-        methods = [*methods_of(baselines, tuned), *networks]
+        methods = [*methods_of(baselines, tuned), *networks, *given]
         rows = measure_rows(settings, items, methods, store, pool)
         content = _content(settings, items, rows, tuned)
         labels = shown_rows(content["rows"], settings.page.methods)

@@ -47,7 +47,7 @@ def content_of(
     if best is not None:
         against = next(row for row in rows if row.method.label == best)
         for line, row in zip(found, rows, strict=True):
-            if line["kind"] == "network" and row.lost is None:
+            if line["kind"] in ("network", "pictures") and row.lost is None:
                 line["against_best"] = _compared(row, against, groups, settings)
         _adjust(found, "against_best")
     found.sort(key=lambda line: math.inf if line["lost"] else -line["metrics"]["psnr"]["mean"])
@@ -149,7 +149,7 @@ def _row(
     costs: Mapping[str, Mapping[str, float]],
 ) -> dict[str, Any]:
     method = row.method
-    kind = "noisy" if method.is_noisy else "network" if method.weights else "baseline"
+    kind = "noisy" if method.is_noisy else method.kind
     cost = costs.get(method.label, {})
     metrics = {
         name: as_dict(estimate(values, groups, resamples=settings.bootstrap, seed=settings.seed))

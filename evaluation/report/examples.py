@@ -18,6 +18,7 @@ from ..data.pairs import Item, input_of, picture
 from ..filters.base import Gray
 from ..measurement.rows import Row
 from ..methods.apply import denoised
+from ..methods.given import read_given
 from ..methods.method import Method
 from ..metrics.fidelity import finite_psnr, psnr
 from ..settings import EvaluationSettings
@@ -136,6 +137,8 @@ def _show(task: _Task) -> Gray | None:
     image = read_gray(Path(task.file)) if task.item is None else input_of(task.item, method.looks)
     try:
         place = None if task.item is None else task.item.place
+        if method.folder is not None:
+            return None if task.item is None else read_given(method.folder, task.item)
         result = denoised(method, image, task.device, place)
     except Exception:  # it has lost its row, or this picture
         return None

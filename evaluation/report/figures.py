@@ -58,6 +58,7 @@ def leaderboard(content: Mapping[str, Any]) -> Any:
     )
     axis, side = figure.subplots(1, 2, width_ratios=[2.2, 1])
     colours = {"noisy": "#8a929b", "baseline": "#4c78a8", "network": "#d1600a"}
+    colours["pictures"] = colours["network"]
     for height, label in enumerate(labels):
         row = rows[label]
         psnr, colour = row["metrics"]["psnr"], colours[row["kind"]]

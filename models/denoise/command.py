@@ -24,7 +24,6 @@ from .bags import denoise_bag, open_bag
 from .denoiser import (
     EXACT,
     OVERLAP,
-    PRECISIONS,
     TILE,
     Denoiser,
     load_denoiser,
@@ -37,6 +36,7 @@ from .files import (
 )
 from .geometries import FIND, Geometries
 from .inputs import Item, find_items
+from .runtime import PRECISIONS
 from .shards import denoise_shard, made_of_points, opened_shard
 from .temporal import Steady
 from .watch import Watched, watch

@@ -369,3 +369,38 @@ def test_rows_are_named_once() -> None:
     assert methods[0] == NOISY
     keys = {method.key for method in (MEDIAN, GAUSSIAN, Method("median", "", {"size": 5}))}
     assert len(keys) == 3
+
+
+def test_somebodys_denoised_pictures_are_a_row(tmp_path: Path) -> None:
+    """By the names of `export --to png`, PNG or .npy; equal pictures give equal figures."""
+    dataset = write_dataset(tmp_path / "data", train=2, test=5, size=48, per_shard=3)
+    items = items_of(dataset, "test")
+    mine, arrays = tmp_path / "mine", tmp_path / "arrays"
+    for folder in (mine / "test" / "noisy", arrays):
+        folder.mkdir(parents=True)
+    for number, item in enumerate(items):
+        noisy = np.rint(picture(item.place).noisy * 255).astype(np.uint8)
+        cv2.imwrite(str(mine / "test" / "noisy" / f"{number:06d}.png"), cv2.medianBlur(noisy, 3))
+        np.save(arrays / f"{number:06d}.npy", noisy.astype(np.float32) / 255)
+    given = [{"name": "mine", "dir": str(mine)}, {"name": "arrays", "dir": str(arrays)}]
+    content = builder.build(settings_for(dataset, pictures=given))
+    rows_ = {row["label"]: row for row in content["rows"]}
+    assert rows_["mine"]["kind"] == "pictures"
+    assert rows_["mine"]["milliseconds"] is None
+    for name in ("psnr", "ssim", "gmsd"):
+        assert rows_["mine"]["metrics"][name] == rows_["median"]["metrics"][name]
+        assert rows_["arrays"]["metrics"][name] == rows_["noisy"]["metrics"][name]
+    assert "psnr" in rows_["mine"]["against_best"]
+    cases: list[tuple[dict[str, str], str]] = [
+        ({"name": "mine", "dir": "nowhere"}, "mine: nowhere: no such folder"),
+        ({"name": "median", "dir": str(mine)}, "median: another row has this name"),
+    ]
+    for one, words in cases:
+        with pytest.raises(FactoryError, match=words):
+            builder.build(settings_for(dataset, pictures=[one]))
+    cv2.imwrite(str(mine / "test" / "noisy" / "000001.png"), np.zeros((48, 40), np.uint8))
+    with pytest.raises(FactoryError, match=r"000001\.png has 40x48 pixels, but its pair has 48x48"):
+        builder.build(settings_for(dataset, pictures=given))
+    (mine / "test" / "noisy" / "000001.png").unlink()
+    with pytest.raises(FactoryError, match=r"1 of 5 pictures are missing, the first is test/noisy"):
+        builder.build(settings_for(dataset, pictures=given))

@@ -82,7 +82,6 @@ def test_the_version_is_ours(words: tuple[str, ...], monkeypatch, capsys) -> Non
         (("mkae",), "mkae: no such verb; did you mean `simnfnd make`"),
         (("tune", "dataset=x"), "did you mean `simnfnd evaluate tune`?"),
         (("evaluate", "tun"), "tun: no such verb; did you mean `simnfnd evaluate tune`?"),
-        (("campaign", "tabel", "x"), "did you mean `simnfnd campaign table`?"),
         (("cache", "sats"), "did you mean `simnfnd cache stats`?"),
         (("evaluate", "qqqqq"), "qqqqq: no such verb; `simnfnd evaluate --help` lists them"),
         (("seed=3",), "seed=3: a setting needs a verb before it; did you mean `simnfnd make"),
@@ -159,14 +158,7 @@ RECORDING = (*ANALYTIC, "scenes=csv_list", "scenes.root={in}/list.csv",
         (("evaluate", "real", "{in}", "out={out}"), "skimage", "report"),
         (("evaluate", "real", "{in}", "out={out}", "models=[simnfnd]"), "torch", "train"),
         (("evaluate", "realism", "{in}", "{in}", "out={out}"), "skimage", "report"),
-        (("evaluate", "downstream", "{in}", "out={out}"), "torch", "train"),
         (("evaluate", "fit", "{in}", "out={out}"), "optuna", "report"),
-        (("benchmark", "make", "--out", "{out}"), "jinja2", "report"),
-        (("benchmark", "enter", "a", "--baseline", "tv"), "skimage", "report"),
-        (("benchmark", "table"), "jinja2", "report"),
-        (("campaign", "out={out}"), "lightning", "train"),
-        (("campaign", "table", "{in}"), "pyarrow", "report"),
-        (("campaign", "table", "{in}"), "scipy", "sonar"),
         ((*ANALYTIC, "experiment=physical"), "scipy", "sonar"),
         ((*ANALYTIC, "dataset.columns=[pose]"), "scipy", "sonar"),
         (("make", "render=analytic", "experiment=any_sonar", "dataset.dir={out}"), "cv2", "sonar"),
@@ -297,8 +289,7 @@ said("export made --to huggingface --out x", 2, 'pip install "simnfnd[export]"')
 for words in ("train dataset=made", "denoise made --out x",
               "adapt made --out x", "export-weights simnfnd --out x", "evaluate dataset=made",
               "evaluate tune dataset=made", "evaluate compare a b", "evaluate real a",
-              "evaluate downstream a", "evaluate realism a b", "evaluate fit a", "benchmark make",
-              "benchmark enter a", "benchmark table", "campaign", "campaign table a"):
+              "evaluate realism a b", "evaluate fit a"):
     said(words, 2, "pip install")
 print(f"core alone: {defects} defects")
 """

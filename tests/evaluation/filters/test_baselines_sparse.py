@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from simnfnd.evaluation.data.pairs import geometry_of, items_of, picture
-from simnfnd.evaluation.filters import REGISTRY, dualtree
+from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.filters.bm3d import _all_blocks
-from simnfnd.evaluation.filters.convolutional import atoms, coded, reconstructed
-from simnfnd.evaluation.filters.dtcwt_map import _map
-from simnfnd.evaluation.filters.structural import noise_map
+from simnfnd.evaluation.filters.literature import dual_tree as dualtree
+from simnfnd.evaluation.filters.literature.convolutional import atoms, coded, reconstructed
+from simnfnd.evaluation.filters.literature.dtcwt_map import _map
+from simnfnd.evaluation.filters.literature.structural import noise_map
 from simnfnd.evaluation.methods.apply import denoised
 from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.metrics.fidelity import psnr

@@ -95,7 +95,18 @@ def made_row(label: str, psnr: Any, **changes: Any) -> Row:
 
 def items(count: int, scenes: int = 2) -> list[Item]:
     return [
-        Item("s", ("s", index), str(index), "", f"scene-{index % scenes}", str(index), 0, ())
+        Item(
+            "s",
+            ("s", index),
+            "test",
+            index,
+            str(index),
+            "",
+            f"scene-{index % scenes}",
+            str(index),
+            0,
+            (),
+        )
         for index in range(count)
     ]
 

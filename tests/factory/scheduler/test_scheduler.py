@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.memory import workers_of
 from simnfnd.factory.dataset.format.manifest import load_manifest
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.plan import plan_shards
@@ -16,6 +15,7 @@ from simnfnd.factory.scheduler.results import take_up
 from tests.factory.scheduler.run_files import failures, litter, shard_bytes, undisturbed_shards
 from tests.fake_source import BrokenSource, FakeConfig, LethalSource, refs
 from tests.run_fake import job, make
+from tests.worker_processes import workers_of
 
 
 @pytest.fixture(scope="module")

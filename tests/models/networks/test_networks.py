@@ -54,7 +54,7 @@ def test_colours_are_images_of_their_own(kind: str) -> None:
         torch.testing.assert_close(restored[:, channel : channel + 1], alone)
 
 
-@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"sonarnet", "kdlae"}))
+@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"sonarnet"}))
 def test_a_network_built_for_three_channels_takes_one(kind: str) -> None:
     network = stirred(tiny(kind, channels=3))
     assert network(torch.rand(2, 3, 16, 24)).shape == (2, 3, 16, 24)
@@ -145,12 +145,8 @@ def test_a_description_that_makes_no_sense_is_refused(tmp_path: Path, model: Any
         ("dae", {"widths": []}, "one layer or more"),
         ("sid_tgan", {"heads": 5}, "which 5 heads cannot share"),
         ("sonarnet", {"blocks": [1]}, "as many of each"),
-        ("ap_bsn", {"passes": 8}, r"model\.passes"),
         ("dgp_srgan", {"penalty": -1}, r"model\.penalty"),
         ("three_stage", {"width": 2}, r"model\.width"),
-        ("kdlae", {"frames": 4}, "frames must be odd"),
-        ("kdlae", {"widths": [8]}, "two resolutions or more"),
-        ("kdlae", {"channels": 3}, r"model\.channels"),
     ],
 )
 def test_odd_networks_are_refused(kind: str, change: dict[str, Any], words: str) -> None:
@@ -180,10 +176,7 @@ def on_meta(config: dict[str, Any]) -> Network:
         ("dae", {}, 0.333e6, 1.40),
         ("sid_tgan", {}, 1.67e6, 4.25),
         ("three_stage", {}, 0.229e6, 6.44),
-        ("kdlae", {}, 0.320e6, 6.07),
         ("dgp_srgan", {}, 0.0716e6, 4.67),
-        ("ap_bsn", {}, 0.0456e6, 23.73),
-        ("ap_bsn", {"passes": 0}, 0.0456e6, 2.966),
     ],
 )  # fmt: skip
 def test_networks_are_as_large_as_published(

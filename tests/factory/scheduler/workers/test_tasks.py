@@ -13,7 +13,6 @@ from collections import deque
 import psutil
 import pytest
 
-from benchmarks.memory import workers_of
 from simnfnd.factory.scheduler.workers import template
 from simnfnd.factory.scheduler.workers.contract import (
     BackendName,
@@ -24,6 +23,7 @@ from simnfnd.factory.scheduler.workers.contract import (
 from simnfnd.factory.scheduler.workers.local import LocalBackend, WorkerDied
 from simnfnd.factory.scheduler.workers.tasks import TaskLost, TaskPool
 from tests.project_files import ROOT
+from tests.worker_processes import workers_of
 
 HEAVY, LIGHT = Pool("heavy", 1, also_takes=("light",)), Pool("light", 1)
 

@@ -13,11 +13,11 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
-from benchmarks.memory import workers_of
 from simnfnd.factory.scheduler.workers import template
 from simnfnd.factory.scheduler.workers.contract import Pool, WorkerSettings
 from simnfnd.factory.scheduler.workers.local import LocalBackend
 from tests.project_files import ROOT
+from tests.worker_processes import workers_of
 
 POOL = Pool("light", 1)
 # A module of the standard library that nothing here imports.
