@@ -18,7 +18,6 @@ import yaml
 from ..dataset.read.source import Source
 from .objects import (
     LEAST_PX,
-    Labelled,
     LabelledSet,
     Shown,
     labelled_dataset,

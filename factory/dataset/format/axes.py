@@ -15,6 +15,7 @@ from ...errors import FactoryError
 from .layers import CAMERA_LAYERS, ECHO_FOLDER
 from .sample import Axis
 
+
 def image_axes(stack: h5py.Dataset) -> tuple[Axis, Axis]:
     """Row and column axes of an image stack.  Raises FactoryError when one cannot be read."""
     _check_scale_references(stack)

@@ -176,7 +176,9 @@ def _check_stack(stack: h5py.Dataset, layer: Layer, shape: tuple[int, ...]) -> N
         fits = samples == shape[0] and stack.shape[3:] in ((), (CHANNELS,))
         fits = fits and stack.ndim == 1 + len(layer.of_camera)
     if not fits:
-        expected = f"{shape[0]} samples of {', '.join(layer.of_camera)}" if layer.of_camera else shape
+        expected = (
+            f"{shape[0]} samples of {', '.join(layer.of_camera)}" if layer.of_camera else shape
+        )
         raise FactoryError(f"{name} is {stack.shape}; expected {expected}; generate it again")
     if 0 in picture or picture[0] * picture[1] > MAX_PIXELS:
         raise FactoryError(f"{name} claims pictures of {picture}; at most {MAX_PIXELS} pixels go")

@@ -1,4 +1,4 @@
-"""`simnfnd failed --rerun` runs frames, never words that a dataset's files hold."""
+"""`simnfnd status --rerun` runs frames, never words that a dataset's files hold."""
 
 from __future__ import annotations
 
@@ -54,17 +54,17 @@ def test_a_forged_command_is_shown_and_not_run(failed: Path, capfd) -> None:
         f"x; touch {stolen} \x1b[2J",
     ):
         rewrite(failed, command=command)
-        assert main(["failed", str(failed)]) == 1
+        assert main(["status", str(failed), "--failed"]) == 1
         shown = capfd.readouterr().out
         assert command.replace("\x1b", "?") in shown
-        assert main(["failed", str(failed), "--rerun", *SERIAL]) == 0
+        assert main(["status", str(failed), "--rerun", *SERIAL]) == 0
         assert "1 of 1 frames work now" in capfd.readouterr().out
         assert not stolen.exists()
 
 
 def test_a_forged_frame_is_refused(failed: Path, capfd) -> None:
     rewrite(failed, frame="../../other")
-    assert main(["failed", str(failed), "--rerun", *SERIAL]) == 2
+    assert main(["status", str(failed), "--rerun", *SERIAL]) == 2
     assert capfd.readouterr().err == "error: frames.only: no frame named ../../other\n"
 
 
@@ -76,10 +76,10 @@ def test_a_forged_configuration_chooses_no_folder_and_no_cluster(failed: Path, c
     values["cache"]["dir"] = values["dataset"]["dir"] = str(elsewhere)
     values["scheduler"] |= {"backend": "dask", "address": "tcp://127.0.0.1:9"}
     path.write_text(yaml.safe_dump(values))
-    assert main(["failed", str(failed), "--rerun", *SERIAL]) == 0
+    assert main(["status", str(failed), "--rerun", *SERIAL]) == 0
     assert not elsewhere.exists()
     path.write_text("!!python/object/apply:os.system ['touch elsewhere']")
-    assert main(["failed", str(failed), "--rerun", *SERIAL]) == 2
+    assert main(["status", str(failed), "--rerun", *SERIAL]) == 2
     assert "config.yaml: cannot be read" in capfd.readouterr().err
     assert not elsewhere.exists()
 
@@ -88,7 +88,7 @@ def test_a_frame_that_still_fails_says_why(failed: Path, capfd) -> None:
     depth = failed.parent / "scene/bad_d.png"
     depth.write_bytes(b"no picture")
     for _ in range(2):
-        assert main(["failed", str(failed), "--rerun", *SERIAL]) == 1
+        assert main(["status", str(failed), "--rerun", *SERIAL]) == 1
         printed = capfd.readouterr().out
         assert "list/bad: " in printed
         assert "0 of 1 frames work now" in printed
