@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ..cli import Parser
 from ..cli.extras import Need, require
 from ..dataset.describe.summary import DatasetSummary, summarize
-from ..dataset.format.layers import CAMERA_LAYERS
+from ..dataset.format.schema import CAMERA_LAYERS
 from ..dataset.read.source import dataset_settings
 from ..storage.copies import local_folder
 

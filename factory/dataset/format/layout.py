@@ -1,8 +1,9 @@
 """Is a shard laid out as the schema says, and does everything in it lie in the file itself?
 
 A dataset may come from a stranger or a dying disk.  What is checked here reads no image: links,
-types, sizes, filters and attributes.  A file that passes names no other file, claims no more samples
-than it holds, and has one chunk for each picture.  Whether that is the right one its checksum says.
+types, sizes, filters and attributes.  A file that passes names no other file, claims no more
+samples than it holds, and has one chunk for each picture; its checksum says whether that is the
+right one.
 """
 
 from __future__ import annotations
@@ -21,21 +22,19 @@ from ...errors import FactoryError
 from .axes import dataset_inside, exists, object_inside
 from .checksums import check_contents, require_checksums
 from .echoes import check_echoes, echo_names
-from .layers import (
+from .schema import (
     CHANNELS,
+    CHECKSUMS,
     EFFECT_FOLDER,
     MAX_PIXELS,
     OPTIONAL_LAYERS,
-    Layer,
-    layers,
-    stores_grey,
-)
-from .schema import (
-    CHECKSUMS,
     REQUIRED_COLUMNS,
     SCHEMA,
     SPLITS,
     VALUE_RANGES,
+    Layer,
+    layers,
+    stores_grey,
 )
 
 _MAX_ROW_BYTES = 1 << 16
@@ -194,7 +193,8 @@ def _check_stack(stack: h5py.Dataset, layer: Layer, shape: tuple[int, ...]) -> N
     stack.id.chunk_iter(lambda chunk: found.update(chunk.chunk_offset[:1]))
     if sorted(found) != list(range(samples)) or found.total() != samples:
         raise FactoryError(
-            f"{name}: its table of chunks is damaged, or has not {samples} samples; generate it again"
+            f"{name}: its table of chunks is damaged, or lacks some of {samples} samples; generate "
+            "it again"
         )
 
 

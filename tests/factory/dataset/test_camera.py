@@ -18,7 +18,6 @@ from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.format.checksums import crc32, write_checksums
 from simnfnd.factory.dataset.format.schema import Provenance, check_pair
 from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.read.reader import reading
 from simnfnd.factory.dataset.validate import shard_facts
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError

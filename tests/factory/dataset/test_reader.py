@@ -21,7 +21,7 @@ import psutil
 import pytest
 
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.format.manifest import load_manifest, save_manifest
+from simnfnd.factory.dataset.format.manifest import load_manifest
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.read.open_shards import _MOST_FILES
 from simnfnd.factory.dataset.write.index import write_index

@@ -18,8 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simnfnd.factory.dataset.format.manifest import damage
-from simnfnd.factory.dataset.format.sample import Column
-from simnfnd.factory.dataset.format.schema import stored_image, table_dtype, table_row
+from simnfnd.factory.dataset.format.schema import Column, stored_image, table_dtype, table_row
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.settings import build
