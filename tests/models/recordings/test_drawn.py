@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.denoise.files import denoise_image
+from simnfnd.models.denoise.pictures import denoise_image
 from simnfnd.models.recordings.fan.drawn import filled, without_lines
 from tests.models.recordings.fan_pictures import fan, preset
 
