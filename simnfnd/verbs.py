@@ -130,14 +130,6 @@ VERBS: dict[str, Verb] = {
         LOOK, "devices and effects of the physical profile", f"{_COMMANDS}.physics:main",
         ("simnfnd physics --out outputs/physics",), needs=_FIGURES,
     ),
-    "geometry": Verb(
-        LOOK, "where range and bearing lie in fan pictures", f"{_COMMANDS}.geometry:main",
-        (
-            "simnfnd geometry pictures > fans.csv",
-            "simnfnd geometry lamprey.avi --out outputs/fans",
-        ),
-        needs=_SONAR,
-    ),
     "merge": Verb(
         PASS_ON, "several datasets into one", f"{_COMMANDS}.merge:main",
         ("simnfnd merge outputs/a outputs/b --out outputs/both",),

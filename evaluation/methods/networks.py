@@ -76,8 +76,7 @@ class Network:
     @property
     def on_gpu(self) -> bool:
         """Whether it runs on a GPU."""
-        parameter = next(self._denoise.trained.network.parameters(), None)
-        return parameter is not None and parameter.is_cuda
+        return self._denoise.runtime.on_gpu
 
     def __call__(
         self, image: Gray, place: Place | None, geometry: FanGeometry | None = None
@@ -87,7 +86,7 @@ class Network:
         place: where the picture is; a network that uses the geometry gets it from there, unless
         it is given.
         """
-        if not self._denoise.trained.network.extras:
+        if not self._denoise.runtime.extras:
             geometry = None
         elif geometry is None and place is not None:
             geometry = geometry_of(place)

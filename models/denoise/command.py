@@ -23,7 +23,6 @@ from ..removal import DEFAULT
 from .denoiser import (
     EXACT,
     OVERLAP,
-    PRECISIONS,
     TILE,
     Denoiser,
     load_denoiser,
@@ -33,6 +32,7 @@ from .geometries import FIND, Geometries
 from .inputs import Item, find_items, sequences
 from .pictures import Denoising, check_frames
 from .resume import Finished, stopped_by_sigterm
+from .runtime import PRECISIONS
 from .shards import denoise_shard, made_of_points, opened_shard
 from .temporal.stream import FRAMES
 from .watch import Watched, watch

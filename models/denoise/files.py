@@ -14,8 +14,8 @@ import numpy.typing as npt
 from ...factory.errors import FactoryError, FrameError
 from ...factory.sonar.geometry import FanGeometry
 from ..recordings import Frame, Recording, open_recording
-from ..recordings.aris.file import ArisFile
-from ..recordings.arrays.file import ArrayFile
+from ..recordings.aris import ArisFile
+from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE, Beams
 from ..recordings.fan.pings import fan_of, grey_of, polar_geometry
 from ..recordings.pictures import in_unit_range, read_picture

@@ -12,7 +12,8 @@ from pathlib import Path
 from types import FrameType
 
 from ...factory.files import write_atomically
-from .inputs import Item, file_of
+from ..recordings.arrays import file_of
+from .inputs import Item
 
 NAME = ".denoise-stopped.json"
 """In the output folder, of a run that was stopped."""

@@ -70,7 +70,9 @@ _LIMITS = (
 )
 
 
-SUFFIXES = {"safetensors": ".safetensors", "onnx": ".onnx", "torchscript": ".pt"}
+SUFFIXES = {
+    "safetensors": ".safetensors", "onnx": ".onnx", "runtime": ".onnx", "torchscript": ".pt"
+}  # fmt: skip
 """What `--to` may say, and how the files end."""
 
 
@@ -83,7 +85,8 @@ def main(arguments: Sequence[str]) -> int:
         "--to",
         choices=tuple(SUFFIXES),
         default="safetensors",
-        help="safetensors: 16 bits with a model card (default); others: see docs/deploy.md",
+        help="safetensors: 16 bits with a model card (default); runtime: the ONNX file that "
+        "`simnfnd denoise` runs without torch; others: see docs/deploy.md",
     )
     parser.add_argument(
         "--geometry",
@@ -105,10 +108,17 @@ def main(arguments: Sequence[str]) -> int:
     if out.suffix != SUFFIXES[chosen.to]:
         raise FactoryError(f"--out {out}: must end in {SUFFIXES[chosen.to]} for --to {chosen.to}")
     weights, changes = find_weights(chosen.weights), _changes(chosen.set)
+    if chosen.to == "runtime" and (changes or chosen.geometry != "none"):
+        raise FactoryError("--set, --geometry: are not for --to runtime, which takes any geometry")
     if chosen.to != "safetensors":
         if chosen.figures or chosen.limits:
             raise FactoryError("--figures, --limits: are for the card, so for --to safetensors")
-        for line in export_graph(weights, out, chosen.to, chosen.geometry, changes):
+        lines = (
+            export_runtime(weights, out)
+            if chosen.to == "runtime"
+            else export_graph(weights, out, chosen.to, chosen.geometry, changes)
+        )
+        for line in lines:
             print(line)
         return 0
     if chosen.geometry != "none":
@@ -117,6 +127,20 @@ def main(arguments: Sequence[str]) -> int:
     size_mb = export(weights, out, figures, limits, changes=changes)
     print(f"weights: {out}, {size_mb:.2f} MB; card: {out.with_suffix('.md')}")
     return 0
+
+
+def export_runtime(weights: Path, out: Path) -> Iterator[str]:
+    """Write what `simnfnd denoise` runs in onnxruntime; a line on it.
+
+    Raises FactoryError when the weights cannot be read, are of another network than a `sonarnet`
+    without a polar grid, or onnxruntime would not compute what torch does.
+    """
+    require(Need("--to runtime", module) for module in ("onnx", "onnxruntime"))
+    from .runtime_graph import write_runtime
+
+    difference = write_runtime(weights, out)
+    size_mb = out.stat().st_size / 1e6
+    yield f"{out}: {size_mb:.2f} MB, within {difference:.1e} of torch"
 
 
 def export_graph(

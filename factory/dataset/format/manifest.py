@@ -82,16 +82,18 @@ class Manifest:
     """All finished shards of a dataset, by path.
 
     config: the settings that `config_hash` stands for.
+    index_sha256: of the index.h5 that shows these very shards; empty: there is none.
     """
 
     config_hash: str
     generator: str
     config: Mapping[str, Any] = field(default_factory=dict)
     shards: Mapping[str, ShardInfo] = field(default_factory=dict)
+    index_sha256: str = ""
 
     def with_shard(self, info: ShardInfo) -> Manifest:
         """The manifest with `info` added, or put in place of the same path."""
-        return replace(self, shards={**self.shards, info.path: info})
+        return replace(self, shards={**self.shards, info.path: info}, index_sha256="")
 
     def samples(self, split: str | None = None) -> int:
         """Number of samples, in all or of one split."""
@@ -144,6 +146,7 @@ def save_manifest(directory: Path, manifest: Manifest, part: str = "") -> None:
         "config_hash": manifest.config_hash,
         "config": manifest.config,
         "totals": totals,
+        **({"index_sha256": manifest.index_sha256} if manifest.index_sha256 else {}),
         "shards": [asdict(shard) for shard in shards],
     }
     text = json.dumps(document, indent=1) + "\n"
@@ -190,9 +193,11 @@ def load_manifest(directory: Path, part: str = "") -> Manifest | None:
         if len({shard.path for shard in shards}) != len(shards):
             raise ValueError("a shard is listed twice")
         hash_, generator = document["config_hash"], document["generator"]
-        config = document["config"]
-        if not (isinstance(hash_, str) and isinstance(generator, str) and isinstance(config, dict)):
-            raise ValueError("config_hash and generator must be text, config an object")
+        config, index = document["config"], document.get("index_sha256", "")
+        if not all(isinstance(text, str) for text in (hash_, generator, index)):
+            raise ValueError("config_hash, generator and index_sha256 must be text")
+        if not isinstance(config, dict):
+            raise ValueError("config must be an object")
     except FileNotFoundError:
         return None
     except OSError as error:
@@ -204,7 +209,8 @@ def load_manifest(directory: Path, part: str = "") -> Manifest | None:
         ) from error
     found = {shard.path: shard for shard in shards}
     _take_in(directory / part_name(ADDED_NAME, part), hashlib.sha256(content).hexdigest(), found)
-    return Manifest(hash_, generator, config, found)
+    still = len(found) == len(shards) and all(found.get(one.path) == one for one in shards)
+    return Manifest(hash_, generator, config, found, index if still else "")
 
 
 def _take_in(added: Path, manifest_sha256: str, shards: dict[str, ShardInfo]) -> None:

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from simnfnd.factory import pairs
 from simnfnd.factory.config import FactoryConfig, digest, from_mapping, identity
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.check.facts import shard_facts
+from simnfnd.factory.dataset.validate import shard_facts
 from simnfnd.factory.dataset.format import echoes as lists
 from simnfnd.factory.dataset.format.checksums import crc32, seal
 from simnfnd.factory.dataset.format.echoes import EchoList, read_echoes, write_echoes

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from simnfnd.factory.commands.merge import merge
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.check.validate import validate
+from simnfnd.factory.dataset.validate import validate
 from simnfnd.factory.dataset.format.manifest import load_manifest
 from simnfnd.factory.dataset.format.sample import Pair
 from simnfnd.factory.dataset.format.schema import Provenance

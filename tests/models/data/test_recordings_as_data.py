@@ -10,7 +10,7 @@ import numpy as np
 
 from simnfnd.evaluation.real.shots import open_input
 from simnfnd.factory.noise.registry import NoiseSettings
-from simnfnd.models.data.images import NoisySource, list_images, read_sample, smallest_side
+from simnfnd.models.data.images import list_images, read_sample, smallest_side
 from simnfnd.models.data.olddata import OldDataSource
 from simnfnd.models.data.recordings import digest_of
 from simnfnd.models.data.sources import open_data
@@ -31,8 +31,7 @@ def test_frames_stand_beside_pictures(tmp_path: Path) -> None:
     assert found[0].scene == "dive.avi"
     side, smallest = smallest_side(found)
     assert (side, smallest.frame) == (300, "one.png")
-    source = NoisySource(found)
-    frames = [source.sample(number, None).noisy for number in (7, 0, 8)]
+    frames = [read_sample(found[number])[0] for number in (7, 0, 8)]
     assert [frame.shape for frame in frames] == [(774, 400), (774, 400), (300, 500)]
     assert 0 <= frames[0].min() < frames[0].max() <= 1
     np.testing.assert_array_equal(frames[1], read_sample(list_images(LAMPREY)[0])[0])
@@ -62,7 +61,7 @@ def test_an_array_is_named(tmp_path: Path) -> None:
     picture, _ = read_sample(found[5])
     np.testing.assert_allclose(picture, pictures[5] / 255, atol=1e-6)
     assert digest_of(found) == digest_of(list_images(f"{path}::other"))  # that of the file
-    words = ("data=self_supervised", f"data.folder='{path}::frames'", "data.patch=16")
+    words = ("data=olddata", f"data.folder='{path}::frames'", "data.patch=16")
     assert len(open_data(composed(*words)[0]).validation) > 0
     stretches, _ = open_input(f"{path}::frames", 100)
     assert [len(stretch.shots) for stretch in stretches] == [9]

@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from simnfnd.factory.settings import build
 from simnfnd.models.losses import build_loss
-from simnfnd.models.networks.three_stage import (
+from simnfnd.models.networks.literature.three_stage import (
     ThreeStage,
     join_columns,
     join_rows,
@@ -78,7 +78,7 @@ def test_every_stage_is_taught() -> None:
     loss = build_loss({"kind": "l1"})
     module = DenoisingModule(network, loss, settings)
     noisy, clean = torch.rand(2, 2, 1, 16, 16)
-    found = module.compute_loss({"noisy": noisy, "clean": clean}, 0)
+    found = module({"noisy": noisy, "clean": clean})
     expected = [functional.l1_loss(stage, clean) for stage in network.with_stages(noisy)]
     torch.testing.assert_close(found, torch.stack(expected).mean())
     found.backward()

@@ -33,7 +33,6 @@ TINY: dict[str, dict[str, Any]] = {
     "dgp_srgan": {
         "width": 4, "blocks": 1, "critic_width": 4, "adversarial": 0.001, "penalty": 10.0,
     },
-    "kdlae": {"frames": 5, "widths": [4, 8], "blocks": 1},
     "nafnet": {"width": 4, "encoder": [1], "middle": 1, "decoder": [1]},
     "restormer": {"width": 4, "blocks": [1, 1], "refinement": 1, "heads": [1, 2], "expansion": 2.0},
     "sid_tgan": {
