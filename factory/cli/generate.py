@@ -74,9 +74,7 @@ def generate(composed: DictConfig) -> int:
 def _failed(report: RunReport, directory: str) -> str:
     """How many frames failed, the commonest reason, and the command that lists them."""
     count, reason = commonest(report)
-    why = (
-        f"all because: {reason}" if count == len(report.failures) else f"{count} because: {reason}"
-    )
+    share = "all" if count == len(report.failures) else str(count)
     return (
         f"failed: {len(report.failures)} of {report.frames} frames, {share} because: {reason}; "
         f"`simnfnd status {directory} --failed` lists them"

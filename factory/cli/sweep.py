@@ -141,9 +141,9 @@ def contact_sheet(points: Sequence[tuple[str, str]], out: Path) -> Path | None:
         found: dict[tuple[str, ...], tuple[str, int]] = {}
         for split in ("train", "test"):
             with suppress(FactoryError), PairDataset(folder, split=split, trusted=True) as pairs:
-                for number, row in enumerate(pairs.table):
-                    name = (row["location"], row["scene"], row["frame"], row["variant"])
-                    found.setdefault(tuple(map(str, name)), (split, number))
+                for number, row in enumerate(pairs.meta()):
+                    keys = ("location", "scene", "frame", "variant")
+                    found.setdefault(tuple(str(row[key]) for key in keys), (split, number))
         samples.append(found)
     common = [name for name in samples[0] if all(name in found for found in samples)]
     if not common:
@@ -163,8 +163,8 @@ def contact_sheet(points: Sequence[tuple[str, str]], out: Path) -> Path | None:
             split, number = found[name]
             with PairDataset(folder, split=split, trusted=True) as pairs:
                 picture = np.asarray(pairs[number][what])
-            scale = 1 if picture.dtype == np.uint8 else 255
-            image = Image.fromarray((picture * scale).astype(np.uint8))
+                white = pairs.value_range[1]
+            image = Image.fromarray((picture * (255 / white)).clip(0, 255).astype(np.uint8))
             image.thumbnail((_PICTURE_PX, _PICTURE_PX))
             sheet.paste(image, (_GAP_PX + column * step, top + _LABEL_PX))
     buffer = io.BytesIO()
