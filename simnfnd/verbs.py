@@ -121,14 +121,6 @@ VERBS: dict[str, Verb] = {
         LOOK, "is a dataset whole and consistent", f"{_COMMANDS}.validate:main",
         ("simnfnd validate outputs/demo", "simnfnd validate outputs/demo --deep"),
     ),
-    "geometry": Verb(
-        LOOK, "where range and bearing lie in fan pictures", f"{_COMMANDS}.geometry:main",
-        (
-            "simnfnd geometry pictures > fans.csv",
-            "simnfnd geometry lamprey.avi --out outputs/fans",
-        ),
-        needs=_SONAR,
-    ),
     "merge": Verb(
         PASS_ON, "several datasets into one", f"{_COMMANDS}.merge:main",
         ("simnfnd merge outputs/a outputs/b --out outputs/both",),

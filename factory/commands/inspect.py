@@ -12,7 +12,7 @@ from ..cli import Parser
 from ..cli.extras import Need, require
 from ..dataset.describe.summary import DatasetSummary, summarize
 from ..dataset.format.layers import CAMERA_LAYERS
-from ..dataset.read.config_file import dataset_settings
+from ..dataset.read.source import dataset_settings
 from ..storage.copies import local_folder
 
 _BAR = 40

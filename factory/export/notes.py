@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..dataset.read.config_file import dataset_settings
-from ..dataset.read.source import Source
+from ..dataset.read.source import Source, dataset_settings
 
 
 def write_notes(source: Source, folder: Path, reading: str) -> None:

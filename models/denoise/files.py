@@ -15,14 +15,13 @@ from ...factory.errors import FactoryError, FrameError
 from ...factory.files import write_atomically
 from ...factory.sonar.geometry import FanGeometry
 from ..recordings import Frame, Recording, open_recording
-from ..recordings.aris.file import ArisFile
-from ..recordings.arrays.file import ArrayFile
+from ..recordings.aris import ArisFile
+from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE
 from ..recordings.fan.pings import fan_of, grey_of, polar_geometry
 from ..recordings.pictures import in_unit_range, read_picture
 from ..recordings.video import VideoFile
 from .compared import sheet
-from .figures import denoise_figure, parts_of_page
 from .inputs import Item
 from .temporal import Steady
 from .videos import FrameFiles
@@ -49,14 +48,11 @@ def denoise_image(
     denoise: Denoise,
     geometry: FanGeometry | None = None,
     looks: Sequence[npt.NDArray[Any]] = (),
-    *,
-    echoes_alone: bool = False,
 ) -> npt.NDArray[Any]:
     """Denoise (H, W) or (H, W, C) uint8, uint16 or float32 (0..1); same shape and dtype out.
 
     looks: frames in their order, the image in the middle, all of its shape and dtype, for weights
-    that see several.  Axes, text and lines that somebody drew stay, see `figures`; echoes_alone:
-    there are none.
+    that see several.
     Colour channels are denoised one by one (once, when they are equal); an alpha channel stays.
     Raises ValueError for another dtype or shape, NaN, and floats outside 0..1.
     """
@@ -67,22 +63,20 @@ def denoise_image(
         raise ValueError(f"image has shape {image.shape}; expected (H, W) or (H, W, C)")
     if image.ndim == 2:
         image, planes = image[..., np.newaxis], [look[..., np.newaxis] for look in looks]
-        result = denoise_image(image, denoise, geometry, planes, echoes_alone=echoes_alone)
+        result = denoise_image(image, denoise, geometry, planes)
         return result[..., 0]
     colours = image[..., :3] if image.shape[2] in (3, 4) else image[..., :1]
     if image.dtype == np.float32 and not (colours.min() >= 0 and colours.max() <= 1):
         raise ValueError("float pixels must lie in 0..1; divide by full scale")
     scaled = _planes(colours, full)
     beside = [_planes(look, full) for look in looks]
-    page = scaled[0] if len(scaled) == 1 else np.mean(scaled, axis=0)
-    parts = None if echoes_alone else parts_of_page(page, geometry)
     result = image.copy()
     for channel, grey in enumerate(scaled):
         if channel and np.array_equal(grey, scaled[0]):
             result[..., channel] = result[..., 0]
             continue
         seen = [look[channel] for look in beside]
-        denoised = denoise_figure(grey, denoise, geometry, seen, parts, drawn=not echoes_alone)
+        denoised = denoise(grey, geometry, looks=seen) if seen else denoise(grey, geometry)
         if full > 1:
             denoised = np.rint(denoised.astype(np.float64) * full)
         result[..., channel] = denoised.astype(image.dtype)

@@ -11,14 +11,14 @@ from typing import Literal
 from ...factory.dataset.format.manifest import MANIFEST_NAME
 from ...factory.dataset.read.reader import shard_paths
 from ...factory.errors import FactoryError
-from ..recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, Levels, kind_of
-from ..recordings.arrays import FORMATS, HDF5_SUFFIXES, file_of
-from ..recordings.arrays.file import is_table
-from ..recordings.base import TIFF_SUFFIXES
-from ..recordings.rosbag_files import is_bag_folder
+from ..recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, Levels, is_bag_folder, kind_of
+from ..recordings.arrays import SUFFIXES as ARRAY_SUFFIXES
+from ..recordings.arrays import file_of, is_table
+from ..recordings.base import ARRAY_SUFFIX, TIFF_SUFFIXES
 
 PING_KINDS = ("aris", "ddf", "oculus")
 """Recordings (`simnfnd.models.recordings`) whose frames are pings, not pictures."""
+HDF5_SUFFIXES = (".h5", ".hdf5")
 SUFFIXES = (
     *PICTURE_SUFFIXES,
     *HDF5_SUFFIXES,
@@ -44,12 +44,10 @@ class Item:
     def kind(self) -> Literal["image", "shard", "video", "pings", "bag"]:
         """By the suffix of its name; a file of several pictures (TIFF, arrays) is a `video`."""
         suffix = self.source.suffix.lower()
-        if self.checked:
+        if self.checked or suffix in HDF5_SUFFIXES:
             return "shard"
         kind = kind_of(self.source)
-        if kind is None and suffix in HDF5_SUFFIXES:
-            return "shard"
-        if self.levels is not None and suffix in (*FORMATS, *TIFF_SUFFIXES):
+        if self.levels is not None and suffix in (*ARRAY_SUFFIXES, *TIFF_SUFFIXES):
             return "video"
         if kind in PING_KINDS:
             return "pings"
@@ -91,7 +89,7 @@ def _of_input(path: Path, out: Path) -> Iterator[Item]:
                 f"{path}: neither an image nor a shard nor a video or recording "
                 f"({', '.join(SUFFIXES)})"
             )
-        yield Item(path, Path(file.name))
+        yield Item(path, _output_of(Path(file.name)))
     elif not path.is_dir():
         raise FactoryError(f"{path}: no such file or folder")
     elif is_bag_folder(path):
@@ -120,7 +118,13 @@ def items_below(folder: Path, out: Path) -> list[Item]:
         and not is_table(file)
     ]
     found = [file for file in sorted([*bags, *files]) if not _is_below(file, out)]
-    return [Item(file, file.relative_to(folder)) for file in found]
+    return [Item(file, _output_of(file.relative_to(folder))) for file in found]
+
+
+def _output_of(relative: Path) -> Path:
+    """The name of what is made of a file: arrays of all formats become .npy files."""
+    arrays = relative.suffix.lower() in ARRAY_SUFFIXES
+    return relative.with_suffix(ARRAY_SUFFIX) if arrays else relative
 
 
 def _is_below(file: Path, folder: Path) -> bool:

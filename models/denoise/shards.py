@@ -65,7 +65,7 @@ def denoise_shard(
             try:
                 image = noisy[row]
                 truth = clean[row] if row < COMPARED else None
-                denoised[row] = denoise_image(image, denoise, geometry(row), echoes_alone=True)
+                denoised[row] = denoise_image(image, denoise, geometry(row))
             except (OSError, RuntimeError, ValueError) as error:
                 raise FrameError(f"{item.source}: sample {row} is damaged ({error})") from error
             if truth is not None:

@@ -15,9 +15,9 @@ from PIL import Image, TiffImagePlugin
 from ...factory.errors import FrameError
 from ...factory.files import explain_os_errors, write_atomically
 from ...factory.quiet import quiet_stderr
-from ..recordings.arrays.file import ArrayCopy, ArrayFile
-from ..recordings.arrays.levels import swapped
+from ..recordings.arrays import ArrayFile, NpyWriter
 from ..recordings.base import TIFF_SUFFIXES, Recording
+from ..recordings.levels import swapped
 from ..recordings.pictures import StackFile
 
 CODECS = {".avi": "FFV1", ".mkv": "FFV1", ".mov": "FFV1", ".mp4": "png "}
@@ -29,7 +29,7 @@ class FrameFiles:
 
     They become a video at `path` when its container has a codec without loss (any other would add
     artefacts of its own), the frame rate is known and both sides are even, as the writer cuts odd
-    ones; pages of a TIFF file where `path` is one; a copy of `source` where that is an array;
+    ones; pages of a TIFF file where `path` is one; a .npy file where `source` is an array;
     NNNNNN.png in a folder of that name otherwise.  Files appear when they are whole.
     """
 
@@ -40,7 +40,7 @@ class FrameFiles:
         self.count = 0
         self._writer: cv2.VideoWriter | None = None
         self._source = source
-        self._stack: StackWriter | ArrayCopy | None = None
+        self._stack: StackWriter | NpyWriter | None = None
         self._partial = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
 
     def add(self, picture: npt.NDArray[Any]) -> None:
@@ -73,7 +73,7 @@ class FrameFiles:
             return
         if isinstance(self._source, ArrayFile):
             with explain_os_errors(self.path, "--out"):
-                self._stack = self._source.copy_with_others(self._partial)
+                self._stack = NpyWriter(self._partial, self._source.header)
             return
         if code and self.rate_hz and not (height % 2 or width % 2) and not self.path.is_dir():
             fourcc = cv2.VideoWriter.fourcc(*code)

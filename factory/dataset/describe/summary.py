@@ -63,34 +63,28 @@ def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
         raise FactoryError(f"{path}: no such file or folder; give a dataset or one of its shards")
     else:
         source = open_source(path.parent if path.is_file() else path, "all")
-    tables: list[npt.NDArray[np.void]] = []
-    splits: list[str] = []
-    schema = generator = compression = ""
-    image_bytes = echoes = 0
-    for split, shard, samples in source.shards:
+    tables = list(source.tables())
+    with reading(source.shards[0][1]) as file:
+        schema, generator = str(file.attrs["schema"]), str(file.attrs["generator"])
+        compression = compression_of(file["noisy"])
+        listed = bool(echo_names(file))
+    echoes = 0
+    for _, shard, _ in source.shards if listed else ():
         with reading(shard) as file:
-            tables.append(file["meta"][()])
-            if tables[-1].dtype != tables[0].dtype:
-                raise FactoryError(f"its columns differ from those of {source.shards[0][1]}")
-            image_bytes += samples * sum(
-                int(np.prod(source.sizes[name])) * dtype.itemsize
-                for name, dtype in source.layers.items()
-            )
-            if echo_names(file):
-                echoes += int(np.diff(file[PLACE][()], axis=1).sum())
-            schema, generator = str(file.attrs["schema"]), str(file.attrs["generator"])
-            compression = compression_of(file["noisy"])
-        splits += [split] * samples
+            echoes += int(np.diff(file[PLACE][()], axis=1).sum())
+    a_sample = sum(
+        int(np.prod(source.sizes[name])) * dtype.itemsize for name, dtype in source.layers.items()
+    )
     psnr, similarity = _quality(source, pairs)
     return DatasetSummary(
         source,
         schema,
         generator,
         compression,
-        np.concatenate(tables),
-        np.asarray(splits),
+        np.concatenate([rows for _, _, rows in tables]),
+        np.concatenate([np.full(len(rows), split) for split, _, rows in tables]),
         sum(shard.stat().st_size for _, shard, _ in source.shards),
-        image_bytes,
+        a_sample * sum(source.splits.values()),
         echoes,
         psnr,
         similarity,

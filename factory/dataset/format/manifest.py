@@ -39,16 +39,18 @@ class Manifest:
     """All finished shards of a dataset, by path.
 
     config: the settings that `config_hash` stands for.
+    index_sha256: of the index.h5 that shows these very shards; empty: there is none.
     """
 
     config_hash: str
     generator: str
     config: Mapping[str, Any] = field(default_factory=dict)
     shards: Mapping[str, ShardInfo] = field(default_factory=dict)
+    index_sha256: str = ""
 
     def with_shard(self, info: ShardInfo) -> Manifest:
         """The manifest with `info` added, or put in place of the same path."""
-        return replace(self, shards={**self.shards, info.path: info})
+        return replace(self, shards={**self.shards, info.path: info}, index_sha256="")
 
     def samples(self, split: str | None = None) -> int:
         """Number of samples, in all or of one split."""
@@ -95,6 +97,7 @@ def save_manifest(directory: Path, manifest: Manifest) -> None:
         "config_hash": manifest.config_hash,
         "config": manifest.config,
         "totals": totals,
+        **({"index_sha256": manifest.index_sha256} if manifest.index_sha256 else {}),
         "shards": [asdict(shard) for shard in shards],
     }
     text = json.dumps(document, indent=1) + "\n"
@@ -115,9 +118,11 @@ def load_manifest(directory: Path) -> Manifest | None:
         if len({shard.path for shard in shards}) != len(shards):
             raise ValueError("a shard is listed twice")
         hash_, generator = document["config_hash"], document["generator"]
-        config = document["config"]
-        if not (isinstance(hash_, str) and isinstance(generator, str) and isinstance(config, dict)):
-            raise ValueError("config_hash and generator must be text, config an object")
+        config, index = document["config"], document.get("index_sha256", "")
+        if not all(isinstance(text, str) for text in (hash_, generator, index)):
+            raise ValueError("config_hash, generator and index_sha256 must be text")
+        if not isinstance(config, dict):
+            raise ValueError("config must be an object")
     except FileNotFoundError:
         return None
     except OSError as error:
@@ -133,7 +138,8 @@ def load_manifest(directory: Path) -> Manifest | None:
             found.pop(name, None)
         else:
             found[name] = outcome.info
-    return Manifest(hash_, generator, config, found)
+    still = len(found) == len(shards) and all(found.get(one.path) == one for one in shards)
+    return Manifest(hash_, generator, config, found, index if still else "")
 
 
 def damage(directory: Path, info: ShardInfo) -> str | None:

@@ -5,6 +5,7 @@ The writer follows this file, and so do reader, validator and docs/dataset.md.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import re
@@ -46,7 +47,7 @@ ROOT_ATTRIBUTES = {
     "checksum": "of the attributes above, /meta, /axes and /checksums; see below",
     "text_checksum": "of units, descriptions and all else that layers, columns and axes state",
 }
-# Those of them that are made of all the rest; absent in shards of earlier versions.
+# Those of them that are made of all the rest.
 SEALS = ("checksum", "text_checksum")
 # A row a sample, a column a layer: CRC-32 of each picture.
 CHECKSUMS = "checksums"
@@ -79,6 +80,15 @@ def plain_values(value: Any) -> Any:
 def config_text(config: Mapping[str, Any]) -> str:
     """Settings as the JSON of the root attribute `config`."""
     return json.dumps(plain_values(config), sort_keys=True, separators=(",", ":"))
+
+
+def config_hash(config: Mapping[str, Any]) -> str:
+    """Hash of settings: 16 hexadecimal digits of BLAKE2b over their JSON.
+
+    `extends`, the list of the datasets that an extended one began as, is left out.
+    """
+    text = config_text({key: value for key, value in config.items() if key != "extends"})
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
 def root_attributes(provenance: Provenance, split: str, dtype: str) -> dict[str, Any]:
@@ -118,46 +128,33 @@ def table_dtype(columns: Sequence[Column]) -> np.dtype[np.void]:
     return np.dtype(fields)
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def table_row(columns: Sequence[Column], record: Mapping[str, Any], name: str) -> tuple[Any, ...]:
     """One row of /meta.  `name` opens the message of the FrameError that any loss raises."""
     odd = sorted(set(record) ^ {column.name for column in columns})
     if odd:
         raise FrameError(f"{name}: record and columns disagree about {', '.join(odd)}")
-    return tuple(_cell(column, record[column.name], name) for column in columns)
-
-
-def _cell(column: Column, value: Any, name: str) -> Any:
-    dtype = np.dtype(column.dtype)
-    if dtype == np.float64 and isinstance(value, float):
-        return value  # as most are, and nothing is lost
-    where = f"{name}: column {column.name}"
-    if dtype.kind == "S":
-        if not isinstance(value, str):
-            raise FrameError(f"{where} holds text, got {value!r}")
+    row = []
+    for column in columns:
+        value, dtype = record[column.name], np.dtype(column.dtype)
         try:
-            encoded = value.encode()
-        except UnicodeEncodeError as error:
-            raise FrameError(f"{where}: {value!r} is no text; rename it") from error
-        if len(encoded) > dtype.itemsize:
-            raise FrameError(
-                f"{where} holds {dtype.itemsize} bytes, but {value!r} has {len(encoded)}; "
-                "use a shorter name"
-            )
-        if "\0" in value:
-            raise FrameError(f"{where}: {value!r} contains a NUL byte")
-        return encoded
-    if not isinstance(value, int | float | np.integer | np.floating):
-        raise FrameError(f"{where} holds a number, got {value!r}")
-    if dtype.kind == "f":
-        with np.errstate(over="ignore"):
-            stored = dtype.type(value)
-        if math.isfinite(value) and not math.isfinite(stored):
-            raise FrameError(f"{where} is {dtype}, too narrow for {value!r}")
-        return stored
-    limits = np.iinfo(dtype)
-    if not math.isfinite(value) or value != int(value) or not limits.min <= value <= limits.max:
-        raise FrameError(f"{where} is {dtype}, which cannot hold {value!r}")
-    return int(value)
+            stored: Any
+            if dtype.kind == "S":
+                stored = value.encode()
+                kept = len(stored) <= dtype.itemsize and b"\0" not in stored
+            elif dtype.kind == "f":
+                stored = dtype.type(value)
+                kept = math.isfinite(stored) == math.isfinite(value)
+            else:
+                stored, limits = int(value), np.iinfo(dtype)
+                kept = stored == value and limits.min <= stored <= limits.max
+        except (AttributeError, OverflowError, TypeError, ValueError):
+            kept = False
+        if not kept:
+            text = f"text of at most {dtype.itemsize} bytes" if dtype.kind == "S" else f"{dtype}"
+            raise FrameError(f"{name}: column {column.name} is {text} and cannot hold {value!r}")
+        row.append(stored)
+    return tuple(row)
 
 
 def check_pair(

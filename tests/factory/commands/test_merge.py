@@ -52,7 +52,7 @@ def test_the_shards_are_those_of_both(two, tmp_path, capsys) -> None:
 
 
 def test_the_result_is_valid(two, tmp_path) -> None:
-    from simnfnd.factory.dataset.check.validate import validate
+    from simnfnd.factory.dataset.validate import validate
 
     third = write(tmp_path / "c", place="canyon", seed=3)
     merge(two, tmp_path / "ab")

@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.dataset import PairDataset
+from simnfnd.factory.dataset.format.manifest import load_manifest, save_manifest
 from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.read import expected
-from simnfnd.factory.dataset.read.isolated import IsolatedProcess
+from simnfnd.factory.dataset.read import reader
 from simnfnd.factory.dataset.read.reader import check_readable
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
+from simnfnd.factory.isolated import IsolatedProcess
 from tests.factory.dataset.flips import any_bit, flip, given_out, outcome
 from tests.factory.dataset.hostile import PROVENANCE, admit, whole
 from tests.fake_source import FakeConfig, FakeSource, refs
@@ -50,7 +51,7 @@ PLACES: dict[str, Callable[[h5py.File, bytes], int]] = {
     "layer": lambda file, content: file["layers/background"].id.get_chunk_info(0).byte_offset,
     "sums": lambda file, content: file["checksums"].id.get_offset() + 5,
     "config": _text(b'{"seed":7}'),
-    "config hash": _text(b"c0ffee0123456789"),
+    "config hash": _text(PROVENANCE.config_hash.encode()),
     "generator": _text(b"simnfnd 0.1.0"),
     "text of an axis": _text(b"from the sonar"),
     "text of a column": _text(b"fraction of the scene points"),
@@ -68,27 +69,33 @@ def test_a_flipped_bit_is_refused(folder: Path, part: str) -> None:
     assert outcome(folder, right) == "refused"
 
 
-def strip(folder: Path) -> None:
-    """Make of the shards what an earlier version wrote."""
-    for path in folder.glob("*/*.h5"):
-        with h5py.File(path, "r+") as file:
-            for name in ("checksum", "text_checksum"):
-                del file.attrs[name]
-            del file["checksums"]
-    admit(folder)
-
-
-def test_shards_without_checksums_are_read(folder: Path) -> None:
-    right = given_out(folder)
-    strip(folder)
-    assert given_out(folder) == right
-
-
-def test_checksums_may_not_go_alone(folder: Path) -> None:
+def change(folder: Path, action: Callable[[h5py.File], None]) -> None:
     with h5py.File(folder / SHARD, "r+") as file:
-        del file["checksums"]
+        action(file)
     admit(folder)
-    with pytest.raises(FactoryError, match=r"shard-00000\.h5: .*checksum"):
+
+
+def _without(*names: str) -> Callable[[h5py.File], None]:
+    def action(file: h5py.File) -> None:
+        for name in names:
+            del (file if name in file else file.attrs)[name]
+
+    return action
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("checksums",), "some of its checksums are absent"),
+        (("text_checksum",), "some of its checksums are absent"),
+        (("checksums", "checksum", "text_checksum"), "versions before 0.3 wrote none"),
+    ],
+)
+def test_a_shard_without_its_checksums_is_refused(
+    folder: Path, names: tuple[str, ...], words: str
+) -> None:
+    change(folder, _without(*names))
+    with pytest.raises(FactoryError, match=rf"shard-00000\.h5: .*{words}"):
         given_out(folder)
 
 
@@ -115,14 +122,13 @@ def test_bits_anywhere_change_nothing_unseen(folder: Path) -> None:
 def test_a_hash_is_compared_when_it_is_asked_for(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    strip(folder)
     hashed: list[str] = []
 
     def counted(path: Path) -> str:
         hashed.append(path.name)
         return sha256_of(path)
 
-    monkeypatch.setattr(expected, "sha256_of", counted)
+    monkeypatch.setattr(reader, "sha256_of", counted)
     with PairDataset(folder, verify="hash") as pairs:
         assert not hashed
         for _ in range(3):
@@ -130,10 +136,14 @@ def test_a_hash_is_compared_when_it_is_asked_for(
             pairs.meta()
             pairs.close()
     assert sorted(hashed) == ["shard-00000.h5", "shard-00001.h5"], "once a shard"
-    path = folder / SHARD
-    with h5py.File(path) as file:
-        place = PLACES["noisy"](file, b"")
-    flip(path, place, 0)
+    # Of what was exchanged on purpose nothing else tells.
+    manifest = load_manifest(folder)
+    assert manifest is not None
+    change(folder, lambda file: file.attrs.create("about", "another"))
+    save_manifest(folder, replace(load_manifest(folder) or manifest, shards={
+        path: replace(info, sha256=manifest.shards[path].sha256)
+        for path, info in (load_manifest(folder) or manifest).shards.items()
+    }))  # fmt: skip
     with PairDataset(folder) as pairs:
         list(pairs)
     for action in (lambda pairs: pairs[0], lambda pairs: pairs.meta(), lambda pairs: pairs.axes):

@@ -12,8 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simnfnd.factory.dataset.format.filters import fletcher32
-from simnfnd.factory.dataset.write.chunks import deflate, write_gzip_chunk
+from simnfnd.factory.dataset.write.writer import deflate, fletcher32, write_gzip_chunk
 
 
 def by_the_book(content: bytes) -> int:

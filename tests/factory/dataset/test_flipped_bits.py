@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.format.filters import fletcher32
 from simnfnd.factory.dataset.format.layout import check_shard
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.read.image_stack import ImageStack
 from simnfnd.factory.dataset.read.reader import check_readable
-from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.dataset.write.writer import fletcher32, write_shard
 from simnfnd.factory.errors import FactoryError
 from tests.factory.dataset.hostile import PROVENANCE, with_layers
 from tests.fake_source import FakeConfig, FakeSource, refs
@@ -110,7 +109,8 @@ def test_a_chunk_of_another_length_is_no_picture(tmp_path: Path, size: int, chec
             chunk = zlib.compress(content)
             ending = struct.pack("<I", fletcher32(chunk)) if checksum else b""
             stack.id.write_direct_chunk((row, 0, 0), chunk + ending)
-        images = ImageStack(stack)
+        sums = np.full(2, zlib.crc32(bytes(480)), np.uint32)
+        images = ImageStack(stack, sums)
         assert not images[0].any()
         with pytest.raises(ValueError, match="bytes of a picture"):
             images[1]

@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from simnfnd.factory.dataset.describe.card import write_card
 from simnfnd.factory.dataset.describe.preview import preview, spread
 from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.read.overview import SampleName
+from simnfnd.factory.dataset.read.source import SampleName
 from simnfnd.factory.dataset.write.failures import (
     Failure,
     add_failures,
@@ -269,7 +269,7 @@ def test_a_preview_of_nothing_is_refused(tmp_path: Path) -> None:
 @given(sizes=st.lists(st.integers(1, 9), min_size=1, max_size=12), count=st.integers(1, 20))
 def test_a_preview_spreads_over_the_scenes(sizes: list[int], count: int) -> None:
     samples = [
-        SampleName("train/shard-00000.h5", row, "train", "reef", f"{scene:02d}", f"{row}", 0)
+        SampleName(Path("train/shard-00000.h5"), row, "train", "reef", f"{scene:02d}", f"{row}", 0)
         for scene, size in enumerate(sizes)
         for row in range(size)
     ]

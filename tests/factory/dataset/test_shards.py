@@ -153,16 +153,16 @@ def test_pairs_that_do_not_fit_are_refused(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"scene": "a-name-of-17-byte"}, "column scene holds 16 bytes"),
-        ({"scene": "ünïcödé-zwölf"}, "column scene holds 16 bytes"),
-        ({"scene": "nul\0"}, "NUL"),
-        ({"scene": 5}, "holds text"),
+        ({"scene": "a-name-of-17-byte"}, "column scene is text of at most 16 bytes and cannot"),
+        ({"scene": "ünïcödé-zwölf"}, "column scene is text of at most 16 bytes and cannot"),
+        ({"scene": "nul\0"}, "column scene is text"),
+        ({"scene": 5}, "column scene is text"),
         ({"variant": 2**31}, "column variant is int32"),
         ({"variant": 0.5}, "column variant is int32"),
-        ({"variant": "3"}, "holds a number"),
+        ({"variant": "3"}, "column variant is int32"),
         ({"variant": float("nan")}, "column variant is int32"),
         ({"variant": float("inf")}, "column variant is int32"),
-        ({"frame": "\udcff"}, "is no text"),
+        ({"frame": "\udcff"}, "column frame is text"),
         ({"extra": 1}, "disagree about extra"),
     ],
 )

@@ -19,13 +19,13 @@ from hypothesis import strategies as st
 from simnfnd.factory import pairs
 from simnfnd.factory.config import FactoryConfig, digest, from_mapping, identity
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.check.facts import shard_facts
 from simnfnd.factory.dataset.format import echoes as lists
 from simnfnd.factory.dataset.format.checksums import crc32, seal
 from simnfnd.factory.dataset.format.echoes import EchoList, read_echoes, write_echoes
 from simnfnd.factory.dataset.format.layers import ECHO_FIELDS
 from simnfnd.factory.dataset.format.sample import Pair
 from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.validate import shard_facts
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Frame

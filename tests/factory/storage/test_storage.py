@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.check.validate import validate
+from simnfnd.factory.dataset.validate import validate
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler import run
 from simnfnd.factory.scheduler.results import RunReport

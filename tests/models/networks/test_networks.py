@@ -13,8 +13,8 @@ import yaml
 from safetensors.torch import save
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.models.networks import NETWORKS, build_network, cost
-from simnfnd.models.networks.cost import count_macs, measure
+from simnfnd.models.networks import NETWORKS, build_network
+from simnfnd.models.networks.cost import count_macs
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.restormer import ChannelAttention
 from simnfnd.models.networks.weights import FORMAT, load_weights, save_weights
@@ -204,26 +204,6 @@ def test_counted_operations_are_those_of_the_formula() -> None:
     width = TINY["sid_tgan"]["width"] * 8
     # What grows with the number of pixels squared: two products over the places.
     assert many - 4 * few == 2 * width * ((128 // 8) ** 4 - 4 * (64 // 8) ** 4)
-
-
-def test_measuring_leaves_the_network_as_it_was() -> None:
-    network = tiny("unet").train()
-    threads = torch.get_num_threads()
-    found = measure(network, gmac_px=32, time_px=32)
-    assert found.parameters == sum(p.numel() for p in network.parameters())
-    assert found.gmac > 0
-    assert found.cpu_ms > 0
-    assert network.training
-    assert torch.get_num_threads() == threads
-
-
-def test_the_table_of_costs_is_printed(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(cost, "NETWORKS", {"dae": NETWORKS["dae"]})
-    monkeypatch.setattr(cost, "cpu_seconds", lambda network, size_px: 0.1234)
-    assert cost.main() == 0
-    assert capsys.readouterr().out.splitlines()[2:] == ["| dae | 0.33 | 1.40 | 123 |"]
 
 
 # --- single networks

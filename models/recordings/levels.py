@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ....factory.errors import FrameError
-from ..base import FULL_SCALE, Samples
+from ...factory.errors import FrameError
+from .base import FULL_SCALE, Samples
 
 
 @dataclass(frozen=True)

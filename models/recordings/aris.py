@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ....factory.errors import FrameError
-from ....factory.files import explain_os_errors
-from ..base import (
+from ...factory.errors import FrameError
+from ...factory.files import explain_os_errors
+from .aris_beams import BEAM_CENTRES_DEG
+from .base import (
     MOST_RANGE_M,
     MOST_RANGES,
     Beams,
@@ -27,7 +28,6 @@ from ..base import (
     header_layout,
     known,
 )
-from .beams import BEAM_CENTRES_DEG
 
 HEADER = 1024  # bytes, of the file and of each frame
 SIGNATURE = 0x05464444  # "DDF" and 5
