@@ -18,7 +18,6 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.dataset.read.reader import look_at
 from ...factory.errors import FactoryError, FrameError
 from .base import ARRAY_SUFFIX, FileOfFrames, Frame, Samples, explained
 from .budget import ask_bytes, ask_pixels, most_at_once
@@ -274,6 +273,8 @@ def _npz_headers(archive: ZipFile) -> dict[str, Header]:
 
 
 def _matlab_headers(path: Path) -> dict[str, Header]:
+    from ...factory.dataset.read.reader import look_at  # loads HDF5
+
     try:
         import scipy.io  # noqa: F401  an extra
     except ImportError as error:

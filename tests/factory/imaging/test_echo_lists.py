@@ -22,9 +22,7 @@ from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.format import echoes as lists
 from simnfnd.factory.dataset.format.checksums import crc32, seal
 from simnfnd.factory.dataset.format.echoes import EchoList, read_echoes, write_echoes
-from simnfnd.factory.dataset.format.layers import ECHO_FIELDS
-from simnfnd.factory.dataset.format.sample import Pair
-from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.format.schema import ECHO_FIELDS, Pair, Provenance
 from simnfnd.factory.dataset.validate import shard_facts
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError

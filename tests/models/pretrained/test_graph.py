@@ -15,9 +15,10 @@ import onnxruntime
 import pytest
 import torch
 
-from simnfnd import denoise
+from simnfnd import denoise, open_recording
 from simnfnd.command import main as command
 from simnfnd.factory.errors import FactoryError
+from simnfnd.models.data.fans import write_fans
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.blend_head import BlendHead
 from simnfnd.models.networks.weights import load_weights, save_weights
@@ -177,7 +178,7 @@ def test_what_cannot_be_exported_costs_a_line(tmp_path: Path) -> None:
 
 
 def test_the_example_denoises_as_the_command_does(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The shipped weights, on a fan found in its picture; pictures may round differently."""
     monkeypatch.chdir(tmp_path)
@@ -185,9 +186,9 @@ def test_the_example_denoises_as_the_command_does(
     cv2.imwrite("picture.png", fan(preset("aris_1800_lf", 128, 160), 0.3, holes=False)[0])
     words = ("export-weights", "simnfnd", "--to", "onnx", "--geometry", "fan", "--out", "fan.onnx")
     assert command(words) == 0
-    capsys.readouterr()
-    assert command(("geometry", "picture.png")) == 0
-    Path("fans.csv").write_text(capsys.readouterr().out, encoding="utf-8")
+    geometry = open_recording("picture.png")[0].geometry
+    assert geometry is not None
+    write_fans("fans.csv", {"picture.png": geometry})
     assert command(("denoise", "picture.png", "--geometry", "fans.csv", "--out", "out")) == 0
     done = run("onnx_denoise.py", "fan.onnx", "picture.png", "a.png", "fans.csv", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
