@@ -133,7 +133,8 @@ def guard(action: Callable[[], Any], *, debug: bool = False) -> int:
             raise
         return say_error(FactoryError(f"memory: not enough of it ({_memory_limit()})"))
     except KeyboardInterrupt as stopped:
-        print("error: interrupted; what was finished is kept, run again to go on", file=sys.stderr)
+        said = "interrupted; what was finished is kept, run again to go on"
+        print(f"error: {getattr(stopped, 'said', said)}", file=sys.stderr)
         # SIGTERM comes as a KeyboardInterrupt that knows its own exit code.
         return int(getattr(stopped, "exit_code", 128 + signal.SIGINT))
 

@@ -19,14 +19,12 @@ from ...seeds import stream
 from ...storage.copies import local_folder
 from ..format.axes import image_axes
 from ..format.echoes import EchoList
-from ..format.layers import EFFECT_FOLDER, layers
 from ..format.manifest import (
     INDEX_NAME,
     MANIFEST_NAME,
     load_manifest,
 )
-from ..format.sample import Axis
-from ..format.schema import VALUE_RANGES
+from ..format.schema import EFFECT_FOLDER, VALUE_RANGES, Axis, layers
 from .image_stack import Image
 from .open_shards import OpenShards
 from .reader import (
@@ -57,7 +55,7 @@ class PairDataset:
 
     folder: of the dataset, or the index.h5 in it; or its URL on a storage (s3://bucket/folder),
     from where shards are fetched when they are needed (`factory.storage.copies`).
-    layers: as `format.layers` names them.
+    layers: as `format.schema` names them.
     manifest.json decides which shards count; while a run adds some, the ones of the moment of
     opening stay.
 

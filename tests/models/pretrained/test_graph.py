@@ -1,4 +1,4 @@
-"""`simnfnd export-weights --to onnx` and `torchscript`: any size, as torch, and as `denoise`."""
+"""`simnfnd export-weights --to onnx`: any size, as torch, and as `denoise`."""
 
 from __future__ import annotations
 
@@ -149,27 +149,6 @@ def test_the_file_says_what_it_is(tmp_path: Path) -> None:
     assert str(Path(__file__).parents[3]).encode() not in out.read_bytes()
 
 
-def test_torchscript_gets_what_torch_gets(tmp_path: Path) -> None:
-    for kind, layout in (("unet", "none"), ("sonarnet", "fan")):
-        given, out = weights(tmp_path, kind), tmp_path / f"{kind}.pt"
-        assert (
-            main([str(given), "--to", "torchscript", "--geometry", layout, "--out", str(out)]) == 0
-        )
-        assert str(Path(__file__).parents[3]).encode() not in out.read_bytes()
-        extra = {"simnfnd.json": ""}
-        loaded = torch.jit.load(out, _extra_files=extra)
-        graph = Graph(load_weights(given).network, layout)  # type: ignore[arg-type]
-        assert json.loads(extra["simnfnd.json"])["inputs"] == list(graph.inputs)
-        for size in SIZES:
-            inputs = arrays(graph, size)
-            for values, expected in zip(
-                loaded(*map(torch.from_numpy, inputs.values())),
-                of_torch(graph, inputs),
-                strict=True,
-            ):
-                np.testing.assert_allclose(values, expected, atol=1e-6)
-
-
 @pytest.mark.parametrize("wrong", [1e-3, np.nan])
 def test_a_file_that_differs_from_torch_is_refused(tmp_path: Path, wrong: float) -> None:
     graph = Graph(load_weights(weights(tmp_path, "unet")).network, "none")
@@ -189,7 +168,7 @@ def test_what_cannot_be_exported_costs_a_line(tmp_path: Path) -> None:
     for words, said in (
         (("--to", "onnx", "--out", "a.pt"), r"must end in \.onnx"),
         (("--to", "onnx", "--geometry", "fan", "--out", onnx_file), "does not use the geometry"),
-        (("--geometry", "fan", "--out", "a.safetensors"), "for --to onnx and torchscript"),
+        (("--geometry", "fan", "--out", "a.safetensors"), "for --to onnx"),
         (("--to", "onnx", "--limits", "a.md", "--out", onnx_file), "are for the card"),
         (("--to", "onnx", "--set", "blocks=2", "--out", onnx_file), "do not fit such a network"),
     ):
