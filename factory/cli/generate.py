@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 _MANY = 50
 # Pictures of which less is lit are hardly meant.
 _LEAST_LIT = 0.01
-_NARROW_DEG, _FAR_M, _MOST_PX = 2.0, 300.0, 1 << 14
+_NARROW_DEG, _FAR_M, _WIDEST = 2.0, 300.0, 3.0
 
 
 def generate(composed: DictConfig) -> int:
@@ -216,9 +216,12 @@ def _likeliest(config: FactoryConfig) -> str:
     if not sonar.range.auto and sonar.range.max_m > _FAR_M:
         return f"; check sonar.range.max_m={sonar.range.max_m:g}, which is in metres"
     pinhole = getattr(config.scenes, "intrinsics", None)
-    if pinhole is not None and not (0 < pinhole[2] < 2 * _MOST_PX and 0 < pinhole[3] < _MOST_PX):
-        given = ",".join(f"{value:g}" for value in pinhole)
-        return f"; check scenes.intrinsics=[{given}], which is fx,fy,cx,cy in pixels"
+    if pinhole is not None:
+        fx, fy, cx, cy = pinhole
+        # Beyond that the axis of the lens is at no picture's place.
+        if not (0 < cx < _WIDEST * fx and 0 < cy < _WIDEST * fy):
+            given = ",".join(f"{value:g}" for value in pinhole)
+            return f"; check scenes.intrinsics=[{given}], which is fx,fy,cx,cy in pixels"
     if getattr(config.scenes, "depth_scale", None) is not None:
         return f"; check scenes.depth_scale={config.scenes.depth_scale:g}"  # type: ignore[union-attr]
     keys = "sonar.range, sonar.hfov_deg and, for your own recordings, scenes.intrinsics"
