@@ -74,12 +74,11 @@ class Network:
     @property
     def on_gpu(self) -> bool:
         """Whether it runs on a GPU."""
-        parameter = next(self._denoise.trained.network.parameters(), None)
-        return parameter is not None and parameter.is_cuda
+        return self._denoise.runtime.on_gpu
 
     def __call__(self, image: Gray, geometry: FanGeometry | None = None) -> Gray:
         """(H, W) float32 in 0..1 -> the same, as `simnfnd denoise` makes it."""
-        return self._denoise(image, geometry)
+        return self._denoise(image, geometry if self._denoise.runtime.extras else None)
 
 
 @lru_cache(maxsize=2)

@@ -33,7 +33,7 @@ EXTRAS = {
     "huggingface_hub": "export",
     "webdataset": "export",
     "onnx": "onnx",
-    "onnxruntime": "onnx",
+    "onnxruntime": "denoise",
     "matplotlib": "figures",
     "rosbags": "ros",
     "hdf5plugin": "zstd",
@@ -41,7 +41,7 @@ EXTRAS = {
 }
 """Module -> the extra of pyproject.toml that installs it."""
 
-WITH_SONAR = frozenset({"train", "report", "export", "figures", "ros"})
+WITH_SONAR = frozenset({"denoise", "train", "report", "export", "figures", "onnx", "ros"})
 """Extras that bring the extra `sonar`."""
 
 

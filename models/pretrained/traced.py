@@ -1,17 +1,16 @@
-"""Networks as files of other programs: ONNX and TorchScript, compared with torch before written.
+"""Networks as ONNX files for other programs, compared with torch before they are written.
 
-Both come of one trace.  torch's exporter by symbolic shapes (`dynamo=True`) gives the same ONNX
+They come of a trace.  torch's exporter by symbolic shapes (`dynamo=True`) gives the same ONNX
 graph of `sonarnet` after minutes where the trace takes seconds.
 """
 
 from __future__ import annotations
 
 import io
-import json
 import warnings
-import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -27,26 +26,30 @@ OPSET = 18
 
 Newer runtimes read older opsets.
 """
-TOLERANCE = 1e-4
-"""Largest difference from torch that is let through, in pictures of 0 to 1."""
 # Pictures of the trace and of the comparison: (height, width, how many).  The first divides by
 # nothing, so that padding is part of the trace.
 _TRACED = (75, 91, 2)
 _COMPARED = ((64, 64, 1), (50, 83, 2), (128, 70, 1))
 
+_FEW = 64
+"""Fewer weights are not worth a step that widens them."""
+
 Run = Callable[[Mapping[str, Tensor]], list[np.ndarray]]
 
 
-def write_onnx(graph: Graph, path: Path, about: Mapping[str, object]) -> float:
+def write_onnx(
+    graph: Graph, path: Path, about: Mapping[str, object], *, halves: bool = False
+) -> float:
     """Write a `.onnx` file of any height, width and number of pictures; how far it is from torch.
 
-    about: what the file says of itself.  Raises FactoryError when onnxruntime does not get what
+    about: what the file says of itself.  halves: store weights that 16 bits hold exactly so.
+    Raises FactoryError when onnxruntime does not get what
     torch does, or the file cannot be written.
     """
     import onnxruntime
 
     check_writable(path.parent, "--out")
-    content = _with_words(graph, _exported(graph), about)
+    content = _with_words(graph, _exported(graph), about, halves)
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
     session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
@@ -62,27 +65,10 @@ def write_onnx(graph: Graph, path: Path, about: Mapping[str, object]) -> float:
     return difference
 
 
-def write_torchscript(graph: Graph, path: Path, about: Mapping[str, object]) -> float:
-    """Write a `.pt` file that `torch.jit.load` reads; otherwise as `write_onnx`."""
-    check_writable(path.parent, "--out")
-    made = io.BytesIO()
-    words = json.dumps({**_facts(graph, about), "inputs": list(graph.inputs)}, sort_keys=True)
-    torch.jit.save(_traced(graph), made, _extra_files={"simnfnd.json": words})
-    content = _without_paths(made)
-    loaded = torch.jit.load(io.BytesIO(content))  # type: ignore[no-untyped-call]
-
-    def run(inputs: Mapping[str, Tensor]) -> list[np.ndarray]:
-        return [values.numpy() for values in loaded(*inputs.values())]
-
-    difference = compared(graph, run, "TorchScript")
-    write_atomically(path, content, key="--out")
-    return difference
-
-
 def compared(graph: Graph, run: Run, who: str) -> float:
     """Largest difference of `run` from the graph in torch, over pictures of several sizes.
 
-    Raises FactoryError when it is above TOLERANCE.
+    Raises FactoryError when it is above the graph's tolerance.
     """
     worst = 0.0
     for seed, size in enumerate(_COMPARED):
@@ -94,10 +80,10 @@ def compared(graph: Graph, run: Run, who: str) -> float:
             # NaN must not pass.
             distance = float(np.abs(values - wished).max())
             worst = distance if not distance <= worst else worst
-    if not worst <= TOLERANCE:
+    if not worst <= graph.tolerance:
         raise FactoryError(
-            f"{who} differs from torch by {worst:.1e}, more than {TOLERANCE:.0e}; nothing was "
-            "written; please report this with the versions of both"
+            f"{who} differs from torch by {worst:.1e}, more than {graph.tolerance:.0e}; "
+            "nothing was written; please report this with the versions of both"
         )
     return worst
 
@@ -113,19 +99,7 @@ def _traced(graph: Graph) -> torch.jit.ScriptModule:
         return traced
 
 
-def _without_paths(made: io.BytesIO) -> bytes:
-    """The same archive without where the lines of its source stood on this machine."""
-    content = io.BytesIO()
-    with zipfile.ZipFile(made) as source, zipfile.ZipFile(content, "w") as target:
-        for member in source.infolist():
-            if not member.filename.endswith(".debug_pkl"):
-                target.writestr(member, source.read(member))
-    return content.getvalue()
-
-
 def _exported(graph: Graph) -> bytes:
-    axes = {0: "count", 2: "height", 3: "width"}
-    pictures = [name for name in (*graph.inputs, "denoised") if name != "remove"]
     content = io.BytesIO()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -137,16 +111,20 @@ def _exported(graph: Graph) -> bytes:
             opset_version=OPSET,
             input_names=list(graph.inputs),
             output_names=list(graph.outputs),
-            dynamic_axes={**dict.fromkeys(pictures, axes), "weight": {0: "count"}},
+            dynamic_axes=graph.axes,
         )
     return content.getvalue()
 
 
-def _with_words(graph: Graph, content: bytes, about: Mapping[str, object]) -> bytes:
-    """The same file with its inputs and itself explained."""
+def _with_words(
+    graph: Graph, content: bytes, about: Mapping[str, object], halves: bool = False
+) -> bytes:
+    """The same file with its inputs and itself explained; halves: with weights in 16 bits."""
     import onnx
 
     model = onnx.load_model_from_string(content)
+    if halves:
+        _halve(model)
     lines = described(graph)
     for value in (*model.graph.input, *model.graph.output):
         value.doc_string = lines[value.name]
@@ -161,6 +139,25 @@ def _with_words(graph: Graph, content: bytes, about: Mapping[str, object]) -> by
     onnx.checker.check_model(model, full_check=True)
     written: bytes = model.SerializeToString(deterministic=True)
     return written
+
+
+def _halve(model: Any) -> None:
+    """Store weights in 16 bits where these hold them exactly; the graph widens them first."""
+    import onnx
+    from onnx import numpy_helper
+
+    casts = []
+    for one in model.graph.initializer:
+        values = numpy_helper.to_array(one)
+        halved = values.astype(np.float16)
+        if values.dtype != np.float32 or values.size < _FEW or (halved != values).any():
+            continue
+        name = one.name
+        one.CopyFrom(numpy_helper.from_array(halved, f"{name}.half"))
+        casts.append(onnx.helper.make_node("Cast", [one.name], [name], to=onnx.TensorProto.FLOAT))
+    nodes = [*casts, *model.graph.node]
+    del model.graph.node[:]
+    model.graph.node.extend(nodes)
 
 
 def _facts(graph: Graph, about: Mapping[str, object]) -> dict[str, object]:

@@ -29,7 +29,7 @@ from simnfnd.evaluation.report.content import Row
 from simnfnd.evaluation.report.measure import measured_rows
 from simnfnd.evaluation.report.page import read_results
 from simnfnd.evaluation.runner import STORE_NAME, FigureStore, Task, measure_task
-from simnfnd.factory.dataset.format.sample import Pair
+from simnfnd.factory.dataset.format.schema import Pair
 from simnfnd.factory.dataset.read.reader import open_shard, shard_paths
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.workers.tasks import TaskLost, TaskPool

@@ -27,7 +27,7 @@ from simnfnd.evaluation.report import build as builder
 from simnfnd.evaluation.report.content import Row
 from simnfnd.evaluation.report.measure import measured_rows
 from simnfnd.evaluation.runner import FigureStore
-from simnfnd.factory.dataset.format.sample import Pair
+from simnfnd.factory.dataset.format.schema import Pair
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from tests.evaluation.evaluation_settings import evaluation, settings_for

@@ -24,8 +24,7 @@ from simnfnd.evaluation.metrics.fidelity import psnr
 from simnfnd.evaluation.pairs import Pair as Pair_
 from simnfnd.evaluation.pairs import geometry_of, items_of, picture
 from simnfnd.evaluation.runner import denoised
-from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
-from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.format.schema import Axis, Column, Pair, Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
