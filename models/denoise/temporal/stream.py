@@ -110,6 +110,8 @@ class InTime(Generic[Key]):
         self._held[self._newest] = shot
         if self._frames > 1:
             self._aligner.add(self._newest, _grey(shot.levels), shot.shift_px)
+            # Motions over several frames start from those between neighbours.
+            self._aligner.motion(self._newest, self._newest - 1)
         yield from self._ready()
 
     def finish(self) -> Iterator[tuple[Key, Grey]]:
