@@ -82,7 +82,7 @@ def main(arguments: Sequence[str]) -> int:
         "--geometry",
         default=FIND,
         help="of images and videos: `find` it in the picture (default), `polar`, `none`, or a CSV "
-        "table of fans as `simnfnd geometry` prints; shards and recordings know theirs",
+        "table of fans (file, apex_x, apex_y, ...); shards and recordings know theirs",
     )
     parser.add_argument(
         "--levels",
