@@ -22,6 +22,7 @@ Floats = npt.NDArray[np.float64]
 
 ALIKE = 0.2
 """Frames whose band-passed pictures correlate less show something else."""
+_BY_CHANCE = 4.0  # standard deviations of the correlation of unlike frames, the best of all shifts
 _FURTHEST = 48  # reduced pixels that the peak of a phase correlation may lie away
 _BETTER = 0.05  # part of what no motion leaves that a motion must explain
 _STEPS, _SETTLED = 4, 0.02
@@ -140,7 +141,8 @@ class Aligner:
         if view is None or seen is None or view.full != seen.full:
             return None
         affine, alike = _whole(view, seen, self._starts(number, other))
-        if alike < ALIKE:
+        pixels = max(float(view.lit.sum()), 1.0)
+        if alike < ALIKE + _BY_CHANCE / np.sqrt(pixels / _GRAIN):
             return None
         if number - other == 1:
             self._last = affine

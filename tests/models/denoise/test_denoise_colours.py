@@ -11,10 +11,10 @@ import numpy.typing as npt
 import pytest
 
 from simnfnd.models.denoise import command
-from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.pictures import Gray
 from simnfnd.models.recordings import open_recording
 from tests.models.adapt.scenes import noisy, scene
+from tests.models.denoise.halving import main
 
 Bytes = npt.NDArray[Any]
 
