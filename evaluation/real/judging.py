@@ -26,6 +26,7 @@ from .measure import MEAN, MEDIAN, RealPicture
 from .settings import RealSettings
 from .shots import Shot, Stretch, open_input, spread
 from .summary import Groups, Summary, summaries
+from .time_rows import InTime, judged_in_time
 from .tuning import Part, Task, Tuned, parts_of, tuned
 
 TUNED = "tuned on others"
@@ -84,6 +85,7 @@ class Outcome:
     shown: dict[int, Judged]
     summaries: dict[str, Summary]
     best: dict[str, str]
+    in_time: InTime
     notes: tuple[str, ...]
 
     def facts(self) -> dict[str, Any]:
@@ -103,6 +105,7 @@ class Outcome:
                 for group, part in zip(self.groups, self.parts, strict=True)
             ],
             "best_filter": self.best,
+            "in_time": self.in_time.facts(),
         }
 
 
@@ -164,6 +167,7 @@ def judge(
     found, best = summaries(
         rows, measured, member, resamples=settings.bootstrap, seed=settings.seed
     )
+    in_time = judged_in_time(settings, groups, networks, pool)
     return Outcome(
         tuple(groups),
         tuple(parts),
@@ -173,7 +177,8 @@ def judge(
         shown,
         found,
         best,
-        tuple(notes),
+        in_time,
+        (*notes, *in_time.notes),
     )
 
 
