@@ -25,38 +25,22 @@ from .base import (
     Frame,
     Pose,
     Samples,
-    header_layout,
     known,
+    layout_of,
 )
 
 HEADER = 1024  # bytes, of the file and of each frame
 SIGNATURE = 0x05464444  # "DDF" and 5
 DECIBELS = 80.0
 
-_AT = {
-    "FrameTime": (4, "<u8"),
-    "Version": (12, "<u4"),
-    "ReceiverGain": (68, "<u4"),
-    "Depth": (128, "<f4"),
-    "CompassHeading": (160, "<f4"),
-    "CompassPitch": (164, "<f4"),
-    "CompassRoll": (168, "<f4"),
-    "Latitude": (172, "<f8"),
-    "Longitude": (180, "<f8"),
-    "SonarPan": (244, "<f4"),
-    "SonarTilt": (248, "<f4"),
-    "PingMode": (436, "<u4"),
-    "FrequencyHiLow": (440, "<u4"),
-    "SamplePeriod": (452, "<u4"),
-    "SoundSpeed": (464, "<f4"),
-    "SamplesPerBeam": (468, "<u4"),
-    "SampleStartDelay": (476, "<u4"),
-    "LargeLens": (480, "<u4"),
-    "TheSystemType": (484, "<u4"),
-    "SonarSerialNumber": (488, "<u4"),
-    "ReorderedSamples": (516, "<u4"),
-}
-FRAME_HEADER = header_layout(_AT, HEADER)
+_AT = """
+    FrameTime 4 u8  Version 12 u4  ReceiverGain 68 u4  Depth 128 f4  CompassHeading 160 f4
+    CompassPitch 164 f4  CompassRoll 168 f4  Latitude 172 f8  Longitude 180 f8  SonarPan 244 f4
+    SonarTilt 248 f4  PingMode 436 u4  FrequencyHiLow 440 u4  SamplePeriod 452 u4
+    SoundSpeed 464 f4  SamplesPerBeam 468 u4  SampleStartDelay 476 u4  LargeLens 480 u4
+    TheSystemType 484 u4  SonarSerialNumber 488 u4  ReorderedSamples 516 u4
+"""
+FRAME_HEADER = layout_of(_AT, HEADER)
 """The fields that are read; names and offsets of FrameHeader.h."""
 
 _BEAMS_OF_PING_MODES = ((48, 1, 2), (96, 3, 5), (64, 6, 8), (128, 9, 12))
