@@ -23,10 +23,10 @@ from .base import (
     Device,
     FileOfFrames,
     Frame,
-    Pose,
     Samples,
     known,
     layout_of,
+    pose_of,
 )
 
 HEADER = 1024  # bytes, of the file and of each frame
@@ -40,6 +40,7 @@ _AT = """
     SoundSpeed 464 f4  SamplesPerBeam 468 u4  SampleStartDelay 476 u4  LargeLens 480 u4
     TheSystemType 484 u4  SonarSerialNumber 488 u4  ReorderedSamples 516 u4
 """
+_POSE = "CompassHeading CompassPitch CompassRoll Depth SonarPan SonarTilt Latitude Longitude"
 FRAME_HEADER = layout_of(_AT, HEADER)
 """The fields that are read; names and offsets of FrameHeader.h."""
 
@@ -105,16 +106,7 @@ class ArisFile(FileOfFrames):
             np.ascontiguousarray(samples),
             Beams(tuple(azimuths.tolist()), near, far),
             time_s=float(header["FrameTime"]) * 1e-6,
-            pose=Pose(
-                heading_deg=known(header["CompassHeading"], 360),
-                pitch_deg=known(header["CompassPitch"], 360),
-                roll_deg=known(header["CompassRoll"], 360),
-                depth_m=known(header["Depth"]),
-                pan_deg=known(header["SonarPan"], 720),
-                tilt_deg=known(header["SonarTilt"], 720),
-                latitude_deg=known(header["Latitude"], 90),
-                longitude_deg=known(header["Longitude"], 180),
-            ),
+            pose=pose_of(header, _POSE),
             device=Device(
                 name=name,
                 serial_number=int(header["SonarSerialNumber"]),

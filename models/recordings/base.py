@@ -239,6 +239,13 @@ def layout_of(fields: str, size: int | None = None) -> np.dtype:
     return np.dtype({**made, "offsets": offsets, "itemsize": size})  # type: ignore[call-overload]
 
 
+def pose_of(header: np.void, names: str) -> Pose:
+    """What the fields of a header say; names: in the order of `Pose`."""
+    most = (360, 360, 360, 1e6, 720, 720, 90, 180)
+    pairs = zip(names.split(), most, strict=True)
+    return Pose(*(known(header[name], limit) for name, limit in pairs))
+
+
 def known(value: float, most: float = 1e6) -> float | None:
     """A number of a header, or None where it is not finite or absurd."""
     return float(value) if np.isfinite(value) and abs(value) <= most else None

@@ -21,9 +21,9 @@ from .base import (
     Device,
     FileOfFrames,
     Frame,
-    Pose,
     known,
     layout_of,
+    pose_of,
 )
 
 # Version -> bytes of the file's and of a frame's header.
@@ -40,8 +40,7 @@ _FRAME_AT = """
     pitch 136 f4  roll 144 f4  heading 152 f4  sonarpan 160 f4  sonartilt 164 f4
     latitude 172 f8  longitude 180 f8  configflags 192 i4
 """
-
-
+_POSE = "heading pitch roll depth sonarpan sonartilt latitude longitude"
 FILE_HEADER = layout_of(_FILE_AT, HEADERS[3][0])
 FRAME_HEADER = layout_of(_FRAME_AT, HEADERS[3][1])
 """The fields that are read; both versions have them at the same places."""
@@ -105,16 +104,7 @@ class DdfFile(FileOfFrames):
             np.ascontiguousarray(samples),
             Beams(beam_azimuths_rad(self.beams), near, far),
             time_s=_time_s(header),
-            pose=Pose(
-                heading_deg=known(header["heading"], 360),
-                pitch_deg=known(header["pitch"], 360),
-                roll_deg=known(header["roll"], 360),
-                depth_m=known(header["depth"]),
-                pan_deg=known(header["sonarpan"], 720),
-                tilt_deg=known(header["sonartilt"], 720),
-                latitude_deg=known(header["latitude"], 90),
-                longitude_deg=known(header["longitude"], 180),
-            ),
+            pose=pose_of(header, _POSE),
             device=Device(
                 name="DIDSON",
                 serial_number=self._serial,
