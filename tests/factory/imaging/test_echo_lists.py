@@ -356,7 +356,7 @@ def test_what_does_not_fit_is_not_written(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_drawn_devices_are_refused_by_name() -> None:
-    from simnfnd.models.data.composed import composed
+    from simnfnd.models.data.renders import composed
 
     with pytest.raises(FactoryError, match=r"dataset\.layers: echoes are of the bins of one dev"):
         composed(("experiment=any_sonar", "dataset.layers=[echoes]"))
