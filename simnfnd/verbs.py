@@ -169,7 +169,7 @@ VERBS: dict[str, Verb] = {
         needs=_NETWORK,
     ),
     "export-weights": Verb(
-        DENOISE, "trained weights in 16 bits with a model card, as ONNX or as TorchScript",
+        DENOISE, "trained weights in 16 bits with a model card, or as ONNX",
         "simnfnd.models.pretrained.export:main",
         (
             "simnfnd export-weights outputs/models/nafnet/weights.safetensors "

@@ -149,7 +149,7 @@ def guard(action: Callable[[], Any], *, debug: bool = False) -> int:
     except KeyboardInterrupt as stopped:
         # Who knows better what is kept says so in the exception.
         kept = getattr(stopped, "kept", "what was finished is kept, run again to go on")
-        print(f"error: interrupted; {kept}", file=sys.stderr)
+        print(f"error: {getattr(stopped, 'said', f'interrupted; {kept}')}", file=sys.stderr)
         # SIGTERM comes as a KeyboardInterrupt that knows its own exit code.
         return int(getattr(stopped, "exit_code", 128 + signal.SIGINT))
 

@@ -23,10 +23,17 @@ from ..files import is_temporary, sha256_of
 from ..isolated import IsolatedProcess
 from .format.axes import image_axes, object_inside
 from .format.echoes import echo_names, echo_problem, read_echoes
-from .format.layers import Layer, layers, stores_grey
 from .format.layout import inside, optional_layers
 from .format.manifest import INDEX_NAME, MANIFEST_NAME, Manifest, damage, load_manifest
-from .format.schema import REQUIRED_COLUMNS, SPLITS, VALUE_RANGES, config_hash
+from .format.schema import (
+    REQUIRED_COLUMNS,
+    SPLITS,
+    VALUE_RANGES,
+    Layer,
+    config_hash,
+    layers,
+    stores_grey,
+)
 from .read.image_stack import ImageStack
 from .read.reader import read_attributes, reading
 

@@ -89,9 +89,9 @@ def run_lengths(mask: npt.NDArray[np.bool_]) -> dict[str, list[int]]:
 
 _NOTES = f"""\
 `annotations/instances_SPLIT.json` holds, in the format of COCO, the objects in the pictures of
-`images/SPLIT`: box, area in pixels, and the mask as run lengths, which pycocotools reads (`annToMask`).
-Objects that show in fewer than {LEAST_PX} pixels are left out. `clean/SPLIT`, if there, has the same
-pictures without noise.
+`images/SPLIT`: box, area in pixels, and the mask as run lengths, which pycocotools reads
+(`annToMask`). Objects that show in fewer than {LEAST_PX} pixels are left out. `clean/SPLIT`, if
+there, has the same pictures without noise.
 
 ```python
 from pycocotools.coco import COCO

@@ -17,8 +17,7 @@ from ..dataset.read.source import Source
 from ..errors import FactoryError
 from ..labels import CLASSES
 from .mdd import MDD_CLASSES
-from .notes import write_notes, write_text
-from .pictures import png
+from .pictures import png, write_notes, write_text
 
 LEAST_PX = 8
 """An object that shows in fewer pixels is no larger than a speckle, and is left out."""

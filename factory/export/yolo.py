@@ -87,8 +87,9 @@ _NOTES = f"""\
 `labels/SPLIT/NAME.txt` has a line for each object in `images/SPLIT/NAME.png`: its class (`names` of
 `data.yaml`), then the corners of a polygon along the edges of its pixels, as fractions of width and
 height. An object in parts that do not touch has a line for each part; holes are filled. Objects
-that show in fewer than {LEAST_PX} pixels are left out. `data.yaml` takes the test split to validate,
-or the only one that was exported. `clean/SPLIT`, if there, has the same pictures without noise.
+that show in fewer than {LEAST_PX} pixels are left out. `data.yaml` takes the test split to
+validate, or the only one that was exported. `clean/SPLIT`, if there, has the same pictures without
+noise.
 
 ```sh
 yolo segment train data=data.yaml   # or: yolo detect train

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .. import seeds
-from ..dataset.format.sample import Axis, Column
+from ..dataset.format.schema import Axis, Column
 from ..frame import Frame, FrameRef
 from ..imaging.contract import Sample
 from ..noise import draws as drawn

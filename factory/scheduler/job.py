@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..dataset.format.sample import PairSource, Preparer
-from ..dataset.format.schema import Provenance
+from ..dataset.format.schema import PairSource, Preparer, Provenance
 from ..dataset.format.settings import DatasetSettings
 from ..dataset.write.folder import WORK_NAME
 from ..frame import FrameRef

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ..dataset.format.manifest import ShardInfo
-from ..dataset.format.sample import Axis, Column, Pair, PairSource, Preparer
-from ..dataset.format.schema import check_pair
+from ..dataset.format.schema import Axis, Column, Pair, PairSource, Preparer, check_pair
 from ..dataset.write.failures import Failure, FailureKind
 from ..dataset.write.writer import write_shard
 from ..errors import FactoryError, FrameError, NotRendered

@@ -77,7 +77,7 @@ def _parsed(arguments: Sequence[str]) -> Any:
         "--geometry",
         default=FIND,
         help="of pictures and videos: `find` it in the picture (default), `polar`, `none`, or a "
-        "CSV table of fans as `simnfnd geometry` prints; recordings know theirs",
+        "CSV table of fans (file, apex_x, apex_y, ...); recordings know theirs",
     )
     parser.add_argument(
         "--learning-rate", type=float, default=_RATE, help=f"of AdamW at its highest ({_RATE:g})"

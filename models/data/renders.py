@@ -7,6 +7,7 @@ code as the dataset's own, so a network never sees the same noise twice.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -220,7 +221,6 @@ def _by_any_device(
     seed: int,
 ) -> Renders:
     from .any_device import DeviceSource
-    from .composed import composed
 
     drawn = composed((f"experiment={data.experiment}", *data.factory))
     config = replace(
@@ -249,6 +249,21 @@ def _by_any_device(
         DeviceSource(noisy, shown, weaker=0.0, choices=0.0, **common),
         tuple(ref.name for ref in shown),
     )
+
+
+def composed(words: Sequence[str]) -> FactoryConfig:
+    """The configuration of `simnfnd make` with these words.  Raises FactoryError for a bad one."""
+    from hydra.core.global_hydra import GlobalHydra
+
+    from ...factory.cli.compose import compose_config
+
+    # Hydra composes one configuration at a time, and that of this training is the one at present.
+    state = GlobalHydra.get_state()
+    GlobalHydra.instance().clear()
+    try:
+        return compose_config(words)
+    finally:
+        GlobalHydra.set_state(state)
 
 
 def _config(data: RendersData, dataset: str) -> FactoryConfig:

@@ -18,7 +18,6 @@ from ..settings import (
     PairsData,
     RendersData,
 )
-from .composed import composed
 from .images import list_images, smallest_side
 from .pairs import PairSource, SampleRef, Source, hold_out, read_table, spread
 
@@ -56,6 +55,7 @@ def open_data(settings: ModelsSettings) -> Data:
     labels = tuple(sample.frame for sample in held)
     facts: dict[str, Any] = {"images": len(found), "images.content": _digest(found)}
     from .olddata import OldDataSource
+    from .renders import composed
 
     noise = composed(data.factory).noise
     if data.geometry != "polar":

@@ -18,8 +18,8 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.dataset.read.reader import look_at
 from ...factory.errors import FactoryError, FrameError
+from ...factory.isolated import look_at
 from .base import ARRAY_SUFFIX, FileOfFrames, Frame, Samples, explained
 from .budget import ask_bytes, ask_pixels, most_at_once
 from .levels import Levels, as_samples, swapped

@@ -32,11 +32,14 @@ Check = Callable[[int, float], Row]
 
 
 class Stopped(KeyboardInterrupt):
-    """Ctrl-C or SIGTERM, after the step in progress; `exit_code` is what a shell expects."""
+    """Ctrl-C or SIGTERM, after the step in progress.
+
+    said: the line to print.  exit_code: what a shell expects.
+    """
 
     def __init__(self, said: str, number: int) -> None:
         super().__init__(said)
-        self.exit_code = 128 + number
+        self.said, self.exit_code = said, 128 + number
 
 
 @dataclass

@@ -163,7 +163,6 @@ RECORDING = (*ANALYTIC, "scenes=csv_list", "scenes.root={in}/list.csv",
         ((*ANALYTIC, "dataset.columns=[pose]"), "scipy", "sonar"),
         (("make", "render=analytic", "experiment=any_sonar", "dataset.dir={out}"), "cv2", "sonar"),
         ((*RECORDING, "scenes.undistort=true"), "cv2", "sonar"),
-        (("geometry", "{in}"), "cv2", "sonar"),
         (("export", "{in}", "--to", "png", "--out", "{out}"), "cv2", "sonar"),
         (("export", "{in}", "--to", "coco", "--out", "{out}"), "scipy", "sonar"),
         (("denoise", "{in}", "--out", "{out}"), "cv2", "sonar"),
@@ -278,8 +277,6 @@ said("cache clear cache.dir=cache", 0)
 said(f"demo {made.replace('made', 'again')} scenes.first_location=9", 0)
 said("merge made again --out both", 0)
 open("film.avi", "wb").close()
-line = 'needs cv2 and scipy: pip install "simnfnd[sonar]"'
-said("geometry picture.png", 2, line)
 said("preview film.avi --out x.png", 2, "reading videos needs cv2: pip install 'simnfnd[sonar]'")
 said("view .", 2, "reading pictures needs cv2: pip install 'simnfnd[sonar]'")
 said(f"make {made} experiment=physical", 2, 'pip install "simnfnd[sonar]"')

@@ -12,8 +12,7 @@ import h5py
 import numpy as np
 
 from ...errors import FactoryError
-from .layers import CAMERA_LAYERS, ECHO_FOLDER
-from .sample import Axis
+from .schema import CAMERA_LAYERS, ECHO_FOLDER, Axis
 
 
 def image_axes(stack: h5py.Dataset) -> tuple[Axis, Axis]:

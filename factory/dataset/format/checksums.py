@@ -25,8 +25,7 @@ from isal import isal_zlib  # a third of zlib's time
 
 from ...errors import FactoryError
 from .axes import axis_names, exists, image_axes
-from .layers import ECHO_FOLDER
-from .schema import CHECKSUMS, ROOT_ATTRIBUTES, SEALS
+from .schema import CHECKSUMS, ECHO_FOLDER, ROOT_ATTRIBUTES, SEALS
 
 _CONTENTS, _TEXTS = SEALS
 # Addresses in the file; what they lead to is in `_texts` by name.

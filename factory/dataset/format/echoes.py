@@ -19,7 +19,7 @@ import numpy.typing as npt
 from ...errors import FactoryError, FrameError
 from .axes import dataset_inside, exists, object_inside
 from .checksums import all_picture_sums, crc32
-from .layers import ECHO_FIELDS, ECHO_FOLDER, MAX_PIXELS, Layer
+from .schema import ECHO_FIELDS, ECHO_FOLDER, MAX_PIXELS, Layer
 
 PLACE = f"{ECHO_FOLDER}place"
 _GRID = "grid"

@@ -1,15 +1,16 @@
 """Is a shard laid out as the schema says, and does everything in it lie in the file itself?
 
 A dataset may come from a stranger or a dying disk.  What is checked here reads no image: links,
-types, sizes, filters and attributes.  A file that passes names no other file, claims no more samples
-than it holds, and has one chunk for each picture.  Whether that is the right one its checksum says.
+types, sizes, filters and attributes.  A file that passes names no other file, claims no more
+samples than it holds, and has one chunk for each picture; its checksum says whether that is the
+right one.
 """
 
 from __future__ import annotations
 
 import json
-from collections import Counter
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -21,21 +22,19 @@ from ...errors import FactoryError
 from .axes import dataset_inside, exists, object_inside
 from .checksums import check_contents, require_checksums
 from .echoes import check_echoes, echo_names
-from .layers import (
+from .schema import (
     CHANNELS,
+    CHECKSUMS,
     EFFECT_FOLDER,
     MAX_PIXELS,
     OPTIONAL_LAYERS,
-    Layer,
-    layers,
-    stores_grey,
-)
-from .schema import (
-    CHECKSUMS,
     REQUIRED_COLUMNS,
     SCHEMA,
     SPLITS,
     VALUE_RANGES,
+    Layer,
+    layers,
+    stores_grey,
 )
 
 _MAX_ROW_BYTES = 1 << 16
@@ -188,14 +187,24 @@ def _check_stack(stack: h5py.Dataset, layer: Layer, shape: tuple[int, ...]) -> N
         raise FactoryError(f"{name} is {stack.dtype}; expected {wanted}")
     if stack.chunks != (1, *picture):
         raise FactoryError(f"{name} has chunks {stack.chunks}; expected one for each picture")
-    chain_of(stack)
-    # Their table has no checksum; HDF5 may crash when it walks a damaged one, so it is walked here.
-    found: Counter[int] = Counter()
-    stack.id.chunk_iter(lambda chunk: found.update(chunk.chunk_offset[:1]))
-    if sorted(found) != list(range(samples)) or found.total() != samples:
-        raise FactoryError(
-            f"{name}: its table of chunks is damaged, or has not {samples} samples; generate it again"
-        )
+    # Their table has no checksum, and HDF5 aborts over sizes that cannot be.
+    chain, file_bytes, origin = chain_of(stack), stack.file.id.get_filesize(), (0,) * len(picture)
+    full = prod(picture) * stack.dtype.itemsize
+    found = 0
+
+    def check_chunk(chunk: Any) -> None:
+        nonlocal found
+        if chunk.chunk_offset != (found, *origin) or found >= samples:
+            raise FactoryError(f"{name}: its table of chunks is damaged; generate it again")
+        if problem := chain.problem(chunk.filter_mask, chunk.size, full):
+            raise FactoryError(f"{name} sample {found} {problem}; generate it again")
+        if chunk.byte_offset is None or chunk.byte_offset + chunk.size > file_bytes:
+            raise FactoryError(f"{name} sample {found} lies beyond the file; generate it again")
+        found += 1
+
+    stack.id.chunk_iter(check_chunk)
+    if found != samples:
+        raise FactoryError(f"{name} holds {found} of {samples} samples; generate it again")
 
 
 def _check_sums(file: h5py.File, names: list[str], samples: int) -> None:

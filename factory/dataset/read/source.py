@@ -20,8 +20,7 @@ from ...small_files import load_yaml, one_line
 from ..format.axes import image_axes
 from ..format.layout import config_of, optional_layers
 from ..format.manifest import CONFIG_NAME, Manifest
-from ..format.sample import Column
-from ..format.schema import DATASET_NAME
+from ..format.schema import DATASET_NAME, Column
 from .image_stack import ImageStack
 from .reader import Split, check_split, reading, shard_paths
 

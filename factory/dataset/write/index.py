@@ -19,7 +19,6 @@ from ...errors import FactoryError
 from ...files import write_atomically
 from ...storage.copies import url_of
 from ..format.axes import dataset_inside, image_axes
-from ..format.layers import layers
 from ..format.layout import optional_layers
 from ..format.manifest import INDEX_NAME, Manifest, ShardInfo, save_manifest
 from ..format.schema import (
@@ -30,6 +29,7 @@ from ..format.schema import (
     SPLITS,
     config_text,
     layer_attributes,
+    layers,
 )
 from ..read.reader import bring, reading
 from .writer import write_axis

@@ -18,18 +18,22 @@ from ...errors import FactoryError, FrameError
 from ...files import explain_os_errors, write_atomically
 from ..format.checksums import crc32, write_checksums
 from ..format.echoes import EchoList, write_echoes
-from ..format.layers import Layer, layers, stores_grey
 from ..format.manifest import ShardInfo
-from ..format.sample import Axis, Column, Pair
 from ..format.schema import (
     LIBRARY_VERSIONS,
     SAMPLE_DIMENSION,
+    Axis,
+    Column,
+    Layer,
+    Pair,
     Provenance,
     check_pair,
     image_of,
     layer_attributes,
+    layers,
     root_attributes,
     stored_image,
+    stores_grey,
     table_dtype,
 )
 from ..format.settings import DatasetSettings

@@ -18,8 +18,7 @@ import numpy as np
 from simnfnd.factory.dataset import PairDataset, validate
 from simnfnd.factory.dataset.format.checksums import crc32, write_checksums
 from simnfnd.factory.dataset.format.manifest import Manifest, load_manifest, save_manifest
-from simnfnd.factory.dataset.format.sample import Pair
-from simnfnd.factory.dataset.format.schema import Provenance, config_hash
+from simnfnd.factory.dataset.format.schema import Pair, Provenance, config_hash
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.read import reader as shard_reader
 from simnfnd.factory.dataset.write.index import write_index

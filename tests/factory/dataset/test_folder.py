@@ -181,14 +181,14 @@ def test_the_card_says_what_is_there_and_its_code_runs(
     assert header["license"] == "cc-by-4.0"
     assert header["size_categories"] == ["n<1K"]
     for text in (
-        "# reef",
+        "# reef: simulated forward-looking sonar images, noisy and clean",
         "12 pairs",
         "8 train and 4 test",
         "| train | reef | beta | 4 |",
         "| test | reef | gamma | 4 |",
         "c0ffee0123456789",
-        "| `hfov_deg` | 30 |",
-        "drawn evenly from 0.1 to 0.5",
+        "hfov_deg: 30.0",
+        "density: {uniform: [0.1, 0.5]}",
         "images left out: 3, no depth",
         "frames that failed: 1,",
         "Of this dataset: CC-BY-4.0.",

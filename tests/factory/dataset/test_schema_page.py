@@ -6,8 +6,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-from simnfnd.factory.dataset.format.layers import ECHO_FIELDS, OPTIONAL_LAYERS, layers
-from simnfnd.factory.dataset.format.schema import ROOT_ATTRIBUTES, Provenance, config_hash
+from simnfnd.factory.dataset.format.schema import (
+    ECHO_FIELDS,
+    OPTIONAL_LAYERS,
+    ROOT_ATTRIBUTES,
+    Provenance,
+    config_hash,
+    layers,
+)
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.labels import CLASSES

@@ -11,7 +11,7 @@ import pytest
 
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.models.denoise.command import main
-from simnfnd.models.denoise.videos import CODECS, FrameFiles
+from simnfnd.models.denoise.writers import CODECS, FrameFiles
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.video import VideoFile
 from tests.models.denoise.untrained import through_network

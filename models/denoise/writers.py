@@ -1,8 +1,10 @@
-"""Denoised frames as a video or stack without loss, or as PNG files where neither holds them."""
+"""What `denoise` writes: pictures, videos and stacks without loss, and sheets to compare by."""
 
 from __future__ import annotations
 
+import glob
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -16,12 +18,30 @@ from ...factory.errors import FrameError
 from ...factory.files import explain_os_errors, write_atomically
 from ...factory.quiet import quiet_stderr
 from ..recordings.arrays import ArrayFile, NpyWriter
-from ..recordings.base import TIFF_SUFFIXES, Recording
+from ..recordings.base import FULL_SCALE, TIFF_SUFFIXES, Recording
 from ..recordings.levels import swapped
 from ..recordings.pictures import StackFile
+from .inputs import compared_name
 
 CODECS = {".avi": "FFV1", ".mkv": "FFV1", ".mov": "FFV1", ".mp4": "png "}
 """Suffix of a container -> the codec without loss that it holds."""
+
+COMPARED = 4
+"""How many pictures of one file `--compare` shows."""
+
+CAPTION_PX = 20
+"""Height of the line with the names."""
+
+_NAMES = ("noisy", "denoised", "clean")
+_GAP_PX = 4
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+
+# JPEG is lossy at any quality; at 100 the least.  WebP is without loss above 100.
+_QUALITY = {
+    ".jpg": (cv2.IMWRITE_JPEG_QUALITY, 100),
+    ".jpeg": (cv2.IMWRITE_JPEG_QUALITY, 100),
+    ".webp": (cv2.IMWRITE_WEBP_QUALITY, 101),
+}
 
 
 class FrameFiles:
@@ -64,10 +84,20 @@ class FrameFiles:
             write_atomically(self.path / f"{self.count:06d}.png", content.tobytes(), key="--out")
         self.count += 1
 
+    def _remove_stale(self) -> None:
+        """What runs that were killed left of this very file."""
+        for path in self.path.parent.glob(
+            f".{glob.escape(self.path.stem)}.*.tmp{self.path.suffix}"
+        ):
+            number = path.name.removesuffix(f".tmp{self.path.suffix}").rpartition(".")[2]
+            if number.isdecimal() and not Path("/proc", number).exists():
+                path.unlink(missing_ok=True)
+
     def _open(self, picture: npt.NDArray[Any]) -> None:
         height, width = picture.shape[:2]
         code = CODECS.get(self.path.suffix.lower())
         self.path.parent.mkdir(parents=True, exist_ok=True)
+        self._remove_stale()
         if self.path.suffix.lower() in TIFF_SUFFIXES:
             self._stack = StackWriter(self._partial)
             return
@@ -144,3 +174,57 @@ class StackWriter:
     def close(self) -> None:
         """Write the end of the file."""
         self._writer.close()
+
+
+def write_image(path: Path, image: npt.NDArray[Any]) -> None:
+    """A picture by the suffix of its name.  FrameError when the format does not hold it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        done, content = cv2.imencode(path.suffix, image, _QUALITY.get(path.suffix.lower(), ()))
+    except cv2.error:  # WebP has 8 bits alone
+        done = False
+    if not done:
+        raise FrameError(f"{path}: {image.dtype} pixels do not fit this file format")
+    write_atomically(path, content.tobytes())
+
+
+def write_compared(out: Path, relative: Path, rows: Sequence[Sequence[npt.NDArray[Any]]]) -> None:
+    """Noisy, denoised (and clean) side by side, one row a sample."""
+    write_image(out / compared_name(relative), sheet(rows))
+
+
+def sheet(rows: Sequence[Sequence[npt.NDArray[Any]]]) -> npt.NDArray[np.uint8]:
+    """Noisy, denoised (and clean) side by side, one row a sample, named on top.
+
+    rows: pictures (H, W) or (H, W, C) of one size; uint8, uint16 or float in 0..1.
+    Returns (CAPTION_PX + rows * H, W', ...) uint8.
+    """
+    lines = [_side_by_side([_shown(image) for image in images]) for images in rows]
+    first = _shown(rows[0][0])
+    names = [_name(text, first) for text in _NAMES[: len(rows[0])]]
+    return np.concatenate([_side_by_side(names), *lines], axis=0)
+
+
+def _side_by_side(panels: Sequence[npt.NDArray[np.uint8]]) -> npt.NDArray[np.uint8]:
+    gap = np.full((panels[0].shape[0], _GAP_PX, *panels[0].shape[2:]), 128, np.uint8)
+    return np.concatenate([part for panel in panels for part in (gap, panel)][1:], axis=1)
+
+
+def _name(text: str, like: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """The text, light on dark, as wide as a panel and no wider than fits."""
+    width = like.shape[1]
+    band = np.full((CAPTION_PX, width), 24, np.uint8)
+    (long, _), _ = cv2.getTextSize(text, _FONT, 1.0, 1)
+    size = min(0.45, (width - 6) / long)
+    if size > 0:
+        cv2.putText(band, text, (3, CAPTION_PX - 6), _FONT, size, (235,), 1, cv2.LINE_AA)
+    if like.ndim == 2:
+        return band
+    name = np.full((CAPTION_PX, width, like.shape[2]), 255, np.uint8)  # an alpha stays opaque
+    name[..., :3] = band[..., None]
+    return name
+
+
+def _shown(image: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    full = 1.0 if image.dtype.kind == "f" else FULL_SCALE[str(image.dtype)]
+    return np.asarray(np.rint(np.clip(image / full, 0, 1) * 255), dtype=np.uint8)
