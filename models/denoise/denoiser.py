@@ -183,6 +183,6 @@ def load_denoiser(
     these.  remove, strength, precision: see `Denoiser`.
     Raises FactoryError when there are none, and as `Denoiser` does.
     """
-    from ..pretrained import find_runnable
+    from ..pretrained import find_weights
 
-    return Denoiser(find_runnable(weights), device, tile, overlap, remove, strength, precision)
+    return Denoiser(find_weights(weights), device, tile, overlap, remove, strength, precision)

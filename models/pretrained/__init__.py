@@ -42,14 +42,9 @@ def find_weights(given: str | Path | None) -> Path:
     )
 
 
-def find_runnable(given: str | Path | None) -> Path:
-    """What `models.denoise.runtime` runs for `find_weights`: of weights that ship the ONNX file.
-
-    Raises FactoryError as `find_weights` does.
-    """
-    path = find_weights(given)
-    onnx = path.with_suffix(".onnx")
-    return onnx if path.parent == _FOLDER and onnx.is_file() else path
+def graphs() -> tuple[Path, ...]:
+    """The graphs that ship: what onnxruntime computes of the weights of such a network."""
+    return tuple(sorted(_FOLDER.glob("*.onnx")))
 
 
 _FOLDER = Path(__file__).parent
