@@ -1,7 +1,6 @@
 """Who owns a folder: processes told apart across containers and machines, and writes that ask.
 
-Who lost a folder to another writer writes no more there: a run may be stopped for longer than its
-lock holds, and go on when another has taken over.
+A worker that outlived its run writes no more into a folder that is another run's by now.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 if TYPE_CHECKING:
     from .factory.config import FactoryConfig
-    from .factory.dataset.format.sample import Pair
+    from .factory.dataset.format.schema import Pair
     from .factory.render.base import Renderer, RenderSettings
     from .factory.sonar.geometry import FanGeometry
     from .models.denoise.denoiser import Denoiser
@@ -26,6 +26,8 @@ def denoise(
     geometry: Literal["find", "polar"] | FanGeometry | None = "find",
     remove: Sequence[str] | None = None,
     strength: float = 1.0,
+    frames: int = 7,
+    causal: bool = False,
     device: Literal["auto", "cpu", "gpu"] = "auto",
 ) -> npt.NDArray[Any]:
     """Denoise one sonar picture, or a stack of them.
@@ -42,6 +44,9 @@ def denoise(
     remove: what to remove, of speckle, haze, spokes, ghosts, blur and gains; None: what most want
         of an unknown picture (speckle, spokes, ghosts and blur).
     strength: how much of it, 0 to 1.
+    frames: of a stack whose pictures follow each other in time: up to so many, odd, are laid over
+        each other and fused where they show the same; 1: each by itself.
+    causal: fuse with pictures before alone.
     device: gpu means CUDA; auto takes it where it is usable.
 
     Returns an array of the same shape and dtype.
@@ -52,10 +57,9 @@ def denoise(
 
     needed = ("torch", "safetensors", "cv2", "scipy")
     require(Need("simnfnd.denoise", module) for module in needed)
-    from .models.denoise.files import denoise_image
+    from .models.denoise.pictures import Denoising, check_frames
     from .models.pretrained import find_weights
     from .models.recordings.fan.finder import find_geometry
-    from .models.recordings.palettes import find_painted
 
     given = np.asarray(picture)
     if given.ndim not in (2, 3):
@@ -63,6 +67,7 @@ def denoise(
             f"picture has shape {given.shape}; expected (H, W), (N, H, W) or (H, W, 3)"
         )
     path = find_weights(weights)
+    check_frames(frames)
     if not 0 <= strength <= 1:
         raise ValueError(f"strength={strength}: expected 0 to 1")
     chosen = None if remove is None else tuple(remove)
@@ -80,8 +85,8 @@ def denoise(
         raise ValueError(f"geometry={geometry!r}: expected 'find', 'polar', a FanGeometry or None")
     layout = "polar" if geometry == "polar" else None
 
-    def one(gray: npt.NDArray[np.float32], where: FanGeometry | None) -> npt.NDArray[np.float32]:
-        return network(gray, where, layout=layout)
+    one = partial(network, layout=layout)
+    one.knows_frames = getattr(network, "knows_frames", False)  # type: ignore[attr-defined]
 
     def place(image: npt.NDArray[Any]) -> FanGeometry | None:
         if not isinstance(geometry, str):
@@ -89,17 +94,15 @@ def denoise(
         return find_geometry(image) if geometry == "find" else None
 
     known = given.astype(np.float32) if given.dtype.kind == "f" else given
-    if given.ndim == 3 and given.shape[2] in (3, 4):
-        painted = find_painted(known)
-        if painted is None:
-            return denoise_image(known, one, place(known)).astype(given.dtype)
-        levels = denoise_image(painted.levels, one, place(painted.levels))
-        return painted.repainted(levels).astype(given.dtype)
-    stack = known if given.ndim == 3 else known[None]
-    result = np.empty(stack.shape, given.dtype)
-    for number, image in enumerate(stack):
-        result[number] = denoise_image(image, one, place(image))
-    return result if given.ndim == 3 else result[0]
+    calibrated = remove is None and strength == 1
+    denoising = Denoising(one, frames=frames, causal=causal, calibrated=calibrated)
+    if given.ndim == 2 or given.shape[2] in (3, 4):
+        return denoising.one(known, place).astype(given.dtype)
+    result = np.empty(given.shape, given.dtype)
+    seen = (denoising.seen(number, image, place) for number, image in enumerate(known))
+    for shot, denoised in denoising.sequence(seen, alone=len(given) < 2):
+        result[shot.key] = denoised
+    return result
 
 
 def make_pair(

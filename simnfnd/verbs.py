@@ -46,7 +46,6 @@ MAKE, LOOK, PASS_ON, DENOISE, JUDGE = (
 _COMMANDS = "simnfnd.factory.commands"
 _SONAR = ("cv2", "scipy")
 _NETWORK = ("torch", "safetensors", *_SONAR)
-_FIGURES = ("matplotlib", *_SONAR)
 _TRAINING = ("torch", "lightning", "safetensors", "tensorboard", *_SONAR)
 
 
@@ -94,12 +93,13 @@ VERBS: dict[str, Verb] = {
         },
     ),
     "status": Verb(
-        LOOK, "how far a dataset is, and who works on it", f"{_COMMANDS}.status:main",
-        ("simnfnd status outputs/demo", "simnfnd status outputs/demo --verify"),
-    ),
-    "failed": Verb(
-        LOOK, "the frames that gave no sample, and why", f"{_COMMANDS}.failed:main",
-        ("simnfnd failed outputs/flsea", "simnfnd failed outputs/flsea --rerun"),
+        LOOK, "how far a dataset is, which frames failed and why", f"{_COMMANDS}.status:main",
+        (
+            "simnfnd status outputs/demo",
+            "simnfnd status outputs/demo --verify",
+            "simnfnd status outputs/demo --failed",
+            "simnfnd status outputs/demo --rerun",
+        ),
     ),
     "preview": Verb(
         LOOK, "contact sheet of a dataset or recording", "simnfnd.evaluation.viewer.preview:main",
@@ -120,23 +120,6 @@ VERBS: dict[str, Verb] = {
     "validate": Verb(
         LOOK, "is a dataset whole and consistent", f"{_COMMANDS}.validate:main",
         ("simnfnd validate outputs/demo", "simnfnd validate outputs/demo --deep"),
-    ),
-    "gallery": Verb(
-        LOOK, "the paper's figures, from procedural scenes", f"{_COMMANDS}.gallery:main",
-        ("simnfnd gallery", "simnfnd gallery scenes=flsea scenes.root=flsea-vi --out figures"),
-        needs=_FIGURES,
-    ),
-    "physics": Verb(
-        LOOK, "devices and effects of the physical profile", f"{_COMMANDS}.physics:main",
-        ("simnfnd physics --out outputs/physics",), needs=_FIGURES,
-    ),
-    "geometry": Verb(
-        LOOK, "where range and bearing lie in fan pictures", f"{_COMMANDS}.geometry:main",
-        (
-            "simnfnd geometry pictures > fans.csv",
-            "simnfnd geometry lamprey.avi --out outputs/fans",
-        ),
-        needs=_SONAR,
     ),
     "merge": Verb(
         PASS_ON, "several datasets into one", f"{_COMMANDS}.merge:main",
@@ -186,7 +169,7 @@ VERBS: dict[str, Verb] = {
         needs=_NETWORK,
     ),
     "export-weights": Verb(
-        DENOISE, "trained weights in 16 bits with a model card, as ONNX or as TorchScript",
+        DENOISE, "trained weights in 16 bits with a model card, or as ONNX",
         "simnfnd.models.pretrained.export:main",
         (
             "simnfnd export-weights outputs/models/nafnet/weights.safetensors "

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from ..errors import FactoryError
-from .words import readable
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -68,6 +67,8 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
 
+    from .words import readable
+
     # Without this Hydra prints its own multi-line text and exits with 1.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     debug = any(argument.replace(" ", "") in ("debug=true", "debug=True") for argument in sys.argv)
@@ -90,7 +91,7 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
         except (HydraException, OmegaConfBaseException) as error:
             if debug:
                 raise
-            raise FactoryError(config_line(error, config_name)) from error
+            raise FactoryError(config_line(error)) from error
         except RuntimeError as error:
             if debug or '"srun"' not in str(error):
                 raise
@@ -132,7 +133,8 @@ def guard(action: Callable[[], Any], *, debug: bool = False) -> int:
             raise
         return say_error(FactoryError(f"memory: not enough of it ({_memory_limit()})"))
     except KeyboardInterrupt as stopped:
-        print("error: interrupted; what was finished is kept, run again to go on", file=sys.stderr)
+        said = "interrupted; what was finished is kept, run again to go on"
+        print(f"error: {getattr(stopped, 'said', said)}", file=sys.stderr)
         # SIGTERM comes as a KeyboardInterrupt that knows its own exit code.
         return int(getattr(stopped, "exit_code", 128 + signal.SIGINT))
 
@@ -164,11 +166,11 @@ def say_error(error: Exception) -> int:
     return EXIT_BAD_INPUT
 
 
-def config_line(error: Exception, config_name: str) -> str:
-    """Hydra's several lines in one, with the remedy.  config_name: of conf/<config_name>.yaml."""
-    from .nearest import explained
+def config_line(error: Exception) -> str:
+    """Hydra's several lines in one, with the remedy."""
+    from .words import explained
 
-    if line := explained(str(error), config_name):
+    if line := explained(str(error)):
         return line
     reasons = [str(error)]
     if error.__cause__ is not None:

@@ -49,8 +49,8 @@ def compose_points(
             if sweep:
                 Plugins.instance()
                 root = compose("factory", overrides=_plain(overrides), return_hydra_config=True)
-                params = OmegaConf.to_container(root.hydra.sweeper.params or {}) or {}
-                assert isinstance(params, dict)
+                # None in a plain sweep, a mapping where an experiment brings its own.
+                params = dict(root.hydra.sweeper.params or {})
                 given = {word.split("=")[0] for word in overrides}
                 words_ = [f"{key!s}={value}" for key, value in params.items() if key not in given]
                 parsed = OverridesParser.create().parse_overrides([*words_, *overrides])
@@ -76,7 +76,7 @@ def compose_points(
                 points.append((tuple(differs), config))
             return points
     except (HydraException, OmegaConfBaseException) as error:
-        raise FactoryError(config_line(error, "factory")) from error
+        raise FactoryError(config_line(error)) from error
 
 
 def _plain(overrides: list[str]) -> list[str]:

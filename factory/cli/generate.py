@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from ..scheduler.job import Job
-    from ..scheduler.ledger import RunReport
+    from ..scheduler.results import RunReport
 
 # So many procedural frames take minutes.
 _MANY = 50
@@ -96,7 +96,6 @@ def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
     """
     from .. import __version__
     from ..scenes import open_reader
-    from ..scheduler.extend import plan_extension
     from ..scheduler.job import Job, work_folder
     from ..scheduler.plan import plan_shards
 
@@ -130,7 +129,6 @@ def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
         rerun_command=lambda ref: _rerun_command(ref, arguments, directory),
         skipped=discovery.skipped,
         on_prepared=Limit(working.cache),
-        extension=lambda earlier: plan_extension(splits, *how, earlier),
         warnings=warnings,
         preload=PRELOADED,
     )

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from ..config import FactoryConfig
-    from ..scheduler.ledger import RunReport
+    from ..scheduler.results import RunReport
 
 _RESULT = "result.json"
 

@@ -27,9 +27,7 @@ from ..dataset.format.manifest import (
 )
 from ..dataset.format.schema import SPLITS, Provenance
 from ..dataset.format.settings import DatasetSettings
-from ..dataset.read.config_file import dataset_settings
-from ..dataset.read.reader import open_shard
-from ..dataset.read.source import Source, open_source
+from ..dataset.read.source import Source, dataset_settings, open_source
 from ..dataset.write.folder import open_folder
 from ..dataset.write.index import write_index
 from ..errors import FactoryError
@@ -140,31 +138,23 @@ def _check_samples(sources: Mapping[Path, Source]) -> None:
     owner: dict[tuple[Any, ...], Path] = {}
     place: dict[tuple[str, str], tuple[str, Path]] = {}
     for directory, source in sources.items():
-        for split, location, scene, frame, variant in _names(source):
-            sample = (location, scene, frame, variant)
+        for one in source.names():
+            split, scene = one.split, (one.location, one.scene)
+            sample = (*scene, one.frame, one.variant)
             if sample in owner:
                 raise FactoryError(
-                    f"merge: sample {'/'.join(sample[:3])} variant {variant} is in "
+                    f"merge: sample {'/'.join((*scene, one.frame))} variant {one.variant} is in "
                     f"{owner[sample]} and in {directory}; make one of them without it "
                     "(scenes, frames.only)"
                 )
             owner[sample] = directory
-            known = place.setdefault((location, scene), (split, directory))
+            known = place.setdefault(scene, (split, directory))
             if known[0] != split:
                 raise FactoryError(
-                    f"merge: scene {location}/{scene} is in {known[0]} of {known[1]} and in "
+                    f"merge: scene {'/'.join(scene)} is in {known[0]} of {known[1]} and in "
                     f"{split} of {directory}; a denoiser would be tested on what it trained on "
                     "(set split.test alike)"
                 )
-
-
-def _names(source: Source) -> Iterator[tuple[str, str, str, str, int]]:
-    for split, path, _ in source.shards:
-        with open_shard(path) as file:
-            table = file["meta"][:]
-        for row in table:
-            location, scene, frame = (row[key].decode() for key in ("location", "scene", "frame"))
-            yield split, location, scene, frame, int(row["variant"])
 
 
 def _common_licence(directories: Sequence[Path]) -> str | None:

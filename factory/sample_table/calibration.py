@@ -6,7 +6,7 @@ the source level; layer intensity_db is the result.
 
 from __future__ import annotations
 
-from ..dataset.format.sample import Column
+from ..dataset.format.schema import Column
 from ..imaging.coherent.settings import AcousticsSettings
 from ..sonar.acoustics import WaterSettings
 from ..sonar.settings import SonarSettings

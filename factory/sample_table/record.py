@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .. import seeds
-from ..dataset.format.sample import Axis, Column
+from ..dataset.format.schema import Axis, Column
 from ..frame import Frame, FrameRef
 from ..imaging.contract import Sample
 from ..noise import draws as drawn
 from ..noise.draws import Draws
-from ..noise.registry import NoiseSettings
+from ..noise.registry import EFFECTS, NoiseSettings
 from ..sonar.fan import pixel_size
 from ..sonar.settings import SonarSettings
 from ..sonar.window import Window
@@ -58,7 +60,21 @@ def columns(noise: NoiseSettings, formation: str = "points") -> tuple[Column, ..
     formation: acoustics.formation; pictures of points have one scale for clean and noisy.
     """
     target = (_TARGET,) if formation == "field" else ()
-    return _WHAT + _WINDOW + _SCENE + target + drawn.columns(noise)
+    return _WHAT + _WINDOW + _SCENE + target + tuple(map(_described, drawn.columns(noise)))
+
+
+def _described(column: Column) -> Column:
+    """A parameter of noise says what the docstring of its settings says of the key."""
+    kind, _, rest = column.name.partition(".")
+    if kind != "noise" or column.description:
+        return column
+    effect, _, parameter = rest.partition(".")
+    text = " ".join((EFFECTS[effect].settings.__doc__ or "").split())
+    _, *told = re.split(r"(?<=\.) ((?:[a-z_]+, )*[a-z_]+): ", text)
+    for names, meaning in zip(told[::2], told[1::2], strict=True):
+        if parameter in names.split(", "):
+            return replace(column, description=meaning.rstrip("."))
+    return column
 
 
 _REQUESTED = {

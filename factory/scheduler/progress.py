@@ -11,18 +11,16 @@ import time
 from collections import deque
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
-from ..dataset.format.manifest import part_name
 from ..dataset.write.folder import STATUS_NAME
 from ..errors import FactoryError
 from ..files import write_atomically
 from ..progress import Lines, clock, stage
+from .attempt import AttemptState
 from .job import Job
-from .journal import read_journal
 from .settings import Crew
 
 _EVERY_S = 1.0
@@ -90,7 +88,7 @@ class ProgressBar:
         self.settled_samples = settled
         self.frames_total = 0
         self.estimate = Estimate(crew)
-        self._path = job.directory / part_name(STATUS_NAME, job.shard.part)
+        self._path = job.directory / _status_name(job.shard.part)
         self._total, self._first, self._pairs = total, settled, settled
         self._workers = {"render": crew.render, "noise": crew.noise}
         self._frames = {"rendered": 0, "from_cache": 0, "failed": 0}
@@ -112,16 +110,14 @@ class ProgressBar:
         if not failed:
             self.estimate.frame(seconds)
 
-    def show(self, shards: Sequence[tuple[Path, float]], failed: int) -> None:
+    def show(self, shards: Sequence[tuple[AttemptState, float]], failed: int) -> None:
         """Show how far it is; cheap enough to be called several times a second.
 
-        shards: journal of each that is being made, and when it was begun.
+        shards: state of each that is being made, and when it was begun.
         """
-        states = [read_journal(journal) for journal, _ in shards]
+        states = [state for state, _ in shards]
         now = time.monotonic()
-        self.estimate.running(
-            (now - begun, state.samples) for (_, begun), state in zip(shards, states, strict=True)
-        )
+        self.estimate.running((now - begun, state.samples) for state, begun in shards)
         self._pairs = self.settled_samples + sum(state.samples for state in states)
         self._failed = failed + sum(state.failed for state in states)
         self._draw()
@@ -193,3 +189,8 @@ class ProgressBar:
         with suppress(FactoryError, OSError):
             text = json.dumps(document, indent=1) + "\n"
             write_atomically(self._path, text.encode(), durable=False)
+
+
+def _status_name(part: str) -> str:
+    stem, _, suffix = STATUS_NAME.rpartition(".")
+    return f"{stem}.{part}.{suffix}" if part else STATUS_NAME

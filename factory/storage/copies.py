@@ -26,8 +26,8 @@ ORIGIN_NAME = ".origin"
 _SHARD = re.compile(r"(train|test)/[A-Za-z0-9_-]+\.h5")
 # What lies beside the shards and is a reader's business.
 _SMALL = re.compile(
-    r"(README\.md|config\.yaml|croissant\.json|extended\.json|index\.h5|preview\.png"
-    r"|(failed|manifest)(\.\d+-of-\d+)?\.jsonl?)"
+    r"(README\.md|config\.yaml|croissant\.json|index\.h5|preview\.png"
+    r"|failed\.jsonl|manifest\.json|(train|test)/shard-\d+\.json)"
 )
 _MOST_SMALL_BYTES = 1 << 28
 
@@ -88,8 +88,9 @@ def take_copy(folder: Path, sizes: Mapping[str, int], *, fresh: bool) -> None:
     """Bring the small files of a copy up to date with the storage, and drop shards that differ."""
     store = Store(str(url_of(folder)))
     with explain_os_errors(folder, "SIMNFND_CLOUD_CACHE"):
-        for path in sorted(folder.iterdir()):
-            if _SMALL.fullmatch(path.name) and path.name not in sizes:
+        for path in sorted([*folder.glob("*.*"), *folder.glob("t*/*.json")]):
+            name = path.relative_to(folder).as_posix()
+            if _SMALL.fullmatch(name) and name not in sizes:
                 path.unlink()
         for name, size in sizes.items():
             if not _SMALL.fullmatch(name):
@@ -98,6 +99,7 @@ def take_copy(folder: Path, sizes: Mapping[str, int], *, fresh: bool) -> None:
                 raise FactoryError(f"{store.url}/{name}: {size} bytes are more than it can need")
             content = store.get(name)
             if content is not None:
+                (folder / name).parent.mkdir(exist_ok=True)
                 _write(folder / name, content)
         for path in folder.glob("t*/*.h5"):
             name = f"{path.parent.name}/{path.name}"

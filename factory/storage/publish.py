@@ -17,7 +17,6 @@ from .room import make_room
 from .store import Store
 
 _OURS = ("config.yaml", "manifest.json")
-_WORK = ".work"
 
 
 @dataclass(frozen=True)
@@ -50,21 +49,6 @@ class Publication:
     def names(self) -> list[str]:
         """The shards at the URL."""
         return shard_names(Store(self.url).sizes())
-
-    def tell(self, journal: Path, content: bytes) -> None:
-        """Let the run know how far a worker is that shares no folder with it."""
-        Store(self.url).put(f"{_WORK}/{journal.name}", content)
-
-    def hear(self, journal: Path) -> None:
-        """Bring the copy of such a journal up to date."""
-        content = Store(self.url).get(f"{_WORK}/{journal.name}")
-        if content is not None and (not journal.exists() or journal.read_bytes() != content):
-            journal.parent.mkdir(parents=True, exist_ok=True)
-            journal.write_bytes(content)
-
-    def forget(self, journal: Path) -> None:
-        """Remove it."""
-        Store(self.url).remove(f"{_WORK}/{journal.name}")
 
     def _name(self, path: Path) -> str:
         return Path(os.path.abspath(path)).relative_to(self.folder).as_posix()
@@ -99,7 +83,7 @@ def publishing(
         sizes = store.sizes()
         if not any(name in sizes for name in _OURS):
             # Slices begin side by side.
-            foreign = [name for name in sizes if not name.startswith((LOCK_NAME, _WORK))]
+            foreign = [name for name in sizes if not name.startswith(LOCK_NAME)]
             if foreign:
                 listed = ", ".join(sorted(foreign)[:3]) + (", ..." if len(foreign) > 3 else "")
                 raise FactoryError(

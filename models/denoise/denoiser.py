@@ -13,7 +13,7 @@ from ...factory.errors import FactoryError
 from ...factory.sonar.geometry import FanGeometry
 from ..recordings.presentation import presentation_of
 from ..removal import DEFAULT, vector
-from .files import Gray
+from .pictures import Gray
 from .runtime import EXACT, open_runtime
 from .scales import by_scales
 from .tile import Maps, tiled

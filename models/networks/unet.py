@@ -43,7 +43,7 @@ class ResidualBlock(nn.Module):
     LAST: ClassVar[str] = "second"
     """The layer that decides how much it adds."""
 
-    def __init__(self, first: nn.Conv2d | nn.Conv3d, second: nn.Conv2d | nn.Conv3d) -> None:
+    def __init__(self, first: nn.Conv2d, second: nn.Conv2d) -> None:
         super().__init__()
         self.first, self.second = first, second
         nn.init.zeros_(self.second.weight)
@@ -51,7 +51,7 @@ class ResidualBlock(nn.Module):
         nn.init.zeros_(self.second.bias)
 
     def forward(self, x: Tensor) -> Tensor:
-        """(N, C, H, W), or (N, C, T, H, W) of frames -> the same shape."""
+        """(N, C, H, W) -> the same shape."""
         changed: Tensor = self.second(functional.relu(self.first(x), inplace=True))
         return changed.add_(x)
 

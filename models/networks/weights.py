@@ -30,11 +30,7 @@ class Trained:
 
 def channels_last(network: Network) -> Network:
     """The same network with the memory layout that halves its time on a CPU."""
-    # One by one: the weights of 3-D convolutions do not have this layout, and `to` refuses them.
-    for tensor in (*network.parameters(), *network.buffers()):
-        if tensor.ndim == 4:
-            tensor.data = tensor.data.to(memory_format=torch.channels_last)
-    return network
+    return network.to(memory_format=torch.channels_last)
 
 
 def save_weights(

@@ -25,8 +25,7 @@ Inputs = dict[str, Tensor]
 class Graph(nn.Module):
     """What `simnfnd denoise` computes of a picture that fits one tile, without choices at run time.
 
-    Inputs, in this order: `noisy` (N, 1, H, W) float32 in 0..1; `looks` (N, T, H, W) of a network
-    that sees T pictures of a scene, `noisy` in the middle; the maps of `MAPS`, each
+    Inputs, in this order: `noisy` (N, 1, H, W) float32 in 0..1; the maps of `MAPS`, each
     (N, 1, H, W), where layout is not `none`; `remove` (1, 6) where the network is told what to
     remove.  Outputs: `denoised` (N, 1, H, W), 0..1; and `weight` (N,), the part of its change that
     a picture was given, of networks that weigh it.
@@ -45,8 +44,7 @@ class Graph(nn.Module):
         self.network, self.layout = network, layout
         maps = MAPS if layout != "none" else ()
         told = ("remove",) if "remove" in network.extras else ()
-        looks = ("looks",) if network.looks > 1 else ()
-        self.inputs = ("noisy", *looks, *maps, *told)
+        self.inputs = ("noisy", *maps, *told)
         self.outputs = ("denoised", "weight") if network.has_heads else ("denoised",)
         if hasattr(network, "fan"):
             setattr(network, "fan", layout == "fan")  # noqa: B010  (of sonarnet alone)
@@ -83,11 +81,6 @@ class Graph(nn.Module):
         speckle = np.clip(rng.exponential(0.2, (count, 1, height, width)), 0, 1) * maps["sector"]
         every = {name: np.repeat(values[None, None], count, 0) for name, values in maps.items()}
         every |= {"noisy": speckle.astype(np.float32), "remove": wanted(DEFAULT)}
-        if "looks" in self.inputs:
-            sector = maps["sector"]
-            seen = rng.exponential(0.2, (count, self.network.looks, height, width)) * sector
-            seen[:, self.network.looks // 2] = speckle[:, 0]
-            every["looks"] = np.clip(seen, 0, 1).astype(np.float32)
         return {name: torch.from_numpy(every[name]) for name in self.inputs}
 
 
@@ -101,7 +94,6 @@ def described(graph: Graph) -> Mapping[str, str]:
     usual = ", ".join(f"{told:g}" for told in vector(DEFAULT))
     lines = {
         "noisy": "(N, 1, H, W) gray picture, 0 to 1",
-        "looks": f"(N, {graph.network.looks}, H, W) frames in their order, `noisy` in the middle",
         "range_fraction": "(N, 1, H, W) slant range of each pixel over the largest range",
         "azimuth_rad": "(N, 1, H, W) bearing of each pixel in radians, positive to the right",
         "sector": "(N, 1, H, W) 1 where the sonar measured, 0 elsewhere",

@@ -1,15 +1,13 @@
-"""Networks as files of other programs: ONNX and TorchScript, compared with torch before written.
+"""Networks as ONNX files for other programs, compared with torch before they are written.
 
-Both come of one trace.  torch's exporter by symbolic shapes (`dynamo=True`) gives the same ONNX
+They come of a trace.  torch's exporter by symbolic shapes (`dynamo=True`) gives the same ONNX
 graph of `sonarnet` after minutes where the trace takes seconds.
 """
 
 from __future__ import annotations
 
 import io
-import json
 import warnings
-import zipfile
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -68,23 +66,6 @@ def write_onnx(
     return difference
 
 
-def write_torchscript(graph: Graph, path: Path, about: Mapping[str, object]) -> float:
-    """Write a `.pt` file that `torch.jit.load` reads; otherwise as `write_onnx`."""
-    check_writable(path.parent, "--out")
-    made = io.BytesIO()
-    words = json.dumps({**_facts(graph, about), "inputs": list(graph.inputs)}, sort_keys=True)
-    torch.jit.save(_traced(graph), made, _extra_files={"simnfnd.json": words})
-    content = _without_paths(made)
-    loaded = torch.jit.load(io.BytesIO(content))  # type: ignore[no-untyped-call]
-
-    def run(inputs: Mapping[str, Tensor]) -> list[np.ndarray]:
-        return [values.numpy() for values in loaded(*inputs.values())]
-
-    difference = compared(graph, run, "TorchScript")
-    write_atomically(path, content, key="--out")
-    return difference
-
-
 def compared(graph: Graph, run: Run, who: str) -> float:
     """Largest difference of `run` from the graph in torch, over pictures of several sizes.
 
@@ -117,16 +98,6 @@ def _traced(graph: Graph) -> torch.jit.ScriptModule:
             graph, inputs, check_trace=False, _store_inputs=False
         )
         return traced
-
-
-def _without_paths(made: io.BytesIO) -> bytes:
-    """The same archive without where the lines of its source stood on this machine."""
-    content = io.BytesIO()
-    with zipfile.ZipFile(made) as source, zipfile.ZipFile(content, "w") as target:
-        for member in source.infolist():
-            if not member.filename.endswith(".debug_pkl"):
-                target.writestr(member, source.read(member))
-    return content.getvalue()
 
 
 def _exported(graph: Graph, folded: bool = True) -> bytes:

@@ -7,8 +7,10 @@ used, FrameError when one frame cannot), never memory or time.
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -28,8 +30,6 @@ FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 """dtype -> grey value of full scale, of the pixels that are read and written."""
 Samples = npt.NDArray[Any]
 
-MOST_PIXELS = 1 << 26
-"""Of a picture."""
 MOST_RANGES, MOST_BEAMS = 8192, 4096
 MOST_RANGE_M = 2000.0
 
@@ -170,12 +170,7 @@ class FileOfFrames(ABC):
     def __getitem__(self, number: int) -> Frame:
         if not 0 <= number < len(self):
             raise IndexError(f"{self.path}: frame {number} of {len(self)}")
-        try:
-            return self._read(number)
-        except FrameError:
-            raise
-        except OSError as error:
-            raise FrameError(f"{self.path}: frame {number}: {error}") from error
+        return self._read(number)
 
     def __iter__(self) -> Iterator[Frame]:
         for number in range(len(self)):
@@ -195,8 +190,11 @@ class FileOfFrames(ABC):
         """`count` bytes.  Raises FrameError when the file ends before."""
         if offset < 0 or count < 0 or offset + count > self.size:
             raise FrameError(f"{self.path}: ends within {what}; the file is cut short or damaged")
-        self._file.seek(offset)
-        content = self._file.read(count)
+        try:
+            self._file.seek(offset)
+            content = self._file.read(count)
+        except OSError as error:
+            raise FrameError(f"{self.path}: cannot be read ({error.strerror})") from error
         if len(content) != count:
             raise FrameError(f"{self.path}: ends within {what}; the file is cut short or damaged")
         return content
@@ -221,6 +219,29 @@ class FileOfFrames(ABC):
                 "the file is damaged or of another kind"
             )
         return value
+
+
+@contextmanager
+def explained(
+    words: str, *, reason: bool = False, passing: type[Exception] | tuple[()] = ()
+) -> Iterator[None]:
+    """FrameError for whatever damage makes a library raise, which is nearly anything; no warnings.
+
+    reason: whether the error says more in brackets.  passing: errors that are left as they are.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except FrameError:
+        raise
+    except passing:
+        raise
+    except FactoryError as error:
+        raise FrameError(str(error)) from error
+    except Exception as error:
+        told = " ".join(str(error).split())[:120] or type(error).__name__
+        raise FrameError(f"{words} ({told})" if reason else words) from error
 
 
 def header_layout(fields: Mapping[str, tuple[int, str]], size: int) -> np.dtype:

@@ -15,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 
 from .base import FULL_SCALE, Samples
-from .marks import means_around
 
 Colours = npt.NDArray[np.float32]
 """(N, 3), 0 to 255."""
@@ -159,8 +158,10 @@ def _without_marks(
 
     unknown = (~known).astype(np.uint8)
     wide = cv2.morphologyEx(unknown, cv2.MORPH_OPEN, np.ones((_STROKE, _STROKE), np.uint8))
-    means, there = means_around(levels, known, _STROKE)
-    drawn = (unknown > wide) & there
+    size = (_STROKE, _STROKE)
+    there = cv2.blur(known.astype(np.float32), size)
+    means = cv2.blur(levels * known, size) / np.maximum(there, np.float32(1e-6))
+    drawn = (unknown > wide) & (there > 0)
     filled = np.where(drawn, means, levels).astype(np.float32)
     if not mixed:
         return filled, known

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import struct
-import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Self
@@ -15,38 +12,23 @@ import numpy.typing as npt
 from PIL import Image
 
 from ...factory.errors import FactoryError, FrameError
-from .arrays.file import is_table, read_array
-from .arrays.levels import Levels, swapped
+from ...factory.quiet import quiet_stderr
+from .arrays import is_table, read_array
 from .base import (
     ARRAY_SUFFIX,
     FULL_SCALE,
-    MOST_PIXELS,
     PICTURE_SUFFIXES,
     FileOfFrames,
     Frame,
     Samples,
+    explained,
 )
+from .budget import ask_bytes, ask_pixels, most_streamed, too_large
+from .levels import Levels, swapped
 from .palettes import grey_of_colours
 
 _PAGES = {"L": "grey of 8 bits", "I;16": "of 16 bits", "F": "of floats", "RGB": "colours of 8 bits"}
-
-
-# What Pillow raises over files that are damaged or were made to do harm.
-_DAMAGE = (
-    *(OSError, ValueError, SyntaxError, EOFError, KeyError, TypeError, IndexError, MemoryError),
-    *(OverflowError, struct.error, Image.DecompressionBombError),
-)
-
-
-@contextmanager
-def one_line(words: str) -> Iterator[None]:
-    """FrameError with these words for what a damaged file makes Pillow raise, and no warnings."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    except _DAMAGE as error:
-        raise FrameError(words) from error
+_FORMATS = ("TIFF",)
 
 
 class Pictures:
@@ -112,17 +94,16 @@ def decoded(content: bytes, what: str) -> Samples:
 
     # Its size first: a small file can decode to gigabytes.
     kinds = ", ".join(FULL_SCALE)
-    with (
-        one_line(f"{what}: not a readable picture of {kinds}"),
-        Image.open(BytesIO(content)) as header,
-    ):
-        width, height = header.size
-    if width * height > MOST_PIXELS:
-        raise FrameError(f"{what}: {width} x {height} pixels are more than can be read")
-    try:
+    with explained(f"{what}: not a readable picture of {kinds}"):
+        try:
+            with Image.open(BytesIO(content)) as header:
+                size = header.size
+        except Image.DecompressionBombError as error:
+            raise FrameError(f"{what}: {too_large()}") from error
+    ask_pixels(what, *size)
+    # libjpeg and libtiff write to the terminal about damage that they pass over.
+    with explained(f"{what}: not a readable picture"), quiet_stderr():
         picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        picture = None
     if picture is None:
         raise FrameError(f"{what}: not a readable picture")
     if str(picture.dtype) not in FULL_SCALE:
@@ -151,7 +132,7 @@ def read_grey(path: Path) -> npt.NDArray[np.float32]:
 def is_stack(path: Path) -> bool:
     """Whether a file is a TIFF whose second page is as large as the first (no smaller copy)."""
     try:
-        with one_line("no stack"), Image.open(path, formats=("TIFF",)) as image:
+        with explained("no stack"), Image.open(path, formats=_FORMATS) as image:
             first = image.size
             image.seek(1)
             return image.size == first
@@ -168,12 +149,12 @@ class StackFile(FileOfFrames):
         super().__init__(path)
 
     def _open(self) -> None:
-        with one_line(f"{self.path}: not a readable TIFF file"):
-            self._image = Image.open(self._file, formats=("TIFF",))
+        with explained(f"{self.path}: not a readable TIFF file"):
+            self._image = Image.open(self._file, formats=_FORMATS)
             self._count = int(getattr(self._image, "n_frames", 1))
         width, height = self._first = self._image.size
-        if width * height > MOST_PIXELS:
-            raise FrameError(f"{self.path}: {width} x {height} pixels are more than can be read")
+        ask_pixels(str(self.path), width, height)
+        ask_bytes(str(self.path), self._count * width * height, most_streamed(self.size))
 
     def __len__(self) -> int:
         return self._count
@@ -194,7 +175,7 @@ class StackFile(FileOfFrames):
 
     def page(self, number: int) -> Samples:
         """A page as it is stored, colours in BGR order.  Raises FrameError."""
-        with one_line(f"{self.path}: page {number + 1} cannot be read"):
+        with explained(f"{self.path}: page {number + 1} cannot be read"), quiet_stderr():
             self._image.seek(number)
             # ImageJ writes 16 bits with the most significant byte first.
             size, mode = self._image.size, self._image.mode.replace("I;16B", "I;16")

@@ -14,9 +14,8 @@ from ..networks.network import Network
 from ..networks.unet import ResidualBlock
 from ..networks.weights import load_weights
 from ..pretrained import find_weights
-from ..settings import ModelsSettings, SelfSupervisedData
+from ..settings import ModelsSettings
 from .module import DenoisingModule
-from .self_supervised import SelfSupervisedModule
 from .teacher import Teacher
 
 _GROWN = (ResidualBlock, LineContext)
@@ -36,29 +35,10 @@ def build_module(settings: ModelsSettings) -> DenoisingModule:
         _load_start(network, settings)
     if settings.train.parts is not None:
         _freeze_all_but(network, settings.train.parts)
-    seen = getattr(settings.data, "frames", 1)
-    if seen > 1 and network.looks == 1:
-        raise FactoryError(
-            f"data.frames={seen}: model.kind={settings.model['kind']} sees one picture at once; "
-            "leave it out, or take model=kdlae"
-        )
     loss = build_loss(settings.loss)
     teacher = _teacher(network, settings)
-    if isinstance(settings.data, SelfSupervisedData):
-        if network.adversarial:
-            raise FactoryError(
-                f"model.kind={settings.model['kind']}: is trained against clean images; "
-                "data=self_supervised has none"
-            )
-        if settings.data.method == "blind_network" and not network.is_blind:
-            raise FactoryError(
-                f"data.method=blind_network: model.kind={settings.model['kind']} sees the pixels "
-                "that it predicts; take model=ap_bsn or data.method=blind_spot"
-            )
-        return SelfSupervisedModule(network, loss, settings.train, settings.seed, settings.data)
     if network.adversarial:
-        from .adversarial import SIDTGANModule
-        from .gradient_penalty import GradientPenaltyModule
+        from .adversarial import GradientPenaltyModule, SIDTGANModule
 
         penalised = settings.model["kind"] == "dgp_srgan"
         module = GradientPenaltyModule if penalised else SIDTGANModule
@@ -74,10 +54,10 @@ def _teacher(network: Network, settings: ModelsSettings) -> Teacher | None:
                 "train.teacher_recordings: nobody has their clean pictures; name a train.teacher"
             )
         return None
-    if isinstance(settings.data, SelfSupervisedData) or network.adversarial or network.has_stages:
+    if network.adversarial or network.has_stages:
         raise FactoryError(
-            f"train.teacher={settings.train.teacher}: neither data=self_supervised nor a network "
-            "with a critic or with stages learns from a teacher; leave it out"
+            f"train.teacher={settings.train.teacher}: a network with a critic or with stages does "
+            "not learn from a teacher; leave it out"
         )
     teacher = Teacher(find_weights(settings.train.teacher), settings.train.teacher_share)
     if teacher.network.channels != network.channels:

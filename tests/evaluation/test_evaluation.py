@@ -28,7 +28,7 @@ from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.evaluation.metrics import measure
 from simnfnd.evaluation.report import build as builder
 from simnfnd.evaluation.report.files import read_results
-from simnfnd.factory.dataset.format.sample import Pair
+from simnfnd.factory.dataset.format.schema import Pair
 from simnfnd.factory.dataset.read.reader import open_shard, shard_paths
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.workers.tasks import TaskLost, TaskPool

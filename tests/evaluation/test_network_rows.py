@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from simnfnd.evaluation.data.pairs import items_of, picture
@@ -152,40 +150,3 @@ def test_a_digest_of_sources_sees_every_file_of_a_package(
     assert len(set(found)) == 3
     with pytest.raises(ModuleNotFoundError):
         fingerprint.sources_digest("some_package.nowhere")
-
-
-def test_a_network_of_several_looks_gets_the_other_variants(tmp_path: Path) -> None:
-    import torch
-
-    from simnfnd.models.denoise.denoiser import load_denoiser
-    from simnfnd.models.networks import build_network
-    from simnfnd.models.networks.weights import save_weights
-
-    config = {"kind": "kdlae", "frames": 3, "widths": [4, 4], "blocks": 1}
-    torch.manual_seed(1)
-    network = build_network(config)
-    for parameter in network.parameters():
-        torch.nn.init.normal_(parameter, std=0.2)
-    path = tmp_path / "kdlae.safetensors"
-    save_weights(path, network, config, {})
-    one = weights(tmp_path / "one.safetensors", 1)
-    dataset = write_dataset(tmp_path / "data", train=0, test=4, size=48)
-    methods = networks_of(settings_for(dataset, models=[str(path), str(one)]))
-    assert [method.looks for method in methods] == [True, False]
-    items = items_of(dataset, "test")
-    task = Task(tuple(methods), tuple(items[:1]), 0.02, False, "cpu")
-    found = measure_task(task)
-    own, other = (picture(items[n].place) for n in (0, 1))
-    denoise = load_denoiser(path)
-    several = denoise(own.noisy, looks=[own.noisy, own.noisy, other.noisy])
-    alone = denoise(own.noisy)
-    error, figures = found[0]
-    assert error is None
-    assert figures[0]["psnr"] == pytest.approx(psnr(own.clean, several, data_range=1.0), abs=1e-6)
-    assert not np.array_equal(several, alone)
-    # A picture of which there is no other is seen several times.
-    lonely = replace(items[0], looks=(items[0].place,))
-    error, figures = measure_task(replace(task, items=(lonely,)))[0]
-    assert error is None
-    assert figures[0]["psnr"] == pytest.approx(psnr(own.clean, alone, data_range=1.0), abs=1e-6)
-    assert rows._picture_key(methods[0], items[0]) != rows._picture_key(methods[1], items[0])

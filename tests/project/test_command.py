@@ -138,11 +138,7 @@ RECORDING = (*ANALYTIC, "scenes=csv_list", "scenes.root={in}/list.csv",
         (("make", "dataset.dir={out}"), "bpy", "blender"),
         (("demo",), "bpy", "blender"),
         (("plan",), "bpy", "blender"),
-        (("gallery", "--out", "{out}"), "bpy", "blender"),
-        (("physics", "--out", "{out}"), "bpy", "blender"),
         (("make", "render=embree", "dataset.dir={out}"), "open3d", "open3d"),
-        (("gallery", "--out", "{out}"), "matplotlib", "figures"),
-        (("physics", "--out", "{out}"), "matplotlib", "figures"),
         (("inspect", "{in}", "--png", "{out}"), "matplotlib", "figures"),
         ((*RECORDING, "resample=voxel"), "open3d", "open3d"),
         ((*RECORDING, "scheduler=dask"), "distributed", "cluster"),
@@ -167,7 +163,6 @@ RECORDING = (*ANALYTIC, "scenes=csv_list", "scenes.root={in}/list.csv",
         ((*ANALYTIC, "dataset.columns=[pose]"), "scipy", "sonar"),
         (("make", "render=analytic", "experiment=any_sonar", "dataset.dir={out}"), "cv2", "sonar"),
         ((*RECORDING, "scenes.undistort=true"), "cv2", "sonar"),
-        (("geometry", "{in}"), "cv2", "sonar"),
         (("export", "{in}", "--to", "png", "--out", "{out}"), "cv2", "sonar"),
         (("export", "{in}", "--to", "coco", "--out", "{out}"), "scipy", "sonar"),
         (("denoise", "{in}", "--out", "{out}"), "cv2", "sonar"),
@@ -271,7 +266,7 @@ made = f"render=analytic experiment=demo {small} scheduler=serial cache.dir=cach
 said(f"plan {made}", 0)
 said(f"make {made}", 0, "dataset: made")
 said("status made --verify", 0)
-said("failed made", 0)
+said("status made --failed", 0)
 said("validate made --deep", 0)
 said("inspect made", 0, "SSIM")
 said("preview made --out sheet.png", 0)
@@ -282,15 +277,13 @@ said("cache clear cache.dir=cache", 0)
 said(f"demo {made.replace('made', 'again')} scenes.first_location=9", 0)
 said("merge made again --out both", 0)
 open("film.avi", "wb").close()
-line = 'needs cv2 and scipy: pip install "simnfnd[sonar]"'
-said("geometry picture.png", 2, line)
 said("preview film.avi --out x.png", 2, "reading videos needs cv2: pip install 'simnfnd[sonar]'")
 said("view .", 2, "reading pictures needs cv2: pip install 'simnfnd[sonar]'")
 said(f"make {made} experiment=physical", 2, 'pip install "simnfnd[sonar]"')
 said(f"make {made} experiment=any_sonar", 2, 'pip install "simnfnd[sonar]"')
 said("export made --to png --out x", 2, 'needs cv2: pip install "simnfnd[sonar]"')
 said("export made --to huggingface --out x", 2, 'pip install "simnfnd[export]"')
-for words in ("gallery", "physics", "train dataset=made", "denoise made --out x",
+for words in ("train dataset=made", "denoise made --out x",
               "adapt made --out x", "export-weights simnfnd --out x", "evaluate dataset=made",
               "evaluate tune dataset=made", "evaluate compare a b", "evaluate real a",
               "evaluate realism a b", "evaluate fit a"):

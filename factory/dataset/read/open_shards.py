@@ -118,7 +118,7 @@ class _Stacks(dict[str, ImageStack]):
 
     def __missing__(self, name: str) -> ImageStack:
         stack = self.file[name]
-        self[name] = ImageStack(stack, None if self._sums is None else self._sums[name])
+        self[name] = ImageStack(stack, self._sums[name])
         return self[name]
 
 

@@ -19,18 +19,16 @@ from ...seeds import stream
 from ...storage.copies import local_folder
 from ..format.axes import image_axes
 from ..format.echoes import EchoList
-from ..format.layers import EFFECT_FOLDER, layers
 from ..format.manifest import (
     INDEX_NAME,
     MANIFEST_NAME,
     load_manifest,
 )
-from ..format.sample import Axis
-from ..format.schema import VALUE_RANGES
-from .expected import Expected
+from ..format.schema import EFFECT_FOLDER, VALUE_RANGES, Axis, layers
 from .image_stack import Image
 from .open_shards import OpenShards
 from .reader import (
+    Expected,
     Split,
     check_in_isolation,
     listed_shards,
@@ -57,13 +55,12 @@ class PairDataset:
 
     folder: of the dataset, or the index.h5 in it; or its URL on a storage (s3://bucket/folder),
     from where shards are fetched when they are needed (`factory.storage.copies`).
-    layers: as `format.layers` names them.
+    layers: as `format.schema` names them.
     manifest.json decides which shards count; while a run adds some, the ones of the moment of
     opening stay.
 
-    verify: "checksums" compares those of pictures, tables and texts at every read; shards of
-    earlier versions have fewer.  "hash" compares the SHA-256 of each shard with the manifest, too,
-    when this process opens it for the first time.
+    verify: "checksums" compares those of pictures, tables and texts at every read.  "hash" compares
+    the SHA-256 of each shard with the manifest, too, when this process opens it for the first time.
 
     trusted: False has another process open every shard first (a third of a second, and some
     milliseconds a shard), because a damaged file can make HDF5 crash or hang.
@@ -101,7 +98,7 @@ class PairDataset:
             check_in_isolation(self.paths)
         self._counts = [infos[p].samples if p in infos else _count(p) for p in self.paths]
         self._ends = list(accumulate(self._counts))
-        self._expected = Expected(self.folder, infos, set() if verify == "hash" else None)
+        self._expected = Expected(infos, hashed=verify == "hash")
         self._shards = OpenShards(self._expected)
         self._form: tuple[tuple[int, int], str, str] | None = None
 

@@ -10,7 +10,7 @@ from typing import Any
 from ....factory.sonar.geometry import FanGeometry
 from ...pretrained import REMOVAL
 from ..denoiser import Denoiser, load_denoiser
-from ..files import Gray
+from ..pictures import Gray
 
 OVER: tuple[str, ...] = ("haze", "spokes", "ghosts", "gains")
 """Artefacts that `REMOVAL` was trained on: they need whole beams and arcs to be seen."""

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ....factory.sonar.geometry import FanGeometry
-from ..files import Gray
+from ..pictures import Gray
 
 FILE = Path(__file__).parents[2] / "pretrained" / "points.json"
 """What `tools.fit_points` wrote."""

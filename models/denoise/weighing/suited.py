@@ -10,7 +10,7 @@ from ....factory.sonar.geometry import FanGeometry
 from ...pretrained import POINTS
 from ...recordings.presentation import presentation_of
 from ..denoiser import known_geometry
-from ..files import Denoise, Gray
+from ..pictures import Denoise, Gray
 from .points import likelihood
 
 _SURE = 0.1

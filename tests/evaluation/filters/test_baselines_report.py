@@ -26,7 +26,7 @@ from simnfnd.evaluation.metrics.fidelity import gmsd, psnr
 from simnfnd.evaluation.metrics.levels import fit_levels
 from simnfnd.evaluation.metrics.statistics import estimate, paired
 from simnfnd.evaluation.report import build as builder
-from simnfnd.factory.dataset.format.sample import Pair
+from simnfnd.factory.dataset.format.schema import Pair
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from tests.evaluation.evaluation_settings import evaluation, settings_for

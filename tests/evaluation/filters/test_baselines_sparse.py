@@ -23,8 +23,7 @@ from simnfnd.evaluation.filters.literature.structural import noise_map
 from simnfnd.evaluation.methods.apply import denoised
 from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.metrics.fidelity import psnr
-from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
-from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.format.schema import Axis, Column, Pair, Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.sonar.fan import fan_table, pixel_size

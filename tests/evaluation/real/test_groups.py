@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +15,11 @@ from simnfnd.command import main
 from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.methods.method import NOISY, Method
 from simnfnd.evaluation.real.groups import Group, alone, judged, nearest
-from simnfnd.evaluation.real.measure import RealRow, _task, measure
+from simnfnd.evaluation.real.measure import RealRow, measure
 from simnfnd.evaluation.real.shots import Shot, open_input
 from simnfnd.evaluation.real.summary import Groups, summaries
 from simnfnd.evaluation.real.tuning import line_search, parts_of
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
-from simnfnd.models.networks import build_network
-from simnfnd.models.networks.weights import save_weights
 from tests.evaluation.real.static_scenes import SHAPE, frames, shuffled
 from tests.project_files import ROOT
 
@@ -129,33 +126,6 @@ def test_the_truth_of_several_frames_holds_none_of_them(tmp_path: Path) -> None:
     assert short.several is None, "two frames are no truth"
     assert nearest(10, 5, 7) == [2, 3, 4, 5, 6, 7, 8]
     assert nearest(10, 9, 7) == [3, 4, 5, 6, 7, 8, 9]
-
-
-def test_a_network_of_several_frames_is_judged_by_the_others(tmp_path: Path) -> None:
-    config = {"kind": "kdlae", "frames": 3, "widths": [4, 4], "blocks": 1}
-    path = tmp_path / "kdlae.safetensors"
-    save_weights(path, build_network(config), config, {})
-    method = Method("kdlae", "", {}, weights=str(path))
-    values = [10, 20, 30, 40, 50, 60, 70, 90, 100, 130]
-    (one,) = judged(0, group(tmp_path, values), [1], 7)
-    assert one.several is not None
-    row, alone = RealRow("kdlae", (method,)), RealRow("noisy", (NOISY,))
-    task = _task(row, 0, 0, one, "cpu", False)
-    assert task is not None
-    assert task.looks is not None
-    assert task.judged.reference is one.several.reference, "none of the frames that it sees"
-    np.testing.assert_array_equal(task.looks, one.several.frames)
-    other = _task(alone, 0, 0, one, "cpu", False)
-    assert other is not None
-    assert other.looks is None
-    assert other.judged.reference is one.reference
-    # With too few frames for that it sees the one picture, judged by all others.
-    short = _task(row, 0, 0, replace(one, several=None), "cpu", False)
-    assert short is not None
-    assert short.looks is None
-    assert short.judged.reference is one.reference
-    assert row.sees_several
-    assert not alone.sees_several
 
 
 def test_filters_are_tuned_on_other_frames_than_they_judge(tmp_path: Path) -> None:

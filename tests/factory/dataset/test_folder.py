@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from simnfnd.factory.dataset.describe.card import write_card
 from simnfnd.factory.dataset.describe.preview import preview, spread
 from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.read.overview import SampleName
+from simnfnd.factory.dataset.read.source import SampleName
 from simnfnd.factory.dataset.write.failures import (
     Failure,
     add_failures,
@@ -206,14 +206,14 @@ def test_the_card_says_what_is_there_and_its_code_runs(
     assert header["license"] == "cc-by-4.0"
     assert header["size_categories"] == ["n<1K"]
     for text in (
-        "# reef",
+        "# reef: simulated forward-looking sonar images, noisy and clean",
         "12 pairs",
         "8 train and 4 test",
         "| train | reef | beta | 4 |",
         "| test | reef | gamma | 4 |",
         "c0ffee0123456789",
-        "| `hfov_deg` | 30 |",
-        "drawn evenly from 0.1 to 0.5",
+        "hfov_deg: 30.0",
+        "density: {uniform: [0.1, 0.5]}",
         "images left out: 3, no depth",
         "frames that failed: 1,",
         "Of this dataset: CC-BY-4.0.",
@@ -269,7 +269,7 @@ def test_a_preview_of_nothing_is_refused(tmp_path: Path) -> None:
 @given(sizes=st.lists(st.integers(1, 9), min_size=1, max_size=12), count=st.integers(1, 20))
 def test_a_preview_spreads_over_the_scenes(sizes: list[int], count: int) -> None:
     samples = [
-        SampleName("train/shard-00000.h5", row, "train", "reef", f"{scene:02d}", f"{row}", 0)
+        SampleName(Path("train/shard-00000.h5"), row, "train", "reef", f"{scene:02d}", f"{row}", 0)
         for scene, size in enumerate(sizes)
         for row in range(size)
     ]

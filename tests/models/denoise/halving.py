@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.denoise.files import Gray
+from simnfnd.models.denoise.pictures import Gray
 
 
 class Halving:

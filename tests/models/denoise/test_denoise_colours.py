@@ -12,7 +12,7 @@ import pytest
 
 from simnfnd.models.denoise import command
 from simnfnd.models.denoise.command import main
-from simnfnd.models.denoise.files import Gray
+from simnfnd.models.denoise.pictures import Gray
 from simnfnd.models.denoise.temporal import Steady
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.palettes import find_painted

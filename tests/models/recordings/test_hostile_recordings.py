@@ -50,7 +50,7 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
     "a.png": _png,
     **{
         name: lambda path: write_array(path, pings(4, 48, 64))
-        for name in ("a.npy", "a.npz", "b.npz", "a.mat", "b.mat", "a.h5")
+        for name in ("a.npy", "a.npz", "b.npz", "a.mat", "b.mat")
     },
     "a.bag": lambda path: _bag(path, SONAR),
     "b.bag": lambda path: _bag(path, COMPRESSED, "lz4"),

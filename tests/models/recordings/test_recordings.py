@@ -13,8 +13,8 @@ import pytest
 
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.models.recordings import is_recording, kind_of, open_recording
-from simnfnd.models.recordings.aris.beams import BEAM_CENTRES_DEG
-from simnfnd.models.recordings.aris.file import ArisFile
+from simnfnd.models.recordings.aris import ArisFile
+from simnfnd.models.recordings.aris_beams import BEAM_CENTRES_DEG
 from simnfnd.models.recordings.base import Beams
 from simnfnd.models.recordings.fan.pings import fan_of, grey_of, polar_geometry
 from tests.models.recordings.recording_files import (
