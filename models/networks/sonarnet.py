@@ -134,8 +134,8 @@ class SonarNet(Network):
 
         Geometry counts only where `range_fraction` and `azimuth_rad` are both there; without
         `sector` everything is insonified.  remove: (N, 6), 1 for each artefact to remove (see
-        `imaging.contract.ARTEFACTS`); without it the usual ones.  frames: (N, 1, H, W), log2 of the
-        number of frames averaged; without it 0, a single frame.
+        `imaging.contract.ARTEFACTS`); without it the usual ones.  frames: (N, 1, H, W), how many
+        frames were averaged, as of `removal.averaged`; without it 0, a single frame.
         """
         output = self._single_pass(noisy, extras)
         if self.training or not self.settings.mirror:
