@@ -146,7 +146,7 @@ class Loop:
         raise Stopped(
             f"interrupted after step {self.progress.step} of {self.steps}, which is kept; run "
             "again to go on",
-            self._asked.number,
+            self._asked.number or signal.SIGINT,
         )
 
     def _steps(self, batches: Batches, interval: int) -> None:
