@@ -38,6 +38,7 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
         return _print(overview())
     from .factory.cli import guard
     from .factory.errors import FactoryError
+    from .factory.scheduler.workers.signals import stop_signals
 
     def run() -> int | None:
         name, verb, rest = find(given)
@@ -57,7 +58,9 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
             if verb.needs and any(word in _HELP for word in rest) and _of_an_extra(error):
                 return _print("Its options are listed once that is installed.")
             raise
-        code: int | None = action([*verb.before, *rest])
+        # One way to stop for all: SIGTERM unwinds as Ctrl-C does, so that every `finally` runs.
+        with stop_signals():
+            code: int | None = action([*verb.before, *rest])
         return code
 
     return guard(run, debug="debug=true" in given)

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING
 
 from ...factory.errors import FactoryError
 from ...models import WEIGHTS_NAME
-from ...models.data.looks import amid
-from ..data.pairs import Place, geometry_of
 from ..filters.base import Gray
 from ..settings import EvaluationSettings
 from .method import Method
@@ -78,22 +76,9 @@ class Network:
         """Whether it runs on a GPU."""
         return self._denoise.runtime.on_gpu
 
-    def __call__(
-        self, image: Gray, place: Place | None, geometry: FanGeometry | None = None
-    ) -> Gray:
-        """(H, W) float32 in 0..1 -> the same; or (T, H, W) looks at a scene, this one last.
-
-        place: where the picture is; a network that uses the geometry gets it from there, unless
-        it is given.
-        """
-        if not self._denoise.runtime.extras:
-            geometry = None
-        elif geometry is None and place is not None:
-            geometry = geometry_of(place)
-        if image.ndim == 2:
-            return self._denoise(image, geometry)
-        own, others = image[-1], list(image[:-1])
-        return self._denoise(own, geometry, looks=amid(own, others, self._denoise.looks))
+    def __call__(self, image: Gray, geometry: FanGeometry | None = None) -> Gray:
+        """(H, W) float32 in 0..1 -> the same, as `simnfnd denoise` makes it."""
+        return self._denoise(image, geometry if self._denoise.runtime.extras else None)
 
 
 @lru_cache(maxsize=2)

@@ -33,7 +33,7 @@ def run(config: DictConfig) -> None:
     from ...models.recordings.fan.pings import close_last
     from ..methods.method import baselines_of, methods_of
     from ..methods.networks import networks_at
-    from ..methods.tuning import load_tuned
+    from ..tuning import load_tuned
     from . import report
     from .judging import judge
     from .shots import open_input

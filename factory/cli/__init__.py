@@ -30,6 +30,13 @@ _HINTS = {
 }
 
 
+_INTERRUPTED = (128 + signal.SIGINT, 128 + signal.SIGTERM)
+
+
+class _Stopped(BaseException):
+    """A point of a sweep was interrupted, and has said so."""
+
+
 # Of which pathlib has left one slash.
 _URL = re.compile(r"[a-z][a-z0-9+.-]+:/")
 
@@ -59,8 +66,8 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
 
     `task` gets the composed config and returns None or an int exit code.  FactoryError and every
     mistake in the configuration become one line on stderr and exit code 2; a traceback is shown
-    only with `debug=true`.  In a sweep a point that fails does not stop the others, and the
-    largest exit code is returned.
+    only with `debug=true`.  In a sweep a point that fails does not stop the others, Ctrl-C does;
+    the largest exit code is returned.
     """
     # Hydra imports antlr and plugins; `factory` as a library must not pay for it.
     import hydra
@@ -78,6 +85,9 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
     def point(config: DictConfig) -> int:
         code = guard(lambda: task(config), debug=debug)
         codes.append(code)
+        if code in _INTERRUPTED:
+            # Hydra would go on with the next point of a sweep.
+            raise _Stopped
         return code
 
     def start() -> None:
@@ -88,6 +98,8 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
     def everything() -> int:
         try:
             start()
+        except _Stopped:
+            pass
         except (HydraException, OmegaConfBaseException) as error:
             if debug:
                 raise
@@ -103,6 +115,8 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
             # Of a sweep; only where one was begun is the module there.
             if kept := sys.modules.get("simnfnd.factory.scheduler.workers.kept"):
                 kept.release_workers()
+            if sweep := sys.modules.get("simnfnd.factory.cli.sweep"):
+                sweep.write_table()
         return max(codes, default=0)
 
     return guard(everything, debug=debug)
@@ -133,8 +147,9 @@ def guard(action: Callable[[], Any], *, debug: bool = False) -> int:
             raise
         return say_error(FactoryError(f"memory: not enough of it ({_memory_limit()})"))
     except KeyboardInterrupt as stopped:
-        said = "interrupted; what was finished is kept, run again to go on"
-        print(f"error: {getattr(stopped, 'said', said)}", file=sys.stderr)
+        # Who knows better what is kept says so in the exception.
+        kept = getattr(stopped, "kept", "what was finished is kept, run again to go on")
+        print(f"error: {getattr(stopped, 'said', f'interrupted; {kept}')}", file=sys.stderr)
         # SIGTERM comes as a KeyboardInterrupt that knows its own exit code.
         return int(getattr(stopped, "exit_code", 128 + signal.SIGINT))
 

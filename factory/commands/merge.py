@@ -5,8 +5,9 @@ The shards are copied as they are, so their checksums stay what they were.
 
 from __future__ import annotations
 
+import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,15 +29,16 @@ from ..dataset.format.manifest import (
 from ..dataset.format.schema import SPLITS, Provenance
 from ..dataset.format.settings import DatasetSettings
 from ..dataset.read.source import Source, dataset_settings, open_source
-from ..dataset.write.folder import open_folder
+from ..dataset.write.folder import differences, list_differences, open_folder
 from ..dataset.write.index import write_index
 from ..errors import FactoryError
 from ..files import refuse_files, whole_folder
 
 # What may differ: which frames there are, how their noise is seeded, and how they are stored.
-_FREE = ("seed", "scenes", "frames", "frames_found", "split", "scheduler", *PARTS)
-_FREE_OF_DATASET = ("compression", "compression_level", "max_train", "max_test")
-_SHOWN_DIFFERENCES = 4
+_FREE = re.compile(
+    r"(seed|scenes|frames|frames_found|split|scheduler)(\.|$)"
+    r"|dataset\.(compression|compression_level|max_train|max_test)$"
+)
 
 
 def main(words: list[str]) -> None:
@@ -99,17 +101,15 @@ def _check_alike(manifests: Mapping[Path, Manifest], sources: Mapping[Path, Sour
                 f"merge: {first} was made by {one.generator}, {other} by {two.generator}; "
                 "make them with one version"
             )
-        there, here = (dict(_fixed(manifest.config)) for manifest in (one, two))
-        keys = sorted(key for key in there | here if there.get(key) != here.get(key))
-        if keys:
-            told = "; ".join(
-                f"{key} {there.get(key)!r} and {here.get(key)!r}"
-                for key in keys[:_SHOWN_DIFFERENCES]
-            )
-            more = ", ..." if len(keys) > _SHOWN_DIFFERENCES else ""
+        changes = {
+            key: values
+            for key, values in differences(one.config, two.config).items()
+            if not _FREE.match(key)
+        }
+        if changes:
             raise FactoryError(
-                f"merge: {first} and {other} were made with different settings ({told}{more}); "
-                "merge only what differs in frames and seed"
+                f"merge: {first} and {other} were made with different settings "
+                f"({list_differences(changes)}); merge only what differs in frames and seed"
             )
         _check_form(sources[first], sources[other])
 
@@ -215,14 +215,3 @@ def _fill(
     write_card(folder, merged, provenance, settings)
     write_croissant(folder, merged, settings)
     return merged
-
-
-def _fixed(value: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Leaves of a configuration that merged datasets must share, by dotted key."""
-    if not isinstance(value, Mapping) or not value:
-        yield prefix, value
-        return
-    free = {"": _FREE, "dataset": _FREE_OF_DATASET}.get(prefix, ())
-    for key, item in value.items():
-        if key not in free:
-            yield from _fixed(item, f"{prefix}.{key}" if prefix else str(key))

@@ -252,6 +252,10 @@ class Loop:
         self._unsettled -= 1
         self._failed_frames += len(result.failures)
         self._progress.settled_samples += shard.task.samples
+        gone = {failure.ref.name for failure in result.failures}
+        self._progress.lost_samples += sum(
+            len(variants) for ref, variants in shard.task.items if ref.name in gone
+        )
         self._log.finished(shard, result)
         self._results.settle(shard.task, result)
 

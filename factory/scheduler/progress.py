@@ -82,10 +82,12 @@ class ProgressBar:
 
     total: planned samples.  settled: of them, those that need no work any more.
     settled_samples: planned samples of the shards that are settled (made, kept or given up).
+    lost_samples: of them, those of frames that failed.
     """
 
     def __init__(self, job: Job, crew: Crew, total: int, settled: int) -> None:
         self.settled_samples = settled
+        self.lost_samples = 0
         self.frames_total = 0
         self.estimate = Estimate(crew)
         self._path = job.directory / _status_name(job.shard.part)
@@ -158,7 +160,7 @@ class ProgressBar:
             hits = self._frames["from_cache"]
             cached = f" ({hits} from cache)" if hits else ""
             parts.append(f"frames {sum(self._frames.values())}/{self.frames_total}{cached}")
-        parts.append(f"pairs {self._pairs}/{self._total}")
+        parts.append(f"pairs {self._pairs - self.lost_samples}/{self._total}")
         if self._failed:
             parts.append(f"{self._failed} failed")
         return ", ".join(parts)
@@ -178,7 +180,7 @@ class ProgressBar:
             "pid": os.getpid(),
             "begun": time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(self._begun)),
             "seconds": round(seconds, 1),
-            "pairs": {"done": self._pairs, "total": self._total},
+            "pairs": {"done": self._pairs - self.lost_samples, "total": self._total},
             "pairs_per_second": round(rate, 3),
             "seconds_left": None if left is None else round(left),
             "frames": {"total": self.frames_total, **self._frames},

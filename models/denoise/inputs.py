@@ -23,7 +23,11 @@ HDF5_SUFFIXES = (".h5", ".hdf5")
 SUFFIXES = (
     *PICTURE_SUFFIXES,
     *HDF5_SUFFIXES,
-    *(suffix for kind in ("video", "array", "rosbag", *PING_KINDS) for suffix in READERS[kind][1]),
+    *(
+        suffix
+        for kind in ("video", "stack", "array", "rosbag", *PING_KINDS)
+        for suffix in READERS[kind][1]
+    ),
 )
 
 _NUMBER = re.compile(r"\d+")

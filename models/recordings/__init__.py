@@ -44,11 +44,11 @@ READERS: dict[str, tuple[str, tuple[str, ...]]] = {
     "oculus": ("oculus:OculusFile", (".raw", ".oculus")),
     "rosbag": ("rosbag:RosBag", (".bag", ".mcap", ".db3")),
     "video": ("video:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
-    "stack": ("pictures:StackFile", ()),
+    "stack": ("pictures:StackFile", (".gif",)),
     "array": ("arrays:ArrayFile", (".npz", ".mat")),
     "pictures": ("pictures:Pictures", PICTURE_SUFFIXES),
 }
-"""Kind -> ("module:class", suffixes of its files); stacks have those of TIFF, arrays also .npy."""
+"""Kind -> ("module:class", suffixes of its files); stacks also have those of TIFF, arrays .npy."""
 
 SEQUENCES = ("video", "stack", "array")
 """Kinds whose frames are pictures, one after the other."""

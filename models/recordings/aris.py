@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,6 @@ import numpy.typing as npt
 
 from ...factory.errors import FrameError
 from ...factory.files import explain_os_errors
-from .aris_beams import BEAM_CENTRES_DEG
 from .base import (
     MOST_RANGE_M,
     MOST_RANGES,
@@ -113,7 +113,7 @@ class ArisFile(FileOfFrames):
         near = half_metres * float(header["SampleStartDelay"])
         far = near + half_metres * float(header["SamplePeriod"]) * self.ranges
         self.within("the range of the last sample", far, near + 1e-3, MOST_RANGE_M)
-        azimuths = np.deg2rad(BEAM_CENTRES_DEG[lens])
+        azimuths = np.deg2rad(beam_centres_deg()[lens])
         name, frequencies = _SYSTEMS.get(int(header["TheSystemType"]), ("ARIS", None))
         high = int(header["FrequencyHiLow"] != 0)
         return Frame(
@@ -168,6 +168,17 @@ class ArisFile(FileOfFrames):
                 f"{(self.ranges, self.beams)}"
             )
         return samples[:, ::-1].tobytes()
+
+
+@cache
+def beam_centres_deg() -> dict[str, tuple[float, ...]]:
+    """Lens and number of beams -> bearings of the beams, from left to right, as lenses bend them.
+
+    Of the BeamWidths_*.h files of the SDK, whose licence stands in the table.
+    """
+    lines = Path(__file__).with_name("aris_beams.csv").read_text(encoding="utf-8").splitlines()
+    rows = [line.split(",") for line in lines if not line.startswith("#")]
+    return {name: tuple(map(float, centres)) for name, *centres in rows}
 
 
 def _beam_count(file: FileOfFrames, ping_mode: int) -> int:

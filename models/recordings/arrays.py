@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ...factory.errors import FactoryError, FrameError
+from ...factory.isolated import look_at
 from .base import ARRAY_SUFFIX, FileOfFrames, Frame, Samples, explained
 from .budget import ask_bytes, ask_pixels, most_at_once
 from .levels import Levels, as_samples, swapped
@@ -273,8 +274,6 @@ def _npz_headers(archive: ZipFile) -> dict[str, Header]:
 
 
 def _matlab_headers(path: Path) -> dict[str, Header]:
-    from ...factory.dataset.read.reader import look_at  # loads HDF5
-
     try:
         import scipy.io  # noqa: F401  an extra
     except ImportError as error:

@@ -13,13 +13,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from ...factory.errors import FactoryError, FrameError
+from ...factory.small_files import open_regular
 
 TIFF_SUFFIXES = (".tif", ".tiff")
 ARRAY_SUFFIX = ".npy"
@@ -100,53 +100,54 @@ class Frame:
     device: Device = field(default_factory=Device)
 
 
-class Recording(Protocol):
-    """An opened recording; close it, or use it in a `with` statement."""
+class Recording(ABC):
+    """An opened recording; close it, or use it in a `with` statement.
 
-    path: Path
-    warning: str
-    """What is wrong with the file though its frames can be read, in one line; mostly empty."""
+    warning: what is wrong with the file though its frames can be read, in one line; mostly empty.
+    """
 
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.warning = ""
+
+    @abstractmethod
     def __len__(self) -> int:
         """How many frames there are."""
-        ...
+
+    @abstractmethod
+    def _read(self, number: int) -> Frame:
+        """Read a frame that is there.  Raises FrameError when it is damaged."""
 
     def __getitem__(self, number: int) -> Frame:
         """One frame.  Raises IndexError, and FrameError when it cannot be used."""
-        ...
+        if not 0 <= number < len(self):
+            raise IndexError(f"{self.path}: frame {number} of {len(self)}")
+        return self._read(number)
 
     def __iter__(self) -> Iterator[Frame]:
         """All frames in order.  Raises FrameError at one that cannot be used."""
-        ...
+        for number in range(len(self)):
+            yield self[number]
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027  some hold nothing open
         """Let go of the file."""
-        ...
 
     def __enter__(self) -> Self:
-        """The recording itself."""
-        ...
+        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close."""
-        ...
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
-class FileOfFrames(ABC):
+class FileOfFrames(Recording):
     """What readers of one file share; they add `_open`, `__len__` and `_read`."""
 
     def __init__(self, path: Path) -> None:
         """Raises FactoryError when the file cannot be opened, or holds no whole frame."""
-        self.path = path
-        self.warning = ""
+        super().__init__(path)
         try:
             self.size = path.stat().st_size
-            self._file = path.open("rb")
+            self._file = open_regular(path)
         except OSError as error:
             raise FactoryError(f"{path}: cannot be read ({error.strerror})") from error
         try:
@@ -159,32 +160,9 @@ class FileOfFrames(ABC):
     def _open(self) -> None:
         """Read what the file says of all frames.  Raises FrameError when it is of another kind."""
 
-    @abstractmethod
-    def __len__(self) -> int:
-        """Number of whole frames."""
-
-    @abstractmethod
-    def _read(self, number: int) -> Frame:
-        """Read a frame that is there.  Raises FrameError when it is damaged."""
-
-    def __getitem__(self, number: int) -> Frame:
-        if not 0 <= number < len(self):
-            raise IndexError(f"{self.path}: frame {number} of {len(self)}")
-        return self._read(number)
-
-    def __iter__(self) -> Iterator[Frame]:
-        for number in range(len(self)):
-            yield self[number]
-
     def close(self) -> None:
         """See `Recording`."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def bytes_at(self, offset: int, count: int, what: str) -> bytes:
         """`count` bytes.  Raises FrameError when the file ends before."""

@@ -31,6 +31,8 @@ _JET_OF_MATPLOTLIB = (
     ((0, 0.35, 0.66, 0.89, 1), (0, 0, 1, 1, 0.5)),
 )
 """Levels, and blue, green and red at these, 0 to 1: beside OpenCV's by 1.6 of 255 on average."""
+_RED = (((0, 0.5, 1), (0, 0, 1)), ((0, 0.5, 1), (0, 0, 1)), ((0, 0.5, 1), (0, 1, 1)))
+"""Black, red, white: of chart plotters."""
 _LOOKED_AT = 4000  # pixels from which a map is told
 _FLAT = 0.1  # part of the pixels from which one colour counts as background
 _NEAR, _BLURRED = 12.0, 36.0  # of 255: how far pixels may lie beside a map; JPEG mixes colours
@@ -236,10 +238,13 @@ def _known() -> tuple[Palette, ...]:
         (name.lower(), cv2.applyColorMap(ramp, getattr(cv2, f"COLORMAP_{name}"))[:, 0])
         for name in _MAPS
     ]
-    jet = np.stack([np.interp(at, *channel) for channel in _JET_OF_MATPLOTLIB], axis=1)
+    jet, red = (
+        np.rint(255 * np.stack([np.interp(at, *channel) for channel in channels], axis=1))
+        for channels in (_JET_OF_MATPLOTLIB, _RED)
+    )
     return tuple(
         Palette(name, np.ascontiguousarray(one, np.float32), at)
-        for name, colours in (*maps, ("jet", np.rint(255 * jet)))
+        for name, colours in (*maps, ("jet", jet), ("red", red))
         for one in (colours, colours[:, ::-1])
     )
 

@@ -1,11 +1,9 @@
-"""Picture files, one or a folder of them in the order of their names, and TIFF files of pages."""
+"""Picture files, one or a folder of them by name, and files of pages: TIFF and animated GIF."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +18,7 @@ from .base import (
     PICTURE_SUFFIXES,
     FileOfFrames,
     Frame,
+    Recording,
     Samples,
     explained,
 )
@@ -28,16 +27,15 @@ from .levels import Levels, swapped
 from .palettes import grey_of_colours
 
 _PAGES = {"L": "grey of 8 bits", "I;16": "of 16 bits", "F": "of floats", "RGB": "colours of 8 bits"}
-_FORMATS = ("TIFF",)
+_FORMATS = ("TIFF", "GIF")
 
 
-class Pictures:
+class Pictures(Recording):
     """A `Recording` of pictures as they are stored, (H, W) or (H, W, colours)."""
 
     def __init__(self, path: Path) -> None:
         """A file, or a folder with files right in it.  Raises FactoryError when there are none."""
-        self.path = path
-        self.warning = ""
+        super().__init__(path)
         self.files = [path]
         if path.is_dir():
             found = sorted(path.iterdir())
@@ -52,23 +50,8 @@ class Pictures:
     def __len__(self) -> int:
         return len(self.files)
 
-    def __getitem__(self, number: int) -> Frame:
-        if not 0 <= number < len(self):
-            raise IndexError(f"{self.path}: picture {number} of {len(self)}")
+    def _read(self, number: int) -> Frame:
         return Frame(number, read_picture(self.files[number]))
-
-    def __iter__(self) -> Iterator[Frame]:
-        for number in range(len(self)):
-            yield self[number]
-
-    def close(self) -> None:
-        """Nothing is held open."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def read_picture(path: Path) -> Samples:
@@ -132,7 +115,7 @@ def read_grey(path: Path) -> npt.NDArray[np.float32]:
 def is_stack(path: Path) -> bool:
     """Whether a file is a TIFF whose second page is as large as the first (no smaller copy)."""
     try:
-        with explained("no stack"), Image.open(path, formats=_FORMATS) as image:
+        with explained("no stack"), Image.open(path, formats=_FORMATS[:1]) as image:
             first = image.size
             image.seek(1)
             return image.size == first
@@ -141,7 +124,7 @@ def is_stack(path: Path) -> bool:
 
 
 class StackFile(FileOfFrames):
-    """A TIFF file; a `Recording` of pictures, (H, W) or (H, W, 3) BGR, one a page."""
+    """A TIFF or GIF file; a `Recording` of pictures, (H, W) or (H, W, 3) BGR, one a page."""
 
     def __init__(self, path: Path, levels: Levels | None = None) -> None:
         """levels: of grey pages, what shows as black and white; None: numbers as they are."""
@@ -149,7 +132,7 @@ class StackFile(FileOfFrames):
         super().__init__(path)
 
     def _open(self) -> None:
-        with explained(f"{self.path}: not a readable TIFF file"):
+        with explained(f"{self.path}: not a readable TIFF or GIF file"):
             self._image = Image.open(self._file, formats=_FORMATS)
             self._count = int(getattr(self._image, "n_frames", 1))
         width, height = self._first = self._image.size
@@ -179,6 +162,8 @@ class StackFile(FileOfFrames):
             self._image.seek(number)
             # ImageJ writes 16 bits with the most significant byte first.
             size, mode = self._image.size, self._image.mode.replace("I;16B", "I;16")
+            if self._image.format == "GIF":
+                return _plain(np.asarray(self._image.convert("RGB")))
             if size == self._first and mode in _PAGES:
                 return np.ascontiguousarray(swapped(np.asarray(self._image)))
         if size != self._first:
@@ -196,3 +181,9 @@ class StackFile(FileOfFrames):
         if hasattr(self, "_image"):
             self._image.close()
         super().close()
+
+
+def _plain(colours: Samples) -> Samples:
+    """(H, W) of colours that are grey, else (H, W, 3) BGR."""
+    grey = (colours == colours[..., :1]).all()
+    return np.ascontiguousarray(colours[..., 0] if grey else swapped(colours))

@@ -11,11 +11,11 @@ from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from ...factory.errors import FactoryError, FrameError
 from ...factory.files import explain_os_errors
-from .base import Frame, Samples, explained
+from .base import Frame, Recording, Samples, explained
 from .ros_messages import (
     COMPRESSED,
     IMAGE,
@@ -41,7 +41,7 @@ _UNKNOWN_DIGEST = "RIHS01_" + 64 * "0"
 KINDS = (SONAR, IMAGE, COMPRESSED)
 
 
-class RosBag:
+class RosBag(Recording):
     """A bag; a `Recording`.
 
     topics: whose messages are the frames.  Without, those of all sonars
@@ -59,8 +59,7 @@ class RosBag:
             raise FactoryError(
                 f"{path}: reading bags needs {error.name}: pip install 'simnfnd[ros]'"
             ) from error
-        self.path = path
-        self.warning = ""
+        super().__init__(path)
         self.version = 1 if path.is_file() and path.suffix.lower() == ".bag" else 2
         try:
             with reading(path, self.version) as reader:
@@ -74,16 +73,14 @@ class RosBag:
         self._count = min(stated, size_of(path))
         if not self._count:
             raise FactoryError(f"{path}: holds no message on {', '.join(self.topics)}")
-        self._next, self._frames = 0, self._read()
+        self._next, self._frames = 0, self._all()
 
     def __len__(self) -> int:
         return self._count
 
-    def __getitem__(self, number: int) -> Frame:
-        if not 0 <= number < len(self):
-            raise IndexError(f"{self.path}: frame {number} of {len(self)}")
+    def _read(self, number: int) -> Frame:
         if number < self._next:
-            self._next, self._frames = 0, self._read()
+            self._next, self._frames = 0, self._all()
         for frame in self._frames:
             self._next = frame.number + 1
             if frame.number == number:
@@ -93,7 +90,7 @@ class RosBag:
 
     def __iter__(self) -> Iterator[Frame]:
         number = -1
-        for frame in self._read():
+        for frame in self._all():
             number = frame.number
             yield frame
         if number < 0:
@@ -107,13 +104,7 @@ class RosBag:
         """See `Recording`."""
         self._frames.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def _read(self) -> Generator[Frame]:
+    def _all(self) -> Generator[Frame]:
         # A reader of its own, as two that read in turns would lose their places.
         with reading(self.path, self.version) as reader:
             chosen = _same(reader.connections, self.connections)

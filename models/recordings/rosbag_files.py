@@ -67,8 +67,8 @@ def messages(path: Path, reader: Reader, connections: Sequence[Connection]) -> I
     packed = storage is not None and storage.metadata.compression_mode == "message"
     if packed:  # the library would unpack them without bound
         storage.metadata = storage.metadata._replace(compression_mode=None)
-    most, total = budget.most_streamed(size_of(path)), 0
     with explained(f"{path}: {_DAMAGED}", reason=True):
+        most, total = budget.most_streamed(size_of(path)), 0
         found = iter(reader.messages(connections))
     while True:
         with explained(f"{path}: {_DAMAGED}", reason=True):

@@ -8,14 +8,13 @@ from typing import Any
 
 import pytest
 
-from simnfnd.evaluation.data.pairs import items_of, picture
-from simnfnd.evaluation.measurement import fingerprint, rows
-from simnfnd.evaluation.measurement.rows import measure_rows
-from simnfnd.evaluation.measurement.store import FigureStore
-from simnfnd.evaluation.measurement.task import Task, measure_task
+from simnfnd.evaluation import fingerprint, runner
 from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.methods.networks import costs_of, networks_of
 from simnfnd.evaluation.metrics.fidelity import psnr
+from simnfnd.evaluation.pairs import items_of, picture
+from simnfnd.evaluation.report.measure import measured_rows
+from simnfnd.evaluation.runner import FigureStore, Task, measure_task
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from tests.evaluation.evaluation_settings import settings_for
@@ -52,7 +51,7 @@ def test_networks_are_rows_with_their_costs(tmp_path: Path) -> None:
     ]
     items = items_of(dataset, "test")
     with closing(FigureStore(tmp_path / "out")) as store, TaskPool(1) as pool:
-        found = measure_rows(settings, items, methods, store, pool)
+        found = measured_rows(settings, items, methods, store, pool)
     from simnfnd.models.denoise.denoiser import load_denoiser
 
     pair = picture(items[1].place)
@@ -79,7 +78,7 @@ def test_a_file_that_is_no_network_loses_its_row(tmp_path: Path) -> None:
     settings = settings_for(dataset, models=[str(tmp_path / "bad.safetensors")])
     with closing(FigureStore(tmp_path / "out")) as store, TaskPool(1) as pool:
         items = items_of(dataset, "test")
-        row = measure_rows(settings, items, networks_of(settings), store, pool)[1]
+        row = measured_rows(settings, items, networks_of(settings), store, pool)[1]
     assert "not a safetensors file" in (row.lost or "")
 
 
@@ -98,12 +97,12 @@ def test_known_figures_are_those_of_this_code_this_torch_and_this_device(
         measured.extend(method.name for method in task.methods)
         return measure_task(task)
 
-    monkeypatch.setattr(rows, "measure_task", counting)
+    monkeypatch.setattr(runner, "measure_task", counting)
 
     def again() -> set[str]:
         measured.clear()
         with closing(FigureStore(tmp_path / "out")) as store, TaskPool(1) as pool:
-            measure_rows(settings, items_of(dataset, "test"), methods, store, pool)
+            measured_rows(settings, items_of(dataset, "test"), methods, store, pool)
         return set(measured)
 
     everything = {"identity", "median", "small"}
@@ -118,7 +117,7 @@ def test_known_figures_are_those_of_this_code_this_torch_and_this_device(
         ("_version", lambda name: "9.9" if name == "torch" else version(name), {"small"}),
         ("_device_kind", lambda device: "some GPU", {"small"}),
         ("sources_digest", edited("simnfnd.models"), {"small"}),
-        ("sources_digest", edited("simnfnd.evaluation.data"), everything),
+        ("sources_digest", edited("simnfnd.evaluation.pairs"), everything),
         ("_version", lambda name: "9.9" if name == "numpy" else version(name), everything),
     ]
     for name, changed, expected in changes:

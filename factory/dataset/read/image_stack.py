@@ -28,7 +28,7 @@ _LITTLE_BYTES = 1 << 27
 
 
 class ImageStack:
-    """`stack[row]` is one (H, W) picture, `stack[a:b]` are (N, H, W), as stored and writable.
+    """`stack[row]` is one (H, W) picture, as stored and writable.
 
     Pictures in colour have a third dimension.
     sums: (samples,) `crc32` of each picture, where they were read already.
@@ -47,17 +47,10 @@ class ImageStack:
         """Number of pictures."""
         return len(self._dataset)
 
-    def __getitem__(self, rows: int | slice) -> Image:
-        """One picture, or several that follow one another."""
-        numbers = range(len(self))[rows]
-        several = isinstance(numbers, range)
-        images: Image = np.empty((len(numbers) if several else 1, *self._shape), self._dtype)
-        for image, number in zip(images, numbers if several else (numbers,), strict=True):
-            self._read(number, image)
-        return images if several else images[0]
-
-    def _read(self, number: int, image: Image) -> None:
-        """Fill a contiguous array with one picture."""
+    def __getitem__(self, row: int) -> Image:
+        """One picture."""
+        number = range(len(self))[row]
+        image: Image = np.empty(self._shape, self._dtype)
         origin = (number, *(0 for _ in self._shape))
         try:
             mask, content = self._dataset.id.read_direct_chunk(origin)
@@ -76,6 +69,7 @@ class ImageStack:
             image.reshape(-1).view(np.uint8)[:] = np.frombuffer(pixels, np.uint8)
         if crc32(image) != self._sums[number]:
             raise ValueError("its checksum differs")
+        return image
 
     def _unpacked(self, codec: str, packed: bytes) -> bytes:
         """The bytes of a picture, and never more, of a gzip or zstd chunk."""

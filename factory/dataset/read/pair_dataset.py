@@ -228,35 +228,15 @@ class PairDataset:
         return index % len(self)
 
     def _several(self, numbers: Sequence[int]) -> Sample:
-        """Consecutive rows of a shard are read together."""
-        parts: list[list[Image]] = []
-        for path, rows in self._runs(numbers):
-            parts.append(self._shards.read(path, self.layers, rows))
-        if not parts:
-            path, row = self.place(0)
-            images = [image[None][:0] for image in self._shards.read(path, self.layers, row)]
-        elif any(
-            len({image.shape[1:] for image in stack}) > 1 for stack in zip(*parts, strict=True)
-        ):
-            raise FactoryError(f"{self.folder}: images of several sizes; read them one by one")
-        else:
-            images = [np.concatenate(stack) for stack in zip(*parts, strict=True)]
-        return {
-            name: self._scaled(name, stack) for name, stack in zip(self.layers, images, strict=True)
-        }
-
-    def _runs(self, numbers: Sequence[int]) -> Iterator[tuple[Path, slice]]:
-        run: tuple[Path, int, int] | None = None
-        for number in numbers:
-            path, row = self.place(number)
-            if run and run[0] == path and run[2] == row:
-                run = (path, run[1], row + 1)
-                continue
-            if run:
-                yield run[0], slice(run[1], run[2])
-            run = (path, row, row + 1)
-        if run:
-            yield run[0], slice(run[1], run[2])
+        samples = [self[number] for number in numbers]
+        if not samples:
+            return {name: image[None][:0] for name, image in self[0].items()}
+        try:
+            return {name: np.stack([one[name] for one in samples]) for name in self.layers}
+        except ValueError as error:
+            raise FactoryError(
+                f"{self.folder}: images of several sizes; read them one by one"
+            ) from error
 
     def _scaled(self, name: str, image: Image) -> Image:
         grey = name in ("noisy", "clean") or name.startswith(EFFECT_FOLDER)

@@ -153,15 +153,15 @@ def _same_dataset(directory: Path, provenance: Provenance) -> Manifest | None:
 
 def _difference(directory: Path, manifest: Manifest | None, provenance: Provenance) -> str:
     """One line that names the keys in which the folder's dataset differs from the asked one."""
-    changes = _differences(manifest.config if manifest else {}, provenance.config)
-    listed = _list_differences(changes) if manifest and changes else "its config hash differs"
+    changes = differences(manifest.config if manifest else {}, provenance.config)
+    listed = list_differences(changes) if manifest and changes else "its config hash differs"
     return (
         f"dataset.dir: {directory} holds a dataset of another configuration ({listed}); "
         f"give another folder with dataset.dir=, or the old settings to go on with it"
     )
 
 
-def _differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
+def differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
     """Dotted key -> (value there, value here), of every key in which two configurations differ.
 
     The records of earlier datasets are left out.
@@ -179,7 +179,7 @@ def _differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> dict[str,
     }
 
 
-def _list_differences(changes: Mapping[str, tuple[str, str]]) -> str:
+def list_differences(changes: Mapping[str, tuple[str, str]]) -> str:
     """The first of the differences in one line."""
     parts = [f"{key} {old} -> {new}" for key, (old, new) in changes.items()]
     more = len(parts) - _SHOWN_DIFFERENCES

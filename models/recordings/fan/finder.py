@@ -3,7 +3,7 @@
 A fan picture is lit inside a sector and black outside it, mostly with far range on top.  The sector
 is found that best tells lit from black pixels (`outline`), and then looked at for how much of
 its outline is really there.  Where there is none, the picture is turned by quarters, looked at as a
-negative, and what is largest on a screen alone.
+negative, what is largest on a screen alone, and lines that are drawn around it.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from ....factory.sonar.geometry import FanGeometry
 from ..palettes import find_painted
+from .edges import find_drawn
 from .outline import Numbers, fit_sector
 from .page import MOST_BLACK, Bytes, largest_part, without_page
 
@@ -67,6 +68,8 @@ def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
         alone = largest_part(grey, spread)
         if alone is not None:
             found = _find_upright(alone, _SURE_ODD) or _find_turned(alone)
+    if found is None and (drawn := find_drawn(grey)) is not None:
+        found = FoundFan(*drawn)
     return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,13 @@ from simnfnd.command import main
 from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.methods.method import NOISY, Method
 from simnfnd.evaluation.real.groups import Group, alone, judged, nearest
-from simnfnd.evaluation.real.measure import RealRow, measure
+from simnfnd.evaluation.real.judging import RealRow
+from simnfnd.evaluation.real.measure import RealPicture
 from simnfnd.evaluation.real.shots import Shot, open_input
 from simnfnd.evaluation.real.summary import Groups, summaries
 from simnfnd.evaluation.real.tuning import line_search, parts_of
+from simnfnd.evaluation.runner import run
+from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from tests.evaluation.real.static_scenes import SHAPE, frames, shuffled
 from tests.project_files import ROOT
@@ -128,6 +132,20 @@ def test_the_truth_of_several_frames_holds_none_of_them(tmp_path: Path) -> None:
     assert nearest(10, 9, 7) == [3, 4, 5, 6, 7, 8, 9]
 
 
+def test_several_frames_are_judged_by_the_others(tmp_path: Path) -> None:
+    values = [10, 20, 30, 40, 50, 60, 70, 90, 100, 130]
+    (one,) = judged(0, group(tmp_path, values), [1], 7)
+    assert one.several is not None
+    picture, mean = RealPicture(one), Method("mean of 7", "", {}, given="mean")
+    np.testing.assert_array_equal(picture.given(mean), one.several.mean)
+    # Levels make the even pictures equal to their references.
+    figures = picture.measure(one.several.reference, mean)
+    assert figures["psnr_db"] == 100
+    with pytest.raises(FactoryError, match="several looks"):
+        picture.seen(Method("recursive", "", {"memory": 1.0}))
+    assert RealPicture(replace(one, several=None)).given(mean) is None
+
+
 def test_filters_are_tuned_on_other_frames_than_they_judge(tmp_path: Path) -> None:
     shared = group(tmp_path, [50] * 8)
     (part,) = parts_of([shared])
@@ -147,24 +165,27 @@ def test_tuning_finds_the_best_point_without_trying_all() -> None:
     def peak(point: dict[str, float]) -> float:
         return -abs(math.log(point["strength"] / 0.068)) - abs(point["levels"] - 2)
 
-    found = line_search(wavelet, peak)
+    found, points = line_search(wavelet, peak)
+    assert points[0] == found.parameters
     assert found.parameters == {"strength": 0.07, "levels": 2}
     assert found.tried < len(wavelet.points()) / 2
-    between = line_search(REGISTRY["gaussian"], lambda p: -abs(math.log(p["sigma_px"] / 1.2)))
+    between, _ = line_search(REGISTRY["gaussian"], lambda p: -abs(math.log(p["sigma_px"] / 1.2)))
     assert between.parameters["sigma_px"] == pytest.approx(1.18)
 
 
 def test_what_comes_back_as_it_was_is_called_unchanged(tmp_path: Path) -> None:
     folder = shuffled(tmp_path / "in", {0: 2})
     (stretch,), _ = open_input(str(folder), 9)
-    methods = [NOISY, *(Method("gaussian", "", {"sigma_px": size}) for size in (0.2, 2.0))]
-    rows = [RealRow(str(n), (method,)) for n, method in enumerate(methods)]
+    methods = [NOISY, *(Method("gaussian", str(s), {"sigma_px": s}) for s in (0.2, 2.0))]
+    pictures = {n: RealPicture(alone(shot)) for n, shot in enumerate(stretch.shots)}
     with TaskPool(1) as pool:
-        pictures = [alone(shot) for shot in stretch.shots]
-        shown = measure([(0, pictures)], rows, pool, "cpu", 9, lambda number: number == 1)
-    assert [list(row.images) for row in rows] == [[1]] * 3
-    assert list(shown) == [1]
-    found, _ = summaries(rows, Groups(False, ("0", "1"), np.arange(2)), resamples=100, seed=0)
+        measured = run(
+            methods, [pictures], pool, device="cpu", timeout_s=9, keep=lambda number: number == 1
+        )
+    assert list(measured.images) == [(method.label, 1) for method in methods]
+    rows = [RealRow(method.label, (method,)) for method in methods]
+    groups = Groups(False, ("0", "1"), np.arange(2))
+    found, _ = summaries(rows, measured, groups, resamples=100, seed=0)
     assert [found[row.label].unchanged for row in rows] == [2, 2, 0]
 
 

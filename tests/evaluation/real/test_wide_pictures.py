@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simnfnd.evaluation.report.examples import as_data_uri
-from simnfnd.evaluation.report.pages import own_file, render
+from simnfnd.evaluation.report.measure import as_data_uri
+from simnfnd.evaluation.report.page import own_file, render
 from tests.evaluation.report import browser
 
 

@@ -290,8 +290,6 @@ def test_a_chunk_of_another_length_is_no_picture(tmp_path: Path, size: int, chec
         assert not images[0].any()
         with pytest.raises(ValueError, match="bytes of a picture"):
             images[1]
-        with pytest.raises(ValueError, match="bytes of a picture"):
-            images[0:2]
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
@@ -301,10 +299,10 @@ def test_pictures_are_those_that_h5py_reads(tmp_path: Path, compression: str) ->
     with h5py.File(shard(tmp_path, compression)) as file:
         for name in STACKS:
             stack = ImageStack(file[name])
-            for rows in (0, -1, np.int64(2), slice(None), slice(1, 3), slice(4, 4)):
-                np.testing.assert_array_equal(stack[rows], file[name][rows])  # type: ignore[index]
-                assert stack[rows].dtype == file[name].dtype  # type: ignore[index]
-                assert stack[rows].flags.writeable  # type: ignore[index]
+            for row in (0, -1, np.int64(2)):
+                np.testing.assert_array_equal(stack[row], file[name][row])  # type: ignore[index]
+                assert stack[row].dtype == file[name].dtype  # type: ignore[index]
+                assert stack[row].flags.writeable  # type: ignore[index]
             with pytest.raises(IndexError):
                 stack[4]
 

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import shutil
 import tarfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from simnfnd.command import main
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.format.manifest import load_manifest, save_manifest
-from simnfnd.factory.dataset.read.reader import Split
+from simnfnd.factory.dataset.format.axes import image_axes
+from simnfnd.factory.dataset.format.echoes import EchoList, echo_names, read_echoes
+from simnfnd.factory.dataset.format.layout import optional_layers
+from simnfnd.factory.dataset.format.manifest import ShardInfo, load_manifest, save_manifest
+from simnfnd.factory.dataset.format.schema import Column, Pair, Provenance
+from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.read.reader import Split, reading
 from simnfnd.factory.dataset.validate import validate
 from simnfnd.factory.dataset.write.index import write_index
+from simnfnd.factory.dataset.write.writer import write_shard
 
 # BLAKE2b (8 bytes) of all samples of a layer, as the readers of 0.3 gave them.
 POINTS = {
@@ -94,6 +102,53 @@ def test_it_is_valid_and_the_index_is_the_same_to_the_byte(
     index.write_bytes(before[:-1] + bytes([before[-1] ^ 1]))
     (error,) = validate(folder).errors
     assert str(error).startswith("error: index.h5: its SHA-256 is not that of the manifest")
+
+
+def written_again(path: Path, out: Path, settings: DatasetSettings) -> ShardInfo | None:
+    """A shard made anew of all that it holds."""
+    with reading(path) as file:
+        axes = image_axes(file["noisy"])
+        table = file["meta"]
+        columns = tuple(
+            Column(name, table.dtype[name].str.lstrip("|<"), *(
+                table.attrs[f"{name}.{key}"] for key in ("units", "description")
+            ))
+            for name in table.dtype.names
+        )  # fmt: skip
+        names = optional_layers(file)
+        lists: dict[tuple[int, ...], EchoList] = {}
+        pairs = []
+        for row, values in enumerate(table[()]):
+            record = {name: values[name].item() for name in table.dtype.names}
+            texts = {k: v.decode() for k, v in record.items() if isinstance(v, bytes)}
+            echoes = None
+            if echo_names(file):
+                # Samples of one frame share a list.
+                place = tuple(file["echoes/place"][row].tolist())
+                echoes = lists.setdefault(place, read_echoes(file, row))
+            stored = {name: file[name][row] for name in ("noisy", "clean", "shadow", *names)}
+            core = (stored.pop(name) for name in ("noisy", "clean", "shadow"))
+            pairs.append(Pair(*core, {**record, **texts}, stored, echoes))
+        config, hash_, generator, split = (
+            str(file.attrs[name]) for name in ("config", "config_hash", "generator", "split")
+        )
+    provenance = Provenance(json.loads(config), hash_, generator)
+    return write_shard(out, f"{split}/{path.name}", pairs, axes, columns, provenance, settings)
+
+
+@pytest.mark.parametrize(
+    ("name", "dtype", "how"), [("points", "uint8", "gzip"), ("field", "float32", "lzf")]
+)
+def test_the_writer_gives_the_bytes_of_0_3(
+    made: Path, tmp_path: Path, name: str, dtype: Any, how: Any
+) -> None:
+    settings = DatasetSettings(dtype=dtype, compression=how)
+    manifest = load_manifest(made / name)
+    assert manifest is not None
+    for path, info in manifest.shards.items():
+        again = written_again(made / name / path, tmp_path, settings)
+        assert again is not None
+        assert again.sha256 == info.sha256
 
 
 def test_verbs_take_it(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

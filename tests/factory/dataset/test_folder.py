@@ -25,8 +25,6 @@ from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.read.source import SampleName
 from simnfnd.factory.dataset.write.failures import (
     Failure,
-    add_failures,
-    load_failures,
     save_failures,
 )
 from simnfnd.factory.dataset.write.folder import open_folder
@@ -119,29 +117,6 @@ def test_failures_tell_frame_reason_and_command_in_order(tmp_path: Path) -> None
     assert [line["frame"] for line in lines] == ["alpha/9", "reef/beta/1", "reef/beta/2"]
     assert lines[1]["reason"] == "reef/beta/1: NaN"
     assert lines[1]["command"] == "simnfnd make frames.only=[reef/beta/1]"
-
-
-def test_failures_are_added_without_touching_those_before(tmp_path: Path) -> None:
-    """A kill in the middle of a line costs that line alone, and the end puts all in order."""
-    path = tmp_path / "failed.jsonl"
-    found = [
-        Failure(
-            FrameRef("", "alpha", str(n)), "frame", f"alpha/{n}: NaN", f"train/shard-0000{n}.h5"
-        )
-        for n in range(3)
-    ]
-    save_failures(tmp_path, [], rerun)
-    node = path.stat().st_ino
-    for failure in reversed(found):
-        before = path.read_bytes()
-        add_failures(tmp_path, [failure], rerun)
-        assert path.read_bytes().startswith(before)
-    assert path.stat().st_ino == node
-    assert [item["frame"] for item in load_failures(tmp_path)] == ["alpha/2", "alpha/1", "alpha/0"]
-    path.write_bytes(path.read_bytes()[:-5])
-    assert [item["frame"] for item in load_failures(tmp_path)] == ["alpha/2", "alpha/1"]
-    save_failures(tmp_path, reversed(found), rerun)
-    assert [item["frame"] for item in load_failures(tmp_path)] == ["alpha/0", "alpha/1", "alpha/2"]
 
 
 def test_a_folder_of_the_same_dataset_is_taken_up(tmp_path: Path) -> None:

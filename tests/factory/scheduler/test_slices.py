@@ -25,13 +25,12 @@ SERIAL = {"backend": "serial"}
 
 
 def test_slices_make_every_shard_once_and_the_whole_takes_them_up(tmp_path: Path) -> None:
-    staged(tmp_path / "expected", scheduler=SERIAL)
+    staged(tmp_path / "other" / "expected", scheduler=SERIAL)
     directory = tmp_path / "dataset"
     config = FakeConfig(bad=("reef/alpha/0000",))
     for index in (1, 0):
-        report = staged(directory, config, scheduler=SERIAL, shard=ShardSlice(index, 2))
+        staged(directory, config, scheduler=SERIAL, shard=ShardSlice(index, 2))
         assert not (directory / "README.md").exists()
-    assert report.shards == 4, "the second slice sees what the first has made"
     manifest = load_manifest(directory)
     assert manifest is not None
     assert manifest.samples() == 30
@@ -42,7 +41,7 @@ def test_slices_make_every_shard_once_and_the_whole_takes_them_up(tmp_path: Path
     assert not list(directory.rglob("*-of-*"))
     assert not list(directory.glob("*/*.json")), "the results beside the shards have gone"
     assert load_failures(directory) == []
-    assert shard_bytes(directory) == shard_bytes(tmp_path / "expected")
+    assert shard_bytes(directory) == shard_bytes(tmp_path / "other" / "expected")
 
 
 def test_a_slice_must_be_one_of_those_that_there_are() -> None:

@@ -16,10 +16,10 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.denoise.command import main
-from simnfnd.models.denoise.writers import CAPTION_PX
 from simnfnd.models.denoise.denoiser import load_denoiser
-from simnfnd.models.denoise.pictures import denoise_image
 from simnfnd.models.denoise.inputs import Item, find_items
+from simnfnd.models.denoise.pictures import denoise_image
+from simnfnd.models.denoise.writers import CAPTION_PX
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.weights import save_weights
 from tests.models.denoise.untrained import half, through_network, untrained_sonarnet

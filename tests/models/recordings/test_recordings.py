@@ -13,8 +13,7 @@ import pytest
 
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.models.recordings import is_recording, kind_of, open_recording
-from simnfnd.models.recordings.aris import ArisFile
-from simnfnd.models.recordings.aris_beams import BEAM_CENTRES_DEG
+from simnfnd.models.recordings.aris import ArisFile, beam_centres_deg
 from simnfnd.models.recordings.base import Beams
 from simnfnd.models.recordings.fan.pings import fan_of, grey_of, polar_geometry
 from tests.models.recordings.recording_files import (
@@ -56,18 +55,18 @@ def test_aris_with_a_telephoto_lens(tmp_path: Path) -> None:
     path = write_aris(tmp_path / "a.aris", pings(1, 20, 48), telephoto=True)
     beams = open_recording(path)[0].beams
     assert beams is not None
-    assert np.rad2deg(beams.azimuths_rad) == pytest.approx(BEAM_CENTRES_DEG["telephoto_48"])
+    assert np.rad2deg(beams.azimuths_rad) == pytest.approx(beam_centres_deg()["telephoto_48"])
 
 
 def test_beam_tables_are_those_of_the_sdk() -> None:
-    for name, centres in BEAM_CENTRES_DEG.items():
+    for name, centres in beam_centres_deg().items():
         assert len(centres) == int(name.split("_")[1])
         assert all(left < right for left, right in pairwise(centres))
     folder = DATA / "aris-sdk"
     if folder.is_dir():
         text = (folder / "BeamWidths_ARIS3000_128.h").read_text()
         rows = [line.split(",") for line in text.splitlines() if line.startswith("DEFINE")]
-        assert [float(row[1]) for row in rows] == list(BEAM_CENTRES_DEG["3000_128"])
+        assert [float(row[1]) for row in rows] == list(beam_centres_deg()["3000_128"])
 
 
 def test_aris_with_samples_in_the_order_of_the_device(tmp_path: Path) -> None:

@@ -13,27 +13,31 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.dataset.format.manifest import load_manifest
-from ...factory.dataset.read.image_stack import ImageStack
-from ...factory.dataset.read.reader import (
+from ..factory.dataset.format.manifest import load_manifest
+from ..factory.dataset.read.image_stack import ImageStack
+from ..factory.dataset.read.reader import (
     Split,
     open_shard,
     reading,
     shard_paths,
     value_range,
 )
-from ...factory.dataset.read.source import CORE, read_image
-from ...factory.errors import FactoryError
-from ...factory.files import sha256_of
-from ..filters.base import Gray
-from . import image_pairs
-from .picture import Picture, sector_of
+from ..factory.dataset.read.source import CORE, read_image
+from ..factory.errors import FactoryError
+from ..factory.files import sha256_of
+from . import image_files
+from .filters.base import Gray
+from .metrics.checks import MetricError
+from .metrics.fidelity import finite_psnr
+from .metrics.measure import Figures, Scene
+from .metrics.picture import Picture, sector_of
 
 if TYPE_CHECKING:
-    from ...factory.sonar.geometry import FanGeometry
+    from ..factory.sonar.geometry import FanGeometry
+    from .methods.method import Method
 
 Place = tuple[str, int]
-"""Shard file and row, or a noisy image file and image_pairs.ROW."""
+"""Shard file and row, or a noisy image file and image_files.ROW."""
 
 
 @dataclass(frozen=True)
@@ -66,14 +70,14 @@ class Item:
 def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
     """Every pair of a split (the first `limit`), in the dataset's order.
 
-    root: a dataset, or a folder with noisy/ and clean/ images (`image_pairs`).
+    root: a dataset, or a folder with noisy/ and clean/ images (`image_files`).
     Raises FactoryError when it is neither.
     """
-    if image_pairs.is_folder_of_pairs(root):
+    if image_files.is_folder_of_pairs(root):
         return [
             Item(
                 noisy.name,
-                (str(noisy), image_pairs.ROW),
+                (str(noisy), image_files.ROW),
                 "",
                 number,
                 key,
@@ -83,7 +87,7 @@ def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
                 0,
                 (),
             )
-            for number, (noisy, key) in enumerate(image_pairs.noisy_files(root))
+            for number, (noisy, key) in enumerate(image_files.noisy_files(root))
         ][:limit]
     manifest = load_manifest(root) if root.is_dir() else None
     rows: list[tuple[str, Place, str, tuple[str, str, str, int]]] = []
@@ -144,8 +148,8 @@ def drawn_of(items: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
 def picture(place: Place) -> Picture:
     """Read one pair.  FactoryError when it is damaged or has NaN."""
     path, row = place
-    if row == image_pairs.ROW:
-        noisy, clean, mask = image_pairs.read_pair(Path(path))
+    if row == image_files.ROW:
+        noisy, clean, mask = image_files.read_pair(Path(path))
         shadow = np.zeros(clean.shape, bool) if mask is None else mask
         sector = sector_of(noisy, clean, shadow)
         return Picture(noisy, clean, shadow, sector, has_shadow=mask is not None)
@@ -165,20 +169,13 @@ def picture(place: Place) -> Picture:
     )
 
 
-def input_of(item: Item, looks: bool) -> Gray:
-    """What a method gets: the noisy image (H, W), or all looks at it (T, H, W), this one last."""
-    if not looks or not item.looks:
-        return picture(item.place).noisy
-    return np.stack([picture(place).noisy for place in item.looks])
-
-
 @lru_cache(maxsize=64)
 def geometry_of(place: Place) -> FanGeometry | None:
     """Where range and bearing are in a picture of a dataset; None where nothing says so."""
-    from ...factory.sonar.geometry import FanGeometry, recorded_sonar
+    from ..factory.sonar.geometry import FanGeometry, recorded_sonar
 
     path, row = place
-    if row == image_pairs.ROW:
+    if row == image_files.ROW:
         return None
     with open_shard(Path(path)) as file:
         try:
@@ -186,3 +183,57 @@ def geometry_of(place: Place) -> FanGeometry | None:
             return None if sonar is None else FanGeometry.from_record(sonar, file["meta"][row])
         except (KeyError, ValueError, TypeError):
             return None
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A pair as the engine judges methods on it: a `simnfnd.evaluation.runner.Subject`.
+
+    shadow_threshold: fraction of full scale.  texture: also measure speckle and edges.
+    """
+
+    item: Item
+    shadow_threshold: float
+    texture: bool
+
+    def key(self, method: Method) -> str:
+        """The content of the pair and of the looks at it, and what is measured."""
+        looks = f"+{len(self.item.looks)}" if method.looks else ""
+        texture = "texture" if self.texture else "plain"
+        return f"{self.item.key}{looks}-{texture}-{self.shadow_threshold:g}"
+
+    def seen(self, method: Method) -> Gray:
+        """The noisy image (H, W), or all looks at it (T, H, W), this one last."""
+        if not method.looks:
+            return picture(self.item.place).noisy
+        if len(self.item.looks) < 2:
+            raise FactoryError("needs several noise variants a frame")
+        return np.stack([picture(place).noisy for place in self.item.looks])
+
+    def geometry(self) -> FanGeometry | None:
+        """Where range and bearing are, as the dataset says."""
+        return geometry_of(self.item.place)
+
+    def given(self, method: Method) -> Gray:
+        """The picture that another program made of it."""
+        from .given import read_given
+
+        return read_given(method.given, self.item)
+
+    def measure(self, image: Gray, method: Method) -> Figures:
+        """All metrics; identical images count as the PSNR of `finite_psnr`."""
+        try:
+            found = _scene(self.item).figures(
+                image, shadow_threshold=self.shadow_threshold, texture=self.texture
+            )
+        except MetricError as error:
+            raise FactoryError(
+                f"{self.item.shard}: sample {self.item.place[1]}: {error}"
+            ) from error
+        return {n: finite_psnr(v) if n.startswith("psnr") else v for n, v in found.items()}
+
+
+@lru_cache(maxsize=8)
+def _scene(item: Item) -> Scene:
+    """What all methods share on a pair."""
+    return Scene(picture(item.place))

@@ -16,17 +16,18 @@ from typing import Any
 
 import numpy as np
 
-from ...factory.errors import FactoryError
-from ...factory.files import explain_os_errors, write_atomically
-from ...factory.progress import progress_bar
-from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
-from ..data.pairs import Item, geometry_of, input_of, items_of, picture
-from ..filters import REGISTRY
-from ..filters.base import Baseline, Gray, Parameters
-from ..metrics.fidelity import finite_psnr, psnr
-from ..metrics.levels import Levels, fit_levels
-from ..settings import EvaluationSettings
-from .method import reason, shown
+from ..factory.errors import FactoryError
+from ..factory.files import explain_os_errors, write_atomically
+from ..factory.progress import progress_bar
+from ..factory.scheduler.workers.tasks import TaskLost, TaskPool
+from .filters import REGISTRY
+from .filters.base import Baseline, Gray, Parameters
+from .methods.method import Method, reason, shown
+from .metrics.fidelity import finite_psnr, psnr
+from .metrics.levels import Levels, fit_levels
+from .pairs import Item, Pair, items_of, picture
+from .runner import denoised
+from .settings import EvaluationSettings
 
 SCHEMA = "simnfnd-tuned/1"
 
@@ -93,7 +94,7 @@ def validation_items(settings: EvaluationSettings) -> list[Item]:
     """The pairs to tune on: those that `simnfnd train` validates on, with the same seed."""
     try:
         # torch takes seconds to import; the split must be the very one of training.
-        from ...models.data.pairs import hold_out, read_table, spread
+        from ..models.data.pairs import hold_out, read_table, spread
     except ImportError as error:
         raise FactoryError(
             'tune shares the validation split of models: pip install "simnfnd[train]"'
@@ -131,17 +132,13 @@ def _with_default(baseline: Baseline) -> list[Parameters]:
 
 def _measure_point(task: _Task) -> Point | str:
     """One point on all pairs, or why it failed."""
-    baseline = REGISTRY[task.baseline]
-    inputs = [input_of(item, baseline.looks) for item in task.items]
+    method = Method(task.baseline, "", task.parameters)
+    outputs = []
     try:
-        outputs = [
-            baseline(
-                image,
-                task.parameters,
-                geometry_of(item.place) if baseline.uses_geometry else None,
-            )
-            for item, image in zip(task.items, inputs, strict=True)
-        ]
+        for item in task.items:
+            image, _ = denoised(method, Pair(item, 0.0, texture=False), "cpu")
+            assert image is not None
+            outputs.append(image)
     except Exception as error:  # a method's own defect must not take the others along
         return reason(error)
     cleans = [picture(item.place).clean for item in task.items]

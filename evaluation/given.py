@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ...factory.dataset.read.reader import reading
-from ...factory.errors import FactoryError
-from ...models.recordings.pictures import in_unit_range
-from ..data.image_pairs import read_gray
-from ..data.pairs import Item, picture
-from ..filters import REGISTRY
-from ..filters.base import Gray
-from ..settings import PicturesFolder
-from .method import Method
+from ..factory.dataset.read.reader import reading
+from ..factory.errors import FactoryError
+from ..models.recordings.pictures import in_unit_range
+from .filters import REGISTRY
+from .filters.base import Gray
+from .image_files import read_gray
+from .methods.method import Method
+from .pairs import Item, picture
+from .settings import PicturesFolder
 
 SUFFIXES = (".png", ".npy")
 
@@ -34,7 +34,7 @@ def given_methods(folders: Sequence[PicturesFolder], items: Sequence[Item]) -> l
         if names.count(name) > 1 or name in (*REGISTRY, "noisy"):
             raise FactoryError(f"pictures: {name}: another row has this name; choose another")
     return [
-        Method(one.name, "", {}, folder=one.dir, content=_checked(one, items)) for one in folders
+        Method(one.name, "", {}, given=one.dir, content=_checked(one, items)) for one in folders
     ]
 
 

@@ -1,9 +1,17 @@
-"""How metrics are written in tables: label, digits, and which direction is good."""
+"""Metrics and figures as readers see them: names, digits, intervals, tables of text."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from ...factory.dataset.describe import markdown
+from ..methods.method import shown
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -37,6 +45,11 @@ METRIC_NAMES = {
 low M-index: none of these three ranks methods alone."""
 
 
+def plain(value: float | None) -> float | None:
+    """JSON has no NaN and no infinity."""
+    return float(value) if value is not None and math.isfinite(value) else None
+
+
 def written(value: float | None, digits: int, sign: bool = False) -> str:
     """A figure with so many digits; `-` for none."""
     if value is None or not math.isfinite(value):
@@ -49,3 +62,33 @@ def written_p(p: float | None) -> str:
     if p is None or not math.isfinite(p):
         return "-"
     return "< 0.001" if p < 0.001 else f"{p:.3f}"
+
+
+def interval(item: Mapping[str, Any], digits: int, sign: bool = False) -> str:
+    """Low .. high."""
+    return f"{written(item['low'], digits, sign)} .. {written(item['high'], digits, sign)}"
+
+
+def percent(share: float | None) -> str:
+    """A share in per cent."""
+    return "-" if share is None else f"{100 * share:.0f}\u00a0%"
+
+
+def chosen(row: Mapping[str, Any]) -> str:
+    """Parameters of a row, and its levels where it has them."""
+    parts = [shown(row["parameters"]).strip(" ()")]
+    if row.get("levels"):
+        parts.append("gain {gain:.2f}, offset {offset:+.3f}".format(**row["levels"]))
+    return "; ".join(part for part in parts if part)
+
+
+def as_markdown(table: pd.DataFrame, align: str = "lr") -> str:
+    """A table of text in Markdown, without its index."""
+    return markdown.table(list(table.columns), table.to_numpy().tolist(), align)
+
+
+def as_table(head: Sequence[str], rows: Sequence[Sequence[Any]]) -> pd.DataFrame:
+    """Rows of text under a head, in which a name may come twice."""
+    import pandas as pd
+
+    return pd.DataFrame(list(rows), columns=list(head))

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.errors import FactoryError
-from ...factory.files import sha256_of
-from ...models.recordings import PICTURE_SUFFIXES, SEQUENCES, kind_of
-from ...models.recordings.arrays import is_table
-from ...models.recordings.pictures import in_unit_range, read_picture
+from ..factory.errors import FactoryError
+from ..factory.files import sha256_of
+from ..models.recordings import PICTURE_SUFFIXES, SEQUENCES, kind_of
+from ..models.recordings.arrays import is_table
+from ..models.recordings.pictures import in_unit_range, read_picture
 
 ROW = -1
 """Stands in a `Place` for: an image file, no shard."""

@@ -12,12 +12,16 @@ from pathlib import Path
 _LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "scikit-image")
 _MEASURING = (
     "simnfnd.evaluation.metrics",
-    "simnfnd.evaluation.measurement.task",
-    "simnfnd.evaluation.methods.apply",
+    "simnfnd.evaluation.runner",
     "simnfnd.factory.dataset.describe.similarity",
 )
 # What turns files into pictures, and says where range and bearing are in them.
-_READING = ("simnfnd.evaluation.data", "simnfnd.factory.dataset.read", "simnfnd.factory.sonar")
+_READING = (
+    "simnfnd.evaluation.pairs",
+    "simnfnd.evaluation.image_files",
+    "simnfnd.factory.dataset.read",
+    "simnfnd.factory.sonar",
+)
 # Wider than need be: a digest that is too narrow would let old figures pass for new ones.
 _NETWORKS = ("simnfnd.models", "simnfnd.evaluation.methods.networks")
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..filters.base import Gray
+Gray = npt.NDArray[np.float32]
 
 Mask = npt.NDArray[np.bool_]
 
