@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .factory.render.base import Renderer, RenderSettings
     from .factory.sonar.geometry import FanGeometry
     from .models.denoise.denoiser import Denoiser
-    from .models.denoise.weighing.in_turn import InTurn
+    from .models.denoise.in_turn import InTurn
 
 
 def denoise(
@@ -25,6 +25,7 @@ def denoise(
     weights: str | Path | None = None,
     geometry: Literal["find", "polar"] | FanGeometry | None = "find",
     remove: Sequence[str] | None = None,
+    noise: Literal["sonar", "points"] = "sonar",
     strength: float = 1.0,
     frames: int = 7,
     causal: bool = False,
@@ -35,14 +36,14 @@ def denoise(
     picture: (H, W), (N, H, W), or (H, W, 3 or 4) in colours; uint8, uint16, or float in 0..1.
         Colours of a colour map are denoised as the levels that they stand for.
     weights: a weights.safetensors of a training or the name of weights that ship; None: of those
-        that ship the ones that suit the picture and what is to be removed: `simnfnd`,
-        `simnfnd-paper` where its noise is that of points, `simnfnd-removal` for haze, spokes,
-        ghosts and gains.  They stay loaded for the next call.
+        that ship the ones for what is to be removed: `simnfnd`, and `simnfnd-removal` for haze,
+        spokes, ghosts and gains.  They stay loaded for the next call.
     geometry: where range and bearing are, for networks that use it.  "find": the fan is looked for
         in each picture, as `simnfnd denoise` does.  "polar": rows are ranges, near range first, and
         the columns span 30 degrees.  None: not known.
     remove: what to remove, of speckle, haze, spokes, ghosts, blur and gains; None: what most want
         of an unknown picture (speckle, spokes, ghosts and blur).
+    noise: "points" for pictures with the paper's noise, by `simnfnd-paper`.
     strength: how much of it, 0 to 1.
     frames: of a stack whose pictures follow each other in time: up to so many, odd, are laid over
         each other and fused where they show the same; 1: each by itself.
@@ -51,14 +52,14 @@ def denoise(
 
     Returns an array of the same shape and dtype.
     Raises ValueError for another shape or dtype, NaN, and floats outside 0..1; FactoryError for
-    weights that are not there, a missing GPU, and where the extra `train` is not installed.
+    weights that are not there, a missing GPU, and where the extra `denoise` is not installed.
     """
     from .factory.cli.extras import Need, require
 
-    needed = ("torch", "safetensors", "cv2", "scipy")
+    needed = ("onnxruntime", "safetensors", "cv2", "scipy")
     require(Need("simnfnd.denoise", module) for module in needed)
     from .models.denoise.pictures import Denoising, check_frames
-    from .models.pretrained import find_weights
+    from .models.pretrained import NOISES, POINTS, find_weights
     from .models.recordings.fan.finder import find_geometry
 
     given = np.asarray(picture)
@@ -66,6 +67,12 @@ def denoise(
         raise ValueError(
             f"picture has shape {given.shape}; expected (H, W), (N, H, W) or (H, W, 3)"
         )
+    if noise not in NOISES:
+        raise ValueError(f"noise={noise!r}: expected one of {', '.join(NOISES)}")
+    if noise == "points":
+        if weights is not None or remove is not None:
+            raise ValueError("noise='points' has weights of its own; leave out weights and remove")
+        weights = POINTS
     path = find_weights(weights)
     check_frames(frames)
     if not 0 <= strength <= 1:
@@ -74,13 +81,6 @@ def denoise(
     network: Callable[..., npt.NDArray[np.float32]]
     named = None if weights is None else path
     network = _denoiser(named, path.stat().st_mtime_ns, device, chosen, strength)
-    if weights is None and remove is None:
-        from .models.denoise.weighing.suited import Suited
-        from .models.pretrained import POINTS
-
-        of_points = find_weights(POINTS)
-        changed_ns = of_points.stat().st_mtime_ns
-        network = Suited(network, lambda: _denoiser(of_points, changed_ns, device, None, strength))
     if isinstance(geometry, str) and geometry not in ("find", "polar"):
         raise ValueError(f"geometry={geometry!r}: expected 'find', 'polar', a FanGeometry or None")
     layout = "polar" if geometry == "polar" else None
@@ -174,6 +174,6 @@ def _denoiser(
     path: Path | None, changed_ns: int, device: str, remove: tuple[str, ...] | None, strength: float
 ) -> Denoiser | InTurn:
     """changed_ns: of the file, so that weights trained anew are loaded anew."""
-    from .models.denoise.weighing.in_turn import asked_denoiser
+    from .models.denoise.in_turn import asked_denoiser
 
     return asked_denoiser(path, device, remove, strength=strength)

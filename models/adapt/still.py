@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 
 import cv2
@@ -41,13 +41,23 @@ class Still:
 
     frames: (H, W) float32 in 0..1.  targets: one for each frame, NaN where none is known: outside
     the sector and where something moves.  geometry: of all frames.  recording: number of the one
-    that they are from.
+    that they are from.  laid: the frames with the scene where the first has it.
     """
 
     frames: list[Image]
     targets: list[Image]
     geometry: FanGeometry | None
     recording: int = 0
+    laid: list[Image] = field(default_factory=list)
+
+    def averaged(self, first: int, count: int) -> tuple[Image, Image]:
+        """The mean of `count` frames from `first` on, and that of all others, NaN where unknown."""
+        inside = np.zeros(len(self.laid), bool)
+        inside[first : first + count] = True
+        own = np.mean([one for one, is_in in zip(self.laid, inside, strict=True) if is_in], axis=0)
+        rest = [one for one, is_in in zip(self.laid, inside, strict=True) if not is_in]
+        target = np.where(np.isfinite(self.targets[0]), np.mean(rest, axis=0), np.nan)
+        return np.asarray(own, np.float32), np.asarray(target, np.float32)
 
     def only(self, numbers: Sequence[int]) -> Still:
         """Some of the frames, with the targets that they have."""
@@ -55,6 +65,7 @@ class Still:
             self,
             frames=[self.frames[i] for i in numbers],
             targets=[self.targets[i] for i in numbers],
+            laid=[self.laid[i] for i in numbers],
         )
 
 
@@ -148,7 +159,8 @@ def _stills(shots: list[Shot]) -> list[tuple[list[Shot], Still]]:
     targets = [
         np.where(known, target, np.nan).astype(np.float32) for target in references(frames, group)
     ]
-    return [(kept, Still(frames, targets, shots[0].geometry))]
+    laid = [shifted(frame, shift) for frame, shift in zip(frames, group.shifts_px, strict=True)]
+    return [(kept, Still(frames, targets, shots[0].geometry, laid=laid))]
 
 
 def _known(

@@ -17,7 +17,7 @@ from ...factory.files import check_writable
 from ...factory.imaging.contract import ARTEFACTS
 from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.memory import keep_freed_memory
-from ..pretrained import POINTS, REMOVAL
+from ..pretrained import NOISES, POINTS, REMOVAL
 from ..recordings import Levels, open_recording
 from ..removal import DEFAULT
 from .denoiser import (
@@ -29,6 +29,7 @@ from .denoiser import (
 )
 from .files import Job, denoise_bag, denoise_files, denoise_pings, denoise_video, open_bag
 from .geometries import FIND, Geometries
+from .in_turn import OVER, InTurn, asked_denoiser
 from .inputs import Item, find_items, sequences
 from .pictures import Denoising, check_frames
 from .resume import Finished, stopped_by_sigterm
@@ -36,8 +37,6 @@ from .runtime import PRECISIONS
 from .shards import denoise_shard, made_of_points, opened_shard
 from .temporal.stream import FRAMES
 from .watch import Watched, watch
-from .weighing.in_turn import OVER, InTurn, asked_denoiser
-from .weighing.suited import Suited
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -55,13 +54,20 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--weights",
         help="weights.safetensors of a training, or the name of weights that ship (default: "
-        f"simnfnd, for shards and pictures of the paper's points {POINTS}, and {REMOVAL} for what "
+        f"simnfnd, for shards of the paper's points {POINTS}, and {REMOVAL} for what "
         f"--remove names of {', '.join(OVER)})",
     )
     parser.add_argument(
         "--remove",
         metavar="LIST",
         help=f"what to remove, of {','.join(ARTEFACTS)} (default: {','.join(DEFAULT)})",
+    )
+    parser.add_argument(
+        "--noise",
+        choices=NOISES,
+        default=NOISES[0],
+        help=f"of pictures: that of sonars, or the paper's points, for which {POINTS} is made; "
+        f"shards say it themselves ({NOISES[0]})",
     )
     parser.add_argument(
         "--strength", type=float, default=1.0, help="how much of it, 0 to 1 (default: 1)"
@@ -144,13 +150,18 @@ def main(arguments: Sequence[str]) -> int:
         "strength": chosen.strength,
         "precision": chosen.precision,
     }
+    if chosen.noise == "points":
+        if chosen.weights is not None or remove is not None:
+            raise FactoryError(
+                "--noise points: has weights of its own; leave out --weights, --remove"
+            )
+        chosen.weights = POINTS
     denoise = asked_denoiser(chosen.weights, remove=remove, **how)
-    points = suited = None
+    points = None
     if chosen.weights is None and remove is None:
         points = cache(lambda: load_denoiser(POINTS, **how))
-        suited = Suited(denoise, points)
     denoising = Denoising(
-        suited or denoise, frames=chosen.frames, causal=chosen.causal, calibrated=calibrated
+        denoise, frames=chosen.frames, causal=chosen.causal, calibrated=calibrated
     )
     job = Job(out, denoising, geometries.of, chosen.compare, chosen.topic)
     work = _Work(job, denoise, points)
@@ -159,8 +170,7 @@ def main(arguments: Sequence[str]) -> int:
             failed = _watch(work, watched, chosen.every)
         else:
             failed = _all(work, items, Finished(out, denoise.digest, list(arguments)))
-    said = suited.summary() if suited else ()
-    for line in (*geometries.summary(), *denoising.summary(), *said):
+    for line in (*geometries.summary(), *denoising.summary()):
         print(line)
     print(f"denoised: {work.done} file(s) in {out}")
     return 1 if failed and not watched else 0

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ....factory.sonar.geometry import FanGeometry
-from ...pretrained import REMOVAL
-from ..denoiser import Denoiser, load_denoiser
-from ..pictures import Gray
+from ...factory.sonar.geometry import FanGeometry
+from ..pretrained import REMOVAL
+from .denoiser import Denoiser, load_denoiser
+from .pictures import Gray
 
 OVER: tuple[str, ...] = ("haze", "spokes", "ghosts", "gains")
 """Artefacts that `REMOVAL` was trained on: they need whole beams and arcs to be seen."""
@@ -19,22 +19,26 @@ OVER: tuple[str, ...] = ("haze", "spokes", "ghosts", "gains")
 class InTurn:
     """Denoises by one after the other.
 
-    digest: of both.  looks: 1, none sees several pictures.
+    digest: of both.  knows_frames: whether the last knows how many frames were averaged.
     """
-
-    looks = 1
 
     def __init__(self, steps: Sequence[Denoiser]) -> None:
         self._steps = tuple(steps)
         together = "".join(step.digest for step in self._steps)
         self.digest = hashlib.sha256(together.encode()).hexdigest()
+        self.knows_frames = self._steps[-1].knows_frames
 
     def __call__(
-        self, gray: Gray, geometry: FanGeometry | None = None, *, layout: str | None = None
+        self,
+        gray: Gray,
+        geometry: FanGeometry | None = None,
+        *,
+        layout: str | None = None,
+        frames: float | Gray | None = None,
     ) -> Gray:
         """See `Denoiser`."""
         for step in self._steps:
-            gray = step(gray, geometry, layout=layout)
+            gray = step(gray, geometry, layout=layout, frames=frames)
         return gray
 
 
