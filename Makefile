@@ -8,38 +8,49 @@ WORKERS ?= 2
 PIP_ARGS ?=
 ARGS ?=
 export VENV PYTHON311
+comma := ,
 
 python := $(VENV)/bin/python
 stamp := $(VENV)/.simnfnd-installed
+core := $(VENV)/.simnfnd-core
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check docs release bench constraints clean
+.PHONY: help setup demo test check docs release bench constraints clean packages
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
 
-setup: packages $(stamp) ## install the Debian libraries and the Python environment
+setup: packages $(stamp) ## install the Debian libraries and the whole Python environment
 	@echo "Ready: $(python)"
 
-.PHONY: packages
 packages:
-	@bash tools/debian_packages.sh
+	@bash tools/debian_packages.sh tests
 
-# Everything in one pip call: a second one could move numpy to 2, which bpy cannot load.
-$(stamp): pyproject.toml constraints.txt
+$(python):
 	@bash tools/debian_packages.sh
-	@$(python) -m pip --version >/dev/null 2>&1 \
-		|| { found="$$(bash tools/find_python.sh)" && "$$found" -m venv $(VENV); }
-	@$(python) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' \
-		|| { echo "error: $(VENV) is not Python 3.11; remove it and run make setup again" >&2; exit 2; }
-	$(python) -m pip install --disable-pip-version-check --quiet $(PIP_ARGS) \
-		-c constraints.txt -e '.[all,dev,docs]'
-	@touch $@
+	@found="$$(bash tools/find_python.sh)" && "$$found" -m venv $(VENV)
 
-demo: $(stamp) ## make a small dataset from nothing and a preview of it
+# The constraints keep numpy where bpy can load it, in whatever order the parts are installed.
+define install
+@bash tools/debian_packages.sh $(3)
+@$(python) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' \
+	|| { echo "error: $(VENV) is not Python 3.11; remove it and run make again" >&2; exit 2; }
+@echo "Installing $(1) into $(VENV)"
+$(python) -m pip install --disable-pip-version-check --quiet $(PIP_ARGS) -c constraints.txt -e '$(2)'
+@touch $@
+endef
+
+$(core): pyproject.toml constraints.txt | $(python)
+	$(call install,the factory with Blender and Open3D and the denoiser: about 2 GB,.[blender$(comma)open3d$(comma)denoise])
+
+$(stamp): pyproject.toml constraints.txt | $(python)
+	$(call install,all parts and what the tests need: about 5 GB with the CPU build of torch,.[all$(comma)dev$(comma)docs],tests)
+	@touch $(core)
+
+demo: $(core) ## make a small dataset from nothing and a preview of it
 	$(VENV)/bin/simnfnd demo $(ARGS)
 
-# Of its own xdist begins with the files of most tests, and ends with the slowest ones.
+# Without an order of its own xdist starts with the largest files; the slow ones come first here.
 test: $(stamp) ## run the tests
 	$(python) -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 

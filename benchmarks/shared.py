@@ -1,4 +1,4 @@
-"""What the benchmarks share: clocks for calls and for whole commands, frames, pairs on disk."""
+"""What the benchmarks share: their options, tables, and clocks for calls and whole commands."""
 
 from __future__ import annotations
 
@@ -16,55 +16,86 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from simnfnd.factory.dataset.format.sample import Pair
-from simnfnd.factory.dataset.format.schema import Provenance
-from simnfnd.factory.dataset.format.settings import DatasetSettings
-
 T = TypeVar("T")
-
-PROVENANCE = Provenance({}, "0" * 16, "benchmark")
+Cell = str | int | float
 
 
 @dataclass(frozen=True)
-class Spent:
-    """Medians over the repeats, in seconds; least and most are of the CPU time.
+class Options:
+    """What the user asks of all benchmarks.
 
-    cpu: of all threads of the process.  peak_mb: most memory the process had until now.
+    quick: the smallest amounts that still run every line of the code; the figures mean nothing.
+    frame: folder of FLSea VI whose first frame is measured beside the procedural one.
     """
 
-    cpu: float
-    wall: float
-    least: float
-    most: float
-    peak_mb: float
+    quick: bool = False
+    frame: str = ""
 
-    @property
-    def spread(self) -> str:
-        """Least to most CPU seconds."""
-        return f"{self.least:.3g} to {self.most:.3g}"
+    def amount(self, full: int, quick: int = 1) -> int:
+        """`full`, or `quick` where only the code is tried."""
+        return quick if self.quick else full
 
 
-def clock(action: Callable[[], Any], repeats: int, per: int = 1) -> Spent:
-    """Time `action` after one run that is not counted.  per: it does its work so many times."""
-    action()
-    cpu, wall = [], []
-    for _ in range(repeats):
-        began = time.process_time(), time.perf_counter()
-        action()
-        cpu.append((time.process_time() - began[0]) / per)
-        wall.append((time.perf_counter() - began[1]) / per)
-    return Spent(
-        statistics.median(cpu), statistics.median(wall), min(cpu), max(cpu), peak_memory_mb()
-    )
+@dataclass(frozen=True)
+class Table:
+    """One table; the report rounds numbers to three digits, the JSON file keeps them whole."""
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    title: str = ""
+    note: str = ""
+
+    def column(self, name: str) -> list[Cell]:
+        """All cells below a heading."""
+        index = list(self.columns).index(name)
+        return [row[index] for row in self.rows]
+
+    def markdown(self) -> str:
+        """The table with its title and note."""
+        cells = [self.columns, ["---"] * len(self.columns), *self.rows]
+        lines = [
+            "| " + " | ".join(shown(cell).replace("|", "\\|") for cell in row) + " |"
+            for row in cells
+        ]
+        parts = [f"### {self.title}" if self.title else "", "\n".join(lines), self.note]
+        return "\n\n".join(part for part in parts if part)
+
+
+@dataclass(frozen=True)
+class Section:
+    """What one benchmark found.  failed: why its outcome is wrong, where it checks one."""
+
+    tables: Sequence[Table] = ()
+    failed: str = ""
+
+    def markdown(self, name: str) -> str:
+        """The section under its heading."""
+        parts = [f"## {name}", *(table.markdown() for table in self.tables)]
+        return "\n\n".join([*parts, *([f"**Failed: {self.failed}**"] if self.failed else [])])
+
+
+def shown(cell: Cell) -> str:
+    """A cell as people read it: three digits of a number that is not whole."""
+    if not isinstance(cell, float):
+        return str(cell)
+    if cell == 0 or 1e-3 <= abs(cell) < 1e6:
+        return f"{cell:.0f}" if abs(cell) >= 100 else f"{cell:.3g}"
+    return f"{cell:.2g}"
 
 
 def cpu_seconds(action: Callable[[], Any], repeats: int) -> float:
     """Median CPU time of `action`, all threads, after one run that is not counted."""
-    return clock(action, repeats).cpu
+    action()
+    spent = []
+    for _ in range(repeats):
+        began = time.process_time()
+        action()
+        spent.append(time.process_time() - began)
+    return statistics.median(spent)
 
 
 def peak_memory_mb() -> float:
-    """Most resident memory that this process had, in MB."""
+    """Largest resident memory of this process so far, in MB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
 
 
@@ -77,45 +108,34 @@ def in_own_process(function: Callable[..., T], *arguments: object) -> T:
 
 @dataclass(frozen=True)
 class Command:
-    """What a whole command took: wall and CPU seconds, it and its children together."""
+    """Wall and CPU seconds of a whole command, with its children."""
 
     wall: float
     cpu: float
 
 
-def run_command(command: Sequence[str], cwd: Path | None = None) -> Command:
-    """Run a command to its end; ends the benchmark with its last words if it fails."""
+def run_command(*words: str, cwd: Path | None = None) -> Command:
+    """Run `python -m simnfnd WORDS`; a failure ends the benchmark with what it printed last."""
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
+    command = [sys.executable, "-m", "simnfnd", *words]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd)
     if done.returncode:
-        raise SystemExit(done.stderr[-2000:])
+        raise SystemExit(f"{' '.join(words)}\n{done.stderr[-2000:]}")
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return Command(time.monotonic() - began, cpu)
 
 
-def run_factory(words: Sequence[str]) -> Command:
-    """Run `simnfnd make WORDS`."""
-    return run_command([sys.executable, "-m", "simnfnd.factory", *words])
-
-
 def frame_words(root: str) -> list[str]:
-    """Words that choose the procedural frame, or with `root` the first one of FLSea VI there."""
+    """Settings for the procedural frame, or with `root` for the first frame of FLSea VI there."""
     if not root:
         return ["scenes=seabed", "scenes.locations=1", "scenes.frames_per_location=1"]
     return ["scenes=flsea", f"scenes.root={root}"]
 
 
-def write_pair(pair: Pair, axes: Any, columns: Any, folder: Path, **how: Any) -> None:
-    """A shard of one pair, as the factory writes it."""
-    from simnfnd.factory.dataset.write.writer import write_shard
-
-    write_shard(folder, "train/pair.h5", [pair], axes, columns, PROVENANCE, DatasetSettings(**how))
-
-
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Blender tells of every render on the C level; the report is on stdout."""
+    """Send what Blender prints on the C level nowhere; the report is on stdout."""
     sys.stdout.flush()
     keep = os.dup(1)
     with open(os.devnull, "w") as nowhere:

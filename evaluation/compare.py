@@ -12,16 +12,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+import pandas as pd
 
 from ..factory.cli import Parser
-from ..factory.dataset.describe import markdown
 from ..factory.errors import FactoryError
 from ..factory.files import check_writable, write_atomically
 from .metrics.statistics import Paired, holm, paired
-from .report.files import read_results
-from .report.names import METRIC_NAMES, written, written_p
-from .report.tables import percent
+from .report import text as texts
+from .report.page import read_results
+from .report.text import (
+    METRIC_NAMES,
+    as_table,
+    interval,
+    percent,
+    plain,
+    written,
+    written_p,
+)
 
 _ALPHA = 0.05
 
@@ -68,23 +75,20 @@ def compare(
     """
     results = read_results(a), read_results(b)
     names = [row_a or _best(results[0]), row_b or _best(results[1])]
-    rows = [
-        _row(one, name, folder) for one, name, folder in zip(results, names, (a, b), strict=True)
-    ]
-    keys = [_keys(row) for row in rows]
-    common = sorted(set(keys[0]) & set(keys[1]))
-    if not common:
+    one, other = (
+        _row(table, name, folder)
+        for table, name, folder in zip(results, names, (a, b), strict=True)
+    )
+    common = one.index.intersection(other.index, sort=True)
+    if common.empty:
         raise FactoryError(
             f"{a} and {b}: reports on different pairs, none in common; give two on one dataset"
         )
-    order = [[key.index(one) for one in common] for key in keys]
-    groups = [f"{location}/{scene}/{frame}" for _, location, scene, frame in common]
-    metrics = [name for name in METRIC_NAMES if all(name in row for row in rows)]
+    groups = ["/".join(key[1:]) for key in common]
+    metrics = [name for name in METRIC_NAMES if name in one and name in other]
     found = {}
     for name in metrics:
-        first, second = (
-            row[name][places].astype(float) for row, places in zip(rows, order, strict=True)
-        )
+        first, second = (row.loc[common, name].to_numpy(float) for row in (one, other))
         better = METRIC_NAMES[name].better
         found[name] = paired(first, second, groups, better=better, resamples=resamples, seed=seed)
     judged = [name for name in metrics if METRIC_NAMES[name].better]
@@ -94,7 +98,7 @@ def compare(
         "b": {"folder": b.name, "row": names[1]},
         "pairs": len(common),
         "frames": len(set(groups)),
-        "left_out": len(set(keys[0]) ^ set(keys[1])),
+        "left_out": len(one.index.symmetric_difference(other.index)),
         "metrics": {
             name: _entry(name, found[name], adjusted.get(name, float("nan"))) for name in metrics
         },
@@ -115,20 +119,18 @@ def as_markdown(result: dict[str, Any]) -> str:
     for name, one in result["metrics"].items():
         metric = METRIC_NAMES[name]
         digits = metric.digits + 1
-        low, high = written(one["low"], digits, True), written(one["high"], digits, True)
-        wins = percent(one["wins"]) if metric.better else "-"
         rows.append(
             [
                 metric.label,
                 written(one["difference"], digits, True),
-                f"{low} .. {high}",
+                interval(one, digits, True),
                 written_p(one["p_holm"]),
-                wins,
+                percent(one["wins"]) if metric.better else "-",
                 one["verdict"],
             ]
         )
     head = ["metric", "A minus B", "95 % interval", "p (Holm)", "A is better in", "A"]
-    return "\n".join([*lines, markdown.table(head, rows, "lrcrrl")])
+    return "\n".join([*lines, texts.as_markdown(as_table(head, rows), "lrcrrl")])
 
 
 def _entry(name: str, result: Paired, p_holm: float) -> dict[str, Any]:
@@ -142,8 +144,8 @@ def _entry(name: str, result: Paired, p_holm: float) -> dict[str, Any]:
         verdict = "no difference shown"
     values = {"difference": item.mean, "low": item.low, "high": item.high, "p": result.p}
     values |= {"p_holm": p_holm, "wins": result.wins}
-    plain = {key: float(value) if np.isfinite(value) else None for key, value in values.items()}
-    return {**plain, "count": item.count, "verdict": verdict}
+    known = {key: plain(value) for key, value in values.items()}
+    return {**known, "count": item.count, "verdict": verdict}
 
 
 def _verdict(result: dict[str, Any]) -> str:
@@ -163,24 +165,16 @@ def _verdict(result: dict[str, Any]) -> str:
     return f"No difference is shown: it could be chance with {result['frames']} frames{few}."
 
 
-def _best(results: dict[str, Any]) -> str:
-    labels = list(dict.fromkeys(str(label) for label in results["method"]))
-    others = [label for label in labels if label != "noisy"] or labels
-    means: dict[str, float] = {
-        label: float(np.mean(results["psnr"][results["method"] == label])) for label in others
-    }
-    return max(means, key=lambda label: means[label])
+def _best(results: pd.DataFrame) -> str:
+    means = results.groupby("method", sort=False)["psnr"].mean()
+    others = means.drop("noisy", errors="ignore")
+    return str((means if others.empty else others).idxmax())
 
 
-def _row(results: dict[str, Any], name: str, folder: Path) -> dict[str, npt.NDArray[Any]]:
-    where = results["method"] == name
-    if not where.any():
-        known = ", ".join(dict.fromkeys(results["method"]))
+def _row(results: pd.DataFrame, name: str, folder: Path) -> pd.DataFrame:
+    """The pairs of a row, by their content and, for the bootstrap, their frame."""
+    found = results[results["method"] == name]
+    if found.empty:
+        known = ", ".join(results["method"].unique())
         raise FactoryError(f"{folder}: no row {name!r}; it has {known}")
-    return {column: values[where] for column, values in results.items()}
-
-
-def _keys(row: dict[str, npt.NDArray[Any]]) -> list[tuple[Any, ...]]:
-    """What a pair is known by: its content, and its frame for the bootstrap."""
-    names = ("pair", "location", "scene", "frame")
-    return list(zip(*(row[name].tolist() for name in names), strict=True))
+    return found.set_index(["pair", "location", "scene", "frame"])

@@ -40,6 +40,14 @@ class AblationSettings:
 
 
 @dataclass(frozen=True, config=STRICT)
+class PicturesFolder:
+    """An entry of `pictures`: the row's name, and the folder of its denoised pictures."""
+
+    name: Annotated[str, Field(min_length=1)]
+    dir: Annotated[str, Field(min_length=1)]
+
+
+@dataclass(frozen=True, config=STRICT)
 class PageSettings:
     """Keys of `page`."""
 
@@ -62,6 +70,7 @@ class EvaluationSettings:
     image_timeout_s: Annotated[float, Field(gt=0)]
     baselines: list[str]
     models: Literal["auto"] | list[str]
+    pictures: list[PicturesFolder]
     ablation: AblationSettings
     device: Literal["auto", "cpu", "gpu"]
     texture: bool

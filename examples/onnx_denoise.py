@@ -4,7 +4,8 @@ simnfnd export-weights simnfnd --to onnx --out any.onnx
 python examples/onnx_denoise.py any.onnx picture.png denoised.png
 
 simnfnd export-weights simnfnd --to onnx --geometry fan --out fan.onnx
-simnfnd geometry picture.png > fans.csv
+python -c "import simnfnd; from simnfnd.models.data.fans import write_fans; \
+    write_fans('fans.csv', {'picture.png': simnfnd.open_recording('picture.png')[0].geometry})"
 python examples/onnx_denoise.py fan.onnx picture.png denoised.png fans.csv
 """
 

@@ -169,16 +169,41 @@ def whole_folder(folder: Path) -> Iterator[Path]:
 
     When filling fails, nothing is left behind.  Raises FactoryError when it cannot be written.
     """
-    partial = folder.absolute().parent / f".{folder.absolute().name}.partial-{os.getpid()}"
+    partial = _temporary_for(folder.absolute())
     with explain_os_errors(folder, "--out"):
         check_writable(partial, "--out")
         try:
             yield partial
             if folder.exists():
                 folder.rmdir()
+            sync_folder(partial)
             os.replace(partial, folder)
+            sync_folder(folder.absolute().parent)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
+
+
+@contextmanager
+def whole_file(path: Path, key: str = "--out") -> Iterator[Path]:
+    """A path beside `path` to write to, which becomes `path` at the end, on the disk.
+
+    For what is too large for `write_atomically`.  When the block fails, nothing is left behind;
+    what a killed process leaves is known by its name (`is_temporary`).
+    Raises FactoryError when it cannot be written.
+    """
+    partial = _temporary_for(path.absolute())
+    with explain_os_errors(path, key):
+        try:
+            yield partial
+            descriptor = os.open(partial, os.O_RDONLY)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+            os.replace(partial, path)
+            sync_folder(path.absolute().parent)
+        finally:
+            partial.unlink(missing_ok=True)
 
 
 class Outlet(Protocol):

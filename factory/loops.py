@@ -7,8 +7,6 @@ import importlib
 from .progress import stage_if_slow
 
 LOOPS = (
-    "simnfnd.factory.dataset.describe.window_loops",
-    "simnfnd.factory.dataset.write.checksum_loops",
     "simnfnd.factory.elementary",
     "simnfnd.factory.imaging.coherent.cells.cell_loops",
     "simnfnd.factory.imaging.coherent.display_loops",

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .dataset.format.echoes import EchoList
-from .dataset.format.sample import Axis, Column, Pair
+from .dataset.format.schema import Axis, Column, Pair
 from .errors import FrameError
 from .frame import Frame, FrameRef
 from .imaging import layers as truth

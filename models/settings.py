@@ -5,18 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
 from ..factory.errors import FactoryError
 from ..factory.settings import STRICT, build
-
-
-def _odd(frames: int) -> int:
-    if frames % 2 == 0:
-        raise ValueError(f"{frames}: give an odd number, a picture and as many before as after it")
-    return frames
-
 
 Count = Annotated[int, Field(ge=1)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
@@ -25,7 +18,6 @@ Patch = Annotated[int, Field(ge=8)]
 Multiple = Annotated[float, Field(gt=0, le=16)]
 Scale = Multiple | tuple[Multiple, Multiple]
 """Times the dataset's beams, range bins and pixels; or those of beams and bins, and of pixels."""
-Frames = Annotated[int, Field(ge=1, le=31), AfterValidator(_odd)]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -84,7 +76,6 @@ class PairsData(DataSettings):
     """`data=pairs`: the pairs of a dataset as they are."""
 
     kind: Literal["pairs"]
-    frames: Frames = 1
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -100,7 +91,6 @@ class RendersData(DataSettings):
     experiment: str | None
     choices: Share
     reuse: Annotated[int, Field(ge=1, le=1000)] = 1
-    frames: Frames = 1
 
     @property
     def least_scale(self) -> float:
@@ -119,25 +109,10 @@ class OldData(DataSettings):
     looks: Annotated[int, Field(ge=1, le=64)]
 
 
-@dataclass(frozen=True, config=STRICT, kw_only=True)
-class SelfSupervisedData(DataSettings):
-    """`data=self_supervised`: real noisy images alone, without any clean ones."""
-
-    kind: Literal["self_supervised"]
-    folder: str
-    method: Literal["neighbor2neighbor", "blind_spot", "blind_network", "variance"]
-    log_gain: Annotated[float, Field(ge=0)]
-    gamma: Annotated[float, Field(ge=0)]
-    radius: Annotated[int, Field(ge=0, le=16)]
-    masked: Fraction
-    variance: Annotated[float, Field(gt=0, le=4)] = 0.1175
-
-
 DATA: dict[str, type[DataSettings]] = {
     "pairs": PairsData,
     "renders": RendersData,
     "olddata": OldData,
-    "self_supervised": SelfSupervisedData,
 }
 """kind -> its settings."""
 
@@ -165,7 +140,6 @@ class TrainSettings:
     clip: Annotated[float, Field(gt=0)]
     ema: Annotated[float, Field(ge=0, lt=1)]
     precision: Literal["auto", "32-true", "bf16-mixed", "16-mixed"]
-    parts: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     teacher: str | None = None
     teacher_share: Share = 0.8
     teacher_recordings: tuple[str, ...] = ()

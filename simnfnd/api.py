@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,11 +12,11 @@ import numpy.typing as npt
 
 if TYPE_CHECKING:
     from .factory.config import FactoryConfig
-    from .factory.dataset.format.sample import Pair
+    from .factory.dataset.format.schema import Pair
     from .factory.render.base import Renderer, RenderSettings
     from .factory.sonar.geometry import FanGeometry
+    from .models.denoise.asked import InTurn
     from .models.denoise.denoiser import Denoiser
-    from .models.denoise.weighing.in_turn import InTurn
 
 
 def denoise(
@@ -26,6 +26,9 @@ def denoise(
     geometry: Literal["find", "polar"] | FanGeometry | None = "find",
     remove: Sequence[str] | None = None,
     strength: float = 1.0,
+    noise: Literal["real", "points"] = "real",
+    frames: int = 7,
+    causal: bool = False,
     device: Literal["auto", "cpu", "gpu"] = "auto",
 ) -> npt.NDArray[Any]:
     """Denoise one sonar picture, or a stack of them.
@@ -33,29 +36,32 @@ def denoise(
     picture: (H, W), (N, H, W), or (H, W, 3 or 4) in colours; uint8, uint16, or float in 0..1.
         Colours of a colour map are denoised as the levels that they stand for.
     weights: a weights.safetensors of a training or the name of weights that ship; None: of those
-        that ship the ones that suit the picture and what is to be removed: `simnfnd`,
-        `simnfnd-paper` where its noise is that of points, `simnfnd-removal` for haze, spokes,
-        ghosts and gains.  They stay loaded for the next call.
+        that ship `simnfnd`, and `simnfnd-removal` for haze, spokes, ghosts and gains.  They stay
+        loaded for the next call.
     geometry: where range and bearing are, for networks that use it.  "find": the fan is looked for
         in each picture, as `simnfnd denoise` does.  "polar": rows are ranges, near range first, and
         the columns span 30 degrees.  None: not known.
     remove: what to remove, of speckle, haze, spokes, ghosts, blur and gains; None: what most want
         of an unknown picture (speckle, spokes, ghosts and blur).
     strength: how much of it, 0 to 1.
+    noise: of real sonars, or of the points that the paper simulates, whose weights are
+        `simnfnd-paper`.
+    frames: of a stack whose pictures follow each other in time: up to so many, odd, are laid over
+        each other and fused where they show the same; 1: each by itself.
+    causal: fuse with pictures before alone.
     device: gpu means CUDA; auto takes it where it is usable.
 
     Returns an array of the same shape and dtype.
     Raises ValueError for another shape or dtype, NaN, and floats outside 0..1; FactoryError for
-    weights that are not there, a missing GPU, and where the extra `train` is not installed.
+    weights that are not there, a missing GPU, and where the extra `denoise` is not installed.
     """
     from .factory.cli.extras import Need, require
 
-    needed = ("torch", "safetensors", "cv2", "scipy")
+    needed = ("onnxruntime", "safetensors", "cv2", "scipy")
     require(Need("simnfnd.denoise", module) for module in needed)
-    from .models.denoise.files import denoise_image
+    from .models.denoise.pictures import Denoising, check_frames
     from .models.pretrained import find_weights
     from .models.recordings.fan.finder import find_geometry
-    from .models.recordings.palettes import find_painted
 
     given = np.asarray(picture)
     if given.ndim not in (2, 3):
@@ -63,25 +69,19 @@ def denoise(
             f"picture has shape {given.shape}; expected (H, W), (N, H, W) or (H, W, 3)"
         )
     path = find_weights(weights)
+    check_frames(frames)
     if not 0 <= strength <= 1:
         raise ValueError(f"strength={strength}: expected 0 to 1")
     chosen = None if remove is None else tuple(remove)
     network: Callable[..., npt.NDArray[np.float32]]
     named = None if weights is None else path
-    network = _denoiser(named, path.stat().st_mtime_ns, device, chosen, strength)
-    if weights is None and remove is None:
-        from .models.denoise.weighing.suited import Suited
-        from .models.pretrained import POINTS
-
-        of_points = find_weights(POINTS)
-        changed_ns = of_points.stat().st_mtime_ns
-        network = Suited(network, lambda: _denoiser(of_points, changed_ns, device, None, strength))
+    network = _denoiser(named, path.stat().st_mtime_ns, device, chosen, strength, noise)
     if isinstance(geometry, str) and geometry not in ("find", "polar"):
         raise ValueError(f"geometry={geometry!r}: expected 'find', 'polar', a FanGeometry or None")
     layout = "polar" if geometry == "polar" else None
 
-    def one(gray: npt.NDArray[np.float32], where: FanGeometry | None) -> npt.NDArray[np.float32]:
-        return network(gray, where, layout=layout)
+    one = partial(network, layout=layout)
+    one.knows_frames = getattr(network, "knows_frames", False)  # type: ignore[attr-defined]
 
     def place(image: npt.NDArray[Any]) -> FanGeometry | None:
         if not isinstance(geometry, str):
@@ -89,17 +89,15 @@ def denoise(
         return find_geometry(image) if geometry == "find" else None
 
     known = given.astype(np.float32) if given.dtype.kind == "f" else given
-    if given.ndim == 3 and given.shape[2] in (3, 4):
-        painted = find_painted(known)
-        if painted is None:
-            return denoise_image(known, one, place(known)).astype(given.dtype)
-        levels = denoise_image(painted.levels, one, place(painted.levels))
-        return painted.repainted(levels).astype(given.dtype)
-    stack = known if given.ndim == 3 else known[None]
-    result = np.empty(stack.shape, given.dtype)
-    for number, image in enumerate(stack):
-        result[number] = denoise_image(image, one, place(image))
-    return result if given.ndim == 3 else result[0]
+    calibrated = remove is None and strength == 1
+    denoising = Denoising(one, frames=frames, causal=causal, calibrated=calibrated)
+    if given.ndim == 2 or given.shape[2] in (3, 4):
+        return denoising.one(known, place).astype(given.dtype)
+    result = np.empty(given.shape, given.dtype)
+    seen = (denoising.seen(number, image, place) for number, image in enumerate(known))
+    for shot, denoised in denoising.sequence(seen, alone=len(given) < 2):
+        result[shot.key] = denoised
+    return result
 
 
 def make_pair(
@@ -168,9 +166,14 @@ def _renderer(settings: RenderSettings) -> Renderer:
 
 @lru_cache(maxsize=2)
 def _denoiser(
-    path: Path | None, changed_ns: int, device: str, remove: tuple[str, ...] | None, strength: float
+    path: Path | None,
+    changed_ns: int,
+    device: str,
+    remove: tuple[str, ...] | None,
+    strength: float,
+    noise: str,
 ) -> Denoiser | InTurn:
     """changed_ns: of the file, so that weights trained anew are loaded anew."""
-    from .models.denoise.weighing.in_turn import asked_denoiser
+    from .models.denoise.asked import asked_denoiser
 
-    return asked_denoiser(path, device, remove, strength=strength)
+    return asked_denoiser(path, device, remove, noise=noise, strength=strength)

@@ -12,7 +12,6 @@ from importlib import import_module
 from .verbs import VERBS, Verb
 
 _HELP = ("-h", "--help")
-_COMPLETION = ("--shell-completion", "-sc")
 # Hydra prints something with these and does nothing.
 _SHOW = (*_HELP, "--cfg", "-c", "--info", "-i", "--hydra-help")
 # Options of Hydra whose next word is their value.
@@ -31,15 +30,6 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
     given = list(sys.argv[1:] if words is None else words)
     if "--version" in given[:2]:
         return _print(f"simnfnd {_version()}")
-    if given[:1] == ["--complete"]:
-        from .completion import complete
-
-        for offered in complete(given[1 + (given[1:2] == ["--"]) :]):
-            print(offered)
-        return 0
-    for option in _COMPLETION:
-        if option in given:
-            return _shell_completion(given[given.index(option) + 1 :])
     if default is not None and (
         not given or _is_option(given[0]) or given[0] in VERBS[default].verbs
     ):
@@ -48,6 +38,7 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
         return _print(overview())
     from .factory.cli import guard
     from .factory.errors import FactoryError
+    from .factory.scheduler.workers.signals import stop_signals
 
     def run() -> int | None:
         name, verb, rest = find(given)
@@ -67,18 +58,12 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
             if verb.needs and any(word in _HELP for word in rest) and _of_an_extra(error):
                 return _print("Its options are listed once that is installed.")
             raise
-        code: int | None = action([*verb.before, *rest])
+        # One way to stop for all: SIGTERM unwinds as Ctrl-C does, so that every `finally` runs.
+        with stop_signals():
+            code: int | None = action([*verb.before, *rest])
         return code
 
     return guard(run, debug="debug=true" in given)
-
-
-def _shell_completion(words: Sequence[str]) -> int:
-    """Print the script that teaches a shell; also for words of Hydra's own, `install=bash`."""
-    from .completion import script
-    from .factory.cli import guard
-
-    return guard(lambda: _print(script(words[0] if words else "?")))
 
 
 def find(words: Sequence[str]) -> tuple[str, Verb, list[str]]:
@@ -145,8 +130,7 @@ def overview() -> str:
                 lines.append(f"  {name:<17} {verb.line}")
                 lines += _own_verbs(name, verb)
         lines.append("")
-    lines.append("`simnfnd VERB --help` tells more about one; `simnfnd --version` the version;")
-    lines.append("`simnfnd --shell-completion bash` (zsh, fish) a script that completes all of it.")
+    lines.append("`simnfnd VERB --help` tells more about one, `simnfnd --version` the version.")
     return "\n".join(lines)
 
 

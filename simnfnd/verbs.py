@@ -45,9 +45,8 @@ MAKE, LOOK, PASS_ON, DENOISE, JUDGE = (
 )
 _COMMANDS = "simnfnd.factory.commands"
 _SONAR = ("cv2", "scipy")
-_NETWORK = ("torch", "safetensors", *_SONAR)
-_FIGURES = ("matplotlib", *_SONAR)
-_BENCHMARK = ("skimage", "jinja2", *_SONAR)
+_NETWORK = ("onnxruntime", "safetensors", *_SONAR)
+_ADAPTING = ("torch", "lightning", "safetensors", *_SONAR)
 _TRAINING = ("torch", "lightning", "safetensors", "tensorboard", *_SONAR)
 
 
@@ -70,6 +69,7 @@ VERBS: dict[str, Verb] = {
             "scenes.intrinsics=[525,525,320,240]",
             "simnfnd make -m noise.background.density=0.1,0.5 resample.rate=0.1,0.3",
             "simnfnd make experiment=demo --cfg job",
+            "simnfnd make -m experiment=benchmark,benchmark_physical sonar.image.width_px=256,512",
         ),
         hydra=True, config="factory",
     ),
@@ -94,22 +94,24 @@ VERBS: dict[str, Verb] = {
         },
     ),
     "status": Verb(
-        LOOK, "how far a dataset is, and who works on it", f"{_COMMANDS}.status:main",
-        ("simnfnd status outputs/demo", "simnfnd status outputs/demo --verify"),
-    ),
-    "failed": Verb(
-        LOOK, "the frames that gave no sample, and why", f"{_COMMANDS}.failed:main",
-        ("simnfnd failed outputs/flsea", "simnfnd failed outputs/flsea --rerun"),
+        LOOK, "how far a dataset is, which frames failed and why", f"{_COMMANDS}.status:main",
+        (
+            "simnfnd status outputs/demo",
+            "simnfnd status outputs/demo --verify",
+            "simnfnd status outputs/demo --failed",
+            "simnfnd status outputs/demo --rerun",
+        ),
     ),
     "preview": Verb(
-        LOOK, "contact sheet of a dataset or recording", f"{_COMMANDS}.preview:main",
+        LOOK, "contact sheet of a dataset or recording", "simnfnd.evaluation.viewer.preview:main",
         (
             "simnfnd preview outputs/demo --out outputs/sheet.png --pairs 4",
             "simnfnd preview dive.aris --out outputs/dive.png",
         ),
     ),
     "view": Verb(
-        LOOK, "a dataset or recording in the browser, before and after", f"{_COMMANDS}.view:main",
+        LOOK, "a dataset or recording in the browser, before and after",
+        "simnfnd.evaluation.viewer.command:main",
         ("simnfnd view outputs/demo", "simnfnd view dive.aris outputs/denoised/dive.aris"),
     ),
     "inspect": Verb(
@@ -119,23 +121,6 @@ VERBS: dict[str, Verb] = {
     "validate": Verb(
         LOOK, "is a dataset whole and consistent", f"{_COMMANDS}.validate:main",
         ("simnfnd validate outputs/demo", "simnfnd validate outputs/demo --deep"),
-    ),
-    "gallery": Verb(
-        LOOK, "the paper's figures, from procedural scenes", f"{_COMMANDS}.gallery:main",
-        ("simnfnd gallery", "simnfnd gallery scenes=flsea scenes.root=flsea-vi --out figures"),
-        needs=_FIGURES,
-    ),
-    "physics": Verb(
-        LOOK, "devices and effects of the physical profile", f"{_COMMANDS}.physics:main",
-        ("simnfnd physics --out outputs/physics",), needs=_FIGURES,
-    ),
-    "geometry": Verb(
-        LOOK, "where range and bearing lie in fan pictures", f"{_COMMANDS}.geometry:main",
-        (
-            "simnfnd geometry pictures > fans.csv",
-            "simnfnd geometry lamprey.avi --out outputs/fans",
-        ),
-        needs=_SONAR,
     ),
     "merge": Verb(
         PASS_ON, "several datasets into one", f"{_COMMANDS}.merge:main",
@@ -182,30 +167,31 @@ VERBS: dict[str, Verb] = {
             "simnfnd adapt lamprey.avi --out own.safetensors --pairs outputs/demo",
             "simnfnd denoise dive.aris --weights own.safetensors --out outputs/denoised",
         ),
-        needs=_NETWORK,
+        needs=_ADAPTING,
     ),
     "export-weights": Verb(
-        DENOISE, "trained weights in 16 bits with a model card, as ONNX or as TorchScript",
+        DENOISE, "trained weights in 16 bits with a model card, or as ONNX",
         "simnfnd.models.pretrained.export:main",
         (
             "simnfnd export-weights outputs/models/nafnet/weights.safetensors "
             "--out own.safetensors",
             "simnfnd export-weights simnfnd --to onnx --geometry fan --out fan.onnx",
         ),
-        needs=_NETWORK,
+        needs=_ADAPTING,
     ),
     "evaluate": Verb(
         JUDGE, "the report on a dataset, and on methods that denoise it",
-        "simnfnd.evaluation.command:report",
+        "simnfnd.evaluation.commands:report",
         (
             "simnfnd evaluate dataset=outputs/demo",
             "simnfnd evaluate dataset=outputs/demo baselines=[all] models=[outputs/models/nafnet]",
+            "simnfnd evaluate dataset=outputs/demo \"pictures=[{name: mine, dir: outputs/mine}]\"",
         ),
-        needs=("pyarrow", "skimage", *_SONAR), hydra=True, config="evaluation",
+        needs=("pandas", "skimage", *_SONAR), hydra=True, config="evaluation",
         verbs={
             "tune": Verb(
                 JUDGE, "the best parameters of the classical filters first",
-                "simnfnd.evaluation.command:tune",
+                "simnfnd.evaluation.commands:tune",
                 ("simnfnd evaluate tune dataset=outputs/demo baselines=[median,nlm]",),
                 needs=("torch", "skimage", *_SONAR), hydra=True, config="evaluation",
             ),
@@ -214,87 +200,27 @@ VERBS: dict[str, Verb] = {
                 "simnfnd.evaluation.compare:main",
                 ("simnfnd evaluate compare outputs/evaluation/a outputs/evaluation/b "
                  "--row-b noisy",),
-                needs=("pyarrow", *_SONAR),
+                needs=("pandas", *_SONAR),
             ),
             "real": Verb(
                 JUDGE, "what methods make of real pictures and recordings",
-                "simnfnd.evaluation.real.command:real",
+                "simnfnd.evaluation.commands:real",
                 ("simnfnd evaluate real mdd models=[simnfnd]",),
                 needs=("skimage", *_SONAR), hydra=True, places=1, config="real",
             ),
             "realism": Verb(
                 JUDGE, "how near datasets are to real pictures",
-                "simnfnd.evaluation.realism.command:realism",
+                "simnfnd.evaluation.commands:realism",
                 ("simnfnd evaluate realism mdd outputs/demo outputs/aris",),
                 needs=("skimage", *_SONAR), hydra=True, places=None, config="realism",
             ),
-            "downstream": Verb(
-                JUDGE, "what denoising is worth to segmentation and detection",
-                "simnfnd.evaluation.downstream.command:downstream",
-                ("simnfnd evaluate downstream mdd sim=outputs/labelled",),
-                needs=(*_NETWORK, "skimage"), hydra=True, places=1, config="downstream",
-            ),
             "fit": Verb(
                 JUDGE, "the noise parameters that come nearest to real pictures",
-                "simnfnd.evaluation.calibrate.command:fit",
+                "simnfnd.evaluation.commands:fit",
                 ("simnfnd evaluate fit mdd name=mine trials=100",
                  "simnfnd evaluate fit mdd -- experiment=physical scenes=pack "
                  "scenes.root=views.pack"),
                 needs=("optuna", "skimage", *_SONAR), hydra=True, places=None, config="fit",
-            ),
-        },
-    ),
-    "benchmark": Verb(
-        JUDGE, "fixed test sets, and a table of the methods that enter",
-        "simnfnd.evaluation.benchmark.command:main",
-        (
-            "simnfnd benchmark make --real dive.aris",
-            "simnfnd benchmark enter mine --denoised outputs/mine",
-            "simnfnd benchmark table",
-        ),
-        verbs={
-            "make": Verb(
-                JUDGE, "make the sets: noisy pictures, references, practice pairs",
-                "simnfnd.evaluation.benchmark.command:make",
-                (
-                    "simnfnd benchmark make",
-                    "simnfnd benchmark make --flsea flsea-vi --real mdd-groups lamprey.avi",
-                ),
-                needs=_BENCHMARK,
-            ),
-            "enter": Verb(
-                JUDGE, "measure a method on all sets: pictures, function, ONNX, program",
-                "simnfnd.evaluation.benchmark.command:enter",
-                (
-                    "simnfnd benchmark enter mine --denoised outputs/mine",
-                    "simnfnd benchmark enter mine --function package.module:denoise",
-                    "simnfnd benchmark enter mine --onnx mine.onnx",
-                    "simnfnd benchmark enter mine --command 'mine {in} {out}'",
-                    "simnfnd benchmark enter tv --baseline tv --tuned",
-                ),
-                needs=_BENCHMARK,
-            ),
-            "table": Verb(
-                JUDGE, "the table of all results whose hashes are right",
-                "simnfnd.evaluation.benchmark.command:table",
-                ("simnfnd benchmark table --benchmark outputs/benchmark",),
-                needs=_BENCHMARK,
-            ),
-        },
-    ),
-    "campaign": Verb(
-        JUDGE, "train and compare many networks", "simnfnd.evaluation.campaign.command:main",
-        (
-            "simnfnd campaign show=true",
-            "simnfnd campaign data.flsea=flsea-vi data.mdd=mdd out=outputs/campaign",
-        ),
-        needs=(*_TRAINING, "pyarrow", "skimage"), hydra=True, config="campaign",
-        verbs={
-            "table": Verb(
-                JUDGE, "the table of what a campaign has found",
-                "simnfnd.evaluation.campaign.table:campaign",
-                ("simnfnd campaign table outputs/campaign",),
-                needs=("pyarrow", *_SONAR),
             ),
         },
     ),

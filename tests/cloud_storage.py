@@ -55,7 +55,11 @@ def contents(url: str) -> dict[str, bytes]:
 
 def shards_of(url: str) -> dict[str, bytes]:
     """Those that lie in train/ and test/."""
-    return {name: content for name, content in contents(url).items() if "/" in name}
+    return {
+        name: content
+        for name, content in contents(url).items()
+        if name.endswith(".h5") and "/" in name
+    }
 
 
 def manifest_of(url: str) -> dict[str, str]:

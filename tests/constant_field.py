@@ -6,25 +6,36 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from simnfnd.factory.config import FactoryConfig, from_mapping
-from simnfnd.factory.frame import Frame
-from simnfnd.factory.gallery.statistics import FAR_M, NEAR_M, constant_field
+from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
 from simnfnd.factory.imaging.coherent.scene import FieldScene
 from simnfnd.factory.imaging.coherent.signal import Ping
 from simnfnd.factory.pairs import ObservedFrame, observe
 from simnfnd.factory.render.base import Rendered
 
-__all__ = [
-    "FAR_M",
-    "NEAR_M",
-    "config",
-    "constant_field",
-    "observed",
-    "ping_of",
-    "scene_of",
-    "slope",
-]
+NEAR_M, FAR_M = 4.0, 8.0
+
+
+def constant_field(
+    name: str = "0",
+    pose: npt.NDArray[np.float64] | None = None,
+    power: float = 1.0,
+    size: tuple[int, int] = (960, 640),
+) -> tuple[Frame, Rendered]:
+    """A frame of (rows, columns); slant range grows evenly upwards, all echoes have one power."""
+    rows, columns = size
+    camera = Intrinsics(columns / (2 * np.tan(np.deg2rad(12.2))), 40_000.0, columns / 2, rows / 2)
+    across = (np.arange(columns) - camera.cx) / camera.fx
+    down = ((np.arange(rows) - camera.cy) / camera.fy)[:, None]
+    square = 1 + across**2 + down**2
+    range_m = (FAR_M + (NEAR_M - FAR_M) * (np.arange(rows) + 0.5) / rows)[:, None]
+    depth_m = (range_m / np.sqrt(square)).astype(np.float32)
+    radiance = (power * square**1.5).astype(np.float32)
+    rgb = np.zeros((*depth_m.shape, 3), np.uint8)
+    frame = Frame(FrameRef("made", "constant", name), rgb, depth_m, camera, pose)
+    return frame, Rendered(radiance, depth_m > 0)
 
 
 def config(**keys: Any) -> FactoryConfig:

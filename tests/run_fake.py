@@ -9,8 +9,8 @@ from typing import Any
 from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.scheduler.job import Job
-from simnfnd.factory.scheduler.ledger import RunReport
 from simnfnd.factory.scheduler.plan import plan_shards
+from simnfnd.factory.scheduler.results import RunReport
 from simnfnd.factory.scheduler.run import make_dataset
 from simnfnd.factory.scheduler.settings import SchedulerSettings
 from simnfnd.factory.scheduler.workers.signals import Interrupted
@@ -19,7 +19,12 @@ from tests.fake_source import FakeConfig, FakeSource, refs, rerun
 IDENTITY = {"seed": 0, "noise": {"background": {"density": {"uniform": [0.1, 0.5]}}}}
 
 
-def make(
+def make(directory: Path, *given: Any, **changes: Any) -> RunReport:
+    """`job` made."""
+    return make_dataset(job(directory, *given, **changes))
+
+
+def job(
     directory: Path,
     config: FakeConfig = FakeConfig(),  # noqa: B008
     *,
@@ -30,7 +35,7 @@ def make(
     recycle_frames: int = 200,
     scheduler: dict[str, Any] | None = None,
     **changes: Any,
-) -> RunReport:
+) -> Job:
     """A dataset of 12 train and 4 test frames, two variants each, in shards of 8 samples.
 
     changes: fields of `Job`.
@@ -58,7 +63,7 @@ def make(
         "skipped": {"no depth": 3},
         **changes,
     }
-    return make_dataset(Job(**fields))
+    return Job(**fields)
 
 
 if __name__ == "__main__":

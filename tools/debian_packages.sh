@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Sees to the Debian packages that the Python wheels load but do not carry.
 # As root it installs the missing ones; otherwise it prints the apt line to run and stops.
+# With the argument `tests` it also installs the browser that a test of the report uses.
 set -euo pipefail
 here="$(cd "$(dirname "$0")" && pwd)"
 
@@ -17,7 +18,7 @@ fi
 missing=()
 wanted=("${for_bpy[@]}" "${for_open3d[@]}")
 # Nobody is asked to type a line for what only a test wants.
-if [[ "$(id -u)" -eq 0 ]]; then
+if [[ "${1:-}" == tests && "$(id -u)" -eq 0 ]]; then
     wanted=("${for_tests[@]}" "${wanted[@]}")
 fi
 for package in "${wanted[@]}"; do

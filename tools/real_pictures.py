@@ -25,7 +25,7 @@ from simnfnd.evaluation.filters.bm3d import bm3d
 from simnfnd.evaluation.real.groups import Judged, judged, search
 from simnfnd.evaluation.real.shots import Mask, open_input
 from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
-from simnfnd.models.denoise.files import denoise_image
+from simnfnd.models.denoise.pictures import denoise_image
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.fan.finder import find_fan
 from simnfnd.models.recordings.fan.pings import frame_picture

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...factory.cli.compose import compose_config
 from ...factory.config import FactoryConfig, from_mapping, plain
-from ...factory.dataset.format.sample import Pair
+from ...factory.dataset.format.schema import Pair
 from ...factory.errors import FactoryError, FrameError
 from ...factory.frame import FrameRef
 from ...factory.pairs import PairMaker

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from ...factory.errors import FactoryError
 from .base import Baseline
 from .bm3d import bm3d
-from .convolutional import convolutional
 from .deblur import richardson_lucy_range
-from .dtcwt_map import dtcwt_map
+from .literature import LITERATURE
 from .plain import (
     bilateral,
     gaussian,
@@ -18,172 +17,111 @@ from .plain import (
     median,
     nlm,
     total_variation,
+    wavelet,
 )
-from .pyramid import lpmsde, lpmsde_contrast
-from .recursive import recursive_least_squares
-from .ridgelet import ridgelet
 from .speckle import frost, kuan, lee, srad
-from .structural import structural
-from .wavelet import wavelet
 
 _SIZES = (3, 5, 7, 9, 13)
 _WIDE = (*_SIZES, 19, 27)
 _CVS = (0.1, 0.2, 0.35, 0.52, 0.8, 1.2, 2.0)
 
-REGISTRY: dict[str, Baseline] = {
-    baseline.name: baseline
-    for baseline in (
-        Baseline("identity", identity, {}, {}, "the noisy image"),
-        Baseline("median", median, {"size": 3}, {"size": _SIZES}, "Tukey 1971"),
-        Baseline(
-            "gaussian",
-            gaussian,
-            {"sigma_px": 1.0},
-            {"sigma_px": (0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)},
-            "textbook",
-        ),
-        Baseline(
-            "grey_opening",
-            grey_opening,
-            {"size": 3},
-            {"size": (2, 3, 4, 5, 7, 9, 13)},
-            "Serra 1982",
-        ),
-        Baseline(
-            "bilateral",
-            bilateral,
-            {"sigma_px": 2.0, "sigma_gray": 0.1},
-            {
-                "sigma_px": (0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 12.0),
-                "sigma_gray": (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 100.0),
-            },
-            "Tomasi and Manduchi 1998 (OpenCV)",
-        ),
-        Baseline(
-            "nlm",
-            nlm,
-            {"strength": 0.04},
-            {"strength": (0.01, 0.02, 0.04, 0.07, 0.1, 0.15, 0.2, 0.3, 0.45, 0.65)},
-            "Buades, Coll and Morel 2005 (OpenCV)",
-        ),
-        Baseline(
-            "bm3d",
-            bm3d,
-            {"sigma": 0.1},
-            {"sigma": (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0)},
-            "Dabov et al. 2007 (own, from the paper)",
-        ),
-        Baseline(
-            "tv",
-            total_variation,
-            {"weight": 0.1},
-            {"weight": (0.01, 0.03, 0.06, 0.1, 0.17, 0.3, 0.5, 0.8)},
-            "Rudin, Osher and Fatemi 1992; Chambolle 2004 (scikit-image)",
-        ),
-        Baseline(
-            "wavelet",
-            wavelet,
-            {"strength": 0.15, "levels": 3},
-            {"strength": (0.03, 0.07, 0.15, 0.3, 0.6, 1.2), "levels": (1, 2, 3, 4, 6, 8)},
-            "Coifman and Donoho 1995, Haar (own)",
-        ),
-        Baseline(
-            "dtcwt_map",
-            dtcwt_map,
-            {"strength": 1.0, "levels": 5},
-            {"strength": (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 1000.0), "levels": (1, 2, 3, 5, 8)},
-            "Isar, Moga and Isar 2009 (own, from the papers)",
-        ),
-        Baseline(
-            "ridgelet",
-            ridgelet,
-            {"strength": 1.0, "block_px": 11},
-            {
-                "strength": (0.5, 1.0, 1.4, 2.0, 4.0, 1000.0),
-                "block_px": (7, 11, 17, 31),
-            },
-            "Shang et al. 2008, after the abstract; Do and Vetterli 2003",
-        ),
-        Baseline(
-            "convolutional",
-            convolutional,
-            {"strength": 0.1, "iterations": 20},
-            {"strength": (0.01, 0.03, 0.06, 0.1, 0.2, 0.35, 0.6, 1.0, 1.7, 3.0, 1000.0)},
-            "Vishwakarma 2022, after the abstract; Wohlberg 2016",
-        ),
-        Baseline(
-            "structural",
-            structural,
-            {"strength": 1.0, "patches": 64},
-            {"strength": (0.35, 0.7, 1.0, 1.4, 2.0, 4.0, 1000.0), "patches": (16, 64, 256)},
-            "Jin et al. 2019, after the abstract",
-        ),
-        Baseline(
-            "lee",
-            lee,
-            {"size": 7, "noise_cv": 0.52},
-            {"size": _WIDE, "noise_cv": _CVS},
-            "Lee 1980",
-        ),
-        Baseline(
-            "kuan",
-            kuan,
-            {"size": 7, "noise_cv": 0.52},
-            {"size": _WIDE, "noise_cv": _CVS},
-            "Kuan et al. 1985",
-        ),
-        Baseline(
-            "frost",
-            frost,
-            {"size": 5, "damping": 2.0},
-            {"size": _SIZES, "damping": (0.3, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)},
-            "Frost et al. 1982",
-        ),
-        Baseline(
-            "srad",
-            srad,
-            {"iterations": 100, "initial_cv": 1.0, "step": 0.2, "decay": 1 / 6},
-            {"iterations": (1, 10, 30, 100, 250), "initial_cv": (0.1, 0.3, 1.0, 3.0)},
-            "Yu and Acton 2002",
-        ),
-        Baseline(
-            "richardson_lucy",
-            richardson_lucy_range,
-            {"sigma_px": 1.5, "iterations": 10},
-            {
-                "sigma_px": (0.2, 0.6, 1.0, 2.0, 4.0, 6.0, 9.0, 13.0, 20.0),
-                "iterations": (1, 3, 10, 30),
-            },
-            "Richardson 1972, Lucy 1974; along range",
-        ),
-        Baseline(
-            "lpmsde",
-            lpmsde,
-            {"strength": 1.0, "levels": 3},
-            {"strength": (0.25, 1.0, 4.0, 16.0, 64.0, 256.0, 1000.0), "levels": (1, 2, 3, 4, 5)},
-            "IEEE Access 2023, 3335372, after the abstract",
-        ),
-        Baseline(
-            "lpmsde_contrast",
-            lpmsde_contrast,
-            {"strength": 1.0, "levels": 3, "clip_limit": 2.0},
-            {
-                "strength": (0.25, 1.0, 4.0, 16.0, 64.0, 256.0),
-                "levels": (1, 3, 5),
-                "clip_limit": (2.0,),
-            },
-            "the same with its contrast step",
-        ),
-        Baseline(
-            "recursive",
-            recursive_least_squares,
-            {"memory": 1.0},
-            {"memory": (0.5, 0.7, 0.85, 0.95, 1.0)},
-            "recursive least squares in the logarithm over all looks at a frame",
-            looks=True,
-        ),
-    )
-}
+_FILTERS = (
+    Baseline("identity", identity, {}, {}, "the noisy image"),
+    Baseline("median", median, {"size": 3}, {"size": _SIZES}, "Tukey 1971"),
+    Baseline(
+        "gaussian",
+        gaussian,
+        {"sigma_px": 1.0},
+        {"sigma_px": (0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)},
+        "textbook",
+    ),
+    Baseline(
+        "grey_opening",
+        grey_opening,
+        {"size": 3},
+        {"size": (2, 3, 4, 5, 7, 9, 13)},
+        "Serra 1982",
+    ),
+    Baseline(
+        "bilateral",
+        bilateral,
+        {"sigma_px": 2.0, "sigma_gray": 0.1},
+        {
+            "sigma_px": (0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 12.0),
+            "sigma_gray": (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 100.0),
+        },
+        "Tomasi and Manduchi 1998 (OpenCV)",
+    ),
+    Baseline(
+        "nlm",
+        nlm,
+        {"strength": 0.04},
+        {"strength": (0.01, 0.02, 0.04, 0.07, 0.1, 0.15, 0.2, 0.3, 0.45, 0.65)},
+        "Buades, Coll and Morel 2005 (OpenCV)",
+    ),
+    Baseline(
+        "bm3d",
+        bm3d,
+        {"sigma": 0.1},
+        {"sigma": (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0)},
+        "Dabov et al. 2007 (own, from the paper)",
+    ),
+    Baseline(
+        "tv",
+        total_variation,
+        {"weight": 0.1},
+        {"weight": (0.01, 0.03, 0.06, 0.1, 0.17, 0.3, 0.5, 0.8)},
+        "Rudin, Osher and Fatemi 1992; Chambolle 2004 (scikit-image)",
+    ),
+    Baseline(
+        "wavelet",
+        wavelet,
+        {"strength": 0.15, "levels": 3},
+        {"strength": (0.03, 0.07, 0.15, 0.3, 0.6, 1.2), "levels": (1, 2, 3, 4, 6, 8)},
+        "Coifman and Donoho 1995, Haar (own)",
+    ),
+    Baseline(
+        "lee",
+        lee,
+        {"size": 7, "noise_cv": 0.52},
+        {"size": _WIDE, "noise_cv": _CVS},
+        "Lee 1980",
+    ),
+    Baseline(
+        "kuan",
+        kuan,
+        {"size": 7, "noise_cv": 0.52},
+        {"size": _WIDE, "noise_cv": _CVS},
+        "Kuan et al. 1985",
+    ),
+    Baseline(
+        "frost",
+        frost,
+        {"size": 5, "damping": 2.0},
+        {"size": _SIZES, "damping": (0.3, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)},
+        "Frost et al. 1982",
+    ),
+    Baseline(
+        "srad",
+        srad,
+        {"iterations": 100, "initial_cv": 1.0, "step": 0.2, "decay": 1 / 6},
+        {"iterations": (1, 10, 30, 100, 250), "initial_cv": (0.1, 0.3, 1.0, 3.0)},
+        "Yu and Acton 2002",
+    ),
+    Baseline(
+        "richardson_lucy",
+        richardson_lucy_range,
+        {"sigma_px": 1.5, "iterations": 10},
+        {
+            "sigma_px": (0.2, 0.6, 1.0, 2.0, 4.0, 6.0, 9.0, 13.0, 20.0),
+            "iterations": (1, 3, 10, 30),
+        },
+        "Richardson 1972, Lucy 1974; along range",
+    ),
+)
+
+REGISTRY: dict[str, Baseline] = {one.name: one for one in (*_FILTERS, *LITERATURE)}
+"""All filters by name: those that users know first, then those after the literature."""
 
 
 def chosen(names: Sequence[str]) -> list[Baseline]:

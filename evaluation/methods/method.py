@@ -31,6 +31,8 @@ class Method:
     name: of the baseline in the registry, or of a network.
     form: '', 'tuned', '+ levels' or 'tuned + levels'.
     weights: of a network, else None.
+    given: what gives its pictures, where it is no function: the folder of another program's, or
+        what a subject knows by this word.  content: changes with those pictures.
     ablation: which row of the paper's Table 3 a network is, or ''.
     """
 
@@ -40,6 +42,8 @@ class Method:
     levels: Levels | None = None
     weights: str | None = None
     ablation: str = ""
+    given: str = ""
+    content: str = ""
 
     @property
     def label(self) -> str:
@@ -50,10 +54,27 @@ class Method:
     @property
     def looks(self) -> bool:
         """Whether it sees several pictures of a scene at once."""
-        if self.weights is None:
-            known = REGISTRY.get(self.name)
-            return known is not None and known.looks
-        return sees_several(self.weights)
+        known = None if self.given or self.weights else REGISTRY.get(self.name)
+        return known is not None and known.looks
+
+    @property
+    def is_function(self) -> bool:
+        """Whether it is something to run on a picture."""
+        return not self.given
+
+    @property
+    def uses_geometry(self) -> bool:
+        """Whether it may ask where range and bearing are."""
+        return self.kind == "network" or REGISTRY[self.name].uses_geometry
+
+    @property
+    def kind(self) -> str:
+        """What made it: noisy (nothing), baseline, network, or pictures (of another program)."""
+        if self.is_noisy:
+            return "noisy"
+        if self.given:
+            return "pictures"
+        return "network" if self.weights is not None else "baseline"
 
     @property
     def is_noisy(self) -> bool:
@@ -63,12 +84,18 @@ class Method:
     @property
     def output(self) -> str:
         """Equal for rows that differ in their levels alone, so that they share the filtering."""
-        return f"{self.weights or self.name} {sorted(self.parameters.items())}"
+        source = self.given or self.weights or self.name
+        return f"{source} {sorted(self.parameters.items())}"
 
     @property
     def key(self) -> str:
         """Changes with everything that decides the row's figures, but the pictures."""
-        program = weights_digest(self.weights) if self.weights else program_of(REGISTRY[self.name])
+        if self.given:
+            program = self.content
+        elif self.weights is not None:
+            program = weights_digest(self.weights)
+        else:
+            program = program_of(REGISTRY[self.name])
         levels = None if self.levels is None else [self.levels.gain, self.levels.offset]
         parts = [self.name, sorted(self.parameters.items()), levels, program]
         return hashlib.blake2b(json.dumps(parts).encode(), digest_size=12).hexdigest()
@@ -110,17 +137,6 @@ def program_of(baseline: Baseline) -> str:
 def weights_digest(path: str) -> str:
     """Changes with the weights."""
     return sha256_of(Path(path))[:24]
-
-
-@lru_cache(maxsize=64)
-def sees_several(path: str) -> bool:
-    """Whether a network sees several pictures of a scene; False for a file that holds none."""
-    from ...models.networks.weights import load_weights
-
-    try:
-        return load_weights(path).network.looks > 1
-    except FactoryError:  # its row says why
-        return False
 
 
 def _digest(text: str) -> str:

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING
 
 from ...factory.errors import FactoryError
 from ...models import WEIGHTS_NAME
-from ...models.data.looks import amid
-from ..data.pairs import Place, geometry_of
 from ..filters.base import Gray
 from ..settings import EvaluationSettings
 from .method import Method
@@ -71,30 +69,16 @@ class Network:
         """Raises FactoryError for a file that holds no weights of a network."""
         from ...models.denoise.denoiser import load_denoiser
 
-        self._denoise = load_denoiser(weights, device)
+        self.denoiser = load_denoiser(weights, device)
 
     @property
     def on_gpu(self) -> bool:
         """Whether it runs on a GPU."""
-        parameter = next(self._denoise.trained.network.parameters(), None)
-        return parameter is not None and parameter.is_cuda
+        return self.denoiser.runtime.on_gpu
 
-    def __call__(
-        self, image: Gray, place: Place | None, geometry: FanGeometry | None = None
-    ) -> Gray:
-        """(H, W) float32 in 0..1 -> the same; or (T, H, W) looks at a scene, this one last.
-
-        place: where the picture is; a network that uses the geometry gets it from there, unless
-        it is given.
-        """
-        if not self._denoise.trained.network.extras:
-            geometry = None
-        elif geometry is None and place is not None:
-            geometry = geometry_of(place)
-        if image.ndim == 2:
-            return self._denoise(image, geometry)
-        own, others = image[-1], list(image[:-1])
-        return self._denoise(own, geometry, looks=amid(own, others, self._denoise.looks))
+    def __call__(self, image: Gray, geometry: FanGeometry | None = None) -> Gray:
+        """(H, W) float32 in 0..1 -> the same, as `simnfnd denoise` makes it."""
+        return self.denoiser(image, geometry if self.denoiser.runtime.extras else None)
 
 
 @lru_cache(maxsize=2)

@@ -17,7 +17,7 @@ from .checks import Image as Image
 from .checks import Mask as Mask
 from .checks import MetricError as MetricError
 from .checks import checked_mask, checked_pair
-from .reference import Reference, mean_of_blocks
+from .reference import Compared, Reference, mean_of_blocks
 
 PSNR_CAP_DB = 100.0
 """What a pair of identical images (infinite PSNR) counts as in a mean; see `finite_psnr`."""
@@ -27,6 +27,13 @@ SSIM_SMALLEST = 2 * RADIUS_PX + 1
 
 GMSD_SMALLEST = 6
 """Pixels a side of the pooled GMSD: three blocks for Prewitt's kernel."""
+
+
+MS_SSIM_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
+"""Exponents of the five scales, the finest first (Wang et al. 2003, section 3.2)."""
+
+MS_SSIM_SMALLEST = 176
+"""Pixels a side: the 11-pixel window must still fit into the fifth scale."""
 
 
 def psnr(reference: Image, image: Image, *, data_range: float, mask: Mask | None = None) -> float:
@@ -70,6 +77,33 @@ def mean_ssim(similarity: npt.NDArray[np.float64], mask: Mask | None = None) -> 
     if not chosen.any():
         raise MetricError("mask has no pixel further than 5 from the border; SSIM is undefined")
     return float(inner(similarity)[chosen].mean())
+
+
+def ms_ssim(reference: Image, image: Image, *, data_range: float) -> float:
+    """Multi-scale SSIM in 0..1, 1 = identical (Wang, Simoncelli and Bovik 2003).
+
+    Product over five scales of the mean contrast-structure term to the power MS_SSIM_WEIGHTS; the
+    coarsest scale has the luminance term, too.  Window: Gaussian, sigma 1.5, 11 pixels, only where
+    it fits wholly; between scales the mean of 2x2 blocks, an odd last row or column left out.  A
+    negative mean counts as 0, because it has no real power.  MetricError below MS_SSIM_SMALLEST
+    pixels a side.
+    """
+    a, b = checked_pair(reference, image, data_range, smallest=MS_SSIM_SMALLEST)
+    return ms_ssim_of(Compared(Reference(a, data_range), b))
+
+
+def ms_ssim_of(compared: Compared) -> float:
+    """The same for an image that was checked already."""
+    product = 1.0
+    for scale, weight in enumerate(MS_SSIM_WEIGHTS):
+        if scale:
+            compared = compared.halved
+        luminance, structure = compared.terms
+        last = scale == len(MS_SSIM_WEIGHTS) - 1
+        terms = luminance * structure if last else structure
+        mean = float(inner(terms).mean())
+        product *= max(mean, 0.0) ** weight
+    return product
 
 
 def gms_map(

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ..filters.base import Gray
-
+Gray = npt.NDArray[np.float32]
 Floats = npt.NDArray[np.floating]
 
 

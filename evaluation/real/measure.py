@@ -1,244 +1,163 @@
-"""Every method on every judged picture: nearness to the reference, and figures without a truth."""
+"""What is measured on a real picture: nearness to its reference, and figures without a truth."""
 
 from __future__ import annotations
 
-import hashlib
-import time
-from collections import deque
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
+import numpy.typing as npt
 
-from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
+from ...factory.errors import FactoryError
 from ..filters.base import Gray
-from ..methods.apply import denoised
-from ..methods.method import Method, reason
-from ..methods.networks import network
+from ..methods.method import Method
 from ..metrics.edges import edge_preservation
-from ..metrics.speckle import contrast_to_noise, enl, m_index, ratio_mean
+from ..metrics.measure import Figures
+from ..metrics.speckle import contrast_to_noise, enl, homogeneous_zones, m_index, ratio_mean
+from ..runner import MethodFailed
 from .groups import Judged
-from .scenes import SIDE, Scene, scene_of
 from .score import Score, score
 
-Figures = dict[str, float]
+if TYPE_CHECKING:
+    from ...factory.sonar.geometry import FanGeometry
+
+Mask = npt.NDArray[np.bool_]
 
 UNCHANGED = 0.5 / 255
 """A picture that differs nowhere by more is the same in 8 bits."""
+MEAN, MEDIAN = "mean", "median"
+"""What is given of several frames, without any method."""
+
+_SIDE = 16  # of an even zone, pixels
+_CALM = 15  # of the median that decides what is dark, pixels
+_DARKEST, _BRIGHTER = 0.1, 0.5  # shares of the sector
+_RING = 15  # around an object, pixels
 
 
-@dataclass
-class RealRow:
-    """A method on all pictures.
+@dataclass(frozen=True)
+class Scene:
+    """What all methods share on a picture; all chosen on the picture as it is.
 
-    methods: by fold; one for all folds where it is tuned on nothing; none for several frames.
-    figures: of each picture in order, None where there is none of it.
-    images: picture's number -> what is shown of it, or needed later.
-    lost: why there are no figures.
+    sector, dark, bright: (H, W) bool.  zones: (N, 2) corners of even blocks.
+    objects, around: (H, W) bool, of the mask; None without.
     """
 
-    label: str
-    methods: tuple[Method, ...]
-    figures: list[Figures | None] = field(default_factory=list)
-    images: dict[int, Gray] = field(default_factory=dict)
-    lost: str | None = None
-
-    def method(self, fold: int) -> Method:
-        """The one that judges a group of this fold."""
-        return self.methods[fold % len(self.methods)]
-
-    @property
-    def is_noisy(self) -> bool:
-        """Whether this is the picture as it is."""
-        return bool(self.methods) and self.methods[0].is_noisy
-
-    @property
-    def sees_several(self) -> bool:
-        """Whether it is a network that sees frames beside the judged one; the rest judge it."""
-        return self.is_network and self.methods[0].looks
-
-    @property
-    def is_network(self) -> bool:
-        """Whether trained weights made it."""
-        return bool(self.methods) and self.methods[0].weights is not None
+    noisy: Gray
+    sector: Mask
+    dark: Mask
+    bright: Mask
+    zones: npt.NDArray[np.int64]
+    objects: Mask | None
+    around: Mask | None
 
 
-@dataclass(frozen=True, eq=False)
-class Task:
-    """A method on a picture, or a picture that is there already.
+def scene_of(noisy: Gray, sector: Mask, classes: npt.NDArray[np.uint8] | None, name: str) -> Scene:
+    """What is measured on a picture, (H, W) in 0..1.
 
-    number: of the picture among all that are judged.  looks: (T, H, W), for a method that sees
-    several frames, the judged one last.
+    sector: (H, W) bool.  classes: (H, W) class indices, 0 = background.
+    Raises FactoryError, which names it, when it is too small or black.
     """
-
-    label: str
-    number: int
-    judged: Judged
-    method: Method | None
-    device: str
-    keep: bool
-    image: Gray | None = None
-    looks: Gray | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Result:
-    """What a task gives; image: where it was to be kept."""
-
-    figures: Figures
-    image: Gray | None
+    if min(noisy.shape) < _SIDE or not sector.any() or not noisy[sector].any():
+        raise FactoryError(f"{name}: black, or smaller than {_SIDE} pixels; take it out")
+    calm = cv2.medianBlur(np.rint(np.clip(noisy, 0, 1) * 255).astype(np.uint8), _CALM)
+    # Near the edge of the sector the median sees black that is no shadow.
+    inner = cv2.erode(sector.astype(np.uint8), np.ones((_CALM, _CALM), np.uint8)).astype(bool)
+    inner = inner if inner.any() else sector
+    low, high = np.quantile(calm[inner], (_DARKEST, _BRIGHTER))
+    objects = around = None
+    if classes is not None:
+        objects = classes > 0
+        wide = cv2.dilate(objects.astype(np.uint8), np.ones((2 * _RING + 1,) * 2, np.uint8))
+        around = wide.astype(bool) & ~objects & sector
+    return Scene(
+        noisy,
+        sector,
+        inner & (calm <= low),
+        inner & (calm > max(low, high)),
+        homogeneous_zones(noisy, data_range=1.0, sector=sector, side=_SIDE),
+        objects,
+        around,
+    )
 
 
 def figures_of(image: Gray, shared: Scene) -> Figures:
     """The figures without a truth of (H, W) in 0..1; NaN where one does not exist."""
     dark, bright = (float(np.mean(image[part])) for part in (shared.dark, shared.bright))
     found = {
-        "enl": enl(image, shared.zones, side=SIDE),
+        "enl": enl(image, shared.zones, side=_SIDE),
         "cnr": contrast_to_noise(image, shared.bright, shared.dark),
         "shadow_level": dark / bright if bright > 0 else float("nan"),
         "edges_kept": edge_preservation(shared.noisy, image, data_range=1.0, mask=shared.sector),
         "ratio_mean": ratio_mean(shared.noisy, image, data_range=1.0),
-        "m_index": m_index(shared.noisy, image, shared.zones, data_range=1.0, side=SIDE),
+        "m_index": m_index(shared.noisy, image, shared.zones, data_range=1.0, side=_SIDE),
     }
     if shared.objects is not None and shared.around is not None:
         found["object_cnr"] = contrast_to_noise(image, shared.objects, shared.around)
     return found
 
 
-def measure(
-    batches: Iterable[tuple[int, Sequence[Judged]]],
-    rows: Sequence[RealRow],
-    pool: TaskPool,
-    device: str,
-    timeout_s: float,
-    kept: Callable[[int], bool],
-    tick: Callable[[int], object] = lambda done: None,
-) -> dict[int, Judged]:
-    """Measure all rows on all pictures, batch after batch, into the rows.
+@dataclass(frozen=True, eq=False)
+class RealPicture:
+    """A judged picture; a `simnfnd.evaluation.runner.Subject`."""
 
-    batches: a fold, and pictures that are judged by its methods.
-    kept: whether images of this picture, counted over all batches, are kept in the rows.
-    tick: told how many results are in.
-    Returns number -> picture of those that are kept.  A method that fails on a picture loses its
-    row.  FactoryError when a picture cannot be measured.
-    """
-    first, shown = 0, {}
-    for fold, pictures in batches:
-        numbered = list(enumerate(pictures, start=first))
-        first += len(numbered)
-        shown.update({number: one for number, one in numbered if kept(number)})
-        for row in rows:
-            row.figures.extend([None] * len(numbered))
-        by_label = {row.label: row for row in rows}
-        waiting = deque(
-            task
-            for number, one in numbered
-            for row in rows
-            if row.lost is None
-            and (task := _task(row, fold, number, one, device, kept(number))) is not None
-        )
-        for task, found in pool.run(_measured, waiting, lambda _: timeout_s):
-            row = by_label[task.label]
-            if isinstance(found, Result):
-                row.figures[task.number] = found.figures
-                if found.image is not None:
-                    row.images[task.number] = found.image
-            else:
-                why = found.reason if isinstance(found, TaskLost) else found
-                row.lost = row.lost or f"{task.judged.shot.name}: {why}"
-            tick(1)
-    for row in rows:
-        if row.lost is not None:
-            row.figures, row.images = [], {}
-        elif not any(row.figures):
-            row.lost = "too few frames of every group are left for a reference"
-    return shown
+    judged: Judged
 
+    def key(self, method: Method) -> str:
+        """See `Subject`; nothing of real pictures is stored."""
+        return self.judged.shot.name
 
-def multi_frame_rows(count: int) -> list[RealRow]:
-    """The rows of so many averaged frames, which no method made."""
-    return [RealRow(f"multi-frame {how} ({count})", ()) for how in _SEVERAL]
+    def seen(self, method: Method) -> Gray:
+        """See `Subject`."""
+        if method.looks:
+            raise MethodFailed("needs several looks at a scene that stands still")
+        return self.judged.noisy
 
+    def geometry(self) -> FanGeometry | None:
+        """See `Subject`."""
+        return self.judged.geometry
 
-_SEVERAL = ("mean", "median")
+    def given(self, method: Method) -> Gray | None:
+        """The mean or median of several frames; None where too few frames are left to judge it."""
+        several = self.judged.several
+        return None if several is None else getattr(several, method.given)
 
+    def measure(self, image: Gray, method: Method) -> Figures:
+        """Nearness to the reference after one gain and offset, and the figures without a truth.
 
-def _task(
-    row: RealRow, fold: int, number: int, one: Judged, device: str, keep: bool
-) -> Task | None:
-    method, several = row.method(fold) if row.methods else None, one.several
-    if method is not None and (several is None or not method.looks):
-        return Task(row.label, number, replace(one, several=None), method, device, keep)
-    if several is None:
-        return None
-    # What is made of several frames is judged by the others alone.
-    bare = replace(one, several=None, reference=several.reference)
-    if method is not None:
-        return Task(row.label, number, bare, method, device, keep, looks=several.frames)
-    image = several.mean if " mean " in row.label else several.median
-    return Task(row.label, number, bare, None, device, keep, image)
+        What is made of several frames is judged by the others alone.
+        """
+        judged = self.judged
+        figures: Figures = {"unchanged": float(np.abs(image - judged.noisy).max() < UNCHANGED)}
+        reference, before = judged.reference, self._before
+        if method.given:
+            assert judged.several is not None
+            reference, before = judged.several.reference, self._before_several
+        if reference is not None and before is not None:
+            near = score(image, reference, judged.where)
+            figures |= {
+                "psnr_db": near.psnr_db,
+                "ssim": near.ssim,
+                "gain_db": near.psnr_db - before.psnr_db,
+                "gain_ssim": near.ssim - before.ssim,
+            }
+        return figures | figures_of(image, self._scene)
 
+    @cached_property
+    def _scene(self) -> Scene:
+        shot = self.judged.shot
+        classes = None if shot.mask is None else shot.classes()
+        return scene_of(self.judged.noisy, self.judged.where, classes, str(shot.path))
 
-def _measured(task: Task) -> Result | str:
-    judged, method = task.judged, task.method
-    shared, before = _shared(_Key.of(judged))
-    figures: Figures = {}
-    if method is None:
-        assert task.image is not None
-        image = task.image
-    else:
-        if method.weights is None and method.looks:
-            return "needs several looks at a scene that stands still"
-        try:
-            image, figures["cpu_s"] = _timed(method, judged, task.device, task.looks)
-        except Exception as error:  # a method's own defect must not take the others along
-            return reason(error)
-    figures["unchanged"] = float(np.abs(image - judged.noisy).max() < UNCHANGED)
-    if method is not None and method.levels is not None:
-        image = method.levels(image)
-    if before is not None:
-        assert judged.reference is not None
-        near = score(image, judged.reference, judged.where)
-        figures["psnr_db"], figures["ssim"] = near.psnr_db, near.ssim
-        figures["gain_db"] = near.psnr_db - before.psnr_db
-        figures["gain_ssim"] = near.ssim - before.ssim
-    return Result({**figures, **figures_of(image, shared)}, image if task.keep else None)
+    @cached_property
+    def _before(self) -> Score | None:
+        """How near the picture is to its reference as it is."""
+        judged = self.judged
+        known = judged.reference is not None
+        return score(judged.noisy, judged.reference, judged.where) if known else None  # type: ignore[arg-type]
 
-
-def _timed(method: Method, judged: Judged, device: str, looks: Gray | None) -> tuple[Gray, float]:
-    """The method's picture and its seconds: of the CPU, elapsed ones where a GPU works."""
-    clock = time.process_time
-    if method.weights is not None and network(method.weights, device).on_gpu:
-        clock = time.perf_counter
-    start = clock()
-    given = judged.noisy if looks is None else looks
-    image = denoised(method, given, device, None, judged.geometry)
-    return image, clock() - start
-
-
-@dataclass(frozen=True)
-class _Key:
-    """A picture by its content: what it shares is worked out once for all methods."""
-
-    digest: bytes
-    judged: Judged = field(compare=False, repr=False)
-
-    @classmethod
-    def of(cls, judged: Judged) -> _Key:
-        content = hashlib.blake2b(digest_size=16)
-        for array in (judged.noisy, judged.reference, judged.where):
-            if array is not None:
-                content.update(np.ascontiguousarray(array).tobytes())
-        return cls(content.digest(), judged)
-
-
-@lru_cache(maxsize=3)
-def _shared(key: _Key) -> tuple[Scene, Score | None]:
-    """What is measured on a picture, and how near it is to its reference as it is."""
-    judged = key.judged
-    classes = None if judged.shot.mask is None else judged.shot.classes()
-    shared = scene_of(judged.noisy, judged.where, classes, str(judged.shot.path))
-    if judged.reference is None:
-        return shared, None
-    return shared, score(judged.noisy, judged.reference, judged.where)
+    @cached_property
+    def _before_several(self) -> Score:
+        assert self.judged.several is not None
+        return score(self.judged.noisy, self.judged.several.reference, self.judged.where)

@@ -7,17 +7,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ...factory.dataset.describe import markdown
 from ...factory.files import write_atomically
 from ..filters import REGISTRY
 from ..methods.method import shown
-from ..report.examples import as_data_uri
-from ..report.names import Metric, written
-from ..report.pages import own_file, render
+from ..report.measure import as_data_uri
+from ..report.page import own_file, render
+from ..report.text import Metric, as_markdown, as_table, interval, plain, written
+from ..runner import SECONDS
 from .groups import LEAST_LEFT, MOST_OTHERS
-from .judging import TUNED, Outcome
-from .measure import RealRow
-from .summary import MARGINS, Summary, plain
+from .judging import TUNED, Outcome, RealRow
+from .summary import MARGINS
 
 COLUMNS = {
     "psnr_db": Metric("PSNR, dB", 2, 1),
@@ -32,7 +31,7 @@ COLUMNS = {
     "edges_kept": Metric("edges kept", 3, 0),
     "ratio_mean": Metric("ratio mean", 3, 0),
     "m_index": Metric("M-index", 2, 0),
-    "cpu_s": Metric("CPU s a picture", 3, -1),
+    SECONDS: Metric("CPU s a picture", 3, -1),
 }
 _SIGNED = {"gain_db", *MARGINS.values()}
 _WITH_INTERVAL = {"psnr_db", "ssim", *MARGINS.values()}
@@ -53,6 +52,12 @@ TRUTH = (
     "the others (compare their gain, which is against the single frame with that same reference), "
     f"and groups that leave fewer than {LEAST_LEFT} frames for it do not count.",
 )
+IN_TIME = (
+    "A method may use the three frames before and after each; the reference is the mean of frames "
+    "further away. still: the frames as they are; moving: a window that travels over them by whole "
+    "pixels; swimmer: over them a bright speckled thing, judged where it is. Mean of 7 is that of "
+    "the whole window without alignment. Means over recordings."
+)
 RULES = (
     "Of the figures without a truth none alone says that one method is better than another: blur "
     "alone raises ENL and CNR, and doing nothing keeps all edges and has a low M-index. Read them "
@@ -67,9 +72,10 @@ RULES = (
 
 def write(out: Path, facts: Mapping[str, Any], outcome: Outcome) -> None:
     """Write the three files.  FactoryError when the folder cannot be written to."""
-    lines = [_line(row, outcome.summaries.get(row.label), outcome) for row in outcome.rows]
+    lines = [_line(row, outcome) for row in outcome.rows]
     rules = (*TRUTH, *RULES) if outcome.groups else RULES
     content = {**facts, "rows": lines, "rules": rules}
+    in_time = outcome.in_time.table() if outcome.in_time.rows else None
     text = json.dumps(content, indent=1, allow_nan=False) + "\n"
     write_atomically(out / "real.json", text.encode(), durable=False, key="out")
     verdicts = _verdicts(lines, outcome)
@@ -86,12 +92,16 @@ def write(out: Path, facts: Mapping[str, Any], outcome: Outcome) -> None:
         cells={line["label"]: _cells(line, _names(lines)) for line in lines},
         notes={line["label"]: " ".join(_words(line)[1:]).strip() for line in lines},
         by_group=_by_group(lines, outcome),
+        in_time=None if in_time is None else [list(in_time), *in_time.to_numpy().tolist()],
+        in_time_rule=IN_TIME,
         rules=rules,
         strips=_strips(outcome),
     )
     parts = [f"# Real sonar: {facts['name']}", _about(facts), markdown_table(lines), *verdicts]
     if outcome.groups:
-        parts += ["## PSNR by group, dB", markdown.table(*_by_group(lines, outcome))]
+        parts += ["## PSNR by group, dB", as_markdown(as_table(*_by_group(lines, outcome)))]
+    if in_time is not None:
+        parts += ["## In time", as_markdown(in_time), IN_TIME]
     text = "\n\n".join([*parts, "## How to read them", *rules, ""])
     write_atomically(out / "real.md", text.encode(), durable=False, key="out")
     write_atomically(out / "real.html", page.encode(), durable=False, key="out")
@@ -113,19 +123,22 @@ def markdown_table(lines: Sequence[Mapping[str, Any]]) -> str:
         ]
         for line in lines
     ]
-    return markdown.table(["method", *(COLUMNS[name].label for name in names)], rows)
+    head = ["method", *(COLUMNS[name].label for name in names)]
+    return as_markdown(as_table(head, rows))
 
 
-def _line(row: RealRow, found: Summary | None, outcome: Outcome) -> dict[str, Any]:
+def _line(row: RealRow, outcome: Outcome) -> dict[str, Any]:
+    found = outcome.summaries.get(row.label)
+    lost = outcome.measured.lost.get(row.label)
+    figures = {} if lost is not None else outcome.measured.figures.get(row.label, {})
     means = {name: None if found is None else plain(found.means.get(name)) for name in COLUMNS}
     groups = {} if found is None or not outcome.groups else found.groups
     return {
         "label": row.label,
         "network": row.is_network,
-        "several": row.sees_several,
         "parameters": [method.parameters for method in row.methods],
         "at_edge": _at_edge(row),
-        "lost": row.lost,
+        "lost": lost,
         "unchanged": None if found is None or row.is_noisy else found.unchanged,
         "measured": 0 if found is None else found.pictures,
         "means": means,
@@ -136,8 +149,10 @@ def _line(row: RealRow, found: Summary | None, outcome: Outcome) -> dict[str, An
             if name in groups
         },
         "pictures": [
-            None if one is None else {name: plain(value) for name, value in one.items()}
-            for one in row.figures
+            {name: plain(value) for name, value in figures[number].items()}
+            if number in figures
+            else None
+            for number in range(len(outcome.files) if lost is None else 0)
         ],
     }
 
@@ -156,8 +171,6 @@ def _words(line: Mapping[str, Any]) -> list[str]:
     chosen = list(dict.fromkeys(shown(one) for one in line["parameters"] if one))
     if chosen:
         found.append(" (" + " | ".join(one.strip(" ()") for one in chosen) + ")")
-    if line["several"]:
-        found.append(" (several frames, judged by the others)")
     if line["at_edge"]:
         found.append(f" (at the end of its grid: {', '.join(line['at_edge'])})")
     if line["unchanged"]:
@@ -177,8 +190,8 @@ def _cells(line: Mapping[str, Any], names: Sequence[str]) -> list[str]:
         digits, signed = COLUMNS[name].digits, name in _SIGNED
         text = written(line["means"][name], digits, signed)
         if name in _WITH_INTERVAL and name in line["intervals"]:
-            low, high = (written(one, digits, signed) for one in line["intervals"][name])
-            text += f" ({low} .. {high})"
+            low, high = line["intervals"][name]
+            text += f" ({interval({'low': low, 'high': high}, digits, signed)})"
         found.append(text)
     return found
 
@@ -201,7 +214,7 @@ def _verdicts(lines: Sequence[Mapping[str, Any]], outcome: Outcome) -> list[str]
         which = f"`{psnr_best}` in PSNR and `{ssim_best}` in SSIM"
     found = [f"The best filter is {which}."]
     for line in lines:
-        if line["network"] and line["lost"] is None and not line["several"]:
+        if line["network"] and line["lost"] is None:
             more = dict(zip(MARGINS, _cells(line, list(MARGINS.values())), strict=True))
             found.append(
                 f"`{line['label']}` is {more['psnr_db']} dB and {more['ssim']} SSIM from it."
@@ -227,17 +240,15 @@ def _by_group(
 def _strips(outcome: Outcome) -> list[tuple[str, bool, list[tuple[str, str]]]]:
     """Title, whether it is wide, and (caption, picture) of each picture that is shown."""
     found = []
-    examples = set(outcome.examples)
     for number, judged in sorted(outcome.shown.items()):
-        if number not in examples:
-            continue
         title = judged.shot.name
         if judged.group is not None:
             title = f"{outcome.groups[judged.group].name}: {title}"
         images = []
         for row in outcome.rows:
-            if number in row.images:
-                images.append((_caption(row, number), as_data_uri(row.images[number])))
+            image = outcome.measured.images.get((row.label, number))
+            if image is not None and row.label not in outcome.measured.lost:
+                images.append((_caption(row, number, outcome), as_data_uri(image)))
         if judged.reference is not None:
             images.append(("mean of the other frames", as_data_uri(judged.reference)))
         height, width = judged.noisy.shape
@@ -245,8 +256,8 @@ def _strips(outcome: Outcome) -> list[tuple[str, bool, list[tuple[str, str]]]]:
     return found
 
 
-def _caption(row: RealRow, number: int) -> str:
-    figures = row.figures[number] or {}
+def _caption(row: RealRow, number: int, outcome: Outcome) -> str:
+    figures = outcome.measured.figures[row.label].get(number, {})
     text = row.label
     if figures.get("unchanged") and not row.is_noisy:
         text += ": unchanged"

@@ -3,7 +3,8 @@
 Two folds: each is judged by filters that were tuned on the other, so that no filter is judged on
 frames that chose its parameters.  A line search: of one parameter after the other the values of the
 filter's grid are tried from the present one outwards, until the score has fallen twice; the last
-steps halve the ratio between neighbours of the grid.
+steps halve the ratio between neighbours of the grid.  The search sees the middle of each frame,
+half as high and half as wide; the best points of it are then compared on the whole frames.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +29,8 @@ MOST_FRAMES = 16
 
 _SLOW_S, _SLOWER = 0.25, 4  # CPU seconds a picture from which one frame of four has to do
 _ROUNDS = 2
+_BEST = 2  # points that are compared on whole frames
+_LEAST_SIDE = 96  # pixels of the middle of a frame
 _LEAST_DB = 1e-3  # less is no gain
 
 
@@ -90,27 +93,36 @@ def tuned(task: Task) -> Tuned | str:
         return "needs several looks at a scene that stands still"
     try:
         frames = task.frames
+        # Where range and bearing count, a part of a picture is another thing.
+        middles = frames if baseline.uses_geometry else [_middle(frame) for frame in frames]
         for _ in range(2):  # the first one loads and compiles
             start = time.process_time()
             _psnr(baseline, dict(baseline.default), frames[:1])
         if time.process_time() - start > _SLOW_S:
-            frames = frames[::_SLOWER]
-        return line_search(baseline, lambda point: _psnr(baseline, point, frames))
+            frames, middles = frames[::_SLOWER], middles[::_SLOWER]
+        found, points = line_search(baseline, lambda point: _psnr(baseline, point, middles))
+        whole = {n: _psnr(baseline, point, frames) for n, point in enumerate(points[:_BEST])}
+        best = max(whole, key=lambda number: whole[number])
+        return Tuned(points[best], whole[best], found.tried)
     except Exception as error:  # a method's own defect must not take the others along
         return reason(error)
 
 
-def line_search(baseline: Baseline, measured: Callable[[Parameters], float]) -> Tuned:
+def line_search(
+    baseline: Baseline, measured: Callable[[Parameters], float]
+) -> tuple[Tuned, list[Parameters]]:
     """The best point of a filter's grid, searched along one parameter after the other.
 
-    measured: the score of a point, high is good.
+    measured: the score of a point, high is good.  Also returns all points that were tried, the
+    best first.
     """
+    points: dict[tuple[float, ...], Parameters] = {}
     known: dict[tuple[float, ...], float] = {}
 
     def value(point: Parameters) -> float:
         key = tuple(point[name] for name in sorted(point))
         if key not in known:
-            known[key] = measured(point)
+            known[key], points[key] = measured(point), point
         return known[key]
 
     best = dict(baseline.default)
@@ -122,7 +134,11 @@ def line_search(baseline: Baseline, measured: Callable[[Parameters], float]) -> 
             break
     for name, axis in baseline.grid.items():
         best = _finer(best, name, axis, value)
-    return Tuned(best, value(best), len(known))
+    # Of equal ones the first, which is nearer to the default.
+    ranked = sorted(points, key=lambda key: -known[key])
+    first = tuple(best[name] for name in sorted(best))
+    order = [first, *(key for key in ranked if key != first)]
+    return Tuned(best, value(best), len(known)), [points[key] for key in order]
 
 
 def _along(
@@ -174,6 +190,23 @@ def _psnr(baseline: Baseline, point: Parameters, frames: Sequence[Judged]) -> fl
         picture = baseline(frame.noisy, point, frame.geometry)
         values.append(psnr_of(picture, frame.reference, frame.where))
     return float(np.mean(values))
+
+
+def _middle(frame: Judged) -> Judged:
+    """The middle of what is judged of a frame, half as high and half as wide."""
+    rows, columns = np.nonzero(frame.where)
+    cut = []
+    for places, size in zip((rows, columns), frame.where.shape, strict=True):
+        side = min(max(size // 2, _LEAST_SIDE), size)
+        first = min(max(int(places.mean()) - side // 2, 0), size - side)
+        cut.append(slice(first, first + side))
+    part = tuple(cut)
+    assert frame.reference is not None
+    if not frame.where[part].any():
+        return frame
+    arrays = (frame.noisy[part], frame.reference[part], frame.where[part])
+    noisy, reference, where = (np.ascontiguousarray(array) for array in arrays)
+    return replace(frame, noisy=noisy, reference=reference, where=where)
 
 
 def _spread(numbers: Sequence[int], most: int) -> tuple[int, ...]:

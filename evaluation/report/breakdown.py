@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..data.pairs import Item
-from ..measurement.rows import Row
 from ..metrics.statistics import estimate
+from ..pairs import Item
 from ..settings import EvaluationSettings
-from .content import as_dict
+from .content import Row, as_dict
 
 _MOST_PLACES = 12
 _PAIRS_A_BIN = 8

@@ -11,17 +11,18 @@ from ...factory.dataset.read.reader import open_shard
 from ...factory.errors import FactoryError
 from ...factory.files import check_writable
 from ...factory.scheduler.workers.tasks import TaskPool
-from ..data.pairs import Item, drawn_of, items_of, picture
-from ..measurement.rows import Row, measure_rows
-from ..measurement.store import FigureStore
-from ..methods import tuning
-from ..methods.method import NOISY, baselines_of, methods_of
+from .. import tuning
+from ..filters.base import Baseline
+from ..given import given_methods
+from ..methods.method import baselines_of, methods_of
 from ..methods.networks import costs_of, networks_of
+from ..pairs import Item, drawn_of, items_of, picture
+from ..runner import FigureStore
 from ..settings import EvaluationSettings
-from . import figures, files, page
+from . import page
 from .breakdown import breakdown_of
-from .content import content_of, shown_rows
-from .examples import examples_of
+from .content import Row, content_of, facts_of, shown_rows, verdict
+from .measure import examples_of, measured_rows, real_examples
 from .robustness import flat_config, robustness_of
 
 
@@ -35,36 +36,39 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
     baselines = baselines_of(settings.baselines)
     networks = networks_of(settings)
     items = items_of(Path(settings.dataset.dir), settings.split, settings.limit)
+    given = given_methods(settings.pictures, items)
     check_writable(out, "out")
     store = FigureStore(out)
     with TaskPool(settings.workers) as pool, contextlib.closing(store):
         for line in _tuned(settings, baselines, pool):
             print(line)
         tuned = tuning.load_tuned(settings.tuned_file)
-        methods = [*methods_of(baselines, tuned), *networks]
-        rows = measure_rows(settings, items, methods, store, pool)
+        methods = [*methods_of(baselines, tuned), *networks, *given]
+        rows = measured_rows(settings, items, methods, store, pool)
         content = _content(settings, items, rows, tuned)
         labels = shown_rows(content["rows"], settings.page.methods)
         drawn = drawn_of(items)
-        files.write_results(out / files.RESULTS_NAME, rows, items, drawn)
+        page.write_results(out / page.RESULTS_NAME, rows, items, drawn)
         content["breakdown"] = breakdown_of(rows, items, drawn, labels, settings)
         content["robustness"] = robustness_of(settings, methods, labels, store, pool)
         content["config"] = flat_config(Path(settings.dataset.dir))
-        files.write_content(out, content)
-        shown = [row.method for row in rows if row.method.label in labels and row.method != NOISY]
-        shown.sort(key=lambda method: labels.index(method.label))
+        by_label = {row.method.label: row.method for row in rows}
+        shown = [by_label[label] for label in labels if label != "noisy"]
         examples = examples_of(settings, items, rows[0], shown, pool)
-        page.write(out / page.PAGE_NAME, content, examples)
-        pictures = figures.write(settings, content, examples, shown, pool)
-    told = (*files.folded(content["rows"]), content["facts"]["few_frames"], files.verdict(content))
-    print("", *filter(None, told), sep="\n\n")
+        page.write(out, content, examples)
+        real = real_examples(settings, shown, pool)
+        pictures = page.write_pictures(out, content, examples, real)
+    said = (*page.folded(content["rows"]), content["facts"]["few_frames"], verdict(content))
+    print("", *filter(None, said), sep="\n\n")
     for line in [*content["ordering"], *content["ordering_3"]]:
         print(line)
     print(f"report: {out / page.PAGE_NAME} (and {', '.join(pictures)})")
     return content
 
 
-def _tuned(settings: EvaluationSettings, baselines: Sequence[Any], pool: TaskPool) -> list[str]:
+def _tuned(
+    settings: EvaluationSettings, baselines: Sequence[Baseline], pool: TaskPool
+) -> list[str]:
     if not (settings.tuning.auto and baselines):
         return []
     try:
@@ -84,6 +88,6 @@ def _content(
         with open_shard(Path(first.place[0])) as file:
             value = file.attrs.get("config_hash", "")
             config_hash = value.decode() if isinstance(value, bytes) else str(value)
-    facts = files.facts_of(settings, items, rows[0], shape, config_hash)
+    facts = facts_of(settings, items, rows[0], shape, config_hash)
     costs = costs_of([row.method for row in rows if row.method.weights])
     return content_of(rows, items, settings, facts, tuned, costs)

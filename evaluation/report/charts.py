@@ -1,23 +1,36 @@
-"""Line and scatter charts as inline SVG, coloured by the page's style sheet for light and dark."""
+"""Charts and sheets of pictures, by matplotlib: SVG inside the page, PNG beside it."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+import io
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
-WIDTH, HEIGHT = 680, 320
-_LEFT, _RIGHT, _TOP, _BOTTOM = 56, 16, 14, 46
-SERIES = 10
-"""Colours of the style sheet, s0 .. s9."""
+from .content import shown_rows
+from .robustness import curve_of
+from .text import METRIC_NAMES, written
+
+if TYPE_CHECKING:
+    from .measure import Example
+
+Content = Mapping[str, Any]
+
+_COLOURS = 10
+"""Of the style sheet: --c0 .. --c9."""
+# matplotlib knows no variables of a style sheet: these stand for them until the text is made.
+_INK, _GRID, _SERIES = "#000001", "#000002", "#0000{:02x}"
+_FIRST_SERIES = 16
+_ROWS = 40
 
 
 @dataclass(frozen=True)
 class Point:
-    """A mean with its interval; label: written beside it."""
+    """A mean with its interval; label: said beside the figure when one points at it."""
 
     x: float
     y: float
@@ -35,34 +48,6 @@ class Series:
     colour: int
 
 
-@dataclass(frozen=True)
-class _Scale:
-    low: float
-    high: float
-    start: float
-    end: float
-    log: bool = False
-
-    def __call__(self, value: float) -> float:
-        low, high = self.low, self.high
-        if self.log:
-            low, high, value = math.log10(low), math.log10(high), math.log10(value)
-        return self.start + (value - low) / (high - low) * (self.end - self.start)
-
-    def ticks(self) -> list[float]:
-        if self.log:
-            first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
-            decades = [10.0**n for n in range(first, last + 1)]
-            between = [k * ten for ten in decades for k in (1, 2, 5)]
-            ticks = [value for value in between if self.low <= value <= self.high]
-            tens = [value for value in decades if self.low <= value <= self.high]
-            return tens if len(tens) > 2 else ticks
-        step = 10 ** math.floor(math.log10((self.high - self.low) / 4))
-        step *= next(k for k in (1, 2, 5, 10) if (self.high - self.low) / (k * step) <= 6)
-        first = math.ceil(self.low / step - 1e-9)
-        return [n * step for n in range(first, math.floor(self.high / step + 1e-9) + 1)]
-
-
 def chart(
     series: Sequence[Series],
     *,
@@ -72,91 +57,215 @@ def chart(
     lines: bool,
     log_x: bool = False,
 ) -> Markup:
-    """The SVG of some series, with a legend below; lines: join the points of a series.
+    """The SVG of some series in the colours of the page, with a legend below.
 
-    title: what a screen reader says.
+    lines: join the points of a series.  title: what a screen reader says.
     """
-    points = [point for one in series for point in one.points]
-    if not points:
+    if not any(one.points for one in series):
         return Markup("")
-    x = _scale([p.x for p in points], _LEFT + 14, WIDTH - _RIGHT - 14, log_x)
-    ends = [v for p in points for v in (p.y, p.low, p.high) if v is not None]
-    y = _scale(ends, HEIGHT - _BOTTOM, _TOP, False)
-    parts = [
-        f'<figure class="chart"><div class="scroll"><svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
-        f'aria-label="{escape(title, quote=True)}">',
-        *_axes(x, y, x_label, y_label),
-        *(_drawn(one, x, y, lines) for one in series),
-        "</svg></div>",
-        _legend(series),
-        "</figure>",
-    ]
-    return Markup("".join(parts))
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    tips: list[str] = []
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": title}):
+        figure = Figure(figsize=(7.1, 3.4), layout="constrained")
+        axis = figure.subplots()
+        for one in series:
+            colour = _SERIES.format(_FIRST_SERIES + one.colour % _COLOURS)
+            if lines and len(one.points) > 1:
+                axis.plot([p.x for p in one.points], [p.y for p in one.points], color=colour, lw=2)
+            for point in one.points:
+                if point.low is not None and point.high is not None:
+                    axis.vlines(point.x, point.low, point.high, color=colour, lw=2, alpha=0.55)
+                (dot,) = axis.plot(point.x, point.y, "o", color=colour, ms=6.5)
+                dot.set_gid(f"tip-{len(tips)}")
+                said = f" {point.label}" if point.label else ""
+                tips.append(f"{one.name}: {point.y:.2f}{said}")
+        axis.set(xlabel=x_label, ylabel=y_label, xscale="log" if log_x else "linear")
+        if log_x:
+            axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        _style(axis)
+        buffer = io.StringIO()
+        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+    return Markup(
+        f'<figure class="chart"><div class="scroll">{_in_page(buffer.getvalue(), title, tips)}'
+        f"</div>{_legend(series)}</figure>"
+    )
 
 
-def _drawn(one: Series, x: _Scale, y: _Scale, lines: bool) -> str:
-    parts = [f'<g class="s{one.colour % SERIES}">']
-    if lines and len(one.points) > 1:
-        path = " ".join(f"{x(p.x):.1f},{y(p.y):.1f}" for p in one.points)
-        parts.append(f'<polyline class="line" points="{path}"/>')
-    for point in one.points:
-        px, py = x(point.x), y(point.y)
-        if point.low is not None and point.high is not None:
-            parts.append(
-                f'<line class="whisker" x1="{px:.1f}" x2="{px:.1f}" y1="{y(point.low):.1f}" '
-                f'y2="{y(point.high):.1f}"/>'
+def cost(content: Content) -> Markup:
+    """PSNR against time, and of networks against multiply-accumulates."""
+    rows = {row["label"]: row for row in content["rows"]}
+    labels = shown_rows(content["rows"], 9)
+    timed, counted = [], []
+    for colour, label in enumerate(labels):
+        row = rows[label]
+        psnr = row["metrics"]["psnr"]
+        known = {"y": psnr["mean"], "low": psnr["low"], "high": psnr["high"]}
+        if row["kind"] != "noisy" and row["milliseconds"]:
+            said = f"dB, {row['milliseconds']:.1f} ms"
+            said += f", {row['gmac']:.2f} GMAC" if row["gmac"] else ""
+            point = Point(row["milliseconds"], **known, label=said)
+            timed.append(Series(label, (point,), colour))
+        if row["gmac"]:
+            counted.append(Series(label, (Point(row["gmac"], **known, label="dB"),), colour))
+    drawn = Markup("")
+    for series, of, x_label in (
+        (timed, "PSNR", "CPU milliseconds an image"),
+        (counted, "PSNR of the networks", "GMAC for 256x256 pixels"),
+    ):
+        if len(series) > 1:  # one point shows no trade
+            title = f"{of} against {x_label}"
+            drawn += chart(
+                series, x_label=x_label, y_label="PSNR, dB", title=title, lines=False, log_x=True
             )
-        title = f"{one.name}: {point.y:.2f}" + (f" {point.label}" if point.label else "")
-        parts.append(
-            f'<circle cx="{px:.1f}" cy="{py:.1f}" r="4"><title>{escape(title)}</title></circle>'
-        )
-    return "".join([*parts, "</g>"])
+    return drawn
 
 
-def _axes(x: _Scale, y: _Scale, x_label: str, y_label: str) -> list[str]:
-    bottom, right = HEIGHT - _BOTTOM, WIDTH - _RIGHT
-    parts = []
-    for value in y.ticks():
-        at = y(value)
-        parts.append(f'<line class="grid" x1="{_LEFT}" x2="{right}" y1="{at:.1f}" y2="{at:.1f}"/>')
-        parts.append(
-            f'<text x="{_LEFT - 8}" y="{at + 4:.1f}" text-anchor="end">{_number(value)}</text>'
+def gain(entry: Content) -> Markup:
+    """The gain against the middle of the bins of a factor; empty where it is no number."""
+    centres = [one["centre"] for one in entry["bins"]]
+    if sum(centre is not None for centre in centres) < 2:
+        return Markup("")
+    series = []
+    for colour, (label, values) in enumerate(entry["rows"].items()):
+        gains = [one["gain"] for one in values]
+        points = tuple(
+            Point(centre, one["mean"], one["low"], one["high"])
+            for centre, one in zip(centres, gains, strict=True)
+            if centre is not None and one is not None and one["mean"] is not None
         )
-    for value in x.ticks():
-        parts.append(
-            f'<text x="{x(value):.1f}" y="{bottom + 18}" text-anchor="middle">'
-            f"{_number(value)}</text>"
-        )
-    parts.append(f'<line class="axis" x1="{_LEFT}" x2="{right}" y1="{bottom}" y2="{bottom}"/>')
-    middle = (_LEFT + right) / 2
-    parts.append(
-        f'<text class="label" x="{middle}" y="{HEIGHT - 6}" text-anchor="middle">'
-        f"{escape(x_label)}</text>"
+        if points:
+            series.append(Series(label, points, colour))
+    x_label = entry["factor"] + (f", {entry['unit']}" if entry["unit"] else "")
+    title = f"gain in PSNR against {entry['factor']}"
+    return chart(series, x_label=x_label, y_label="gain over noisy, dB", title=title, lines=True)
+
+
+def robustness(content: Content) -> Markup:
+    """PSNR on the further datasets; empty where they do not differ in one number."""
+    entries = content["robustness"]
+    curve = curve_of(entries, content["config"])
+    if curve is None:
+        return Markup("")
+    key, values = curve
+    labels = [label for label in entries[0]["rows"] if not entries[0]["rows"][label]["lost"]]
+    rows = {row["label"]: row for row in content["rows"]}
+    series = []
+    for colour, label in enumerate(labels):
+        own = [(float(content["config"][key]), rows[label]["metrics"]["psnr"])]
+        there = [(v, e["rows"][label].get("psnr")) for v, e in zip(values, entries, strict=True)]
+        points = [
+            Point(value, one["mean"], one["low"], one["high"])
+            for value, one in [*own, *there]
+            if one is not None
+        ]
+        series.append(Series(label, tuple(sorted(points, key=lambda p: p.x)), colour))
+    return chart(series, x_label=key, y_label="PSNR, dB", title=f"PSNR against {key}", lines=True)
+
+
+def leaderboard(content: Content) -> bytes:
+    """PNG: PSNR with intervals, SSIM, GMSD and time of the best form of each method."""
+    from matplotlib.figure import Figure  # a second to import; a Figure needs no display
+
+    rows = {row["label"]: row for row in content["rows"]}
+    labels = [*shown_rows(content["rows"], _ROWS)[1:], "noisy"]
+    labels.sort(key=lambda label: rows[label]["metrics"]["psnr"]["mean"])
+    figure = Figure(
+        figsize=(9.6, 1.3 + 0.36 * len(labels)), layout="constrained", facecolor="white"
     )
-    parts.append(
-        f'<text class="label" transform="translate(14 {(bottom + _TOP) / 2}) rotate(-90)" '
-        f'text-anchor="middle">{escape(y_label)}</text>'
+    axis, side = figure.subplots(1, 2, width_ratios=[2.2, 1])
+    colours = {"noisy": "#8a929b", "baseline": "#4c78a8"}
+    for height, label in enumerate(labels):
+        row = rows[label]
+        psnr, colour = row["metrics"]["psnr"], colours.get(row["kind"], "#d1600a")
+        axis.plot([psnr["low"], psnr["high"]], [height, height], color=colour, lw=3, alpha=0.45)
+        axis.plot(psnr["mean"], height, "o", color=colour, ms=7)
+        cells = [
+            written(row["metrics"][name]["mean"], METRIC_NAMES[name].digits)
+            for name in ("psnr", "ssim", "gmsd")
+        ]
+        cells.append("" if row["kind"] == "noisy" else written(row["milliseconds"], 1))
+        for column, text in enumerate(cells):
+            side.text(column + 0.8, height, text, ha="right", va="center", fontsize=9)
+    axis.set_ylim(-0.6, len(labels) - 0.1)
+    axis.set_yticks(range(len(labels)), labels, fontsize=9)
+    axis.set_xlabel("PSNR in dB against clean, with 95 % interval over frames")
+    axis.grid(axis="x", color="#d5dbe2", lw=0.8)
+    axis.spines[["top", "right", "left"]].set_visible(False)
+    axis.tick_params(axis="y", length=0)
+    for column, text in enumerate(("PSNR", "SSIM", "GMSD", "ms")):
+        side.text(column + 0.8, len(labels) - 0.45, text, ha="right", fontsize=9, weight="bold")
+    side.set(xlim=(0, 4), ylim=axis.get_ylim())
+    side.set_axis_off()
+    facts = content["facts"]
+    figure.suptitle(
+        f"{facts['dataset']}, {facts['split']} split: {facts['pairs']} pairs of "
+        f"{facts['frames']} frames, {facts['image']}; best form of each method",
+        fontsize=10,
     )
-    return parts
+    return _png(figure)
+
+
+def sheet(examples: Sequence[Example], labels: Sequence[str] | None = None) -> bytes:
+    """PNG: a row an example, a column a method, with the PSNR where it is known."""
+    from matplotlib.figure import Figure
+
+    every = list(dict.fromkeys(label for one in examples for label in one.images))
+    columns = [label for label in every if labels is None or label in labels]
+    ratio = max(one.images["noisy"].shape[0] / one.images["noisy"].shape[1] for one in examples)
+    size = (1.7 * len(columns), (1.7 * ratio + 0.32) * len(examples) + 0.25)
+    figure = Figure(figsize=size, layout="constrained", facecolor="white")
+    axes = figure.subplots(len(examples), len(columns), squeeze=False)
+    for line, one in zip(axes, examples, strict=True):
+        for axis, label in zip(line, columns, strict=True):
+            axis.set_axis_off()
+            if label not in one.images:
+                continue
+            axis.imshow(one.images[label], cmap="gray", vmin=0, vmax=1)
+            known = one.psnr.get(label)
+            title = label.replace(" + levels", "\n+ levels")
+            axis.set_title(title + (f"\n{known:.2f} dB" if known else ""), fontsize=7)
+    return _png(figure)
+
+
+def _png(figure: Any) -> bytes:
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=150)
+    return content.getvalue()
+
+
+def _style(axis: Any) -> None:
+    axis.grid(color=_GRID, lw=0.8)
+    axis.set_axisbelow(True)
+    axis.spines[["top", "right", "left"]].set_visible(False)
+    axis.spines["bottom"].set_color(_INK)
+    axis.tick_params(which="both", colors=_INK, length=0, labelsize=9)
+    for label in (axis.xaxis.label, axis.yaxis.label):
+        label.set(color=_INK, fontsize=10)
+
+
+def _in_page(svg: str, title: str, tips: Sequence[str]) -> str:
+    """The svg element alone, named, with the page's colours and font, and a title a point."""
+    text = svg[svg.index("<svg") :]
+    text = re.sub(r' width="[^"]*pt"| height="[^"]*pt"', "", text, count=2)
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = text.replace("<svg", f'<svg role="img" aria-label="{escape(title, quote=True)}"', 1)
+    for number, tip in enumerate(tips):
+        named = f"<g><title>{escape(tip)}</title>"
+        text = text.replace(f'<g id="tip-{number}">', named, 1)
+    for number in range(_COLOURS):
+        text = text.replace(_SERIES.format(_FIRST_SERIES + number), f"var(--c{number})")
+    text = text.replace(_INK, "var(--soft)").replace(_GRID, "var(--line)")
+    # Namespaces and fonts are those of the page.
+    text = re.sub(r' xmlns(:\w+)?="[^"]*"', "", text).replace("xlink:href", "href")
+    return re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", text)
 
 
 def _legend(series: Sequence[Series]) -> str:
     names = "".join(
-        f'<li class="s{one.colour % SERIES}"><span aria-hidden="true"></span>'
+        f'<li class="s{one.colour % _COLOURS}"><span aria-hidden="true"></span>'
         f"{escape(one.name)}</li>"
         for one in series
     )
     return f'<ul class="legend">{names}</ul>'
-
-
-def _scale(values: Sequence[float], start: float, end: float, log: bool) -> _Scale:
-    low, high = min(values), max(values)
-    if log:
-        low = max(low, 1e-3)
-        return _Scale(low / 1.3, max(high, low) * 1.3, start, end, log=True)
-    room = 0.06 * (high - low) or 0.5 * abs(high) or 1.0
-    return _Scale(low - room, high + room, start, end)
-
-
-def _number(value: float) -> str:
-    return f"{value:.4g}"

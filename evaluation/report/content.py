@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
-from ..data.pairs import Item
 from ..filters import REGISTRY
-from ..measurement.rows import Row
+from ..methods.method import Method
+from ..metrics.fidelity import PSNR_CAP_DB
 from ..metrics.statistics import (
     Estimate,
     Paired,
@@ -21,10 +23,43 @@ from ..metrics.statistics import (
 )
 from ..settings import EvaluationSettings
 from . import paper
-from .names import METRIC_NAMES
+from .text import METRIC_NAMES, interval, percent, plain, written_p
+
+if TYPE_CHECKING:
+    from ..pairs import Item
+    from ..runner import Measured
 
 SCHEMA = "simnfnd-report/1"
 _COMPARED = ("psnr", "ssim", "gmsd", "psnr_fan", "ssim_fan", "gmsd_fan", "shadow_iou")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A measured method.  lost: why there are no figures.
+
+    values: metric -> (N,) figures in the order of the pairs, NaN where it does not exist.
+    """
+
+    method: Method
+    values: dict[str, npt.NDArray[np.float64]] = field(default_factory=dict)
+    milliseconds: float = math.nan
+    lost: str | None = None
+
+
+def rows_of(measured: Measured, methods: Sequence[Method]) -> list[Row]:
+    """What the engine measured, a row a method, in their order."""
+    from ..runner import SECONDS
+
+    found = []
+    for method in methods:
+        if method.label in measured.lost:
+            found.append(Row(method, lost=measured.lost[method.label]))
+            continue
+        figures = [one for _, one in sorted(measured.figures[method.label].items())]
+        values = {name: np.array([one[name] for one in figures], float) for name in figures[0]}
+        seconds = values.pop(SECONDS)
+        found.append(Row(method, values, 1000 * float(np.median(seconds))))
+    return found
 
 
 def content_of(
@@ -47,7 +82,7 @@ def content_of(
     if best is not None:
         against = next(row for row in rows if row.method.label == best)
         for line, row in zip(found, rows, strict=True):
-            if line["kind"] == "network" and row.lost is None:
+            if line["kind"] in ("network", "pictures") and row.lost is None:
                 line["against_best"] = _compared(row, against, groups, settings)
         _adjust(found, "against_best")
     found.sort(key=lambda line: math.inf if line["lost"] else -line["metrics"]["psnr"]["mean"])
@@ -97,6 +132,63 @@ def best_classical(
     return max(measured, key=lambda label: measured[label], default=None), "these very pairs"
 
 
+def verdict(content: Mapping[str, Any]) -> str:
+    """What the networks give beyond the best baseline, in words."""
+    best = content["best_classical"]
+    if best["row"] is None:
+        return "No baseline was measured."
+    lines = [
+        f"The best classical row of one look is `{best['row']}`, chosen on {best['chosen_on']}."
+    ]
+    for row in content["rows"]:
+        margin = row["against_best"].get("psnr")
+        if margin is not None:
+            lines.append(
+                f"`{row['label']}` is {margin['mean']:+.2f} dB from it "
+                f"({interval(margin, 2)}; Wilcoxon-Holm p {written_p(margin['p_holm'])}; better "
+                f"in {percent(margin['wins'])} of the pairs)."
+            )
+    return " ".join(lines)
+
+
+def facts_of(
+    settings: EvaluationSettings,
+    items: Sequence[Item],
+    noisy: Row,
+    shape: tuple[int, ...],
+    config_hash: str,
+) -> dict[str, Any]:
+    """What was measured, and how."""
+    facts: dict[str, Any] = {
+        "dataset": settings.name,
+        "config_hash": config_hash,
+        "split": settings.split,
+        "pairs": len(items),
+        "frames": len({item.group for item in items}),
+        "scenes": sorted({item.scene for item in items}),
+        "locations": sorted({item.location for item in items}),
+        "image": f"{shape[0]}x{shape[1]}",
+        "identical_pairs": int((noisy.values["psnr"] >= PSNR_CAP_DB).sum()),
+        "shadow_threshold": settings.shadow_threshold,
+        "seed": settings.seed,
+        "bootstrap": settings.bootstrap,
+    }
+    facts["rules"] = [
+        "Intervals: 95 % bootstrap that draws whole frames. Wilcoxon: signed ranks of the frames' "
+        "mean differences, Holm's correction over the rows. Wins: share of pairs where the row "
+        "is better.",
+        f"PSNR: mean of the dB values of the images; identical pairs "
+        f"({facts['identical_pairs']} here) count as {PSNR_CAP_DB:g} dB. SSIM: "
+        "Gaussian window, sigma 1.5. GMSD: 2x2 mean first, c = 170 on 0..255; `as printed` in the "
+        "paper: without the 2x2 mean. A pixel is shadow at or below "
+        f"{facts['shadow_threshold']:g} of full scale.",
+        "`+ levels`: one gain and offset for all images; they and the parameters of `tuned` come "
+        "from validation pairs. ms: median CPU time of one image (of networks on a GPU: elapsed "
+        "time); other processes can still slow it down through shared caches.",
+    ]
+    return facts
+
+
 def few_frames(rows: Sequence[Mapping[str, Any]], frames: int) -> str:
     """What to say of the tests where so few frames can show nothing; else nothing."""
     comparisons = sum("psnr" in row["against_noisy"] for row in rows)
@@ -125,11 +217,6 @@ def shown_rows(rows: Sequence[Mapping[str, Any]], most: int) -> list[str]:
     return ["noisy", *best[:most]]
 
 
-def plain(value: float) -> float | None:
-    """JSON has no NaN and no infinity."""
-    return float(value) if math.isfinite(value) else None
-
-
 def as_dict(item: Estimate) -> dict[str, Any]:
     """An estimate for JSON."""
     return {
@@ -149,7 +236,6 @@ def _row(
     costs: Mapping[str, Mapping[str, float]],
 ) -> dict[str, Any]:
     method = row.method
-    kind = "noisy" if method.is_noisy else "network" if method.weights else "baseline"
     cost = costs.get(method.label, {})
     metrics = {
         name: as_dict(estimate(values, groups, resamples=settings.bootstrap, seed=settings.seed))
@@ -159,7 +245,7 @@ def _row(
         "label": method.label,
         "name": method.name,
         "form": method.form,
-        "kind": kind,
+        "kind": method.kind,
         "looks": method.looks,
         "parameters": dict(method.parameters),
         "levels": None
@@ -172,7 +258,7 @@ def _row(
         "lost": row.lost,
         "metrics": metrics,
         "against_noisy": {}
-        if row.lost or kind == "noisy"
+        if row.lost or method.is_noisy
         else _compared(row, noisy, groups, settings),
         "against_best": {},
     }

@@ -1,36 +1,187 @@
-"""report.html: the whole report in one file that needs no network and no server."""
+"""The report as files: report.json, the page, Markdown, LaTeX, CSV and pictures."""
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from importlib.resources import files as resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy.typing as npt
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from ...factory.errors import FactoryError
 from ...factory.files import write_atomically
-from . import curves, files
-from .content import best_forms
-from .examples import Example, as_data_uri
-from .names import METRIC_NAMES
-from .pages import own_file, render
+from . import charts, tables, text
+from .content import SCHEMA, Row, best_forms, verdict
+from .measure import Example, as_data_uri
 from .paper import TABLE_METRICS
+from .text import METRIC_NAMES, as_markdown
 
-PAGE_NAME = "report.html"
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from ..pairs import Item
+
+PAGE_NAME, REPORT_NAME, RESULTS_NAME = "report.html", "report.json", "results.csv"
 
 Content = Mapping[str, Any]
 
 _BOARD = ("psnr", "ssim", "gmsd", "psnr_fan", "shadow_iou")
 
 
-def write(path: Path, content: Content, examples: Sequence[Example]) -> None:
-    """Write the page.  FactoryError when its folder cannot be written to."""
-    write_atomically(path, html(content, examples).encode(), key="out")
+def write_results(
+    path: Path, rows: Sequence[Row], items: Sequence[Item], drawn: Mapping[str, npt.NDArray[Any]]
+) -> None:
+    """results.csv: a line for each row of the report and pair, with what was drawn for it."""
+    import pandas as pd
+
+    pairs = pd.DataFrame(
+        {
+            "shard": [item.shard for item in items],
+            "index": [item.place[1] for item in items],
+            "pair": [item.key for item in items],
+            **{
+                name: [getattr(item, name) for item in items]
+                for name in ("location", "scene", "frame", "variant")
+            },
+        }
+    )
+    more = pd.DataFrame({name: values for name, values in drawn.items() if name not in pairs})
+    parts = []
+    for row in rows:
+        if row.lost is None:
+            part = pd.concat([pairs, pd.DataFrame(row.values), more], axis=1)
+            part.insert(0, "method", row.method.label)
+            parts.append(part)
+    content = pd.concat(parts).to_csv(index=False, lineterminator="\n")
+    write_atomically(path, content.encode(), key="out")
+
+
+def read_results(folder: Path) -> pd.DataFrame:
+    """The table of a report's results.csv.  FactoryError when there is none."""
+    import pandas as pd
+
+    path = folder / RESULTS_NAME
+    if not path.is_file():
+        raise FactoryError(
+            f"{folder}: no report here (no {RESULTS_NAME}); make one with "
+            "`simnfnd evaluate dataset=DIR`"
+        )
+    words = ("method", "shard", "pair", "location", "scene", "frame")
+    try:
+        table = pd.read_csv(
+            path, float_precision="round_trip", dtype=dict.fromkeys(words, str), low_memory=False
+        )
+        lacking = {"method", "pair", "location", "scene", "frame", "psnr"} - set(table.columns)
+        if lacking or table.empty:
+            raise ValueError(f"lacks {', '.join(sorted(lacking)) or 'rows'}")
+        table["psnr"].astype(float)
+    except (OSError, ValueError) as error:
+        reason = " ".join(str(error).split())[:80]
+        raise FactoryError(
+            f"{path}: damaged or of another version ({reason}); make it again"
+        ) from error
+    return table.fillna(dict.fromkeys(words, ""))
+
+
+def read_content(folder: Path) -> dict[str, Any]:
+    """The content of a report's report.json.  FactoryError when there is none."""
+    path = folder / REPORT_NAME
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if content["schema"] != SCHEMA:
+            raise ValueError(f"schema {content['schema']!r}")
+        return content
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise FactoryError(f"{path}: absent or damaged; make the report again") from error
+
+
+def write(out: Path, content: Content, examples: Sequence[Example]) -> None:
+    """report.json, report.md, report.html, leaderboard.md, .tex and .csv.
+
+    Raises FactoryError when the folder cannot be written to.
+    """
+    rows = content["rows"]
+    files = {
+        REPORT_NAME: json.dumps(content, indent=1, allow_nan=False) + "\n",
+        PAGE_NAME: html(content, examples),
+        "report.md": markdown(content),
+        "leaderboard.md": as_markdown(tables.leaderboard(rows)) + "\n",
+        "leaderboard.tex": tables.as_latex(rows),
+        "leaderboard.csv": tables.as_csv(rows),
+    }
+    for name, written in files.items():
+        write_atomically(out / name, written.encode(), key="out")
+
+
+def write_pictures(
+    out: Path, content: Content, examples: Sequence[Example], real: Sequence[Example]
+) -> list[str]:
+    """leaderboard.png, figure16.png and, of real images, figure15.png and figure17.png.
+
+    Figures 15 and 16 of the paper show the methods on real and on simulated pictures; 17 shows the
+    networks alone (the ablation) on the real ones.  Returns the names of the files.
+    """
+    pictures = {"leaderboard.png": charts.leaderboard(content)}
+    if examples:
+        pictures["figure16.png"] = charts.sheet(examples)
+    networks = [row["label"] for row in content["rows"] if row["kind"] == "network"]
+    if real:
+        pictures["figure15.png"] = charts.sheet(real)
+        if any(label in one.images for one in real for label in networks):
+            pictures["figure17.png"] = charts.sheet(real, ["noisy", *networks])
+    for name, picture in pictures.items():
+        write_atomically(out / name, picture, key="out")
+    return list(pictures)
+
+
+def markdown(content: Content) -> str:
+    """The whole report in Markdown."""
+    facts, rows = content["facts"], content["rows"]
+    parts = [
+        f"# Report: {facts['dataset']}, {facts['split']} split",
+        f"{facts['pairs']} pairs of {facts['frames']} frames in {len(facts['scenes'])} scene(s) "
+        f"({facts['image']}; config {facts['config_hash'] or 'unknown'}).",
+        "## Leaderboard",
+        *folded(rows),
+        facts["few_frames"],
+        verdict(content),
+    ]
+    if len(best_forms(rows)) < len(rows):
+        parts += ["## All forms", as_markdown(tables.leaderboard(rows))]
+    for number, table, order in (("2", "table_2", "ordering"), ("3", "table_3", "ordering_3")):
+        if content[order]:
+            lines = "\n".join(f"- {line}" for line in content[order])
+            table_ = as_markdown(tables.beside_paper(content[table]), "lrrl")
+            parts += [f"## The paper's Table {number}", table_, lines]
+    parts += ["## More metrics", as_markdown(tables.more_metrics(rows))]
+    if content["breakdown"]:
+        parts.append("## Mean PSNR in dB by place, noise and resampling (number of pairs)")
+        parts += [as_markdown(tables.breakdown(entry)) for entry in content["breakdown"]]
+    for number, entry in enumerate(content["robustness"]):
+        how = ", ".join(f"{key} = {value}" for key, value in entry["differs"].items()) or "nothing"
+        parts += ["## Other noise"] if not number else []
+        parts.append(f"**{entry['dataset']}** ({entry['pairs']} pairs; differs in {how})")
+        parts.append(as_markdown(tables.robustness(entry)))
+    parts += ["## How it was measured", *facts["rules"]]
+    return "\n\n".join(filter(None, parts)) + "\n"
+
+
+def folded(rows: Sequence[Content]) -> list[str]:
+    """The leaderboard of the best form of each method, and how many it leaves out."""
+    best = best_forms(rows)
+    more = len(rows) - len(best)
+    note = f"Of each method its best form here; {more} more in leaderboard.md." if more else ""
+    return [as_markdown(tables.leaderboard(best)), *filter(None, [note])]
 
 
 def html(content: Content, examples: Sequence[Example]) -> str:
-    """The page as text."""
+    """The page: one file that needs no network and no server."""
     facts, rows = content["facts"], content["rows"]
     board = [name for name in _BOARD if any(name in row["metrics"] for row in rows)]
     has_costs = any(row["gmac"] for row in rows)
@@ -50,30 +201,35 @@ def html(content: Content, examples: Sequence[Example]) -> str:
         # Method, the metrics, four columns about PSNR, time and cost.
         board_width=len(board) + 6 + has_costs,
         has_costs=has_costs,
-        more_metrics=_measured(rows),
+        more_metrics=[name for name in METRIC_NAMES if tables.has(rows, name)],
         paper_metrics=TABLE_METRICS,
-        verdict=_verdict(content),
+        # In parts; every second one is the name of a row.
+        verdict=[(part, bool(n % 2)) for n, part in enumerate(verdict(content).split("`"))],
         examples=_data(examples),
-        cost_curves=curves.cost(content),
-        breakdown=[(entry, curves.gain(entry)) for entry in content["breakdown"]],
+        cost_curves=charts.cost(content),
+        breakdown=[(entry, charts.gain(entry)) for entry in content["breakdown"]],
         robustness=content["robustness"],
-        robustness_curve=curves.robustness(content),
+        robustness_curve=charts.robustness(content),
     )
 
 
-def _measured(rows: Sequence[Content]) -> list[str]:
-    """The metrics that any row has figures of."""
-    return [n for n in METRIC_NAMES if any(row["metrics"].get(n, {}).get("count") for row in rows)]
+def render(template: str, filters: Mapping[str, Any] | None = None, **values: Any) -> str:
+    """A page of templates/ as text, everything from outside escaped.
+
+    filters: further ones that the template uses.
+    """
+    environment = _environment().overlay()
+    environment.filters = {**environment.filters, **(filters or {})}
+    return environment.get_template(template).render(**values).lstrip()
 
 
-def _verdict(content: Content) -> list[tuple[str, bool]]:
-    """The verdict in parts; true: a part is the name of a row."""
-    parts = files.verdict(content).split("`")
-    return [(part, bool(number % 2)) for number, part in enumerate(parts)]
+def own_file(name: str) -> Markup:
+    """A style sheet or script of this folder, to stand in a page as it is."""
+    return Markup(resources("simnfnd.evaluation.report").joinpath(name).read_text(encoding="utf-8"))
 
 
 def _data(examples: Sequence[Example]) -> Markup:
-    """What the viewer shows, as JSON; empty without examples."""
+    """What the viewer of the page shows, as JSON; empty without examples."""
     if not examples:
         return Markup("")
     data = [
@@ -86,3 +242,23 @@ def _data(examples: Sequence[Example]) -> Markup:
     ]
     # "</script>" in a name would end the element.
     return Markup(json.dumps(data).replace("<", "\\u003c"))
+
+
+@lru_cache(maxsize=1)
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("simnfnd.evaluation.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.globals |= {"METRICS": METRIC_NAMES, "own_file": own_file}
+    environment.tests["finite"] = math.isfinite
+    names = ("chosen", "interval", "percent", "written", "written_p")
+    environment.filters |= {name: getattr(text, name) for name in names}
+    environment.filters["differences"] = lambda differs: ", ".join(
+        f"{key} = {value}" for key, value in differs.items()
+    )[:80]
+    return environment

@@ -108,7 +108,7 @@ def _baseline(rows: Sequence[Content], name: str) -> Content | None:
         (
             row
             for row in rows
-            if row["name"] == name and not row["form"] and row["kind"] != "network"
+            if row["name"] == name and not row["form"] and row["kind"] in ("noisy", "baseline")
         ),
         None,
     )

@@ -9,13 +9,13 @@ from typing import Any
 
 from ...factory.dataset.format.manifest import load_manifest
 from ...factory.scheduler.workers.tasks import TaskPool
-from ..data.pairs import items_of
-from ..measurement.rows import Row, measure_rows
-from ..measurement.store import FigureStore
 from ..methods.method import Method
 from ..metrics.statistics import estimate, paired
+from ..pairs import items_of
+from ..runner import FigureStore
 from ..settings import DatasetFolder, EvaluationSettings
-from .content import as_dict, paired_dict
+from .content import Row, as_dict, paired_dict
+from .measure import measured_rows
 
 Content = dict[str, Any]
 
@@ -31,14 +31,14 @@ def robustness_of(
     pool: TaskPool,
 ) -> list[Content]:
     """One entry a dataset of `robustness=[...]`: how it differs, and the rows' PSNR and gain."""
-    wanted = [method for method in methods if method.label in labels]
+    wanted = [method for method in methods if method.label in labels and method.is_function]
     own = flat_config(Path(settings.dataset.dir))
     found = []
     for folder in settings.robustness:
         there = replace(settings, dataset=DatasetFolder(folder))
         items = items_of(Path(folder), settings.split, settings.limit)
         name = Path(folder).resolve().name
-        rows = measure_rows(there, items, wanted, store, pool, title=name)
+        rows = measured_rows(there, items, wanted, store, pool, title=name)
         groups = [item.group for item in items]
         found.append(
             {

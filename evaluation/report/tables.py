@@ -1,27 +1,26 @@
-"""The leaderboard and the paper's tables as Markdown, LaTeX and CSV."""
+"""The tables of a report as data frames of text, and as Markdown, LaTeX and CSV."""
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ...factory.dataset.describe import markdown
 from ..methods.method import shown
-from .names import METRIC_NAMES, written, written_p
 from .paper import TABLE_METRICS
+from .text import METRIC_NAMES, as_table, interval, percent, written, written_p
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Content = Mapping[str, Any]
 
 _SHORT = ("ssim", "gmsd", "psnr_fan", "shadow_iou")
-_MORE = ("ssim_fan", "gmsd_fan", "shadow_residual", "false_light_rate", "gmsd_unpooled", "ms_ssim",
-         "edge_preservation", "enl", "cnr", "ratio_mean", "m_index")  # fmt: skip
+_PARTS = ("mean", "low", "high")
 
 
-def leaderboard(rows: Sequence[Content]) -> str:
-    """Markdown: PSNR with its interval, the paired gain and its test, other metrics, the cost."""
-    names = [name for name in _SHORT if _has(rows, name)]
+def leaderboard(rows: Sequence[Content]) -> pd.DataFrame:
+    """PSNR with its interval, the paired gain and its test, other metrics, the cost."""
+    names = [name for name in _SHORT if has(rows, name)]
     head = ["method", "PSNR, dB", "95 % interval", "against noisy, dB", "p (Holm)", "wins"]
     head += [METRIC_NAMES[name].label for name in names] + ["ms", "GMAC"]
     lines: list[list[str]] = []
@@ -32,32 +31,29 @@ def leaderboard(rows: Sequence[Content]) -> str:
             lines.append([title, f"lost: {row['lost']}", *[""] * (len(head) - 2)])
             continue
         psnr, gain = row["metrics"]["psnr"], row["against_noisy"].get("psnr")
-        cells = [title, written(psnr["mean"], 2), interval(psnr, 2)]
-        if gain is None:
-            cells += ["", "", ""]
-        else:
-            low, high = written(gain["low"], 2, True), written(gain["high"], 2, True)
-            cells.append(f"{written(gain['mean'], 2, True)} ({low} .. {high})")
-            cells += [written_p(gain["p_holm"]), percent(gain["wins"])]
+        cells = [title, written(psnr["mean"], 2), interval(psnr, 2), "", "", ""]
+        if gain is not None:
+            both = f"{written(gain['mean'], 2, True)} ({interval(gain, 2, True)})"
+            cells[3:] = [both, written_p(gain["p_holm"]), percent(gain["wins"])]
         cells += [written(row["metrics"][n]["mean"], METRIC_NAMES[n].digits) for n in names]
         cells += [written(row["milliseconds"], 1), written(row["gmac"], 2) if row["gmac"] else ""]
         lines.append(cells)
-    return markdown.table(head, lines)
+    return as_table(head, lines)
 
 
-def more_metrics(rows: Sequence[Content]) -> str:
-    """Markdown: the means of the metrics that the leaderboard leaves out."""
-    names = [name for name in _MORE if _has(rows, name)]
+def more_metrics(rows: Sequence[Content]) -> pd.DataFrame:
+    """The means of the metrics that the leaderboard leaves out."""
+    names = [n for n in METRIC_NAMES if n not in ("psnr", *_SHORT) and has(rows, n)]
     lines = [
         [row["label"], *(written(row["metrics"][n]["mean"], METRIC_NAMES[n].digits) for n in names)]
         for row in rows
         if row["lost"] is None
     ]
-    return markdown.table(["method", *(METRIC_NAMES[name].label for name in names)], lines)
+    return as_table(["method", *(METRIC_NAMES[name].label for name in names)], lines)
 
 
-def beside_paper(table: Sequence[Content]) -> str:
-    """Markdown: PSNR, SSIM and GMSD of the paper and ours."""
+def beside_paper(table: Sequence[Content]) -> pd.DataFrame:
+    """PSNR, SSIM and GMSD of the paper and ours."""
     lines = [
         [
             line["title"],
@@ -67,89 +63,84 @@ def beside_paper(table: Sequence[Content]) -> str:
         ]
         for line in table
     ]
-    head = ["row", "paper PSNR / SSIM / GMSD", "ours", "which row here"]
-    return markdown.table(head, lines, "lrrl")
+    return as_table(["row", "paper PSNR / SSIM / GMSD", "ours", "which row here"], lines)
 
 
-def breakdown(entry: Content) -> str:
-    """Markdown: mean PSNR of the rows in each bin of a factor."""
-    bins = entry["bins"]
-    head = [entry["factor"], *(f"{one['label']} ({one['pairs']})" for one in bins)]
+def breakdown(entry: Content) -> pd.DataFrame:
+    """Mean PSNR of the rows in each bin of a factor."""
+    head = [entry["factor"], *(f"{one['label']} ({one['pairs']})" for one in entry["bins"])]
     lines = [
         [label, *(written(one["mean"], 2) for one in values)]
         for label, values in entry["rows"].items()
     ]
-    return markdown.table(head, lines)
+    return as_table(head, lines)
 
 
-def latex(rows: Sequence[Content]) -> str:
+def robustness(entry: Content) -> pd.DataFrame:
+    """PSNR, gain, SSIM and GMSD of the rows on another dataset."""
+    lines: list[list[str]] = []
+    for label, row in entry["rows"].items():
+        if row["lost"]:
+            lines.append([label, f"lost: {row['lost']}", "", "", ""])
+            continue
+        gain = row["gain"]
+        both = "" if label == "noisy" else f"{gain['mean']:+.2f} ({interval(gain, 2)})"
+        ssim, gmsd = (f"{row[name]['mean']:.3f}" for name in ("ssim", "gmsd"))
+        lines.append([label, f"{row['psnr']['mean']:.2f}", both, ssim, gmsd])
+    return as_table(["method", "PSNR, dB", "against noisy, dB", "SSIM", "GMSD"], lines)
+
+
+def as_latex(rows: Sequence[Content]) -> str:
     """A tabular of booktabs: PSNR with interval, SSIM, GMSD, wins; the best of each column bold."""
     alive = [row for row in rows if row["lost"] is None]
     best = {}
     for name in TABLE_METRICS:
         values = [row["metrics"][name]["mean"] for row in alive]
         best[name] = max(values) if METRIC_NAMES[name].better > 0 else min(values)
-    lines = [
-        r"\begin{tabular}{lrrrrr}",
-        r"\toprule",
-        r"Method & PSNR / dB & 95\,\% interval & SSIM & GMSD & Wins \\",
-        r"\midrule",
-    ]
+    lines = []
     for row in alive:
-        cells = [_escaped(row["label"])]
+        cells = [row["label"].replace("_", r"\_").replace("%", r"\%").replace("&", r"\&")]
         for name in TABLE_METRICS:
             value = row["metrics"][name]["mean"]
             text = written(value, METRIC_NAMES[name].digits)
             cells.append(rf"\textbf{{{text}}}" if value == best[name] else text)
-        psnr = row["metrics"]["psnr"]
-        cells.insert(2, f"{written(psnr['low'], 2)}--{written(psnr['high'], 2)}")
+        cells.insert(2, interval(row["metrics"]["psnr"], 2).replace(" .. ", "--"))
         gain = row["against_noisy"].get("psnr")
         cells.append("" if gain is None else percent(gain["wins"]).replace("\u00a0%", r"\,\%"))
-        lines.append(" & ".join(cells) + r" \\")
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+        lines.append(cells)
+    head = ["Method", "PSNR / dB", r"95\,\% interval", "SSIM", "GMSD", "Wins"]
+    text = as_table(head, lines).style.hide(axis="index")
+    return str(text.to_latex(hrules=True, column_format="lrrrrr"))
 
 
 def as_csv(rows: Sequence[Content]) -> str:
     """A line a row: every mean, interval and paired difference."""
-    names = [name for name in METRIC_NAMES if _has(rows, name)]
-    parts = ("mean", "low", "high")
-    head = ["method", "parameters", "gain", "offset", "milliseconds", "gmac", "lost"]
-    for name in names:
-        head += [name, f"{name}_low", f"{name}_high"]
-        head += [f"{name}_gain{end}" for end in ("", "_low", "_high", "_p", "_p_holm", "_wins")]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(head)
+    import pandas as pd
+
+    names = [name for name in METRIC_NAMES if has(rows, name)]
+    lines = []
     for row in rows:
-        levels = row["levels"] or {"gain": "", "offset": ""}
-        cells: list[Any] = [row["label"], shown(row["parameters"]).strip(" ()")]
-        cells += [levels["gain"], levels["offset"], row["milliseconds"], row["gmac"], row["lost"]]
+        line: dict[str, Any] = {
+            "method": row["label"],
+            "parameters": shown(row["parameters"]).strip(" ()"),
+            **(row["levels"] or {"gain": None, "offset": None}),
+            **{key: row[key] for key in ("milliseconds", "gmac", "lost")},
+        }
         for name in names:
             mean, gain = row["metrics"].get(name, {}), row["against_noisy"].get(name, {})
-            cells += [mean.get(part) for part in parts]
-            cells += [gain.get(part) for part in (*parts, "p", "p_holm", "wins")]
-        writer.writerow(cells)
-    return text.getvalue()
+            line |= {name: mean.get("mean"), **{f"{name}_{p}": mean.get(p) for p in _PARTS[1:]}}
+            line[f"{name}_gain"] = gain.get("mean")
+            ends = (*_PARTS[1:], "p", "p_holm", "wins")
+            line |= {f"{name}_gain_{end}": gain.get(end) for end in ends}
+        lines.append(line)
+    return str(pd.DataFrame(lines).to_csv(index=False, lineterminator="\n"))
 
 
-def interval(item: Content, digits: int) -> str:
-    """Low .. high."""
-    return f"{written(item['low'], digits)} .. {written(item['high'], digits)}"
-
-
-def percent(share: float | None) -> str:
-    """A share in per cent."""
-    return "-" if share is None else f"{100 * share:.0f}\u00a0%"
-
-
-def _has(rows: Sequence[Content], name: str) -> bool:
+def has(rows: Sequence[Content], name: str) -> bool:
+    """Whether any row has figures of a metric."""
     return any(row["metrics"].get(name, {}).get("count") for row in rows)
 
 
 def _three(figures: Content) -> str:
     psnr, ssim, gmsd = (figures[name] for name in TABLE_METRICS)
     return f"{psnr:.2f} / {ssim:.3f} / {gmsd:.3f}"
-
-
-def _escaped(text: str) -> str:
-    return text.replace("_", r"\_").replace("%", r"\%").replace("&", r"\&")

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from ..errors import FactoryError
-from .words import readable
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -29,6 +28,13 @@ _HINTS = {
     errno.EMFILE: "raise `ulimit -n`, or give fewer scheduler.workers",
     errno.ENOMEM: "raise `ulimit -v`, or give fewer scheduler.workers",
 }
+
+
+_INTERRUPTED = (128 + signal.SIGINT, 128 + signal.SIGTERM)
+
+
+class _Stopped(BaseException):
+    """A point of a sweep was interrupted, and has said so."""
 
 
 # Of which pathlib has left one slash.
@@ -60,13 +66,15 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
 
     `task` gets the composed config and returns None or an int exit code.  FactoryError and every
     mistake in the configuration become one line on stderr and exit code 2; a traceback is shown
-    only with `debug=true`.  In a sweep a point that fails does not stop the others, and the
-    largest exit code is returned.
+    only with `debug=true`.  In a sweep a point that fails does not stop the others, Ctrl-C does;
+    the largest exit code is returned.
     """
     # Hydra imports antlr and plugins; `factory` as a library must not pay for it.
     import hydra
     from hydra.errors import HydraException
     from omegaconf.errors import OmegaConfBaseException
+
+    from .words import readable
 
     # Without this Hydra prints its own multi-line text and exits with 1.
     os.environ["HYDRA_FULL_ERROR"] = "1"
@@ -77,6 +85,9 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
     def point(config: DictConfig) -> int:
         code = guard(lambda: task(config), debug=debug)
         codes.append(code)
+        if code in _INTERRUPTED:
+            # Hydra would go on with the next point of a sweep.
+            raise _Stopped
         return code
 
     def start() -> None:
@@ -87,10 +98,12 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
     def everything() -> int:
         try:
             start()
+        except _Stopped:
+            pass
         except (HydraException, OmegaConfBaseException) as error:
             if debug:
                 raise
-            raise FactoryError(config_line(error, config_name)) from error
+            raise FactoryError(config_line(error)) from error
         except RuntimeError as error:
             if debug or '"srun"' not in str(error):
                 raise
@@ -102,6 +115,8 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
             # Of a sweep; only where one was begun is the module there.
             if kept := sys.modules.get("simnfnd.factory.scheduler.workers.kept"):
                 kept.release_workers()
+            if sweep := sys.modules.get("simnfnd.factory.cli.sweep"):
+                sweep.write_table()
         return max(codes, default=0)
 
     return guard(everything, debug=debug)
@@ -132,7 +147,9 @@ def guard(action: Callable[[], Any], *, debug: bool = False) -> int:
             raise
         return say_error(FactoryError(f"memory: not enough of it ({_memory_limit()})"))
     except KeyboardInterrupt as stopped:
-        print("error: interrupted; what was finished is kept, run again to go on", file=sys.stderr)
+        # Who knows better what is kept says so in the exception.
+        kept = getattr(stopped, "kept", "what was finished is kept, run again to go on")
+        print(f"error: {getattr(stopped, 'said', f'interrupted; {kept}')}", file=sys.stderr)
         # SIGTERM comes as a KeyboardInterrupt that knows its own exit code.
         return int(getattr(stopped, "exit_code", 128 + signal.SIGINT))
 
@@ -164,11 +181,11 @@ def say_error(error: Exception) -> int:
     return EXIT_BAD_INPUT
 
 
-def config_line(error: Exception, config_name: str) -> str:
-    """Hydra's several lines in one, with the remedy.  config_name: of conf/<config_name>.yaml."""
-    from .nearest import explained
+def config_line(error: Exception) -> str:
+    """Hydra's several lines in one, with the remedy."""
+    from .words import explained
 
-    if line := explained(str(error), config_name):
+    if line := explained(str(error)):
         return line
     reasons = [str(error)]
     if error.__cause__ is not None:

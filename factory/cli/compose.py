@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +32,6 @@ def compose_points(
     """
     # Hydra brings antlr and plugins; those who only look at a folder must not pay for it.
     from hydra import compose, initialize_config_module
-    from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.core.plugins import Plugins
     from hydra.errors import HydraException
     from omegaconf import OmegaConf
@@ -45,47 +45,45 @@ def compose_points(
     overrides = [as_override(word) for word in readable(words) if not word.startswith("-")]
     try:
         with initialize_config_module("simnfnd.conf", version_base="1.3"):
-            axes: list[list[str]] = [[word] for word in overrides]
+            chosen_by_point = [overrides]
             if sweep:
                 Plugins.instance()
-                root = compose("factory", overrides=_plain(overrides), return_hydra_config=True)
-                params = OmegaConf.to_container(root.hydra.sweeper.params or {}) or {}
-                assert isinstance(params, dict)
-                given = {word.split("=")[0] for word in overrides}
-                words_ = [f"{key!s}={value}" for key, value in params.items() if key not in given]
-                parsed = OverridesParser.create().parse_overrides([*words_, *overrides])
-                axes = [
-                    [f"{one.get_key_element()}={value}" for value in one.sweep_string_iterator()]
-                    if one.is_sweep_override()
-                    else [one.input_line or ""]
-                    for one in parsed
-                ]
+                # Those that choose groups: enough to know what an experiment sweeps over.
+                recipes = [word for word in overrides if word.startswith("experiment=")]
+                root = compose("factory", overrides=recipes, return_hydra_config=True)
+                # None in a plain sweep, a mapping where an experiment brings its own.
+                chosen_by_point = sweep_points(overrides, dict(root.hydra.sweeper.params or {}))
             points = []
-            for number in range(_product(axes)):
-                chosen, rest = [], number
-                for axis in reversed(axes):
-                    chosen.append(axis[rest % len(axis)])
-                    rest //= len(axis)
-                chosen.reverse()
+            for chosen in chosen_by_point:
                 composed = compose("factory", overrides=chosen)
                 if scenes is not None:
                     OmegaConf.set_struct(composed, False)
                     composed.scenes = dict(scenes)
                 config = from_mapping(composed_values(composed))
-                differs = [word for word, axis in zip(chosen, axes, strict=True) if len(axis) > 1]
+                differs = [
+                    word
+                    for word, others in zip(chosen, zip(*chosen_by_point, strict=True), strict=True)
+                    if len(set(others)) > 1
+                ]
                 points.append((tuple(differs), config))
             return points
     except (HydraException, OmegaConfBaseException) as error:
-        raise FactoryError(config_line(error, "factory")) from error
+        raise FactoryError(config_line(error)) from error
 
 
-def _plain(overrides: list[str]) -> list[str]:
-    """Those that choose groups: enough to know what an experiment sweeps over."""
-    return [word for word in overrides if word.startswith("experiment=")]
+def sweep_points(overrides: Sequence[str], params: Mapping[str, Any]) -> list[list[str]]:
+    """The overrides of every point of a sweep, in Hydra's order: the last axis changes fastest.
 
+    params: what an experiment sweeps over, where the words say nothing else.
+    """
+    from hydra.core.override_parser.overrides_parser import OverridesParser
 
-def _product(axes: list[list[str]]) -> int:
-    count = 1
-    for axis in axes:
-        count *= len(axis)
-    return count
+    given = {word.split("=")[0] for word in overrides}
+    more = [f"{key!s}={value}" for key, value in params.items() if key not in given]
+    axes = [
+        [f"{one.get_key_element()}={value}" for value in one.sweep_string_iterator()]
+        if one.is_sweep_override()
+        else [one.input_line or ""]
+        for one in OverridesParser.create().parse_overrides([*more, *overrides])
+    ]
+    return [list(point) for point in itertools.product(*axes)]

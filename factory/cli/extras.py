@@ -22,17 +22,18 @@ EXTRAS = {
     "open3d": "open3d",
     "torch": "train",
     "lightning": "train",
-    "safetensors": "train",
+    "safetensors": "denoise",
     "tensorboard": "train",
     "optuna": "report",
-    "pyarrow": "report",
+    "pandas": "report",
+    "pyarrow": "export",
     "skimage": "report",
     "jinja2": "report",
     "distributed": "cluster",
     "huggingface_hub": "export",
     "webdataset": "export",
     "onnx": "onnx",
-    "onnxruntime": "onnx",
+    "onnxruntime": "denoise",
     "matplotlib": "figures",
     "rosbags": "ros",
     "hdf5plugin": "zstd",
@@ -40,7 +41,7 @@ EXTRAS = {
 }
 """Module -> the extra of pyproject.toml that installs it."""
 
-WITH_SONAR = frozenset({"train", "report", "export", "figures", "ros"})
+WITH_SONAR = frozenset({"denoise", "train", "report", "export", "figures", "onnx", "ros"})
 """Extras that bring the extra `sonar`."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
@@ -17,7 +18,7 @@ from ..config import (
     identity,
     plain,
 )
-from ..dataset.describe.quality import seen_sector_deg
+from ..dataset.describe.quality import lit_share, seen_sector_deg
 from ..dataset.format.schema import Provenance
 from ..errors import FactoryError
 from ..frame import FrameRef
@@ -28,17 +29,20 @@ from ..render.cache.views import ViewMaker, check_views, with_cache
 from ..scheduler.workers import template
 from ..selection import choose_frames, frames_digest, split_frames, split_warnings
 from ..storage.copies import shown
-from . import PRELOADED
+from . import EXIT_BAD_INPUT, PRELOADED
 from .extras import needs_of, require
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from ..scheduler.job import Job
-    from ..scheduler.ledger import RunReport
+    from ..scheduler.results import RunReport
 
 # So many procedural frames take minutes.
 _MANY = 50
+# Pictures of which less is lit are hardly meant.
+_LEAST_LIT = 0.01
+_NARROW_DEG, _FAR_M, _WIDEST = 2.0, 300.0, 3.0
 
 
 def generate(composed: DictConfig) -> int:
@@ -47,15 +51,44 @@ def generate(composed: DictConfig) -> int:
     0: every frame became pairs.  1: some frames failed (listed in failed.jsonl), the rest is there.
     Raises FactoryError when nothing can be made.
     """
-    from .sweep import note_result
+    from .sweep import note_failure, note_result
 
-    config = from_mapping(composed_values(composed))
-    report, directory = run(config, arguments=sys.argv[1:])
-    code = 1 if report.failures else 0
-    if config.shard.count == 1:
-        note_result(directory, config, report, code)
+    try:
+        config = from_mapping(composed_values(composed))
+        report, directory = run(config, arguments=sys.argv[1:])
+        code = 1 if report.failures else 0
+        if config.shard.count == 1:
+            note_result(directory, config, report, code)
+    except FactoryError as error:
+        note_failure("failed", str(error), EXIT_BAD_INPUT)
+        raise
+    except KeyboardInterrupt as stopped:
+        note_failure("interrupted", str(stopped), int(getattr(stopped, "exit_code", 130)))
+        raise
     print(f"dataset: {shown(directory)}")
+    if report.failures:
+        print(_failed(report, shown(directory)))
     return code
+
+
+def _failed(report: RunReport, directory: str) -> str:
+    """How many frames failed, the commonest reason, and the command that lists them."""
+    count, reason = commonest(report)
+    share = "all" if count == len(report.failures) else str(count)
+    return (
+        f"failed: {len(report.failures)} of {report.frames} frames, {share} because: {reason}; "
+        f"`simnfnd status {directory} --failed` lists them"
+    )
+
+
+def commonest(report: RunReport) -> tuple[int, str]:
+    """How many frames failed for the commonest reason, and one of their reasons."""
+    alike: dict[str, list[str]] = {}
+    for failure in report.failures:
+        reason = failure.reason.removeprefix(f"{failure.ref.name}: ")
+        alike.setdefault(re.sub(r"[0-9.]+", "#", reason), []).append(reason)
+    found = max(alike.values(), key=len)
+    return len(found), found[0]
 
 
 def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
@@ -78,14 +111,14 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
         )
         return report, job.directory
     if not report.samples:
-        first = report.failures[0].reason
+        count, reason = commonest(report)
         raise FactoryError(
             f"no frame could be used: {len(report.failures)} of {len(report.failures)} failed, "
-            f"the first because: {first}"
+            f"{count} of them because: {reason}{_likeliest(config)}"
         )
     _report_sector(job.directory, config)
     # Again at the end: what was said first has scrolled away.
-    say_warnings(job.warnings)
+    say_warnings((*job.warnings, *_dark(job.directory, config)))
     return report, job.directory
 
 
@@ -96,7 +129,6 @@ def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
     """
     from .. import __version__
     from ..scenes import open_reader
-    from ..scheduler.extend import plan_extension
     from ..scheduler.job import Job, work_folder
     from ..scheduler.plan import plan_shards
 
@@ -130,7 +162,6 @@ def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
         rerun_command=lambda ref: _rerun_command(ref, arguments, directory),
         skipped=discovery.skipped,
         on_prepared=Limit(working.cache),
-        extension=lambda earlier: plan_extension(splits, *how, earlier),
         warnings=warnings,
         preload=PRELOADED,
     )
@@ -166,6 +197,35 @@ def _report_sector(directory: Path, config: FactoryConfig) -> None:
             f"sonar: the camera saw {narrowest:.0f} to {widest:.0f} of {config.sonar.hfov_deg:g} "
             "degrees; the rest is masked (azimuth_min_deg and azimuth_max_deg in /meta)"
         )
+
+
+def _dark(directory: Path, config: FactoryConfig) -> tuple[str, ...]:
+    """A line where next to nothing of the pictures is lit, with the key that is likely wrong."""
+    share = lit_share(directory)
+    if share >= _LEAST_LIT:
+        return ()
+    what = f"{100 * share:.2g} % of the pictures is lit{_likeliest(config)}"
+    return (f"{what}; look at the preview before you use them",)
+
+
+def _likeliest(config: FactoryConfig) -> str:
+    """`; check KEY=VALUE`: what is likeliest wrong where a sonar sees next to nothing."""
+    sonar = config.sonar
+    if sonar.hfov_deg < _NARROW_DEG:
+        return f"; check sonar.hfov_deg={sonar.hfov_deg:g}, which is in degrees"
+    if not sonar.range.auto and sonar.range.max_m > _FAR_M:
+        return f"; check sonar.range.max_m={sonar.range.max_m:g}, which is in metres"
+    pinhole = getattr(config.scenes, "intrinsics", None)
+    if pinhole is not None:
+        fx, fy, cx, cy = pinhole
+        # Beyond that the axis of the lens is at no picture's place.
+        if not (0 < cx < _WIDEST * fx and 0 < cy < _WIDEST * fy):
+            given = ",".join(f"{value:g}" for value in pinhole)
+            return f"; check scenes.intrinsics=[{given}], which is fx,fy,cx,cy in pixels"
+    if getattr(config.scenes, "depth_scale", None) is not None:
+        return f"; check scenes.depth_scale={config.scenes.depth_scale:g}"  # type: ignore[union-attr]
+    keys = "sonar.range, sonar.hfov_deg and, for your own recordings, scenes.intrinsics"
+    return f"; check {keys}"
 
 
 def _rerun_command(ref: FrameRef, arguments: list[str], directory: Path) -> str:

@@ -1,89 +1,176 @@
-"""One table of a sweep: what every point was, where its dataset is, how noisy it came out."""
+"""One table of a sweep: what became of every point, where its dataset is, how noisy it came out.
+
+Each point leaves its row as a file, because a launcher may make it on another machine; points
+without a row were not begun.
+"""
 
 from __future__ import annotations
 
 import csv
+import io
 import json
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra.experimental.callback import Callback
 
+from ..errors import FactoryError
+
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
     from ..config import FactoryConfig
-    from ..scheduler.ledger import RunReport
+    from ..scheduler.results import RunReport
 
 _RESULT = "result.json"
+_ALWAYS = ("state", "pairs", "failed", "noisy_psnr_db", "exit_code", "dataset", "reason")
+_COLUMNS = 4
+_GAP_PX, _LABEL_PX, _PICTURE_PX = 6, 16, 192
+# Folder and points (the words of each) of the sweep of this process, until its table is written.
+_open: list[tuple[Path, list[list[str]]]] = []
 
 
 def note_result(directory: Path, config: FactoryConfig, report: RunReport, exit_code: int) -> None:
-    """Within a sweep, leave this point's row where the table is made from; else do nothing.
+    """Within a sweep, leave the row of a point that was made; else do nothing."""
+    from ..dataset.describe.quality import mean_psnr_db
 
-    A file and not a variable, because a launcher may run the point on another machine.
-    """
+    if _is_sweep():
+        _note(
+            state="made",
+            pairs=report.samples,
+            failed=len(report.failures),
+            noisy_psnr_db=round(mean_psnr_db(directory), 2),
+            exit_code=exit_code,
+            dataset=str(directory),
+        )
+
+
+def note_failure(state: str, reason: str, exit_code: int) -> None:
+    """Within a sweep, leave the row of a point that came to nothing; else do nothing."""
+    if _is_sweep():
+        _note(state=state, reason=" ".join(reason.split()), exit_code=exit_code)
+
+
+def _is_sweep() -> bool:
     from hydra.core.hydra_config import HydraConfig
     from hydra.types import RunMode
 
-    from ..dataset.describe.quality import mean_psnr_db
+    return HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN
 
-    if not HydraConfig.initialized() or HydraConfig.get().mode != RunMode.MULTIRUN:
-        return
+
+def _note(**row: Any) -> None:
+    from hydra.core.hydra_config import HydraConfig
+
     hydra = HydraConfig.get()
-    row: dict[str, Any] = dict(
-        word.lstrip("+").split("=", 1) for word in hydra.overrides.task if "=" in word
-    )
-    row |= {
-        "pairs": report.samples,
-        "failed": len(report.failures),
-        "noisy_psnr_db": round(mean_psnr_db(directory), 2),
-        "exit_code": exit_code,
-        "dataset": str(directory),
-    }
     folder = Path(hydra.runtime.output_dir)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / _RESULT).write_text(json.dumps(row))
+    (folder / _RESULT).write_text(json.dumps({**_settings(hydra.overrides.task), **row}))
+
+
+def _settings(words: Sequence[str]) -> dict[str, str]:
+    return dict(word.lstrip("+").split("=", 1) for word in words if "=" in word)
 
 
 class SweepTable(Callback):
-    """Hydra callback: the points of a sweep share workers; after the last, print its table."""
+    """Hydra callback: the points of a sweep share workers, and one table tells of all."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Points that this process makes one after another need not start workers each.
 
-        `run_app` stops them: after an error Hydra calls nobody back.
+        `run_app` stops them and writes the table: after an error Hydra calls nobody back.
         """
         from ..scheduler.workers.kept import keep_workers
+        from .compose import sweep_points
 
         keep_workers()
+        words = list(config.hydra.overrides.task)
+        points = sweep_points(words, dict(config.hydra.sweeper.params or {}))
+        _open[:] = [(Path(config.hydra.sweep.dir), points)]
 
-    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Collect the rows that the points left under the sweep's folder."""
-        folder = Path(config.hydra.sweep.dir)
-        points = sorted(
-            (path.parent.name for path in folder.glob(f"*/{_RESULT}")),
-            key=lambda name: (len(name), name),
-        )
-        rows = [json.loads((folder / name / _RESULT).read_text()) for name in points]
-        if not rows:
-            return
-        names = list(dict.fromkeys(key for row in rows for key in row))
-        # Settings that all points have in common say nothing in a table of differences.
-        always = {"pairs", "failed", "noisy_psnr_db", "exit_code", "dataset"}
-        names = [
-            name
-            for name in names
-            if name in always or len({str(row.get(name)) for row in rows}) > 1 or len(rows) == 1
-        ]
-        with (folder / "sweep.csv").open("w", newline="") as file:
-            writer = csv.DictWriter(file, names, extrasaction="ignore")
-            writer.writeheader()
-            writer.writerows(rows)
-        table = markdown(names, [[str(row.get(name, "")) for name in names] for row in rows])
-        (folder / "sweep.md").write_text(table)
-        print(table, end="")
-        print(f"sweep: {folder / 'sweep.md'}")
+
+def write_table() -> None:
+    """Write and print the table of the sweep that this process has made, if it has."""
+    if not _open:
+        return
+    folder, points = _open.pop()
+    rows = []
+    for number, words in enumerate(points):
+        row: dict[str, Any] = {**_settings(words), "state": "not begun"}
+        with suppress(OSError, ValueError):
+            row = json.loads((folder / str(number) / _RESULT).read_text())
+        rows.append(row)
+    names = list(dict.fromkeys([*(key for row in rows for key in row if key not in _ALWAYS)]))
+    # Settings that all points have in common say nothing in a table of differences.
+    names = [n for n in names if len({str(row.get(n)) for row in rows}) > 1 or len(rows) == 1]
+    ends = ("pairs", "failed", "noisy_psnr_db", "state", "exit_code", "dataset", "reason")
+    shown = [*names, *(name for name in ends if any(name in row for row in rows))]
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "sweep.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, shown, extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(rows)
+    table = markdown(shown, [[str(row.get(name, "")) for name in shown] for row in rows])
+    (folder / "sweep.md").write_text(table)
+    print(table, end="")
+    labels = [", ".join(f"{name}={row.get(name, '')}" for name in names) for row in rows]
+    made = [
+        (label, row["dataset"]) for label, row in zip(labels, rows, strict=True) if "pairs" in row
+    ]
+    with suppress(FactoryError, OSError):
+        if len(made) > 1 and (sheet := contact_sheet(made, folder / "sweep.png")):
+            print(f"sweep: {sheet}: the same frames of every point, clean and noisy")
+    print(f"sweep: {folder / 'sweep.md'}")
+
+
+def contact_sheet(points: Sequence[tuple[str, str]], out: Path) -> Path | None:
+    """Draw noisy pictures with points as rows and the same frames as columns; the path, or None.
+
+    points: label and folder of each dataset.  The first column is the clean picture of the first
+    frame.  None where no sample is in all of them.
+    """
+    import numpy as np
+    from PIL import Image, ImageDraw
+
+    from ..dataset import PairDataset
+    from ..files import write_atomically
+
+    samples: list[dict[tuple[str, ...], tuple[str, int]]] = []
+    for _, folder in points:
+        found: dict[tuple[str, ...], tuple[str, int]] = {}
+        for split in ("train", "test"):
+            with suppress(FactoryError), PairDataset(folder, split=split, trusted=True) as pairs:
+                for number, row in enumerate(pairs.meta()):
+                    keys = ("location", "scene", "frame", "variant")
+                    found.setdefault(tuple(str(row[key]) for key in keys), (split, number))
+        samples.append(found)
+    common = [name for name in samples[0] if all(name in found for found in samples)]
+    if not common:
+        return None
+    names = [common[k * len(common) // _COLUMNS] for k in range(min(_COLUMNS, len(common)))]
+    names = list(dict.fromkeys(names))
+    step = _PICTURE_PX + _GAP_PX
+    size = (_GAP_PX + step * (1 + len(names)), (step + _LABEL_PX) * len(points) + _GAP_PX)
+    sheet = Image.new("L", size)
+    pen = ImageDraw.Draw(sheet)
+    for line, ((label, folder), found) in enumerate(zip(points, samples, strict=True)):
+        top = _GAP_PX + line * (step + _LABEL_PX)
+        pen.text((_GAP_PX, top), f"{label}   (clean, then noisy)", fill=255)
+        for column, (name, what) in enumerate(
+            [(names[0], "clean"), *((n, "noisy") for n in names)]
+        ):
+            split, number = found[name]
+            with PairDataset(folder, split=split, trusted=True) as pairs:
+                picture = np.asarray(pairs[number][what])
+                white = pairs.value_range[1]
+            image = Image.fromarray((picture * (255 / white)).clip(0, 255).astype(np.uint8))
+            image.thumbnail((_PICTURE_PX, _PICTURE_PX))
+            sheet.paste(image, (_GAP_PX + column * step, top + _LABEL_PX))
+    buffer = io.BytesIO()
+    sheet.save(buffer, "PNG")
+    write_atomically(out, buffer.getvalue())
+    return out
 
 
 def markdown(names: list[str], rows: list[list[str]]) -> str:

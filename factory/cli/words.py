@@ -1,74 +1,91 @@
-"""Words of the command line as Hydra's grammar reads them: paths need no quotes of their own.
-
-Hydra takes blanks inside a value, but neither `~`, umlauts, brackets nor an equals sign.  A value
-that its grammar cannot read, and that does not look like a list, mapping or function of it, is
-meant as text.
-"""
+"""Words of the command line: paths without quotes of their own, and the key nearest to a typo."""
 
 from __future__ import annotations
 
+import difflib
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.resources import files
+from typing import Any
 
-# What Hydra's grammar surely reads as one value.
-_PLAIN = re.compile(r"[A-Za-z0-9_./:@%+|*-]*", re.ASCII)
-_KEY = re.compile(r"[+~]{0,2}[A-Za-z_][\w./@:-]*", re.ASCII)
-# Hydra's own forms: mistakes in them are for Hydra to explain.
-_OWN_FORM = re.compile(
-    r"[{'\"]|\$\{|(choice|range|interval|glob|shuffle|sort|tag|cast|int|float|str|bool|extend_list"
-    r"|list_extend|dict_extend)\("
-)
+import yaml
+
+_KEY = re.compile(r"[+]{0,2}[A-Za-z_][\w./@:-]*", re.ASCII)
+# What Hydra's grammar reads as one value or several, and its own forms, which it explains itself.
+_READS = re.compile(r"[A-Za-z0-9_./:@%+|*,-]*|[\[{'\"].*|.*\$\{.*|\w+\(.*", re.ASCII | re.DOTALL)
 
 
 def readable(words: Sequence[str]) -> list[str]:
-    """`words` with every KEY=VALUE whose value is text quoted, and `~` at its start expanded."""
-    sweep = any(word in ("-m", "--multirun") for word in words)
-    return [_readable(word, sweep) for word in words]
+    """`words` with `~` at the start of a value expanded, and text that is no Hydra value quoted."""
+    return [_readable(word) for word in words]
 
 
-def _readable(word: str, sweep: bool) -> str:
+def _readable(word: str) -> str:
     key, equals, value = word.partition("=")
     if not equals or not _KEY.fullmatch(key):
         return word
-    if value.startswith("[") and value.endswith("]"):
-        if re.search("['\"]", value) and _reads(word):
-            return word  # a comma between quotes parts nothing
-        parts = [_home(part.strip()) for part in value[1:-1].split(",")]
-        if _reads(f"{key}=[{','.join(parts)}]"):
-            return f"{key}=[{','.join(parts)}]"
-        quoted = f"{key}=[{','.join(_quoted(key, part) for part in parts)}]"
-        return quoted if _reads(quoted) else word
-    if sweep and "," in value:
-        value = ",".join(map(_home, value.split(",")))
-        if _reads(f"{key}={value}") or _OWN_FORM.match(value):
-            return f"{key}={value}"
-        return f"{key}={','.join(_quoted(key, part) for part in value.split(','))}"
-    return f"{key}={_quoted(key, _home(value))}"
-
-
-def _quoted(key: str, value: str) -> str:
-    if _OWN_FORM.match(value) or value.startswith("[") or _reads(f"{key}={value}"):
-        return value
+    if value.startswith("~"):
+        value = os.path.expanduser(value)
+    if _READS.fullmatch(value):
+        return f"{key}={value}"
     # Backslashes count only before a quote; one at the end would hide the closing one.
-    text = re.sub(r"(\\*)(['])", lambda found: 2 * found[1] + "\\'", value)
-    text += "\\" * (len(text) - len(text.rstrip("\\")))
-    return f"'{text}'"
+    text = re.sub(r"(\\*)'", lambda found: 2 * found[1] + "\\'", value)
+    ends = "\\" * (len(text) - len(text.rstrip("\\")))
+    return f"{key}='{text}{ends}'"
 
 
-def _home(value: str) -> str:
-    return os.path.expanduser(value) if value.startswith("~") else value
+def explained(problem: str) -> str | None:
+    """One line for a key or choice that Hydra does not know, with what is nearest; else None.
+
+    problem: Hydra's message.
+    """
+    if found := re.search(r"Could not find '([^'/]+)/([^']+)'", problem):
+        group, choice = found[1], found[2]
+        choices = sorted(_stems(group))
+        near = difflib.get_close_matches(choice, choices, cutoff=0.5)
+        hint = f"did you mean {group}={near[0]}?" if near else f"there are {', '.join(choices)}"
+        return f"{group}={choice}: no such choice; {hint}"
+    if found := re.search(r"Could not (?:override|delete from config\.) '([^']+)'", problem):
+        key, keys = found[1], sorted(set(_all_keys()))
+        if key in keys:
+            return f"{key}: the chosen `{key.split('.')[0]}` has no such key (see `--cfg job`)"
+        last = [one for one in keys if one.rpartition(".")[2] == key.rpartition(".")[2]]
+        near = difflib.get_close_matches(key, keys, cutoff=0.7) or last[:3]
+        hint = f"did you mean {' or '.join(near)}?" if near else "`--cfg job` shows every key"
+        return f"{key}: no such key; {hint}"
+    if found := re.search(r"Ambiguous value for argument '([^=]+)=", problem):
+        return f"{found[1]}: several values are a sweep, `-m`, or a list, {found[1]}=[a,b]"
+    return None
 
 
-def _reads(word: str) -> bool:
-    """Whether Hydra's grammar reads the word."""
-    if _PLAIN.fullmatch(word.partition("=")[2]):
-        return True
-    from hydra.core.override_parser.overrides_parser import OverridesParser
-    from hydra.errors import HydraException
+def _stems(group: str) -> list[str]:
+    folder = files("simnfnd.conf").joinpath(group)
+    names = [entry.name for entry in folder.iterdir()] if folder.is_dir() else []
+    return [name.removesuffix(".yaml") for name in names if name.endswith(".yaml")]
 
-    try:
-        OverridesParser.create().parse_override(word)
-    except HydraException:
-        return False
-    return True
+
+def _all_keys() -> Iterator[str]:
+    """Dotted keys of every configuration, and the names of the groups."""
+    conf = files("simnfnd.conf")
+    for entry in conf.iterdir():
+        if entry.name.endswith(".yaml"):
+            yield from _flat(entry.read_text(encoding="utf-8"), "")
+        elif entry.is_dir() and (names := _stems(entry.name)):
+            yield entry.name
+            for name in names:
+                text = entry.joinpath(f"{name}.yaml").read_text(encoding="utf-8")
+                package = re.search(r"^# @package (\S+)", text, re.MULTILINE)
+                if not package or package[1] != "_global_":
+                    yield from _flat(text, f"{package[1] if package else entry.name}.")
+
+
+def _flat(text: str, prefix: str) -> Iterator[str]:
+    def below(values: Mapping[str, Any], prefix: str) -> Iterator[str]:
+        for key, value in values.items():
+            yield f"{prefix}{key}"
+            if isinstance(value, dict) and key != "hydra":
+                yield from below(value, f"{prefix}{key}.")
+
+    values = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    return below({k: v for k, v in (values or {}).items() if k != "defaults"}, prefix)

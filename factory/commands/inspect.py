@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from ..cli import Parser
 from ..cli.extras import Need, require
-from ..dataset.describe.summary import DatasetSummary, summarize
-from ..dataset.format.layers import CAMERA_LAYERS
-from ..dataset.read.config_file import dataset_settings
+from ..dataset.describe.summary import DatasetSummary, draw, summarize
+from ..dataset.format.schema import CAMERA_LAYERS
+from ..dataset.read.source import dataset_settings
 from ..storage.copies import local_folder
 
 _BAR = 40
@@ -31,8 +31,6 @@ def main(words: list[str]) -> None:
     found = summarize(local_folder(given.path), given.pairs)
     print("\n".join(report(found, str(given.path))))
     if given.png is not None:
-        from ..dataset.describe.summary_figure import draw
-
         print(f"\nfigure: {draw(found, given.png)}")
 
 

@@ -5,8 +5,9 @@ The shards are copied as they are, so their checksums stay what they were.
 
 from __future__ import annotations
 
+import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,20 +26,19 @@ from ..dataset.format.manifest import (
     load_manifest,
     save_manifest,
 )
-from ..dataset.format.schema import SPLITS, Provenance
+from ..dataset.format.schema import SPLITS, Provenance, config_hash
 from ..dataset.format.settings import DatasetSettings
-from ..dataset.read.config_file import dataset_settings
-from ..dataset.read.reader import open_shard
-from ..dataset.read.source import Source, open_source
-from ..dataset.write.folder import open_folder
+from ..dataset.read.source import Source, dataset_settings, open_source
+from ..dataset.write.folder import differences, list_differences, open_folder
 from ..dataset.write.index import write_index
 from ..errors import FactoryError
 from ..files import refuse_files, whole_folder
 
 # What may differ: which frames there are, how their noise is seeded, and how they are stored.
-_FREE = ("seed", "scenes", "frames", "frames_found", "split", "scheduler", *PARTS)
-_FREE_OF_DATASET = ("compression", "compression_level", "max_train", "max_test")
-_SHOWN_DIFFERENCES = 4
+_FREE = re.compile(
+    r"(seed|scenes|frames|frames_found|split|scheduler)(\.|$)"
+    r"|dataset\.(compression|compression_level|max_train|max_test)$"
+)
 
 
 def main(words: list[str]) -> None:
@@ -84,6 +84,10 @@ def _whole(directory: Path) -> Manifest:
     manifest = load_manifest(directory)
     if manifest is None:
         raise FactoryError(f"{directory}: no {MANIFEST_NAME}; give the folder of a dataset")
+    if config_hash(manifest.config) != manifest.config_hash:
+        raise FactoryError(
+            f"{directory / MANIFEST_NAME}: its config does not give its config_hash; damaged"
+        )
     for info in manifest.shards.values():
         if wrong := damage(directory, info):
             raise FactoryError(
@@ -101,17 +105,15 @@ def _check_alike(manifests: Mapping[Path, Manifest], sources: Mapping[Path, Sour
                 f"merge: {first} was made by {one.generator}, {other} by {two.generator}; "
                 "make them with one version"
             )
-        there, here = (dict(_fixed(manifest.config)) for manifest in (one, two))
-        keys = sorted(key for key in there | here if there.get(key) != here.get(key))
-        if keys:
-            told = "; ".join(
-                f"{key} {there.get(key)!r} and {here.get(key)!r}"
-                for key in keys[:_SHOWN_DIFFERENCES]
-            )
-            more = ", ..." if len(keys) > _SHOWN_DIFFERENCES else ""
+        changes = {
+            key: values
+            for key, values in differences(one.config, two.config).items()
+            if not _FREE.match(key)
+        }
+        if changes:
             raise FactoryError(
-                f"merge: {first} and {other} were made with different settings ({told}{more}); "
-                "merge only what differs in frames and seed"
+                f"merge: {first} and {other} were made with different settings "
+                f"({list_differences(changes)}); merge only what differs in frames and seed"
             )
         _check_form(sources[first], sources[other])
 
@@ -140,31 +142,23 @@ def _check_samples(sources: Mapping[Path, Source]) -> None:
     owner: dict[tuple[Any, ...], Path] = {}
     place: dict[tuple[str, str], tuple[str, Path]] = {}
     for directory, source in sources.items():
-        for split, location, scene, frame, variant in _names(source):
-            sample = (location, scene, frame, variant)
+        for one in source.names():
+            split, scene = one.split, (one.location, one.scene)
+            sample = (*scene, one.frame, one.variant)
             if sample in owner:
                 raise FactoryError(
-                    f"merge: sample {'/'.join(sample[:3])} variant {variant} is in "
+                    f"merge: sample {'/'.join((*scene, one.frame))} variant {one.variant} is in "
                     f"{owner[sample]} and in {directory}; make one of them without it "
                     "(scenes, frames.only)"
                 )
             owner[sample] = directory
-            known = place.setdefault((location, scene), (split, directory))
+            known = place.setdefault(scene, (split, directory))
             if known[0] != split:
                 raise FactoryError(
-                    f"merge: scene {location}/{scene} is in {known[0]} of {known[1]} and in "
+                    f"merge: scene {'/'.join(scene)} is in {known[0]} of {known[1]} and in "
                     f"{split} of {directory}; a denoiser would be tested on what it trained on "
                     "(set split.test alike)"
                 )
-
-
-def _names(source: Source) -> Iterator[tuple[str, str, str, str, int]]:
-    for split, path, _ in source.shards:
-        with open_shard(path) as file:
-            table = file["meta"][:]
-        for row in table:
-            location, scene, frame = (row[key].decode() for key in ("location", "scene", "frame"))
-            yield split, location, scene, frame, int(row["variant"])
 
 
 def _common_licence(directories: Sequence[Path]) -> str | None:
@@ -177,8 +171,6 @@ def _common_licence(directories: Sequence[Path]) -> str | None:
 
 def _provenance(manifests: Mapping[Path, Manifest]) -> Provenance:
     """What all have in common, and under `merged` what each was made with."""
-    from ..config import digest  # needs the settings of every room, but only here
-
     configs = [manifest.config for manifest in manifests.values()]
     common = {
         key: value
@@ -195,7 +187,7 @@ def _provenance(manifests: Mapping[Path, Manifest]) -> Provenance:
     ]
     config = {**common, "merged": parts}
     generator = next(iter(manifests.values())).generator
-    return Provenance(config, digest(config), generator)
+    return Provenance(config, config_hash(config), generator)
 
 
 def _fill(
@@ -225,14 +217,3 @@ def _fill(
     write_card(folder, merged, provenance, settings)
     write_croissant(folder, merged, settings)
     return merged
-
-
-def _fixed(value: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Leaves of a configuration that merged datasets must share, by dotted key."""
-    if not isinstance(value, Mapping) or not value:
-        yield prefix, value
-        return
-    free = {"": _FREE, "dataset": _FREE_OF_DATASET}.get(prefix, ())
-    for key, item in value.items():
-        if key not in free:
-            yield from _fixed(item, f"{prefix}.{key}" if prefix else str(key))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -89,37 +89,7 @@ def _planned(config: FactoryConfig) -> tuple[tuple[FrameRef, ...], tuple[ShardTa
     splits = split_frames(frames, config)
     say_warnings(split_warnings(splits, config))
     how = (config.frames.variants, config.scheduler.shard_size, config.dataset.limits)
-    if config.dataset.on_existing == "extend" and (added := _added(config, frames, splits, how)):
-        return frames, added[0]
     return frames, plan_shards(splits, *how)[config.shard.index :: config.shard.count]
-
-
-def _added(
-    config: FactoryConfig,
-    frames: tuple[FrameRef, ...],
-    splits: Mapping[str, Sequence[FrameRef]],
-    how: tuple[int, int, Mapping[str, int | None]],
-) -> tuple[tuple[ShardTask, ...]] | None:
-    """The shards that a dataset which is there lacks; None when there is none."""
-    from .. import __version__
-    from ..config import digest, identity
-    from ..dataset.format.manifest import load_manifest
-    from ..dataset.format.schema import Provenance
-    from ..scheduler.earlier import read_earlier
-    from ..scheduler.extend import plan_extension, refuse_other_settings
-    from ..selection import frames_digest
-
-    values = {**identity(config), "frames_found": frames_digest(frames)}
-    directory = config.dataset.directory(digest(values))
-    manifest = load_manifest(directory)
-    if manifest is None:
-        return None
-    made_by = f"simnfnd {__version__}"
-    refuse_other_settings(directory, manifest, Provenance(values, digest(values), made_by))
-    there = [read_earlier(directory, info, info.config_hash) for info in manifest.shards.values()]
-    paths = {shard.path for shard in there}
-    print(f"extends: {directory} has {manifest.samples()} pairs; what follows is what is added")
-    return (tuple(t for t in plan_extension(splits, *how, there) if t.path not in paths),)
 
 
 def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..cli import Parser
-from ..dataset.check.validate import validate
+from ..dataset.validate import validate
 from ..storage.copies import local_folder
 
 

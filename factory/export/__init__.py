@@ -19,7 +19,6 @@ FORMATS = {
     "huggingface": "simnfnd.factory.export.huggingface",
     "png": "simnfnd.factory.export.png",
     "mdd": "simnfnd.factory.export.mdd",
-    "sonar_message": "simnfnd.factory.export.sonar_message",
     "coco": "simnfnd.factory.export.coco",
     "yolo": "simnfnd.factory.export.yolo",
 }

@@ -1,4 +1,4 @@
-"""COCO: images/SPLIT/NAME.png and annotations/instances_SPLIT.json, with boxes and polygons.
+"""COCO: images/SPLIT/NAME.png and annotations/instances_SPLIT.json, with boxes and masks.
 
 Categories have the numbers of the classes (`simnfnd.factory.labels`), from 1.  clean/SPLIT holds
 the ideal pictures.  Format: https://cocodataset.org/#format-data.
@@ -10,6 +10,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from ..dataset.read.source import Source
 from .objects import (
     LEAST_PX,
@@ -20,7 +23,6 @@ from .objects import (
     summary,
     write_pictures,
 )
-from .outlines import outlines
 
 
 def write(source: Source, folder: Path) -> str:
@@ -72,16 +74,24 @@ def _annotation(shown: Shown, number: int, image: int) -> dict[str, Any]:
         "category_id": shown.label,
         "bbox": shown.box,
         "area": int(shown.mask.sum()),
-        "segmentation": [ring.ravel().tolist() for ring in outlines(shown.mask)],
+        "segmentation": run_lengths(shown.mask),
         "iscrowd": 0,
     }
 
 
+def run_lengths(mask: npt.NDArray[np.bool_]) -> dict[str, list[int]]:
+    """(H, W) as COCO's uncompressed runs: of 0, of 1, of 0, ... down each column in turn."""
+    flat = mask.ravel(order="F")
+    changes = np.flatnonzero(np.diff(flat, prepend=False))
+    counts = np.diff(changes, prepend=0, append=flat.size)
+    return {"counts": counts.tolist(), "size": list(mask.shape)}
+
+
 _NOTES = f"""\
 `annotations/instances_SPLIT.json` holds, in the format of COCO, the objects in the pictures of
-`images/SPLIT`: box, area in pixels, and polygons along the edges of their pixels, from which
-pycocotools makes the very masks. Holes are cut out by slits. Objects that show in fewer than
-{LEAST_PX} pixels are left out. `clean/SPLIT`, if there, has the same pictures without noise.
+`images/SPLIT`: box, area in pixels, and the mask as run lengths, which pycocotools reads
+(`annToMask`). Objects that show in fewer than {LEAST_PX} pixels are left out. `clean/SPLIT`, if
+there, has the same pictures without noise.
 
 ```python
 from pycocotools.coco import COCO

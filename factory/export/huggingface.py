@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..dataset.describe.card import hub_fields
-from ..dataset.read.config_file import dataset_settings
-from ..dataset.read.source import Sample, Source
+from ..dataset.read.source import Sample, Source, dataset_settings
 from ..errors import FactoryError
 from .pictures import is_picture, png
 

@@ -16,8 +16,7 @@ from ..dataset.format.schema import stored_image
 from ..dataset.read.source import Source
 from ..errors import FactoryError
 from ..labels import CLASSES
-from .notes import write_notes
-from .pictures import png
+from .pictures import png, write_notes
 
 # Background and the eleven objects of MDD, in its order.
 MDD_CLASSES = CLASSES[:12]

@@ -9,16 +9,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
+from PIL import Image
 
-from ...models.recordings.pictures import Pictures
 from ..dataset.format.schema import SPLITS, stored_image
 from ..dataset.read.reader import Split
 from ..dataset.read.source import Source
 from ..errors import FactoryError
 from ..labels import CLASSES
 from .mdd import MDD_CLASSES
-from .notes import write_notes, write_text
-from .pictures import png
+from .pictures import png, write_notes, write_text
 
 LEAST_PX = 8
 """An object that shows in fewer pixels is no larger than a speckle, and is left out."""
@@ -123,7 +122,7 @@ def labelled_mdd(folder: Path, split: Split) -> LabelledSet:
     train.txt and test.txt, if there, name the pictures of the splits; without them all train.
     Raises FactoryError when there are no pictures or a list names others.
     """
-    files = {path.stem: path for path in Pictures(folder / "Images").files}
+    files = {path.stem: path for path in sorted((folder / "Images").glob("*.png"))}
     splits = {name: keys for name, keys in _mdd_splits(folder, files).items() if keys}
     if split != "all":
         splits = {name: keys for name, keys in splits.items() if name == split}
@@ -200,8 +199,11 @@ def _grey(path: Path) -> Picture:
     """(H, W) uint8 of a picture file."""
     if not path.is_file():
         raise FactoryError(f"{path}: no such file; every picture needs its mask")
-    with Pictures(path) as one:
-        picture = one[0].samples
-    if picture.dtype != np.uint8 or picture.ndim != 2:
-        raise FactoryError(f"{path}: is {picture.dtype} {picture.shape}; expected uint8 grey")
+    try:
+        with Image.open(path, formats=["PNG"]) as one:
+            picture, mode = np.asarray(one), one.mode
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise FactoryError(f"{path}: not a readable PNG ({error})") from error
+    if mode != "L":
+        raise FactoryError(f"{path}: is a picture of mode {mode}; expected 8-bit grey (L)")
     return picture

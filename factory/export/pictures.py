@@ -1,13 +1,16 @@
-"""Images as PNG and npy bytes, without loss."""
+"""What exports write: images as PNG and npy bytes, without loss, and a README.md."""
 
 from __future__ import annotations
 
 import io
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+
+from ..dataset.read.source import Source, dataset_settings
 
 # Level 1: a third of the time of the default, a few per cent larger.
 _PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
@@ -41,3 +44,28 @@ def npy(image: npt.NDArray[np.generic]) -> bytes:
 def sixteen_bit(image: npt.NDArray[np.floating]) -> npt.NDArray[np.uint16]:
     """(H, W) in 0..1 -> 0..65535, to the nearest."""
     return np.asarray(np.rint(image.astype(np.float64) * 65535), dtype=np.uint16)
+
+
+def write_notes(source: Source, folder: Path, reading: str) -> None:
+    """Write README.md; `reading` says in Markdown what the files are."""
+    settings = dataset_settings(source.directory)
+    name, licence = str(settings.get("name") or "dataset"), settings.get("licence") or "not stated"
+    counts = "".join(f"- {split}: {count} samples\n" for split, count in source.splits.items())
+    rows, columns = source.shape
+    text = (
+        "Pairs of simulated forward-looking-sonar images, exported from a SimNFND dataset (config "
+        f"hash `{source.config_hash}`). {rows} x {columns} pixels, {source.dtype}, "
+        f"{source.layout} layout.\n\n{counts}"
+    )
+    terms = f"{licence}. The terms of the source images hold for what is derived from them."
+    write_text(folder, name, text, reading, terms)
+
+
+def write_text(folder: Path, name: str, about: str, reading: str, terms: str) -> None:
+    """Write README.md of these parts."""
+    text = (
+        f"# {name}\n\n{about.rstrip()}\n\n"
+        f"## What the files are\n\n{reading}\n"
+        f"## Licence\n\n{terms}\n"
+    )
+    (folder / "README.md").write_text(text, encoding="utf-8")

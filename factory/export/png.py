@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..dataset.read.source import Source, json_record
-from .notes import write_notes
-from .pictures import is_picture, png, sixteen_bit
+from .pictures import is_picture, png, sixteen_bit, write_notes
 
 
 def write(source: Source, folder: Path) -> str:

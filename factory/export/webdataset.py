@@ -11,8 +11,7 @@ from pathlib import Path
 
 from ..dataset.read.source import Sample, Source, json_record
 from ..errors import FactoryError
-from .notes import write_notes
-from .pictures import is_picture, npy, png
+from .pictures import is_picture, npy, png, write_notes
 
 SAMPLES_PER_TAR = 1000
 

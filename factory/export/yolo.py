@@ -1,7 +1,8 @@
 """YOLO: images/SPLIT/NAME.png, labels/SPLIT/NAME.txt and data.yaml, as Ultralytics reads them.
 
-A line of labels is one object: its class, then the corners of one polygon as fractions of width
-and height; programs that detect take the box around it.  Format:
+A line of labels is a polygon: its class, then its corners as fractions of width and height;
+programs that detect take the box around it.  An object in parts that do not touch has a line for
+each part; holes, which the format does not know, are filled.  Format:
 https://docs.ultralytics.com/datasets/segment.
 """
 
@@ -9,19 +10,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
+import numpy as np
+import numpy.typing as npt
 import yaml
 
 from ..dataset.read.source import Source
 from .objects import (
     LEAST_PX,
-    Labelled,
     LabelledSet,
     Shown,
     labelled_dataset,
     summary,
     write_pictures,
 )
-from .outlines import joined, outlines
 
 
 def write(source: Source, folder: Path) -> str:
@@ -36,10 +38,10 @@ def write_labelled(pictures: LabelledSet, folder: Path) -> str:
         (folder / "labels" / split).mkdir(parents=True)
         for one in pictures.pictures(split):
             write_pictures(one, split, folder)
-            lines = [_line(one, shown) for shown in one.objects]
+            lines = [line for shown in one.objects for line in _lines(shown)]
             (folder / "labels" / split / f"{one.key}.txt").write_text("".join(lines))
             images += 1
-            objects += len(lines)
+            objects += len(one.objects)
             left_out += one.left_out
     # Without `path`, places are those beside data.yaml.  Both keys must be there.
     only = pictures.splits[0]
@@ -54,18 +56,40 @@ def write_labelled(pictures: LabelledSet, folder: Path) -> str:
     return summary(images, objects, left_out)
 
 
-def _line(one: Labelled, shown: Shown) -> str:
-    height, width = one.noisy.shape
-    corners = joined(outlines(shown.mask)) / (width, height)
-    return f"{shown.label - 1} {' '.join(f'{value:.6f}' for value in corners.ravel())}\n"
+def _lines(shown: Shown) -> list[str]:
+    height, width = shown.mask.shape
+    rings = [ring / (width, height) for ring in outlines(shown.mask)]
+    return [
+        f"{shown.label - 1} {' '.join(f'{value:.6f}' for value in ring.ravel())}\n"
+        for ring in rings
+    ]
+
+
+def outlines(mask: npt.NDArray[np.bool_]) -> list[npt.NDArray[np.int64]]:
+    """(H, W) -> (corners, 2) columns and rows of each part whose pixels touch, also at corners.
+
+    A pixel (column c, row r) covers c to c + 1 and r to r + 1, and rings run along these edges.
+    """
+    # Of pixels of twice the number, the outer ones say which side of their pixel lies outside.
+    double = np.repeat(np.repeat(mask.astype(np.uint8), 2, axis=0), 2, axis=1)
+    found, _ = cv2.findContours(double, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return [_corners((contour[:, 0].astype(np.int64) + 1) // 2) for contour in found]
+
+
+def _corners(ring: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Of straight lines the ends alone."""
+    ring = ring[np.any(ring != np.roll(ring, 1, axis=0), axis=1)]
+    step = ring - np.roll(ring, 1, axis=0)
+    return np.asarray(ring[np.any(step != np.roll(step, -1, axis=0), axis=1)])
 
 
 _NOTES = f"""\
 `labels/SPLIT/NAME.txt` has a line for each object in `images/SPLIT/NAME.png`: its class (`names` of
 `data.yaml`), then the corners of a polygon along the edges of its pixels, as fractions of width and
-height. Parts and holes of an object are joined by slits, as a line holds one polygon. Objects that
-show in fewer than {LEAST_PX} pixels are left out. `data.yaml` takes the test split to validate, or
-the only one that was exported. `clean/SPLIT`, if there, has the same pictures without noise.
+height. An object in parts that do not touch has a line for each part; holes are filled. Objects
+that show in fewer than {LEAST_PX} pixels are left out. `data.yaml` takes the test split to
+validate, or the only one that was exported. `clean/SPLIT`, if there, has the same pictures without
+noise.
 
 ```sh
 yolo segment train data=data.yaml   # or: yolo detect train

@@ -24,7 +24,7 @@ _OF_ECHOES = {"range", "azimuth", "elevation", "elevation_min", "elevation_max",
 
 
 def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture]:
-    """(range_bins, beams) pictures of the requested layers, by the names of `format.layers`.
+    """(range_bins, beams) pictures of the requested layers, by the names of `OPTIONAL_LAYERS`.
 
     requested: of range, azimuth, elevation, elevation_min, elevation_max, valid_azimuth,
         segmentation (which brings instance); other names are ignored.
@@ -62,7 +62,7 @@ def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture
 
 
 def every_echo(surface: LitSurface) -> dict[str, Picture]:
-    """(N,) fields of all insonified points, by the names of `format.layers.ECHO_FIELDS`.
+    """(N,) fields of all insonified points, by the names of `ECHO_FIELDS`.
 
     In the order of their bins, and within a bin of their pixels; at full density, before any
     resampling.  Labels only where the frame has them.

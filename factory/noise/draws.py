@@ -15,7 +15,7 @@ from typing import Any, cast
 import numpy as np
 
 from .. import seeds
-from ..dataset.format.sample import Column
+from ..dataset.format.schema import Column
 from ..distribution import Distribution
 from ..frame import FrameRef
 from ..imaging.contract import Artefact, Stage

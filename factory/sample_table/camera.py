@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from ..dataset.format.layers import CAMERA_LAYERS
-from ..dataset.format.sample import Column
+from ..dataset.format.schema import CAMERA_LAYERS, Column
 from ..errors import FactoryError, FrameError
 from ..frame import Frame, FrameRef
 

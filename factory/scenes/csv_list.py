@@ -65,8 +65,10 @@ class CsvListSettings(SceneSettings):
 
     def __post_init__(self) -> None:
         """Refuse no file, and two."""
-        if (self.file is None) == (self.root is None):
+        if self.file is None and self.root is None:
             raise ValueError("give the CSV file of rgb,depth lines, scenes.file=frames.csv")
+        if self.file is not None and self.root is not None:
+            raise ValueError("file and root are one key; give scenes.file without scenes.root")
 
     @property
     def given(self) -> str:
@@ -90,7 +92,9 @@ class CsvListReader:
         path = self.settings.path
         if not path.is_file():
             fault = "is a folder" if path.is_dir() else "no such file"
-            raise FactoryError(f"{self.settings.given}: {fault}; set scenes.file to {_EXPECTED}")
+            raise FactoryError(
+                f"{self.settings.given}: {fault}; give scenes.file={_EXPECTED}, and no scenes.root"
+            )
         rows = _rows(path)
         frames = _named(path.parent, rows)
         if not frames:

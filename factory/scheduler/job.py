@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..dataset.format.sample import PairSource, Preparer
-from ..dataset.format.schema import Provenance
+from ..dataset.format.schema import PairSource, Preparer, Provenance
 from ..dataset.format.settings import DatasetSettings
 from ..dataset.write.folder import WORK_NAME
 from ..frame import FrameRef
 from ..ownership import Fence
 from ..storage.publish import Publication
-from .earlier import Earlier
 from .plan import ShardTask
 from .settings import SchedulerSettings, ShardSlice
 
@@ -28,7 +26,7 @@ class Recipe:
         worker process calls it for itself.
     preparer: likewise builds what prepares the frames, in the workers that render; None when
         nothing is to be prepared.
-    work_folder: where workers write how far they are, and what only this run needs.
+    work_folder: for tracebacks of crashed workers, and what only this run needs.
     fence: asked before a shard is put in its place.
     publication: where the dataset goes when its folder is the copy of a URL.
     """
@@ -43,6 +41,11 @@ class Recipe:
     work_folder: Path
     fence: Fence | None = None
     publication: Publication | None = None
+
+    @property
+    def apart(self) -> bool:
+        """Whether workers see nothing of the folder, and make all that they need themselves."""
+        return self.publication is not None and self.publication.apart
 
 
 def _nothing(added_bytes: int) -> None:
@@ -61,9 +64,6 @@ class Job:
     skipped: reason -> images left out before planning; stated in the card.
     shard: which slice of the shards to make; the run of the whole, made last, takes them up.
     on_prepared: called with the bytes added to the cache whenever a frame was prepared.
-    extension: earlier shards -> all shards of a dataset that extends an earlier one; takes the
-        place of `tasks` there.
-    earlier: path -> what a shard states that was made before the dataset was extended.
     warnings: what the user is told when planning, and once more at the end.
     preload: modules that every worker needs, loaded once for all.
     """
@@ -81,8 +81,6 @@ class Job:
     skipped: Mapping[str, int] = field(default_factory=dict)
     shard: ShardSlice = field(default_factory=ShardSlice)
     on_prepared: Callable[[int], None] = _nothing
-    extension: Callable[[Sequence[Earlier]], tuple[ShardTask, ...]] | None = None
-    earlier: Mapping[str, Provenance] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     preload: tuple[str, ...] = ("simnfnd.factory.scheduler.worker",)
 

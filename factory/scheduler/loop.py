@@ -1,4 +1,4 @@
-"""The run loop: frames to render workers, shards to noise workers, results to the ledger.
+"""The run loop: frames to render workers, shards to noise workers, results beside the shards.
 
 Two queues and no barrier: a shard is made as soon as its own frames are prepared, and shards that
 can be made go before frames that can be prepared.
@@ -9,8 +9,9 @@ from __future__ import annotations
 import pickle
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,19 +19,16 @@ from typing import Any
 from ..dataset.write.failures import FailureKind
 from ..errors import FactoryError
 from ..frame import FrameRef
-from ..storage.distant import Distant
 from ..storage.publish import Publication
+from .attempt import AttemptState, traceback_in
 from .job import Job
-from .journal import read_journal
-from .ledger import Ledger
 from .lock import Lock
 from .pending import PendingFrame, PendingShard, backoff_s
 from .plan import ShardTask
 from .progress import ProgressBar
-from .resume import Resumed
+from .results import Results, Resumed
 from .settings import NOISE, RENDER
 from .shard_log import ShardLog
-from .standstill import Standstill
 from .worker import (
     FrameAttempt,
     FrameResult,
@@ -42,6 +40,8 @@ from .worker import (
 from .workers.contract import Backend
 
 _POLL_S = 0.2
+# Longer than the limit of a frame that a worker may be silent.
+_GRACE_S = 5.0
 # So many workers that die without having begun a frame, one after another, are no accident.
 _MAX_BARREN_DEATHS = 10
 # A shard whose frames vanish from the cache that often will not be made.
@@ -57,7 +57,7 @@ class Loop:
         self,
         job: Job,
         resumed: Resumed,
-        ledger: Ledger,
+        results: Results,
         progress: ProgressBar,
         lock: Lock,
         backend: Backend,
@@ -65,19 +65,16 @@ class Loop:
     ) -> None:
         self._job, self._scheduler = job, job.scheduler
         self._recipe = replace(job.recipe, fence=lock.fence, publication=publication)
-        self._distant = Distant(publication)
         # Who shares no folder shares no renders either, and makes those of its own shard.
-        self._prepares = job.preparer is not None and not self._distant
+        self._prepares = job.preparer is not None and not self._recipe.apart
         self._lacking = resumed.lacking
-        self._ledger, self._progress, self._lock = ledger, progress, lock
+        self._results, self._progress = results, progress
         self._backend = backend
         self._log = ShardLog(self._recipe.directory)
         self._ready: deque[PendingShard] = deque()
         self._preparing: deque[PendingFrame] = deque()
         self._needed: dict[str, PendingFrame] = {}
-        self._running: dict[Future[Any], tuple[Pending, Path]] = {}
-        self._standstill = Standstill(self._scheduler)
-        self._expired: set[Future[Any]] = set()
+        self._running: dict[Future[Any], tuple[Pending, AttemptState, Path]] = {}
         self._unsettled = len(resumed.todo)
         self._failed_frames = 0
         self._barren_deaths = 0
@@ -103,19 +100,13 @@ class Loop:
             done, _ = wait(self._running, timeout=_POLL_S, return_when=FIRST_COMPLETED)
             if not self._running:
                 time.sleep(0.01)  # all that is left waits for its next try
-            self._distant.hear([journal for _, journal in self._running.values()])
             for future in done:
-                self._distant.hear([self._running[future][1]], at_once=True)
                 self._take_result(*self._running.pop(future), future)
-                self._expired.discard(future)
-            for future in self._standstill.among(self._running, time.monotonic()):
-                self._backend.expire(future)
-                self._expired.add(future)
             self._backend.poll()
-            self._lock.check()
-            running = self._running.values()
             shards = [
-                (path, work.begun) for work, path in running if isinstance(work, PendingShard)
+                (state, work.begun)
+                for work, state, _ in self._running.values()
+                if isinstance(work, PendingShard)
             ]
             self._progress.show(shards, self._failed_frames)
 
@@ -127,39 +118,47 @@ class Loop:
             self._submit_frame(frame)
 
     def _submit_shard(self, shard: PendingShard) -> None:
-        task = shard.task
-        shard.number += 1
-        shard.begun = time.monotonic()
-        journal = self._journal(task.path, shard.number)
-        recipe = self._recipe
-        if task.path in self._job.earlier:
-            recipe = replace(recipe, provenance=self._job.earlier[task.path])
-        lacking = self._lacking.get(task.path, ())
-        attempt = ShardAttempt(task, recipe, journal, shard.given_up, lacking, shard.keys)
-        # The worker watches each frame itself, and `Standstill` the worker.
-        limit_s = (len(task.items) + 2) * self._scheduler.frame_timeout_s + 60.0
-        future = self._backend.submit(run_shard, pickle.dumps(attempt), limit_s, NOISE)
-        self._running[future] = (shard, journal)
+        trace = self._trace(shard.task.path, shard)
+        lacking = self._lacking.get(shard.task.path, ())
+        attempt = ShardAttempt(shard.task, self._recipe, trace, shard.given_up, lacking, shard.keys)
+        self._submit(run_shard, attempt, NOISE, shard, trace)
 
     def _submit_frame(self, frame: PendingFrame) -> None:
-        frame.number += 1
-        frame.begun = time.monotonic()
-        journal = self._journal(frame.ref.name, frame.number)
-        attempt = FrameAttempt(frame.ref, self._recipe, journal)
-        limit_s = 3 * self._scheduler.frame_timeout_s + 60.0
-        future = self._backend.submit(run_frame, pickle.dumps(attempt), limit_s, RENDER)
-        self._running[future] = (frame, journal)
+        trace = self._trace(frame.ref.name, frame)
+        attempt = FrameAttempt(frame.ref, self._recipe, trace)
+        self._submit(run_frame, attempt, RENDER, frame, trace)
 
-    def _journal(self, name: str, number: int) -> Path:
-        return self._recipe.work_folder / f"{name.replace('/', '-')}.{number}.journal"
+    def _submit(
+        self,
+        function: Callable[[bytes], Any],
+        attempt: ShardAttempt | FrameAttempt,
+        pool: str,
+        work: Pending,
+        trace: Path,
+    ) -> None:
+        work.begun = time.monotonic()
+        state = AttemptState()
+        # A worker ends itself when a frame takes too long, which leaves its traceback; one that
+        # was stopped cannot, and is killed a little later.
+        silence_s = self._scheduler.frame_timeout_s + _GRACE_S
+        pickled = pickle.dumps(attempt)
+        future = self._backend.submit(function, pickled, silence_s, pool, state.hear)
+        self._running[future] = (work, state, trace)
 
-    def _take_result(self, work: Pending, journal: Path, future: Future[Any]) -> None:
+    def _trace(self, name: str, work: Pending) -> Path:
+        work.number += 1
+        return self._recipe.work_folder / f"{name.replace('/', '-')}.{work.number}.trace"
+
+    def _take_result(
+        self, work: Pending, state: AttemptState, trace: Path, future: Future[Any]
+    ) -> None:
         error = future.exception()
-        state = read_journal(journal)
+        told = traceback_in(trace)
+        with suppress(OSError):
+            trace.unlink(missing_ok=True)
         if state.begun or error is None:
             self._barren_deaths = 0
         if error is None:
-            self._forget(journal)
             result = future.result()
             if isinstance(work, PendingFrame):
                 self._prepared(work, result)
@@ -170,9 +169,9 @@ class Loop:
                 self._progress.estimate.pairs(seconds, state.samples)
                 self._settle(work, result)
             return
-        kind, reason = self._cause(error, state.timed_out or future in self._expired)
-        self._log.death(work, reason, journal)
-        self._forget(journal)
+        late = "Timeout (" in told or state.silent_s() >= self._scheduler.frame_timeout_s
+        kind, reason = self._cause(error, late)
+        self._log.death(work, reason, told)
         if not state.begun:
             # Nothing of it was touched yet, so nothing of it is to blame.
             self._barren_deaths += 1
@@ -190,10 +189,6 @@ class Loop:
                 self._give_up(work)
         if again:
             self._retry_later(work, work.deaths if state.begun else self._barren_deaths)
-
-    def _forget(self, journal: Path) -> None:
-        journal.unlink(missing_ok=True)
-        self._distant.forget(journal)
 
     def _retry_later(self, work: Pending, deaths: int) -> None:
         work.not_before = time.monotonic() + backoff_s(self._scheduler.backoff_s, deaths)
@@ -257,8 +252,12 @@ class Loop:
         self._unsettled -= 1
         self._failed_frames += len(result.failures)
         self._progress.settled_samples += shard.task.samples
+        gone = {failure.ref.name for failure in result.failures}
+        self._progress.lost_samples += sum(
+            len(variants) for ref, variants in shard.task.items if ref.name in gone
+        )
         self._log.finished(shard, result)
-        self._ledger.settle(shard.task, result)
+        self._results.settle(shard.task, result)
 
 
 def _take(queue: deque[Any], now: float) -> Any:

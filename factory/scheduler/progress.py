@@ -11,18 +11,16 @@ import time
 from collections import deque
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
-from ..dataset.format.manifest import part_name
 from ..dataset.write.folder import STATUS_NAME
 from ..errors import FactoryError
 from ..files import write_atomically
 from ..progress import Lines, clock, stage
+from .attempt import AttemptState
 from .job import Job
-from .journal import read_journal
 from .settings import Crew
 
 _EVERY_S = 1.0
@@ -84,13 +82,15 @@ class ProgressBar:
 
     total: planned samples.  settled: of them, those that need no work any more.
     settled_samples: planned samples of the shards that are settled (made, kept or given up).
+    lost_samples: of them, those of frames that failed.
     """
 
     def __init__(self, job: Job, crew: Crew, total: int, settled: int) -> None:
         self.settled_samples = settled
+        self.lost_samples = 0
         self.frames_total = 0
         self.estimate = Estimate(crew)
-        self._path = job.directory / part_name(STATUS_NAME, job.shard.part)
+        self._path = job.directory / _status_name(job.shard.part)
         self._total, self._first, self._pairs = total, settled, settled
         self._workers = {"render": crew.render, "noise": crew.noise}
         self._frames = {"rendered": 0, "from_cache": 0, "failed": 0}
@@ -112,16 +112,14 @@ class ProgressBar:
         if not failed:
             self.estimate.frame(seconds)
 
-    def show(self, shards: Sequence[tuple[Path, float]], failed: int) -> None:
+    def show(self, shards: Sequence[tuple[AttemptState, float]], failed: int) -> None:
         """Show how far it is; cheap enough to be called several times a second.
 
-        shards: journal of each that is being made, and when it was begun.
+        shards: state of each that is being made, and when it was begun.
         """
-        states = [read_journal(journal) for journal, _ in shards]
+        states = [state for state, _ in shards]
         now = time.monotonic()
-        self.estimate.running(
-            (now - begun, state.samples) for (_, begun), state in zip(shards, states, strict=True)
-        )
+        self.estimate.running((now - begun, state.samples) for state, begun in shards)
         self._pairs = self.settled_samples + sum(state.samples for state in states)
         self._failed = failed + sum(state.failed for state in states)
         self._draw()
@@ -162,7 +160,7 @@ class ProgressBar:
             hits = self._frames["from_cache"]
             cached = f" ({hits} from cache)" if hits else ""
             parts.append(f"frames {sum(self._frames.values())}/{self.frames_total}{cached}")
-        parts.append(f"pairs {self._pairs}/{self._total}")
+        parts.append(f"pairs {self._pairs - self.lost_samples}/{self._total}")
         if self._failed:
             parts.append(f"{self._failed} failed")
         return ", ".join(parts)
@@ -182,7 +180,7 @@ class ProgressBar:
             "pid": os.getpid(),
             "begun": time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(self._begun)),
             "seconds": round(seconds, 1),
-            "pairs": {"done": self._pairs, "total": self._total},
+            "pairs": {"done": self._pairs - self.lost_samples, "total": self._total},
             "pairs_per_second": round(rate, 3),
             "seconds_left": None if left is None else round(left),
             "frames": {"total": self.frames_total, **self._frames},
@@ -193,3 +191,8 @@ class ProgressBar:
         with suppress(FactoryError, OSError):
             text = json.dumps(document, indent=1) + "\n"
             write_atomically(self._path, text.encode(), durable=False)
+
+
+def _status_name(part: str) -> str:
+    stem, _, suffix = STATUS_NAME.rpartition(".")
+    return f"{stem}.{part}.{suffix}" if part else STATUS_NAME

@@ -3,39 +3,28 @@
 from __future__ import annotations
 
 import shutil
-from contextlib import suppress
-from dataclasses import replace
+from pathlib import Path
 
 from ..dataset.describe.card import write_card
 from ..dataset.describe.croissant import write_croissant
 from ..dataset.describe.preview import preview
 from ..dataset.format.manifest import MAX_SHARDS, Manifest, load_manifest
 from ..dataset.format.schema import SPLITS
-from ..dataset.write.folder import empty_folder, forget_slices, open_folder
+from ..dataset.write.folder import empty_folder, open_folder
 from ..dataset.write.index import write_index
 from ..dataset.write.writer import compression_filter
 from ..errors import FactoryError
-from ..files import remove_stale_temporaries
+from ..files import explain_os_errors, remove_file, remove_stale_temporaries
 from ..progress import stage
 from ..storage.publish import Publication, publishing
-from .earlier import earlier_shards, provenances
-from .extend import begin_extension
 from .job import Job, work_folder
-from .ledger import Ledger, RunReport
 from .lock import Lock
 from .loop import Loop
 from .progress import ProgressBar
-from .resume import take_up
+from .results import Results, RunReport, take_up
 from .settings import Crew
 from .workers.kept import leased
 from .workers.signals import Interrupted, stop_signals
-
-_NO_SLICES = {
-    "overwrite": "dataset.on_existing=overwrite: slices would delete each other's shards; "
-    "empty the folder first",
-    "extend": "dataset.on_existing=extend: a dataset is extended as a whole; run it without "
-    "shard.index and shard.count, or make the addition elsewhere and merge",
-}
 
 
 def make_dataset(job: Job) -> RunReport:
@@ -54,7 +43,10 @@ def make_dataset(job: Job) -> RunReport:
         )
     compression_filter(job.dataset)
     if job.shard.part and job.dataset.on_existing != "resume":
-        raise FactoryError(_NO_SLICES[job.dataset.on_existing])
+        raise FactoryError(
+            "dataset.on_existing=overwrite: slices would delete each other's shards; "
+            "empty the folder first"
+        )
     apart = job.scheduler.address is not None
     with (
         stop_signals(),
@@ -62,34 +54,17 @@ def make_dataset(job: Job) -> RunReport:
         publishing(job.directory, job.shard.part, apart=apart) as publication,
     ):
         manifest = _open(job)
-        job = _with_earlier(job, manifest)
         report = make_shards(job, manifest, lock, publication)
         if not job.shard.part:
-            forget_slices(job.directory)
+            _forget_slices(job.directory)
             _describe(job, report)
     return report
 
 
 def _open(job: Job) -> Manifest:
     """Make the folder ready; returns what it already holds of this dataset."""
-    on_existing = job.dataset.on_existing
-    emptied = on_existing == "overwrite" and empty_folder(job.directory)
-    if on_existing == "extend" and job.extension:
-        for note in begin_extension(job.directory, job.provenance, job.extension):
-            stage(note)
-    return open_folder(
-        job.directory, job.config_values, job.provenance, job.shard.part, emptied=emptied
-    )
-
-
-def _with_earlier(job: Job, manifest: Manifest) -> Job:
-    """`job` with the shards that its dataset had before it was extended, if it was."""
-    earlier = earlier_shards(job.directory, manifest)
-    if not earlier:
-        return job
-    if job.extension is None or job.shard.part:
-        raise FactoryError(_NO_SLICES["extend"])
-    return replace(job, tasks=job.extension(earlier), earlier=provenances(manifest, earlier))
+    emptied = job.dataset.on_existing == "overwrite" and empty_folder(job.directory)
+    return open_folder(job.directory, job.config_values, job.provenance, emptied=emptied)
 
 
 def make_shards(
@@ -101,7 +76,7 @@ def make_shards(
     `keep_workers` was called before.
     """
     tasks = job.own_tasks
-    resumed = take_up(job.directory, tasks, manifest, whole=not job.shard.part)
+    resumed = take_up(job, manifest)
     for note in resumed.notes:
         stage(note)
     todo = resumed.todo
@@ -113,9 +88,8 @@ def make_shards(
         stage(note)
     total = sum(task.samples for task in tasks)
     progress = ProgressBar(job, crew, total, total - sum(task.samples for task in todo))
-    ledger = Ledger(job, resumed.manifest)
-    ledger.save_failures()
-    ledger.save()
+    results = Results(job, resumed.manifest)
+    results.put_together()
     state = "broken"
     try:
         # Also when nothing is left to do: a run may have been killed after its last shard.
@@ -126,23 +100,17 @@ def make_shards(
             try:
                 settings = job.scheduler.worker_settings(crew, largest, job.preload)
                 with leased(settings) as backend:
-                    Loop(job, resumed, ledger, progress, lock, backend, publication).run()
+                    Loop(job, resumed, results, progress, lock, backend, publication).run()
             finally:
                 _tidy(job)
-        ledger.save_failures()
-        ledger.save()
+        results.put_together()
         state = "finished"
     except BaseException as error:
         state = "stopped" if isinstance(error, Interrupted) else "broken"
-        # What ended the run is reported, not that a full disk has no room for this either:
-        # manifest.jsonl has it all.
-        with suppress(FactoryError):
-            ledger.save_failures()
-            ledger.save()
         raise
     finally:
         progress.close(state)
-    return ledger.report(already_done=len(tasks) - len(todo))
+    return results.report(already_done=len(tasks) - len(todo))
 
 
 def _workers(crew: Crew) -> str:
@@ -152,7 +120,7 @@ def _workers(crew: Crew) -> str:
 
 
 def _tidy(job: Job) -> None:
-    """Remove the workers' journals, and what dead writers left half written."""
+    """Remove what crashed workers and dead writers left."""
     shutil.rmtree(work_folder(job.directory, job.shard), ignore_errors=True)
     for split in SPLITS:
         remove_stale_temporaries(job.directory / split)
@@ -170,3 +138,10 @@ def _describe(job: Job, report: RunReport) -> None:
             job.directory, finished, job.provenance, job.dataset, report.failures, job.skipped
         )
         write_croissant(job.directory, finished, job.dataset)
+
+
+def _forget_slices(directory: Path) -> None:
+    """Remove the states of slices, and what slices of earlier versions left."""
+    for path in directory.glob("*.*-of-*.json*"):
+        with explain_os_errors(path):
+            remove_file(path)

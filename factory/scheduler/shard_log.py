@@ -12,7 +12,6 @@ from .pending import PendingFrame, PendingShard
 from .worker import ShardResult
 
 _AT_ONCE = getattr(os, "O_NONBLOCK", 0)
-_TRACEBACK_CHARACTERS = 4000
 
 
 class ShardLog:
@@ -21,13 +20,12 @@ class ShardLog:
     def __init__(self, directory: Path) -> None:
         self._folder = directory / LOGS_NAME
 
-    def death(self, work: PendingShard | PendingFrame, reason: str, journal: Path) -> None:
-        """A worker died over a shard, or over a frame that shards wait for."""
+    def death(self, work: PendingShard | PendingFrame, reason: str, told: str) -> None:
+        """A worker died over a shard, or a frame that shards wait for.  told: its traceback."""
         shards = [work] if isinstance(work, PendingShard) else work.waiting
         what = "" if isinstance(work, PendingShard) else f"preparing {work.ref.name}, "
-        traceback_text = _traceback_in(journal)
         for shard in shards:
-            self._write(shard, f"{what}try {work.number}: {reason}{traceback_text}")
+            self._write(shard, f"{what}try {work.number}: {reason}{told}")
 
     def finished(self, shard: PendingShard, result: ShardResult) -> None:
         """The shard is settled."""
@@ -45,17 +43,3 @@ class ShardLog:
             descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | _AT_ONCE, 0o644)
             with open(descriptor, "a", encoding="utf-8") as file:
                 file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
-
-
-def _traceback_in(journal: Path) -> str:
-    """The traceback that the interpreter left when it crashed or was too late."""
-    try:
-        text = journal.read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return ""
-    for mark in ("Fatal Python error", "Timeout ("):
-        if mark in text:
-            # The thread that was at work comes first; the others only wait.
-            paragraphs = text[text.index(mark) :].split("\n\n")[:2]
-            return "\n" + "\n".join(paragraphs)[:_TRACEBACK_CHARACTERS].rstrip()
-    return ""

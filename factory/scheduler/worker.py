@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ..dataset.format.manifest import ShardInfo
-from ..dataset.format.sample import Axis, Column, Pair, PairSource, Preparer
-from ..dataset.format.schema import check_pair
+from ..dataset.format.schema import Axis, Column, Pair, PairSource, Preparer, check_pair
 from ..dataset.write.failures import Failure, FailureKind
 from ..dataset.write.writer import write_shard
 from ..errors import FactoryError, FrameError, NotRendered
@@ -20,8 +19,8 @@ from ..files import outlet
 from ..frame import FrameRef
 from ..ownership import fenced
 from ..storage.publish import apart_copy
+from .attempt import DONE, FAILED, START, Watch, say, watch
 from .job import Recipe
-from .journal import AttemptJournal, open_journal
 from .plan import FrameVariants, ShardTask
 
 T = TypeVar("T")
@@ -31,7 +30,7 @@ T = TypeVar("T")
 class ShardAttempt:
     """One attempt at one shard.
 
-    journal: file in which the worker records how far it is.
+    trace: file for the traceback of a crash.
     given_up: frames that killed their workers; recorded as failures without another try.
     lacking: frames that the finished shard on disk lacks.  While all of them still fail, that
         shard is good as it is and kept.
@@ -40,7 +39,7 @@ class ShardAttempt:
 
     task: ShardTask
     recipe: Recipe
-    journal: Path
+    trace: Path
     given_up: tuple[Failure, ...] = ()
     lacking: tuple[str, ...] = ()
     keys: Mapping[str, str] = field(default_factory=dict)
@@ -65,7 +64,7 @@ class FrameAttempt:
 
     ref: FrameRef
     recipe: Recipe
-    journal: Path
+    trace: Path
 
 
 @dataclass(frozen=True)
@@ -116,12 +115,12 @@ def prepare_frame(attempt: FrameAttempt) -> FrameResult:
     """
     recipe, ref = attempt.recipe, attempt.ref
     assert recipe.preparer is not None
-    with open_journal(attempt.journal, recipe.frame_timeout_s) as journal:
-        with journal.watched():
+    with watch(attempt.trace, recipe.frame_timeout_s) as clock:
+        with clock.watched():
             preparer: Preparer = _build(recipe.preparer, recipe)
-        journal.start(0)
+        say(START, 0)
         try:
-            with journal.watched():
+            with clock.watched():
                 made = preparer.prepare(ref)
             return FrameResult(None, made.hit, made.bytes, made.key)
         except FrameError as error:
@@ -140,17 +139,14 @@ def make_shard(attempt: ShardAttempt) -> ShardResult:
     with ExitStack() as here:
         attempt = _at_hand(attempt, here)
         recipe = attempt.recipe
-        tell = recipe.publication and recipe.publication.apart and recipe.publication.tell
-        journal = here.enter_context(
-            open_journal(attempt.journal, recipe.frame_timeout_s, tell or None)
-        )
-        with journal.watched():
+        clock = here.enter_context(watch(attempt.trace, recipe.frame_timeout_s))
+        with clock.watched():
             source: PairSource = _build(recipe.source, recipe)
             source.expect(attempt.keys)
             preparer = None
-            if tell and recipe.preparer:
+            if recipe.apart and recipe.preparer:
                 preparer = _build(recipe.preparer, recipe)
-            frames = _Frames(attempt, source, journal, source.axes(), source.columns(), preparer)
+            frames = _Frames(attempt, source, clock, source.axes(), source.columns(), preparer)
         lacking = [
             item for item in enumerate(attempt.task.items) if item[1][0].name in attempt.lacking
         ]
@@ -164,13 +160,13 @@ def make_shard(attempt: ShardAttempt) -> ShardResult:
 def _at_hand(attempt: ShardAttempt, here: ExitStack) -> ShardAttempt:
     """The attempt as this process can work on it: who shares no folder has one of its own."""
     publication = attempt.recipe.publication
-    if publication is None or not publication.apart:
+    if publication is None or not attempt.recipe.apart:
         here.enter_context(fenced(attempt.recipe.fence))
         here.enter_context(outlet(publication))
         return attempt
     publication = here.enter_context(apart_copy(publication))
     recipe = replace(attempt.recipe, directory=publication.folder, publication=publication)
-    return replace(attempt, recipe=recipe, journal=publication.folder / attempt.journal.name)
+    return replace(attempt, recipe=recipe, trace=publication.folder / attempt.trace.name)
 
 
 def _made(
@@ -228,13 +224,13 @@ def _build(maker: Callable[[Any], T], recipe: Recipe) -> T:
 
 
 class _Frames:
-    """Goes through the frames of one attempt and records each in the journal."""
+    """Goes through the frames of one attempt and tells of each."""
 
     def __init__(
         self,
         attempt: ShardAttempt,
         source: PairSource,
-        journal: AttemptJournal,
+        clock: Watch,
         axes: tuple[Axis, Axis],
         columns: tuple[Column, ...],
         preparer: Preparer | None = None,
@@ -242,7 +238,7 @@ class _Frames:
         self._preparer = preparer
         self.axes, self.columns = axes, columns
         self.failures: list[Failure] = []
-        self._attempt, self._source, self._journal = attempt, source, journal
+        self._attempt, self._source, self._clock = attempt, source, clock
         self._given_up = {failure.ref.name: failure for failure in attempt.given_up}
 
     @property
@@ -256,9 +252,9 @@ class _Frames:
             pairs, failure = self.attempt(index, item)
             if failure:
                 self.failures.append(failure)
-                self._journal.failed(index)
+                say(FAILED, index)
             else:
-                self._journal.done(index, len(pairs))
+                say(DONE, len(pairs))
             yield from pairs
 
     def attempt(self, index: int, item: FrameVariants) -> tuple[list[Pair], Failure | None]:
@@ -266,12 +262,12 @@ class _Frames:
         ref, variants = item
         if ref.name in self._given_up:
             return [], self._given_up[ref.name]
-        self._journal.start(index)
+        say(START, index)
         try:
             if self._preparer is not None:
-                with self._journal.watched():
+                with self._clock.watched():
                     self._preparer.prepare(ref)
-            with self._journal.watched():
+            with self._clock.watched():
                 pairs = self._source.pairs(ref, variants)
             if len(pairs) != len(variants):
                 raise FrameError(f"{ref.name}: {len(pairs)} pairs for {len(variants)} variants")

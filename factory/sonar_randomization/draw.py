@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from .. import seeds
-from ..dataset.format.sample import Column
+from ..dataset.format.schema import Column
 from ..distribution import number
 from ..imaging.contract import Scene
 from ..noise.registry import EFFECTS, NoiseSettings, blocks

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -71,32 +72,28 @@ def read_clips(
     Raises FactoryError when there are none.
     """
     items = find_items(paths, out)
-    shards = [item for item in items if item.kind == "shard"]
-    if shards:
+    if shard := next((item for item in items if item.kind == "shard"), None):
         raise FactoryError(
-            f"{shards[0].source}: belongs to a dataset; `simnfnd train` learns from these, and "
+            f"{shard.source}: belongs to a dataset; `simnfnd train` learns from these, and "
             "`simnfnd adapt` from recordings, videos and pictures"
         )
     found = Found()
-    files = [_File(item) for item in items if item.kind != "image"]
-    folders: dict[Path, list[Item]] = {}
-    for item in items:
-        if item.kind == "image":
-            folders.setdefault(item.source.parent, []).append(item)
-    sources: list[_File | _Folder] = [
-        *files,
-        *(_Folder(folder, pictures) for folder, pictures in folders.items()),
-    ]
-    pixels = 0
-    for source in sources:
-        count, size = source.extent(found)
-        found.frames += count
-        pixels += count * size
-    share = min(1.0, most_pixels / max(pixels, 1))
-    for source in sources:
-        shots = list(source.read(share, geometries, found))
+    # Each a recording, or the pictures right in a folder by their names.
+    sources = [[item] for item in items if item.kind != "image"]
+    pictures = [item for item in items if item.kind == "image"]
+    pictures.sort(key=lambda item: (item.source.parent, natural(item.source)))
+    sources += [list(part) for _, part in groupby(pictures, lambda item: item.source.parent)]
+    extents = [_extent(source, found) for source in sources]
+    found.frames = sum(count for count, _ in extents)
+    share = min(1.0, most_pixels / max(sum(count * size for count, size in extents), 1))
+    for source, (count, _) in zip(sources, extents, strict=True):
+        is_folder = source[0].kind == "image"
+        read = _pictures if is_folder else _frames
+        shots = list(read(source, runs(count, share), geometries, found)) if count else []
         if shots:
-            found.clips.append(Clip(source.name, presented(shots), isinstance(source, _Folder)))
+            path = source[0].source
+            name = path.parent.name if is_folder else path.name
+            found.clips.append(Clip(name, presented(shots), is_folder))
     if not found.clips:
         more = f" ({found.skipped[0]})" if found.skipped else ""
         raise FactoryError(f"{paths[0]}: no frame can be read{more}")
@@ -127,68 +124,52 @@ def natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
 
 
-class _File:
-    """A video or a sonar's recording."""
-
-    def __init__(self, item: Item) -> None:
-        self.item, self.name = item, item.source.name
-        self._count = 0
-
-    def extent(self, found: Found) -> tuple[int, int]:
-        """Number of frames, and pixels of one; notes a file that cannot be read."""
-        try:
-            with open_recording(self.item.source) as recording:
-                self._count = len(recording)
-                return self._count, int(np.prod(recording[0].samples.shape[:2]))
-        except FactoryError as error:
-            found.skipped.append(str(error))
-            self._count = 0
-            return 0, 0
-
-    def read(self, share: float, geometries: Geometries, found: Found) -> Iterator[Shot]:
-        """The chosen frames; the rest after a damaged one is noted and left out."""
-        if not self._count:
-            return
-        with open_recording(self.item.source) as recording:
+def _extent(source: list[Item], found: Found) -> tuple[int, int]:
+    """Number of frames, and pixels of one; notes a recording that cannot be read."""
+    if source[0].kind == "image":
+        for item in source:
             try:
-                for number in runs(self._count, share):
-                    yield self._shot(recording[number], geometries)
-            except FrameError as error:
-                found.skipped.append(str(error))
-
-    def _shot(self, frame: Frame, geometries: Geometries) -> Shot:
-        if frame.beams is not None:
-            geometry = polar_geometry(frame.beams, len(frame.samples))
-            return Shot(grey_of(frame), geometry)
-        if frame.samples.ndim == 2:
-            return Shot(grey_of(frame), geometries.of(self.item, frame.samples))
-        grey = grey_of_colours(frame.samples)
-        return Shot(grey, geometries.of(self.item, grey))
-
-
-class _Folder:
-    """The pictures right in a folder, in the order of their names."""
-
-    def __init__(self, folder: Path, items: list[Item]) -> None:
-        self.name = folder.name
-        self.items = sorted(items, key=lambda item: natural(item.source))
-
-    def extent(self, found: Found) -> tuple[int, int]:
-        """Number of pictures, and pixels of the first that can be read."""
-        for item in self.items:
-            try:
-                return len(self.items), read_grey(item.source).size
+                return len(source), read_grey(item.source).size
             except FactoryError:
                 continue  # noted when all are read
-        return len(self.items), 0
+        return len(source), 0
+    try:
+        with open_recording(source[0].source) as recording:
+            return len(recording), int(np.prod(recording[0].samples.shape[:2]))
+    except FactoryError as error:
+        found.skipped.append(str(error))
+        return 0, 0
 
-    def read(self, share: float, geometries: Geometries, found: Found) -> Iterator[Shot]:
-        """The chosen pictures; those that cannot be read are noted."""
-        for number in runs(len(self.items), share):
-            item = self.items[number]
-            try:
-                grey = read_grey(item.source)
-            except FactoryError as error:
-                found.skipped.append(str(error))
-                continue
-            yield Shot(grey, geometries.of(item, grey))
+
+def _frames(
+    source: list[Item], numbers: list[int], geometries: Geometries, found: Found
+) -> Iterator[Shot]:
+    """Frames of a recording; the rest after a damaged one is noted and left out."""
+    with open_recording(source[0].source) as recording:
+        try:
+            for number in numbers:
+                yield _shot(recording[number], source[0], geometries)
+        except FrameError as error:
+            found.skipped.append(str(error))
+
+
+def _shot(frame: Frame, item: Item, geometries: Geometries) -> Shot:
+    if frame.beams is not None:
+        return Shot(grey_of(frame), polar_geometry(frame.beams, len(frame.samples)))
+    if frame.samples.ndim == 2:
+        return Shot(grey_of(frame), geometries.of(item, frame.samples))
+    grey = grey_of_colours(frame.samples)
+    return Shot(grey, geometries.of(item, grey))
+
+
+def _pictures(
+    source: list[Item], numbers: list[int], geometries: Geometries, found: Found
+) -> Iterator[Shot]:
+    """Pictures of a folder; those that cannot be read are noted."""
+    for number in numbers:
+        try:
+            grey = read_grey(source[number].source)
+        except FactoryError as error:
+            found.skipped.append(str(error))
+            continue
+        yield Shot(grey, geometries.of(source[number], grey))

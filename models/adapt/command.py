@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,13 +15,18 @@ from ..denoise.geometries import FIND, Geometries
 from ..pretrained import find_weights
 
 if TYPE_CHECKING:
-    from ..networks.network import Network
     from .clips import Found
-    from .objectives import BlindLesson, StillLesson
-    from .simulated import Simulated
-    from .tuning import Tuned
+    from .still import Lessons
 
-_BATCH, _RATE = 2, 1e-3
+_RATE = 1e-3
+_BOUNDS = {
+    "keep": (lambda x: 0 <= x < 1, "must be 0 or more and less than 1"),
+    "steps": (lambda x: x >= 1, "must be 1 or more"),
+    "minutes": (lambda x: 0 < x <= 1e4, "must be more than 0, and 10000 at most"),
+    "learning_rate": (lambda x: 0 < x <= 1, "must lie between 0 and 1"),
+    "seed": (lambda x: x >= 0, "must be 0 or more"),
+}
+"""Option -> whether a value will do, and what is wrong with one that does not."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -40,7 +46,7 @@ def main(arguments: Sequence[str]) -> int:
         print(f"skipped: {line}", file=sys.stderr)
     for line in geometries.summary():
         print(line)
-    return _adapt(chosen, found, start, out)
+    return _adapt(chosen, _lessons(found), start, out)
 
 
 def _parsed(arguments: Sequence[str]) -> Any:
@@ -71,22 +77,8 @@ def _parsed(arguments: Sequence[str]) -> Any:
         "--geometry",
         default=FIND,
         help="of pictures and videos: `find` it in the picture (default), `polar`, `none`, or a "
-        "CSV table of fans as `simnfnd geometry` prints; recordings know theirs",
+        "CSV table of fans (file, apex_x, apex_y, ...); recordings know theirs",
     )
-    parser.add_argument(
-        "--part",
-        type=float,
-        default=1.0,
-        help="part of the change of the weights that is kept, 0 to 1 (1); less serves other sonars",
-    )
-    parser.add_argument(
-        "--untold",
-        type=float,
-        default=0.0,
-        help="part of the steps without a word about geometry, 0 to 1 (0); more serves other "
-        "sonars",
-    )
-    parser.add_argument("--batch", type=int, default=_BATCH, help=f"crops a step ({_BATCH})")
     parser.add_argument(
         "--learning-rate", type=float, default=_RATE, help=f"of AdamW at its highest ({_RATE:g})"
     )
@@ -95,91 +87,15 @@ def _parsed(arguments: Sequence[str]) -> Any:
     chosen = parser.parse_args(list(arguments))
     if Path(chosen.out).suffix != ".safetensors":
         raise FactoryError(f"--out {chosen.out}: must end in .safetensors")
-    if not 0 <= chosen.keep < 1:
-        raise FactoryError(f"--keep {chosen.keep:g}: must be 0 or more and less than 1")
-    if chosen.steps is not None and chosen.steps < 1:
-        raise FactoryError(f"--steps {chosen.steps}: must be 1 or more")
-    if not 0 < chosen.minutes <= 1e4:
-        raise FactoryError(f"--minutes {chosen.minutes:g}: must be more than 0, and 10000 at most")
-    if not 0 < chosen.part <= 1:
-        raise FactoryError(f"--part {chosen.part:g}: must be more than 0, and 1 at most")
-    if not 0 <= chosen.untold <= 1:
-        raise FactoryError(f"--untold {chosen.untold:g}: must lie between 0 and 1")
-    if not 1 <= chosen.batch <= 1024:
-        raise FactoryError(f"--batch {chosen.batch}: must lie between 1 and 1024")
-    if not 0 < chosen.learning_rate <= 1:
-        raise FactoryError(f"--learning-rate {chosen.learning_rate:g}: must lie between 0 and 1")
-    if chosen.seed < 0:
-        raise FactoryError(f"--seed {chosen.seed}: must be 0 or more")
+    for name, (is_good, wrong) in _BOUNDS.items():
+        value = getattr(chosen, name)
+        if value is not None and not is_good(value):
+            raise FactoryError(f"--{name.replace('_', '-')} {value:g}: {wrong}")
     return chosen
 
 
-def _adapt(chosen: Any, found: Found, start: Path, out: Path) -> int:
-    # torch takes seconds to import: only when there is something to learn from.
-    import torch
-
-    from ..networks.weights import load_weights, save_weights
-    from .objectives import KeptLesson
-    from .tuning import Pace, tune
-
-    if chosen.device == "gpu" and not torch.cuda.is_available():
-        raise FactoryError("--device gpu: no usable GPU here; use --device cpu")
-    device = "cuda" if torch.cuda.is_available() and chosen.device != "cpu" else "cpu"
-    trained = load_weights(start)
-    model = dict(trained.model)
-    network = _network(model, trained.network).to(device)
-    lesson, facts = _lesson(found, chosen, device)
-    kept = None
-    if chosen.keep:
-        simulated = _simulated(chosen)
-        lesson_kept = KeptLesson(simulated, network, chosen.batch, chosen.seed, device)
-        if len(lesson_kept):
-            kept, remembered = lesson_kept, lesson_kept.figure(network)
-            facts |= {"kept": simulated.name, "kept.pictures": len(kept)}
-        else:
-            print("simulated pictures: the weights improve none of them, so there is none to keep")
-    pace = Pace(chosen.steps, chosen.minutes, chosen.keep, chosen.learning_rate, part=chosen.part)
-    tuned = tune(network, lesson, kept, pace, chosen.seed)
-    print(_said(lesson, tuned))
-    if kept is not None:
-        print(
-            f"simulated pictures held out, PSNR: before {remembered:.2f}, "
-            f"after {kept.figure(network):.2f} dB"
-        )
-    if not tuned.is_better:
-        print("nothing written: no weights on the way were better than those it began with")
-        return 1
-    facts |= {
-        "start": sha256_of(start)[:16],
-        "start.training": dict(trained.training),
-        "steps": tuned.steps,
-        "keep": chosen.keep,
-        "learning_rate": pace.learning_rate,
-        "batch": chosen.batch,
-        "part": pace.part,
-        "untold": chosen.untold,
-        "seed": chosen.seed,
-        "validation": {"step": tuned.step, "before": tuned.before, "after": tuned.after},
-    }
-    save_weights(out, network, model, facts)
-    print(f"weights: {out} (step {tuned.step} of {tuned.steps}; use them with --weights {out})")
-    return 0
-
-
-def _network(model: Mapping[str, Any], trained: Network) -> Network:
-    from ..networks import build_network
-    from ..networks.weights import channels_last
-
-    network = build_network(model)
-    network.load_state_dict(trained.state_dict())
-    return channels_last(network).eval()
-
-
-def _lesson(
-    found: Found, chosen: Any, device: str
-) -> tuple[StillLesson | BlindLesson, dict[str, Any]]:
-    """What there is to learn from in the recordings, and facts about it."""
-    from .objectives import BlindLesson, StillLesson
+def _lessons(found: Found) -> Lessons:
+    """What stands still in the recordings; FactoryError where nothing does."""
     from .still import find_lessons
 
     read = sum(len(clip.shots) for clip in found.clips)
@@ -191,11 +107,10 @@ def _lesson(
     share = f"{read} of {found.frames}" if read < found.frames else f"{read}"
     lessons = find_lessons(found.clips)
     if lessons is None:
-        shots = [shot for clip in found.clips for shot in clip.shots]
-        blind = BlindLesson(shots, chosen.batch, chosen.seed, device)
-        print(f"nothing stands still in {share} frames: single pixels are foretold (blind spots)")
-        return blind, {"adapted.by": "blind spots", "adapted.frames": len(blind.shots)}
-    still = StillLesson(lessons, chosen.batch, chosen.seed, device, chosen.untold)
+        raise FactoryError(
+            f"{found.clips[0].name}: nothing stands still in {share} frames, so no mean of other "
+            "frames can be learned from; record a scene with the sonar at rest"
+        )
     learning, held = (
         sum(len(one.frames) for one in part) for part in (lessons.learning, lessons.held)
     )
@@ -204,28 +119,85 @@ def _lesson(
         f"{stretches} stretch(es) stand still in {share} frames: {learning} frames to learn from, "
         f"{held} held out" + (", of the same stretch" if lessons.same else "")
     )
-    return still, {
-        "adapted.by": "mean of the other frames",
-        "adapted.frames": learning,
-        "adapted.stretches": len(lessons.learning),
-    }
+    return lessons
 
 
-def _simulated(chosen: Any) -> Simulated:
+def _adapt(chosen: Any, lessons: Lessons, start: Path, out: Path) -> int:
+    # torch takes seconds to import: only when there is something to learn from.
+    import torch
+    from lightning.fabric import Fabric
+
+    from ..networks.weights import load_weights, save_weights
+    from ..settings import TrainSettings
+    from .module import CHECKS, AdaptModule, Lesson, steps_within, tune
     from .simulated import of_dataset, of_reliefs
 
-    if chosen.pairs is not None:
-        return of_dataset(chosen.pairs, chosen.seed)
-    return of_reliefs(chosen.seed)
-
-
-def _said(lesson: StillLesson | BlindLesson, tuned: Tuned) -> str:
-    from .objectives import StillLesson
-
-    figures = f"before {tuned.before:.2f}, after {tuned.after:.2f} dB"
-    if isinstance(lesson, StillLesson):
-        worse = tuned.after < lesson.noisy
-        return f"frames held out, PSNR after levels: noisy {lesson.noisy:.2f}, {figures}" + (
-            "\nthat is less than the frames as they are; more --minutes may help" if worse else ""
+    if chosen.device == "gpu" and not torch.cuda.is_available():
+        raise FactoryError("--device gpu: no usable GPU here; use --device cpu")
+    logging.getLogger("lightning.fabric").setLevel(logging.ERROR)
+    fabric = Fabric(accelerator=chosen.device, devices=1)
+    trained = load_weights(start)
+    network = trained.network.to(fabric.device)
+    lesson, kept = Lesson(lessons, chosen.seed, "frames" in network.extras), {}
+    if chosen.keep:
+        simulated = (
+            of_dataset(chosen.pairs, chosen.seed) if chosen.pairs else of_reliefs(chosen.seed)
         )
-    return f"hidden pixels of frames held out, foretold: {figures}"
+        if lesson.keep(simulated, network):
+            kept = {"kept": simulated.name, "kept.pictures": len(lesson.kept)}
+            remembered = lesson.kept_figure(network)
+        else:
+            print("simulated pictures: the weights improve none of them, so there is none to keep")
+
+    def module_of(steps: int) -> AdaptModule:
+        checks = next(count for count in range(CHECKS, 0, -1) if steps % count == 0)
+        return AdaptModule(
+            network,
+            TrainSettings(
+                steps=steps,
+                check_every=steps // checks,
+                patience=None,
+                learning_rate=chosen.learning_rate,
+                weight_decay=1e-4,
+                warmup=10,
+                clip=1.0,
+                ema=0.98,
+                precision="32-true",
+            ),
+            chosen.seed,
+            chosen.keep,
+        )
+
+    steps = chosen.steps or steps_within(chosen.minutes, module_of(1), lesson, fabric)
+    best = tune(module_of(steps), lesson, fabric)
+    noisy = lesson.noisy_figure()
+    print(
+        f"frames held out, PSNR after levels: noisy {noisy:.2f}, before {best.before:.2f}, "
+        f"after {best.after:.2f} dB"
+    )
+    if best.after < noisy:
+        print("that is less than the frames as they are; more --minutes may help")
+    if kept:
+        print(
+            f"simulated pictures held out, PSNR: before {remembered:.2f}, "
+            f"after {lesson.kept_figure(network):.2f} dB"
+        )
+    if not best.after > best.before:
+        print("nothing written: no weights on the way were better than those it began with")
+        return 1
+    facts = {
+        "adapted.by": "mean of the other frames",
+        "adapted.frames": sum(len(one.frames) for one in lessons.learning),
+        "adapted.stretches": len(lessons.learning),
+        **kept,
+        "start": sha256_of(start)[:16],
+        "start.training": dict(trained.training),
+        "steps": steps,
+        "keep": chosen.keep,
+        "learning_rate": chosen.learning_rate,
+        "seed": chosen.seed,
+        "validation": {"step": best.step, "before": best.before, "after": best.after},
+    }
+    save_weights(out, network, trained.model, facts)
+    print(f"weights: {out} (step {best.step} of {steps}; use them with --weights {out})")
+    return 0

@@ -16,14 +16,13 @@ from ...factory.config import FactoryConfig
 from ...factory.errors import FactoryError, FrameError
 from ...factory.frame import FrameRef
 from ...factory.imaging.contract import ARTEFACTS
-from ...factory.noise.draws import DrawnEffect, StreamNames, draw
+from ...factory.noise.draws import StreamNames, draw
 from ...factory.pairs import ObservedFrame, observe_by
 from ...factory.render.cache.views import Views, open_views
 from ...factory.seeds import stream
 from ...factory.sonar.geometry import FanGeometry
 from ...factory.sonar_randomization import draw as devices
 from ..removal import DEFAULT, vector
-from .looks import stacked
 from .pairs import Image, Sample, weakened
 
 _ATTEMPTS = 40
@@ -45,18 +44,16 @@ class DeviceSource:
         weaker: float,
         choices: float,
         seed: int,
-        looks: int = 1,
     ) -> None:
         """config: with `devices`.  frames: whose renders are at hand.  patch: least side, pixels.
 
         weaker: part of the visits whose noise is blended towards the target.  choices: part of them
-        that ask for other artefacts than the usual ones.  looks: noisy pictures of each, by the
-        same device and parameters.
+        that ask for other artefacts than the usual ones.
         """
         if config.devices is None:
             raise FactoryError("data.experiment: has no `devices` to draw; use any_sonar")
         self.config, self.frames, self.patch = replace(config, seed=seed), frames, patch
-        self.weaker, self.choices, self.seed, self.looks = weaker, choices, seed, looks
+        self.weaker, self.choices, self.seed = weaker, choices, seed
         self._views: Views | None = None
 
     def __len__(self) -> int:
@@ -106,23 +103,13 @@ class DeviceSource:
                 (sample.without(removed), False),
             )
         )
-        others = []
-        for number in range(1, self.looks):
-            own = stream(self.seed, "variant", *names, "look", number)
-            again = observed.scene.sample(
-                int(own.integers(2**31)), [_again(one, number) for one in draws.effects], config
-            )
-            grey = again.noisy(draws.names)
-            others.append(raster.picture(grey, observed.window, config.sonar, noisy=True))
         strength = np.float32(weakened(self.weaker, self.seed, *names))
-        looks = stacked(noisy, others)
         return Sample(
             clean + strength * (noisy - clean),
             clean,
             _shadow(observed, clean),
             FanGeometry.from_sonar(config.sonar, *_limits(observed)),
             vector(removed),
-            None if looks is None else clean + strength * (looks - clean),
         )
 
     def removed(self, *names: int | str) -> tuple[str, ...]:
@@ -132,13 +119,6 @@ class DeviceSource:
             return DEFAULT
         chosen = tuple(name for name in ARTEFACTS if rng.random() < 0.5)
         return chosen or ("speckle",)
-
-
-def _again(effect: DrawnEffect, number: int) -> DrawnEffect:
-    """The effect in a further picture of the same scene: what is in every picture stays."""
-    if effect.systematic:
-        return effect
-    return replace(effect, stream_names=(*effect.stream_names, "look", number))
 
 
 def _shadow(observed: ObservedFrame, clean: Image) -> Image:

@@ -6,6 +6,7 @@ neither the process that makes it nor an interruption of the training matters.
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -20,11 +21,10 @@ from ...factory.seeds import stream
 from ...factory.sonar.geometry import Maps
 from ..removal import DEFAULT, vector
 from ..settings import DataSettings, RendersData
-from .kept import KEPT, drawn
 from .pairs import Batch, Sample, Source
 
-Window = tuple[slice, slice]
-_WHOLE: Window = (slice(None), slice(None))
+KEPT = 96
+"""Pictures in memory; one of 700x500 pixels takes 4 MB."""
 
 
 class Visit(NamedTuple):
@@ -71,7 +71,7 @@ class Crops(Dataset[Batch]):
             top = int(rng.integers(height - shape[0] + 1))
             left = int(rng.integers(width - shape[1] + 1))
             flip = self.flip and rng.random() < 0.5
-            parts.append(_crop(sample, (top, left), shape, flip, self.extras))
+            parts.append(crop(sample, (top, left), shape, flip, self.extras))
         return concatenate(parts)
 
 
@@ -90,44 +90,42 @@ class WholeImages(Dataset[Batch]):
 
 def whole_image_batch(sample: Sample, extras: Sequence[str] = ()) -> Batch:
     """A sample as a batch of one."""
-    images = _images(sample)
+    images = _images(sample, extras)
     if sample.geometry is not None and extras:
         maps = sample.geometry.maps(0, 0, *sample.noisy.shape)
         images |= {name: maps[name] for name in extras if name in maps}
-    return {
+    batch = {
         name: torch.from_numpy(np.ascontiguousarray(x))[None, None] for name, x in images.items()
-    } | _told(sample, extras)
+    }
+    return batch | _told(sample, extras)
 
 
-def _crop(
+def crop(
     sample: Sample,
     corner: tuple[int, int],
     shape: tuple[int, int],
     flip: bool,
-    extras: Sequence[str],
+    extras: Sequence[str] = (),
 ) -> Batch:
+    """A batch of one of `shape` (rows, columns) from `corner` on, mirrored left to right or not."""
     (top, left), (height, width) = corner, shape
     window = np.s_[top : top + height, left : left + width]
     step = -1 if flip else 1
-    images = {name: image[window][:, ::step] for name, image in _images(sample).items()}
+    images = {name: image[window][:, ::step] for name, image in _images(sample, extras).items()}
     if sample.geometry is not None and extras:
         maps: Maps = sample.geometry.maps(top, left, height, width)
         maps = _mirrored(maps) if flip else maps
         images |= {name: maps[name] for name in extras if name in maps}
     batch = {name: torch.from_numpy(x.copy())[None, None] for name, x in images.items()}
-    return batch | _told(sample, extras, window, step)
+    return batch | _told(sample, extras)
 
 
-def _told(sample: Sample, extras: Sequence[str], window: Window = _WHOLE, step: int = 1) -> Batch:
-    """What the network is told beside pictures and maps: `remove` (1, 6), `looks` (1, T, h, w)."""
-    told: Batch = {}
-    if "remove" in extras:
-        remove = vector(DEFAULT) if sample.remove is None else sample.remove
-        told["remove"] = torch.from_numpy(remove)[None]
-    if "looks" in extras and sample.looks is not None:
-        part = sample.looks[:, *window][..., ::step]
-        told["looks"] = torch.from_numpy(part.copy())[None]
-    return told
+def _told(sample: Sample, extras: Sequence[str]) -> Batch:
+    """What the network is told beside pictures and maps: `remove` (1, 6)."""
+    if "remove" not in extras:
+        return {}
+    remove = vector(DEFAULT) if sample.remove is None else sample.remove
+    return {"remove": torch.from_numpy(remove)[None]}
 
 
 def _mirrored(maps: Maps) -> Maps:
@@ -137,8 +135,11 @@ def _mirrored(maps: Maps) -> Maps:
     return flipped
 
 
-def _images(sample: Sample) -> Maps:
+def _images(sample: Sample, extras: Sequence[str]) -> Maps:
     images = {"noisy": sample.noisy, "clean": sample.clean, "shadow": sample.shadow}
+    if "frames" in extras:
+        one = np.zeros_like(sample.noisy)  # crops of a batch have the same planes
+        images["frames"] = one if sample.frames is None else sample.frames
     return {name: image for name, image in images.items() if image is not None}
 
 
@@ -172,16 +173,14 @@ class VisitSampler(Sampler[list[Visit]]):
         self.sizes = interval_sizes(data, intervals)
         self.reuse = data.reuse if isinstance(data, RendersData) else 1
         self._orders: dict[int, npt.NDArray[np.int64]] = {}
-        # Lightning calls `set_epoch` of a batch sampler's sampler.
-        self.sampler = self
-        self._interval = 0
+        self._interval = self._done = 0
 
-    def set_epoch(self, epoch: int) -> None:
-        """Lightning calls this with the number of the interval, also after resuming."""
-        self._interval = epoch
+    def begin(self, interval: int, done: int) -> None:
+        """Which interval is next, and how many of its steps are done already."""
+        self._interval, self._done = interval, done
 
     def __len__(self) -> int:
-        return self.steps
+        return self.steps - self._done
 
     def _order(self, round_: int) -> npt.NDArray[np.int64]:
         if round_ not in self._orders:
@@ -195,9 +194,9 @@ class VisitSampler(Sampler[list[Visit]]):
     def __iter__(self) -> Iterator[list[Visit]]:
         before = sum(batch for _, batch in self.sizes[: self._interval])
         patch, batch = self.sizes[self._interval]
-        number = before * self.steps // self.crops
+        number = (before * self.steps + self._done * batch) // self.crops
         rank, ranks = _rank()
-        for _ in range(self.steps):
+        for _ in range(self.steps - self._done):
             visits = []
             for _ in range(batch // self.crops):
                 round_, place = divmod(drawn(number, self.reuse, self.seed), self.images)
@@ -207,6 +206,43 @@ class VisitSampler(Sampler[list[Visit]]):
                 visits.append(Visit(number, index, round_, patch))
                 number += 1
             yield visits[rank::ranks]
+
+
+def drawn(number: int, reuse: int, seed: int) -> int:
+    """The number of the picture of this visit when every picture serves `reuse` visits on average.
+
+    Every `reuse`-th visit shows the next picture, the others one of the last `KEPT`.
+    """
+    newest = number // reuse
+    if number % reuse == 0:
+        return newest
+    return max(newest - int(stream(seed, "reuse", number).integers(KEPT)), 0)
+
+
+class KeptSource:
+    """The last `KEPT` samples of a source are not made again; a `Source`."""
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self._kept: OrderedDict[tuple[int, int], Sample] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def __getstate__(self) -> dict[str, object]:
+        return {"source": self.source, "_kept": OrderedDict()}
+
+    def sample(self, index: int, visit: int | None) -> Sample:
+        """See `Source`."""
+        if visit is None:
+            return self.source.sample(index, None)
+        name = index, visit
+        if name not in self._kept:
+            self._kept[name] = self.source.sample(index, visit)
+            if len(self._kept) > KEPT:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(name)
+        return self._kept[name]
 
 
 def interval_sizes(data: DataSettings, intervals: int) -> list[tuple[int, int]]:

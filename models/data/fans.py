@@ -11,6 +11,9 @@ from pathlib import Path
 from ...factory.errors import FactoryError
 from ...factory.sonar.geometry import FanGeometry
 
+COLUMNS = (
+    "file", "apex_x", "apex_y", "edge_slope", "top_row", "bottom_row", "squeeze", "quarter_turns",
+)  # fmt: skip
 _MDD_SQUEEZE = {"A": 1.0, "B": 0.8}
 
 
@@ -34,6 +37,21 @@ def read_fans(path: str | Path) -> dict[str, FanGeometry]:
             f"geometry={path}: not a table of fans ({' '.join(str(error).split())}); it needs the "
             "columns file, apex_x, apex_y, edge_slope, top_row, bottom_row"
         ) from error
+
+
+def write_fans(path: str | Path, fans: Mapping[str, FanGeometry]) -> None:
+    """The table of fans, as `read_fans` takes it.  Raises OSError."""
+    with Path(path).open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(COLUMNS)
+        for name, fan in fans.items():
+            half = (fan.azimuth_max_rad - fan.azimuth_min_rad) / 2
+            # The last row of a fan that begins at the sonar lies a trifle ahead of it.
+            ahead = max(fan.near_px, 0.01) * math.cos(half)
+            rows = fan.apex_y_px - fan.far_px, fan.apex_y_px - ahead
+            slope = math.tan(half) * fan.x_scale
+            numbers = (fan.apex_x_px, fan.apex_y_px, slope, *rows, fan.x_scale)
+            table.writerow((name, *(round(one, 5) for one in numbers), fan.quarter_turns))
 
 
 def _fan(row: Mapping[str, str]) -> FanGeometry:

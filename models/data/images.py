@@ -14,7 +14,7 @@ from ..recordings import (
 )
 from ..recordings.fan.pings import frame_picture
 from ..recordings.pictures import read_grey, read_picture
-from .pairs import Image, Sample, SampleRef
+from .pairs import Image, SampleRef
 
 
 def list_images(folder: str | Path, key: str = "data.folder") -> tuple[SampleRef, ...]:
@@ -72,17 +72,3 @@ def _shape(sample: SampleRef) -> tuple[int, ...]:
     if is_recording(sample.path):
         return read_sample(sample)[0].shape
     return read_picture(sample.path).shape[:2]
-
-
-class NoisySource:
-    """`data=self_supervised`: real images as they are; a `simnfnd.models.data.pairs.Source`."""
-
-    def __init__(self, samples: tuple[SampleRef, ...]) -> None:
-        self.samples = samples
-
-    def __len__(self) -> int:
-        return len(self.samples)
-
-    def sample(self, index: int, visit: int | None) -> Sample:
-        """See `Source`."""
-        return Sample(read_sample(self.samples[index])[0])

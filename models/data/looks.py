@@ -5,14 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TypeVar
 
-import numpy as np
-import numpy.typing as npt
-
-Image = npt.NDArray[np.float32]
 T = TypeVar("T")
-
-_VISITS = 2**32
-"""More than a frame is visited in any training."""
 
 
 def centred(pictures: Sequence[T], own: int, count: int) -> list[T]:
@@ -26,13 +19,3 @@ def amid(own: T, others: Sequence[T], count: int) -> list[T]:
     some = others[: count - 1]
     half = len(some) // 2
     return centred([*some[:half], own, *some[half:]], half, count)
-
-
-def stacked(own: Image, others: Sequence[Image]) -> Image | None:
-    """(H, W) pictures as (T, H, W), `own` in the middle; None without others."""
-    return np.stack(amid(own, others, len(others) + 1)) if others else None
-
-
-def variants_of(visit: int, count: int) -> tuple[int, ...]:
-    """The noise variants of a visit's pictures, its own first; no other visit has any of them."""
-    return tuple(visit + number * _VISITS for number in range(count))

@@ -25,7 +25,6 @@ from ...factory.seeds import stream
 from ...factory.sonar.geometry import FanGeometry, recorded_sonar
 from ...factory.sonar.settings import SonarSettings
 from ...factory.storage.copies import url_of
-from .looks import amid
 
 Image = npt.NDArray[np.float32]
 Anything = TypeVar("Anything")
@@ -42,8 +41,9 @@ class Sample:
     noisy, clean: (H, W) float32 in 0..1; clean None where it is unknown.
     shadow: (H, W) float32, 1 in shadow, or None.  geometry: where range and bearing are, or None.
     remove: (6,) float32, the artefacts that `clean` is without (`models.removal`), or None for
-        the usual ones.  looks: (T, H, W) float32, noisy pictures of the same scene, `noisy` in the
-        middle, or None.
+        the usual ones.
+    frames: (H, W) float32, how many frames were averaged in `noisy` (`removal.averaged`), or None
+        for one.
     """
 
     noisy: Image
@@ -51,7 +51,7 @@ class Sample:
     shadow: Image | None = None
     geometry: FanGeometry | None = None
     remove: Image | None = None
-    looks: Image | None = None
+    frames: Image | None = None
 
 
 class Source(Protocol):
@@ -208,8 +208,6 @@ class PairSource:
 
     weaker: part of the visits in which the noise is blended towards the clean picture, by a factor
     that is even in 0..1 and 0 in one case of eight.
-    frames: noisy pictures of a sample's `looks`, 1 for none.  among: the pairs that hold the other
-    noise variants of a frame.
     """
 
     def __init__(
@@ -219,14 +217,8 @@ class PairSource:
         *,
         weaker: float = 0.0,
         seed: int = 0,
-        frames: int = 1,
-        among: Sequence[SampleRef] = (),
     ) -> None:
         self.samples, self.sonar, self.weaker, self.seed = tuple(samples), sonar, weaker, seed
-        self.frames = frames
-        self._variants: dict[tuple[str, str], list[SampleRef]] = {}
-        for ref in among if frames > 1 else ():
-            self._variants.setdefault((ref.scene, ref.frame), []).append(ref)
         self._shards = PairReader()
 
     def __len__(self) -> int:
@@ -236,19 +228,14 @@ class PairSource:
         """See `Source`."""
         ref = self.samples[index]
         noisy, clean, shadow = self._shards.layers(ref)
-        others = [one for one in self._variants.get((ref.scene, ref.frame), ()) if one != ref]
-        pairs = [self._shards.pair(one) for one in others[: self.frames - 1]]
-        looks = [look for look, _ in pairs]
         if visit is not None:
             strength = weakened(self.weaker, self.seed, index, visit)
             if strength < 1:
                 noisy = clean + np.float32(strength) * (noisy - clean)
-                looks = [own + np.float32(strength) * (look - own) for look, own in pairs]
         geometry = None
         if self.sonar is not None and ref.window is not None:
             geometry = FanGeometry.from_sonar(self.sonar, *ref.window)
-        seen = np.stack(amid(noisy, looks, self.frames)) if looks else None
-        return Sample(noisy, clean, shadow, geometry, looks=seen)
+        return Sample(noisy, clean, shadow, geometry)
 
 
 def weakened(share: float, seed: int, *names: int | str) -> float:

@@ -7,6 +7,7 @@ code as the dataset's own, so a network never sees the same noise twice.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,6 @@ from ...factory.selection import choose_frames, split_frames
 from ...factory.sonar.geometry import FanGeometry
 from ...factory.sonar.settings import SonarSettings
 from ..settings import RendersData, Scale
-from .looks import stacked, variants_of
 from .pairs import PairTable, Sample, SampleRef, Source, spread, weakened
 
 _DECIDE = ("devices", "noise", "acoustics", "sonar", "water")
@@ -50,19 +50,11 @@ class RenderSource:
         fewer: float,
         seed: int,
         scales: tuple[Scale, ...],
-        looks: int = 1,
     ) -> None:
         """config: how pairs are made.  frames: whose renders are at hand.  See `RendersData`.
 
-        looks: noisy pictures of each, which `RendersData` calls frames.
-        Raises FactoryError as `resized` does, and where each picture has a device of its own.
+        Raises FactoryError as `resized` does.
         """
-        if looks > 1 and config.devices is not None:
-            raise FactoryError(
-                f"data.frames={looks}: this dataset draws a device for each picture; pictures of "
-                "one scene by one device are drawn with data.experiment=any_sonar"
-            )
-        self.looks = looks
         self.config, self.frames = replace(config, seed=seed), frames
         self.weaker, self.fewer, self.seed, self.scales = weaker, fewer, seed, scales
         self._sonars = {scale: resized(config.sonar, scale) for scale in (1.0, *scales)}
@@ -84,7 +76,7 @@ class RenderSource:
         number = 0 if visit is None else visit
         noise = None if visit is None else self.noise_of(index, visit)
         try:
-            pair, *more = self._makers[scale].pairs(ref, variants_of(number, self.looks), noise)
+            (pair,) = self._makers[scale].pairs(ref, (number,), noise)
         except FrameError as error:
             raise FactoryError(f"data=renders: {error}; leave the frame out") from error
         return Sample(
@@ -92,7 +84,6 @@ class RenderSource:
             in_unit_range(pair.clean),
             pair.shadow.astype(np.float32),
             FanGeometry.from_record(self._sonars[scale], pair.record),
-            looks=stacked(in_unit_range(pair.noisy), [in_unit_range(one.noisy) for one in more]),
         )
 
     def scale_of(self, index: int, visit: int) -> Scale:
@@ -164,7 +155,7 @@ class Renders:
     """source: what trains.  facts: what it is, for the recipe.  said: a line to show.
 
     validation, labels: pictures to validate on, and what they show; None where the dataset's own
-    pairs serve: not for drawn devices, nor where a network sees several pictures.
+    pairs serve, which is so but for drawn devices.
     """
 
     source: Source
@@ -214,17 +205,10 @@ def open_renders(
     }
     if data.experiment is not None:
         return _by_any_device(data, config, ready, held_out, facts, said, seed)
-    common: dict[str, Any] = {"seed": seed, "looks": data.frames}
     source = RenderSource(
-        config, ready, weaker=data.weaker, fewer=data.fewer, scales=data.scales, **common
+        config, ready, weaker=data.weaker, fewer=data.fewer, scales=data.scales, seed=seed
     )
-    kept = tuple(ref for ref in held_out if f"{ref.location}/{ref.scene}" in held)
-    shown = spread(kept, data.validation_limit)
-    if data.frames == 1 or not shown:
-        return Renders(source, facts, said)
-    # The dataset may hold fewer pictures of a frame than the network is to see.
-    whole = RenderSource(config, shown, weaker=0, fewer=0, scales=(1.0,), **common)
-    return Renders(source, facts, said, whole, tuple(ref.name for ref in shown))
+    return Renders(source, facts, said)
 
 
 def _by_any_device(
@@ -237,7 +221,6 @@ def _by_any_device(
     seed: int,
 ) -> Renders:
     from .any_device import DeviceSource
-    from .composed import composed
 
     drawn = composed((f"experiment={data.experiment}", *data.factory))
     config = replace(
@@ -258,7 +241,7 @@ def _by_any_device(
     shown = spread(held_out, data.validation_limit)
     # A picture without noise has 100 dB, more than all others together can gain or lose.
     noisy = replace(config, devices=replace(drawn.devices, quiet_share=number(0)))
-    common: dict[str, Any] = {"patch": data.least_side, "seed": seed, "looks": data.frames}
+    common: dict[str, Any] = {"patch": data.least_side, "seed": seed}
     return Renders(
         DeviceSource(config, ready, weaker=data.weaker, choices=data.choices, **common),
         {**facts, "renders.devices": drawn_as},
@@ -266,6 +249,21 @@ def _by_any_device(
         DeviceSource(noisy, shown, weaker=0.0, choices=0.0, **common),
         tuple(ref.name for ref in shown),
     )
+
+
+def composed(words: Sequence[str]) -> FactoryConfig:
+    """The configuration of `simnfnd make` with these words.  Raises FactoryError for a bad one."""
+    from hydra.core.global_hydra import GlobalHydra
+
+    from ...factory.cli.compose import compose_config
+
+    # Hydra composes one configuration at a time, and that of this training is the one at present.
+    state = GlobalHydra.get_state()
+    GlobalHydra.instance().clear()
+    try:
+        return compose_config(words)
+    finally:
+        GlobalHydra.set_state(state)
 
 
 def _config(data: RendersData, dataset: str) -> FactoryConfig:

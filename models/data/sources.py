@@ -17,10 +17,8 @@ from ..settings import (
     OldData,
     PairsData,
     RendersData,
-    SelfSupervisedData,
 )
-from .composed import composed
-from .images import NoisySource, list_images, smallest_side
+from .images import list_images, smallest_side
 from .pairs import PairSource, SampleRef, Source, hold_out, read_table, spread
 
 _SMALLEST = 11
@@ -46,11 +44,9 @@ def open_data(settings: ModelsSettings) -> Data:
     Raises FactoryError: nothing there, another schema, images smaller than a patch, one frame only.
     """
     data = settings.data
-    if isinstance(data, SelfSupervisedData) and _is_dataset(data.folder):
-        return _of_dataset(data, settings)
     if isinstance(data, PairsData | RendersData):
         return _of_dataset(data, settings)
-    assert isinstance(data, OldData | SelfSupervisedData)
+    assert isinstance(data, OldData)
     found = list_images(data.folder)
     side, smallest = smallest_side(found)
     _check_sizes(data, side, str(smallest.path))
@@ -58,9 +54,8 @@ def open_data(settings: ModelsSettings) -> Data:
     held = spread(held, data.validation_limit)
     labels = tuple(sample.frame for sample in held)
     facts: dict[str, Any] = {"images": len(found), "images.content": _digest(found)}
-    if isinstance(data, SelfSupervisedData):
-        return Data(NoisySource(learning), NoisySource(held), labels, facts)
     from .olddata import OldDataSource
+    from .renders import composed
 
     noise = composed(data.factory).noise
     if data.geometry != "polar":
@@ -79,15 +74,8 @@ def open_data(settings: ModelsSettings) -> Data:
     return Data(sources[0], sources[1], labels, facts)
 
 
-def _is_dataset(folder: str) -> bool:
-    """Whether a folder is one that `simnfnd make` wrote; its preview is no training picture."""
-    return any((Path(folder).expanduser() / "train").glob("shard-*.h5"))
-
-
-def _of_dataset(
-    data: PairsData | RendersData | SelfSupervisedData, settings: ModelsSettings
-) -> Data:
-    folder = data.folder if isinstance(data, SelfSupervisedData) else settings.dataset.dir
+def _of_dataset(data: PairsData | RendersData, settings: ModelsSettings) -> Data:
+    folder = settings.dataset.dir
     if folder is None:
         raise FactoryError(
             f"dataset: data={data.kind} needs the folder that `simnfnd make` made, dataset=DIR"
@@ -105,21 +93,10 @@ def _of_dataset(
         "dataset.pairs": len(table.samples),
         "dataset.image": [table.height, table.width],
     }
-    # Where each picture has a device of its own, the variants of a frame show different things.
-    frames = 1 if isinstance(data, SelfSupervisedData) else data.frames
-    if table.config.get("devices") is not None:
-        frames = 1
-    validation = PairSource(shown, table.sonar, frames=frames, among=held)
+    validation = PairSource(shown, table.sonar)
     labels = tuple(f"{sample.scene} {sample.frame}" for sample in shown)
     if not isinstance(data, RendersData):
-        source: Source = PairSource(
-            learning,
-            table.sonar,
-            weaker=data.weaker,
-            seed=settings.seed,
-            frames=frames,
-            among=learning,
-        )
+        source: Source = PairSource(learning, table.sonar, weaker=data.weaker, seed=settings.seed)
     else:
         # Only here: it brings the readers and the whole of the factory.
         from .renders import open_renders

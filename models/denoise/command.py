@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -20,28 +20,23 @@ from ...factory.scheduler.workers.memory import keep_freed_memory
 from ..pretrained import POINTS, REMOVAL
 from ..recordings import Levels, open_recording
 from ..removal import DEFAULT
-from .bags import denoise_bag, open_bag
+from .asked import NOISES, OF_POINTS, OVER, REAL, InTurn, asked_denoiser
 from .denoiser import (
     EXACT,
     OVERLAP,
-    PRECISIONS,
     TILE,
     Denoiser,
     load_denoiser,
 )
-from .files import (
-    Tick,
-    denoise_file,
-    denoise_pings,
-    denoise_video,
-)
+from .files import Job, denoise_bag, denoise_files, denoise_pings, denoise_video, open_bag
 from .geometries import FIND, Geometries
-from .inputs import Item, find_items
+from .inputs import Item, find_items, sequences
+from .pictures import Denoising, check_frames
+from .resume import Finished, stopped_by_sigterm
+from .runtime import PRECISIONS
 from .shards import denoise_shard, made_of_points, opened_shard
-from .temporal import Steady
+from .temporal.stream import FRAMES
 from .watch import Watched, watch
-from .weighing.in_turn import OVER, InTurn, asked_denoiser
-from .weighing.suited import Suited
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -59,7 +54,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--weights",
         help="weights.safetensors of a training, or the name of weights that ship (default: "
-        f"simnfnd, for shards and pictures of the paper's points {POINTS}, and {REMOVAL} for what "
+        f"simnfnd, for shards of the paper's points {POINTS}, and {REMOVAL} for what "
         f"--remove names of {', '.join(OVER)})",
     )
     parser.add_argument(
@@ -68,22 +63,31 @@ def main(arguments: Sequence[str]) -> int:
         help=f"what to remove, of {','.join(ARTEFACTS)} (default: {','.join(DEFAULT)})",
     )
     parser.add_argument(
+        "--noise",
+        choices=NOISES,
+        default=REAL,
+        help="of real sonars, or of the paper's points; shards say it themselves",
+    )
+    parser.add_argument(
         "--strength", type=float, default=1.0, help="how much of it, 0 to 1 (default: 1)"
     )
     parser.add_argument(
         "--frames",
         type=int,
-        default=1,
+        default=FRAMES,
         metavar="N",
-        help="average up to N frames of a video, recording or numbered pictures first, half of "
-        "them before and half after each, where the scene stands still; odd (1: do not)",
+        help="fuse up to N frames of a recording, video, stack or folder numbered in time where "
+        f"they show the same, half before and half after each; odd ({FRAMES}; 1: each by itself)",
+    )
+    parser.add_argument(
+        "--causal", action="store_true", help="fuse with frames before alone, for live use"
     )
     parser.add_argument("--compare", action="store_true", help="also write pictures side by side")
     parser.add_argument(
         "--geometry",
         default=FIND,
         help="of images and videos: `find` it in the picture (default), `polar`, `none`, or a CSV "
-        "table of fans as `simnfnd geometry` prints; shards and recordings know theirs",
+        "table of fans (file, apex_x, apex_y, ...); shards and recordings know theirs",
     )
     parser.add_argument(
         "--levels",
@@ -130,9 +134,13 @@ def main(arguments: Sequence[str]) -> int:
     out = Path(chosen.out).expanduser()
     levels = _levels(chosen.levels)
     watched = Watched(Path(chosen.watch).expanduser(), out, levels) if chosen.watch else None
-    items = find_items([Path(name).expanduser() for name in chosen.inputs], out, levels)
+    inputs = [Path(name).expanduser() for name in chosen.inputs]
+    items = find_items(inputs, out, levels, compare=chosen.compare)
     geometries = Geometries(chosen.geometry)
-    steady = Steady(chosen.frames, items)
+    remove = None if chosen.remove is None else chosen.remove.split(",")
+    # What is asked for by hand is not what predicts other frames of a recording.
+    calibrated = remove is None and chosen.strength == 1
+    check_frames(chosen.frames)
     check_writable(out, "--out")
     how: dict[str, Any] = {
         "device": chosen.device,
@@ -141,17 +149,21 @@ def main(arguments: Sequence[str]) -> int:
         "strength": chosen.strength,
         "precision": chosen.precision,
     }
-    remove = None if chosen.remove is None else chosen.remove.split(",")
-    denoise = asked_denoiser(chosen.weights, remove=remove, **how)
-    steady.see(denoise.looks)
-    points = suited = None
-    if chosen.weights is None and remove is None:
+    denoise = asked_denoiser(chosen.weights, remove=remove, noise=chosen.noise, **how)
+    points = None
+    if chosen.weights is None and remove is None and chosen.noise != OF_POINTS:
         points = cache(lambda: load_denoiser(POINTS, **how))
-        suited = Suited(denoise, points)
-    work = _Work(out, denoise, points, suited, geometries, steady, chosen.topic, chosen.compare)
-    failed = _watch(work, watched, chosen.every) if watched else _all(work, items)
-    said = suited.summary() if suited else ()
-    for line in (*geometries.summary(), *steady.summary(), *said):
+    denoising = Denoising(
+        denoise, frames=chosen.frames, causal=chosen.causal, calibrated=calibrated
+    )
+    job = Job(out, denoising, geometries.of, chosen.compare, chosen.topic)
+    work = _Work(job, denoise, points)
+    with stopped_by_sigterm():
+        if watched:
+            failed = _watch(work, watched, chosen.every)
+        else:
+            failed = _all(work, items, Finished(out, denoise.digest, list(arguments)))
+    for line in (*geometries.summary(), *denoising.summary()):
         print(line)
     print(f"denoised: {work.done} file(s) in {out}")
     return 1 if failed and not watched else 0
@@ -168,62 +180,88 @@ def _levels(given: Sequence[float] | None) -> Levels | None:
 
 @dataclass
 class _Work:
-    """What `denoise` does to a file.
+    """What `denoise` does to files.
 
-    points: what denoises shards of points instead of `denoise`; None: the same.  suited: what
-    denoises pictures of which nothing is known; None: the same.
+    denoise: for shards.  points: what denoises shards of points instead; None: the same.
     done: how many were denoised.
     """
 
-    out: Path
+    job: Job
     denoise: Denoiser | InTurn
     points: Callable[[], Denoiser] | None
-    suited: Suited | None
-    geometries: Geometries
-    steady: Steady
-    topics: Sequence[str]
-    compare: bool
     done: int = 0
 
-    def on(self, item: Item, tick: Tick) -> str:
-        """Denoise one file; returns a warning, mostly empty.  FrameError when that cannot be."""
-        warning = ""
-        out, denoise, compare = self.out, self.denoise, self.compare
-        find, steady = self.geometries.of, self.steady
-        if item.kind == "shard":
-            if self.points is not None and made_of_points(item):
-                denoise = self.points()
-            denoise_shard(
-                item, out, denoise, weights_sha256=denoise.digest, compare=compare, tick=tick
-            )
-        elif item.kind == "pings":
-            warning = denoise_pings(item, out, denoise, compare=compare, tick=tick, steady=steady)
-        elif item.kind == "bag":
-            warning = denoise_bag(
-                item, out, denoise, find,
-                topics=self.topics, compare=compare, tick=tick, steady=steady,
-            )  # fmt: skip
-        else:
-            on_file = denoise_video if item.kind == "video" else denoise_file
-            suited = self.suited or denoise
-            on_file(item, out, suited, find, compare=compare, tick=tick, steady=steady)
-        self.done += 1
-        return warning
+    def on(self, items: Sequence[Item]) -> Iterator[tuple[Item, FrameError | str]]:
+        """Denoise pictures that follow each other, or one other file.
+
+        Gives each that is done with a warning, mostly empty, or with what is wrong with it.
+        """
+        if items[0].kind == "image":
+            for item, error in denoise_files(items, self.job):
+                self.done += error is None
+                yield item, error or ""
+            return
+        (item,) = items
+        try:
+            warning = self._on_other(item)
+            self.done += 1
+            yield item, warning
+        except FrameError as error:
+            yield item, error
+
+    def _on_other(self, item: Item) -> str:
+        if item.kind == "pings":
+            return denoise_pings(item, self.job)
+        if item.kind == "bag":
+            return denoise_bag(item, self.job)
+        if item.kind == "video":
+            denoise_video(item, self.job)
+            return ""
+        denoise = self.denoise
+        if self.points is not None and made_of_points(item):
+            denoise = self.points()
+        denoise_shard(
+            item,
+            self.job.out,
+            denoise,
+            weights_sha256=denoise.digest,
+            compare=self.job.compare,
+            tick=self.job.tick,
+        )
+        return ""
 
 
-def _all(work: _Work, items: Sequence[Item]) -> int:
+def _all(work: _Work, items: Sequence[Item], finished: Finished) -> int:
     """Denoise all files under a progress bar; returns how many could not be."""
     failures: list[str] = []
     warnings: list[str] = []
-    with progress_bar(
-        total=sum(_pictures(item, work.topics) for item in items), unit="image", desc="denoising"
-    ) as bar:
-        for item in items:
-            try:
-                warnings += filter(None, [work.on(item, bar.update)])
-            except FrameError as error:
-                failures.append(str(error))
-                bar.set_postfix(failed=len(failures))
+    job = work.job
+    job.finished = finished.of(items)
+    if job.finished:
+        print(f"already denoised: {len(job.finished)} file(s), of a run that was stopped")
+    total = sum(_pictures(item, job.topics) for item in items if item.relative not in job.finished)
+    try:
+        with progress_bar(total=total, unit="image", desc="denoising") as bar:
+            job.tick = bar.update
+            for some in sequences(items):
+                if some[0].kind != "image" and some[0].relative in job.finished:
+                    continue
+                for item, said in work.on(some):
+                    if isinstance(said, FrameError):
+                        failures.append(str(said))
+                        bar.set_postfix(failed=len(failures))
+                    else:
+                        finished.add(item)
+                        warnings += filter(None, [said])
+    except KeyboardInterrupt:
+        finished.save()
+        print(
+            f"denoised: {work.done} file(s) in {job.out} before it was stopped; the same command "
+            "goes on with the others",
+            file=sys.stderr,
+        )
+        raise
+    finished.forget()
     if failures and len(failures) == len(items):
         more = f" (and {len(failures) - 1} more)" if len(failures) > 1 else ""
         raise FactoryError(failures[0] + more)
@@ -241,14 +279,13 @@ def _watch(work: _Work, watched: Watched, every_s: float) -> int:
     def on(item: Item) -> None:
         nonlocal failures
         began = time.perf_counter()
-        try:
-            warning = work.on(item, lambda: None)
-        except FrameError as error:
+        ((_, said),) = work.on([item])
+        if isinstance(said, FrameError):
             failures += 1
-            print(f"skipped: {error}", file=sys.stderr, flush=True)
+            print(f"skipped: {said}", file=sys.stderr, flush=True)
             return
-        if warning:
-            print(f"warning: {warning}", file=sys.stderr, flush=True)
+        if said:
+            print(f"warning: {said}", file=sys.stderr, flush=True)
         print(f"{item.relative}: {time.perf_counter() - began:.2f} s", flush=True)
 
     print(f"watching {watched.folder}; Ctrl-C ends", flush=True)

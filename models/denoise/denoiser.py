@@ -12,15 +12,15 @@ import numpy.typing as npt
 from ...factory.errors import FactoryError
 from ...factory.sonar.geometry import FanGeometry
 from ..recordings.presentation import presentation_of
-from ..removal import DEFAULT, vector
-from .files import Gray
+from ..removal import DEFAULT, averaged, vector
+from .pictures import Gray
+from .runtime import EXACT, open_runtime
 from .scales import by_scales
 from .tile import Maps, tiled
 
 TILE, OVERLAP = 1024, 96
-EXACT = "32-true"
-PRECISIONS = ("auto", EXACT, "bf16-mixed")
-"""Arithmetic of a denoiser, in the words of `train.precision`."""
+_SEVERAL = 1.5
+"""From so many frames on average on, grain is the scene's: the picture is not halved first."""
 _LIT, _LIT_SHARE = 0.1, 0.01
 """Grey value, and part of what is around a fan with more: a page, or panels of a screen."""
 
@@ -28,7 +28,8 @@ _LIT, _LIT_SHARE = 0.1, 0.01
 class Denoiser:
     """Trained weights as a function of a picture.
 
-    digest: SHA-256 of the weights file.  tile, overlap: see `simnfnd.models.denoise.tile`.
+    digest: SHA-256 of the weights file.  runtime: what computes it.
+    tile, overlap: see `simnfnd.models.denoise.tile`.
     """
 
     def __init__(
@@ -48,21 +49,15 @@ class Denoiser:
         Raises FactoryError for a file that holds no weights, for a GPU that is not there, and for
         artefacts that there are not or that the network cannot be asked for.
         """
-        import torch  # seconds; `--help` and typing errors need not wait for it
-
-        from ..networks.weights import load_weights
-
-        self.trained = load_weights(weights)
+        self.runtime = open_runtime(weights, device, precision)
         self.digest = hashlib.sha256(weights.read_bytes()).hexdigest()
         self.tile, self.overlap, self.strength = tile, overlap, np.float32(strength)
-        network = self.trained.network
-        self._told = _told(network.extras, remove)
-        has_gpu = torch.cuda.is_available()
-        if device == "gpu" and not has_gpu:
-            raise FactoryError("--device gpu: no usable GPU here; use --device cpu")
-        self._device = "cuda" if has_gpu and device != "cpu" else "cpu"
-        network.to(self._device)
-        self._half = _is_half(precision, self._device)
+        self._told = _told(self.runtime.extras, remove)
+
+    @property
+    def knows_frames(self) -> bool:
+        """Whether the weights know how many frames were averaged; else `frames` changes nothing."""
+        return "frames" in self.runtime.extras
 
     def __call__(
         self,
@@ -71,29 +66,46 @@ class Denoiser:
         *,
         layout: str | None = None,
         looks: Sequence[Gray] = (),
+        frames: float | Gray | None = None,
     ) -> Gray:
         """(H, W) float32 in 0..1 -> the same, denoised.
 
         geometry: where range and bearing are, if that is known; or layout `polar`: rows are ranges,
         near range first, and the columns span 30 degrees.  looks: an odd number of pictures of the
-        same scene, itself in the middle, for weights that see several (`looks`).  The weights get
-        the picture by its `presentation_of`, and one of wide grain `by_scales`.
+        same scene, itself in the middle, for weights that see several (`looks`).  frames: how many
+        were averaged in the picture, 1 or more, or (H, W) float32 of how many in each pixel: one
+        over the sum of the squared weights, where these add up to 1; None: a single frame.
+        The weights get the picture by its `presentation_of`, and one of wide grain `by_scales`.
         """
         given = presentation_of(gray, known_geometry(geometry, layout, gray))
         shown = [given.shown(look) for look in looks]
-        return given.undone(self._denoise(given.shown(gray), given.geometry, shown))
+        told = None
+        if frames is not None and self.knows_frames:
+            told = np.broadcast_to(np.asarray(frames, np.float32), gray.shape)
+            told = averaged(np.rot90(told, given.quarter_turns))
+        return given.undone(self._denoise(given.shown(gray), given.geometry, shown, told))
 
-    def _denoise(self, gray: Gray, geometry: FanGeometry | None, looks: Sequence[Gray]) -> Gray:
-        network = self.trained.network
+    def _denoise(
+        self,
+        gray: Gray,
+        geometry: FanGeometry | None,
+        looks: Sequence[Gray],
+        frames: Gray | None,
+    ) -> Gray:
+        network = self.runtime
         maps: dict[str, Gray] = {}
         if geometry is not None and network.extras:
             found = geometry.maps(0, 0, *gray.shape)
             maps = {name: found[name] for name in network.extras if name in found}
+        widest = network.wide_grain
+        if frames is not None:
+            maps["frames"] = np.ascontiguousarray(frames, np.float32)
+            widest = 1.0 if frames.mean() > averaged(_SEVERAL) else widest
         if self.looks > 1 and looks:
             maps["looks"] = np.stack(looks, axis=-1)  # tiles cut the first two axes
         outside = _surroundings(gray, maps)
         shown = gray if outside is None else np.where(outside, np.float32(0), gray)
-        denoised = by_scales(shown, maps, self._denoise_whole, network.wide_grain)
+        denoised = by_scales(shown, maps, self._denoise_whole, widest)
         if outside is not None:
             denoised = np.where(outside, gray, denoised)
         if self.strength == 1:
@@ -105,7 +117,7 @@ class Denoiser:
         areas: list[int] = []
 
         def denoise_tile(part: Gray, maps: Maps) -> Gray:
-            denoised, weight = self._denoise_tile(part, maps)
+            denoised, weight = self.runtime.run(part, maps, self._told)
             weights.append(weight)
             areas.append(part.size)
             return denoised
@@ -118,26 +130,7 @@ class Denoiser:
     @property
     def looks(self) -> int:
         """How many pictures of a scene the weights see at once."""
-        return self.trained.network.looks
-
-    def _denoise_tile(self, gray: Gray, maps: Maps) -> tuple[Gray, float]:
-        import torch
-
-        from ..training.samples import denoise_with_weight
-
-        images = {"noisy": gray, **maps}
-        batch = {
-            name: torch.from_numpy(np.ascontiguousarray(image))[None, None]
-            for name, image in images.items()
-            if name != "looks"
-        }
-        if "looks" in maps:
-            looks = np.ascontiguousarray(np.moveaxis(maps["looks"], -1, 0))
-            batch["looks"] = torch.from_numpy(looks)[None]
-        if self._told is not None:
-            batch["remove"] = torch.from_numpy(self._told)[None]
-        with torch.autocast(self._device, torch.bfloat16, enabled=self._half):
-            return denoise_with_weight(self.trained.network, batch)
+        return self.runtime.looks
 
 
 def _surroundings(gray: Gray, maps: Maps) -> npt.NDArray[np.bool_] | None:
@@ -155,17 +148,6 @@ def known_geometry(
     if geometry is None and layout == "polar":
         return FanGeometry.polar().with_size(*gray.shape)
     return geometry
-
-
-def _is_half(precision: str, device: str) -> bool:
-    """Whether to compute in bfloat16; FactoryError for an unknown precision."""
-    from ..training.precision import cpu_has_bf16, gpu_has_bf16
-
-    if precision not in PRECISIONS:
-        raise FactoryError(f"--precision {precision}: is none of {', '.join(PRECISIONS)}")
-    if precision == "auto":
-        return cpu_has_bf16() if device == "cpu" else gpu_has_bf16()
-    return precision != EXACT
 
 
 def _told(extras: Sequence[str], remove: Sequence[str] | None) -> Gray | None:

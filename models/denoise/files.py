@@ -1,218 +1,173 @@
-"""Denoising of one file: what comes in comes out, denoised, under its own name."""
+"""Denoising of files: what comes in comes out, denoised, under its own name."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from ...factory.errors import FactoryError, FrameError
-from ...factory.files import write_atomically
 from ...factory.sonar.geometry import FanGeometry
 from ..recordings import Frame, Recording, open_recording
-from ..recordings.aris.file import ArisFile
-from ..recordings.arrays.file import ArrayFile
-from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE
+from ..recordings.aris import ArisFile
+from ..recordings.arrays import ArrayFile
+from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE, Beams
 from ..recordings.fan.pings import fan_of, grey_of, polar_geometry
 from ..recordings.pictures import in_unit_range, read_picture
+from ..recordings.rosbag import RosBag
 from ..recordings.video import VideoFile
-from .compared import sheet
-from .figures import denoise_figure, parts_of_page
 from .inputs import Item
-from .temporal import Steady
-from .videos import FrameFiles
+from .pictures import Denoising, Picture, Place, Seen
+from .writers import COMPARED, FrameFiles, write_compared, write_image
 
-SCHEMA = "simnfnd-denoised/1"
-
-Gray = npt.NDArray[np.float32]
-Denoise = Callable[..., Gray]
-"""(H, W) float32 in 0..1, and where range and bearing are, if known -> the same, denoised.
-
-Weights that see several pictures of a scene get them as `looks`, see `Denoiser`.
-"""
-Find = Callable[[Item, npt.NDArray[Any]], FanGeometry | None]
+Find = Callable[[Item, Picture], FanGeometry | None]
 """Where range and bearing are in a picture of an item; None where that is not known."""
 Tick = Callable[[], object]
 """Called after every picture."""
 
-COMPARED = 4
-"""How many pictures of one file `--compare` shows."""
+_FURTHEST_TURN_DEG = 20.0  # between two frames; a compass that says more is not to be trusted
 
 
-def denoise_image(
-    image: npt.NDArray[Any],
-    denoise: Denoise,
-    geometry: FanGeometry | None = None,
-    looks: Sequence[npt.NDArray[Any]] = (),
-    *,
-    echoes_alone: bool = False,
-) -> npt.NDArray[Any]:
-    """Denoise (H, W) or (H, W, C) uint8, uint16 or float32 (0..1); same shape and dtype out.
+@dataclass
+class Job:
+    """How files are denoised, and into which folder.
 
-    looks: frames in their order, the image in the middle, all of its shape and dtype, for weights
-    that see several.  Axes, text and lines that somebody drew stay, see `figures`; echoes_alone:
-    there are none.
-    Colour channels are denoised one by one (once, when they are equal); an alpha channel stays.
-    Raises ValueError for another dtype or shape, NaN, and floats outside 0..1.
+    topics: of bags, whose pictures; none: as `RosBag` says.  finished: of an earlier run.
     """
-    full = FULL_SCALE.get(str(image.dtype))
-    if full is None:
-        raise ValueError(f"pixels are {image.dtype}; expected {', '.join(FULL_SCALE)}")
-    if image.ndim not in (2, 3) or 0 in image.shape:
-        raise ValueError(f"image has shape {image.shape}; expected (H, W) or (H, W, C)")
-    if image.ndim == 2:
-        image, planes = image[..., np.newaxis], [look[..., np.newaxis] for look in looks]
-        result = denoise_image(image, denoise, geometry, planes, echoes_alone=echoes_alone)
-        return result[..., 0]
-    colours = image[..., :3] if image.shape[2] in (3, 4) else image[..., :1]
-    if image.dtype == np.float32 and not (colours.min() >= 0 and colours.max() <= 1):
-        raise ValueError("float pixels must lie in 0..1; divide by full scale")
-    scaled = _planes(colours, full)
-    beside = [_planes(look, full) for look in looks]
-    page = scaled[0] if len(scaled) == 1 else np.mean(scaled, axis=0)
-    parts = None if echoes_alone else parts_of_page(page, geometry)
-    result = image.copy()
-    for channel, grey in enumerate(scaled):
-        if channel and np.array_equal(grey, scaled[0]):
-            result[..., channel] = result[..., 0]
+
+    out: Path
+    denoising: Denoising
+    geometry_of: Find
+    compare: bool = False
+    topics: Sequence[str] = ()
+    finished: frozenset[Path] = frozenset()
+    tick: Tick = field(default=lambda: None)
+
+    def place(self, item: Item) -> Place:
+        """Where range and bearing are in pictures of an item."""
+        return lambda picture: self.geometry_of(item, picture)
+
+
+def denoise_files(items: Sequence[Item], job: Job) -> Iterator[tuple[Item, FrameError | None]]:
+    """Denoise picture files that follow each other in time, or one.
+
+    Gives each when it is written, and those that cannot be read with what is wrong with them.
+    """
+    failed: list[tuple[Item, FrameError]] = []
+    left = [number for number, item in enumerate(items) if item.relative not in job.finished]
+    if not left:
+        return
+    # A sequence that was begun goes on from a few frames before.
+    first = max(0, left[0] - 2 * job.denoising.frames)
+
+    def read() -> Iterator[Seen[Item]]:
+        for item in items[first:]:
+            try:
+                picture = read_picture(item.source)
+                if picture.dtype == np.float32:
+                    in_unit_range(picture, str(item.source))
+                yield job.denoising.seen(item, picture, job.place(item))
+            except (FactoryError, ValueError) as error:
+                text = str(error)
+                named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
+                failed.append((item, FrameError(named)))
+
+    for seen, denoised in job.denoising.sequence(read(), alone=len(items) < 2):
+        if seen.key.relative in job.finished:
             continue
-        seen = [look[channel] for look in beside]
-        denoised = denoise_figure(grey, denoise, geometry, seen, parts, drawn=not echoes_alone)
-        if full > 1:
-            denoised = np.rint(denoised.astype(np.float64) * full)
-        result[..., channel] = denoised.astype(image.dtype)
-    return result
+        error = None
+        try:
+            _write_picture(seen.key, denoised, job.out)
+            if job.compare:
+                write_compared(job.out / seen.key.compared, [(seen.original, denoised)])
+        except FrameError as found:
+            error = found
+        job.tick()
+        yield seen.key, error
+        yield from failed
+        failed.clear()
+    yield from failed
 
 
-def _planes(colours: npt.NDArray[Any], full: float) -> list[Gray]:
-    """Each colour of (H, W, C) as float32 with full scale 1."""
-    return [
-        np.ascontiguousarray(colours[..., one], np.float32) / np.float32(full)
-        for one in range(colours.shape[2])
-    ]
-
-
-def denoise_file(
-    item: Item,
-    out: Path,
-    denoise: Denoise,
-    geometry_of: Find,
-    *,
-    compare: bool,
-    tick: Tick,
-    steady: Steady | None = None,
-) -> None:
-    """Denoise one image file into `out`.  FrameError when it cannot be read."""
-
-    def place(picture: npt.NDArray[Any]) -> FanGeometry | None:
-        return geometry_of(item, picture)
-
-    try:
-        image = read_picture(item.source)
-        if image.dtype == np.float32:
-            in_unit_range(image, str(item.source))
-        seen = (steady or Steady()).of_picture(item, image, place)
-        denoised = seen.finished(denoise_image(seen.picture, denoise, seen.geometry, seen.looks))
-    except (FactoryError, ValueError) as error:
-        text = str(error)
-        named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
-        raise FrameError(named) from error
-    if item.source.suffix.lower() == ARRAY_SUFFIX:
-        with ArrayFile(item.source) as array, FrameFiles(out / item.relative, None, array) as files:
-            files.add(denoised)
-    else:
-        _write_image(out / item.relative, denoised)
-    if compare:
-        write_compared(out, item.relative, [(image, denoised)])
-    tick()
-
-
-def denoise_video(
-    item: Item,
-    out: Path,
-    denoise: Denoise,
-    geometry_of: Find,
-    *,
-    compare: bool,
-    tick: Tick,
-    steady: Steady | None = None,
-) -> None:
+def denoise_video(item: Item, job: Job) -> None:
     """Denoise a video or stack into one without loss, or into PNG files of a folder of its name.
 
     See `FrameFiles` for which.  FrameError when it has no frames.
     """
     shown = []
-    path = out / item.relative
+    path = job.out / item.relative
     with _opened(item) as recording, FrameFiles(path, rate_of(recording), recording) as files:
-
-        def place(picture: npt.NDArray[Any]) -> FanGeometry | None:
-            return geometry_of(item, picture)
-
-        for number, seen in enumerate((steady or Steady()).of_recording(recording, place)):
-            found = denoise_image(seen.picture, denoise, seen.geometry, seen.looks)
-            denoised = seen.finished(found)
+        for seen, denoised in _frames(item, recording, job):
             files.add(denoised)
-            if number < COMPARED:
+            if seen.key.number < COMPARED:
                 shown.append((seen.original, denoised))
-            tick()
-    if compare:
-        write_compared(out, item.relative, shown)
+            job.tick()
+    if job.compare:
+        write_compared(job.out / item.compared, shown)
 
 
-def denoise_pings(
-    item: Item,
-    out: Path,
-    denoise: Denoise,
-    *,
-    compare: bool,
-    tick: Tick,
-    steady: Steady | None = None,
-) -> str:
+def denoise_pings(item: Item, job: Job) -> str:
     """Denoise a sonar's own recording, ping by ping, ranges by beams.
 
     An ARIS recording becomes one, with the same headers; others a folder of its name with a fan
     (NNNNNN.png) and the samples (NNNNNN_polar.png, near range first) of each ping.
     Returns a warning, mostly empty.  FrameError when it cannot be read.
     """
-    shown: list[tuple[Gray, Gray]] = []
-
-    def denoised(recording: Recording) -> Iterator[tuple[Frame, npt.NDArray[Any]]]:
-        # All of a ping was measured, so no place is needed to average.
-        frames = (steady or Steady()).of_recording(recording, lambda _: None)
-        for seen in frames:
-            frame = seen.frame
-            assert frame is not None
-            assert frame.beams is not None
-            geometry = polar_geometry(frame.beams, len(frame.samples))
-            samples = seen.finished(denoise_image(seen.picture, denoise, geometry, seen.looks))
-            if compare and frame.number < COMPARED:
-                after = replace(frame, samples=samples)
-                fans = (fan_of(grey_of(one), frame.beams)[0] for one in (frame, after))
-                shown.append((next(fans), next(fans)))
-            yield frame, samples
-            tick()
-
-    path = out / item.relative
+    shown: list[tuple[Picture, Picture]] = []
+    path = job.out / item.relative
     with _opened(item) as recording:
+        pings = _shown(_frames(item, recording, job), job, shown)
         if isinstance(recording, ArisFile):
             path.parent.mkdir(parents=True, exist_ok=True)
-            recording.rewrite((samples for _, samples in denoised(recording)), path)
+            recording.rewrite((samples for _, samples in pings), path)
         else:
-            for frame, samples in denoised(recording):
-                assert frame.beams is not None
+            for frame, samples in pings:
                 full = FULL_SCALE[str(samples.dtype)]
-                fan, _ = fan_of(grey_of(replace(frame, samples=samples)), frame.beams)
+                fan = _view(frame, samples)
                 fan = np.rint(fan * full).astype(samples.dtype) if full > 1 else fan
-                _write_image(path / f"{frame.number:06d}.png", fan)
-                _write_image(path / f"{frame.number:06d}_polar.png", samples)
+                write_image(path / f"{frame.number:06d}.png", fan)
+                write_image(path / f"{frame.number:06d}_polar.png", samples)
         warning = recording.warning
-    if compare:
-        write_compared(out, item.relative, shown)
+    if job.compare:
+        write_compared(job.out / item.compared, shown)
+    return warning
+
+
+def open_bag(item: Item, topics: Sequence[str]) -> RosBag:
+    """The bag of an item.  Raises FrameError when it cannot be read or has no such topics."""
+    try:
+        return RosBag(item.source, topics)
+    except FactoryError as error:
+        raise FrameError(str(error)) from error
+
+
+def denoise_bag(item: Item, job: Job) -> str:
+    """Denoise a bag into `out`: same topics and stamps, other topics copied.
+
+    Frames of several topics are denoised one by one.  Returns a warning, mostly empty.
+    Raises FrameError when the bag cannot be read, or a folder of its name is there already.
+    """
+    shown: list[tuple[Picture, Picture]] = []
+    path = job.out / item.relative
+    if path.is_dir():
+        raise FrameError(f"{path}: is there already; remove it, or give another --out")
+    with open_bag(item, job.topics) as bag:
+        several = len(bag.topics) > 1
+        frames = _shown(_frames(item, bag, job, alone=several), job, shown)
+        bag.rewrite((samples for _, samples in frames), path)
+        warning = bag.warning
+        if several and job.denoising.frames > 1 and not warning:
+            warning = (
+                f"{item.source}: frames of several topics were denoised one by one; choose of "
+                f"{', '.join(bag.topics)} with --topic to denoise them in time"
+            )
+    if shown:
+        write_compared(job.out / item.compared, shown)
     return warning
 
 
@@ -221,32 +176,74 @@ def rate_of(recording: Recording) -> float | None:
     return recording.rate_hz if isinstance(recording, VideoFile) else None
 
 
+def _frames(
+    item: Item, recording: Recording, job: Job, *, alone: bool = False
+) -> Iterator[tuple[Seen[Frame], Picture]]:
+    """Each frame and what became of it.  FrameError names a frame that cannot be denoised."""
+
+    def read() -> Iterator[Seen[Frame]]:
+        heading = None
+        for frame in recording:
+            shift, heading = _turned(frame, heading)
+            place = job.place(item)
+            if frame.beams is not None:
+                place = _polar(frame.beams)
+            try:
+                yield job.denoising.seen(frame, frame.samples, place, shift)
+            except ValueError as error:
+                what = "message" if item.kind == "bag" else "frame"
+                raise FrameError(f"{item.source}: {what} {frame.number}: {error}") from error
+
+    return job.denoising.sequence(read(), alone=alone)
+
+
+def _polar(beams: Beams) -> Place:
+    return lambda samples: polar_geometry(beams, len(samples))
+
+
+def _turned(
+    frame: Frame, before_deg: float | None
+) -> tuple[tuple[float, float] | None, float | None]:
+    """How far a scene moved across the beams since a heading, and the heading now."""
+    now_deg = frame.pose.heading_deg
+    if now_deg is None or before_deg is None or frame.beams is None:
+        return None, now_deg
+    azimuths = frame.beams.azimuths_rad
+    turned_deg = (now_deg - before_deg + 180) % 360 - 180
+    if len(azimuths) < 2 or abs(turned_deg) > _FURTHEST_TURN_DEG:
+        return None, now_deg
+    spacing = (azimuths[-1] - azimuths[0]) / (len(azimuths) - 1)
+    return (-math.radians(turned_deg) / spacing, 0.0), now_deg
+
+
+def _shown(
+    pings: Iterator[tuple[Seen[Frame], Picture]], job: Job, shown: list[tuple[Picture, Picture]]
+) -> Iterator[tuple[Frame, Picture]]:
+    """Counts frames, and keeps the first of them to compare."""
+    for seen, samples in pings:
+        frame = seen.key
+        if job.compare and frame.number < COMPARED:
+            shown.append((_view(frame, frame.samples), _view(frame, samples)))
+        yield frame, samples
+        job.tick()
+
+
+def _view(frame: Frame, samples: Picture) -> npt.NDArray[Any]:
+    if frame.beams is None:
+        return samples
+    return fan_of(grey_of(replace(frame, samples=samples)), frame.beams)[0]
+
+
+def _write_picture(item: Item, denoised: Picture, out: Path) -> None:
+    if item.source.suffix.lower() == ARRAY_SUFFIX:
+        with ArrayFile(item.source) as array, FrameFiles(out / item.relative, None, array) as files:
+            files.add(denoised)
+    else:
+        write_image(out / item.relative, denoised)
+
+
 def _opened(item: Item) -> Recording:
     try:
         return open_recording(item.source, item.levels)
     except FactoryError as error:
         raise FrameError(str(error)) from error
-
-
-# JPEG is lossy at any quality; at 100 the least.  WebP is without loss above 100.
-_QUALITY = {
-    ".jpg": (cv2.IMWRITE_JPEG_QUALITY, 100),
-    ".jpeg": (cv2.IMWRITE_JPEG_QUALITY, 100),
-    ".webp": (cv2.IMWRITE_WEBP_QUALITY, 101),
-}
-
-
-def _write_image(path: Path, image: npt.NDArray[Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        done, content = cv2.imencode(path.suffix, image, _QUALITY.get(path.suffix.lower(), ()))
-    except cv2.error:  # WebP has 8 bits alone
-        done = False
-    if not done:
-        raise FrameError(f"{path}: {image.dtype} pixels do not fit this file format")
-    write_atomically(path, content.tobytes())
-
-
-def write_compared(out: Path, relative: Path, rows: Sequence[Sequence[npt.NDArray[Any]]]) -> None:
-    """Noisy, denoised (and clean) side by side, one row a sample."""
-    _write_image(out / "compare" / relative.with_suffix(".png"), sheet(rows))

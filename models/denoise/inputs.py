@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,19 +13,25 @@ from typing import Literal
 from ...factory.dataset.format.manifest import MANIFEST_NAME
 from ...factory.dataset.read.reader import shard_paths
 from ...factory.errors import FactoryError
-from ..recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, Levels, kind_of
-from ..recordings.arrays import FORMATS, HDF5_SUFFIXES, file_of
-from ..recordings.arrays.file import is_table
-from ..recordings.base import TIFF_SUFFIXES
-from ..recordings.rosbag_files import is_bag_folder
+from ..recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, Levels, is_bag_folder, kind_of
+from ..recordings.arrays import SUFFIXES as ARRAY_SUFFIXES
+from ..recordings.arrays import file_of, is_table
+from ..recordings.base import ARRAY_SUFFIX, TIFF_SUFFIXES
 
 PING_KINDS = ("aris", "ddf", "oculus")
 """Recordings (`simnfnd.models.recordings`) whose frames are pings, not pictures."""
+HDF5_SUFFIXES = (".h5", ".hdf5")
 SUFFIXES = (
     *PICTURE_SUFFIXES,
     *HDF5_SUFFIXES,
-    *(suffix for kind in ("video", "array", "rosbag", *PING_KINDS) for suffix in READERS[kind][1]),
+    *(
+        suffix
+        for kind in ("video", "stack", "array", "rosbag", *PING_KINDS)
+        for suffix in READERS[kind][1]
+    ),
 )
+
+_NUMBER = re.compile(r"\d+")
 
 
 @dataclass(frozen=True)
@@ -33,23 +41,30 @@ class Item:
     source: of a file of arrays also FILE::NAME.
     checked: a shard that another process has opened without harm.
     levels: of arrays and TIFF files, what shows as black and white.
+    whole_name: whether its sheet to compare by keeps its suffix, as another has its name without.
     """
 
     source: Path
     relative: Path
     checked: bool = False
     levels: Levels | None = None
+    whole_name: bool = False
+
+    @property
+    def compared(self) -> Path:
+        """Name of the sheet to compare by, below the output folder."""
+        if self.whole_name:
+            return Path("compare") / f"{self.relative}.png"
+        return Path("compare") / self.relative.with_suffix(".png")
 
     @cached_property
     def kind(self) -> Literal["image", "shard", "video", "pings", "bag"]:
         """By the suffix of its name; a file of several pictures (TIFF, arrays) is a `video`."""
         suffix = self.source.suffix.lower()
-        if self.checked:
+        if self.checked or suffix in HDF5_SUFFIXES:
             return "shard"
         kind = kind_of(self.source)
-        if kind is None and suffix in HDF5_SUFFIXES:
-            return "shard"
-        if self.levels is not None and suffix in (*FORMATS, *TIFF_SUFFIXES):
+        if self.levels is not None and suffix in (*ARRAY_SUFFIXES, *TIFF_SUFFIXES):
             return "video"
         if kind in PING_KINDS:
             return "pings"
@@ -58,29 +73,65 @@ class Item:
         return "video" if kind in SEQUENCES else "image"
 
 
-def find_items(inputs: Sequence[Path], out: Path, levels: Levels | None = None) -> list[Item]:
+def find_items(
+    inputs: Sequence[Path], out: Path, levels: Levels | None = None, *, compare: bool = False
+) -> list[Item]:
     """The files to denoise, in a fixed order.
 
     A folder stands for all such files below it, a dataset's folder for its shards
-    alone.  levels: of files of arrays.
+    alone.  levels: of files of arrays.  compare: whether sheets to compare by are written, too.
 
-    Raises FactoryError when there is nothing, two results would have one name, or a result would
-    replace its input.
+    Raises FactoryError when there is nothing, and where a file that will be written is an input or
+    the same as another.
     """
-    items: dict[Path, Item] = {}
+    items: dict[tuple[Path, Path], Item] = {}
     for path in inputs:
         for found in _of_input(path, out):
             item = replace(found, levels=levels)
-            other = items.setdefault(item.relative, item)
-            if other.source.resolve() != item.source.resolve():
+            items.setdefault((item.relative, item.source.resolve()), item)
+    sheets = Counter(item.compared for item in items.values())
+    found_items = [replace(item, whole_name=sheets[item.compared] > 1) for item in items.values()]
+    _check_outputs(found_items, out, compare=compare)
+    return found_items
+
+
+def sequences(items: Sequence[Item]) -> list[list[Item]]:
+    """Picture files that follow each other in time, by their numbers; other files alone.
+
+    A sequence is the pictures of a folder whose names differ in their last number alone.
+    """
+    found: dict[tuple[object, ...], list[tuple[int, Item]]] = {}
+    for item in items:
+        key: tuple[object, ...] = (item.source,)
+        number = 0
+        if item.kind == "image" and (numbers := list(_NUMBER.finditer(item.source.name))):
+            last = numbers[-1]
+            name = item.source.name
+            key = item.source.parent, name[: last.start()], name[last.end() :]
+            number = int(last[0])
+        found.setdefault(key, []).append((number, item))
+    return [
+        [item for _, item in sorted(some, key=lambda one: (one[0], one[1].source))]
+        for some in found.values()
+    ]
+
+
+def _check_outputs(items: Sequence[Item], out: Path, *, compare: bool) -> None:
+    """No file that is written is an input, or the same as another."""
+    sources = {file_of(item.source).resolve() for item in items}
+    written: dict[Path, Item] = {}
+    for item in items:
+        results = [item.relative, *([item.compared] if compare else [])]
+        for relative in results:
+            path = (out / relative).resolve()
+            other = written.setdefault(path, item)
+            if other is not item:
                 raise FactoryError(
-                    f"{other.source} and {item.source} would both become {item.relative}; "
+                    f"{other.source} and {item.source} would both become {relative}; "
                     "denoise them into different folders"
                 )
-            file = file_of(item.source)
-            if (out / item.relative).resolve() == file.resolve():
-                raise FactoryError(f"--out {out}: would overwrite the input {file}")
-    return list(items.values())
+            if path in sources:
+                raise FactoryError(f"--out {out}: would overwrite the input {path}")
 
 
 def _of_input(path: Path, out: Path) -> Iterator[Item]:
@@ -91,7 +142,7 @@ def _of_input(path: Path, out: Path) -> Iterator[Item]:
                 f"{path}: neither an image nor a shard nor a video or recording "
                 f"({', '.join(SUFFIXES)})"
             )
-        yield Item(path, Path(file.name))
+        yield Item(path, _output_of(Path(file.name)))
     elif not path.is_dir():
         raise FactoryError(f"{path}: no such file or folder")
     elif is_bag_folder(path):
@@ -109,18 +160,28 @@ def _of_input(path: Path, out: Path) -> Iterator[Item]:
 
 
 def items_below(folder: Path, out: Path) -> list[Item]:
-    """All files (and folders that are bags) below a folder, but for those below `out`."""
+    """All files (and folders that are bags) below a folder, but for those below `out`.
+
+    What begins with a dot is no result yet, of this program or of one that copies.
+    """
     bags = [file.parent for file in folder.rglob("metadata.yaml") if is_bag_folder(file.parent)]
     files = [
         file
         for file in folder.rglob("*")
         if file.suffix.lower() in SUFFIXES
+        and not any(part.startswith(".") for part in file.relative_to(folder).parts)
         and file.is_file()
         and file.parent not in bags
         and not is_table(file)
     ]
     found = [file for file in sorted([*bags, *files]) if not _is_below(file, out)]
-    return [Item(file, file.relative_to(folder)) for file in found]
+    return [Item(file, _output_of(file.relative_to(folder))) for file in found]
+
+
+def _output_of(relative: Path) -> Path:
+    """The name of what is made of a file: arrays of all formats become .npy files."""
+    arrays = relative.suffix.lower() in ARRAY_SUFFIXES
+    return relative.with_suffix(ARRAY_SUFFIX) if arrays else relative
 
 
 def _is_below(file: Path, folder: Path) -> bool:

@@ -14,15 +14,12 @@ from ...factory.dataset.read.reader import check_in_isolation, open_shard, value
 from ...factory.errors import FactoryError, FrameError
 from ...factory.files import write_atomically
 from ...factory.sonar.geometry import FanGeometry, recorded_sonar
-from .files import (
-    COMPARED,
-    SCHEMA,
-    Denoise,
-    Tick,
-    denoise_image,
-    write_compared,
-)
+from .files import Tick
 from .inputs import Item
+from .pictures import Denoise, denoise_image
+from .writers import COMPARED, write_compared
+
+SCHEMA = "simnfnd-denoised/1"
 
 
 def denoise_shard(
@@ -65,7 +62,7 @@ def denoise_shard(
             try:
                 image = noisy[row]
                 truth = clean[row] if row < COMPARED else None
-                denoised[row] = denoise_image(image, denoise, geometry(row), echoes_alone=True)
+                denoised[row] = denoise_image(image, denoise, geometry(row))
             except (OSError, RuntimeError, ValueError) as error:
                 raise FrameError(f"{item.source}: sample {row} is damaged ({error})") from error
             if truth is not None:
@@ -77,7 +74,7 @@ def denoise_shard(
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, content)
     if compare and shown:
-        write_compared(out, item.relative, shown)
+        write_compared(out / item.compared, shown)
 
 
 def opened_shard(item: Item) -> h5py.File:

@@ -11,11 +11,7 @@ A network is one file beside this one with a settings class and a torch module, 
   `with_heads` that may be left out or None where it is unknown: `range_fraction` (N, 1, H, W),
   slant range of a pixel over range_max; `azimuth_rad` (N, 1, H, W), positive to the right; `sector`
   (N, 1, H, W), 1 inside the insonified sector and 0 outside; `remove` (N, 6), 1 for each artefact
-  to remove (`simnfnd.models.removal`); `looks` (N, T, H, W), T pictures of one scene in their
-  order, T odd, the picture itself in the middle; `rate` (N, 1), 0 to 1, how much of its change a
-  picture gets.  Batches hold them under these names.
-- `looks`, a number, says how many pictures of one scene it sees at once; with more than 1 it has
-  the optional input of that name, and without that sees the one picture so many times.
+  to remove (`simnfnd.models.removal`).  Batches hold them under these names.
 - A network with `has_heads = True` predicts more: where `forward` returns the image alone,
   `with_heads(x, ...)` returns (image, shadow_logits, weight): logits (N, 1, H, W) of shadow, and
   (N,) the part of its change, 0 to 1, that `forward` gives each picture.
@@ -25,8 +21,6 @@ A network is one file beside this one with a settings class and a torch module, 
 - A loss is `loss(prediction, clean, batch)`; the batch holds `noisy`, `clean`, `shadow`
   (N, 1, H, W) float, 1 in shadow, where it is known, `shadow_logits` and `weight` from a
   network with heads, and `progress`, a scalar, the fraction of the training that is done.
-- A network with `is_blind = True` never sees the pixel that it predicts: `predict_blind(x)` is the
-  prediction that it can learn from noisy images by.
 - A network with `adversarial = True` is trained against a discriminator
   (`simnfnd.models.training.adversarial`), any other by `simnfnd.models.training.module`; both
   denoise alike.
@@ -45,15 +39,17 @@ if TYPE_CHECKING:
     from .network import Network
 
 NETWORKS = {
-    "ap_bsn": ("simnfnd.models.networks.ap_bsn", "APBSNSettings", "APBSN"),
-    "dae": ("simnfnd.models.networks.dae", "DAESettings", "DAE"),
-    "dgp_srgan": ("simnfnd.models.networks.dgp_srgan", "DGPSRGANSettings", "DGPSRGAN"),
-    "kdlae": ("simnfnd.models.networks.kdlae", "KDLAESettings", "KDLAE"),
+    "dae": ("simnfnd.models.networks.literature.dae", "DAESettings", "DAE"),
+    "dgp_srgan": ("simnfnd.models.networks.literature.dgp_srgan", "DGPSRGANSettings", "DGPSRGAN"),
     "nafnet": ("simnfnd.models.networks.nafnet", "NAFNetSettings", "NAFNet"),
     "restormer": ("simnfnd.models.networks.restormer", "RestormerSettings", "Restormer"),
-    "sid_tgan": ("simnfnd.models.networks.sid_tgan", "SIDTGANSettings", "SIDTGAN"),
+    "sid_tgan": ("simnfnd.models.networks.literature.sid_tgan", "SIDTGANSettings", "SIDTGAN"),
     "sonarnet": ("simnfnd.models.networks.sonarnet", "SonarNetSettings", "SonarNet"),
-    "three_stage": ("simnfnd.models.networks.three_stage", "ThreeStageSettings", "ThreeStage"),
+    "three_stage": (
+        "simnfnd.models.networks.literature.three_stage",
+        "ThreeStageSettings",
+        "ThreeStage",
+    ),
     "unet": ("simnfnd.models.networks.unet", "UNetSettings", "UNet"),
 }
 """kind -> module, settings class, network class; torch is imported only when one is built."""

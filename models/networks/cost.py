@@ -1,58 +1,16 @@
-"""What a network costs: parameters, multiply-accumulates and time of one core.
-
-`python -m simnfnd.models.networks.cost` measures every network of conf/model.
-"""
+"""Multiply-accumulates of a network, by torch's counter."""
 
 from __future__ import annotations
 
-import sys
-import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from importlib.resources import files
+from collections.abc import Sequence
 from math import prod
 from typing import Any
 
 import torch
-import yaml
 from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
-from ...factory.errors import FactoryError
-from . import NETWORKS, build_network
 from .network import Network
-from .weights import channels_last
-
-_REPEATS = 3
-
-
-@dataclass(frozen=True)
-class Cost:
-    """What one gray image costs.
-
-    parameters: numbers in the weights.  gmac: 1e9 multiply-accumulates for an image of `gmac_px` x
-    `gmac_px`.  cpu_ms: CPU milliseconds of one core for an image of `time_px` x `time_px`.
-    """
-
-    parameters: int
-    gmac: float
-    cpu_ms: float
-    gmac_px: int
-    time_px: int
-
-
-def measure(network: Network, *, gmac_px: int = 256, time_px: int = 512) -> Cost:
-    """Cost of denoising one gray image, with all extras that the network uses.
-
-    The time is the least of three, in 32-bit floats; it is this machine's and varies.
-    """
-    return Cost(
-        parameters=sum(weights.numel() for weights in network.parameters()),
-        gmac=count_macs(network, gmac_px) / 1e9,
-        cpu_ms=cpu_seconds(network, time_px) * 1e3,
-        gmac_px=gmac_px,
-        time_px=time_px,
-    )
 
 
 def count_macs(network: Network, size_px: int) -> int:
@@ -74,28 +32,6 @@ def count_macs(network: Network, size_px: int) -> int:
     finally:
         network.train(was_training)
     return int(counter.get_total_flops()) // 2
-
-
-def cpu_seconds(network: Network, size_px: int) -> float:
-    """CPU seconds of one core, the least of three; memory laid out as denoising has it."""
-    threads = torch.get_num_threads()
-    image, extras = example(network, size_px)
-    network = channels_last(network)
-    was_training = network.training
-    network.eval()
-    torch.set_num_threads(1)
-    try:
-        best = float("inf")
-        with torch.inference_mode():
-            network(image, **extras)
-            for _ in range(_REPEATS):
-                started = time.process_time()
-                network(image, **extras)
-                best = min(best, time.process_time() - started)
-    finally:
-        torch.set_num_threads(threads)
-        network.train(was_training)
-    return best
 
 
 def example(network: Network, size_px: int) -> tuple[Tensor, dict[str, Tensor]]:
@@ -122,26 +58,3 @@ def _attention_flops(
     # Two matrix products, (queries x width) by (width x keys) and back.
     *outer, queries, width = query
     return 4 * prod(outer) * queries * key[-2] * width
-
-
-def _configs() -> Mapping[str, Mapping[str, Any]]:
-    folder = files("simnfnd.conf") / "model"
-    texts = {kind: folder / f"{kind}.yaml" for kind in sorted(NETWORKS)}
-    return {kind: yaml.safe_load(text.read_text("utf-8")) for kind, text in texts.items()}
-
-
-def main() -> int:
-    """Print the table of docs/models.md."""
-    print("| network | parameters, M | GMAC at 256x256 | CPU ms at 512x512, one core |")
-    print("|---|---:|---:|---:|")
-    for kind, config in _configs().items():
-        cost = measure(build_network(config))
-        print(f"| {kind} | {cost.parameters / 1e6:.2f} | {cost.gmac:.2f} | {cost.cpu_ms:.0f} |")
-    return 0
-
-
-if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except FactoryError as error:
-        sys.exit(str(error))

@@ -35,7 +35,6 @@ class Network(nn.Module):
     has_heads: ClassVar[bool] = False
     has_stages: ClassVar[bool] = False
     adversarial: ClassVar[bool] = False
-    is_blind: ClassVar[bool] = False
     looks: int = 1
     wide_grain: float = 1.0
     """See `models.denoise.scales`."""
@@ -52,10 +51,6 @@ class Network(nn.Module):
 
     def restore_with_heads(self, noisy: Tensor, **extras: Tensor) -> NetworkOutput:
         """Like `restore`, with the output of the heads."""
-        raise NotImplementedError
-
-    def restore_blind(self, noisy: Tensor) -> Tensor:
-        """Like `restore`, every pixel from others alone."""
         raise NotImplementedError
 
     def restore_stages(self, noisy: Tensor, **extras: Tensor) -> list[Tensor]:
@@ -88,15 +83,6 @@ class Network(nn.Module):
             logits.mean(dim=1, keepdim=True),
             output.weight.reshape(noisy.shape[0], -1).mean(dim=1),
         )
-
-    def predict_blind(self, noisy: Tensor) -> Tensor:
-        """The image, every pixel predicted from others alone, in training and in use.
-
-        Raises ValueError as `forward` does, and TypeError of a network that is not blind.
-        """
-        if not self.is_blind:
-            raise TypeError(f"{type(self).__name__} sees the pixels that it predicts")
-        return self._restored(self.restore_blind(self._prepared(noisy, {})[0]), noisy)
 
     def with_stages(self, noisy: Tensor, **extras: Tensor | None) -> list[Tensor]:
         """The image of every stage, the last of them as `forward` returns it.

@@ -6,6 +6,8 @@
 - Range, bearing and the insonified sector of every cell are inputs, and what is to be removed is
   told, too: six numbers that scale and shift the features of every level (FiLM, Perez et al. 2018).
 - Means along whole beams and arcs are part of the features (`networks.lines`).
+- With `frames` it gets a plane that says how many frames were averaged in each pixel; it scales and
+  shifts the features of every level pixel by pixel, and changes nothing for a single frame.
 - A second head predicts shadow (black in the clean picture); the picture is multiplied by one minus
   that.
 - A third (`networks.blend_head`) weighs the change of the whole picture, which falls to nothing
@@ -18,7 +20,8 @@ Without geometry it works on the picture as it is; in training the geometry is w
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import Annotated, ClassVar, Literal
 
 import torch
@@ -31,13 +34,15 @@ from ...factory.imaging.contract import ARTEFACTS
 from ...factory.settings import STRICT
 from ..removal import DEFAULT, vector
 from .blend_head import BlendHead
-from .lines import GridLines, LineContext, MapLines
+from .lines import GridLines, LineContext, Lines, MapLines
 from .network import Network, NetworkOutput, Step, down_and_up, padded
 from .polar import polar_grid
 from .unet import residual_blocks
 
 _MAPS = ("range_fraction", "azimuth_rad", "sector")
 _TOLD = 32  # features of what is to be removed
+_FRAMES = 4.0  # log2 of the most frames that are averaged
+_HALVED = -math.log(2) / 2  # noise falls by the root of two with twice as many frames
 # Logit of shadow before anything is learned, and outside the sector.
 _FIRST, _OUTSIDE = -2.0, -10.0
 
@@ -58,6 +63,7 @@ class SonarNetSettings:
         a picture at half its size first (`models.denoise.scales`); 1: never; not in training, so
         trained weights may change it.
     told: whether the network is told what to remove; else it always removes the same.
+    frames: whether it gets the number of frames averaged in each pixel; not with `polar`.
     channels: of the images; 1, so that colours are denoised one by one.
     """
 
@@ -71,9 +77,12 @@ class SonarNetSettings:
     mirror: bool = False
     wide_grain: Annotated[float, Field(ge=0, le=1)] = 1.0
     told: bool = True
+    frames: bool = False
     channels: Literal[1] = 1
 
     def __post_init__(self) -> None:
+        if self.frames and self.polar:
+            raise ValueError("frames: is not possible with polar=true; set polar=false")
         if not self.widths or len(self.widths) != len(self.blocks):
             raise ValueError(
                 f"widths has {len(self.widths)} resolutions and blocks {len(self.blocks)}; "
@@ -95,11 +104,15 @@ class SonarNet(Network):
         self.fan: bool | None = None
         widths, blocks = settings.widths, settings.blocks
         self.core_stride = 2 ** len(widths)
-        self.intro = nn.Conv2d(4 * (1 + len(_MAPS)), widths[0], 3, padding=1)
-        self.extras = (*_MAPS, "remove") if settings.told else _MAPS
+        planes = 1 + len(_MAPS) + settings.frames
+        self.intro = nn.Conv2d(4 * planes, widths[0], 3, padding=1)
+        told = ("remove",) if settings.told else ()
+        self.extras = (*_MAPS, *told, *(("frames",) if settings.frames else ()))
         if settings.told:
             self.told = nn.Sequential(nn.Linear(len(ARTEFACTS), _TOLD), nn.ReLU())
             self.films = nn.ModuleList(_film(width) for width in widths)
+        if settings.frames:
+            self.frames = nn.ModuleList(_frames_film(width) for width in widths)
         self.lines = LineContext(widths[0]) if settings.lines else None
         self.encoders, self.downs = nn.ModuleList(), nn.ModuleList()
         self.ups, self.decoders = nn.ModuleList(), nn.ModuleList()
@@ -121,7 +134,8 @@ class SonarNet(Network):
 
         Geometry counts only where `range_fraction` and `azimuth_rad` are both there; without
         `sector` everything is insonified.  remove: (N, 6), 1 for each artefact to remove (see
-        `formation.contract.ARTEFACTS`); without it the usual ones.
+        `imaging.contract.ARTEFACTS`); without it the usual ones.  frames: (N, 1, H, W), how many
+        frames were averaged, as of `removal.averaged`; without it 0, a single frame.
         """
         output = self._single_pass(noisy, extras)
         if self.training or not self.settings.mirror:
@@ -137,71 +151,90 @@ class SonarNet(Network):
         )
 
     def _single_pass(self, noisy: Tensor, extras: Mapping[str, Tensor]) -> NetworkOutput:
-        remove = extras.get("remove")
+        remove, frames = extras.get("remove"), extras.get("frames")
         if remove is None:
             usual = torch.from_numpy(vector(DEFAULT)).to(noisy)
             remove = usual.expand(noisy.shape[0], -1)
+        if frames is None and self.settings.frames:
+            frames = torch.zeros_like(noisy)
         has_geometry = "range_fraction" in extras and "azimuth_rad" in extras
         if self.training and has_geometry and self.settings.forget:
             has_geometry = bool(torch.rand(()) >= self.settings.forget)
         if not has_geometry:
-            change, logits, weight = self._core(remove, None, noisy, *_unknown(noisy))
-            return NetworkOutput(self._gated(noisy + change, logits), logits, weight)
+            change, logits, weight = self.core(remove, frames, GridLines(), noisy, *_unknown(noisy))
+            return NetworkOutput(self.gated(noisy + change, logits), logits, weight)
         range_fraction, azimuth_rad = extras["range_fraction"], extras["azimuth_rad"]
         sector = extras.get("sector", torch.ones_like(noisy))
         grid = None
         if self.settings.polar:
             grid = polar_grid(range_fraction, azimuth_rad, sector, fan=self.fan)
         if grid is None:
-            found = (azimuth_rad, range_fraction, sector)
+            lines = self._lines(azimuth_rad, range_fraction, sector)
             maps = _known(range_fraction, azimuth_rad, sector)
-            change, logits, weight = self._core(remove, found, noisy, *maps)
+            change, logits, weight = self.core(remove, frames, lines, noisy, *maps)
         else:
             polar = grid.polar(torch.cat([noisy, sector], dim=1))
             maps = _known(grid.range_fraction, grid.azimuth_rad, polar[:, 1:])
-            *cells, weight = self._core(remove, None, polar[:, :1], *maps)
+            *cells, weight = self.core(remove, None, GridLines(), polar[:, :1], *maps)
             change, logits = grid.fan(torch.cat(cells, dim=1)).chunk(2, dim=1)
         # Outside the sector there is nothing to denoise and no shadow.
         inside = sector > 0
         change = change.masked_fill(~inside, 0.0)
-        image = self._gated(noisy + change, logits)
+        image = self.gated(noisy + change, logits)
         image = torch.where(inside, image, noisy)
         return NetworkOutput(image, logits.masked_fill(~inside, _OUTSIDE), weight)
 
-    def _gated(self, image: Tensor, logits: Tensor) -> Tensor:
+    def _lines(self, azimuth_rad: Tensor, range_fraction: Tensor, sector: Tensor) -> Lines:
+        """The beams and arcs of features at half resolution."""
+        planes = [padded(x, self.core_stride) for x in (azimuth_rad, range_fraction, sector)]
+        height, width = planes[0].shape[-2:]
+        return MapLines.of(planes[0], planes[1], planes[2], (height // 2, width // 2))
+
+    def gated(self, image: Tensor, logits: Tensor) -> Tensor:
+        """The picture, darker where the logits say shadow; (N, 1, H, W) both."""
         return image * torch.sigmoid(-logits) if self.settings.mask else image
 
-    def _core(
-        self, remove: Tensor, maps: tuple[Tensor, Tensor, Tensor] | None, *planes: Tensor
+    def core(
+        self, remove: Tensor, frames: Tensor | None, lines: Lines, *planes: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
         """What to add and logits of shadow, (N, 1, H, W) as the planes; the weight, (N,).
 
-        maps: azimuth, range and sector of a fan; None where columns are beams and rows ranges.
+        planes: the picture and its maps as of `_known` or `_unknown`.  frames: as of
+        `restore_with_heads`.  lines: beams and arcs of the features at half resolution.
         """
         height, width = planes[0].shape[-2:]
-        x = torch.cat([padded(plane, self.core_stride) for plane in planes], dim=1)
-        x = self.intro(functional.pixel_unshuffle(x, 2))
+        inputs = [padded(plane, self.core_stride) for plane in planes]
+        levels = None
+        if frames is not None:
+            frames = padded(frames, self.core_stride)
+            inputs.append(frames / _FRAMES)
+            levels = _frames_levels(frames, len(self.settings.widths))
+        x = self.intro(functional.pixel_unshuffle(torch.cat(inputs, dim=1), 2))
         if self.lines is not None:
-            if maps is None:
-                x = self.lines(x, GridLines())
-            else:
-                azimuth, radius, inside = (padded(plane, self.core_stride) for plane in maps)
-                shape = (x.shape[-2], x.shape[-1])
-                x = self.lines(x, MapLines.of(azimuth, radius, inside, shape))
-        encoders: list[Step] = list(self.encoders)
-        middle: Step = self.middle
-        if self.settings.told:
-            told = self.told(remove)
-            *films, coarsest = [film(told) for film in self.films]
-            encoders = [_after(*both) for both in zip(films, encoders, strict=True)]
-            middle = _after(coarsest, middle)
+            x = self.lines(x, lines)
+        *encoders, middle = self._told_steps(remove, levels)
         x = down_and_up(x, encoders, self.downs, middle, self.ups, self.decoders)
         heads = functional.pixel_shuffle(self.outro(x), 2)[..., :height, :width]
         noisy, change, logits = planes[0], heads[:, :1], heads[:, 1:]
         # The last plane is the sector's complement, or -1 where it is unknown.
         sector = 1 - planes[-1].clamp_min(0)
-        denoised = self._gated(noisy + change, logits)
+        denoised = self.gated(noisy + change, logits)
         return change, logits, self.blend(x, noisy, denoised - noisy, sector)
+
+    def _told_steps(self, remove: Tensor, levels: Sequence[Tensor] | None) -> list[Step]:
+        """The blocks of every level on the way down, with what scales and shifts their features.
+
+        levels: how many frames were averaged, at the resolution of each level.
+        """
+        steps: list[Step] = [*self.encoders, self.middle]
+        films: list[Tensor] = []
+        if self.settings.told:
+            told = self.told(remove)
+            films = [film(told)[:, :, None, None] for film in self.films]
+        if levels is not None:
+            found = [film(level) for film, level in zip(self.frames, levels, strict=True)]
+            films = [sum(both) for both in zip(films, found, strict=True)] if films else found
+        return [_after(*both) for both in zip(films, steps, strict=True)] if films else steps
 
 
 def _film(width: int) -> nn.Linear:
@@ -212,9 +245,28 @@ def _film(width: int) -> nn.Linear:
     return film
 
 
+def _frames_film(width: int) -> nn.Conv2d:
+    """Scales and shifts of `width` channels from the planes of `_frames_levels`; none at first."""
+    film = nn.Conv2d(2, 2 * width, 1, bias=False)
+    nn.init.zeros_(film.weight)
+    return film
+
+
+def _frames_levels(frames: Tensor, count: int) -> list[Tensor]:
+    """log2 of the number of frames and what their noise has less, at half resolution and coarser.
+
+    frames: (N, 1, H, W) log2.  Both planes are 0 for a single frame.
+    """
+    planes, levels = torch.cat([frames / _FRAMES, torch.exp(frames * _HALVED) - 1], dim=1), []
+    for _ in range(count):
+        planes = functional.avg_pool2d(planes, 2)
+        levels.append(planes)
+    return levels
+
+
 def _after(film: Tensor, blocks: Step) -> Step:
     """The blocks on features that were scaled and shifted before."""
-    scale, shift = film[:, :, None, None].chunk(2, dim=1)
+    scale, shift = film.chunk(2, dim=1)
     return lambda x: blocks(torch.addcmul(shift.to(x.dtype), x, (1 + scale).to(x.dtype)))
 
 

@@ -7,7 +7,7 @@ without normalisation, as denoising networks use them (Zhang et al., DRUNet, TPA
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
@@ -40,10 +40,7 @@ class UNetSettings:
 class ResidualBlock(nn.Module):
     """Two convolutions, added to what came in; it starts as the identity."""
 
-    LAST: ClassVar[str] = "second"
-    """The layer that decides how much it adds."""
-
-    def __init__(self, first: nn.Conv2d | nn.Conv3d, second: nn.Conv2d | nn.Conv3d) -> None:
+    def __init__(self, first: nn.Conv2d, second: nn.Conv2d) -> None:
         super().__init__()
         self.first, self.second = first, second
         nn.init.zeros_(self.second.weight)
@@ -51,7 +48,7 @@ class ResidualBlock(nn.Module):
         nn.init.zeros_(self.second.bias)
 
     def forward(self, x: Tensor) -> Tensor:
-        """(N, C, H, W), or (N, C, T, H, W) of frames -> the same shape."""
+        """(N, C, H, W) -> the same shape."""
         changed: Tensor = self.second(functional.relu(self.first(x), inplace=True))
         return changed.add_(x)
 

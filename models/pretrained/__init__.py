@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
+from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError
+from .. import WEIGHTS_NAME
 
 DEFAULT = "simnfnd"
 """Name of the weights that `simnfnd denoise` takes when none are given."""
 POINTS = "simnfnd-paper"
-"""Those for shards of acoustics.formation=points: trained on the paper's noise."""
-
+"""Those for the paper's noise: shards of acoustics.formation=points, and where it is asked for."""
 REMOVAL = "simnfnd-removal"
 """Those for what lies over a picture (haze, spokes, ghosts, gains), where it is asked for."""
 
@@ -23,6 +25,8 @@ def shipped(folder: Path | None = None) -> dict[str, Path]:
 def find_weights(given: str | Path | None) -> Path:
     """The weights file that is meant: a file, the name of one that ships, or None for the default.
 
+    `OWNER/NAME`, where there is no such file, is a repository of the Hugging Face Hub that holds a
+    `weights.safetensors`.
     Raises FactoryError when there is no such file.
     """
     known = shipped()
@@ -36,10 +40,31 @@ def find_weights(given: str | Path | None) -> Path:
             "--weights: this version ships no trained weights; give the weights.safetensors that "
             "`simnfnd train dataset=DIR` wrote"
         )
+    if re.fullmatch(r"[\w.-]+/[\w.-]+", name) and not Path(name).suffix:
+        return _of_hub(name)
     names = f"; weights that ship: {', '.join(known)}" if known else ""
     raise FactoryError(
         f"weights={given}: no such file; train one with `simnfnd train dataset=DIR`{names}"
     )
+
+
+def graphs() -> tuple[Path, ...]:
+    """The graphs that ship: what onnxruntime computes of the weights of such a network."""
+    return tuple(sorted(_FOLDER.glob("*.onnx")))
+
+
+def _of_hub(repository: str) -> Path:
+    """`weights.safetensors` of a repository, fetched once; FactoryError where that fails."""
+    require([Need(f"weights={repository}", "huggingface_hub")])
+    from huggingface_hub import hf_hub_download
+
+    try:
+        return Path(hf_hub_download(repository, WEIGHTS_NAME))
+    except (OSError, ValueError) as error:
+        reason = " ".join(str(error).split())[:160]
+        raise FactoryError(
+            f"weights={repository}: no such file, and the Hugging Face Hub gives none: {reason}"
+        ) from error
 
 
 _FOLDER = Path(__file__).parent

@@ -24,7 +24,14 @@ if TYPE_CHECKING:
 LIMIT_MB = 8.0
 """What ships must be small enough to live in the repository."""
 
-_CARD = """# {name}
+_CARD = """---
+license: apache-2.0
+library_name: simnfnd
+pipeline_tag: image-to-image
+tags: [sonar, denoising, forward-looking-sonar]
+---
+
+# {name}
 
 A denoiser for forward-looking sonar pictures, made by `simnfnd train` of SimNFND {version}.
 `simnfnd denoise IN... --out DIR --weights {name}` uses it.
@@ -70,7 +77,7 @@ _LIMITS = (
 )
 
 
-SUFFIXES = {"safetensors": ".safetensors", "onnx": ".onnx", "torchscript": ".pt"}
+SUFFIXES = {"safetensors": ".safetensors", "onnx": ".onnx", "runtime": ".onnx"}
 """What `--to` may say, and how the files end."""
 
 
@@ -83,13 +90,14 @@ def main(arguments: Sequence[str]) -> int:
         "--to",
         choices=tuple(SUFFIXES),
         default="safetensors",
-        help="safetensors: 16 bits with a model card (default); others: see docs/deploy.md",
+        help="safetensors: 16 bits with a model card (default); runtime: the graph without "
+        "weights by which `simnfnd denoise` does without torch; others: see docs/deploy.md",
     )
     parser.add_argument(
         "--geometry",
         choices=("none", "fan", "polar"),
         default="none",
-        help="of the pictures that an onnx or torchscript file gets with their range and bearing",
+        help="of the pictures that an onnx file gets with their range and bearing",
     )
     parser.add_argument(
         "--set",
@@ -105,49 +113,65 @@ def main(arguments: Sequence[str]) -> int:
     if out.suffix != SUFFIXES[chosen.to]:
         raise FactoryError(f"--out {out}: must end in {SUFFIXES[chosen.to]} for --to {chosen.to}")
     weights, changes = find_weights(chosen.weights), _changes(chosen.set)
+    if chosen.to == "runtime" and (changes or chosen.geometry != "none"):
+        raise FactoryError("--set, --geometry: are not for --to runtime, which takes any geometry")
     if chosen.to != "safetensors":
         if chosen.figures or chosen.limits:
             raise FactoryError("--figures, --limits: are for the card, so for --to safetensors")
-        for line in export_graph(weights, out, chosen.to, chosen.geometry, changes):
+        lines = (
+            export_runtime(weights, out)
+            if chosen.to == "runtime"
+            else export_graph(weights, out, chosen.geometry, changes)
+        )
+        for line in lines:
             print(line)
         return 0
     if chosen.geometry != "none":
-        raise FactoryError(f"--geometry {chosen.geometry}: is for --to onnx and torchscript")
+        raise FactoryError(f"--geometry {chosen.geometry}: is for --to onnx")
     figures, limits = (_text(path) for path in (chosen.figures, chosen.limits))
     size_mb = export(weights, out, figures, limits, changes=changes)
     print(f"weights: {out}, {size_mb:.2f} MB; card: {out.with_suffix('.md')}")
     return 0
 
 
+def export_runtime(weights: Path, out: Path) -> Iterator[str]:
+    """Write the graph by which `simnfnd denoise` runs weights in onnxruntime; a line on it.
+
+    Raises FactoryError when the weights cannot be read, are of another network than `sonarnet`, or
+    onnxruntime would not compute what torch does.
+    """
+    require(Need("--to runtime", module) for module in ("onnx", "onnxruntime"))
+    from .runtime_graph import write_runtime
+
+    difference = write_runtime(weights, out)
+    yield f"{out}: {out.stat().st_size / 1e6:.2f} MB, within {difference:.1e} of torch"
+
+
 def export_graph(
     weights: Path,
     out: Path,
-    to: str,
     layout: Layout = "none",
     changes: Mapping[str, Any] | None = None,
 ) -> Iterator[str]:
     """Write a network with its weights for other programs; lines on what was written.
 
-    to: `onnx` or `torchscript`.  layout, changes: of the geometry, and of the network's settings.
+    layout, changes: of the geometry, and of the network's settings.
     Raises FactoryError when the weights cannot be read or do not fit the changed network, the
     network does not use a geometry, or the file would not compute what torch does.
     """
-    if to == "onnx":
-        require(Need("--to onnx", module) for module in ("onnx", "onnxruntime"))
+    require(Need("--to onnx", module) for module in ("onnx", "onnxruntime"))
     from ..networks.weights import load_weights
     from .graph import MAPS, Graph, described
-    from .traced import OPSET, write_onnx, write_torchscript
+    from .traced import OPSET, write_onnx
 
     trained = load_weights(weights)
     model = {**trained.model, **(changes or {})}
     graph = Graph(_changed(trained.network, model, changes), layout)
     digest = hashlib.sha256(weights.read_bytes()).hexdigest()
     about = {"model": json.dumps(model, sort_keys=True), "weights_sha256": digest}
-    write = write_onnx if to == "onnx" else write_torchscript
-    difference = write(graph, out, about)
-    form = f"ONNX, opset {OPSET}" if to == "onnx" else "TorchScript"
+    difference = write_onnx(graph, out, about)
     size_mb = out.stat().st_size / 1e6
-    yield f"{out}: {form}, {size_mb:.2f} MB, within {difference:.1e} of torch"
+    yield f"{out}: ONNX, opset {OPSET}, {size_mb:.2f} MB, within {difference:.1e} of torch"
     for name, line in described(graph).items():
         yield f"  {'in ' if name in graph.inputs else 'out'} {name}: {line}"
     if layout == "none" and set(MAPS) <= set(graph.network.extras):

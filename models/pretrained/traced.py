@@ -1,17 +1,16 @@
-"""Networks as files of other programs: ONNX and TorchScript, compared with torch before written.
+"""Networks as ONNX files for other programs, compared with torch before they are written.
 
-Both come of one trace.  torch's exporter by symbolic shapes (`dynamo=True`) gives the same ONNX
+They come of a trace.  torch's exporter by symbolic shapes (`dynamo=True`) gives the same ONNX
 graph of `sonarnet` after minutes where the trace takes seconds.
 """
 
 from __future__ import annotations
 
 import io
-import json
 import warnings
-import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -20,6 +19,7 @@ from torch import Tensor
 from ...factory import __version__
 from ...factory.errors import FactoryError
 from ...factory.files import check_writable, write_atomically
+from ..denoise.runtime import give_weights
 from .graph import Graph, described, wanted
 
 OPSET = 18
@@ -27,8 +27,6 @@ OPSET = 18
 
 Newer runtimes read older opsets.
 """
-TOLERANCE = 1e-4
-"""Largest difference from torch that is let through, in pictures of 0 to 1."""
 # Pictures of the trace and of the comparison: (height, width, how many).  The first divides by
 # nothing, so that padding is part of the trace.
 _TRACED = (75, 91, 2)
@@ -37,18 +35,24 @@ _COMPARED = ((64, 64, 1), (50, 83, 2), (128, 70, 1))
 Run = Callable[[Mapping[str, Tensor]], list[np.ndarray]]
 
 
-def write_onnx(graph: Graph, path: Path, about: Mapping[str, object]) -> float:
+def write_onnx(
+    graph: Graph, path: Path, about: Mapping[str, object], *, bare: bool = False
+) -> float:
     """Write a `.onnx` file of any height, width and number of pictures; how far it is from torch.
 
-    about: what the file says of itself.  Raises FactoryError when onnxruntime does not get what
+    about: what the file says of itself.  bare: without the network's weights.
+    Raises FactoryError when onnxruntime does not get what
     torch does, or the file cannot be written.
     """
     import onnxruntime
 
     check_writable(path.parent, "--out")
-    content = _with_words(graph, _exported(graph), about)
+    content = _with_words(graph, _exported(graph, folded=not bare), about, bare)
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
+    if bare:
+        weights = {name: values.numpy() for name, values in graph.state_dict().items()}
+        kept = give_weights(options, weights)  # noqa: F841  (the session shares their memory)
     session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
 
     def run(inputs: Mapping[str, Tensor]) -> list[np.ndarray]:
@@ -62,27 +66,10 @@ def write_onnx(graph: Graph, path: Path, about: Mapping[str, object]) -> float:
     return difference
 
 
-def write_torchscript(graph: Graph, path: Path, about: Mapping[str, object]) -> float:
-    """Write a `.pt` file that `torch.jit.load` reads; otherwise as `write_onnx`."""
-    check_writable(path.parent, "--out")
-    made = io.BytesIO()
-    words = json.dumps({**_facts(graph, about), "inputs": list(graph.inputs)}, sort_keys=True)
-    torch.jit.save(_traced(graph), made, _extra_files={"simnfnd.json": words})
-    content = _without_paths(made)
-    loaded = torch.jit.load(io.BytesIO(content))  # type: ignore[no-untyped-call]
-
-    def run(inputs: Mapping[str, Tensor]) -> list[np.ndarray]:
-        return [values.numpy() for values in loaded(*inputs.values())]
-
-    difference = compared(graph, run, "TorchScript")
-    write_atomically(path, content, key="--out")
-    return difference
-
-
 def compared(graph: Graph, run: Run, who: str) -> float:
     """Largest difference of `run` from the graph in torch, over pictures of several sizes.
 
-    Raises FactoryError when it is above TOLERANCE.
+    Raises FactoryError when it is above the graph's tolerance.
     """
     worst = 0.0
     for seed, size in enumerate(_COMPARED):
@@ -90,14 +77,14 @@ def compared(graph: Graph, run: Run, who: str) -> float:
         if seed and "remove" in inputs:
             inputs["remove"] = torch.from_numpy(wanted(("haze", "gains")))
         expected = [values.numpy() for values in graph(*inputs.values())]
-        for values, wished in zip(run(inputs), expected, strict=True):
+        for name, values, wished in zip(graph.outputs, run(inputs), expected, strict=True):
             # NaN must not pass.
-            distance = float(np.abs(values - wished).max())
+            distance = float(np.abs(graph.shown(name, values) - graph.shown(name, wished)).max())
             worst = distance if not distance <= worst else worst
-    if not worst <= TOLERANCE:
+    if not worst <= graph.tolerance:
         raise FactoryError(
-            f"{who} differs from torch by {worst:.1e}, more than {TOLERANCE:.0e}; nothing was "
-            "written; please report this with the versions of both"
+            f"{who} differs from torch by {worst:.1e}, more than {graph.tolerance:.0e}; "
+            "nothing was written; please report this with the versions of both"
         )
     return worst
 
@@ -113,19 +100,8 @@ def _traced(graph: Graph) -> torch.jit.ScriptModule:
         return traced
 
 
-def _without_paths(made: io.BytesIO) -> bytes:
-    """The same archive without where the lines of its source stood on this machine."""
-    content = io.BytesIO()
-    with zipfile.ZipFile(made) as source, zipfile.ZipFile(content, "w") as target:
-        for member in source.infolist():
-            if not member.filename.endswith(".debug_pkl"):
-                target.writestr(member, source.read(member))
-    return content.getvalue()
-
-
-def _exported(graph: Graph) -> bytes:
-    axes = {0: "count", 2: "height", 3: "width"}
-    pictures = [name for name in (*graph.inputs, "denoised") if name != "remove"]
+def _exported(graph: Graph, folded: bool = True) -> bytes:
+    """folded: with what follows from weights alone computed."""
     content = io.BytesIO()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -135,15 +111,18 @@ def _exported(graph: Graph) -> bytes:
             content,  # type: ignore[arg-type]
             dynamo=False,
             opset_version=OPSET,
+            do_constant_folding=folded,
             input_names=list(graph.inputs),
             output_names=list(graph.outputs),
-            dynamic_axes={**dict.fromkeys(pictures, axes), "weight": {0: "count"}},
+            dynamic_axes=graph.axes,
         )
     return content.getvalue()
 
 
-def _with_words(graph: Graph, content: bytes, about: Mapping[str, object]) -> bytes:
-    """The same file with its inputs and itself explained."""
+def _with_words(
+    graph: Graph, content: bytes, about: Mapping[str, object], bare: bool = False
+) -> bytes:
+    """The same file with its inputs and itself explained; bare: without weights."""
     import onnx
 
     model = onnx.load_model_from_string(content)
@@ -159,8 +138,21 @@ def _with_words(graph: Graph, content: bytes, about: Mapping[str, object]) -> by
         model, {key: str(value) for key, value in sorted(_facts(graph, about).items())}
     )
     onnx.checker.check_model(model, full_check=True)
+    if bare:
+        _without_weights(model, graph.state_dict().keys())
     written: bytes = model.SerializeToString(deterministic=True)
     return written
+
+
+def _without_weights(model: Any, names: Collection[str]) -> None:
+    """Leave these weights out of the file: whoever opens it gives them by their names."""
+    import onnx
+
+    for one in model.graph.initializer:
+        if one.name in names:
+            one.ClearField("raw_data")
+            one.data_location = onnx.TensorProto.EXTERNAL
+            one.external_data.add(key="location", value="weights")
 
 
 def _facts(graph: Graph, about: Mapping[str, object]) -> dict[str, object]:

@@ -11,8 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ...factory.errors import FactoryError
-from .arrays import FORMATS, file_of, split_name
-from .arrays.levels import Levels
+from .arrays import SUFFIXES, file_of, kind_of_arrays, split_name
 from .base import (
     PICTURE_SUFFIXES,
     TIFF_SUFFIXES,
@@ -22,7 +21,7 @@ from .base import (
     Pose,
     Recording,
 )
-from .rosbag_files import is_bag_folder
+from .levels import Levels
 
 __all__ = [
     "PICTURE_SUFFIXES",
@@ -33,25 +32,23 @@ __all__ = [
     "Levels",
     "Pose",
     "Recording",
+    "is_bag_folder",
     "is_recording",
     "kind_of",
     "open_recording",
 ]
 
-_ROOM = "simnfnd.models.recordings"
-
 READERS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "aris": (f"{_ROOM}.aris.file:ArisFile", (".aris",)),
-    "ddf": (f"{_ROOM}.ddf:DdfFile", (".ddf",)),
-    "oculus": (f"{_ROOM}.oculus:OculusFile", (".raw", ".oculus")),
-    "rosbag": (f"{_ROOM}.rosbag:RosBag", (".bag", ".mcap", ".db3")),
-    "video": (f"{_ROOM}.video:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
-    "stack": (f"{_ROOM}.pictures:StackFile", ()),
-    "array": (f"{_ROOM}.arrays.file:ArrayFile", (".npz", ".mat")),
-    "pictures": (f"{_ROOM}.pictures:Pictures", PICTURE_SUFFIXES),
+    "aris": ("aris:ArisFile", (".aris",)),
+    "ddf": ("ddf:DdfFile", (".ddf",)),
+    "oculus": ("oculus:OculusFile", (".raw", ".oculus")),
+    "rosbag": ("rosbag:RosBag", (".bag", ".mcap", ".db3")),
+    "video": ("video:VideoFile", (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm")),
+    "stack": ("pictures:StackFile", (".gif",)),
+    "array": ("arrays:ArrayFile", (".npz", ".mat")),
+    "pictures": ("pictures:Pictures", PICTURE_SUFFIXES),
 }
-"""Kind -> ("module:class", suffixes of its files); stacks have those of pictures, arrays also .npy
-and, where they are no shards, those of HDF5."""
+"""Kind -> ("module:class", suffixes of its files); stacks also have those of TIFF, arrays .npy."""
 
 SEQUENCES = ("video", "stack", "array")
 """Kinds whose frames are pictures, one after the other."""
@@ -62,12 +59,19 @@ _WITH_LEVELS = ("stack", "array")
 _OPENCV = {"video": "reading videos", "pictures": "reading pictures"}
 
 
+def is_bag_folder(folder: Path) -> bool:
+    """Whether a folder is a bag of ROS 2: metadata.yaml beside files that hold messages."""
+    return (folder / "metadata.yaml").is_file() and any(
+        {".db3", ".mcap"} & set(file.suffixes) for file in folder.iterdir()
+    )
+
+
 def kind_of(path: Path) -> str | None:
     """The kind of recording that a file's name says; None for others.
 
     A TIFF file of several pages is a `stack`, a file of arrays an `array` (but .npy of one
-    picture); one that holds no pictures, or is a shard, is of no kind.  A folder is `rosbag` when
-    it holds a bag of ROS 2, and `pictures` otherwise.
+    picture); one that holds no pictures is of no kind.  A folder is `rosbag` when it holds a bag of
+    ROS 2, and `pictures` otherwise.
     """
     path, name = split_name(path)
     if path.is_dir():
@@ -78,11 +82,9 @@ def kind_of(path: Path) -> str | None:
 
         if is_stack(path):
             return "stack"
-    if suffix in FORMATS and path.is_file():
-        from .arrays.file import kind_of_arrays
-
-        if name is not None:
-            return "array"
+    if name is not None:
+        return "array"
+    if suffix in SUFFIXES and path.is_file():
         return {"picture": "pictures", "several": "array", "other": None}[kind_of_arrays(path)]
     for kind, (_, suffixes) in READERS.items():
         if suffix in suffixes:
@@ -109,7 +111,7 @@ def open_recording(path: str | Path, levels: Levels | None = None) -> Recording:
     kind, suffix = kind_of(where), file.suffix.lower()
     if levels is not None and suffix in TIFF_SUFFIXES:
         kind = "stack"
-    elif suffix in FORMATS and (kind is None or levels is not None):
+    elif suffix in SUFFIXES and (kind is None or levels is not None):
         kind = "array"  # which says what it lacks
     if kind is None:
         known = ", ".join(suffix for _, suffixes in READERS.values() for suffix in suffixes)
@@ -117,6 +119,6 @@ def open_recording(path: str | Path, levels: Levels | None = None) -> Recording:
     if kind in _OPENCV and find_spec("cv2") is None:
         raise FactoryError(f"{path}: {_OPENCV[kind]} needs cv2: pip install 'simnfnd[sonar]'")
     module, name = READERS[kind][0].split(":")
-    reader = getattr(import_module(module), name)
+    reader = getattr(import_module(f".{module}", __name__), name)
     recording: Recording = reader(where, levels) if kind in _WITH_LEVELS else reader(where)
     return recording

@@ -7,17 +7,19 @@ used, FrameError when one frame cannot), never memory or time.
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from ...factory.errors import FactoryError, FrameError
+from ...factory.small_files import open_regular
 
 TIFF_SUFFIXES = (".tif", ".tiff")
 ARRAY_SUFFIX = ".npy"
@@ -28,8 +30,6 @@ FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 """dtype -> grey value of full scale, of the pixels that are read and written."""
 Samples = npt.NDArray[Any]
 
-MOST_PIXELS = 1 << 26
-"""Of a picture."""
 MOST_RANGES, MOST_BEAMS = 8192, 4096
 MOST_RANGE_M = 2000.0
 
@@ -100,53 +100,54 @@ class Frame:
     device: Device = field(default_factory=Device)
 
 
-class Recording(Protocol):
-    """An opened recording; close it, or use it in a `with` statement."""
+class Recording(ABC):
+    """An opened recording; close it, or use it in a `with` statement.
 
-    path: Path
-    warning: str
-    """What is wrong with the file though its frames can be read, in one line; mostly empty."""
+    warning: what is wrong with the file though its frames can be read, in one line; mostly empty.
+    """
 
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.warning = ""
+
+    @abstractmethod
     def __len__(self) -> int:
         """How many frames there are."""
-        ...
+
+    @abstractmethod
+    def _read(self, number: int) -> Frame:
+        """Read a frame that is there.  Raises FrameError when it is damaged."""
 
     def __getitem__(self, number: int) -> Frame:
         """One frame.  Raises IndexError, and FrameError when it cannot be used."""
-        ...
+        if not 0 <= number < len(self):
+            raise IndexError(f"{self.path}: frame {number} of {len(self)}")
+        return self._read(number)
 
     def __iter__(self) -> Iterator[Frame]:
         """All frames in order.  Raises FrameError at one that cannot be used."""
-        ...
+        for number in range(len(self)):
+            yield self[number]
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027  some hold nothing open
         """Let go of the file."""
-        ...
 
     def __enter__(self) -> Self:
-        """The recording itself."""
-        ...
+        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close."""
-        ...
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
-class FileOfFrames(ABC):
+class FileOfFrames(Recording):
     """What readers of one file share; they add `_open`, `__len__` and `_read`."""
 
     def __init__(self, path: Path) -> None:
         """Raises FactoryError when the file cannot be opened, or holds no whole frame."""
-        self.path = path
-        self.warning = ""
+        super().__init__(path)
         try:
             self.size = path.stat().st_size
-            self._file = path.open("rb")
+            self._file = open_regular(path)
         except OSError as error:
             raise FactoryError(f"{path}: cannot be read ({error.strerror})") from error
         try:
@@ -159,44 +160,19 @@ class FileOfFrames(ABC):
     def _open(self) -> None:
         """Read what the file says of all frames.  Raises FrameError when it is of another kind."""
 
-    @abstractmethod
-    def __len__(self) -> int:
-        """Number of whole frames."""
-
-    @abstractmethod
-    def _read(self, number: int) -> Frame:
-        """Read a frame that is there.  Raises FrameError when it is damaged."""
-
-    def __getitem__(self, number: int) -> Frame:
-        if not 0 <= number < len(self):
-            raise IndexError(f"{self.path}: frame {number} of {len(self)}")
-        try:
-            return self._read(number)
-        except FrameError:
-            raise
-        except OSError as error:
-            raise FrameError(f"{self.path}: frame {number}: {error}") from error
-
-    def __iter__(self) -> Iterator[Frame]:
-        for number in range(len(self)):
-            yield self[number]
-
     def close(self) -> None:
         """See `Recording`."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def bytes_at(self, offset: int, count: int, what: str) -> bytes:
         """`count` bytes.  Raises FrameError when the file ends before."""
         if offset < 0 or count < 0 or offset + count > self.size:
             raise FrameError(f"{self.path}: ends within {what}; the file is cut short or damaged")
-        self._file.seek(offset)
-        content = self._file.read(count)
+        try:
+            self._file.seek(offset)
+            content = self._file.read(count)
+        except OSError as error:
+            raise FrameError(f"{self.path}: cannot be read ({error.strerror})") from error
         if len(content) != count:
             raise FrameError(f"{self.path}: ends within {what}; the file is cut short or damaged")
         return content
@@ -223,16 +199,51 @@ class FileOfFrames(ABC):
         return value
 
 
-def header_layout(fields: Mapping[str, tuple[int, str]], size: int) -> np.dtype:
-    """The dtype of a header of `size` bytes: name -> (offset, kind) of the fields that are read."""
-    return np.dtype(
-        {
-            "names": list(fields),
-            "formats": [kind for _, kind in fields.values()],
-            "offsets": [offset for offset, _ in fields.values()],
-            "itemsize": size,
-        }
-    )
+@contextmanager
+def explained(
+    words: str, *, reason: bool = False, passing: type[Exception] | tuple[()] = ()
+) -> Iterator[None]:
+    """FrameError for whatever damage makes a library raise, which is nearly anything; no warnings.
+
+    reason: whether the error says more in brackets.  passing: errors that are left as they are.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except FrameError:
+        raise
+    except passing:
+        raise
+    except FactoryError as error:
+        raise FrameError(str(error)) from error
+    except Exception as error:
+        told = " ".join(str(error).split())[:120] or type(error).__name__
+        raise FrameError(f"{words} ({told})" if reason else words) from error
+
+
+def layout_of(fields: str, size: int | None = None) -> np.dtype:
+    """The dtype of a header, little end first.
+
+    fields: "NAME KIND ..." of all fields in order, or, of a header of `size` bytes, "NAME OFFSET
+        KIND ..." of those that are read; "KIND*COUNT" is several.
+    """
+    words = fields.split()
+    step = 2 if size is None else 3
+    names, kinds = words[::step], [word.split("*") for word in words[step - 1 :: step]]
+    formats = [(f"<{kind}", *((int(count),) for count in counts)) for kind, *counts in kinds]
+    if size is None:
+        return np.dtype([(name, *one) for name, one in zip(names, formats, strict=True)])
+    offsets = [int(word) for word in words[1::3]]
+    made = {"names": names, "formats": [one[0] for one in formats]}
+    return np.dtype({**made, "offsets": offsets, "itemsize": size})  # type: ignore[call-overload]
+
+
+def pose_of(header: np.void, names: str) -> Pose:
+    """What the fields of a header say; names: in the order of `Pose`."""
+    most = (360, 360, 360, 1e6, 720, 720, 90, 180)
+    pairs = zip(names.split(), most, strict=True)
+    return Pose(*(known(header[name], limit) for name, limit in pairs))
 
 
 def known(value: float, most: float = 1e6) -> float | None:

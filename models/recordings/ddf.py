@@ -1,7 +1,9 @@
 """`.ddf`: recordings of DIDSON sonars, versions 3 and 4 of the format.
 
 After "DIDSON V5.26 Data File and Ethernet Structure" as public readers of it agree: a file header,
-then frames of one size, each a header and one byte a sample, row by row from the nearest.
+then frames of one size, each a header and one byte a sample, row by row from the nearest.  Where
+the code of the window's length is none of the document's, the rate of the samples says how long it
+is, as Echoview reads it.
 """
 
 from __future__ import annotations
@@ -13,53 +15,34 @@ import numpy as np
 
 from ...factory.errors import FrameError
 from .base import (
+    MOST_RANGE_M,
     MOST_RANGES,
     Beams,
     Device,
     FileOfFrames,
     Frame,
-    Pose,
-    header_layout,
     known,
+    layout_of,
+    pose_of,
 )
 
 # Version -> bytes of the file's and of a frame's header.
 HEADERS = {3: (512, 256), 4: (1024, 1024)}
 DECIBELS = 90.0
 
-_FILE_AT = {
-    "numframes": (4, "<i4"),
-    "resolution": (12, "<i4"),  # 1: high frequency
-    "numbeams": (16, "<i4"),
-    "samplesperchannel": (24, "<i4"),
-    "reverse": (40, "<i4"),
-    "serialnumber": (44, "<i4"),
-}
-_FRAME_AT = {
-    "year": (20, "<i4"),
-    "month": (24, "<i4"),
-    "day": (28, "<i4"),
-    "hour": (32, "<i4"),
-    "minute": (36, "<i4"),
-    "second": (40, "<i4"),
-    "hsecond": (44, "<i4"),
-    "windowstart": (52, "<i4"),
-    "windowlength": (56, "<i4"),
-    "receivergain": (68, "<i4"),
-    "depth": (128, "<f4"),
-    "pitch": (136, "<f4"),
-    "roll": (144, "<f4"),
-    "heading": (152, "<f4"),
-    "sonarpan": (160, "<f4"),
-    "sonartilt": (164, "<f4"),
-    "latitude": (172, "<f8"),
-    "longitude": (180, "<f8"),
-    "configflags": (192, "<i4"),
-}
-
-
-FILE_HEADER = header_layout(_FILE_AT, HEADERS[3][0])
-FRAME_HEADER = header_layout(_FRAME_AT, HEADERS[3][1])
+_FILE_AT = """
+    numframes 4 i4  resolution 12 i4  numbeams 16 i4  samplerate 20 f4  samplesperchannel 24 i4
+    reverse 40 i4  serialnumber 44 i4
+"""
+_FRAME_AT = """
+    frametime 4 u4  year 20 i4  month 24 i4  day 28 i4  hour 32 i4  minute 36 i4  second 40 i4
+    hsecond 44 i4  windowstart 52 i4  windowlength 56 i4  receivergain 68 i4  depth 128 f4
+    pitch 136 f4  roll 144 f4  heading 152 f4  sonarpan 160 f4  sonartilt 164 f4
+    latitude 172 f8  longitude 180 f8  configflags 192 i4
+"""
+_POSE = "heading pitch roll depth sonarpan sonartilt latitude longitude"
+FILE_HEADER = layout_of(_FILE_AT, HEADERS[3][0])
+FRAME_HEADER = layout_of(_FRAME_AT, HEADERS[3][1])
 """The fields that are read; both versions have them at the same places."""
 
 _CLASSIC, _LONG_RANGE = 1, 2
@@ -71,6 +54,7 @@ _LENGTHS_M = {
     _CLASSIC | _LONG_RANGE: (2.25, 4.5, 9.0, 18.0, 36.0, 72.0),
 }
 # Metres a step of the window's start at high frequency; twice that at low.
+_SOUND_M_S = 1500.0
 _START_M = {0: 0.419, _CLASSIC: 0.375, _LONG_RANGE: 0.419, _CLASSIC | _LONG_RANGE: 0.375}
 
 
@@ -97,6 +81,7 @@ class DdfFile(FileOfFrames):
         self._high = header["resolution"] != 0
         self._reverse = header["reverse"] != 0
         self._serial = int(header["serialnumber"])
+        self._rate_hz = float(header["samplerate"])
         self._stride = self._frame_size + self.beams * self.ranges
         self._count = self.count_frames(self._file_size, self._stride)
 
@@ -119,16 +104,7 @@ class DdfFile(FileOfFrames):
             np.ascontiguousarray(samples),
             Beams(beam_azimuths_rad(self.beams), near, far),
             time_s=_time_s(header),
-            pose=Pose(
-                heading_deg=known(header["heading"], 360),
-                pitch_deg=known(header["pitch"], 360),
-                roll_deg=known(header["roll"], 360),
-                depth_m=known(header["depth"]),
-                pan_deg=known(header["sonarpan"], 720),
-                tilt_deg=known(header["sonartilt"], 720),
-                latitude_deg=known(header["latitude"], 90),
-                longitude_deg=known(header["longitude"], 180),
-            ),
+            pose=pose_of(header, _POSE),
             device=Device(
                 name="DIDSON",
                 serial_number=self._serial,
@@ -138,17 +114,23 @@ class DdfFile(FileOfFrames):
         )
 
     def _window(self, header: np.void) -> tuple[float, float]:
-        """First and last range, metres."""
+        """First and last range, metres: by the code of the window's length, else by the samples."""
         flags = int(header["configflags"]) & (_CLASSIC | _LONG_RANGE)
         # Devices older than the flags.
         if self._serial == 15:
             flags = _CLASSIC | _LONG_RANGE
         elif self._serial < 19:
             flags = _CLASSIC
-        code = int(self.within("windowlength", header["windowlength"], 0, 3))
         start = self.within("windowstart", header["windowstart"], 0, 200)
         near = _START_M[flags] * start * (1 if self._high else 2)
-        return near, near + _LENGTHS_M[flags][code + (0 if self._high else 2)]
+        code, rate_hz = int(header["windowlength"]), self._rate_hz
+        if not 0 <= code <= 3 and np.isfinite(rate_hz) and rate_hz > 0:
+            length = self.ranges * _SOUND_M_S / (2 * rate_hz)
+            self.within("the length of the window", length, 0.1, MOST_RANGE_M)
+        else:
+            code = int(self.within("windowlength", code, 0, 3))
+            length = _LENGTHS_M[flags][code + (0 if self._high else 2)]
+        return near, near + length
 
 
 @lru_cache(maxsize=2)
@@ -167,9 +149,9 @@ def beam_azimuths_rad(beams: int) -> tuple[float, ...]:
 
 
 def _time_s(header: np.void) -> float | None:
-    """The sonar's own clock, taken as UTC; None where it makes no sense."""
+    """By the sonar's own clock, taken as UTC, else by that of the computer; None without either."""
     date = [int(header[name]) for name in ("year", "month", "day", "hour", "minute", "second")]
     lowest, highest = (1990, 1, 1, 0, 0, 0), (2100, 12, 31, 23, 59, 60)
     if not all(a <= b <= c for a, b, c in zip(lowest, date, highest, strict=True)):
-        return None
+        return float(header["frametime"]) or None
     return calendar.timegm((*date, 0, 0, 0)) + min(max(int(header["hsecond"]), 0), 99) / 100

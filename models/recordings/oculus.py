@@ -1,12 +1,17 @@
-"""Raw messages of Blueprint Subsea's Oculus sonars, one after the other, as they come by network.
+"""Pings of Blueprint Subsea's Oculus sonars: raw messages as they come by network, and logs.
 
 After the public headers of the Oculus SDK as liboculus (https://github.com/apl-ocean-engineering,
 BSD) uses them: each message has a header of 16 bytes; a ping's goes on with the ping's settings, a
 bearing a beam in hundredths of a degree, and the samples row by row from the nearest.  Messages of
-other kinds are passed over.
+other kinds are passed over.  A log of ViewPoint (.oculus) is a header of 48 bytes and items of 40
+and more, of which those of kind 10 hold a message each, plain or packed by zlib.
 """
 
 from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,123 +26,124 @@ from .base import (
     Frame,
     Pose,
     Samples,
+    explained,
     known,
+    layout_of,
 )
 
 MAGIC = 0x4F53
+LOG_MAGIC, ITEM_MAGIC, SONAR_ITEM = 0x11223344, 0xAABBCCDD, 10
 SIMPLE_PING = 0x23
 _SENDS_GAIN = 0x04
 _MOST_BYTES = 1 << 26  # of one message
 
-HEADER = np.dtype(
-    [
-        ("id", "<u2"),
-        ("source", "<u2"),
-        ("destination", "<u2"),
-        ("kind", "<u2"),
-        ("version", "<u2"),
-        ("payload", "<u4"),
-        ("spare", "<u2"),
-    ]
+_MESSAGE = "id u2  source u2  destination u2  kind u2  version u2  payload u4  unused u2 "
+_FIRE = (
+    _MESSAGE
+    + """
+    mode u1  ping_rate u1  network_speed u1  gamma u1  flags u1
+    range f8  gain_percent f8  speed_set f8  salinity f8
+"""
 )
-_FIRE = [
-    ("header", HEADER),
-    ("mode", "u1"),
-    ("ping_rate", "u1"),
-    ("network_speed", "u1"),
-    ("gamma", "u1"),
-    ("flags", "u1"),
-    ("range", "<f8"),
-    ("gain_percent", "<f8"),
-    ("speed_set", "<f8"),
-    ("salinity", "<f8"),
-]
-_IMAGE = [("image_offset", "<u4"), ("image_size", "<u4"), ("message_size", "<u4")]
-PING_1 = np.dtype(
-    [
-        *_FIRE,
-        ("ping", "<u4"),
-        ("status", "<u4"),
-        ("frequency_hz", "<f8"),
-        ("temperature", "<f8"),
-        ("pressure", "<f8"),
-        ("speed_m_s", "<f8"),
-        ("start", "<u4"),
-        ("data_size", "u1"),
-        ("range_step_m", "<f8"),
-        ("ranges", "<u2"),
-        ("beams", "<u2"),
-        *_IMAGE,
-    ]
+_IMAGE = " image_offset u4  image_size u4  message_size u4"
+HEADER = layout_of(_MESSAGE)
+PING_1 = layout_of(
+    f"""{_FIRE} ping u4  status u4  frequency_hz f8  temperature f8  pressure f8  speed_m_s f8
+    start u4  data_size u1  range_step_m f8  ranges u2  beams u2  {_IMAGE}"""
 )
-PING_2 = np.dtype(
-    [
-        *_FIRE,
-        ("more_flags", "<u4", 9),
-        ("ping", "<u4"),
-        ("status", "<u4"),
-        ("frequency_hz", "<f8"),
-        ("temperature", "<f8"),
-        ("pressure", "<f8"),
-        ("heading", "<f8"),
-        ("pitch", "<f8"),
-        ("roll", "<f8"),
-        ("speed_m_s", "<f8"),
-        ("start_s", "<f8"),
-        ("data_size", "u1"),
-        ("range_step_m", "<f8"),
-        ("ranges", "<u2"),
-        ("beams", "<u2"),
-        ("spare", "<u4", 4),
-        *_IMAGE,
-    ]
+PING_2 = layout_of(
+    f"""{_FIRE} more_flags u4*9  ping u4  status u4  frequency_hz f8  temperature f8  pressure f8
+    heading f8  pitch f8  roll f8  speed_m_s f8  start_s f8  data_size u1  range_step_m f8
+    ranges u2  beams u2  spare u4*4  {_IMAGE}"""
 )
+LOG = layout_of(
+    "magic u4  size u4  source S16  version u2  encryption u2  spare u4  key i8  time f8"
+)
+ITEM = layout_of(
+    """magic u4  size u4  kind u2  version u2  spare u4  time_s f8  compression u2  more u2
+    unpacked u4  payload u4"""
+)
+
+
+@dataclass(frozen=True)
+class _Message:
+    """Where a message lies; packed: by zlib behind four bytes.  time_s: of the log, where known."""
+
+    offset: int
+    size: int
+    packed: bool = False
+    time_s: float | None = None
 
 
 class OculusFile(FileOfFrames):
-    """A file of raw Oculus messages; a `Recording` of its pings."""
+    """A file of raw Oculus messages or a log of ViewPoint; a `Recording` of its pings."""
 
     def _open(self) -> None:
-        self._pings = self._find_pings()
-
-    def _find_pings(self) -> list[tuple[int, int, int]]:
-        """(offset, bytes, version) of each ping."""
-        pings = []
-        offset = 0
-        while offset < self.size:
-            left = self.size - offset
-            header = None
-            if left >= HEADER.itemsize:
-                header = np.frombuffer(self.bytes_at(offset, HEADER.itemsize, ""), HEADER)[0]
-            if header is None or header["id"] != MAGIC:
-                if not offset:
-                    raise FrameError(f"{self.path}: not a file of raw Oculus messages")
-                break
-            size = HEADER.itemsize + int(header["payload"])
-            if size > min(left, _MOST_BYTES):
-                break
-            if header["kind"] == SIMPLE_PING:
-                pings.append((offset, size, int(header["version"])))
-            offset += size
-        if not pings:
+        magic = int.from_bytes(self.bytes_at(0, 4, "its first bytes"), "little")
+        if magic != LOG_MAGIC and magic & 0xFFFF != MAGIC:
+            raise FrameError(f"{self.path}: not a file of raw Oculus messages")
+        self._pings = []
+        self._end = 0
+        for one in self._items() if magic == LOG_MAGIC else self._messages():
+            header = _header(self._content(one, HEADER.itemsize))
+            if header["id"] == MAGIC and header["kind"] == SIMPLE_PING:
+                self._pings.append(one)
+        if not self._pings:
             raise FrameError(f"{self.path}: holds no whole Oculus ping; it is cut short or damaged")
-        if offset < self.size:
+        if self._end < self.size:
             self.warning = (
-                f"{self.path}: damaged or cut short at byte {offset}; the {len(pings)} pings "
-                "before are read"
+                f"{self.path}: damaged or cut short at byte {self._end}; the {len(self._pings)} "
+                "pings before are read"
             )
-        return pings
+
+    def _messages(self) -> Iterator[_Message]:
+        """Each whole message of a file that holds nothing else; `_end`: where the last one ends."""
+        while self.size - self._end >= HEADER.itemsize:
+            header = _header(self.bytes_at(self._end, HEADER.itemsize, "a header"))
+            one = _Message(self._end, HEADER.itemsize + int(header["payload"]))
+            if header["id"] != MAGIC or one.size > min(self.size - self._end, _MOST_BYTES):
+                return
+            self._end += one.size
+            yield one
+
+    def _items(self) -> Iterator[_Message]:
+        """The same of a log."""
+        log = np.frombuffer(self.bytes_at(0, LOG.itemsize, "its header"), LOG)[0]
+        if log["encryption"]:
+            raise FrameError(f"{self.path}: is encrypted; export it from ViewPoint without")
+        self._end = int(self.within("the size of its header", log["size"], LOG.itemsize, 4096))
+        while self.size - self._end >= ITEM.itemsize:
+            item = np.frombuffer(self.bytes_at(self._end, ITEM.itemsize, "an item"), ITEM)[0]
+            begins, size = self._end + int(item["size"]), int(item["payload"])
+            if (
+                item["magic"] != ITEM_MAGIC
+                or not ITEM.itemsize <= item["size"] <= 4096
+                or size > min(self.size - begins, _MOST_BYTES)
+            ):
+                return
+            self._end = begins + size
+            if item["kind"] == SONAR_ITEM:
+                yield _Message(begins, size, bool(item["compression"]), known(item["time_s"], 1e10))
+
+    def _content(self, one: _Message, most: int = _MOST_BYTES) -> bytes:
+        """The first bytes of a message, all by default."""
+        if not one.packed:
+            return self.bytes_at(one.offset, min(one.size, most), "a message")
+        content = self.bytes_at(one.offset, one.size, "a message")
+        with explained(f"{self.path}: a message cannot be unpacked; it is damaged"):
+            return zlib.decompressobj().decompress(content[4:], most)
 
     def __len__(self) -> int:
         return len(self._pings)
 
     def _read(self, number: int) -> Frame:
-        offset, size, version = self._pings[number]
+        one, what = self._pings[number], f"ping {number}"
+        content = self._content(one)
+        size = len(content)
+        version = int(_header(content)["version"])
         layout = PING_2 if version == 2 else PING_1
-        what = f"ping {number}"
         if size < layout.itemsize:
             raise FrameError(f"{self.path}: {what} is shorter than its header; it is damaged")
-        content = self.bytes_at(offset, size, what)
         ping: np.void = np.frombuffer(content, layout, count=1)[0]
         ranges = int(self.within(f"{what}: nRanges", ping["ranges"], 2, MOST_RANGES))
         beams = int(self.within(f"{what}: nBeams", ping["beams"], 2, MOST_BEAMS))
@@ -152,13 +158,11 @@ class OculusFile(FileOfFrames):
             number,
             self._samples(content, ping, ranges, beams, what),
             Beams(tuple(np.deg2rad(bearings).tolist()), 0.0, far),
-            time_s=float(ping["start_s"])
-            if version == 2 and np.isfinite(ping["start_s"])
-            else None,
+            time_s=one.time_s or (known(ping["start_s"], 1e10) if version == 2 else None),
             pose=_pose(ping) if version == 2 else Pose(),
             device=Device(
                 name="Oculus",
-                serial_number=int(ping["header"]["source"]),
+                serial_number=int(ping["source"]),
                 frequency_khz=known(float(ping["frequency_hz"]) / 1000),
                 sound_speed_m_s=known(ping["speed_m_s"], 1e4),
                 gain_percent=known(ping["gain_percent"], 1e3),
@@ -184,6 +188,11 @@ class OculusFile(FileOfFrames):
         rows = np.frombuffer(content, np.uint8, count=ranges * stride, offset=start)
         rows = np.ascontiguousarray(rows.reshape(ranges, stride)[:, extra:])
         return rows if width == 1 else rows.view("<u2").astype(np.uint16)
+
+
+def _header(content: bytes) -> np.void:
+    header: np.void = np.frombuffer(content.ljust(HEADER.itemsize, b"\0"), HEADER, count=1)[0]
+    return header
 
 
 def _pose(ping: np.void) -> Pose:

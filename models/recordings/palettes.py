@@ -15,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 
 from .base import FULL_SCALE, Samples
-from .marks import means_around
 
 Colours = npt.NDArray[np.float32]
 """(N, 3), 0 to 255."""
@@ -32,6 +31,8 @@ _JET_OF_MATPLOTLIB = (
     ((0, 0.35, 0.66, 0.89, 1), (0, 0, 1, 1, 0.5)),
 )
 """Levels, and blue, green and red at these, 0 to 1: beside OpenCV's by 1.6 of 255 on average."""
+_RED = (((0, 0.5, 1), (0, 0, 1)), ((0, 0.5, 1), (0, 0, 1)), ((0, 0.5, 1), (0, 1, 1)))
+"""Black, red, white: of chart plotters."""
 _LOOKED_AT = 4000  # pixels from which a map is told
 _FLAT = 0.1  # part of the pixels from which one colour counts as background
 _NEAR, _BLURRED = 12.0, 36.0  # of 255: how far pixels may lie beside a map; JPEG mixes colours
@@ -159,8 +160,10 @@ def _without_marks(
 
     unknown = (~known).astype(np.uint8)
     wide = cv2.morphologyEx(unknown, cv2.MORPH_OPEN, np.ones((_STROKE, _STROKE), np.uint8))
-    means, there = means_around(levels, known, _STROKE)
-    drawn = (unknown > wide) & there
+    size = (_STROKE, _STROKE)
+    there = cv2.blur(known.astype(np.float32), size)
+    means = cv2.blur(levels * known, size) / np.maximum(there, np.float32(1e-6))
+    drawn = (unknown > wide) & (there > 0)
     filled = np.where(drawn, means, levels).astype(np.float32)
     if not mixed:
         return filled, known
@@ -235,10 +238,13 @@ def _known() -> tuple[Palette, ...]:
         (name.lower(), cv2.applyColorMap(ramp, getattr(cv2, f"COLORMAP_{name}"))[:, 0])
         for name in _MAPS
     ]
-    jet = np.stack([np.interp(at, *channel) for channel in _JET_OF_MATPLOTLIB], axis=1)
+    jet, red = (
+        np.rint(255 * np.stack([np.interp(at, *channel) for channel in channels], axis=1))
+        for channels in (_JET_OF_MATPLOTLIB, _RED)
+    )
     return tuple(
         Palette(name, np.ascontiguousarray(one, np.float32), at)
-        for name, colours in (*maps, ("jet", np.rint(255 * jet)))
+        for name, colours in (*maps, ("jet", jet), ("red", red))
         for one in (colours, colours[:, ::-1])
     )
 

@@ -1,61 +1,41 @@
-"""Picture files, one or a folder of them in the order of their names, and TIFF files of pages."""
+"""Picture files, one or a folder of them by name, and files of pages: TIFF and animated GIF."""
 
 from __future__ import annotations
 
-import struct
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
 from ...factory.errors import FactoryError, FrameError
-from .arrays.file import is_table, read_array
-from .arrays.levels import Levels, swapped
+from ...factory.quiet import quiet_stderr
+from .arrays import is_table, read_array
 from .base import (
     ARRAY_SUFFIX,
     FULL_SCALE,
-    MOST_PIXELS,
     PICTURE_SUFFIXES,
     FileOfFrames,
     Frame,
+    Recording,
     Samples,
+    explained,
 )
+from .budget import ask_bytes, ask_pixels, most_streamed, too_large
+from .levels import Levels, swapped
 from .palettes import grey_of_colours
 
 _PAGES = {"L": "grey of 8 bits", "I;16": "of 16 bits", "F": "of floats", "RGB": "colours of 8 bits"}
+_FORMATS = ("TIFF", "GIF")
 
 
-# What Pillow raises over files that are damaged or were made to do harm.
-_DAMAGE = (
-    *(OSError, ValueError, SyntaxError, EOFError, KeyError, TypeError, IndexError, MemoryError),
-    *(OverflowError, struct.error, Image.DecompressionBombError),
-)
-
-
-@contextmanager
-def one_line(words: str) -> Iterator[None]:
-    """FrameError with these words for what a damaged file makes Pillow raise, and no warnings."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    except _DAMAGE as error:
-        raise FrameError(words) from error
-
-
-class Pictures:
+class Pictures(Recording):
     """A `Recording` of pictures as they are stored, (H, W) or (H, W, colours)."""
 
     def __init__(self, path: Path) -> None:
         """A file, or a folder with files right in it.  Raises FactoryError when there are none."""
-        self.path = path
-        self.warning = ""
+        super().__init__(path)
         self.files = [path]
         if path.is_dir():
             found = sorted(path.iterdir())
@@ -70,23 +50,8 @@ class Pictures:
     def __len__(self) -> int:
         return len(self.files)
 
-    def __getitem__(self, number: int) -> Frame:
-        if not 0 <= number < len(self):
-            raise IndexError(f"{self.path}: picture {number} of {len(self)}")
+    def _read(self, number: int) -> Frame:
         return Frame(number, read_picture(self.files[number]))
-
-    def __iter__(self) -> Iterator[Frame]:
-        for number in range(len(self)):
-            yield self[number]
-
-    def close(self) -> None:
-        """Nothing is held open."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def read_picture(path: Path) -> Samples:
@@ -112,17 +77,16 @@ def decoded(content: bytes, what: str) -> Samples:
 
     # Its size first: a small file can decode to gigabytes.
     kinds = ", ".join(FULL_SCALE)
-    with (
-        one_line(f"{what}: not a readable picture of {kinds}"),
-        Image.open(BytesIO(content)) as header,
-    ):
-        width, height = header.size
-    if width * height > MOST_PIXELS:
-        raise FrameError(f"{what}: {width} x {height} pixels are more than can be read")
-    try:
+    with explained(f"{what}: not a readable picture of {kinds}"):
+        try:
+            with Image.open(BytesIO(content)) as header:
+                size = header.size
+        except Image.DecompressionBombError as error:
+            raise FrameError(f"{what}: {too_large()}") from error
+    ask_pixels(what, *size)
+    # libjpeg and libtiff write to the terminal about damage that they pass over.
+    with explained(f"{what}: not a readable picture"), quiet_stderr():
         picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        picture = None
     if picture is None:
         raise FrameError(f"{what}: not a readable picture")
     if str(picture.dtype) not in FULL_SCALE:
@@ -151,7 +115,7 @@ def read_grey(path: Path) -> npt.NDArray[np.float32]:
 def is_stack(path: Path) -> bool:
     """Whether a file is a TIFF whose second page is as large as the first (no smaller copy)."""
     try:
-        with one_line("no stack"), Image.open(path, formats=("TIFF",)) as image:
+        with explained("no stack"), Image.open(path, formats=_FORMATS[:1]) as image:
             first = image.size
             image.seek(1)
             return image.size == first
@@ -160,7 +124,7 @@ def is_stack(path: Path) -> bool:
 
 
 class StackFile(FileOfFrames):
-    """A TIFF file; a `Recording` of pictures, (H, W) or (H, W, 3) BGR, one a page."""
+    """A TIFF or GIF file; a `Recording` of pictures, (H, W) or (H, W, 3) BGR, one a page."""
 
     def __init__(self, path: Path, levels: Levels | None = None) -> None:
         """levels: of grey pages, what shows as black and white; None: numbers as they are."""
@@ -168,12 +132,12 @@ class StackFile(FileOfFrames):
         super().__init__(path)
 
     def _open(self) -> None:
-        with one_line(f"{self.path}: not a readable TIFF file"):
-            self._image = Image.open(self._file, formats=("TIFF",))
+        with explained(f"{self.path}: not a readable TIFF or GIF file"):
+            self._image = Image.open(self._file, formats=_FORMATS)
             self._count = int(getattr(self._image, "n_frames", 1))
         width, height = self._first = self._image.size
-        if width * height > MOST_PIXELS:
-            raise FrameError(f"{self.path}: {width} x {height} pixels are more than can be read")
+        ask_pixels(str(self.path), width, height)
+        ask_bytes(str(self.path), self._count * width * height, most_streamed(self.size))
 
     def __len__(self) -> int:
         return self._count
@@ -194,10 +158,12 @@ class StackFile(FileOfFrames):
 
     def page(self, number: int) -> Samples:
         """A page as it is stored, colours in BGR order.  Raises FrameError."""
-        with one_line(f"{self.path}: page {number + 1} cannot be read"):
+        with explained(f"{self.path}: page {number + 1} cannot be read"), quiet_stderr():
             self._image.seek(number)
             # ImageJ writes 16 bits with the most significant byte first.
             size, mode = self._image.size, self._image.mode.replace("I;16B", "I;16")
+            if self._image.format == "GIF":
+                return _plain(np.asarray(self._image.convert("RGB")))
             if size == self._first and mode in _PAGES:
                 return np.ascontiguousarray(swapped(np.asarray(self._image)))
         if size != self._first:
@@ -215,3 +181,9 @@ class StackFile(FileOfFrames):
         if hasattr(self, "_image"):
             self._image.close()
         super().close()
+
+
+def _plain(colours: Samples) -> Samples:
+    """(H, W) of colours that are grey, else (H, W, 3) BGR."""
+    grey = (colours == colours[..., :1]).all()
+    return np.ascontiguousarray(colours[..., 0] if grey else swapped(colours))

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Generator, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from ...factory.errors import FactoryError, FrameError
 from ...factory.files import explain_os_errors
-from .base import Frame, Samples
+from .base import Frame, Recording, Samples, explained
 from .ros_messages import (
     COMPRESSED,
     IMAGE,
@@ -24,24 +25,23 @@ from .ros_messages import (
     typestore,
     with_samples,
 )
-from .rosbag_files import (
-    added,
-    explained,
-    messages,
-    reading,
-    size_of,
-    writing,
-)
+from .rosbag_files import files_of, messages, reading, size_of
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import Writer as Writer2
 
     from .rosbag_files import Reader
 
+    Writer = Writer1 | Writer2
+
+# RIHS01 of a type of which neither the bag nor this program knows more than the name.
+_UNKNOWN_DIGEST = "RIHS01_" + 64 * "0"
 KINDS = (SONAR, IMAGE, COMPRESSED)
 
 
-class RosBag:
+class RosBag(Recording):
     """A bag; a `Recording`.
 
     topics: whose messages are the frames.  Without, those of all sonars
@@ -59,8 +59,7 @@ class RosBag:
             raise FactoryError(
                 f"{path}: reading bags needs {error.name}: pip install 'simnfnd[ros]'"
             ) from error
-        self.path = path
-        self.warning = ""
+        super().__init__(path)
         self.version = 1 if path.is_file() and path.suffix.lower() == ".bag" else 2
         try:
             with reading(path, self.version) as reader:
@@ -74,16 +73,14 @@ class RosBag:
         self._count = min(stated, size_of(path))
         if not self._count:
             raise FactoryError(f"{path}: holds no message on {', '.join(self.topics)}")
-        self._next, self._frames = 0, self._read()
+        self._next, self._frames = 0, self._all()
 
     def __len__(self) -> int:
         return self._count
 
-    def __getitem__(self, number: int) -> Frame:
-        if not 0 <= number < len(self):
-            raise IndexError(f"{self.path}: frame {number} of {len(self)}")
+    def _read(self, number: int) -> Frame:
         if number < self._next:
-            self._next, self._frames = 0, self._read()
+            self._next, self._frames = 0, self._all()
         for frame in self._frames:
             self._next = frame.number + 1
             if frame.number == number:
@@ -93,7 +90,7 @@ class RosBag:
 
     def __iter__(self) -> Iterator[Frame]:
         number = -1
-        for frame in self._read():
+        for frame in self._all():
             number = frame.number
             yield frame
         if number < 0:
@@ -107,13 +104,7 @@ class RosBag:
         """See `Recording`."""
         self._frames.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def _read(self) -> Generator[Frame]:
+    def _all(self) -> Generator[Frame]:
         # A reader of its own, as two that read in turns would lose their places.
         with reading(self.path, self.version) as reader:
             chosen = _same(reader.connections, self.connections)
@@ -126,7 +117,7 @@ class RosBag:
         what = f"{self.path}: message {number} of {', '.join(self.topics)}"
         store = typestore(self.version)
         read = store.deserialize_ros1 if self.version == 1 else store.deserialize_cdr
-        with explained(what):
+        with explained(f"{what}: cannot be read, it is damaged", reason=True):
             return read(data, one.msgtype), what
 
     def rewrite(self, samples: Iterable[Samples], path: Path) -> None:
@@ -153,12 +144,12 @@ class RosBag:
                 os.replace(target, path)
 
     def _write(self, reader: Reader, samples: Iterator[Samples], target: Path) -> None:
-        store = typestore(self.version)
+        store, damaged = typestore(self.version), f"{self.path}: cannot be copied"
         serialized = store.serialize_ros1 if self.version == 1 else store.serialize_cdr
         chosen = {one.id for one in _same(reader.connections, self.connections)}
-        with writing(self.path, reader, target) as writer:
-            with explained(str(self.path), passing=(OSError,)):
-                targets = {one.id: added(writer, one) for one in reader.connections}
+        with _writing(self.path, reader, target) as writer:
+            with explained(damaged, passing=OSError, reason=True):
+                targets = {one.id: _added(writer, one) for one in reader.connections}
             number = 0
             for one, time_ns, data in messages(self.path, reader, reader.connections):
                 content: bytes | memoryview = data
@@ -170,7 +161,7 @@ class RosBag:
                     message = with_samples(message, one.msgtype, new, what)
                     content = serialized(message, one.msgtype)
                     number += 1
-                with explained(str(self.path), passing=(OSError,)):
+                with explained(damaged, passing=OSError, reason=True):
                     writer.write(targets[one.id], time_ns, content)
         if next(samples, None) is not None:
             raise ValueError(f"{self.path}: has fewer frames than samples were given")
@@ -208,3 +199,54 @@ def _chosen(
                 f"fingerprint is {one.digest[:80]})"
             )
     return chosen
+
+
+@contextmanager
+def _writing(source: Path, reader: Reader, target: Path) -> Iterator[Writer]:
+    """A writer of the same kind of bag, compressed alike."""
+    from rosbags.rosbag1 import Reader as Reader1
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+
+    writer: Writer
+    if isinstance(reader, Reader1):
+        from rosbags.rosbag1.reader import Compression, decompressors
+
+        writer = Writer1(target)
+        used = {chunk.decompressor for chunk in reader.chunks.values()}
+        for kind in (Compression.BZ2, Compression.LZ4):
+            if decompressors[kind.value] in used:
+                writer.set_compression(Writer1.CompressionFormat[kind.name])
+    else:
+        mcap = any(".mcap" in file.suffixes for file in files_of(source))
+        plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
+        writer = Writer2(target, version=8, storage_plugin=plugin)
+        if reader.compression_mode:
+            mode = CompressionMode[reader.compression_mode.upper()]
+            writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        yield writer
+
+
+def _added(writer: Writer, one: Connection) -> Connection:
+    """The connection in another bag."""
+    from rosbags.interfaces import ConnectionExtRosbag1
+    from rosbags.rosbag1 import Writer as Writer1
+
+    ext, definition = one.ext, one.msgdef.data
+    if isinstance(writer, Writer1):
+        assert isinstance(ext, ConnectionExtRosbag1)
+        return writer.add_connection(
+            one.topic, one.msgtype, msgdef=definition, md5sum=one.digest or "*",
+            callerid=ext.callerid, latching=ext.latching,
+        )  # fmt: skip
+    assert not isinstance(ext, ConnectionExtRosbag1)
+    digest = one.digest or (
+        digest_of(one.msgtype, 2) if one.msgtype in typestore(2).fielddefs else _UNKNOWN_DIGEST
+    )
+    return writer.add_connection(
+        one.topic, one.msgtype, msgdef=definition, rihs01=digest,
+        serialization_format=ext.serialization_format,
+        offered_qos_profiles=ext.offered_qos_profiles,
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Bags opened and written by the library rosbags, with its errors as lines of ours.
+"""Bags opened by the library rosbags, bounded in what they unpack to.
 
 The library unpacks whatever it is given.  Here its tables of decompressors are filled with ones
 that stop, files and messages are unpacked or counted by ourselves, and what a whole bag may give is
@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...factory.errors import FrameError
-from .ros_messages import digest_of, typestore
+from . import budget
+from .base import explained
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -26,64 +27,31 @@ else:
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
     from rosbags.rosbag1 import Reader as Reader1
-    from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import Reader as Reader2
-    from rosbags.rosbag2 import Writer as Writer2
 
     Reader = Reader1 | Reader2
-    Writer = Writer1 | Writer2
     Message = tuple[Connection, int, bytes]
 
-MOST_CHUNK = 256 * 2**20
-"""Bytes that one chunk or message may unpack into; writers of bags make chunks of about 1 MB."""
-MOST_RATIO = 200
-"""How many times its size on disk, beyond MOST_CHUNK, a bag may give.
-
-Raw pictures of a sonar are black for the most part and pack 5 to 50 times.
-"""
 _STEP = 2**20
-# RIHS01 of a type of which neither the bag nor this program knows more than the name.
-_UNKNOWN_DIGEST = "RIHS01_" + 64 * "0"
-
-
-def is_bag_folder(folder: Path) -> bool:
-    """Whether a folder is a bag of ROS 2: metadata.yaml beside files that hold messages."""
-    return (folder / "metadata.yaml").is_file() and any(
-        {".db3", ".mcap"} & set(file.suffixes) for file in folder.iterdir()
-    )
-
-
-@contextmanager
-def explained(what: str, passing: tuple[type[Exception], ...] = ()) -> Iterator[None]:
-    """Any error of the library as a FrameError: it does not say which ones damage leads to.
-
-    passing: errors that are left as they are.
-    """
-    try:
-        yield
-    except passing:
-        raise
-    except Exception as error:
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
-        raise FrameError(f"{what}: cannot be read, it is damaged or no bag ({reason})") from error
-
-
-def _opened(path: Path, version: int) -> Reader:
-    from rosbags.rosbag1 import Reader as Reader1
-    from rosbags.rosbag2 import Reader as Reader2
-
-    bound_the_library()
-    check_files(path)
-    with explained(str(path)):
-        reader = Reader1(path) if version == 1 else Reader2(path)
-        reader.open()
-        return reader
+_DAMAGED = "cannot be read, it is damaged or no bag"
 
 
 @contextmanager
 def reading(path: Path, version: int) -> Iterator[Reader]:
     """A bag of ROS 1 or 2, opened.  Raises FrameError when that cannot be."""
-    reader = _opened(path, version)
+    from rosbags.rosbag1 import Reader as Reader1
+    from rosbags.rosbag2 import Reader as Reader2
+
+    with explained(f"{path}: {_DAMAGED}", reason=True):
+        _bound_the_library()
+        for file in files_of(path):
+            if file.suffix == ".zstd":
+                with zstd.open(file, "rb") as opened:
+                    _counted(path, file.stat().st_size, iter(lambda: opened.read(_STEP), b""))
+            elif file.suffix == ".db3":
+                _check_tables(file)
+        reader = Reader1(path) if version == 1 else Reader2(path)
+        reader.open()
     try:
         yield reader
     finally:
@@ -93,97 +61,41 @@ def reading(path: Path, version: int) -> Iterator[Reader]:
 def messages(path: Path, reader: Reader, connections: Sequence[Connection]) -> Iterator[Message]:
     """(connection, nanoseconds since 1970, content) of all messages of some connections, in order.
 
-    Raises FrameError at damage.
+    Raises FrameError at damage, and at the first message beyond what a bag may unpack to.
     """
-    with explained(str(path)):
-        found = _contents(reader, connections)
-    return counted(path, size_of(path), _explained_one_by_one(path, found))
-
-
-def _contents(reader: Reader, connections: Sequence[Connection]) -> Iterator[Message]:
-    """Messages, those packed one by one unpacked here: the library would do it without bound."""
     storage = getattr(reader, "storage", None)
-    if storage is None or storage.metadata.compression_mode != "message":
-        return reader.messages(connections)
-    storage.metadata = storage.metadata._replace(compression_mode=None)
-    found = reader.messages(connections)
-    return ((one, time_ns, unpacked_zstd(data)) for one, time_ns, data in found)
-
-
-def _explained_one_by_one(path: Path, found: Iterator[Message]) -> Iterator[Message]:
+    packed = storage is not None and storage.metadata.compression_mode == "message"
+    if packed:  # the library would unpack them without bound
+        storage.metadata = storage.metadata._replace(compression_mode=None)
+    with explained(f"{path}: {_DAMAGED}", reason=True):
+        most, total = budget.most_streamed(size_of(path)), 0
+        found = iter(reader.messages(connections))
     while True:
-        with explained(str(path)):
+        with explained(f"{path}: {_DAMAGED}", reason=True):
             message = next(found, None)
-        if message is None:
-            return
-        yield message
+            if message is None:
+                return
+            one, time_ns, content = message
+            content = unpacked_zstd(content) if packed else content
+        total += len(content)
+        budget.ask_bytes(f"{path}: its messages", total, most)
+        yield one, time_ns, content
+
+
+def files_of(path: Path) -> list[Path]:
+    """The files of a bag."""
+    if path.is_file():
+        return [path]
+    return sorted(one for one in path.iterdir() if one.is_file())
 
 
 def size_of(path: Path) -> int:
     """Bytes of a bag."""
-    files = [path] if path.is_file() else [one for one in path.iterdir() if one.is_file()]
-    return sum(file.stat().st_size for file in files)
+    return sum(file.stat().st_size for file in files_of(path))
 
 
-@contextmanager
-def writing(source: Path, reader: Reader, target: Path) -> Iterator[Writer]:
-    """A writer of the same kind of bag, compressed alike."""
-    from rosbags.rosbag1 import Reader as Reader1
-    from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
-    from rosbags.rosbag2 import Writer as Writer2
-
-    writer: Writer
-    if isinstance(reader, Reader1):
-        from rosbags.rosbag1.reader import Compression, decompressors
-
-        writer = Writer1(target)
-        used = {chunk.decompressor for chunk in reader.chunks.values()}
-        for kind in (Compression.BZ2, Compression.LZ4):
-            if decompressors[kind.value] in used:
-                writer.set_compression(Writer1.CompressionFormat[kind.name])
-    else:
-        files = [source] if source.is_file() else list(source.iterdir())
-        mcap = any(".mcap" in file.suffixes for file in files)
-        plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
-        writer = Writer2(target, version=8, storage_plugin=plugin)
-        if reader.compression_mode:
-            mode = CompressionMode[reader.compression_mode.upper()]
-            writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        yield writer
-
-
-def added(writer: Writer, one: Connection) -> Connection:
-    """The connection in another bag."""
-    from rosbags.interfaces import ConnectionExtRosbag1
-    from rosbags.rosbag1 import Writer as Writer1
-
-    ext, definition = one.ext, one.msgdef.data
-    if isinstance(writer, Writer1):
-        assert isinstance(ext, ConnectionExtRosbag1)
-        return writer.add_connection(
-            one.topic, one.msgtype, msgdef=definition, md5sum=one.digest or "*",
-            callerid=ext.callerid, latching=ext.latching,
-        )  # fmt: skip
-    assert not isinstance(ext, ConnectionExtRosbag1)
-    digest = one.digest or (
-        digest_of(one.msgtype, 2) if one.msgtype in typestore(2).fielddefs else _UNKNOWN_DIGEST
-    )
-    return writer.add_connection(
-        one.topic, one.msgtype, msgdef=definition, rihs01=digest,
-        serialization_format=ext.serialization_format,
-        offered_qos_profiles=ext.offered_qos_profiles,
-    )  # fmt: skip
-
-
-def allowance(size: int) -> int:
-    """Bytes that a bag of `size` bytes may unpack into."""
-    return MOST_CHUNK + MOST_RATIO * size
-
-
-def bound_the_library() -> None:
-    """Let no chunk that rosbags reads from now on unpack into more than MOST_CHUNK bytes."""
+def _bound_the_library() -> None:
+    """Let no chunk that rosbags reads from now on unpack beyond `budget.ALWAYS_BYTES`."""
     from rosbags.rosbag1.reader import decompressors
     from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 
@@ -195,7 +107,7 @@ def bound_the_library() -> None:
 
 
 def unpacked_zstd(content: bytes) -> bytes:
-    """A chunk or message.  Raises ValueError when it is larger than MOST_CHUNK, or damaged."""
+    """A chunk or message.  Raises ValueError when it is too large, or damaged."""
     return _unpacked(content, zstd.ZstdDecompressor)
 
 
@@ -214,10 +126,10 @@ def _unpacked(content: bytes, kind: Any) -> bytes:
     parts, total = [], 0
     while content:
         one = kind()
-        part = one.decompress(content, max_length=MOST_CHUNK - total + 1)
+        part = one.decompress(content, max_length=budget.ALWAYS_BYTES - total + 1)
         total += len(part)
-        if total > MOST_CHUNK:
-            raise ValueError(f"it unpacks into more than {MOST_CHUNK:,} bytes")
+        if total > budget.ALWAYS_BYTES:
+            raise ValueError(f"a part unpacks to more than {budget.ALWAYS_BYTES:,} bytes")
         if not one.eof:
             raise ValueError("compressed data end too early")
         parts.append(part)
@@ -225,64 +137,24 @@ def _unpacked(content: bytes, kind: Any) -> bytes:
     return b"".join(parts)
 
 
-def check_files(path: Path) -> None:
-    """Refuse files that make much of little before the library opens them.
-
-    Raises FrameError for a bag whose files, packed as a whole, unpack beyond `allowance`, and for a
-    database whose tables are no tables: a view can go on for ever.
-    """
-    files = [path] if path.is_file() else sorted(one for one in path.iterdir() if one.is_file())
-    for file in files:
-        if file.suffix == ".zstd":
-            _count(file)
-        elif file.suffix == ".db3":
-            _check_tables(file)
-
-
-def _count(file: Path) -> None:
-    most, total = allowance(file.stat().st_size), 0
-    try:
-        with zstd.open(file, "rb") as opened:
-            while part := opened.read(_STEP):
-                total += len(part)
-                if total > most:
-                    raise FrameError(
-                        f"{file}: unpacks into more than {most:,} bytes, {MOST_RATIO} times its "
-                        "size; if it is sound, unpack it with `zstd -d` and take the result"
-                    )
-    except (zstd.ZstdError, EOFError, OSError) as error:
-        raise FrameError(f"{file}: cannot be read, it is damaged or no bag ({error})") from error
+def _counted(path: Path, size: int, parts: Iterator[bytes]) -> None:
+    most, total = budget.most_streamed(size), 0
+    for part in parts:
+        total += len(part)
+        budget.ask_bytes(str(path), total, most)
 
 
 def _check_tables(file: Path) -> None:
+    """Raise FrameError for a database whose tables are none: a view can go on for ever."""
+    with file.open("rb") as opened:
+        if opened.read(16) != b"SQLite format 3\0":
+            return
+    database = sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)
     try:
-        with file.open("rb") as opened:
-            if opened.read(16) != b"SQLite format 3\0":
-                return
-        database = sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)
-        try:
-            found = database.execute("SELECT type, sql FROM sqlite_master LIMIT 100").fetchall()
-        finally:
-            database.close()
-    except (sqlite3.Error, OSError) as error:
-        raise FrameError(f"{file}: cannot be read, it is damaged or no bag ({error})") from error
+        found = database.execute("SELECT type, sql FROM sqlite_master LIMIT 100").fetchall()
+    finally:
+        database.close()
     for kind, sql in found:
         words = " ".join(str(sql).upper().replace("(", " ( ").split())
         if kind not in ("table", "index") or "VIRTUAL TABLE" in words or " AS ( " in words:
             raise FrameError(f"{file}: holds a {kind} that computes; no bag has that")
-
-
-def counted(path: Path, size: int, contents: Iterator[Any]) -> Iterator[Any]:
-    """The same (connection, time, content), while together they keep to `allowance`.
-
-    Raises FrameError at the first beyond.
-    """
-    most = allowance(size)
-    for message in contents:
-        most -= len(message[2])
-        if most < 0:
-            raise FrameError(
-                f"{path}: its messages are more than {allowance(size):,} bytes, {MOST_RATIO} times "
-                "its size; it was made to fill memory or disk"
-            )
-        yield message

@@ -1,46 +1,46 @@
-"""Training against a discriminator.
+"""Training against a discriminator, for the networks after SID-TGAN and DGP-SRGAN.
 
 In turns, the discriminator learns to tell denoised from clean images, and the network to denoise so
-that it cannot.  `AdversarialModule` makes the turns; what both learn by is that of SID-TGAN here,
-and that of DGP-SRGAN in `simnfnd.models.training.gradient_penalty`.
+that it cannot.  The terms are those that two abstracts name; not reproduced
+(`simnfnd.models.networks.literature`).
 """
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, cast
+from collections.abc import Sequence
+from typing import ClassVar
 
+import numpy as np
 import torch
+from lightning.fabric import Fabric
 from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim import Optimizer
 
 from ...factory.errors import FactoryError
+from ...factory.seeds import stream
 from ..data.pairs import Batch
-from ..losses.base import Loss
+from ..losses import Loss
+from ..networks.literature.dgp_srgan import DGPSRGAN, Critic
+from ..networks.literature.sid_tgan import SIDTGAN, Discriminator
 from ..networks.network import Network
-from ..networks.sid_tgan import SIDTGAN, Discriminator
 from ..settings import TrainSettings
-from .module import DenoisingModule, learning_rate_factor
+from .module import DenoisingModule
 
 
 class AdversarialModule(DenoisingModule):
     """A generator and its discriminator; what is averaged, measured and saved is the generator.
 
-    Lightning leaves the order of the updates to this module, so it also clips the gradients and
-    moves the learning rates.
-
-    betas: of both optimizers; by default a short memory, because the opponent moves (Radford et al.
-    2016).  turn: number of the present step.
+    BETAS: of both optimizers; by default a short memory, because the opponent moves (Radford et al.
+    2016).
     """
 
-    betas: ClassVar[tuple[float, float]] = (0.5, 0.99)
+    BETAS: ClassVar[tuple[float, float]] = (0.5, 0.99)
 
     def __init__(
         self, network: Network, loss: Loss, settings: TrainSettings, seed: int = 0
     ) -> None:
         super().__init__(network, loss, settings, seed)
-        self.automatic_optimization = False
-        self.turn = 0
         self.discriminator = self.opponent(network)
 
     def opponent(self, network: Network) -> nn.Module:
@@ -57,69 +57,58 @@ class AdversarialModule(DenoisingModule):
         """What the network learns by: the content term and what the discriminator has to say."""
         raise NotImplementedError
 
-    def on_fit_start(self) -> None:
-        """Raises FactoryError where the two turns of a step cannot be kept apart."""
-        if self.trainer.world_size > 1:
+    def check_device(self, devices: int) -> None:
+        """Raise FactoryError where the two turns of a step cannot be kept apart."""
+        if devices > 1:
             raise FactoryError("devices: adversarial training runs on one device; use devices=1")
         if self.settings.precision == "16-mixed":
             raise FactoryError(
                 "train.precision=16-mixed: adversarial training needs 32-true or bf16-mixed"
             )
 
-    def configure_optimizers(self) -> Any:
-        """One AdamW each, with the learning rates of `DenoisingModule`."""
-        chosen = self.settings
-        optimizers, rates = [], []
-        for module in (self.network, self.discriminator):
-            optimizer = torch.optim.AdamW(
+    def make_optimizers(self) -> list[Optimizer]:
+        """One AdamW each, of the network and of the discriminator."""
+        return [
+            torch.optim.AdamW(
                 module.parameters(),
-                lr=chosen.learning_rate,
-                betas=self.betas,
-                weight_decay=chosen.weight_decay,
+                lr=self.settings.learning_rate,
+                betas=self.BETAS,
+                weight_decay=self.settings.weight_decay,
             )
-            optimizers.append(optimizer)
-            rates.append(
-                torch.optim.lr_scheduler.LambdaLR(
-                    optimizer, lambda step: learning_rate_factor(step, chosen.warmup, chosen.steps)
-                )
-            )
-        return optimizers, rates
+            for module in (self.network, self.discriminator)
+        ]
 
-    def training_step(self, batch: Batch, index: int) -> Tensor:
-        """One turn of the discriminator, then one of the generator, whose loss is returned.
-
-        Raises FactoryError when a loss is not a number.
-        """
-        generator, critic = cast(list[Any], self.optimizers())
-        self.turn = self.step + index
+    def update(
+        self, fabric: Fabric, wrapped: nn.Module, optimizers: Sequence[Optimizer], batch: Batch
+    ) -> Tensor:
+        """One turn of the discriminator, then one of the generator, whose loss is returned."""
+        generator, critic = optimizers
+        self.set_learning_rate(optimizers)
         noisy, clean = (_planes(batch[name]) for name in ("noisy", "clean"))
-        prediction = self.network(batch["noisy"])
-        denoised = _planes(prediction)
+        with fabric.autocast():
+            prediction = self.network(batch["noisy"])
+            denoised = _planes(prediction)
 
-        self.discriminator.requires_grad_(True)
-        critic_loss = self.critic_loss(noisy, clean, denoised.detach())
-        critic_loss = self.require_finite(critic_loss, index)
-        # The bare optimizer: Lightning counts the steps of wrapped ones, and one count is enough.
-        self._update(critic.optimizer, self.discriminator, critic_loss)
+            self.discriminator.requires_grad_(True)
+            critic_loss = self.critic_loss(noisy, clean, denoised.detach())
+            self._turn(critic, self.discriminator, critic_loss)
 
-        self.discriminator.requires_grad_(False)
-        content = self.loss(prediction, batch["clean"], batch)
-        total = self.generator_loss(content, noisy, clean, denoised)
-        total = self.require_finite(total, index)
-        self._update(generator, self.network, total)
-        for rate in cast(list[Any], self.lr_schedulers()):
-            rate.step()
-        return total.detach()
+            self.discriminator.requires_grad_(False)
+            content = self.loss(prediction, batch["clean"], batch)
+            total = self.generator_loss(content, noisy, clean, denoised)
+            self._turn(generator, self.network, total)
+        self.average.update_parameters(self.network)
+        return total
 
-    def _update(self, optimizer: Optimizer, module: torch.nn.Module, loss: Tensor) -> None:
+    def _turn(self, optimizer: Optimizer, module: nn.Module, loss: Tensor) -> None:
         optimizer.zero_grad()
-        self.manual_backward(loss)
+        torch.autograd.backward(self.require_finite(loss))
         torch.nn.utils.clip_grad_norm_(module.parameters(), self.settings.clip)
         optimizer.step()
 
 
 class SIDTGANModule(AdversarialModule):
-    """The terms that the abstract of SID-TGAN names (see `simnfnd.models.networks.sid_tgan`)."""
+    """The terms that the abstract of SID-TGAN names."""
 
     def opponent(self, network: Network) -> nn.Module:
         """See `AdversarialModule`."""
@@ -150,6 +139,44 @@ class SIDTGANModule(AdversarialModule):
         return total
 
 
+class GradientPenaltyModule(AdversarialModule):
+    """A critic whose slope is held at 1 (Gulrajani et al. 2017).
+
+    It learns to value clean pictures above denoised ones by as much as it can, the penalty keeps it
+    from doing so by large numbers alone, and the network learns to be valued.
+    """
+
+    # No momentum, as the authors of the penalty advise.
+    BETAS: ClassVar[tuple[float, float]] = (0.0, 0.9)
+
+    def opponent(self, network: Network) -> nn.Module:
+        """See `AdversarialModule`."""
+        assert isinstance(network, DGPSRGAN)
+        self.term_weights = network.settings
+        return Critic(network.settings)
+
+    def critic_loss(self, noisy: Tensor, clean: Tensor, denoised: Tensor) -> Tensor:
+        """See `AdversarialModule`."""
+        difference = self.discriminator(denoised).mean() - self.discriminator(clean).mean()
+        # Slopes of slopes are too fine for half precision.
+        with torch.autocast(clean.device.type, enabled=False):
+            # The random numbers belong to the step, so that a resumed training draws the same.
+            drawn = stream(self.seed, "penalty", self.step).random(
+                (len(clean), 1, 1, 1), np.float32
+            )
+            share = torch.from_numpy(drawn).to(clean.device)
+            slope = penalty(self.discriminator, clean.float().lerp(denoised.float(), share))
+        total: Tensor = difference + self.term_weights.penalty * slope
+        return total
+
+    def generator_loss(
+        self, content: Tensor, noisy: Tensor, clean: Tensor, denoised: Tensor
+    ) -> Tensor:
+        """See `AdversarialModule`."""
+        judged: Tensor = self.discriminator(denoised).mean()
+        return content - self.term_weights.adversarial * judged
+
+
 def hinge(true: Tensor, false: Tensor) -> Tensor:
     """Scalar hinge loss of the judgements (Lim, Ye 2017); 0 beyond +1 for true and -1 for false."""
     return functional.relu(1 - true).mean() + functional.relu(1 + false).mean()
@@ -174,6 +201,15 @@ def gram(features: Tensor) -> Tensor:
 def dissimilarity(features: Tensor, wanted: Tensor) -> Tensor:
     """Scalar: 1 - cosine of the global features (N, C) of two images, mean over the images."""
     return 1 - functional.cosine_similarity(features, wanted, dim=1).mean()
+
+
+def penalty(critic: nn.Module, images: Tensor) -> Tensor:
+    """Scalar: mean of (length of the slope - 1)^2 at these images, (N, 1, H, W)."""
+    images = images.detach().requires_grad_(True)
+    (slope,) = torch.autograd.grad(critic(images).sum(), images, create_graph=True)
+    # Off zero, where a length has no slope.
+    length = (slope.square().sum(dim=(1, 2, 3)) + 1e-12).sqrt()
+    return (length - 1).square().mean()
 
 
 def _planes(images: Tensor) -> Tensor:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from torch import Tensor
 
@@ -14,51 +14,26 @@ from ..networks.network import Network
 from ..networks.unet import ResidualBlock
 from ..networks.weights import load_weights
 from ..pretrained import find_weights
-from ..settings import ModelsSettings, SelfSupervisedData
+from ..settings import ModelsSettings
 from .module import DenoisingModule
-from .self_supervised import SelfSupervisedModule
 from .teacher import Teacher
 
 _GROWN = (ResidualBlock, LineContext)
 """Parts that a network can be grown by: they begin as the identity."""
-LAST_LAYERS = tuple(f".{kind.LAST}." for kind in _GROWN)
-"""Parts of their names: the layers of grown parts that are all zeros at first."""
 
 
 def build_module(settings: ModelsSettings) -> DenoisingModule:
     """The network as training begins, and the way to train it.
 
-    Raises FactoryError where the network and `start`, `data`, `train.parts` or `train.teacher` do
-    not fit.
+    Raises FactoryError where the network and `start`, `data` or `train.teacher` do not fit.
     """
     network: Network = build_network(settings.model)
     if settings.start is not None:
         _load_start(network, settings)
-    if settings.train.parts is not None:
-        _freeze_all_but(network, settings.train.parts)
-    seen = getattr(settings.data, "frames", 1)
-    if seen > 1 and network.looks == 1:
-        raise FactoryError(
-            f"data.frames={seen}: model.kind={settings.model['kind']} sees one picture at once; "
-            "leave it out, or take model=kdlae"
-        )
     loss = build_loss(settings.loss)
     teacher = _teacher(network, settings)
-    if isinstance(settings.data, SelfSupervisedData):
-        if network.adversarial:
-            raise FactoryError(
-                f"model.kind={settings.model['kind']}: is trained against clean images; "
-                "data=self_supervised has none"
-            )
-        if settings.data.method == "blind_network" and not network.is_blind:
-            raise FactoryError(
-                f"data.method=blind_network: model.kind={settings.model['kind']} sees the pixels "
-                "that it predicts; take model=ap_bsn or data.method=blind_spot"
-            )
-        return SelfSupervisedModule(network, loss, settings.train, settings.seed, settings.data)
     if network.adversarial:
-        from .adversarial import SIDTGANModule
-        from .gradient_penalty import GradientPenaltyModule
+        from .adversarial import GradientPenaltyModule, SIDTGANModule
 
         penalised = settings.model["kind"] == "dgp_srgan"
         module = GradientPenaltyModule if penalised else SIDTGANModule
@@ -74,10 +49,10 @@ def _teacher(network: Network, settings: ModelsSettings) -> Teacher | None:
                 "train.teacher_recordings: nobody has their clean pictures; name a train.teacher"
             )
         return None
-    if isinstance(settings.data, SelfSupervisedData) or network.adversarial or network.has_stages:
+    if network.adversarial or network.has_stages:
         raise FactoryError(
-            f"train.teacher={settings.train.teacher}: neither data=self_supervised nor a network "
-            "with a critic or with stages learns from a teacher; leave it out"
+            f"train.teacher={settings.train.teacher}: a network with a critic or with stages does "
+            "not learn from a teacher; leave it out"
         )
     teacher = Teacher(find_weights(settings.train.teacher), settings.train.teacher_share)
     if teacher.network.channels != network.channels:
@@ -93,7 +68,7 @@ def _load_start(network: Network, settings: ModelsSettings) -> None:
     trained = load_weights(find_weights(settings.start))
     if trained.model["kind"] == settings.model["kind"]:
         state = trained.network.state_dict()
-        fresh = fresh_parts(network, state)
+        fresh = _fresh_parts(network, state)
         try:
             network.load_state_dict({**fresh, **state})
             return
@@ -105,25 +80,13 @@ def _load_start(network: Network, settings: ModelsSettings) -> None:
     )
 
 
-def fresh_parts(network: Network, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def _fresh_parts(network: Network, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Weights of the residual blocks and of the lines that `state` lacks.
 
-    They begin as the identity, because their last layer (`LAST_LAYERS`) is all zeros.
+    They begin as the identity, because their last layer is all zeros.
     """
     parts = (name for name, one in network.named_modules() if isinstance(one, _GROWN))
     fresh = tuple(
         f"{name}." for name in parts if not any(key.startswith(f"{name}.") for key in state)
     )
     return {key: value for key, value in network.state_dict().items() if key.startswith(fresh)}
-
-
-def _freeze_all_but(network: Network, parts: Sequence[str]) -> None:
-    known = [name for name, _ in network.named_modules() if name]
-    for part in parts:
-        if part not in known:
-            raise FactoryError(
-                f"train.parts: the network has no {part!r}; its parts are "
-                f"{', '.join(name for name in known if '.' not in name)}"
-            )
-    for name, weights in network.named_parameters():
-        weights.requires_grad_(any(name.startswith(f"{part}.") for part in parts))

@@ -4,21 +4,49 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
 from typing import Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
-from ...factory.cli import accept_dataset_folder, run_app
+from ...factory.cli import accept_dataset_folder, run_app, say_error
 from ...factory.errors import FactoryError
 from ...factory.settings import build
 from .. import WEIGHTS_NAME
 
+_GROUPS = ("data", "model", "loss")
+_NEAR_MISSES = {
+    "output": "out",
+    "outdir": "out",
+    "epochs": "train.steps",
+    "lr": "train.learning_rate",
+}
+"""Keys of other programs, too far from ours for a comparison of letters."""
+
 
 def main(words: Sequence[str]) -> int:
     """Train as the configuration says; returns the exit code."""
+    for word in words:
+        key = word.partition("=")[0]
+        if key in _NEAR_MISSES:
+            return say_error(FactoryError(f"{key}: no such key; did you mean {_NEAR_MISSES[key]}?"))
     sys.argv[1:] = words
+    if {"--help", "-h"} & set(words):
+        sys.argv.append(f"hydra.help.template='{_help()}'")
     accept_dataset_folder()
     return run_app(run, "models")
+
+
+def _help() -> str:
+    """Hydra's help with the groups of this configuration alone."""
+    lines = ["== Configuration groups (GROUP=NAME) =="]
+    for group in _GROUPS:
+        names = sorted(
+            Path(one.name).stem for one in files("simnfnd.conf").joinpath(group).iterdir()
+        )
+        lines.append(f"{group}: {', '.join(names)}")
+    return "\n".join([*lines, "", "== Keys (KEY=VALUE) ==", "$CONFIG"])
 
 
 def run(config: DictConfig) -> None:

@@ -1,20 +1,20 @@
-"""The Lightning module: a network, the running average of its weights, and a training step."""
+"""A network in training: the running average of its weights, a step, and a validation."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any, ClassVar
+from collections.abc import Callable, Sequence
+from typing import ClassVar
 
 import torch
-from lightning.pytorch import LightningModule
-from torch import Tensor
+from lightning.fabric import Fabric
+from torch import Tensor, nn
+from torch.optim import Optimizer
 from torch.optim.swa_utils import AveragedModel
 
 from ...factory.errors import FactoryError
-from ...factory.seeds import stream
 from ..data.pairs import Batch
-from ..losses.base import Loss
+from ..losses import Loss
 from ..networks.network import Network, known_extras
 from ..networks.weights import channels_last
 from ..settings import TrainSettings
@@ -24,18 +24,19 @@ from .teacher import Teacher
 Row = dict[str, float | int]
 
 
-class DenoisingModule(LightningModule):
+class DenoisingModule(nn.Module):
     """A network, the running average of its weights, and how a step is made.
 
     The average is what is validated and saved.
 
-    figures: what a validation measures, in the order of metrics.csv.
+    step: of the whole training; the loop sets it.
     """
 
-    figures: ClassVar[tuple[str, ...]] = (
+    FIGURES: ClassVar[tuple[str, ...]] = (
         *("psnr_noisy", "psnr", "ssim_noisy", "ssim"),
         *("shadow_iou_noisy", "shadow_iou"),
     )
+    """What a validation measures, in the order of metrics.csv."""
 
     def __init__(
         self,
@@ -47,35 +48,71 @@ class DenoisingModule(LightningModule):
     ) -> None:
         super().__init__()
         self.network: Network = channels_last(network)
-        self.average = AveragedModel(self.network, multi_avg_fn=_running_average(settings.ema))
+        self.average = AveragedModel(self.network, multi_avg_fn=running_average(settings.ema))
         self.average.requires_grad_(False)
         self.loss, self.settings, self.seed = loss, settings, seed
+        self.step = 0
         # No module of torch's own: its weights are neither saved nor averaged.
         self.teacher = teacher
 
-    @staticmethod
-    def score(row: Mapping[str, float | int]) -> float:
-        """The figure of a row of metrics that decides which weights are kept; larger is better."""
-        return row["psnr"]
+    def check_device(self, devices: int) -> None:
+        """Raise FactoryError where this training cannot be shared among so many devices."""
 
-    @property
-    def step(self) -> int:
-        """Steps of all intervals before the present one."""
-        return self.current_epoch * self.settings.check_every
+    def make_optimizers(self) -> list[Optimizer]:
+        """AdamW of all weights that learn."""
+        return [
+            torch.optim.AdamW(
+                [weights for weights in self.network.parameters() if weights.requires_grad],
+                lr=self.settings.learning_rate,
+                betas=(0.9, 0.99),
+                weight_decay=self.settings.weight_decay,
+            )
+        ]
 
-    def on_train_epoch_start(self) -> None:
-        """Restart torch's random numbers, so that a resumed training draws the same."""
-        draw = stream(self.seed, "torch", self.current_epoch).integers(2**62)
-        torch.manual_seed(int(draw))
+    def learning_rate(self, step: int) -> float:
+        """A linear warm-up and a cosine decay to zero, counted in steps."""
+        chosen = self.settings
+        return chosen.learning_rate * learning_rate_factor(step, chosen.warmup, chosen.steps)
 
-    def training_step(self, batch: Batch, index: int) -> Tensor:
-        """The loss of one batch of crops; FactoryError when it is not a number."""
-        return self.require_finite(self.compute_loss(batch, index), index)
+    def update(
+        self, fabric: Fabric, wrapped: nn.Module, optimizers: Sequence[Optimizer], batch: Batch
+    ) -> Tensor:
+        """One step; returns its loss.
 
-    def compute_loss(self, batch: Batch, index: int) -> Tensor:
-        """The loss of one batch.  index: of the step in its interval."""
+        wrapped: this module as the loop's Fabric runs it.
+        Raises FactoryError when the loss is not a number.
+        """
+        (optimizer,) = optimizers
+        self.set_learning_rate(optimizers)
+        loss = self.require_finite(wrapped(batch))
+        optimizer.zero_grad()
+        fabric.backward(loss)
+        fabric.clip_gradients(
+            wrapped, optimizer, max_norm=self.settings.clip, error_if_nonfinite=False
+        )
+        optimizer.step()
+        self.average.update_parameters(self.network)
+        return loss
+
+    def set_learning_rate(self, optimizers: Sequence[Optimizer]) -> None:
+        """That of the present step."""
+        for optimizer in optimizers:
+            for group in optimizer.param_groups:
+                group["lr"] = self.learning_rate(self.step)
+
+    def require_finite(self, loss: Tensor) -> Tensor:
+        """The loss itself; FactoryError when it is not a number."""
+        if not torch.isfinite(loss):
+            raise FactoryError(
+                f"the loss became {loss.item()} at step {self.step}; lower train.learning_rate, "
+                "or check the dataset for odd values"
+            )
+        return loss
+
+    def forward(self, batch: Batch) -> Tensor:
+        """The loss of one batch of crops."""
         extras = known_extras(self.network, batch)
-        batch = {**batch, "progress": torch.tensor((self.step + index) / self.settings.steps)}
+        batch = {**batch, "progress": torch.tensor(self.step / self.settings.steps)}
         if self.network.has_stages:
             stages = self.network.with_stages(batch["noisy"], **extras)
             losses = [self.loss(image, batch["clean"], batch) for image in stages]
@@ -90,57 +127,16 @@ class DenoisingModule(LightningModule):
             return self.teacher.loss(self.loss, prediction, batch)
         return self.loss(prediction, batch["clean"], batch)
 
-    def require_finite(self, loss: Tensor, index: int) -> Tensor:
-        """The loss itself; FactoryError when it is not a number."""
-        if not torch.isfinite(loss):
-            raise FactoryError(
-                f"the loss became {loss.item()} at step {self.step + index}; lower "
-                "train.learning_rate, or check the dataset for odd values"
-            )
-        return loss
-
-    def on_train_batch_end(self, outputs: Any, batch: Any, batch_idx: int) -> None:
-        """Update the running average."""
-        self.average.update_parameters(self.network)
-
-    def validation_step(self, batch: Batch, index: int) -> None:
+    def measure(self, batch: Batch) -> dict[str, float]:
         """Quality of a whole validation image before and after denoising."""
         noisy, clean = batch["noisy"], batch["clean"]
         denoised = self.average(noisy, **known_extras(self.network, batch)).float().clamp(0, 1)
-        self.log_means(
-            {
-                "psnr_noisy": psnr_db(noisy, clean),
-                "psnr": psnr_db(denoised, clean),
-                "ssim_noisy": ssim(noisy, clean),
-                "ssim": ssim(denoised, clean),
-                "shadow_iou_noisy": shadow_iou(noisy, batch),
-                "shadow_iou": shadow_iou(denoised, batch),
-            },
-            len(noisy),
+        found = (
+            *(psnr_db(noisy, clean), psnr_db(denoised, clean)),
+            *(ssim(noisy, clean), ssim(denoised, clean)),
+            *(shadow_iou(noisy, batch), shadow_iou(denoised, batch)),
         )
-
-    def log_means(self, values: Mapping[str, Tensor], count: int) -> None:
-        """Add the figures of a validation batch of `count` images to the interval's means."""
-        self.log_dict(
-            {name: value.mean() for name, value in values.items()},
-            on_epoch=True,
-            batch_size=count,
-            sync_dist=True,
-        )
-
-    def configure_optimizers(self) -> Any:
-        """AdamW with a linear warm-up and a cosine decay to zero, counted in steps."""
-        chosen = self.settings
-        optimizer = torch.optim.AdamW(
-            [weights for weights in self.network.parameters() if weights.requires_grad],
-            lr=chosen.learning_rate,
-            betas=(0.9, 0.99),
-            weight_decay=chosen.weight_decay,
-        )
-        rate = torch.optim.lr_scheduler.LambdaLR(
-            optimizer, lambda step: learning_rate_factor(step, chosen.warmup, chosen.steps)
-        )
-        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": rate, "interval": "step"}}
+        return {name: float(one.mean()) for name, one in zip(self.FIGURES, found, strict=True)}
 
 
 def learning_rate_factor(step: int, warmup: int, steps: int) -> float:
@@ -151,7 +147,7 @@ def learning_rate_factor(step: int, warmup: int, steps: int) -> float:
     return 0.5 * (1 + math.cos(math.pi * min(1.0, done)))
 
 
-def _running_average(decay: float) -> Any:
+def running_average(decay: float) -> Callable[..., None]:
     """Exponential average of parameters; short at first, when weights change fast."""
 
     @torch.no_grad()

@@ -12,7 +12,7 @@ import torch
 from ...factory.errors import FactoryError
 from ..networks import build_network
 from ..settings import ModelsSettings
-from .validation import CHECKPOINT_NAME, read_checkpoint
+from .results import CHECKPOINT_NAME, read_checkpoint
 
 _CPU_FLAGS = ("avx512_bf16", "amx_bf16")
 _CPU_FACTS = Path("/proc/cpuinfo")

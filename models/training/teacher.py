@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ..data.pairs import Batch
-from ..losses.base import Loss
+from ..losses import Loss
 from ..networks.network import known_extras
 from ..networks.weights import channels_last, load_weights
 

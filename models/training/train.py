@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import torch
 import yaml
-from lightning.pytorch import Trainer
+from lightning.fabric import Fabric
 from torch.utils.data import DataLoader
 
 from ...factory.errors import FactoryError
@@ -20,12 +21,12 @@ from ...factory.files import check_writable, sha256_of, write_atomically
 from .. import WEIGHTS_NAME
 from ..data.crops import (
     Crops,
+    KeptSource,
     VisitSampler,
     WholeImages,
     concatenate,
     whole_image_batch,
 )
-from ..data.kept import KeptSource
 from ..data.pairs import Batch, windows_of
 from ..data.recordings import WithRecordings, digest_of, frames_with_geometry
 from ..data.sources import Data, open_data
@@ -33,16 +34,11 @@ from ..networks.weights import load_weights
 from ..pretrained import find_weights
 from ..settings import DataSettings, ModelsSettings, RendersData
 from .beginning import build_module
+from .loop import Loop
 from .module import DenoisingModule, Row
 from .precision import with_precision
+from .results import CHECKPOINT_NAME, Results, best_row, is_stopped, read_checkpoint
 from .samples import write_samples
-from .validation import (
-    CHECKPOINT_NAME,
-    ValidationCallback,
-    best_row,
-    is_stopped,
-    read_checkpoint,
-)
 
 _SHOWN = 4
 
@@ -53,7 +49,8 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
     config: the same settings as plain values, for config.yaml.  Writes weights.safetensors,
     config.yaml, metrics.csv, samples.png, samples/, tensorboard/ and checkpoint.ckpt into
     `output_folder(settings)`.
-    Raises FactoryError for unusable data, configuration, folder or a loss that became NaN.
+    Raises FactoryError for unusable data, configuration, folder or a loss that became NaN, and
+    `Stopped` after Ctrl-C or SIGTERM, with a checkpoint of the last step.
     """
     out = output_folder(settings)
     accelerator = _accelerator(settings)
@@ -65,38 +62,36 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
     checkpoint = _checkpoint(out, recipe, settings)
     torch.manual_seed(settings.seed)
     module = build_module(settings)
+    module.check_device(settings.devices)
     extras = module.network.extras
     count = len(data.validation)
     shown_indices = [i * count // min(_SHOWN, count) for i in range(min(_SHOWN, count))]
     shown = [whole_image_batch(data.validation.sample(i, None), extras) for i in shown_indices]
-    callback = ValidationCallback(
+    results = Results(
         out,
         settings.model,
         recipe,
         shown=shown[: settings.pictures],
-        patience=settings.train.patience,
         tensorboard=settings.tensorboard,
     )
-    rows = read_checkpoint(checkpoint)["rows"] if checkpoint else []
+    rows: list[Row] = checkpoint["rows"] if checkpoint else []
     finished = rows and rows[-1]["step"] == settings.train.steps
-    if finished or is_stopped(rows, module, settings.train.patience):
+    if finished or is_stopped(rows, settings.train.patience):
         print(f"{out} holds this training already, finished; resume=false trains it afresh")
-        callback.rows = rows
     else:
         # With the precision that was chosen: the file is to make the same weights elsewhere.
         values = {**config, "train": {**config["train"], "precision": settings.train.precision}}
         text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
         write_atomically(out / "config.yaml", text.encode())
-        _fit(module, callback, checkpoint, settings, accelerator, data)
-    if not is_main_process():
-        return best_row(callback.rows, module)
-    network = load_weights(out / WEIGHTS_NAME).network
-    write_samples(out / "samples.png", network, shown, [data.labels[i] for i in shown_indices])
-    return best_row(callback.rows, module)
+        rows = _fit(module, results, checkpoint, settings, accelerator, data)
+    if is_main_process():
+        network = load_weights(out / WEIGHTS_NAME).network
+        write_samples(out / "samples.png", network, shown, [data.labels[i] for i in shown_indices])
+    return best_row(rows)
 
 
 def is_main_process() -> bool:
-    """Whether this process prints and writes; Lightning starts one process a device."""
+    """Whether this process prints and writes; Fabric starts one process a device."""
     return os.environ.get("LOCAL_RANK", "0") == "0"
 
 
@@ -107,57 +102,85 @@ def output_folder(settings: ModelsSettings) -> Path:
 
 def _fit(
     module: DenoisingModule,
-    callback: ValidationCallback,
-    checkpoint: Path | None,
+    results: Results,
+    checkpoint: Mapping[str, Any] | None,
     settings: ModelsSettings,
     accelerator: str,
     data: Data,
-) -> None:
+) -> list[Row]:
+    """The rows of all checks."""
     chosen = settings.train
     assert chosen.precision != "auto"  # `with_precision` decided
+    logging.getLogger("lightning.fabric").setLevel(logging.ERROR)
     with warnings.catch_warnings():
-        # Lightning's advice on loggers, worker counts and checkpoints does not apply here.
+        # Lightning's advice on precision and worker counts does not apply here.
         warnings.filterwarnings("ignore", module=r"lightning\.")
-        logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
-        trainer = Trainer(
+        fabric = Fabric(
             accelerator=accelerator,
             devices=settings.devices,
             strategy="auto" if settings.devices == 1 else "ddp",
-            # Our own sampler shares the visits of a step among the devices.
-            use_distributed_sampler=False,
             precision=chosen.precision,
-            max_epochs=chosen.steps // chosen.check_every,
-            gradient_clip_val=chosen.clip if module.automatic_optimization else None,
-            callbacks=[callback],
-            default_root_dir=str(callback.out),
-            logger=False,
-            num_sanity_val_steps=0,
-            deterministic="warn",
-            enable_progress_bar=False,
-            enable_model_summary=False,
         )
+        fabric.launch()
+
+        def save() -> None:
+            if fabric.is_global_zero:
+                results.save(loop.state(), loop.progress.rows)
+
+        loop = Loop(
+            fabric,
+            module,
+            steps=chosen.steps,
+            check_every=chosen.check_every,
+            seed=settings.seed,
+            save=save,
+        )
+        if checkpoint is not None:
+            loop.restore(checkpoint)
+        learning, validation, visits = _loaders(settings, accelerator, data, module)
+
+        def batches(interval: int, done: int) -> Iterator[Batch]:
+            visits.begin(interval, done)
+            return iter(learning)
+
+        def check(step: int, loss: float) -> Row:
+            row: Row = {"step": step, "loss": loss, **_measured(loop, module, validation)}
+            rows = loop.progress.rows
+            if fabric.is_global_zero:
+                row = results.add(rows, row, module, module.learning_rate(step))
+                loop.show(f"loss {loss:.4f}, psnr {row['psnr']:.2f} ({row['gain_db']:+.2f} dB)")
+            return row
+
         try:
-            trainer.fit(
-                module,
-                *_loaders(settings, accelerator, data, module),
-                ckpt_path=checkpoint,
-                weights_only=True,
-            )
+            loop.run(batches, check, lambda rows: is_stopped(rows, chosen.patience))
         except FactoryError as error:
             raise FactoryError(_innermost(error)) from error
         except torch.OutOfMemoryError as error:
             raise FactoryError(
                 "the GPU has too little memory; lower data.batch or data.patch"
             ) from error
-        except SystemExit as error:
-            # Lightning's answer to Ctrl-C.
-            raise KeyboardInterrupt from error
+        finally:
+            results.close()
+    return loop.progress.rows
+
+
+def _measured(
+    loop: Loop, module: DenoisingModule, validation: DataLoader[Batch]
+) -> dict[str, float]:
+    """Means of the figures over the validation images."""
+    module.eval()
+    found = []
+    with torch.inference_mode(), loop.fabric.autocast():
+        for batch in validation:
+            found.append(module.measure(loop.fabric.to_device(batch)))
+            loop.stop_if_asked()
+    return {name: sum(row[name] for row in found) / len(found) for name in module.FIGURES}
 
 
 def _loaders(
     settings: ModelsSettings, accelerator: str, data: Data, module: DenoisingModule
-) -> tuple[DataLoader[Batch], DataLoader[Batch]]:
-    """What training and validation read from."""
+) -> tuple[DataLoader[Batch], DataLoader[Batch], VisitSampler]:
+    """What training and validation read from, and which visits training asks for."""
     kind, chosen = settings.data, settings.train
     if kind.workers != "auto":
         workers = kind.workers
@@ -170,6 +193,7 @@ def _loaders(
     shared: dict[str, Any] = {"num_workers": workers, "pin_memory": accelerator != "cpu"}
     if workers:
         shared |= {"multiprocessing_context": "spawn", "persistent_workers": True}
+        shared["worker_init_fn"] = _leave_ctrl_c
     reuse = kind.reuse if isinstance(kind, RendersData) else 1
     learning = KeptSource(data.learning) if reuse > 1 else data.learning
     if chosen.teacher_recordings:
@@ -199,7 +223,13 @@ def _loaders(
         DataLoader(crops, batch_sampler=visits, collate_fn=concatenate, **shared),
         # One at a time: whole images of any size fit, and the figures are means of images.
         DataLoader(WholeImages(data.validation, module.network.extras), None),
+        visits,
     )
+
+
+def _leave_ctrl_c(_: int) -> None:
+    """A reading process goes on until the training has kept its checkpoint."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _unread(kind: DataSettings, workers: int) -> int:
@@ -214,7 +244,9 @@ def _drawn_extras(module: DenoisingModule) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*module.network.extras, *taught)))
 
 
-def _checkpoint(out: Path, recipe: Mapping[str, Any], settings: ModelsSettings) -> Path | None:
+def _checkpoint(
+    out: Path, recipe: Mapping[str, Any], settings: ModelsSettings
+) -> dict[str, Any] | None:
     """The checkpoint to continue from, or None to start; FactoryError rather than mix trainings."""
     path = out / CHECKPOINT_NAME
     if not settings.resume:
@@ -227,7 +259,8 @@ def _checkpoint(out: Path, recipe: Mapping[str, Any], settings: ModelsSettings) 
                 "name=, or replace them with resume=false"
             )
         return None
-    stored = read_checkpoint(path)["recipe"]
+    found = read_checkpoint(path)
+    stored = found["recipe"]
     odd = [key for key in {**stored, **recipe} if stored.get(key) != recipe.get(key)]
     if odd:
         changes = ", ".join(f"{key} {stored.get(key)} -> {recipe.get(key)}" for key in odd)
@@ -235,7 +268,7 @@ def _checkpoint(out: Path, recipe: Mapping[str, Any], settings: ModelsSettings) 
             f"out={out}: holds a training with other settings ({changes}); choose another name=, "
             "or replace it with resume=false"
         )
-    return path
+    return found
 
 
 def _recipe(settings: ModelsSettings, data: Data) -> dict[str, Any]:
@@ -244,10 +277,6 @@ def _recipe(settings: ModelsSettings, data: Data) -> dict[str, Any]:
     # Where the images lie decides nothing.
     for name in ("pack", "cache", "folder", "geometry"):
         chosen.pop(name, None)
-    if chosen.get("method") != "variance":
-        chosen.pop("variance", None)
-    if chosen.get("frames") == 1:
-        chosen.pop("frames")  # as before there were several
     groups = {
         "model": dict(settings.model),
         "loss": dict(settings.loss),
@@ -257,17 +286,16 @@ def _recipe(settings: ModelsSettings, data: Data) -> dict[str, Any]:
     flat = {
         f"{group}.{key}": value for group, keys in groups.items() for key, value in keys.items()
     }
-    if settings.train.teacher is None:
-        # As before there was one, so that trainings of then can be continued.
-        flat = {key: value for key, value in flat.items() if not key.startswith("train.teacher")}
+    # By content, where there is any.
+    learned = settings.train
+    absent = "train.teacher_recordings" if learned.teacher else "train.teacher"
+    if not learned.teacher_recordings:
+        flat = {name: value for name, value in flat.items() if not name.startswith(absent)}
     else:
-        flat["train.teacher"] = sha256_of(find_weights(settings.train.teacher))[:16]
-        shown = settings.train.teacher_recordings
-        for key in ("train.teacher_recordings", "train.teacher_recordings_share"):
-            if not shown:
-                flat.pop(key)  # as before there were any
-        if shown:
-            flat["train.teacher_recordings"] = digest_of(frames_with_geometry(shown))
+        frames = frames_with_geometry(learned.teacher_recordings)
+        flat["train.teacher_recordings"] = digest_of(frames)
+    if learned.teacher is not None:
+        flat["train.teacher"] = sha256_of(find_weights(learned.teacher))[:16]
     if settings.start is not None:
         flat["start"] = sha256_of(find_weights(settings.start))[:16]
     return {**flat, "seed": settings.seed, **data.facts}

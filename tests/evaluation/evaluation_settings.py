@@ -22,6 +22,7 @@ _DEFAULTS: dict[str, Any] = {
     "image_timeout_s": 60,
     "baselines": ["median"],
     "models": [],
+    "pictures": [],
     "ablation": {"olddata_l1": None, "simnfnd_l1": None, "simnfnd_newloss": None},
     "device": "cpu",
     "texture": False,

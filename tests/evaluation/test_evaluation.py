@@ -17,18 +17,19 @@ import h5py
 import numpy as np
 import pytest
 
-from simnfnd.evaluation.data.image_pairs import read_gray
-from simnfnd.evaluation.data.pairs import drawn_of, items_of, picture
-from simnfnd.evaluation.data.picture import sector_of
-from simnfnd.evaluation.measurement import rows
-from simnfnd.evaluation.measurement.store import MEASURED_NAME, FigureStore
-from simnfnd.evaluation.measurement.task import Task, measure_task
+from simnfnd.evaluation import runner
+from simnfnd.evaluation.image_files import read_gray
 from simnfnd.evaluation.methods.method import NOISY, Method, baselines_of, methods_of
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.evaluation.metrics import measure
+from simnfnd.evaluation.metrics.picture import sector_of
+from simnfnd.evaluation.pairs import drawn_of, items_of, picture
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.report.files import read_results
-from simnfnd.factory.dataset.format.sample import Pair
+from simnfnd.evaluation.report.content import Row
+from simnfnd.evaluation.report.measure import measured_rows
+from simnfnd.evaluation.report.page import read_results
+from simnfnd.evaluation.runner import STORE_NAME, FigureStore, Task, measure_task
+from simnfnd.factory.dataset.format.schema import Pair
 from simnfnd.factory.dataset.read.reader import open_shard, shard_paths
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.workers.tasks import TaskLost, TaskPool
@@ -36,20 +37,20 @@ from tests.evaluation.evaluation_settings import evaluation, settings_for
 from tests.small_dataset import add_shard, fan_images, write_dataset, write_manifest
 
 FILES = {
-    "report.html", "report.json", "report.md", "results.parquet", "leaderboard.csv",
-    "leaderboard.md", "leaderboard.tex", "leaderboard.png", "figure16.png", MEASURED_NAME,
+    "report.html", "report.json", "report.md", "results.csv", "leaderboard.csv",
+    "leaderboard.md", "leaderboard.tex", "leaderboard.png", "figure16.png", STORE_NAME,
 }  # fmt: skip
 
 MEDIAN = Method("median", "", {"size": 3})
 GAUSSIAN = Method("gaussian", "", {"sigma_px": 1.0})
 
 
-def measured(dataset: Path, methods: list[Method], out: Path, **changes: Any) -> list[rows.Row]:
+def measured(dataset: Path, methods: list[Method], out: Path, **changes: Any) -> list[Row]:
     settings = settings_for(dataset, **changes)
     store = FigureStore(out)
     with contextlib.closing(store), TaskPool(settings.workers) as pool:
         items = items_of(dataset, settings.split, settings.limit)
-        return rows.measure_rows(settings, items, methods, store, pool)
+        return measured_rows(settings, items, methods, store, pool)
 
 
 def test_one_command_writes_the_whole_report(tmp_path: Path) -> None:
@@ -74,7 +75,7 @@ def test_one_command_writes_the_whole_report(tmp_path: Path) -> None:
             ]
     results = read_results(out)
     noisy = results["method"] == "noisy"
-    assert results["psnr"][noisy] == pytest.approx(expected, rel=1e-6)
+    assert results["psnr"][noisy].to_numpy() == pytest.approx(expected, rel=1e-6)
     assert set(results["method"]) == {
         "noisy", "median", "median + levels", "median tuned", "median tuned + levels",
     }  # fmt: skip
@@ -109,14 +110,14 @@ def test_a_report_goes_on_where_it_was_interrupted(
             raise KeyboardInterrupt
         return measure_task(task)
 
-    monkeypatch.setattr(rows, "measure_task", stopping)
+    monkeypatch.setattr(runner, "measure_task", stopping)
     with pytest.raises(KeyboardInterrupt):
         measured(dataset, [MEDIAN, GAUSSIAN], tmp_path / "out")
     # A crash may cut a line in two.
-    with (tmp_path / "out" / MEASURED_NAME).open("a", encoding="utf-8") as file:
+    with (tmp_path / "out" / STORE_NAME).open("a", encoding="utf-8") as file:
         file.write('{"method": "x", "pictures": ["a"')
     again = measured(dataset, [MEDIAN, GAUSSIAN], tmp_path / "out")
-    assert [len(task.items) for task in tasks[2:]] == [4, 1], "the first four were known"
+    assert [len(task.subjects) for task in tasks[2:]] == [4, 1], "the first four were known"
     for one, other in zip(whole, again, strict=True):
         assert one.method == other.method
         for name in measure.METRICS:
@@ -128,7 +129,7 @@ def test_a_report_goes_on_where_it_was_interrupted(
         tasks.append(task)
         return measure_task(task)
 
-    monkeypatch.setattr(rows, "measure_task", counting)
+    monkeypatch.setattr(runner, "measure_task", counting)
     measured(dataset, [MEDIAN, Method("grey_opening", "", {"size": 3})], tmp_path / "out")
     assert {method.name for task in tasks for method in task.methods} == {"grey_opening"}
     tasks.clear()
@@ -161,7 +162,7 @@ def test_a_killed_worker_costs_the_row_of_its_method_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dataset = write_dataset(tmp_path / "data", train=0, test=5, size=48)
-    monkeypatch.setattr(rows, "measure_task", killed_by_median)
+    monkeypatch.setattr(runner, "measure_task", killed_by_median)
     found = measured(dataset, [MEDIAN, GAUSSIAN], tmp_path / "out", workers=2)
     noisy, median, gaussian = found
     assert "SIGKILL" in (median.lost or "")
@@ -369,3 +370,38 @@ def test_rows_are_named_once() -> None:
     assert methods[0] == NOISY
     keys = {method.key for method in (MEDIAN, GAUSSIAN, Method("median", "", {"size": 5}))}
     assert len(keys) == 3
+
+
+def test_somebodys_denoised_pictures_are_a_row(tmp_path: Path) -> None:
+    """By the names of `export --to png`, PNG or .npy; equal pictures give equal figures."""
+    dataset = write_dataset(tmp_path / "data", train=2, test=5, size=48, per_shard=3)
+    items = items_of(dataset, "test")
+    mine, arrays = tmp_path / "mine", tmp_path / "arrays"
+    for folder in (mine / "test" / "noisy", arrays):
+        folder.mkdir(parents=True)
+    for number, item in enumerate(items):
+        noisy = np.rint(picture(item.place).noisy * 255).astype(np.uint8)
+        cv2.imwrite(str(mine / "test" / "noisy" / f"{number:06d}.png"), cv2.medianBlur(noisy, 3))
+        np.save(arrays / f"{number:06d}.npy", noisy.astype(np.float32) / 255)
+    given = [{"name": "mine", "dir": str(mine)}, {"name": "arrays", "dir": str(arrays)}]
+    content = builder.build(settings_for(dataset, pictures=given))
+    rows_ = {row["label"]: row for row in content["rows"]}
+    assert rows_["mine"]["kind"] == "pictures"
+    assert rows_["mine"]["milliseconds"] is None
+    for name in ("psnr", "ssim", "gmsd"):
+        assert rows_["mine"]["metrics"][name] == rows_["median"]["metrics"][name]
+        assert rows_["arrays"]["metrics"][name] == rows_["noisy"]["metrics"][name]
+    assert "psnr" in rows_["mine"]["against_best"]
+    cases: list[tuple[dict[str, str], str]] = [
+        ({"name": "mine", "dir": "nowhere"}, "mine: nowhere: no such folder"),
+        ({"name": "median", "dir": str(mine)}, "median: another row has this name"),
+    ]
+    for one, words in cases:
+        with pytest.raises(FactoryError, match=words):
+            builder.build(settings_for(dataset, pictures=[one]))
+    cv2.imwrite(str(mine / "test" / "noisy" / "000001.png"), np.zeros((48, 40), np.uint8))
+    with pytest.raises(FactoryError, match=r"000001\.png has 40x48 pixels, but its pair has 48x48"):
+        builder.build(settings_for(dataset, pictures=given))
+    (mine / "test" / "noisy" / "000001.png").unlink()
+    with pytest.raises(FactoryError, match=r"1 of 5 pictures are missing, the first is test/noisy"):
+        builder.build(settings_for(dataset, pictures=given))

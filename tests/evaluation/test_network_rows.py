@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from simnfnd.evaluation.data.pairs import items_of, picture
-from simnfnd.evaluation.measurement import fingerprint, rows
-from simnfnd.evaluation.measurement.rows import measure_rows
-from simnfnd.evaluation.measurement.store import FigureStore
-from simnfnd.evaluation.measurement.task import Task, measure_task
+from simnfnd.evaluation import fingerprint, runner
 from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.methods.networks import costs_of, networks_of
 from simnfnd.evaluation.metrics.fidelity import psnr
+from simnfnd.evaluation.pairs import items_of, picture
+from simnfnd.evaluation.report.measure import measured_rows
+from simnfnd.evaluation.runner import FigureStore, Task, measure_task
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from tests.evaluation.evaluation_settings import settings_for
@@ -54,7 +51,7 @@ def test_networks_are_rows_with_their_costs(tmp_path: Path) -> None:
     ]
     items = items_of(dataset, "test")
     with closing(FigureStore(tmp_path / "out")) as store, TaskPool(1) as pool:
-        found = measure_rows(settings, items, methods, store, pool)
+        found = measured_rows(settings, items, methods, store, pool)
     from simnfnd.models.denoise.denoiser import load_denoiser
 
     pair = picture(items[1].place)
@@ -81,7 +78,7 @@ def test_a_file_that_is_no_network_loses_its_row(tmp_path: Path) -> None:
     settings = settings_for(dataset, models=[str(tmp_path / "bad.safetensors")])
     with closing(FigureStore(tmp_path / "out")) as store, TaskPool(1) as pool:
         items = items_of(dataset, "test")
-        row = measure_rows(settings, items, networks_of(settings), store, pool)[1]
+        row = measured_rows(settings, items, networks_of(settings), store, pool)[1]
     assert "not a safetensors file" in (row.lost or "")
 
 
@@ -100,12 +97,12 @@ def test_known_figures_are_those_of_this_code_this_torch_and_this_device(
         measured.extend(method.name for method in task.methods)
         return measure_task(task)
 
-    monkeypatch.setattr(rows, "measure_task", counting)
+    monkeypatch.setattr(runner, "measure_task", counting)
 
     def again() -> set[str]:
         measured.clear()
         with closing(FigureStore(tmp_path / "out")) as store, TaskPool(1) as pool:
-            measure_rows(settings, items_of(dataset, "test"), methods, store, pool)
+            measured_rows(settings, items_of(dataset, "test"), methods, store, pool)
         return set(measured)
 
     everything = {"identity", "median", "small"}
@@ -120,7 +117,7 @@ def test_known_figures_are_those_of_this_code_this_torch_and_this_device(
         ("_version", lambda name: "9.9" if name == "torch" else version(name), {"small"}),
         ("_device_kind", lambda device: "some GPU", {"small"}),
         ("sources_digest", edited("simnfnd.models"), {"small"}),
-        ("sources_digest", edited("simnfnd.evaluation.data"), everything),
+        ("sources_digest", edited("simnfnd.evaluation.pairs"), everything),
         ("_version", lambda name: "9.9" if name == "numpy" else version(name), everything),
     ]
     for name, changed, expected in changes:
@@ -152,40 +149,3 @@ def test_a_digest_of_sources_sees_every_file_of_a_package(
     assert len(set(found)) == 3
     with pytest.raises(ModuleNotFoundError):
         fingerprint.sources_digest("some_package.nowhere")
-
-
-def test_a_network_of_several_looks_gets_the_other_variants(tmp_path: Path) -> None:
-    import torch
-
-    from simnfnd.models.denoise.denoiser import load_denoiser
-    from simnfnd.models.networks import build_network
-    from simnfnd.models.networks.weights import save_weights
-
-    config = {"kind": "kdlae", "frames": 3, "widths": [4, 4], "blocks": 1}
-    torch.manual_seed(1)
-    network = build_network(config)
-    for parameter in network.parameters():
-        torch.nn.init.normal_(parameter, std=0.2)
-    path = tmp_path / "kdlae.safetensors"
-    save_weights(path, network, config, {})
-    one = weights(tmp_path / "one.safetensors", 1)
-    dataset = write_dataset(tmp_path / "data", train=0, test=4, size=48)
-    methods = networks_of(settings_for(dataset, models=[str(path), str(one)]))
-    assert [method.looks for method in methods] == [True, False]
-    items = items_of(dataset, "test")
-    task = Task(tuple(methods), tuple(items[:1]), 0.02, False, "cpu")
-    found = measure_task(task)
-    own, other = (picture(items[n].place) for n in (0, 1))
-    denoise = load_denoiser(path)
-    several = denoise(own.noisy, looks=[own.noisy, own.noisy, other.noisy])
-    alone = denoise(own.noisy)
-    error, figures = found[0]
-    assert error is None
-    assert figures[0]["psnr"] == pytest.approx(psnr(own.clean, several, data_range=1.0), abs=1e-6)
-    assert not np.array_equal(several, alone)
-    # A picture of which there is no other is seen several times.
-    lonely = replace(items[0], looks=(items[0].place,))
-    error, figures = measure_task(replace(task, items=(lonely,)))[0]
-    assert error is None
-    assert figures[0]["psnr"] == pytest.approx(psnr(own.clean, alone, data_range=1.0), abs=1e-6)
-    assert rows._picture_key(methods[0], items[0]) != rows._picture_key(methods[1], items[0])

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import signal
 import sys
 
 import cv2
@@ -64,6 +65,45 @@ def test_a_bad_frame_among_good_ones_is_skipped_and_named(monkeypatch, tmp_path,
     assert "frames.only=" in failures[0]["command"]
     manifest = json.loads((out / "manifest.json").read_text())
     assert sum(shard["samples"] for shard in manifest["shards"]) == 4
+    last = capfd.readouterr().out.strip().splitlines()[-1]
+    assert last.startswith("failed: 1 of 5 frames, all because: depth has 1 NaN")
+    assert last.endswith(f"`simnfnd status {out} --failed` lists them")
+    assert main(["status", str(out)]) == 0
+    assert "4 of 5 pairs" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "share", "check"),
+    [
+        (["sonar.hfov_deg=0.8"], "%", "sonar.hfov_deg=0.8, which is in degrees"),
+        (
+            ["sonar.range={auto: false, min_m: 0, max_m: 3000}"],
+            "%",
+            "sonar.range.max_m=3000, which is in metres",
+        ),
+    ],
+)
+def test_pictures_that_show_next_to_nothing_name_the_likeliest_key(
+    monkeypatch, tmp_path, flsea, capfd, words, share, check
+):
+    out = tmp_path / "out"
+    words = ["scenes=flsea", f"scenes.root={flsea}", f"dataset.dir={out}", *FAST, *words]
+    run(monkeypatch, *words)
+    told = [line for line in capfd.readouterr().err.splitlines() if check in line]
+    assert len(told) == 1
+    assert share in told[0] or told[0].startswith("error: no frame could be used")
+
+
+def test_a_principal_point_outside_the_picture_is_named(monkeypatch, tmp_path, flsea, capfd):
+    images = flsea / "canyons/u_canyon"
+    name = "16233044541765600"
+    (tmp_path / "list.csv").write_text(
+        f"{images}/imgs/{name}.tiff,{images}/depth/{name}_SeaErra_abs_depth.tif\n"
+    )
+    words = ["scenes=csv_list", f"scenes.file={tmp_path / 'list.csv'}", *FAST]
+    words += ["scenes.intrinsics=[100,100,4000,60]", f"dataset.dir={tmp_path / 'out'}"]
+    assert run(monkeypatch, *words) in (0, 2)
+    assert "scenes.intrinsics=[100,100,4000,60]" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -189,6 +229,9 @@ def test_a_sweep_makes_one_named_dataset_a_point_and_one_table(monkeypatch, tmp_
     assert len(datasets) == 4
     table = next(tmp_path.glob("outputs/sweeps/*/sweep.md")).read_text().splitlines()
     assert len(table) == 2 + 4
+    sheet = cv2.imread(str(next(tmp_path.glob("outputs/sweeps/*/sweep.png"))))
+    assert sheet.shape[0] > 4 * 192, "a row for every point"
+    assert sheet.std() > 10
     assert all(str(folder.name) in "".join(table) for folder in datasets)
     noisy = {
         line.split("|")[1].strip(): float(line.split("|")[5]) for line in table[2:] if "0.3" in line
@@ -210,6 +253,32 @@ def test_a_bad_point_of_a_sweep_does_not_stop_the_others(monkeypatch, tmp_path, 
     )
     assert code == 2
     assert len(list(tmp_path.glob("outputs/*/manifest.json"))) == 1
+    table = next(tmp_path.glob("outputs/sweeps/*/sweep.md")).read_text().splitlines()[2:]
+    assert ["failed" in line for line in table] == [True, False]
+    assert "resample.rate" in table[0]
+
+
+def test_ctrl_c_ends_a_sweep_and_every_point_has_its_row(monkeypatch, tmp_path, flsea, capfd):
+    from simnfnd.factory.cli import generate
+    from simnfnd.factory.scheduler.workers.signals import Interrupted
+
+    made, make = [], generate.run
+
+    def interrupted(*given, **named):
+        made.append(given)
+        if len(made) == 2:
+            raise Interrupted(signal.SIGINT)
+        return make(*given, **named)
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(generate, "run", interrupted)
+    words = ["seed=1,2,3,4", "scenes=flsea", f"scenes.root={flsea}", *FAST]
+    assert run(monkeypatch, "-m", *words) == 130
+    table = next(tmp_path.glob("outputs/sweeps/*/sweep.md")).read_text().splitlines()[2:]
+    states = ["made", "interrupted", "not begun", "not begun"]
+    assert [state in line for state, line in zip(states, table, strict=True)] == [True] * 4
+    assert len(made) == 2
+    assert capfd.readouterr().err.count("interrupted") == 1
 
 
 def test_the_same_seed_gives_the_same_bytes_for_any_number_of_workers(monkeypatch, tmp_path, flsea):

@@ -17,10 +17,10 @@ from typing import Any
 import pytest
 from backports import zstd
 
-from simnfnd.factory.commands import failed, status
+from simnfnd.factory.commands import status
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.format.manifest import load_manifest
-from simnfnd.factory.dataset.read.config_file import dataset_settings
+from simnfnd.factory.dataset.read.source import dataset_settings
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.render import view as views
@@ -71,7 +71,7 @@ def refused(action: Callable[[], Any], words: str = "") -> str:
 
 def test_a_pipe_in_a_dataset_holds_nobody_up(tmp_path: Path) -> None:
     folder = whole(tmp_path / "dataset")
-    for name in ("config.yaml", "failed.jsonl", "status.json", ".lock", "extended.json"):
+    for name in ("config.yaml", "failed.jsonl", "status.json", ".lock"):
         os.mkfifo(folder / name)
         look_at(folder, name)
         (folder / name).unlink(missing_ok=True)
@@ -84,8 +84,8 @@ def look_at(folder: Path, name: str) -> None:
     """Try what opens the small files of a dataset, of which `name` is a pipe."""
     verbs: list[Callable[[], Any]] = [
         lambda: status.main([str(folder)]),
-        lambda: failed.main([str(folder)]),
-        lambda: failed.main([str(folder), "--rerun"]),
+        lambda: status.main([str(folder), "--failed"]),
+        lambda: status.main([str(folder), "--rerun"]),
         lambda: dataset_settings(folder),
         lambda: PairDataset(folder, trusted=True)[0],
         lambda: owner_of(folder),
@@ -97,7 +97,7 @@ def look_at(folder: Path, name: str) -> None:
         except FactoryError as error:
             said.append(str(error))
     assert all(name in line for line in said)
-    assert said or name in ("status.json", ".lock", "extended.json")
+    assert said or name in ("status.json", ".lock")
     if name == ".lock":
         with Lock(folder):
             assert (folder / name).is_file(), "nobody holds a pipe"
@@ -125,7 +125,6 @@ LAUGHS = b"a: &a [x, x]\n" + b"".join(
     [
         (LAUGHS, "aliases"),
         (b"[" * 5000, "nested too deeply"),
-        (b"a: " + b"1:" * 50_000 + b"1", "longer than"),
         (b"a: " + b"9" * 5000, "integer string"),
         (b"a: [", "expected"),
         (b"\xff\xfe", "decode"),
@@ -146,19 +145,19 @@ def test_sound_yaml_is_what_it_was(tmp_path: Path) -> None:
 
 
 def test_json_that_would_do_harm_is_refused(tmp_path: Path) -> None:
-    for content in (b"[" * 100_000, b"[" + b"[]," * 6_000_000 + b"[]]", b"9" * 5000):
-        with pytest.raises(ValueError, match=r"nested|values|integer string"):
+    for content in (b"[" * 100_000, b"9" * 5000):
+        with pytest.raises(ValueError, match=r"nested|integer string"):
             parse_json(content)
     folder = whole(tmp_path / "dataset")
     (folder / "manifest.json").write_bytes(b'{"schema":' + b"[" * 10_000)
     refused(lambda: load_manifest(folder), r"manifest\.json: damaged \(nested")
     (folder / "failed.jsonl").write_bytes(b'{"frame": ' + b"[" * 10_000 + b"\n")
-    refused(lambda: failed.main([str(folder)]), r"failed\.jsonl:1: damaged")
+    refused(lambda: status.main([str(folder)]), r"failed\.jsonl:1: damaged")
     (folder / "failed.jsonl").write_bytes(b"\xff\n")
-    refused(lambda: failed.main([str(folder)]), r"failed\.jsonl: cannot be read")
+    refused(lambda: status.main([str(folder)]), r"failed\.jsonl: cannot be read")
     (folder / "failed.jsonl").unlink()
     (folder / "failed.jsonl").mkdir()
-    refused(lambda: failed.main([str(folder)]), r"failed\.jsonl: cannot be read")
+    refused(lambda: status.main([str(folder)]), r"failed\.jsonl: cannot be read")
 
 
 # --- renders and packs

@@ -42,7 +42,7 @@ PAGES: dict[str, dict[str, How]] = {
         "scenes.intrinsics='[280,280,160,120]' split.test='[quay]' render=analytic "
         "dataset.dir=outputs/own": Run(("scheduler=serial",)),
         "simnfnd inspect outputs/own": Run(),
-        "simnfnd failed outputs/own": Run(),
+        "simnfnd status outputs/own --failed": Run(),
     },
     "docs/tutorials/noise-sweep.md": {
         "simnfnd make -m scenes.locations=2 scenes.frames_per_location=2 "
@@ -62,7 +62,7 @@ PAGES: dict[str, dict[str, How]] = {
         "simnfnd denoise outputs/demo --out outputs/denoised": Run(),
         "simnfnd evaluate dataset=outputs/demo": Run(),
         "simnfnd evaluate dataset=outputs/demo baselines=[all] "
-        "models=[outputs/models/nafnet,simnfnd-paper]": Run(
+        "models=[outputs/models/nafnet,simnfnd]": Run(
             instead=(("baselines=[all]", "baselines=[median]"),)
         ),
         "simnfnd evaluate tune dataset=outputs/demo": Run(("tuning.pairs=2", "baselines=[median]")),
@@ -74,10 +74,9 @@ PAGES: dict[str, dict[str, How]] = {
         "simnfnd denoise examples/didson/lamprey.avi --out outputs/lamprey --compare": NotRun(
             "README.md has the same command"
         ),
-        "simnfnd geometry examples/didson/lamprey.avi --out outputs/fans": Run(),
         "simnfnd denoise examples/didson/lamprey.avi --out outputs/gently --remove speckle "
         "--strength 0.7": Run(),
-        "simnfnd denoise examples/didson/lamprey.avi --out outputs/steady --frames 7": Run(),
+        "simnfnd denoise examples/didson/lamprey.avi --out outputs/single --frames 1": Run(),
         "simnfnd evaluate real examples/didson/lamprey.avi models=[simnfnd] "
         "baselines=[median,tv]": Run(("workers=1",), instead=(("[median,tv]", "[median]"),)),
     },
@@ -91,7 +90,6 @@ PAGES: dict[str, dict[str, How]] = {
     "docs/how-to/read.md": {},
     "docs/how-to/judge.md": {
         "simnfnd denoise mdd/Images --out outputs/mdd --compare": Run(needs="{sandbox}/mdd"),
-        "simnfnd geometry mdd/Images --out outputs/fans": Run(needs="{sandbox}/mdd"),
         "simnfnd evaluate real mdd models=[simnfnd]": Run(
             ("workers=1", "baselines=[median]"), needs="{sandbox}/mdd"
         ),

@@ -175,13 +175,12 @@ def command(step: Step, how: Run, sandbox: Path) -> list[str]:
         # The environment that runs this test is the one to use: -o keeps make from renewing it.
         prefix = Path(sys.prefix)
         target = text.removeprefix("make ").split()
-        stamp = prefix / ".simnfnd-installed"
+        stamps = [prefix / f".simnfnd-{name}" for name in ("core", "installed")]
         return [
             "make",
             "-C",
             str(ROOT),
-            "-o",
-            str(stamp),
+            *(word for stamp in stamps for word in ("-o", str(stamp))),
             *target,
             f"VENV={prefix}",
             f"ARGS={extra}",

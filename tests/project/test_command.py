@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -82,7 +84,6 @@ def test_the_version_is_ours(words: tuple[str, ...], monkeypatch, capsys) -> Non
         (("mkae",), "mkae: no such verb; did you mean `simnfnd make`"),
         (("tune", "dataset=x"), "did you mean `simnfnd evaluate tune`?"),
         (("evaluate", "tun"), "tun: no such verb; did you mean `simnfnd evaluate tune`?"),
-        (("campaign", "tabel", "x"), "did you mean `simnfnd campaign table`?"),
         (("cache", "sats"), "did you mean `simnfnd cache stats`?"),
         (("evaluate", "qqqqq"), "qqqqq: no such verb; `simnfnd evaluate --help` lists them"),
         (("seed=3",), "seed=3: a setting needs a verb before it; did you mean `simnfnd make"),
@@ -125,6 +126,30 @@ def test_the_entries_of_the_checkout_know_verbs_too(room: str, word: str, said: 
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize("kept", ["", "12 of 40 files are done, run again to go on"])
+def test_every_verb_stops_alike(number: int, code: int, kept: str, monkeypatch, capsys) -> None:
+    from simnfnd.factory.commands import status
+
+    undone = []
+
+    def work(words: list[str]) -> None:
+        try:
+            os.kill(os.getpid(), number)
+            time.sleep(20)
+        except KeyboardInterrupt as stopped:
+            undone.append(words)
+            if kept:
+                stopped.kept = kept  # type: ignore[attr-defined]
+            raise
+
+    monkeypatch.setattr(status, "main", work)
+    assert run(monkeypatch, "status", "x") == code
+    assert undone
+    said = kept or "what was finished is kept, run again to go on"
+    assert capsys.readouterr().err == f"error: interrupted; {said}\n"
+
+
 # --- modules that are not installed -------------------------------------------------------------
 
 ANALYTIC = ("make", "render=analytic", "dataset.dir={out}")
@@ -139,11 +164,7 @@ RECORDING = (*ANALYTIC, "scenes=csv_list", "scenes.root={in}/list.csv",
         (("make", "dataset.dir={out}"), "bpy", "blender"),
         (("demo",), "bpy", "blender"),
         (("plan",), "bpy", "blender"),
-        (("gallery", "--out", "{out}"), "bpy", "blender"),
-        (("physics", "--out", "{out}"), "bpy", "blender"),
         (("make", "render=embree", "dataset.dir={out}"), "open3d", "open3d"),
-        (("gallery", "--out", "{out}"), "matplotlib", "figures"),
-        (("physics", "--out", "{out}"), "matplotlib", "figures"),
         (("inspect", "{in}", "--png", "{out}"), "matplotlib", "figures"),
         ((*RECORDING, "resample=voxel"), "open3d", "open3d"),
         ((*RECORDING, "scheduler=dask"), "distributed", "cluster"),
@@ -155,27 +176,19 @@ RECORDING = (*ANALYTIC, "scenes=csv_list", "scenes.root={in}/list.csv",
         (("denoise", "{in}", "--out", "{out}"), "safetensors", "train"),
         (("export-weights", "{in}/w.safetensors", "--out", "{out}"), "torch", "train"),
         ((*ONNX, "--out", "{out}.onnx"), "onnxruntime", "onnx"),
-        (("evaluate", "dataset={in}", "out={out}"), "pyarrow", "report"),
+        (("evaluate", "dataset={in}", "out={out}"), "pandas", "report"),
         (("evaluate", "dataset={in}", "out={out}", "models=[simnfnd]"), "torch", "train"),
         (("evaluate", "dataset={in}", "ablation.olddata_l1=simnfnd"), "torch", "train"),
         (("evaluate", "tune", "dataset={in}"), "torch", "train"),
-        (("evaluate", "compare", "{in}", "{in}", "--out", "{out}"), "pyarrow", "report"),
+        (("evaluate", "compare", "{in}", "{in}", "--out", "{out}"), "pandas", "report"),
         (("evaluate", "real", "{in}", "out={out}"), "skimage", "report"),
         (("evaluate", "real", "{in}", "out={out}", "models=[simnfnd]"), "torch", "train"),
         (("evaluate", "realism", "{in}", "{in}", "out={out}"), "skimage", "report"),
-        (("evaluate", "downstream", "{in}", "out={out}"), "torch", "train"),
         (("evaluate", "fit", "{in}", "out={out}"), "optuna", "report"),
-        (("benchmark", "make", "--out", "{out}"), "jinja2", "report"),
-        (("benchmark", "enter", "a", "--baseline", "tv"), "skimage", "report"),
-        (("benchmark", "table"), "jinja2", "report"),
-        (("campaign", "out={out}"), "lightning", "train"),
-        (("campaign", "table", "{in}"), "pyarrow", "report"),
-        (("campaign", "table", "{in}"), "scipy", "sonar"),
         ((*ANALYTIC, "experiment=physical"), "scipy", "sonar"),
         ((*ANALYTIC, "dataset.columns=[pose]"), "scipy", "sonar"),
         (("make", "render=analytic", "experiment=any_sonar", "dataset.dir={out}"), "cv2", "sonar"),
         ((*RECORDING, "scenes.undistort=true"), "cv2", "sonar"),
-        (("geometry", "{in}"), "cv2", "sonar"),
         (("export", "{in}", "--to", "png", "--out", "{out}"), "cv2", "sonar"),
         (("export", "{in}", "--to", "coco", "--out", "{out}"), "scipy", "sonar"),
         (("denoise", "{in}", "--out", "{out}"), "cv2", "sonar"),
@@ -215,7 +228,7 @@ def test_help_and_configuration_need_nothing(monkeypatch, capsys) -> None:
         monkeypatch.setitem(sys.modules, module, None)
     for words in (("train", "--help"), ("train", "--cfg", "job"), ("evaluate", "fit", "--help")):
         assert run(monkeypatch, *words) == 0
-    assert 'Needs pip install "simnfnd[train]"' in capsys.readouterr().out
+    assert 'Needs pip install "simnfnd[denoise]"' in capsys.readouterr().out
 
 
 def test_the_extras_install_what_they_are_named_for() -> None:
@@ -279,7 +292,7 @@ made = f"render=analytic experiment=demo {small} scheduler=serial cache.dir=cach
 said(f"plan {made}", 0)
 said(f"make {made}", 0, "dataset: made")
 said("status made --verify", 0)
-said("failed made", 0)
+said("status made --failed", 0)
 said("validate made --deep", 0)
 said("inspect made", 0, "SSIM")
 said("preview made --out sheet.png", 0)
@@ -290,19 +303,16 @@ said("cache clear cache.dir=cache", 0)
 said(f"demo {made.replace('made', 'again')} scenes.first_location=9", 0)
 said("merge made again --out both", 0)
 open("film.avi", "wb").close()
-line = 'needs cv2 and scipy: pip install "simnfnd[sonar]"'
-said("geometry picture.png", 2, line)
 said("preview film.avi --out x.png", 2, "reading videos needs cv2: pip install 'simnfnd[sonar]'")
 said("view .", 2, "reading pictures needs cv2: pip install 'simnfnd[sonar]'")
 said(f"make {made} experiment=physical", 2, 'pip install "simnfnd[sonar]"')
 said(f"make {made} experiment=any_sonar", 2, 'pip install "simnfnd[sonar]"')
 said("export made --to png --out x", 2, 'needs cv2: pip install "simnfnd[sonar]"')
 said("export made --to huggingface --out x", 2, 'pip install "simnfnd[export]"')
-for words in ("gallery", "physics", "train dataset=made", "denoise made --out x",
+for words in ("train dataset=made", "denoise made --out x",
               "adapt made --out x", "export-weights simnfnd --out x", "evaluate dataset=made",
               "evaluate tune dataset=made", "evaluate compare a b", "evaluate real a",
-              "evaluate downstream a", "evaluate realism a b", "evaluate fit a", "benchmark make",
-              "benchmark enter a", "benchmark table", "campaign", "campaign table a"):
+              "evaluate realism a b", "evaluate fit a"):
     said(words, 2, "pip install")
 print(f"core alone: {defects} defects")
 """

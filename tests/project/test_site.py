@@ -7,21 +7,16 @@ import re
 import shutil
 import subprocess
 import sys
-from dataclasses import dataclass, field
 from html import unescape
 from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
-from pydantic import Field
-from pydantic.dataclasses import dataclass as validated
 
 import simnfnd
 from simnfnd.verbs import VERBS
 from tests.project_files import ROOT
-from tools.pages import notebooks
-from tools.pages.comments import comments
-from tools.pages.keys import keys
+from tools.site import notebook_page
 
 # What a browser loads with a page, as against what a reader may follow.
 _LOADED = re.compile(r"<(?:script|link|img|iframe|source)\b[^>]*?\b(?:src|href)=\"?([^\"\s>]+)")
@@ -77,7 +72,7 @@ def test_what_pages_load_and_link_to_is_there(site: Path) -> None:
 
 
 @pytest.mark.slow
-def test_every_page_verb_and_name_is_shown(site: Path) -> None:
+def test_every_page_verb_key_and_name_is_shown(site: Path) -> None:
     for source in (ROOT / "docs").rglob("*.md"):
         assert (site / source.relative_to(ROOT / "docs")).with_suffix(".html").is_file()
     commands = (site / "reference" / "commands.html").read_text(encoding="utf-8")
@@ -87,79 +82,14 @@ def test_every_page_verb_and_name_is_shown(site: Path) -> None:
     assert "--remove LIST" in commands
     python = (site / "reference" / "python.html").read_text(encoding="utf-8")
     for name in set(simnfnd.__all__) - {"__version__"}:
-        assert f'id="{name.lower()}"' in python, name
-
-
-@pytest.mark.slow
-def test_every_key_is_explained(site: Path) -> None:
-    text = (site / "reference" / "keys.html").read_text(encoding="utf-8")
-    rows = re.findall(r"<tr>\s*<td><code>([^<]+)</code></td>\s*<td>(.*?)</td>", text, re.DOTALL)
-    assert len(rows) > 400
-    known = {"scenes.root", "noise.background.density", "train.steps", "tuning.auto"}
-    assert known <= {name for name, _ in rows}
-    assert [name for name, meaning in rows if not meaning.strip()] == []
+        assert f'.{name}"' in python, name
+    keys = (site / "reference" / "keys.html").read_text(encoding="utf-8")
+    for file in (ROOT / "conf").rglob("*.yaml"):
+        name = file.relative_to(ROOT / "conf").with_suffix("").as_posix()
+        assert f'id="{name.replace("/", "")}"' in keys, name
 
 
 # The machinery, on texts of our own.
-
-
-def test_comments_of_a_configuration() -> None:
-    text = """\
-# The file.
-defaults:
-  - _self_
-
-# How many,
-# and how few.
-most: 3
-least: 1
-
-other: 2
-block:     # of both
-  one: 1   # a first
-           # line and another
-  two: 2
-"""
-    assert comments(text) == {
-        "defaults": "The file.",
-        "most": "How many, and how few.",
-        "least": "How many, and how few.",
-        "block": "of both",
-        "block.one": "a first line and another",
-    }
-
-
-@validated(frozen=True)
-class Inner:
-    """Inside.
-
-    width, height: pixels.
-    """
-
-    width: int = 2
-    height: int | None = None
-
-
-@dataclass(frozen=True)
-class Outer:
-    """Keys of a test.
-
-    count: how many.  word: one of two; see count: it is not a key here.
-    """
-
-    count: int = Field(default=1, ge=1)
-    word: str = "a|b"
-    inner: Inner = field(default_factory=Inner)
-    silent: bool = False
-
-
-def test_keys_of_settings() -> None:
-    found = {key.name: key for key in keys(Outer, {"word": "c"}, {"silent": "from conf"})}
-    assert list(found) == ["count", "word", "inner.width", "inner.height", "silent"]
-    assert found["inner.height"].allowed == "integer or `null`"
-    assert found["inner.width"].meaning == found["inner.height"].meaning == "pixels"
-    assert found["word"].default == "`c`"
-    assert found["silent"].meaning == "from conf"
 
 
 def test_a_notebook_as_a_page() -> None:
@@ -168,11 +98,11 @@ def test_a_notebook_as_a_page() -> None:
       {"cell_type": "code", "source": ["1 + 1"], "outputs": [
         {"output_type": "execute_result", "data": {"text/plain": ["2"]}},
         {"output_type": "display_data", "data": {"image/png": "UE5H"}}]}]}"""
-    page, pictures = notebooks.markdown(text, "x")
+    page, pictures = notebook_page(text, "x")
     assert page.startswith("# Title\n\n```python\n1 + 1\n```\n\n```text\n2\n```")
     assert pictures == {"x-1.png": b"PNG"}
     with pytest.raises(ValueError, match="text/html"):
-        notebooks.markdown(text.replace("text/plain", "text/html"), "x")
+        notebook_page(text.replace("text/plain", "text/html"), "x")
 
 
 @pytest.mark.slow
@@ -180,11 +110,11 @@ def test_a_broken_link_fails_the_build(tmp_path: Path) -> None:
     """In a site of one page and what it needs: without the pages that the code writes."""
     for name in ("docs/images", "tools/pages"):
         (tmp_path / name).mkdir(parents=True)
-    for name in ("docs/method.md", "setup.py", "tools/pages/site.py"):
+    for name in ("docs/method.md", "mkdocs.yml", "tools/site.py"):
         shutil.copy(ROOT / name, tmp_path / name)
-    hooks = (tmp_path / "tools/pages/site.py").read_text(encoding="utf-8")
+    hooks = (tmp_path / "tools/site.py").read_text(encoding="utf-8")
     hooks = hooks.replace("def on_files(", "def not_now(")
-    (tmp_path / "tools/pages/site.py").write_text(hooks, encoding="utf-8")
+    (tmp_path / "tools/site.py").write_text(hooks, encoding="utf-8")
     settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     head = settings.split("\nnot_in_nav:")[0].split("\n# Shown by links")[0]
     head = re.sub(r"^theme:.*?(?=^extra:)", "theme: mkdocs\n", head, flags=re.DOTALL | re.MULTILINE)
@@ -201,6 +131,6 @@ def test_a_broken_link_fails_the_build(tmp_path: Path) -> None:
     assert done.returncode == 1
     for gone in ("gone.md", "method.md#gone", "images/gone.png"):
         assert gone in done.stdout
-    done = built("[a file that no page shows](../setup.py)")
+    done = built("[a file that no page shows](../mkdocs.yml)")
     assert done.returncode == 1
-    assert "links to setup.py" in done.stdout
+    assert "links to mkdocs.yml" in done.stdout

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+
+import yaml
 
 from ...files import write_atomically
 from ..format.echoes import echo_names
 from ..format.layout import optional_layers
 from ..format.manifest import Manifest
-from ..format.schema import SCHEMA, SPLITS, Provenance
+from ..format.schema import SCHEMA, SPLITS, Provenance, plain_values
 from ..format.settings import DatasetSettings
-from ..read.overview import Overview, read_overview
 from ..read.reader import reading
+from ..read.source import Source, manifest_source
 from ..write.failures import FAILURES_NAME, Failure
 from ..write.folder import CARD_NAME, PREVIEW_NAME
 
@@ -29,7 +31,7 @@ PAPER = (
     'T. Yang, T. Zhang, Y. Yao, "SimNFND: A Forward-Looking Sonar Denoising Model Trained on '
     'Simulated Noise-Free and Noisy Data", Remote Sensing 16(15), 2815, 2024'
 )
-_SECTIONS = ("render", "resample", "noise", "sonar")
+_SECTIONS = ("scenes", "render", "resample", "noise", "sonar", "acoustics", "water")
 
 
 def write_card(
@@ -44,26 +46,67 @@ def write_card(
 
     skipped: reason -> images that were left out before the run.  Needs at least one finished shard.
     """
-    overview = read_overview(directory, manifest)
-    parts = [
-        f"---\n{hub_fields(settings.name, settings.licence, manifest.samples())}\n---\n",
-        _opening(directory, overview, manifest, settings),
-        _making(provenance, manifest, failures, skipped or {}),
-        _contents(overview),
-        _pictures(directory / overview.samples[0].path),
-        *(
-            _section(name, provenance.config[name])
-            for name in _SECTIONS
-            if name in provenance.config
-        ),
-        _reading(manifest, overview),
-        _limits(),
-        _licence(settings),
-        _citation(),
-    ]
+    source = manifest_source(directory, manifest)
+    rows, columns = source.shape
+    counts = Counter((one.split, one.location, one.scene) for one in source.names())
+    preview = directory / PREVIEW_NAME
+    picture = f"![noisy, clean and shadow images of some samples]({PREVIEW_NAME})\n\n"
+    scenes = [(*key, str(count)) for key, count in counts.items()]
+    config = {key: provenance.config[key] for key in _SECTIONS if key in provenance.config}
+    text = f"""\
+---
+{hub_fields(settings.name, settings.licence, manifest.samples())}
+---
+
+# {card_title(settings.name)}
+
+{manifest.samples()} pairs of forward-looking-sonar images ({_splits(manifest)}): each sample is a \
+noisy image, the clean image of the same scene, and the mask of its acoustic shadows. \
+{rows} x {columns} pixels, {source.dtype}, {manifest.total_bytes() / 1e6:.1f} MB.
+
+{picture if preview.exists() else ""}\
+## How it was made
+
+Simulated, not measured at sea: RGBD frames were turned into 3-D scenes, insonified by a renderer \
+with its light at the sonar, and projected into ideal sonar images; noise was added to the echoes \
+before projection, so both images of a pair share one scene. Values are relative echo strengths \
+after the transfer curve, not target strengths; what the settings below do not name was not \
+simulated.
+
+{_facts(provenance, manifest, failures, skipped or {})}
+## What is in it
+
+{_table(("split", "location", "scene", "pairs"), scenes)}
+## Pictures
+
+{_pictures(source.shards[0][1])}
+## Settings
+
+```yaml
+{yaml.safe_dump(plain_values(config), sort_keys=False, default_flow_style=None).rstrip()}
+```
+
+{_reading(source)}
+## Licence
+
+Of this dataset: {settings.licence or "not stated (set `dataset.licence`)"}.
+
+The terms of the source images hold for what is derived from them. They are yours to read and to \
+respect before you use or pass on this dataset.
+
+## Citation
+
+The method: {PAPER}.
+"""
     path = directory / CARD_NAME
-    write_atomically(path, "\n".join(parts).encode())
+    write_atomically(path, text.encode())
     return path
+
+
+def card_title(name: str) -> str:
+    """What heads a card; `dataset`, which is what a nameless dataset is called, says nothing."""
+    title = "Simulated forward-looking sonar images, noisy and clean"
+    return title if name == "dataset" else f"{name}: {title[0].lower()}{title[1:]}"
 
 
 def hub_fields(name: str, licence: str | None, samples: int) -> str:
@@ -83,64 +126,31 @@ def hub_fields(name: str, licence: str | None, samples: int) -> str:
     return "\n".join(lines)
 
 
-def _opening(
-    directory: Path, overview: Overview, manifest: Manifest, settings: DatasetSettings
-) -> str:
-    rows, columns = overview.shape
-    splits = " and ".join(f"{manifest.samples(split)} {split}" for split in SPLITS)
-    picture = (
-        "![noisy, clean and shadow images of some samples]"
-        f"({PREVIEW_NAME})\n\n" if (directory / PREVIEW_NAME).exists() else ""
-    )  # fmt: skip
-    return (
-        f"# {settings.name}\n\n"
-        f"{manifest.samples()} pairs of forward-looking-sonar images ({splits}): each sample is a "
-        "noisy image, the clean image of the same scene, and the mask of its acoustic shadows. "
-        f"{rows} x {columns} pixels, {overview.dtype}, {manifest.total_bytes() / 1e6:.1f} MB.\n\n"
-        f"{picture}"
-    )
+def _splits(manifest: Manifest) -> str:
+    return " and ".join(f"{manifest.samples(split)} {split}" for split in SPLITS)
 
 
-def _making(
+def _facts(
     provenance: Provenance,
     manifest: Manifest,
     failures: Sequence[Failure],
     skipped: Mapping[str, int],
 ) -> str:
-    config = provenance.config
-    scenes = config.get("scenes")
-    kind = scenes.get("kind") if isinstance(scenes, Mapping) else None
-    source = f" RGBD frames came from the `{kind}` reader." if kind else ""
     lines = [
-        "## How it was made\n",
-        "Simulated, not measured at sea: RGBD frames were turned into 3-D scenes, insonified by a "
-        "renderer with its light at the sonar, and projected into ideal sonar images; noise was "
-        "added to the echoes before projection, so both images of a pair share one scene."
-        f"{source}\n",
-        f"- generator: {provenance.generator}, format {SCHEMA}",
-        f"- config hash: `{provenance.config_hash}` (BLAKE2b, 8 bytes, of what the shards hold as "
+        f"generator: {provenance.generator}, format {SCHEMA}",
+        f"config hash: `{provenance.config_hash}` (BLAKE2b, 8 bytes, of what the shards hold as "
         "`config`; all settings are in config.yaml)",
+        *([f"seed: {provenance.config['seed']}"] if "seed" in provenance.config else []),
+        f"{len(manifest.shards)} shards, checksums in manifest.json and croissant.json",
+        *(
+            f"{how} a dataset of {part['samples']} pairs, config hash `{part['config_hash']}`"
+            for key, how in (("merged", "merged from"), ("extends", "extends"))
+            for part in manifest.config.get(key, ())
+        ),
+        *(f"images left out: {count}, {reason}" for reason, count in sorted(skipped.items())),
+        *([f"frames that failed: {len(failures)}, reasons in {FAILURES_NAME}"] if failures else []),
     ]
-    if "seed" in config:
-        lines.append(f"- seed: {config['seed']}")
-    lines.append(f"- {len(manifest.shards)} shards, checksums in manifest.json and croissant.json")
-    lines += [
-        f"- {how} a dataset of {part['samples']} pairs, config hash `{part['config_hash']}`"
-        for key, how in (("merged", "merged from"), ("extends", "extends"))
-        for part in manifest.config.get(key, ())
-    ]
-    lines += [f"- images left out: {count}, {reason}" for reason, count in sorted(skipped.items())]
-    if failures:
-        lines.append(f"- frames that failed: {len(failures)}, reasons in {FAILURES_NAME}")
-    return "\n".join(lines) + "\n"
-
-
-def _contents(overview: Overview) -> str:
-    rows = [
-        (split, location, scene, str(count))
-        for (split, location, scene), count in overview.counts().items()
-    ]
-    return "## What is in it\n\n" + _table(("split", "location", "scene", "pairs"), rows)
+    return "".join(f"- {line}\n" for line in lines)
 
 
 def _pictures(shard: Path) -> str:
@@ -151,92 +161,34 @@ def _pictures(shard: Path) -> str:
             units, meaning = (str(file[name].attrs[key]) for key in ("units", "description"))
             kind = str(file[name].dtype)
             rows.append((f"`/{name}`", kind, "" if units == "1" else units, meaning))
-    return "## Pictures\n\n" + _table(("name", "type", "unit", "what it is"), rows)
+    return _table(("name", "type", "unit", "what it is"), rows)
 
 
-def _section(name: str, values: Any) -> str:
-    if not isinstance(values, Mapping):
-        return f"## {name.capitalize()}\n\n`{values}`\n"
-    return f"## {name.capitalize()}\n\n" + _table(("key", "value"), list(_settings(values)))
+def _reading(source: Source) -> str:
+    row_axis, row_units, _ = source.axes[0]
+    full = "0..255, 255 is full scale" if source.dtype == "uint8" else "0..1"
+    path = source.shards[0][1].relative_to(source.directory).as_posix()
+    return f"""\
+## How to read it
 
+```python
+import h5py
 
-def _settings(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
-    for key, value in values.items():
-        name = f"{prefix}{key}"
-        if isinstance(value, Mapping) and not _distribution(value):
-            yield from _settings(value, f"{name}.")
-        else:
-            yield f"`{name}`", _distribution(value) or _value(value)
+with h5py.File("{path}") as shard:
+    noisy, clean, shadow = (shard[name][0] for name in ("noisy", "clean", "shadow"))
+    {row_axis} = shard["axes/{row_axis}"][:]  # of every row, in units of {row_units!r}
+    made_from = dict(zip(shard["meta"].dtype.names, shard["meta"][0]))
+```
 
+`noisy` and `clean` are {full}; `shadow` is true inside the sonar's sector where no echo arrives. \
+`meta` has, for each sample, the frame it is of and every number that was drawn for it. One chunk \
+is one image, so samples can be read in any order. index.h5 shows all shards as one file \
+(`train/noisy`, `test/noisy`, ...); check first that every file of manifest.json is there, because \
+HDF5 shows zeros for one that is not.
 
-def _distribution(value: Any) -> str | None:
-    """`{uniform: [a, b]}` and its like in words; None for anything else."""
-    if not isinstance(value, Mapping) or len(value) != 1:
-        return None
-    ((kind, numbers),) = value.items()
-    if not isinstance(numbers, list | tuple):
-        return None
-    if kind == "uniform" and len(numbers) == 2:
-        return f"drawn evenly from {_value(numbers[0])} to {_value(numbers[1])}"
-    if kind == "normal" and len(numbers) == 2:
-        return f"drawn normally, mean {_value(numbers[0])}, std {_value(numbers[1])}"
-    return f"drawn from {_value(numbers)}" if kind == "choice" else None
-
-
-def _value(value: Any) -> str:
-    if value is None:
-        return "none"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, list | tuple):
-        shown = ", ".join(_value(item) for item in value[:8])
-        return f"{shown}, ... ({len(value)} values)" if len(value) > 8 else shown
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _reading(manifest: Manifest, overview: Overview) -> str:
-    path = overview.samples[0].path
-    (row_axis, row_units), _ = overview.axes
-    full = "0..255, 255 is full scale" if overview.dtype == "uint8" else "0..1"
-    return (
-        "## How to read it\n\n"
-        "```python\n"
-        "import h5py\n\n"
-        f'with h5py.File("{path}") as shard:\n'
-        '    noisy, clean, shadow = (shard[name][0] for name in ("noisy", "clean", "shadow"))\n'
-        f'    {row_axis} = shard["axes/{row_axis}"][:]  # of every row, in units of {row_units!r}\n'
-        '    made_from = dict(zip(shard["meta"].dtype.names, shard["meta"][0]))\n'
-        "```\n\n"
-        f"`noisy` and `clean` are {full}; `shadow` is true inside the sonar's sector where no echo "
-        "arrives. `meta` tells, for each sample, the frame it is of and every number that was "
-        "drawn for it. One chunk is one image, so samples can be read in any order. index.h5 shows "
-        "all shards as one file (`train/noisy`, `test/noisy`, ...); look first that every file of "
-        "manifest.json is there, because HDF5 shows zeros for one that is not.\n\n"
-        "`simnfnd validate` checks a copy, `simnfnd export` writes WebDataset, "
-        "Hugging Face, PNG and other formats.\n"
-    )
-
-
-def _limits() -> str:
-    return (
-        "## What it is not\n\n"
-        "Values are relative echo strengths after the transfer curve, not target strengths. Scene, "
-        "noise and sonar are what the tables above say; what they do not name was not simulated.\n"
-    )
-
-
-def _licence(settings: DatasetSettings) -> str:
-    stated = settings.licence or "not stated (set `dataset.licence`)"
-    return (
-        "## Licence\n\n"
-        f"Of this dataset: {stated}.\n\n"
-        "The terms of the source images hold for what is derived from them. They are yours to "
-        "read and to respect before you use or pass on this dataset.\n"
-    )
-
-
-def _citation() -> str:
-    return f"## Citation\n\nThe method: {PAPER}.\n"
+`simnfnd validate` checks a copy, `simnfnd export` writes WebDataset, Hugging Face, PNG and other \
+formats.
+"""
 
 
 def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:

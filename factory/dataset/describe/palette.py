@@ -2,21 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from matplotlib.colors import LinearSegmentedColormap
-
 BACKGROUND, PANEL, LINE = "#0d1117", "#161b22", "#30363d"
 TEXT, FAINT = "#e6edf3", "#8b949e"
 AMBER, BLUE = "#d98f2b", "#39a0c8"
 # Black over amber to near white, as imaging sonars show echoes; shadows in the opposite hue.
 ECHO = ("#000000", "#3a1c08", "#8c4a12", "#d98f2b", "#f7d488", "#fffdf2")
 SHADOW = ("#000000", BLUE)
-
-
-def colour_map(colours: tuple[str, ...]) -> LinearSegmentedColormap:
-    """From the first colour to the last, evenly."""
-    from matplotlib.colors import LinearSegmentedColormap  # a second to import
-
-    return LinearSegmentedColormap.from_list("factory", colours)

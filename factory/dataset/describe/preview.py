@@ -15,9 +15,8 @@ from ..format.axes import image_axes
 from ..format.manifest import MANIFEST_NAME, load_manifest
 from ..format.schema import VALUE_RANGES
 from ..read.image_stack import ImageStack
-from ..read.overview import SampleName, read_overview
 from ..read.reader import check_in_isolation, listed_shards, reading
-from ..read.source import read_image
+from ..read.source import SampleName, manifest_source, read_image
 from ..write.folder import PREVIEW_NAME
 from .contact_sheet import Shown, draw
 
@@ -45,9 +44,9 @@ def preview(
         raise FactoryError(f"pairs must be at least 1, got {pairs}")
     if manifest.shards and not trusted:
         check_in_isolation(listed_shards(directory, "all", manifest))
-    chosen = spread(read_overview(directory, manifest).samples, pairs)
+    chosen = spread(list(manifest_source(directory, manifest).names()), pairs)
     title = f"{manifest.samples('train')} train and {manifest.samples('test')} test pairs"
-    shown = [_load(directory, sample) for sample in chosen]
+    shown = [_load(sample) for sample in chosen]
     buffer = io.BytesIO()
     draw(shown, title, f"config {manifest.config_hash[:8]}").save(buffer, "PNG", compress_level=1)
     path = directory / PREVIEW_NAME if out is None else Path(out)
@@ -76,8 +75,8 @@ def spread(samples: Sequence[SampleName], count: int) -> list[SampleName]:
     return [samples[number] for number in sorted(numbers)]
 
 
-def _load(directory: Path, name: SampleName) -> Shown:
-    with reading(directory / name.path) as file:
+def _load(name: SampleName) -> Shown:
+    with reading(name.path) as file:
         images = {panel: read_image(ImageStack(file[panel]), panel, name.row) for panel in _PANELS}
         record = file["meta"][name.row]
         axes = [

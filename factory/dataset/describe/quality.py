@@ -54,6 +54,16 @@ def seen_sector_deg(directory: Path) -> tuple[float, float]:
     return float(joined.min()), float(joined.max())
 
 
+def lit_share(directory: Path, most: int = 64) -> float:
+    """Share of the pixels of (at most `most`) clean pictures that show an echo, 0 to 1."""
+    found = []
+    for shard in _shards(directory):
+        found += [float((picture > 0).mean()) for picture in shard["clean"][: most - len(found)]]
+        if len(found) >= most:
+            break
+    return float(np.mean(found)) if found else 0.0
+
+
 def _unit(image: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     scale = 255.0 if image.dtype == np.uint8 else 1.0
     return np.asarray(image.astype(np.float64) / scale)

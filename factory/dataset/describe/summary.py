@@ -1,7 +1,8 @@
-"""What is in a dataset or in one of its files, as figures: for `simnfnd inspect`."""
+"""What is in a dataset or in one of its files: for `simnfnd inspect`, in words and as a figure."""
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,16 @@ import numpy as np
 import numpy.typing as npt
 
 from ...errors import FactoryError
+from ...files import write_atomically
 from ..format.echoes import PLACE, echo_names
 from ..format.manifest import INDEX_NAME
 from ..read.image_stack import ImageStack
 from ..read.reader import check_in_isolation, reading
 from ..read.source import Source, open_shards, open_source, read_image
+from . import palette
 from .quality import psnr_db, ssim
+
+_WIDE, _DPI = 4, 120
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,34 +68,28 @@ def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
         raise FactoryError(f"{path}: no such file or folder; give a dataset or one of its shards")
     else:
         source = open_source(path.parent if path.is_file() else path, "all")
-    tables: list[npt.NDArray[np.void]] = []
-    splits: list[str] = []
-    schema = generator = compression = ""
-    image_bytes = echoes = 0
-    for split, shard, samples in source.shards:
+    tables = list(source.tables())
+    with reading(source.shards[0][1]) as file:
+        schema, generator = str(file.attrs["schema"]), str(file.attrs["generator"])
+        compression = compression_of(file["noisy"])
+        listed = bool(echo_names(file))
+    echoes = 0
+    for _, shard, _ in source.shards if listed else ():
         with reading(shard) as file:
-            tables.append(file["meta"][()])
-            if tables[-1].dtype != tables[0].dtype:
-                raise FactoryError(f"its columns differ from those of {source.shards[0][1]}")
-            image_bytes += samples * sum(
-                int(np.prod(source.sizes[name])) * dtype.itemsize
-                for name, dtype in source.layers.items()
-            )
-            if echo_names(file):
-                echoes += int(np.diff(file[PLACE][()], axis=1).sum())
-            schema, generator = str(file.attrs["schema"]), str(file.attrs["generator"])
-            compression = compression_of(file["noisy"])
-        splits += [split] * samples
+            echoes += int(np.diff(file[PLACE][()], axis=1).sum())
+    a_sample = sum(
+        int(np.prod(source.sizes[name])) * dtype.itemsize for name, dtype in source.layers.items()
+    )
     psnr, similarity = _quality(source, pairs)
     return DatasetSummary(
         source,
         schema,
         generator,
         compression,
-        np.concatenate(tables),
-        np.asarray(splits),
+        np.concatenate([rows for _, _, rows in tables]),
+        np.concatenate([np.full(len(rows), split) for split, _, rows in tables]),
         sum(shard.stat().st_size for _, shard, _ in source.shards),
-        image_bytes,
+        a_sample * sum(source.splits.values()),
         echoes,
         psnr,
         similarity,
@@ -131,3 +130,43 @@ def _quality(source: Source, pairs: int) -> tuple[npt.NDArray[Any], npt.NDArray[
                 similarity.append(ssim(clean, noisy))
         first += samples
     return np.asarray(psnr), np.asarray(similarity)
+
+
+def draw(found: DatasetSummary, path: Path) -> Path:
+    """Write a PNG of histograms: PSNR, SSIM, then every column whose values vary."""
+    # A second to import, and only needed here.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
+
+    panels = {"PSNR, dB": found.psnr_db, "SSIM": found.ssim}
+    for column in found.source.columns:
+        if np.dtype(column.dtype).kind == "S":
+            continue
+        values = found.numbers(column.name)
+        if values.size and np.ptp(values) > 0:
+            unit = "" if column.units in ("", "1") else f", {column.units}"
+            panels[f"{column.name}{unit}"] = values
+    tall = -(-len(panels) // _WIDE)
+    figure = Figure(figsize=(3.1 * _WIDE, 1.9 * tall + 0.6), facecolor=palette.BACKGROUND)
+    FigureCanvasAgg(figure)
+    counts = ", ".join(f"{count} {split}" for split, count in found.source.splits.items())
+    title = f"{counts} pairs   config {found.source.config_hash[:8]}"
+    figure.suptitle(title, x=0.01, ha="left", color=palette.TEXT, fontsize=12, weight="bold")
+    for number, (name, values) in enumerate(panels.items(), start=1):
+        axes = figure.add_subplot(tall, _WIDE, number, facecolor=palette.PANEL)
+        axes.set_title(name, color=palette.TEXT, fontsize=8, loc="left", pad=3)
+        values = values[np.isfinite(values)]
+        if values.size:
+            colour = palette.AMBER if number <= 2 else palette.BLUE
+            axes.hist(values, bins="auto" if values.size < 1000 else 30, color=colour, rwidth=0.92)
+            axes.axvline(float(values.mean()), color=palette.TEXT, linewidth=0.8, linestyle=":")
+        axes.yaxis.set_major_locator(MaxNLocator(4, integer=True))
+        axes.tick_params(colors=palette.FAINT, labelsize=6.5, length=2)
+        for spine in axes.spines.values():
+            spine.set_color(palette.LINE)
+    figure.tight_layout(pad=0.7, rect=(0, 0, 1, 0.985))
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
+    write_atomically(path, buffer.getvalue())
+    return path

@@ -1,16 +1,18 @@
-"""The axes of image stacks, read from a file that may be damaged."""
+"""Objects and axes of a shard, read from a file that may be damaged or a stranger's.
+
+No link is followed that could lead out of the file.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
 
 import h5py
 import numpy as np
 
 from ...errors import FactoryError
-from .layers import CAMERA_LAYERS, ECHO_FOLDER
-from .sample import Axis
-
-# First byte, end and name of a piece of data.
-Place = tuple[int, int, str]
+from .schema import CAMERA_LAYERS, ECHO_FOLDER, Axis
 
 
 def image_axes(stack: h5py.Dataset) -> tuple[Axis, Axis]:
@@ -31,19 +33,6 @@ def axis_names(stack: h5py.Dataset) -> tuple[str, ...]:
     return _name(_scale(stack, 1)), _name(_scale(stack, 2))
 
 
-def contiguous_place(dataset: h5py.Dataset, name: str, file_bytes: int) -> list[Place]:
-    """Where a dataset lies that is stored in one piece, as it must be; nothing for an empty one."""
-    if dataset.id.get_create_plist().get_layout() != h5py.h5d.CONTIGUOUS:
-        raise FactoryError(f"/{name} is stored in chunks; the schema keeps it in one piece")
-    size = int(np.prod(dataset.shape, dtype=np.int64)) * dataset.id.get_type().get_size()
-    if not size:
-        return []
-    start = dataset.id.get_offset()
-    if start is None or start + size > file_bytes or dataset.id.get_storage_size() != size:
-        raise FactoryError(f"/{name} is not where the file says; generate it again")
-    return [(start, start + size, f"/{name}")]
-
-
 def _scale(stack: h5py.Dataset, dimension: int) -> h5py.Dataset:
     size = stack.shape[dimension]
     try:
@@ -52,8 +41,10 @@ def _scale(stack: h5py.Dataset, dimension: int) -> h5py.Dataset:
         raise FactoryError(f"the axes of {stack.name} are damaged; generate it again") from error
     if scale is None or scale.shape != (size,) or scale.dtype.kind not in "iuf":
         raise FactoryError(f"dimension {dimension} of {stack.name} has no axis of {size} numbers")
-    contiguous_place(scale, f"axes/{_name(scale)}", scale.file.id.get_filesize())
-    return scale
+    name = str(scale.name).lstrip("/")
+    if not name.startswith("axes/"):
+        raise FactoryError(f"{scale.name} is no axis; generate it again")
+    return dataset_inside(stack.file, name)
 
 
 def _axis(scale: h5py.Dataset) -> Axis:
@@ -75,3 +66,44 @@ def _check_scale_references(stack: h5py.Dataset) -> None:
     listed = isinstance(kind, h5py.h5t.TypeVlenID) and attribute.shape == (stack.ndim,)
     if not listed or not kind.get_super().equal(h5py.h5t.STD_REF_OBJ):
         raise FactoryError(f"the axes of {stack.name} are damaged; generate it again")
+
+
+def object_inside(file: h5py.File, name: str) -> Any:
+    """The object at `name`; links that could lead out of the file are refused on the way."""
+    for part in _prefixes(name):
+        if not exists(file, part):
+            raise FactoryError(f"dataset /{part} is absent; generate the shard again")
+        # Not h5py's own `in` and `get`: they open the file that an external link names.
+        if file.id.links.get_info(part.encode()).type != h5py.h5l.TYPE_HARD:
+            raise FactoryError(f"/{part} is a link to elsewhere; not followed")
+    return file[name]
+
+
+def dataset_inside(file: h5py.File, name: str, *, chunks: bool = False) -> h5py.Dataset:
+    """A dataset that lies in this very file, in one piece or in chunks as the schema has it.
+
+    What lies in one piece is read as a whole, so it may not claim more bytes than the file has.
+    """
+    found = object_inside(file, name)
+    if not isinstance(found, h5py.Dataset):
+        raise FactoryError(f"/{name} is no dataset; generate the shard again")
+    plist = found.id.get_create_plist()
+    if plist.get_layout() == h5py.h5d.VIRTUAL or plist.get_external_count():
+        raise FactoryError(f"/{name} keeps its data in another file; not followed")
+    if chunks != (plist.get_layout() == h5py.h5d.CHUNKED):
+        kept = "chunks" if chunks else "one piece"
+        raise FactoryError(f"/{name}: the schema keeps it in {kept}; generate it again")
+    claimed = int(np.prod(found.shape, dtype=np.float64)) * found.id.get_type().get_size()
+    if not chunks and claimed > file.id.get_filesize():
+        raise FactoryError(f"/{name} claims more bytes than the file has")
+    return found
+
+
+def exists(file: h5py.File, name: str) -> bool:
+    """Whether there is a link of that name, whatever it leads to."""
+    return bool(file.id.links.exists(name.encode()))
+
+
+def _prefixes(name: str) -> Iterator[str]:
+    parts = name.split("/")
+    return ("/".join(parts[: count + 1]) for count in range(len(parts)))

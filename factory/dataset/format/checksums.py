@@ -8,25 +8,24 @@ tables that say where a chunk lies.  So a shard has
 - the root attribute `text_checksum`, of what the layers, columns and axes say of themselves.
 
 The latter two are BLAKE2b (digest of 16 bytes, hexadecimal) of a JSON text that `_contents` and
-`_texts` write.  Shards of earlier versions have none of the three.
+`_texts` write.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import h5py
 import numpy as np
 import numpy.typing as npt
+from isal import isal_zlib  # a third of zlib's time
 
 from ...errors import FactoryError
-from .axes import axis_names, image_axes
-from .layers import ECHO_FOLDER
-from .schema import CHECKSUMS, ROOT_ATTRIBUTES, SEALS
+from .axes import axis_names, exists, image_axes
+from .schema import CHECKSUMS, ECHO_FOLDER, ROOT_ATTRIBUTES, SEALS
 
 _CONTENTS, _TEXTS = SEALS
 # Addresses in the file; what they lead to is in `_texts` by name.
@@ -35,10 +34,6 @@ _REFERENCES = ("DIMENSION_LIST", "REFERENCE_LIST")
 
 def crc32(values: npt.NDArray[Any]) -> int:
     """CRC-32 of an array's bytes in C order."""
-    try:
-        from isal import isal_zlib  # a third of zlib's time
-    except ImportError:
-        return zlib.crc32(np.ascontiguousarray(values).data)
     sums: int = isal_zlib.crc32(np.ascontiguousarray(values).data)
     return sums
 
@@ -65,12 +60,15 @@ def seal(file: h5py.File, layers: Iterable[str]) -> None:
     file.attrs[_TEXTS] = _digest(_texts(file, layers))
 
 
-def has_checksums(file: h5py.File) -> bool:
-    """Whether a shard has them; raises FactoryError when it has lost some."""
-    parts = [name in file.attrs for name in SEALS] + [_has_table(file)]
-    if any(parts) and not all(parts):
-        raise FactoryError("some of its checksums are absent; generate the shard again")
-    return parts[0]
+def require_checksums(file: h5py.File) -> None:
+    """Raise FactoryError for a shard that has lost some, or never had any."""
+    parts = [name in file.attrs for name in SEALS] + [exists(file, CHECKSUMS)]
+    if not all(parts):
+        some = "some of its" if any(parts) else "its"
+        raise FactoryError(
+            f"{some} checksums are absent; generate the shard again (versions before 0.3 wrote "
+            "none)"
+        )
 
 
 def check_contents(file: h5py.File, rows: npt.NDArray[Any]) -> None:
@@ -83,33 +81,21 @@ def check_contents(file: h5py.File, rows: npt.NDArray[Any]) -> None:
 
 
 def check_texts(file: h5py.File, layers: Iterable[str]) -> None:
-    """Compare `text_checksum`, if there is one.  Raises FactoryError when it differs."""
-    if has_checksums(file) and file.attrs[_TEXTS] != _digest(_texts(file, layers)):
+    """Compare `text_checksum`.  Raises FactoryError when it differs."""
+    if file.attrs[_TEXTS] != _digest(_texts(file, layers)):
         raise FactoryError("units or descriptions differ from their checksum; damaged")
 
 
-def picture_sums(stack: h5py.Dataset) -> npt.NDArray[np.uint32] | None:
-    """(samples,) `crc32` of each picture of a layer; None in files that have none."""
-    sums = all_picture_sums(stack.file)
-    return None if sums is None else sums[stack.name.lstrip("/")]
-
-
-def all_picture_sums(file: h5py.File) -> npt.NDArray[np.void] | None:
-    """The same of all layers, a column each; a read for each layer costs as much."""
-    if not _has_table(file):
-        return None
-    sums: npt.NDArray[np.void] = file[CHECKSUMS][()]
+def picture_sums(stack: h5py.Dataset) -> npt.NDArray[np.uint32]:
+    """(samples,) `crc32` of each picture of a layer."""
+    sums: npt.NDArray[np.uint32] = all_picture_sums(stack.file)[stack.name.lstrip("/")]
     return sums
 
 
-def _has_table(file: h5py.File) -> bool:
-    # Not `in`: that opens the file which an external link names.
-    return _has(file, CHECKSUMS)
-
-
-def _has(file: h5py.File, name: str) -> bool:
-    folder = name.rpartition("/")[0]
-    return all(file.id.links.exists(part.encode()) for part in (folder, name) if part)
+def all_picture_sums(file: h5py.File) -> npt.NDArray[np.void]:
+    """The same of all layers, a column each; a read for each layer costs as much."""
+    sums: npt.NDArray[np.void] = file[CHECKSUMS][()]
+    return sums
 
 
 def _digest(document: Any) -> str:
@@ -119,10 +105,11 @@ def _digest(document: Any) -> str:
 
 def _contents(file: h5py.File, rows: npt.NDArray[Any]) -> list[Any]:
     sums, place = file[CHECKSUMS][()], f"{ECHO_FOLDER}place"
+    listed = exists(file, ECHO_FOLDER.rstrip("/")) and exists(file, place)
     return [
         [[name, _value(file.attrs.get(name))] for name in ROOT_ATTRIBUTES if name not in SEALS],
         [[axis.name, crc32(axis.values)] for axis in image_axes(file["noisy"])],
-        *([["echoes", crc32(file[place][()])]] if _has(file, place) else []),
+        *([["echoes", crc32(file[place][()])]] if listed else []),
         *([[[n, t.dtype[n].str] for n in t.dtype.names or ()], crc32(t)] for t in (rows, sums)),
     ]
 

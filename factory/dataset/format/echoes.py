@@ -17,10 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ...errors import FactoryError, FrameError
-from .axes import Place, contiguous_place
+from .axes import dataset_inside, exists, object_inside
 from .checksums import all_picture_sums, crc32
-from .layers import ECHO_FIELDS, ECHO_FOLDER, MAX_PIXELS, Layer
-from .links import dataset_inside, exists, object_inside
+from .schema import ECHO_FIELDS, ECHO_FOLDER, MAX_PIXELS, Layer
 
 PLACE = f"{ECHO_FOLDER}place"
 _GRID = "grid"
@@ -110,32 +109,25 @@ def echo_names(file: h5py.File) -> tuple[str, ...]:
     return tuple(f"{ECHO_FOLDER}{name}" for name in _FIELDS if name in found)
 
 
-def check_echoes(file: h5py.File, samples: int, file_bytes: int) -> list[Place]:
-    """Where the parts of /echoes lie.  Raises FactoryError when they do not fit the schema."""
+def check_echoes(file: h5py.File, samples: int) -> None:
+    """Raises FactoryError when the parts of /echoes do not fit the schema."""
     names = echo_names(file)
     if not names:
-        return []
+        return
     place = dataset_inside(file, PLACE)
     if place.shape != (samples, 2) or place.dtype != np.dtype("<i8"):
         raise FactoryError(f"/{PLACE} must be {samples} pairs of int64; generate it again")
-    places = contiguous_place(place, PLACE, file_bytes)
-    lengths = set()
-    for name in names:
-        values, field = dataset_inside(file, name), _FIELDS[name.removeprefix(ECHO_FOLDER)]
-        if values.ndim != 1 or values.dtype != np.dtype(field.dtype):
-            raise FactoryError(f"/{name} must be a list of {field.dtype}; generate it again")
-        places += contiguous_place(values, name, file_bytes)
-        lengths.add(len(values))
+    lists = {name: dataset_inside(file, name) for name in names}
+    for name, values in lists.items():
+        dtype = _FIELDS[name.removeprefix(ECHO_FOLDER)].dtype
+        if values.ndim != 1 or values.dtype != np.dtype(dtype):
+            raise FactoryError(f"/{name} must be a list of {dtype}; generate it again")
+    lengths = {len(values) for values in lists.values()}
     first, end = place[()].T
-    if len(lengths) != 1 or not (
-        (first >= 0).all()
-        and (first <= end).all()
-        and (end <= min(lengths)).all()
-        and (end - first <= MAX_PIXELS).all()
-    ):
+    ordered = (first >= 0) & (first <= end) & (end <= min(lengths)) & (end - first <= MAX_PIXELS)
+    if len(lengths) != 1 or not ordered.all():
         raise FactoryError("/echoes: lists of different lengths, or beyond their end")
     _grid(file)
-    return places
 
 
 def read_echoes(file: h5py.File, row: int) -> EchoList:
@@ -151,7 +143,7 @@ def read_echoes(file: h5py.File, row: int) -> EchoList:
     sums = all_picture_sums(file)
     for name in names:
         values = file[name][first:end]
-        if sums is not None and crc32(values) != sums[name][row]:
+        if crc32(values) != sums[name][row]:
             raise ValueError(f"/{name}: its checksum differs")
         fields[name.removeprefix(ECHO_FOLDER)] = values
     return EchoList(_grid(file), fields)

@@ -1,15 +1,15 @@
 """Is a shard laid out as the schema says, and does everything in it lie in the file itself?
 
 A dataset may come from a stranger or a dying disk.  What is checked here reads no image: links,
-types, sizes, filters, attributes, and where in the file the data are.  A file that passes names no
-other file, claims no more samples than it holds, has one chunk for each picture at a place of its
-own, and no chunk of it can grow beyond some thousand times its picture.
+types, sizes, filters and attributes.  A file that passes names no other file, claims no more
+samples than it holds, and has one chunk for each picture; its checksum says whether that is the
+right one.
 """
 
 from __future__ import annotations
 
 import json
-from itertools import pairwise
+from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -19,35 +19,84 @@ import numpy as np
 import numpy.typing as npt
 
 from ...errors import FactoryError
-from .axes import Place, contiguous_place
-from .checksums import check_contents, has_checksums
+from .axes import dataset_inside, exists, object_inside
+from .checksums import check_contents, require_checksums
 from .echoes import check_echoes, echo_names
-from .filters import chain_of
-from .layers import (
+from .schema import (
     CHANNELS,
+    CHECKSUMS,
     EFFECT_FOLDER,
     MAX_PIXELS,
     OPTIONAL_LAYERS,
-    Layer,
-    layers,
-    stores_grey,
-)
-from .links import dataset_inside, exists, object_inside
-from .schema import (
-    CHECKSUMS,
     REQUIRED_COLUMNS,
     SCHEMA,
     SPLITS,
     VALUE_RANGES,
+    Layer,
+    layers,
+    stores_grey,
 )
 
 _MAX_ROW_BYTES = 1 << 16
 _MAX_LAYERS = 64
-_MAX_AXES = 8
 # Of all layers of a shard together: what is noted of each takes some hundred bytes.
 _MAX_CHUNKS = 1 << 20
 _MAX_TABLE_BYTES = 1 << 27
 _TEXT_ATTRIBUTES = ("generator", "config", "config_hash", "split")
+
+_DEFLATE, _LZF, _ZSTD, _FLETCHER32 = 1, 32000, 32015, 3
+_CODECS = {_DEFLATE: "gzip", _LZF: "lzf", _ZSTD: "zstd"}
+# HDF5 notes the filters that a chunk was stored without by their place in the chain.
+_CODEC_LEFT_OUT = 1
+
+
+@dataclass(frozen=True)
+class Chain:
+    """How the chunks of a stack are stored: at most one compression, then Fletcher-32.
+
+    codec: gzip, lzf, zstd or none.  ending: bytes of the Fletcher-32 checksum, 4 or 0.
+    """
+
+    codec: str
+    ending: int
+
+    def problem(self, mask: int, size: int, full: int) -> str:
+        """Why a chunk of that filter mask and size holds no picture of `full` bytes, or nothing.
+
+        No filter may be left out, but for LZF, which has no answer to what it cannot make smaller.
+        """
+        if mask:
+            left_out = mask == _CODEC_LEFT_OUT and self.codec == "lzf"
+            return "" if left_out and size == full + self.ending else "skips its filters"
+        # What cannot be made smaller grows by far less than that.
+        most = full + self.ending if self.codec == "none" else full + full // 16 + 4096
+        least = most if self.codec == "none" else self.ending + 1
+        return "" if least <= size <= most else f"has a chunk of {size} bytes for {full} of pixels"
+
+
+def chain_of(stack: h5py.Dataset) -> Chain:
+    """The filters of an image stack.
+
+    Raises FactoryError for any that the schema has not: it would be a library that HDF5 loads from
+    wherever HDF5_PLUGIN_PATH points, or let a chunk grow without bound.
+    """
+    plist = stack.id.get_create_plist()
+    codes = [plist.get_filter(index)[0] for index in range(plist.get_nfilters())]
+    ending = 4 if codes[-1:] == [_FLETCHER32] else 0
+    codecs = codes[: len(codes) - bool(ending)]
+    if len(codecs) > 1 or not set(codecs) <= set(_CODECS):
+        raise FactoryError(f"{stack.name} uses filters {codes}, which are not of {SCHEMA}")
+    if _ZSTD in codes and not h5py.h5z.filter_avail(_ZSTD):
+        try:
+            import hdf5plugin  # noqa: F401  (registers its filters; 186 MB, so only when needed)
+        except ImportError as error:
+            raise FactoryError(
+                "compressed with zstd, which needs the hdf5plugin package: "
+                "pip install 'simnfnd[zstd]'"
+            ) from error
+    if not all(h5py.h5z.filter_avail(code) for code in codes):
+        raise FactoryError(f"{stack.name} uses filters {codes}, which this h5py lacks; renew h5py")
+    return Chain(_CODECS[codecs[0]] if codecs else "none", ending)
 
 
 def check_shard(file: h5py.File) -> None:
@@ -63,34 +112,25 @@ def check_shard(file: h5py.File) -> None:
             f"schema {str(schema)[:40]!r}, but this program reads {SCHEMA!r}; "
             "use a matching release"
         )
-    noisy = dataset_inside(file, "noisy")
+    noisy = dataset_inside(file, "noisy", chunks=True)
     shape, dtype = noisy.shape, str(noisy.dtype)
     if len(shape) != 3:
         raise FactoryError(f"/noisy is {shape}; expected samples, rows and columns")
     if dtype not in VALUE_RANGES:
         raise FactoryError(f"/noisy is {dtype}; expected {' or '.join(VALUE_RANGES)}")
-    size = file.id.get_filesize()
-    places: list[Place] = []
     known = layers(dtype, optional_layers(file))
     if shape[0] * len(known) > _MAX_CHUNKS:
         raise FactoryError(f"claims {shape[0]} samples; at most {_MAX_CHUNKS} pictures go")
     for layer in known:
-        places += _check_stack(dataset_inside(file, layer.name), layer, shape, size)
-    table = dataset_inside(file, "meta")
-    _check_table(table, shape[0], size)
-    places += contiguous_place(table, "meta", size)
-    places += check_echoes(file, shape[0], size)
-    if has_checksums(file):
-        names = [*(layer.name for layer in known), *echo_names(file)]
-        places += _checked_sums(file, names, shape[0], size)
-    for name in _axis_names(file):
-        places += contiguous_place(dataset_inside(file, f"axes/{name}"), f"axes/{name}", size)
-    _check_apart(places)
+        _check_stack(dataset_inside(file, layer.name, chunks=True), layer, shape)
+    _check_table(dataset_inside(file, "meta"), shape[0])
+    check_echoes(file, shape[0])
+    require_checksums(file)
+    _check_sums(file, [*(layer.name for layer in known), *echo_names(file)], shape[0])
     _check_attributes(file)
-    rows = table[()]
+    rows = file["meta"][()]
     _check_text(rows)
-    if has_checksums(file):
-        check_contents(file, rows)
+    check_contents(file, rows)
 
 
 def optional_layers(file: h5py.File) -> tuple[str, ...]:
@@ -127,30 +167,18 @@ def inside(root: Path, path: Path) -> bool:
         return False
 
 
-def _axis_names(file: h5py.File) -> list[str]:
-    if not exists(file, "axes"):
-        return []
-    group = object_inside(file, "axes")
-    if not isinstance(group, h5py.Group) or len(group) > _MAX_AXES:
-        raise FactoryError(f"/axes is no group of at most {_MAX_AXES} axes")
-    return sorted(group)
-
-
-def _check_stack(
-    stack: h5py.Dataset, layer: Layer, shape: tuple[int, ...], file_bytes: int
-) -> list[Place]:
-    """The (first byte, end, name) of every chunk of a sound stack."""
-    name = f"/{layer.name}"
+def _check_stack(stack: h5py.Dataset, layer: Layer, shape: tuple[int, ...]) -> None:
+    """A stack has the shape, type, chunks and filters of its layer, and a chunk a sample."""
+    name, (samples, *picture) = f"/{layer.name}", stack.shape or (0,)
+    fits = stack.shape == shape
     if layer.of_camera:
-        fits = stack.ndim == 1 + len(layer.of_camera) and stack.shape[3:] in ((), (CHANNELS,))
-        if not fits or stack.shape[0] != shape[0]:
-            raise FactoryError(
-                f"{name} is {stack.shape}; expected {shape[0]} samples of "
-                f"{', '.join(layer.of_camera)}; generate it again"
-            )
-    elif stack.ndim != 3 or stack.shape != shape:
-        raise FactoryError(f"{name} is {stack.shape}, /noisy {shape}; generate it again")
-    samples, *picture = stack.shape
+        fits = samples == shape[0] and stack.shape[3:] in ((), (CHANNELS,))
+        fits = fits and stack.ndim == 1 + len(layer.of_camera)
+    if not fits:
+        expected = (
+            f"{shape[0]} samples of {', '.join(layer.of_camera)}" if layer.of_camera else shape
+        )
+        raise FactoryError(f"{name} is {stack.shape}; expected {expected}; generate it again")
     if 0 in picture or picture[0] * picture[1] > MAX_PIXELS:
         raise FactoryError(f"{name} claims pictures of {picture}; at most {MAX_PIXELS} pixels go")
     # Of the same layer in other shards, too: grey values are all of one dtype.
@@ -159,49 +187,36 @@ def _check_stack(
         raise FactoryError(f"{name} is {stack.dtype}; expected {wanted}")
     if stack.chunks != (1, *picture):
         raise FactoryError(f"{name} has chunks {stack.chunks}; expected one for each picture")
-    chain = chain_of(stack)
+    # Their table has no checksum, and HDF5 aborts over sizes that cannot be.
+    chain, file_bytes, origin = chain_of(stack), stack.file.id.get_filesize(), (0,) * len(picture)
     full = prod(picture) * stack.dtype.itemsize
-    origin = (0,) * len(picture)
-    places: list[Place] = []
+    found = 0
 
     def check_chunk(chunk: Any) -> None:
-        number = len(places)
-        # Their table has no checksum, and HDF5 would show another picture, or no picture's bytes.
-        if chunk.chunk_offset != (number, *origin) or number >= samples:
+        nonlocal found
+        if chunk.chunk_offset != (found, *origin) or found >= samples:
             raise FactoryError(f"{name}: its table of chunks is damaged; generate it again")
-        if not chain.may_be(chunk.filter_mask, chunk.size, full):
-            if chunk.filter_mask:
-                raise FactoryError(f"{name} sample {number} skips its filters; generate it again")
-            raise FactoryError(f"{name} has a chunk of {chunk.size} bytes for {full} of pixels")
+        if problem := chain.problem(chunk.filter_mask, chunk.size, full):
+            raise FactoryError(f"{name} sample {found} {problem}; generate it again")
         if chunk.byte_offset is None or chunk.byte_offset + chunk.size > file_bytes:
-            raise FactoryError(f"{name} sample {number} lies beyond the file; generate it again")
-        places.append((chunk.byte_offset, chunk.byte_offset + chunk.size, name))
+            raise FactoryError(f"{name} sample {found} lies beyond the file; generate it again")
+        found += 1
 
     stack.id.chunk_iter(check_chunk)
-    if len(places) != samples:
-        raise FactoryError(f"{name} holds {len(places)} of {samples} samples; generate it again")
-    return places
+    if found != samples:
+        raise FactoryError(f"{name} holds {found} of {samples} samples; generate it again")
 
 
-def _check_apart(places: list[Place]) -> None:
-    """No two pieces of data may share bytes: one of them would be read from a wrong place."""
-    places.sort()
-    for (_, end, one), (start, _, two) in pairwise(places):
-        if start < end:
-            raise FactoryError(f"{one} and {two} share bytes of the file; generate it again")
-
-
-def _checked_sums(file: h5py.File, names: list[str], samples: int, file_bytes: int) -> list[Place]:
-    """Where /checksums lies, which must have a row a sample and a column a layer."""
+def _check_sums(file: h5py.File, names: list[str], samples: int) -> None:
+    """A row a sample and a column a layer."""
     table = dataset_inside(file, CHECKSUMS)
     columns = table.dtype.names or ()
     numbers = all(table.dtype[name] == np.dtype("<u4") for name in columns)
     if table.shape != (samples,) or sorted(columns) != sorted(names) or not numbers:
         raise FactoryError(f"/{CHECKSUMS} does not fit the layers; generate the shard again")
-    return contiguous_place(table, CHECKSUMS, file_bytes)
 
 
-def _check_table(table: h5py.Dataset, samples: int, file_bytes: int) -> None:
+def _check_table(table: h5py.Dataset, samples: int) -> None:
     names = table.dtype.names or ()
     kinds = {table.dtype[name].kind for name in names}
     if table.shape != (samples,) or not set(REQUIRED_COLUMNS).issubset(names):
@@ -211,9 +226,9 @@ def _check_table(table: h5py.Dataset, samples: int, file_bytes: int) -> None:
     text = {table.dtype[name].kind for name in REQUIRED_COLUMNS[:3]}
     if not kinds <= set("iufS") or text != {"S"} or table.dtype["variant"].kind not in "iu":
         raise FactoryError("/meta has columns of types that the schema does not know")
-    size = table.dtype.itemsize * samples
-    if table.dtype.itemsize > _MAX_ROW_BYTES or size > min(file_bytes, _MAX_TABLE_BYTES):
-        raise FactoryError("/meta claims more bytes than the file has, or than a table may have")
+    bytes_ = table.dtype.itemsize * samples
+    if table.dtype.itemsize > _MAX_ROW_BYTES or bytes_ > _MAX_TABLE_BYTES:
+        raise FactoryError("/meta claims more bytes than a table may have")
 
 
 def _check_attributes(file: h5py.File) -> None:

@@ -1,24 +1,30 @@
 """The dataset format as data: names, shapes, dtypes, units and attributes of `simnfnd/1`.
 
-The writer follows this file, and so do reader, validator and docs/dataset.md.
+What a shard holds (layers, lists of echoes, axes, columns, root attributes) and what it is made of
+(pairs and their sources).  The writer follows this file, and so do reader, validator and
+docs/dataset.md.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import h5py
 import numpy as np
 import numpy.typing as npt
 
 from ...errors import FactoryError, FrameError
-from .layers import CHANNELS, MAX_PIXELS, Layer, layers, stores_grey
-from .sample import Axis, Column, Pair
+from ...frame import FrameRef
+from ...labels import CLASSES
+
+if TYPE_CHECKING:
+    from .echoes import EchoList
 
 SCHEMA = "simnfnd/1"
 SPLITS = ("train", "test")
@@ -46,12 +52,219 @@ ROOT_ATTRIBUTES = {
     "checksum": "of the attributes above, /meta, /axes and /checksums; see below",
     "text_checksum": "of units, descriptions and all else that layers, columns and axes state",
 }
-# Those of them that are made of all the rest; absent in shards of earlier versions.
+# Those of them that are made of all the rest.
 SEALS = ("checksum", "text_checksum")
 # A row a sample, a column a layer: CRC-32 of each picture.
 CHECKSUMS = "checksums"
 
 VALUE_MEANING = "echo strength after the transfer curve in `config`, the same for noisy and clean"
+
+# A picture of 4096 x 4096; the largest imaging sonars have 2048 beams.
+MAX_PIXELS = 1 << 24
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One image stack of a shard: (samples, rows, columns), chunked one image at a time.
+
+    classes: what the values 0, 1, 2, ... mean, for labels.  least, most: limits of real numbers.
+    of_camera: names of the dimensions of a picture that is the camera's; it has a size of its own
+        and no axes.  Empty for the sonar's.
+    """
+
+    name: str
+    dtype: str
+    description: str
+    units: str = "1"
+    classes: tuple[str, ...] = ()
+    least: float = 0.0
+    most: float = math.inf
+    of_camera: tuple[str, ...] = ()
+
+
+_RIGHT_ANGLE = math.pi / 2
+
+
+def _angle(name: str, description: str) -> Layer:
+    return Layer(name, "float32", description, "rad", least=-_RIGHT_ANGLE, most=_RIGHT_ANGLE)
+
+
+# Written where `dataset.layers` asks for them.
+OPTIONAL_LAYERS = (
+    Layer("range", "float32", "slant range of the strongest echo; NaN where there is none", "m"),
+    _angle("elevation", "elevation of the strongest echo; NaN where there is none"),
+    _angle("elevation_min", "lowest elevation of the echoes in the bin; NaN where there is none"),
+    _angle("elevation_max", "highest elevation of the echoes in the bin; NaN where there is none"),
+    _angle("azimuth", "azimuth of the strongest echo, right is positive; NaN where there is none"),
+    Layer("valid_azimuth", "bool", "inside the sector, at a bearing that the camera saw"),
+    Layer("segmentation", "uint8", "class of the object of the strongest echo", classes=CLASSES),
+    Layer("instance", "uint16", "number within its scene of that object, 0 = none"),
+    Layer(
+        "intensity_db",
+        "float32",
+        "received intensity of the noisy picture before time-varying gain; NaN without data",
+        "dB re 1 uPa",
+        least=-math.inf,
+    ),
+    Layer(
+        "field",
+        "complex64",
+        "beamformed field of the noisy picture before time-varying gain; 0 without data",
+        "uPa",
+    ),
+    Layer(
+        "rgb",
+        "uint8",
+        "the camera's picture of the frame that the pair was made of: red, green, blue, 0..255",
+        of_camera=("camera_row", "camera_column", "channel"),
+    ),
+    Layer(
+        "depth",
+        "float32",
+        "of that frame, registered to rgb: distance along the camera's optical axis (z, not slant "
+        "range); NaN where none was measured",
+        "m",
+        of_camera=("camera_row", "camera_column"),
+    ),
+)
+CHANNELS = 3
+CAMERA_LAYERS = frozenset(layer.name for layer in OPTIONAL_LAYERS if layer.of_camera)
+# Of every echo behind a pair, where `dataset.layers` asks for `echoes`: flat lists, see `echoes`.
+ECHO_FOLDER = "echoes/"
+_MOST_INT32 = float(1 << 30)
+ECHO_FIELDS = (
+    Layer(
+        "bin",
+        "int32",
+        "range bin * beams + beam, ascending within a sample; attribute grid: range bins, beams",
+        most=_MOST_INT32,
+    ),
+    Layer("range", "float32", "slant range", "m", most=1e6),
+    Layer("azimuth", "float32", "azimuth, right is positive", "rad", least=-math.pi, most=math.pi),
+    _angle("elevation", "elevation, up is positive"),
+    Layer(
+        "strength",
+        "float32",
+        "linear echo intensity after time-varying gain, relative: radiance of the render times the "
+        "gain; the strongest of a bin is the one that /range and /elevation tell of",
+        most=3e38,
+    ),
+    Layer("pixel", "int32", "row * columns + column in the camera's frame", most=_MOST_INT32),
+    Layer("segmentation", "uint8", "class of the object that echoes", classes=CLASSES),
+    Layer("instance", "uint16", "number within its scene of that object, 0 = none", most=65535),
+)
+EFFECT_FOLDER = "layers/"
+_EFFECT = re.compile(rf"{EFFECT_FOLDER}[a-z][a-z0-9_]{{0,39}}")
+
+
+def layers(dtype: str, optional: Iterable[str] = ()) -> tuple[Layer, ...]:
+    """The image stacks of a shard whose images are stored as `dtype` (uint8 or float32).
+
+    optional: names of further layers, in any order; they come out in that of the format.
+    Raises FactoryError for one that the format does not know.
+    """
+    known = {layer.name: layer for layer in OPTIONAL_LAYERS}
+    further = []
+    place = {layer.name: number for number, layer in enumerate(OPTIONAL_LAYERS)}
+    for name in sorted(optional, key=lambda name: (place.get(name, len(place)), name)):
+        if _EFFECT.fullmatch(name):
+            effect = name.removeprefix(EFFECT_FOLDER)
+            known[name] = Layer(name, dtype, f"noisy image with {effect} as its only noise")
+        if name not in known:
+            raise FactoryError(f"/{name}: no layer of the format")
+        further.append(known[name])
+    return (
+        Layer("noisy", dtype, "sonar image with noise; input of a denoiser"),
+        Layer("clean", dtype, "ideal sonar image of the same points; target of a denoiser"),
+        Layer("shadow", "bool", "inside the sector, where no echo arrives in the ideal image"),
+        *further,
+    )
+
+
+def stores_grey(layer: Layer) -> bool:
+    """Whether a layer holds grey values, stored as uint8 or float32 as the user chose."""
+    return layer.name in ("noisy", "clean") or layer.name.startswith(EFFECT_FOLDER)
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """One image axis: the coordinate of every row or column centre, for example range in metres."""
+
+    name: str
+    units: str
+    values: npt.NDArray[np.float64]
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of the per-sample table: `dtype` is a numpy type string such as f4, i8 or S64."""
+
+    name: str
+    dtype: str
+    units: str = ""
+    description: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """One sample.
+
+    noisy, clean: (H, W) uint8, or float32 in [0, 1].
+    shadow: (H, W) bool, True inside the sonar's sector where no echo arrives in the ideal image.
+    record: column name -> value, everything needed to make this very sample again.
+    layers: name -> (H, W) optional picture (rgb: (H, W, 3)), as `OPTIONAL_LAYERS` describes them.
+    echoes: every echo behind the pair, where that was asked for.
+    """
+
+    noisy: npt.NDArray[np.generic]
+    clean: npt.NDArray[np.generic]
+    shadow: npt.NDArray[np.bool_]
+    record: Mapping[str, float | int | str] = field(default_factory=dict)
+    layers: Mapping[str, npt.NDArray[np.generic]] = field(default_factory=dict)
+    echoes: EchoList | None = None
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What became of one frame.
+
+    hit: it was ready already.  bytes: added to the cache.  key: what a `PairSource` finds it by, so
+    that it need not be worked out again (by reading all files of the frame); empty: nothing.
+    """
+
+    hit: bool
+    bytes: int
+    key: str = ""
+
+
+class PairSource(Protocol):
+    """Makes the pairs of a frame; each worker process builds its own from the configuration."""
+
+    def axes(self) -> tuple[Axis, Axis]:
+        """The row and column axes of the images."""
+
+    def columns(self) -> tuple[Column, ...]:
+        """The columns that every pair's record has, in order."""
+
+    def pairs(self, ref: FrameRef, variants: tuple[int, ...]) -> list[Pair]:
+        """All asked variants of one frame.  Raises FrameError when the frame is bad."""
+
+    def ready(self, ref: FrameRef) -> bool:
+        """Whether `pairs` has all that it needs; else a `Preparer` has to see the frame first."""
+
+    def expect(self, keys: Mapping[str, str]) -> None:
+        """Take the keys of frames that were prepared, by their names; those before are forgotten.
+
+        Frames without a key are found as before.
+        """
+
+
+class Preparer(Protocol):
+    """Does what is slow and the same for all noise; its workers are few and heavy."""
+
+    def prepare(self, ref: FrameRef) -> Prepared:
+        """Make a frame ready for `PairSource.pairs`.  Raises FrameError when it is bad."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +292,15 @@ def plain_values(value: Any) -> Any:
 def config_text(config: Mapping[str, Any]) -> str:
     """Settings as the JSON of the root attribute `config`."""
     return json.dumps(plain_values(config), sort_keys=True, separators=(",", ":"))
+
+
+def config_hash(config: Mapping[str, Any]) -> str:
+    """Hash of settings: 16 hexadecimal digits of BLAKE2b over their JSON.
+
+    `extends`, the list of the datasets that an extended one began as, is left out.
+    """
+    text = config_text({key: value for key, value in config.items() if key != "extends"})
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
 def root_attributes(provenance: Provenance, split: str, dtype: str) -> dict[str, Any]:
@@ -118,46 +340,33 @@ def table_dtype(columns: Sequence[Column]) -> np.dtype[np.void]:
     return np.dtype(fields)
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def table_row(columns: Sequence[Column], record: Mapping[str, Any], name: str) -> tuple[Any, ...]:
     """One row of /meta.  `name` opens the message of the FrameError that any loss raises."""
     odd = sorted(set(record) ^ {column.name for column in columns})
     if odd:
         raise FrameError(f"{name}: record and columns disagree about {', '.join(odd)}")
-    return tuple(_cell(column, record[column.name], name) for column in columns)
-
-
-def _cell(column: Column, value: Any, name: str) -> Any:
-    dtype = np.dtype(column.dtype)
-    if dtype == np.float64 and isinstance(value, float):
-        return value  # as most are, and nothing is lost
-    where = f"{name}: column {column.name}"
-    if dtype.kind == "S":
-        if not isinstance(value, str):
-            raise FrameError(f"{where} holds text, got {value!r}")
+    row = []
+    for column in columns:
+        value, dtype = record[column.name], np.dtype(column.dtype)
         try:
-            encoded = value.encode()
-        except UnicodeEncodeError as error:
-            raise FrameError(f"{where}: {value!r} is no text; rename it") from error
-        if len(encoded) > dtype.itemsize:
-            raise FrameError(
-                f"{where} holds {dtype.itemsize} bytes, but {value!r} has {len(encoded)}; "
-                "use a shorter name"
-            )
-        if "\0" in value:
-            raise FrameError(f"{where}: {value!r} contains a NUL byte")
-        return encoded
-    if not isinstance(value, int | float | np.integer | np.floating):
-        raise FrameError(f"{where} holds a number, got {value!r}")
-    if dtype.kind == "f":
-        with np.errstate(over="ignore"):
-            stored = dtype.type(value)
-        if math.isfinite(value) and not math.isfinite(stored):
-            raise FrameError(f"{where} is {dtype}, too narrow for {value!r}")
-        return stored
-    limits = np.iinfo(dtype)
-    if not math.isfinite(value) or value != int(value) or not limits.min <= value <= limits.max:
-        raise FrameError(f"{where} is {dtype}, which cannot hold {value!r}")
-    return int(value)
+            stored: Any
+            if dtype.kind == "S":
+                stored = value.encode()
+                kept = len(stored) <= dtype.itemsize and b"\0" not in stored
+            elif dtype.kind == "f":
+                stored = dtype.type(value)
+                kept = math.isfinite(stored) == math.isfinite(value)
+            else:
+                stored, limits = int(value), np.iinfo(dtype)
+                kept = stored == value and limits.min <= stored <= limits.max
+        except (AttributeError, OverflowError, TypeError, ValueError):
+            kept = False
+        if not kept:
+            text = f"text of at most {dtype.itemsize} bytes" if dtype.kind == "S" else f"{dtype}"
+            raise FrameError(f"{name}: column {column.name} is {text} and cannot hold {value!r}")
+        row.append(stored)
+    return tuple(row)
 
 
 def check_pair(

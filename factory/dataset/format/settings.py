@@ -61,7 +61,7 @@ class DatasetSettings:
     """
 
     dir: str | None = None
-    on_existing: Literal["resume", "extend", "overwrite"] = "resume"
+    on_existing: Literal["resume", "overwrite"] = "resume"
     name: str = "dataset"
     dtype: Literal["uint8", "float32"] = "uint8"
     compression: Literal["gzip", "lzf", "zstd", "none"] = "gzip"
@@ -89,8 +89,6 @@ class DatasetSettings:
             )
         if self.dir is not None and not self.dir.strip():
             raise ValueError("dir must name a folder, or be null")
-        if self.on_existing == "extend" and self.dir is None:
-            raise ValueError("on_existing=extend needs dir, the folder of the dataset to extend")
 
     def directory(self, config_hash: str, part: str = "") -> Path:
         """The folder that this dataset goes to, or the local copy of the URL.

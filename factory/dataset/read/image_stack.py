@@ -2,32 +2,32 @@
 
 HDF5 does not look at how much comes out of a chunk: of one that is too short it shows whatever its
 memory held before, and one that was made to grow takes gigabytes.  It also shows zeros for a chunk
-that its table cannot find.  Chunks are therefore read as they are stored, and decoded here to the
-size of a picture and no further.
+that its table cannot find.  Chunks are therefore read as they are stored, decoded to the size of a
+picture and no further, and compared with the picture's checksum.
 """
 
 from __future__ import annotations
 
-import struct
 import sys
-import zlib
 from typing import Any
 
 import h5py
 import numpy as np
 import numpy.typing as npt
+from isal import isal_zlib
 
 from ..format.checksums import crc32, picture_sums
-from ..format.filters import chain_of, fletcher32
-from .lzf import LZF_GROWTH, lzf_length
+from ..format.layout import chain_of
 
 Image = npt.NDArray[Any]
 
+# LZF: three bytes stand for 264 at most; h5py's filter takes all memory that it needs.
+_LZF_GROWTH = 88
 _LITTLE_BYTES = 1 << 27
 
 
 class ImageStack:
-    """`stack[row]` is one (H, W) picture, `stack[a:b]` are (N, H, W), as stored and writable.
+    """`stack[row]` is one (H, W) picture, as stored and writable.
 
     Pictures in colour have a third dimension.
     sums: (samples,) `crc32` of each picture, where they were read already.
@@ -46,100 +46,74 @@ class ImageStack:
         """Number of pictures."""
         return len(self._dataset)
 
-    def __getitem__(self, rows: int | slice) -> Image:
-        """One picture, or several that follow one another."""
-        if not isinstance(rows, slice):
-            image: Image = np.empty(self._shape, self._dtype)
-            self._read(range(len(self))[rows], image)
-            return image
-        numbers = range(len(self))[rows]
-        images: Image = np.empty((len(numbers), *self._shape), self._dtype)
-        for image, number in zip(images, numbers, strict=True):
-            self._read(number, image)
-        return images
-
-    def _read(self, number: int, image: Image) -> None:
-        """Fill a contiguous array with one picture."""
-        target = image.reshape(-1).view(np.uint8)
-        codec, ending = self._chain.codec, self._chain.ending
-        plain = codec == "none" and not ending
+    def __getitem__(self, row: int) -> Image:
+        """One picture."""
+        number = range(len(self))[row]
+        image: Image = np.empty(self._shape, self._dtype)
+        origin = (number, *(0 for _ in self._shape))
         try:
-            # With a buffer that is too small h5py raises ValueError.
-            mask, content = self._dataset.id.read_direct_chunk(
-                (number, *(0 for _ in self._shape)), out=target if plain else None
-            )
+            mask, content = self._dataset.id.read_direct_chunk(origin)
         except MemoryError as error:
             raise ValueError("not in the table of chunks") from error
-        if not self._chain.may_be(mask, len(content), self._bytes):
-            if mask:
-                raise ValueError("a filter was left out")
-            raise ValueError(f"its chunk is of {len(content)} bytes, its pixels of {self._bytes}")
-        if ending and self._sums is None and codec != "gzip":
-            self._check_ending(content)
-        if mask or codec == "none":
-            if not plain:
-                target[:] = np.frombuffer(content, np.uint8, self._bytes)
-        elif codec == "lzf":
-            self._check_lzf(content[: len(content) - ending])
+        if problem := self._chain.problem(mask, len(content), self._bytes):
+            raise ValueError(problem)
+        codec, packed = self._chain.codec, content[: len(content) - self._chain.ending]
+        if codec == "lzf" and not mask:
+            too_large = len(packed) * _LZF_GROWTH > _LITTLE_BYTES
+            if too_large and lzf_length(packed, self._bytes) != self._bytes:
+                raise ValueError(f"it does not hold the {self._bytes} bytes of a picture")
             self._dataset.read_direct(image, np.s_[number])
         else:
-            unpack = self._inflated if codec == "gzip" else self._unzstd
-            target[:] = np.frombuffer(unpack(content), np.uint8)
-        if self._sums is not None and crc32(image) != self._sums[number]:
+            pixels = packed if mask or codec == "none" else self._unpacked(codec, packed)
+            image.reshape(-1).view(np.uint8)[:] = np.frombuffer(pixels, np.uint8)
+        if crc32(image) != self._sums[number]:
             raise ValueError("its checksum differs")
+        return image
 
-    def _check_ending(self, content: bytes) -> None:
-        (wanted,) = struct.unpack("<I", content[-4:])
-        if fletcher32(content[:-4]) != wanted:
-            raise ValueError("its checksum differs")
-
-    def _check_lzf(self, content: bytes) -> None:
-        # To look costs more than to unpack; a picture with a checksum needs it for memory alone.
-        small = len(content) * LZF_GROWTH <= _LITTLE_BYTES
-        if (self._sums is None or not small) and (lzf_length(content, self._bytes) != self._bytes):
-            raise self._other_size()
-
-    def _other_size(self) -> ValueError:
-        return ValueError(f"it does not hold the {self._bytes} bytes of a picture")
-
-    def _inflated(self, content: bytes) -> bytes:
-        codec = _deflate()
-        unpacker = codec.decompressobj()
+    def _unpacked(self, codec: str, packed: bytes) -> bytes:
+        """The bytes of a picture, and never more, of a gzip or zstd chunk."""
+        unpacker: Any
+        failure: type[Exception]
+        if codec == "gzip":
+            unpacker, failure = isal_zlib.decompressobj(), isal_zlib.error
+        else:
+            if sys.version_info >= (3, 14):
+                from compression import zstd
+            else:
+                from backports import zstd
+            unpacker, failure = zstd.ZstdDecompressor(), zstd.ZstdError
         try:
             # One byte more, so that a longer stream shows and the stream's own checksum is read.
-            pixels: bytes = unpacker.decompress(content, self._bytes + 1)
-        except codec.error as error:
+            pixels: bytes = unpacker.decompress(packed, self._bytes + 1)
+        except failure as error:
             raise ValueError(str(error)) from error
-        return self._whole(pixels, unpacker)
-
-    def _unzstd(self, content: bytes) -> bytes:
-        zstd = _zstd()
-        unpacker = zstd.ZstdDecompressor()
-        try:
-            pixels: bytes = unpacker.decompress(content, self._bytes + 1)
-        except zstd.ZstdError as error:
-            raise ValueError(str(error)) from error
-        return self._whole(pixels, unpacker)
-
-    def _whole(self, pixels: bytes, unpacker: Any) -> bytes:
-        if len(pixels) != self._bytes or not unpacker.eof:
-            raise self._other_size()
-        if len(unpacker.unused_data) != self._chain.ending:
-            raise ValueError("its chunk is of a wrong length")
+        if len(pixels) != self._bytes or not unpacker.eof or unpacker.unused_data:
+            raise ValueError(f"it does not hold the {self._bytes} bytes of a picture")
         return pixels
 
 
-def _deflate() -> Any:
-    try:
-        from isal import isal_zlib  # two thirds of zlib's time
-    except ImportError:
-        return zlib
-    return isal_zlib
+def lzf_length(content: bytes, most: int) -> int:
+    """Bytes that LZF data stand for; stops beyond `most`.  Raises ValueError when they end early.
 
-
-def _zstd() -> Any:
-    if sys.version_info >= (3, 14):
-        from compression import zstd
-    else:
-        from backports import zstd
-    return zstd
+    A control byte c below 32 is followed by c + 1 bytes to copy.  Any other repeats c // 32 + 2
+    bytes from before, or with c // 32 = 7 as many more as the next byte says; a byte of the offset
+    follows (liblzf, lzf_d.c).
+    """
+    at = length = 0
+    end = len(content)
+    while at < end and length <= most:
+        control = content[at]
+        if control < 32:
+            at += control + 2
+            length += control + 1
+            continue
+        if control >= 224:
+            at += 1
+            if at >= end:
+                break
+            length += content[at]
+        length += (control >> 5) + 2
+        at += 2
+    if at > end and length <= most:
+        raise ValueError("its LZF data end early")
+    return length

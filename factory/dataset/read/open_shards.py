@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import h5py
-import numpy as np
 
 from ...errors import FactoryError
 from ..format.checksums import all_picture_sums
@@ -32,16 +31,19 @@ class OpenShards:
         self._accept = accept
         self._forget()
 
-    def read(self, path: Path, layers: tuple[str, ...], rows: int | slice) -> list[Image]:
-        """The layers of one sample (H, W), or of a range of samples (N, H, W), as stored.
+    def read(self, path: Path, layers: tuple[str, ...], row: int) -> list[Image]:
+        """The layers of one sample, each (H, W), as stored.
 
         Raises FactoryError when the shard cannot be opened or a chunk is damaged.
         """
-        with self._use(path, rows) as stacks:
+        with self._use(path, row) as stacks:
             try:
-                return [stacks[name][rows] for name in layers]
+                return [stacks[name][row] for name in layers]
             except KeyError as error:
-                raise _no_layer(path, stacks, layers) from error
+                absent = next(name for name in layers if name not in stacks.file)
+                raise FactoryError(
+                    f"{path}: has no layer {absent}; make the dataset with it in dataset.layers"
+                ) from error
 
     def echoes(self, path: Path, row: int) -> EchoList:
         """The list of one sample.  Raises FactoryError as `read` does, and where there is none."""
@@ -52,8 +54,8 @@ class OpenShards:
                 raise FactoryError(f"{path}: {error}") from error
 
     @contextmanager
-    def _use(self, path: Path, rows: int | slice) -> Iterator[_Stacks]:
-        """A shard, opened if it is not; what goes wrong while it is read is told of these rows."""
+    def _use(self, path: Path, row: int) -> Iterator[_Stacks]:
+        """A shard, opened if it is not; errors while it is read name the row."""
         if self._process != os.getpid():
             # After a fork: HDF5's state and a lock that another thread holds stay behind.
             self._forget()
@@ -65,8 +67,9 @@ class OpenShards:
             try:
                 yield stacks
             except (OSError, RuntimeError, ValueError) as error:
+                reason = " ".join(str(error).split())[:120]
                 raise FactoryError(
-                    f"{path}: sample {_rows_text(rows)} is damaged ({_short(error)}); "
+                    f"{path}: sample {row} is damaged ({reason}); "
                     "delete the file and run the command that made the dataset again"
                 ) from error
 
@@ -118,20 +121,5 @@ class _Stacks(dict[str, ImageStack]):
 
     def __missing__(self, name: str) -> ImageStack:
         stack = self.file[name]
-        self[name] = ImageStack(stack, None if self._sums is None else self._sums[name])
+        self[name] = ImageStack(stack, self._sums[name])
         return self[name]
-
-
-def _no_layer(path: Path, stacks: _Stacks, layers: tuple[str, ...]) -> FactoryError:
-    absent = next(name for name in layers if name not in stacks.file)
-    return FactoryError(
-        f"{path}: has no layer {absent}; make the dataset with it in dataset.layers"
-    )
-
-
-def _rows_text(rows: int | slice) -> str:
-    return str(rows) if isinstance(rows, int | np.integer) else f"{rows.start} to {rows.stop - 1}"
-
-
-def _short(error: Exception) -> str:
-    return " ".join(str(error).split())[:120]

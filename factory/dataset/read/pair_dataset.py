@@ -19,18 +19,16 @@ from ...seeds import stream
 from ...storage.copies import local_folder
 from ..format.axes import image_axes
 from ..format.echoes import EchoList
-from ..format.layers import EFFECT_FOLDER, layers
 from ..format.manifest import (
     INDEX_NAME,
     MANIFEST_NAME,
     load_manifest,
 )
-from ..format.sample import Axis
-from ..format.schema import VALUE_RANGES
-from .expected import Expected
+from ..format.schema import EFFECT_FOLDER, VALUE_RANGES, Axis, layers
 from .image_stack import Image
 from .open_shards import OpenShards
 from .reader import (
+    Expected,
     Split,
     check_in_isolation,
     listed_shards,
@@ -57,13 +55,12 @@ class PairDataset:
 
     folder: of the dataset, or the index.h5 in it; or its URL on a storage (s3://bucket/folder),
     from where shards are fetched when they are needed (`factory.storage.copies`).
-    layers: as `format.layers` names them.
+    layers: as `format.schema` names them.
     manifest.json decides which shards count; while a run adds some, the ones of the moment of
     opening stay.
 
-    verify: "checksums" compares those of pictures, tables and texts at every read; shards of
-    earlier versions have fewer.  "hash" compares the SHA-256 of each shard with the manifest, too,
-    when this process opens it for the first time.
+    verify: "checksums" compares those of pictures, tables and texts at every read.  "hash" compares
+    the SHA-256 of each shard with the manifest, too, when this process opens it for the first time.
 
     trusted: False has another process open every shard first (a third of a second, and some
     milliseconds a shard), because a damaged file can make HDF5 crash or hang.
@@ -101,7 +98,7 @@ class PairDataset:
             check_in_isolation(self.paths)
         self._counts = [infos[p].samples if p in infos else _count(p) for p in self.paths]
         self._ends = list(accumulate(self._counts))
-        self._expected = Expected(self.folder, infos, set() if verify == "hash" else None)
+        self._expected = Expected(infos, hashed=verify == "hash")
         self._shards = OpenShards(self._expected)
         self._form: tuple[tuple[int, int], str, str] | None = None
 
@@ -231,35 +228,15 @@ class PairDataset:
         return index % len(self)
 
     def _several(self, numbers: Sequence[int]) -> Sample:
-        """Consecutive rows of a shard are read together."""
-        parts: list[list[Image]] = []
-        for path, rows in self._runs(numbers):
-            parts.append(self._shards.read(path, self.layers, rows))
-        if not parts:
-            path, row = self.place(0)
-            images = [image[None][:0] for image in self._shards.read(path, self.layers, row)]
-        elif any(
-            len({image.shape[1:] for image in stack}) > 1 for stack in zip(*parts, strict=True)
-        ):
-            raise FactoryError(f"{self.folder}: images of several sizes; read them one by one")
-        else:
-            images = [np.concatenate(stack) for stack in zip(*parts, strict=True)]
-        return {
-            name: self._scaled(name, stack) for name, stack in zip(self.layers, images, strict=True)
-        }
-
-    def _runs(self, numbers: Sequence[int]) -> Iterator[tuple[Path, slice]]:
-        run: tuple[Path, int, int] | None = None
-        for number in numbers:
-            path, row = self.place(number)
-            if run and run[0] == path and run[2] == row:
-                run = (path, run[1], row + 1)
-                continue
-            if run:
-                yield run[0], slice(run[1], run[2])
-            run = (path, row, row + 1)
-        if run:
-            yield run[0], slice(run[1], run[2])
+        samples = [self[number] for number in numbers]
+        if not samples:
+            return {name: image[None][:0] for name, image in self[0].items()}
+        try:
+            return {name: np.stack([one[name] for one in samples]) for name in self.layers}
+        except ValueError as error:
+            raise FactoryError(
+                f"{self.folder}: images of several sizes; read them one by one"
+            ) from error
 
     def _scaled(self, name: str, image: Image) -> Image:
         grey = name in ("noisy", "clean") or name.startswith(EFFECT_FOLDER)

@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-import atexit
-import os
 import stat
-import threading
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Literal
 
 import h5py
 import numpy as np
 
 from ...errors import FactoryError
+from ...files import sha256_of
+from ...isolated import IsolatedProcess, look_at
 from ...storage.copies import fetched, url_of
-from ..format.axes import axis_names
-from ..format.checksums import check_texts, has_checksums
+from ..format.checksums import check_texts
 from ..format.echoes import echo_names
 from ..format.layout import check_shard, inside, optional_layers
-from ..format.manifest import Manifest, load_manifest
+from ..format.manifest import Manifest, ShardInfo, load_manifest
 from ..format.schema import SPLITS
-from .isolated import IsolatedProcess
-from .verified import is_sound, note_sound, state_of
 
-T = TypeVar("T")
 Split = Literal["train", "test", "all"]
 
 # Opening a shard takes milliseconds; a disk that sleeps takes seconds to wake.
@@ -87,47 +83,7 @@ def check_in_isolation(paths: Sequence[Path]) -> None:
     with IsolatedProcess() as process:
         for path in paths:
             if path.exists() or not url_of(path.parent.parent):
-                _named(process, path, check_readable, path)
-
-
-def look_at(path: Path, function: Callable[..., T], *arguments: Any) -> T:
-    """The answer of a function that reads what may be a stranger's, in a process that lasts.
-
-    path: what the error names.  Raises FactoryError as the function does, or when it crashes.
-    """
-    return _fetched_shards.call(path, function, *arguments)
-
-
-def _named(process: IsolatedProcess, path: Path, function: Callable[..., T], *arguments: Any) -> T:
-    try:
-        return process.call(function, *arguments, limit_s=_LIMIT_S)
-    except FactoryError as error:
-        # What the process itself says names no file.
-        text = str(error).removeprefix(f"{path}: ")
-        raise FactoryError(f"{path}: {text}") from error
-
-
-class _Fetched:
-    """Looks at shards that were just fetched, in a process that lasts; for each process anew."""
-
-    def __init__(self) -> None:
-        self._forget()
-        if hasattr(os, "register_at_fork"):
-            os.register_at_fork(after_in_child=self._forget)
-
-    def _forget(self) -> None:
-        self._lock = threading.Lock()
-        self._process: IsolatedProcess | None = None
-
-    def call(self, path: Path, function: Callable[..., T], *arguments: Any) -> T:
-        with self._lock:
-            if self._process is None:
-                self._process = IsolatedProcess()
-                atexit.register(self._process.__exit__)
-            return _named(self._process, path, function, *arguments)
-
-
-_fetched_shards = _Fetched()
+                process.named(path, check_readable, path, limit_s=_LIMIT_S)
 
 
 def check_readable(path: Path) -> None:
@@ -143,14 +99,37 @@ def read_attributes(file: h5py.File) -> None:
     Raises FactoryError when an axis cannot be read, or they differ from their checksum.
     """
     dict(file.attrs)
-    names = ("noisy", "clean", "shadow", *optional_layers(file), *echo_names(file))
-    if has_checksums(file):
-        check_texts(file, names)
-        return
-    for name in (*names, "meta"):
-        dict(file[name].attrs)
-    for name in names:
-        axis_names(file[name])
+    check_texts(file, ("noisy", "clean", "shadow", *optional_layers(file), *echo_names(file)))
+
+
+class Expected:
+    """Refuses a shard that is not the one that the manifest listed when the dataset was opened.
+
+    shards: as the manifest lists them.  hashed: compare the SHA-256 of each, once.
+    """
+
+    def __init__(self, shards: Mapping[Path, ShardInfo], *, hashed: bool) -> None:
+        self.shards = shards
+        self._unhashed = set(shards) if hashed else set()
+
+    def __call__(self, path: Path, file: h5py.File) -> None:
+        """Raises FactoryError when it is another one, or of the other split."""
+        info = self.shards.get(path)
+        if info and path in self._unhashed:
+            if sha256_of(path) != info.sha256:
+                raise FactoryError(
+                    f"{path}: SHA-256 differs from the manifest's; run the command that made the "
+                    "dataset again"
+                )
+            self._unhashed.discard(path)
+        found = (len(file["noisy"]), path.stat().st_size)
+        if info and found != (info.samples, info.bytes):
+            raise FactoryError(
+                f"{path}: {found[0]} samples in {found[1]} bytes, the manifest said "
+                f"{info.samples} in {info.bytes}; open the dataset again if it was being extended, "
+                "otherwise generate the shard again"
+            )
+        check_split(path, file)
 
 
 def check_split(path: Path, file: h5py.File) -> None:
@@ -171,11 +150,11 @@ def bring(path: Path, *, wait: bool = True) -> None:
 
     def look(aside: Path) -> None:
         try:
-            look_at(aside, check_readable, aside)
+            look_at(aside, check_readable, aside, limit_s=_LIMIT_S)
         except FactoryError as error:
             raise FactoryError(str(error).replace(str(aside), str(path))) from error
         # It keeps its state when it gets its name.
-        note_sound(path, state_of(aside), ours=True)
+        _note_sound(path, _state_of(aside), ours=True)
 
     fetched(path, look, wait=wait)
 
@@ -195,7 +174,7 @@ def open_shard(path: Path) -> h5py.File:
         # A pipe would wait for a writer for ever.
         if not stat.S_ISREG(path.stat().st_mode):
             raise FactoryError(f"{path}: no regular file; not read")
-        state = state_of(path)
+        state = _state_of(path)
         # A chunk is a picture and read whole: HDF5's cache would only copy it once more (a fifth
         # of the time of an uncompressed one) and hold megabytes for every open dataset.
         file = h5py.File(path, "r", rdcc_nbytes=0)
@@ -205,7 +184,7 @@ def open_shard(path: Path) -> h5py.File:
         ) from error
     except OSError as error:
         raise FactoryError(f"{path}: not a readable HDF5 file; generate it again") from error
-    if is_sound(path, state):
+    if _sound.get(path) == state:
         return file
     try:
         with _explained(path):
@@ -213,7 +192,7 @@ def open_shard(path: Path) -> h5py.File:
     except FactoryError:
         file.close()
         raise
-    note_sound(path, state)
+    _note_sound(path, state)
     return file
 
 
@@ -234,6 +213,29 @@ def _explained(path: Path) -> Iterator[None]:
         # HDF5 reports damage of its own tables as almost any exception.
         reason = " ".join(str(error).split())[:120]
         raise FactoryError(f"{path}: damaged ({reason}); generate it again") from error
+
+
+# Shards that this process has found sound, by (inode, bytes, time of change in ns): a check takes
+# twenty times as long as opening a file, and random access opens one for every sample.
+_State = tuple[int, int, int]
+_sound: dict[Path, _State] = {}
+_MOST_SOUND = 1 << 15
+# A file that changed so lately can change again without its time telling.
+_SETTLED_NS = 2_000_000_000
+
+
+def _state_of(path: Path) -> _State:
+    now = path.stat()
+    return now.st_ino, now.st_size, now.st_mtime_ns
+
+
+def _note_sound(path: Path, state: _State, *, ours: bool = False) -> None:
+    """The file was checked in this state.  ours: nobody else writes it."""
+    if not ours and time.time_ns() - state[2] < _SETTLED_NS:
+        return
+    if len(_sound) >= _MOST_SOUND:
+        _sound.clear()
+    _sound[path] = state
 
 
 def value_range(file: h5py.File) -> float:

@@ -1,4 +1,7 @@
-"""The samples of a dataset one after another, each with its record; exports are made of them."""
+"""A dataset as a whole: its form, its tables, its samples one after another, what it is called.
+
+Exports, cards, previews, summaries and merges are made of it.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ...errors import FactoryError
+from ...small_files import load_yaml, one_line
 from ..format.axes import image_axes
 from ..format.layout import config_of, optional_layers
-from ..format.sample import Column
+from ..format.manifest import CONFIG_NAME, Manifest
+from ..format.schema import DATASET_NAME, Column
 from .image_stack import ImageStack
 from .reader import Split, check_split, reading, shard_paths
 
@@ -44,14 +49,27 @@ class Sample:
         return f"{self.split}-{self.number:06d}"
 
 
+@dataclass(frozen=True)
+class SampleName:
+    """One sample: row `row` of the shard at `path`, and what it is of."""
+
+    path: Path
+    row: int
+    split: str
+    location: str
+    scene: str
+    frame: str
+    variant: int
+
+
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A dataset that is read for export.
+    """A dataset, or some of its shards.
 
     shards: (split, path, samples) of every shard, in order.  layers: names and dtypes of the
     images, the core ones first.  sizes: their shapes.  axes: (name, units, values) of rows and
     columns.
-    config: the settings in the first shard.
+    config: the settings in the first shard.  table: the dtype of /meta.
     """
 
     directory: Path
@@ -62,6 +80,7 @@ class Source:
     axes: tuple[tuple[str, str, npt.NDArray[np.float64]], ...]
     config: Mapping[str, Any]
     config_hash: str
+    table: np.dtype[np.void]
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -86,6 +105,25 @@ class Source:
     def layout(self) -> str:
         """Polar (range x azimuth) or fan."""
         return "polar" if self.axes[1][0] == "azimuth" else "fan"
+
+    def tables(self) -> Iterator[tuple[str, Path, npt.NDArray[np.void]]]:
+        """(split, path, /meta) of every shard.  Raises FactoryError when their columns differ."""
+        for split, path, _ in self.shards:
+            with reading(path) as file:
+                rows: npt.NDArray[np.void] = file["meta"][()]
+            if rows.dtype != self.table:
+                raise FactoryError(f"{path}: its columns differ from those of {self.shards[0][1]}")
+            yield split, path, rows
+
+    def names(self) -> Iterator[SampleName]:
+        """Every sample, in order."""
+        for split, path, rows in self.tables():
+            for row, record in enumerate(rows):
+                location, scene, frame = (
+                    record[key].decode() for key in ("location", "scene", "frame")
+                )
+                variant = int(record["variant"])
+                yield SampleName(path, row, split, location, scene, frame, variant)
 
     def samples(self, split: str) -> Iterator[Sample]:
         """Every sample of one split; one image of each layer is in memory at a time."""
@@ -113,6 +151,18 @@ def open_source(directory: Path, split: Split) -> Source:
     return open_shards(directory, shard_paths(directory, split))
 
 
+def manifest_source(directory: Path, manifest: Manifest) -> Source:
+    """The same of a dataset that was just made, or was checked, as its manifest lists it.
+
+    Raises FactoryError when it has no shard, or one cannot be read.
+    """
+    if not manifest.shards:
+        raise FactoryError(f"{directory}: the dataset has no samples")
+    # Train comes before test here, though not in the alphabet.
+    paths = sorted(manifest.shards, key=lambda name: (not name.startswith("train"), name))
+    return open_shards(directory, [directory / path for path in paths])
+
+
 def open_shards(directory: Path, paths: Sequence[Path]) -> Source:
     """Open some shards of one dataset that were checked.
 
@@ -131,6 +181,35 @@ def open_shards(directory: Path, paths: Sequence[Path]) -> Source:
             shards.append((str(file.attrs["split"]), path, file["noisy"].shape[0]))
     assert first is not None, "no shard was given"
     return replace(first, shards=tuple(shards))
+
+
+def dataset_settings(directory: Path) -> dict[str, object]:
+    """The `dataset` block of config.yaml; empty when there is none.
+
+    Raises FactoryError when the file cannot be read, or when name or licence are not what the
+    settings allow: both go into the cards of exports.
+    """
+    path = directory / CONFIG_NAME
+    try:
+        values = load_yaml(path)
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise FactoryError(
+            f"{path}: cannot be read ({one_line(error)}); restore or delete it"
+        ) from error
+    block = values.get("dataset") if isinstance(values, dict) else None
+    if not isinstance(block, dict):
+        return {}
+    name, licence = block.get("name"), block.get("licence")
+    if name is not None and not (isinstance(name, str) and DATASET_NAME.fullmatch(name)):
+        raise FactoryError(
+            f"{path}: dataset.name {str(name)[:40]!r} must be letters, digits, dot, dash and "
+            "underscore"
+        )
+    if licence is not None and not isinstance(licence, str):
+        raise FactoryError(f"{path}: dataset.licence {str(licence)[:40]!r} must be text")
+    return block
 
 
 def json_record(record: Mapping[str, Value]) -> dict[str, Value | None]:
@@ -163,6 +242,7 @@ def _describe(directory: Path, file: h5py.File) -> Source:
         axes,
         config_of(file),
         str(file.attrs["config_hash"]),
+        table.dtype,
     )
 
 

@@ -20,11 +20,12 @@ import numpy.typing as npt
 
 from ...errors import FactoryError
 from ...files import write_atomically
+from ...isolated import look_at
 from ...storage.copies import url_of
 from ...storage.store import Store
 from ..format.layout import check_shard
 from ..format.manifest import ShardInfo
-from .reader import look_at, read_attributes, reading
+from .reader import read_attributes, reading
 from .stream import THREADS
 
 Rows = npt.NDArray[np.void]
@@ -133,18 +134,19 @@ def _by_pieces(path: Path, info: ShardInfo | None) -> Table | None:
     # Any fault is told by whoever reads the whole.
     with suppress(FactoryError):
         for _ in range(_TRIES):
-            found = look_at(path, look_at_pieces, info.bytes, pieces)
-            if isinstance(found, Table):
-                sound = len(found.rows) == info.samples and found.split == info.split
-                return found if sound else None
+            kind, *found = look_at(path, look_at_pieces, info.bytes, pieces)
+            if kind == "table":
+                rows, (height, width), split = found
+                sound = len(rows) == info.samples and split == info.split
+                return Table(rows, (height, width), split) if sound else None
             start, end = found
             first, last = start // _STEP_BYTES, -(-end // _STEP_BYTES)
             pieces.append(piece(first * _STEP_BYTES, last * _STEP_BYTES))
     return None
 
 
-def look_at_pieces(size: int, pieces: Sequence[Piece]) -> Table | tuple[int, int]:
-    """The table of a shard of `size` bytes, or (first byte, end) of what has to be known for it.
+def look_at_pieces(size: int, pieces: Sequence[Piece]) -> tuple[Any, ...]:
+    """("table", ...) of a shard of `size` bytes, or ("missing", first byte, end) of what it takes.
 
     For a process of its own: pieces are a stranger's.  Raises FactoryError when it is damaged.
     """
@@ -153,11 +155,11 @@ def look_at_pieces(size: int, pieces: Sequence[Piece]) -> Table | tuple[int, int
         with h5py.File(known, "r", rdcc_nbytes=0) as file:
             check_shard(file)
             read_attributes(file)
-            return _table(file)
+            return "table", *_table(file)
     except Exception as error:
         # HDF5 tells of a failed read in words of its own.
         if known.missing:
-            return known.missing
+            return "missing", *known.missing
         raise FactoryError("damaged") from error
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,46 +19,37 @@ from ...files import (
     remove_stale_temporaries,
     write_atomically,
 )
-from ...ownership import check_fences
 from ...small_files import read_regular
 from ..format.manifest import (
-    ADDED_NAME,
     CONFIG_NAME,
     MANIFEST_NAME,
     PARTS,
     Manifest,
     load_manifest,
-    part_name,
     save_manifest,
 )
+from ..format.results import forget_outcomes
 from ..format.schema import SCHEMA, SPLITS, Provenance, plain_values
 from .failures import FAILURES_NAME
 
 CARD_NAME = "README.md"
 PREVIEW_NAME = "preview.png"
-# Journals of the workers; empty and gone after a run that ended by itself.
+# Of workers that crashed; gone after a run that ended by itself.
 WORK_NAME = ".work"
 # What happened to shards that had trouble.
 LOGS_NAME = "logs"
 STATUS_NAME = "status.json"
-# Of an extended dataset: the samples of the shards that were there before.
-EXTENDED_NAME = "extended.json"
 
 # The manifest last: while it is there the folder is known as ours.
 _OURS = (
     CARD_NAME, PREVIEW_NAME, STATUS_NAME, FAILURES_NAME, "index.h5", "croissant.json",
-    EXTENDED_NAME, CONFIG_NAME, ADDED_NAME, MANIFEST_NAME,
+    # Of slices, and of earlier versions.
+    "*.*-of-*.json*", "extended.json", "manifest.jsonl",
+    CONFIG_NAME, MANIFEST_NAME,
 )  # fmt: skip
 
 # Names of what comes and goes with runs, and of where a copy comes from.
 _COMING = (".lock", ".claim-", ".dead-", ".origin", WORK_NAME)
-
-# Keys that choose frames and how they are cut into shards: no picture of a frame depends on them,
-# so they may change where something is added.
-CHOOSING = re.compile(
-    r"frames\..+|frames_found|split\..+|dataset\.max_(train|test)|scheduler\.shard_size"
-    r"|scenes\.(locations|first_location|frames_per_location|scenes)"
-)
 
 _SHOWN_DIFFERENCES = 6
 _HASH = re.compile(r"config hash (\w+)")
@@ -69,14 +59,11 @@ def open_folder(
     directory: Path,
     config: Mapping[str, Any],
     provenance: Provenance,
-    part: str = "",
     *,
     emptied: bool = False,
 ) -> Manifest:
     """Make `directory` ready for a run of `provenance` and return what it already holds.
 
-    part: of a run that makes a slice of the dataset; it keeps a manifest of its own.  A run of the
-        whole takes up what slices have made.
     emptied: a dataset was just removed from the folder, which may hold other files, too.
 
     A new folder gets an empty manifest.json and `config` as config.yaml; one of the same dataset
@@ -99,29 +86,20 @@ def open_folder(
     check_writable(directory, "dataset.dir")
     for folder in (directory, *(directory / split for split in SPLITS)):
         remove_stale_temporaries(folder)
-    manifest = _same_dataset(directory, provenance, part) if ours else None
+    manifest = _same_dataset(directory, provenance) if ours else None
+    # First of all files, because it tells other slices whose folder this is.
+    write_atomically(directory / CONFIG_NAME, _config_text(config, provenance).encode())
     if manifest is None:
         values = plain_values(provenance.config)
         manifest = Manifest(provenance.config_hash, provenance.generator, values)
-    if not part:
-        manifest = with_slices(directory, manifest)
-    # First of all files, because it tells other slices whose folder this is.
-    write_atomically(directory / CONFIG_NAME, _config_text(config, provenance).encode())
-    save_manifest(directory, manifest, part)
+        save_manifest(directory, manifest)
+        # A manifest.json that was lost takes what lies beside the shards in again.
+        manifest = load_manifest(directory) or manifest
     return manifest
 
 
 def _is_dataset(directory: Path) -> bool:
     return any((directory / name).exists() for name in (CONFIG_NAME, MANIFEST_NAME))
-
-
-def with_slices(directory: Path, manifest: Manifest) -> Manifest:
-    """`manifest` and what slices of the same dataset have made."""
-    shards = dict(manifest.shards)
-    for other in slice_manifests(directory):
-        if other.config_hash == manifest.config_hash:
-            shards = {**other.shards, **shards}
-    return replace(manifest, shards=shards)
 
 
 def _passes(name: str) -> bool:
@@ -137,22 +115,6 @@ def _foreign_files(directory: Path) -> str:
     return ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
 
 
-def slice_manifests(directory: Path) -> Iterator[Manifest]:
-    """The manifests that slices of a run have left."""
-    for path in sorted(directory.glob(part_name(MANIFEST_NAME, "*-of-*"))):
-        manifest = load_manifest(directory, path.name.split(".")[1])
-        if manifest is not None:
-            yield manifest
-
-
-def forget_slices(directory: Path) -> None:
-    """Remove the manifests, failures and states of slices, once the whole holds them."""
-    check_fences(directory)
-    for name in (MANIFEST_NAME, ADDED_NAME, FAILURES_NAME, STATUS_NAME):
-        for path in directory.glob(part_name(name, "*-of-*")):
-            remove_file(path)
-
-
 def empty_folder(directory: Path) -> bool:
     """Remove the dataset in `directory`, and nothing that is not of a dataset.
 
@@ -164,9 +126,10 @@ def empty_folder(directory: Path) -> bool:
         for split in SPLITS:
             for path in (directory / split).glob("shard-*.h5"):
                 remove_file(path)
-        forget_slices(directory)
+        forget_outcomes(directory)
         for name in _OURS:
-            remove_file(directory / name)
+            for path in directory.glob(name):
+                remove_file(path)
         shutil.rmtree(directory / LOGS_NAME, ignore_errors=True)
         for split in SPLITS:
             if (directory / split).is_dir() and not any((directory / split).iterdir()):
@@ -174,9 +137,9 @@ def empty_folder(directory: Path) -> bool:
     return True
 
 
-def _same_dataset(directory: Path, provenance: Provenance, part: str) -> Manifest | None:
+def _same_dataset(directory: Path, provenance: Provenance) -> Manifest | None:
     """The folder's manifest when it is of this very dataset, None when it has none any more."""
-    manifest = load_manifest(directory, part)
+    manifest = load_manifest(directory)
     config_hash = manifest.config_hash if manifest else _hash_in_config(directory)
     if config_hash != provenance.config_hash:
         raise FactoryError(_difference(directory, manifest, provenance))
@@ -192,11 +155,9 @@ def _difference(directory: Path, manifest: Manifest | None, provenance: Provenan
     """One line that names the keys in which the folder's dataset differs from the asked one."""
     changes = differences(manifest.config if manifest else {}, provenance.config)
     listed = list_differences(changes) if manifest and changes else "its config hash differs"
-    adds = manifest and changes and all(CHOOSING.fullmatch(key) for key in changes)
-    extend = ", or dataset.on_existing=extend to add what it lacks" if adds else ""
     return (
         f"dataset.dir: {directory} holds a dataset of another configuration ({listed}); "
-        f"give another folder with dataset.dir=, or the old settings to go on with it{extend}"
+        f"give another folder with dataset.dir=, or the old settings to go on with it"
     )
 
 

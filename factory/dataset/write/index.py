@@ -2,26 +2,25 @@
 
 A convenience for those who have h5py alone: `index["train/noisy"][12345]`.  HDF5 fills a shard
 that is absent with zeros and says nothing, so whoever can should ask manifest.json first, as
-`PairDataset` and `validate` do.
+`PairDataset` and `validate` do.  manifest.json has its SHA-256.
 """
 
 from __future__ import annotations
 
-import os
+import hashlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import h5py
-import numpy as np
 
 from ...errors import FactoryError
 from ...files import write_atomically
 from ...storage.copies import url_of
-from ..format.axes import image_axes
-from ..format.layers import EFFECT_FOLDER, layers
+from ..format.axes import dataset_inside, image_axes
 from ..format.layout import optional_layers
-from ..format.manifest import INDEX_NAME, Manifest, ShardInfo
+from ..format.manifest import INDEX_NAME, Manifest, ShardInfo, save_manifest
 from ..format.schema import (
     LIBRARY_VERSIONS,
     ROOT_ATTRIBUTES,
@@ -30,167 +29,137 @@ from ..format.schema import (
     SPLITS,
     config_text,
     layer_attributes,
+    layers,
 )
 from ..read.reader import bring, reading
-from .virtual import VirtualStacks
 from .writer import write_axis
-
-# Of metadata that HDF5 keeps in memory: a virtual dataset kept there takes 4 kB a shard, closed or
-# not.
-_CACHE_BYTES = 1 << 20
 
 # What every shard says in the same words; the index says it once.
 _SHARED_ATTRIBUTES = tuple(name for name in ROOT_ATTRIBUTES if name not in ("split", *SEALS))
+
+# Of each layer and of /meta: shape of a sample, and dtype.
+_Form = Mapping[str, tuple[tuple[int, ...], Any]]
 
 
 def write_index(directory: Path, manifest: Manifest) -> Path:
     """Write index.h5 for the shards of `manifest` and return its path; equal input, equal bytes.
 
+    manifest.json is saved with its SHA-256.
     Raises FactoryError when there is no shard, one cannot be opened, or they differ in form; what
     else may be wrong with a shard is for those to find who read it.
     """
     if not manifest.shards:
         raise FactoryError(f"{directory}: the dataset has no samples to index")
-    with h5py.File(
-        INDEX_NAME, "w", driver="core", backing_store=False, libver=LIBRARY_VERSIONS
-    ) as index:
-        _keep_little(index)
-        first = _Form.of(directory, min(manifest.shards))
-        stacks = VirtualStacks(index)
-        for name in _SHARED_ATTRIBUTES:
-            index.attrs[name] = first.attributes[name]
-        # A merged dataset is of another configuration than any of its shards.
-        index.attrs["config_hash"] = manifest.config_hash
-        index.attrs["config"] = config_text(manifest.config)
-        for axis in first.axes:
-            write_axis(index, axis)
-        for split in SPLITS:
-            shards = [s for _, s in sorted(manifest.shards.items()) if s.split == split]
+    splits = {
+        split: [s for _, s in sorted(manifest.shards.items()) if s.split == split]
+        for split in SPLITS
+    }
+    example = directory / min(manifest.shards)
+    with reading(example) as first:
+        form = _form_of(first)
+    for shards in splits.values():
+        _check_alike(directory, shards, form)
+    with (
+        reading(example) as first,
+        h5py.File(
+            INDEX_NAME, "w", driver="core", backing_store=False, libver=LIBRARY_VERSIONS
+        ) as index,
+    ):
+        _write_shared(index, first, manifest)
+        for split, shards in splits.items():
             if shards:
-                _write_split(index, stacks, directory, split, shards, first)
+                _write_split(index, split, shards, first, form)
         index.flush()
         content = index.id.get_file_image()
     path = directory / INDEX_NAME
-    write_atomically(path, stacks.filled(content))
+    write_atomically(path, content)
+    save_manifest(directory, replace(manifest, index_sha256=hashlib.sha256(content).hexdigest()))
     return path
 
 
-def _keep_little(index: h5py.File) -> None:
-    """Have HDF5 forget what is closed; what it writes is the same."""
-    cache = index.id.get_mdc_config()
-    cache.set_initial_size = True
-    cache.initial_size = cache.min_size = cache.max_size = _CACHE_BYTES
-    # Neither grow nor shrink (H5C_incr__off, H5C_flash_incr__off, H5C_decr__off).
-    cache.incr_mode = cache.flash_incr_mode = cache.decr_mode = 0
-    index.id.set_mdc_config(cache)
+def _form_of(file: h5py.File) -> _Form:
+    """Of a shard; raises FactoryError for one whose data lie in another file."""
+    names = [layer.name for layer in layers(str(file["noisy"].dtype), optional_layers(file))]
+    stacks = {name: dataset_inside(file, name, chunks=True) for name in names}
+    stacks["meta"] = dataset_inside(file, "meta")
+    return {name: (stack.shape[1:], stack.dtype) for name, stack in stacks.items()}
 
 
-class _Form:
-    """What the shards of a dataset have in common, read from one of them."""
-
-    def __init__(self, file: h5py.File) -> None:
-        noisy = file["noisy"]
-        self.dtype = str(noisy.dtype)
-        self.optional = optional_layers(file)
-        self.table: np.dtype[Any] = file["meta"].dtype
-        self.axes = image_axes(noisy)
-        self.attributes: Mapping[str, Any] = dict(file.attrs)
-        self.table_attributes: Mapping[str, Any] = dict(file["meta"].attrs)
-        names = ["meta", *(layer.name for layer in layers(self.dtype, self.optional))]
-        self.shapes = {name: file[name].shape[1:] for name in names}
-        self._types = {name: file[name].id.get_type() for name in names}
-        self._counts = _object_counts(file.id)
-
-    @classmethod
-    def of(cls, directory: Path, relative: str) -> _Form:
-        with reading(directory / relative) as file:
-            return cls(file)
-
-    @property
-    def comparable(self) -> tuple[object, ...]:
-        return self.shapes, self.dtype, self.optional, self.table
-
-    def fits(self, directory: Path, shard: ShardInfo) -> bool:
-        """Whether a shard has the same pictures and columns; raises FactoryError when damaged."""
-        # To look at all that a shard says takes twenty times longer: for the odd one.
-        return self._plainly_fits(f"{directory}/{shard.path}", shard.samples) or (
-            self.of(directory, shard.path).comparable == self.comparable
-        )
-
-    def _plainly_fits(self, path: str, samples: int) -> bool:
-        if not os.path.isfile(path):
-            return False
+def _check_alike(directory: Path, shards: Sequence[ShardInfo], form: _Form) -> None:
+    """Every shard has the pictures and columns of the first, and its samples."""
+    copied = url_of(directory)
+    for shard in shards:
+        path = directory / shard.path
+        if copied:
+            bring(path)
         try:
-            # Closed as the last name of it goes, in half the time that its close() takes.
-            file = h5py.h5f.open(os.fsencode(path), h5py.h5f.ACC_RDONLY)
-            return _object_counts(file) == self._counts and all(
-                _is_own(file, name)
-                and self._is_alike(h5py.h5d.open(file, name.encode()), name, samples)
-                for name in self._types
-            )
+            # To check all that a shard says takes twenty times longer.
+            with h5py.File(path, "r") as file:
+                alike = _form_of(file) == form and len(file["noisy"]) == shard.samples
         except (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError):
-            return False
-
-    def _is_alike(self, found: h5py.h5d.DatasetID, name: str, samples: int) -> bool:
-        plist = found.get_create_plist()
-        return (
-            found.shape == (samples, *self.shapes[name])
-            and found.get_type() == self._types[name]
-            # The index must not lead out of the dataset by way of a shard.
-            and plist.get_layout() != h5py.h5d.VIRTUAL
-            and not plist.get_external_count()
-        )
+            alike = False
+        except FactoryError:
+            alike = False
+        if not alike:
+            raise FactoryError(
+                f"{path}: cannot be read, or has other pictures or columns than the other shards; "
+                "make the dataset again in an empty folder"
+            )
 
 
-def _object_counts(file: h5py.h5f.FileID) -> tuple[int, int]:
-    """Objects at the root of a shard, and in its folder of effects."""
-    effects = EFFECT_FOLDER.rstrip("/")
-    if not file.links.exists(effects.encode()):
-        return file.get_num_objs(), 0
-    inside = _is_own(file, effects) and h5py.h5g.open(file, effects.encode()).get_num_objs()
-    return file.get_num_objs(), int(inside)
-
-
-def _is_own(file: h5py.h5f.FileID, name: str) -> bool:
-    """Whether no link on the way to `name` leads out; KeyError when there is nothing."""
-    folder = name.rpartition("/")[0]
-    steps = [step.encode() for step in (folder, name) if step]
-    return all(file.links.get_info(at).type == h5py.h5l.TYPE_HARD for at in steps)
+def _write_shared(index: h5py.File, first: h5py.File, manifest: Manifest) -> None:
+    """Attributes and axes."""
+    for name in _SHARED_ATTRIBUTES:
+        index.attrs[name] = first.attrs[name]
+    # A merged dataset is of another configuration than any of its shards.
+    index.attrs["config_hash"] = manifest.config_hash
+    index.attrs["config"] = config_text(manifest.config)
+    for axis in image_axes(first["noisy"]):
+        write_axis(index, axis)
 
 
 def _write_split(
-    index: h5py.File,
-    stacks: VirtualStacks,
-    directory: Path,
-    split: str,
-    shards: Sequence[ShardInfo],
-    first: _Form,
+    index: h5py.File, split: str, shards: Sequence[ShardInfo], first: h5py.File, form: _Form
 ) -> None:
-    copied = url_of(directory)
-    for shard in shards:
-        if copied:
-            bring(directory / shard.path)
-        if not first.fits(directory, shard):
-            raise FactoryError(
-                f"{directory / shard.path}: has other pictures or columns than the other shards; "
-                "make the dataset again in an empty folder"
-            )
-    for layer in layers(first.dtype, first.optional):
-        stack = stacks.add(
-            f"{split}/{layer.name}",
-            layer.name,
-            shards,
-            first.shapes[layer.name],
-            np.dtype(layer.dtype),
-        )
+    axes = image_axes(first["noisy"])
+    for layer in layers(str(first["noisy"].dtype), optional_layers(first)):
+        stack = _virtual(index, split, layer.name, shards, form)
         for key, value in layer_attributes(layer).items():
             stack.attrs[key] = value
         for dimension, label in enumerate((SAMPLE_DIMENSION, *layer.of_camera)):
             stack.dims[dimension].label = label
-        for dimension, axis in enumerate(() if layer.of_camera else first.axes, start=1):
+        for dimension, axis in enumerate(() if layer.of_camera else axes, start=1):
             stack.dims[dimension].label = axis.name
             stack.dims[dimension].attach_scale(index[f"axes/{axis.name}"])
-        del stack  # before the next one is made
-    table = stacks.add(f"{split}/meta", "meta", shards, (), first.table)
-    for key, value in first.table_attributes.items():
+    table = _virtual(index, split, "meta", shards, form)
+    for key, value in dict(first["meta"].attrs).items():
         table.attrs[key] = value
+
+
+def _virtual(
+    index: h5py.File, split: str, name: str, shards: Sequence[ShardInfo], form: _Form
+) -> h5py.Dataset:
+    """A dataset put together of that of each shard.
+
+    By h5py's lower floor, where a time stamp can be left out and one extent serves all shards of a
+    size: h5py.VirtualLayout takes ten times as long.
+    """
+    shape, dtype = form[name]
+    layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    layout.set_layout(h5py.h5d.VIRTUAL)
+    layout.set_obj_track_times(False)
+    place = h5py.h5s.create_simple((sum(shard.samples for shard in shards), *shape))
+    whole: dict[int, h5py.h5s.SpaceID] = {}
+    start, origin = 0, (0,) * len(shape)
+    for shard in shards:
+        size = (shard.samples, *shape)
+        whole.setdefault(shard.samples, h5py.h5s.create_simple(size))
+        place.select_hyperslab((start, *origin), size)
+        # Relative to the folder of the index itself, so the dataset can be moved.
+        layout.set_virtual(place, shard.path.encode(), name.encode(), whole[shard.samples])
+        start += shard.samples
+    place.select_all()
+    group, _, own = f"{split}/{name}".rpartition("/")
+    parent = index.require_group(group)
+    kind = h5py.h5t.py_create(dtype, logical=True)
+    return h5py.Dataset(h5py.h5d.create(parent.id, own.encode(), kind, place, dcpl=layout))

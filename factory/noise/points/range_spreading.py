@@ -28,6 +28,8 @@ from ..effect import Effect, EffectSettings, option, parameter
 class RangeSpreadingSettings(EffectSettings):
     """Keys of `noise.range_spreading`.
 
+    mode: how echoes move: paper as it prints them, radial half-normally behind their point,
+        exponential likewise and weaker.
     alpha: standard deviation of the spreading as a fraction of the range.
     """
 

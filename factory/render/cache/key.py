@@ -24,7 +24,7 @@ _NOT_PIXELS = (
     *("root", "file", "path", "locations", "first_location", "frames_per_location", "scenes"),
 )
 # All code between the files of a recording and the rendered pixels.
-_CODE = ("compiled.py", "elementary.py", "frame.py", "labels.py", "render", "renders", "scenes")
+_CODE = ("compiled.py", "elementary.py", "frame.py", "labels.py", "render", "scenes")
 _LIBRARY = {"cycles": "bpy", "embree": "open3d-cpu", "analytic": "numpy"}
 
 
@@ -56,7 +56,7 @@ class FrameKeys:
 @cache
 def code_version(kind: str) -> str:
     """Stands for the source files and the library that a renderer consists of."""
-    root = Path(__file__).parents[1]
+    root = Path(__file__).parents[2]
     digest = hashlib.blake2b(digest_size=8)
     for path in _sources(root):
         digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())

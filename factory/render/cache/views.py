@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from ...dataset.format.sample import Prepared
+from ...dataset.format.schema import Prepared
 from ...errors import FrameError, NotRendered
 from ...frame import FrameRef
 from ..view import View, view_of
@@ -93,7 +93,7 @@ class OneView:
 
 
 class ViewMaker:
-    """Renders frames into the cache; a `simnfnd.factory.dataset.format.sample.Preparer`."""
+    """Renders frames into the cache; a `simnfnd.factory.dataset.format.schema.Preparer`."""
 
     def __init__(self, config: FactoryConfig) -> None:
         from ...scenes import open_reader

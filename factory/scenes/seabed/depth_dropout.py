@@ -30,7 +30,8 @@ def measured(
     broad, grain = broad * step, grain * step
     # Cracks along depth edges, on the far side, of a width that varies.
     noise = broad + grain
-    keep = range_m < clear_m * (1 + np.float32(0.06) * broad + np.float32(0.03) * grain)
+    ragged = np.minimum(np.float32(0.06) * broad + np.float32(0.03) * grain, np.float32(0.2))
+    keep = range_m < clear_m * (1 + ragged)
     for reach, level in ((max(round(2 * scale), 1), 0.6), (1, -0.7)):
         behind = near_m > np.float32(1.12) * _least_around(near_m, reach)
         keep &= ~(behind & (noise > np.float32(level)))

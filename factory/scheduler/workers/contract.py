@@ -10,6 +10,8 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, TypeVar
 
+from .start import Hear
+
 T = TypeVar("T")
 
 BackendName = Literal["local", "serial", "dask"]
@@ -64,18 +66,41 @@ class Backend(Protocol):
         """Whether a task of this pool would start at once."""
 
     def submit(
-        self, function: Callable[..., T], argument: Any, timeout_s: float, pool: str
+        self,
+        function: Callable[..., T],
+        argument: Any,
+        silence_s: float,
+        pool: str,
+        hear: Hear | None = None,
     ) -> Future[T]:
-        """Run `function(argument)`; a future with TimeoutError when that takes longer."""
+        """Run `function(argument)`.
+
+        silence_s: longest time between two things that the task tells (`start.tell`); a worker
+            that says nothing for longer is killed, and the future has a TimeoutError.
+        hear: called with what the task tells, from any thread.
+        """
 
     def why_died(self, error: BaseException) -> str | None:
         """What killed the worker, if that is what `error` of a future means; else None."""
-
-    def expire(self, future: Future[Any]) -> None:
-        """Give up a task that stands still: its worker is killed, and soon its future fails."""
 
     def poll(self) -> None:
         """To be called several times a second."""
 
     def stop(self) -> None:
         """Stop all workers now, whatever they are doing."""
+
+
+def open_backend(settings: WorkerSettings) -> Backend:
+    """The backend that `settings.backend` names.  Raises FactoryError when it cannot be had."""
+    if settings.backend == "serial":
+        from .serial import SerialBackend
+
+        return SerialBackend()
+    if settings.backend == "dask":
+        # Half a second of imports, and an optional dependency.
+        from .dask_cluster import DaskBackend
+
+        return DaskBackend(settings)
+    from .local import LocalBackend
+
+    return LocalBackend(settings)

@@ -12,6 +12,7 @@ import logging
 import os
 import threading
 import time
+import uuid
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
@@ -20,6 +21,7 @@ from typing import Any, TypeVar
 
 from ...errors import FactoryError
 from .contract import Pool, WorkerSettings
+from .start import Hear, heard_by
 from .template import THREAD_VARIABLES
 
 T = TypeVar("T")
@@ -40,7 +42,9 @@ class _Task:
     pool: str
     future: Future[Any]
     remote: Any
-    deadline: float
+    silence_s: float
+    hear: Hear | None
+    heard_at: float
 
 
 class DaskBackend:
@@ -60,7 +64,8 @@ class DaskBackend:
         self._cluster: Any = None
         self._specs: dict[int, Any] = {}
         self._revived = 0.0
-        self._tasks: dict[Future[Any], _Task] = {}
+        self._tasks: dict[str, _Task] = {}
+        self._topic = f"simnfnd-{uuid.uuid4().hex}"
         self._lock = threading.Lock()
         self._settings: Any = dask.config.set({"distributed.scheduler.allowed-failures": 0})
         # Read by the processes of a cluster that is started here: no line for every worker.
@@ -76,6 +81,7 @@ class DaskBackend:
             self._client: Any = self._distributed.Client(
                 address, timeout=_CONNECT_S, set_as_default=False
             )
+            self._client.subscribe_topic(self._topic, self._heard)
             self._restricted = _restricted(settings.pools)
             self._total, self._serving = self._count(settings)
         except (TimeoutError, OSError, ValueError) as error:
@@ -123,24 +129,44 @@ class DaskBackend:
         return pool not in self._restricted or running.count(pool) < self._serving[pool]
 
     def submit(
-        self, function: Callable[..., T], argument: Any, timeout_s: float, pool: str
+        self,
+        function: Callable[..., T],
+        argument: Any,
+        silence_s: float,
+        pool: str,
+        hear: Hear | None = None,
     ) -> Future[T]:
         """Send `function(argument)` to a worker."""
+        key = uuid.uuid4().hex
         remote = self._client.submit(
+            _run,
             function,
             argument,
+            self._topic,
+            key,
+            key=f"task-{key}",
             pure=False,
             retries=0,
             resources={pool: 1} if pool in self._restricted else None,
         )
         future: Future[T] = Future()
-        task = _Task(pool, future, remote, time.monotonic() + timeout_s)
+        # Until it is heard of, its worker may still be starting.
+        heard_at = time.monotonic() + _START_S
         with self._lock:
-            self._tasks[future] = task
-        remote.add_done_callback(lambda _: self._done(task))
+            self._tasks[key] = task = _Task(pool, future, remote, silence_s, hear, heard_at)
+        remote.add_done_callback(lambda _: self._done(key, task))
         return future
 
-    def _done(self, task: _Task) -> None:
+    def _heard(self, event: tuple[float, Any]) -> None:
+        key, message = event[1]
+        with self._lock:
+            task = self._tasks.get(key)
+        if task is not None:
+            task.heard_at = time.monotonic()
+            if task.hear and message:
+                task.hear(tuple(message))
+
+    def _done(self, key: str, task: _Task) -> None:
         result, error = None, None
         try:
             if task.remote.status == "finished":
@@ -154,7 +180,7 @@ class DaskBackend:
             late = isinstance(failed, TimeoutError)
             error = _Lost("its result did not arrive") if late else failed
         with self._lock:
-            if self._tasks.pop(task.future, None) is None:
+            if self._tasks.pop(key, None) is None:
                 return
         if error is None:
             task.future.set_result(result)
@@ -172,12 +198,6 @@ class DaskBackend:
         )
         return f"its Dask worker was lost ({error})" if isinstance(error, lost) else None
 
-    def expire(self, future: Future[Any]) -> None:
-        """Let the next `poll` find the task too late."""
-        with self._lock:
-            if task := self._tasks.get(future):
-                task.deadline = 0.0
-
     def poll(self) -> None:
         """End tasks that are too late: Dask cannot stop a function, so its worker is restarted."""
         now = time.monotonic()
@@ -188,9 +208,8 @@ class DaskBackend:
             else:
                 self._revive()
         with self._lock:
-            late = [task for task in self._tasks.values() if now > task.deadline]
-            for task in late:
-                self._tasks.pop(task.future)
+            gone = [k for k, one in self._tasks.items() if now > one.heard_at + one.silence_s]
+            late = [self._tasks.pop(key) for key in gone]
         for task in late:
             with suppress(Exception):
                 processing = self._client.sync(
@@ -233,6 +252,22 @@ class DaskBackend:
             os.environ.pop(_LOGGING, None)
         else:
             os.environ[_LOGGING] = self._environment
+
+
+def _run(function: Callable[[Any], T], argument: Any, topic: str, key: str) -> T:
+    """What a worker does with a task: it tells by way of the scheduler how far it is."""
+    from distributed import get_worker
+    from distributed.utils import sync
+
+    worker = get_worker()
+
+    def say(message: Any) -> None:
+        # Not by the worker's own queue of messages, which would be lost with it.
+        sync(worker.loop, worker.scheduler.log_event, topic=topic, msg=[key, message])
+
+    say(None)
+    with heard_by(say):
+        return function(argument)
 
 
 class _Lost(Exception):

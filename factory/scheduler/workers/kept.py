@@ -10,8 +10,7 @@ import atexit
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from .backends import open_backend
-from .contract import Backend, WorkerSettings
+from .contract import Backend, WorkerSettings, open_backend
 
 
 class _Keeper:

@@ -7,6 +7,7 @@ from concurrent.futures import Future
 from typing import Any, TypeVar
 
 from .memory import keep_freed_memory
+from .start import Hear, heard_by
 
 T = TypeVar("T")
 
@@ -26,13 +27,19 @@ class SerialBackend:
         return not self._full
 
     def submit(
-        self, function: Callable[..., T], argument: Any, timeout_s: float, pool: str
+        self,
+        function: Callable[..., T],
+        argument: Any,
+        silence_s: float,
+        pool: str,
+        hear: Hear | None = None,
     ) -> Future[T]:
         """Run it here and now."""
         self._full = True
         future: Future[T] = Future()
         try:
-            future.set_result(function(argument))
+            with heard_by(hear):
+                future.set_result(function(argument))
         except Exception as error:
             future.set_exception(error)
         return future
@@ -40,9 +47,6 @@ class SerialBackend:
     def why_died(self, error: BaseException) -> str | None:
         """There is no worker that could die."""
         return None
-
-    def expire(self, future: Future[Any]) -> None:
-        """Nothing: what was submitted is done."""
 
     def poll(self) -> None:
         """Results have been taken: the next task may run."""

@@ -16,7 +16,13 @@ _ASK_AGAIN_S = 0.01
 
 
 class Interrupted(KeyboardInterrupt):
-    """The run was told to stop.  `exit_code` is what a shell expects: 130 or 143."""
+    """The command was told to stop.
+
+    exit_code: what a shell expects, 130 or 143.
+    kept: what the line on stderr says of the work; who catches it may set it and raise it again.
+    """
+
+    kept = "what was finished is kept, run again to go on"
 
     def __init__(self, number: int) -> None:
         super().__init__(f"stopped by {signal.Signals(number).name}")

@@ -15,10 +15,12 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from multiprocessing import forkserver, resource_tracker
+from multiprocessing import forkserver, resource_tracker, util
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import Any
 
 THREAD_VARIABLES = (
@@ -30,6 +32,8 @@ THREAD_VARIABLES = (
     "VECLIB_MAXIMUM_THREADS",
     "OPENCV_FOR_THREADS_NUM",
 )
+FOLDER_VARIABLE = "SIMNFND_TEMPLATE_FOLDER"
+STOPPED_S = 8.0
 
 
 class _Template:
@@ -37,12 +41,14 @@ class _Template:
 
     owner: the process that started it, 0 for none; whoever is forked from that has none.
     threads: how many its libraries were told to use when they were loaded.
+    modules: what it has loaded.
     """
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
         self.owner = 0
         self.threads: dict[str, str | None] = {}
+        self.modules: tuple[str, ...] = ()
 
 
 _template = _Template()
@@ -60,10 +66,14 @@ def start(modules: tuple[str, ...], threads: int = 1) -> None:
         if runs():
             return
         forkserver.set_forkserver_preload(list(modules))
+        # Its socket lies there: it removes the folder when we were killed and cannot.
+        os.environ[FOLDER_VARIABLE] = util.get_temp_dir()
         # In a process that is itself a fork, it is another's.
         with suppress(ChildProcessError):
             forkserver.ensure_running()
             _template.owner, _template.threads = os.getpid(), _threads_told()
+            _template.modules = modules
+        del os.environ[FOLDER_VARIABLE]
 
 
 def started(
@@ -71,26 +81,55 @@ def started(
 ) -> BaseProcess:
     """A process that runs `target(*arguments)`.
 
-    forks: of the template, if one runs and has the right number of threads.
-    within_s: how long a template may take to load; one that takes longer is killed.
+    forks: of the template, if one runs and has the right number of threads.  One that died is
+    started again once; after that, and where there is none, the process is spawned.
+    within_s: how long a template may take to load; one that takes longer, or was stopped, is
+    killed.
     """
     process: BaseProcess
-    if forks and runs() and _template.threads == _threads_told():
-        server = multiprocessing.get_context("forkserver")
-        process = server.Process(target=target, args=arguments)
-        late = threading.Timer(within_s, kill)
-        late.daemon = True
-        late.start()
+    for _ in range(2 if forks else 0):
+        if not (runs() and _template.threads == _threads_told()):
+            break
+        process = multiprocessing.get_context("forkserver").Process(target=target, args=arguments)
         # It may die meanwhile, or there is no room for a process at all.
-        with suppress(EOFError, OSError):
-            try:
-                process.start()
-                return process
-            finally:
-                late.cancel()
+        with suppress(EOFError, OSError), _killed_if_stopped(within_s):
+            process.start()
+            return process
+        start(_template.modules, int(os.environ.get(THREAD_VARIABLES[0], 1)))
     process = multiprocessing.get_context("spawn").Process(target=target, args=arguments)
     process.start()
     return process
+
+
+@contextmanager
+def _killed_if_stopped(within_s: float) -> Iterator[None]:
+    """Within the block, kill a template that stands still for seconds, or answers too late."""
+    server: Any = vars(forkserver)["_forkserver"]
+    ended = threading.Event()
+
+    def watch() -> None:
+        begun, running = time.monotonic(), time.monotonic()
+        while not ended.wait(1.0):
+            now = time.monotonic()
+            running = running if is_stopped(server._forkserver_pid) else now
+            if now - running > STOPPED_S or now - begun > within_s:
+                kill()
+                return
+
+    threading.Thread(target=watch, daemon=True).start()
+    try:
+        yield
+    finally:
+        ended.set()
+
+
+def is_stopped(pid: int | None) -> bool:
+    """Whether a process was stopped by a signal; False where that cannot be seen."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[0]
+    except (OSError, IndexError):
+        return False
+    return state in (b"T", b"t")
 
 
 def runs() -> bool:

@@ -3,7 +3,7 @@
 A fan picture is lit inside a sector and black outside it, mostly with far range on top.  The sector
 is found that best tells lit from black pixels (`outline`), and then looked at for how much of
 its outline is really there.  Where there is none, the picture is turned by quarters, looked at as a
-negative, and what is largest on a figure's page or in the picture alone.
+negative, what is largest on a screen alone, and lines that are drawn around it.
 """
 
 from __future__ import annotations
@@ -18,15 +18,9 @@ import numpy.typing as npt
 
 from ....factory.sonar.geometry import FanGeometry
 from ..palettes import find_painted
+from .edges import find_drawn
 from .outline import Numbers, fit_sector
-from .page import (
-    MOST_BLACK,
-    Bytes,
-    Part,
-    largest_part,
-    parts_of_figure,
-    without_page,
-)
+from .page import MOST_BLACK, Bytes, largest_part, without_page
 
 SURE = 0.7
 """Fans found with less confidence are not returned."""
@@ -38,7 +32,6 @@ _MOST_OUTSIDE = 0.05  # of all pixels may be lit and not in the sector
 _MOST_SQUEEZE = 1.95
 _MOST_MEDIAN = 127  # of 255: of a fan on a bright page
 _GROUND_SPREADS = 2, 6  # of 255: the ground of a screen
-_FILLED = 0.7  # of a sector by a picture of a figure
 _DIM = 0.25  # of full scale: pictures that are darker throughout are made brighter
 _LEAST_HALF_DEG, _MOST_HALF_DEG = 2.0, 88.0
 _PIECES = 12  # of each side of the outline, looked at one by one
@@ -64,17 +57,10 @@ def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
     None for a picture without a sector on black or on a bright page: a photo, a polar picture, a
     full rectangle.  Raises ValueError for another shape.
     """
-    grey, means = _bytes(picture)
+    grey = _bytes(picture)
     if min(grey.shape) < _SMALLEST:
         return None
     found = _find_upright(grey, SURE) or _find_turned(grey)
-    parts = parts_of_figure(grey if means is None else means) or ()
-    for part in parts[:1]:
-        if found is None or not _is_filled(found.geometry, part, grey.shape):
-            shown = part.alone(grey)
-            # Where echoes are dark on white, the page is part of the scale.
-            if means is not None or np.median(shown[shown > 0]) <= _MOST_MEDIAN:
-                found = _find_upright(shown, _SURE_ODD) or _find_turned(shown) or found
     # A video's ground is not quite flat; the wider, the farther it reaches into a fan's grain.
     for spread in _GROUND_SPREADS:
         if found is not None:
@@ -82,6 +68,8 @@ def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
         alone = largest_part(grey, spread)
         if alone is not None:
             found = _find_upright(alone, _SURE_ODD) or _find_turned(alone)
+    if found is None and (drawn := find_drawn(grey)) is not None:
+        found = FoundFan(*drawn)
     return found
 
 
@@ -100,12 +88,6 @@ def _find_turned(grey: Bytes) -> FoundFan | None:
             if geometry.sector_mask(*grey.shape).mean() >= _LEAST_TURNED:
                 return replace(found, geometry=geometry)
     return None
-
-
-def _is_filled(geometry: FanGeometry, part: Part, shape: tuple[int, ...]) -> bool:
-    """Whether a picture of a figure fills a sector, unlike axes that were drawn around it."""
-    inside = geometry.sector_mask(*shape)
-    return bool(part.alone(inside).sum() >= _FILLED * inside.sum())
 
 
 def _find_upright(grey: Bytes, sure: float) -> FoundFan | None:
@@ -174,20 +156,14 @@ def _cropped(grey: Bytes, black: int) -> tuple[Bytes, int, int]:
     return np.ascontiguousarray(grey[rows, columns]), rows.start, columns.start
 
 
-def _bytes(picture: npt.NDArray[Any]) -> tuple[Bytes, Bytes | None]:
-    """(H, W) of 8 bits: the levels of a map and the mean colours, or grey values and None."""
-    means = None
+def _bytes(picture: npt.NDArray[Any]) -> Bytes:
+    """(H, W) of 8 bits: grey values, or the levels of a colour map."""
     if picture.ndim == 3:
         painted = find_painted(picture)
-        colours = picture[..., :3]
-        if painted is None:
-            picture = colours.max(axis=2)
-        else:
-            picture = painted.levels
-            means = np.rint(_grey_bytes(colours).mean(axis=2)).astype(np.uint8)
+        picture = picture[..., :3].max(axis=2) if painted is None else painted.levels
     if picture.ndim != 2:
         raise ValueError(f"picture has shape {picture.shape}; expected (H, W) or (H, W, colours)")
-    return _grey_bytes(picture), means
+    return _grey_bytes(picture)
 
 
 def _grey_bytes(picture: npt.NDArray[Any]) -> Bytes:

@@ -15,18 +15,19 @@ import numpy as np
 import pytest
 
 from simnfnd.command import main
-from simnfnd.evaluation.data.pairs import input_of, items_of, picture
+from simnfnd.evaluation import tuning
 from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.filters.base import Baseline
-from simnfnd.evaluation.measurement.rows import Row, measure_rows
-from simnfnd.evaluation.measurement.store import FigureStore
-from simnfnd.evaluation.methods import tuning
 from simnfnd.evaluation.methods.method import baselines_of, methods_of
 from simnfnd.evaluation.metrics.fidelity import gmsd, psnr
 from simnfnd.evaluation.metrics.levels import fit_levels
 from simnfnd.evaluation.metrics.statistics import estimate, paired
+from simnfnd.evaluation.pairs import items_of, picture
 from simnfnd.evaluation.report import build as builder
-from simnfnd.factory.dataset.format.sample import Pair
+from simnfnd.evaluation.report.content import Row
+from simnfnd.evaluation.report.measure import measured_rows
+from simnfnd.evaluation.runner import FigureStore
+from simnfnd.factory.dataset.format.schema import Pair
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from tests.evaluation.evaluation_settings import evaluation, settings_for
@@ -48,7 +49,7 @@ def measured(dataset: Path, file: Path, *names: str, **changes: Any) -> dict[str
     methods = methods_of(baselines_of(names), tuning.load_tuned(file))
     items = items_of(dataset, "test")
     with closing(FigureStore(file.parent / "store")) as store, TaskPool(settings.workers) as pool:
-        found = measure_rows(settings, items, methods, store, pool)
+        found = measured_rows(settings, items, methods, store, pool)
     return {row.method.label: row for row in found}
 
 
@@ -81,9 +82,8 @@ def test_tuning_finds_the_best_of_the_grid(dataset: Path, tmp_path: Path) -> Non
     # By hand: every sigma on every pair.
     baseline, plain, corrected = REGISTRY["gaussian"], {}, {}
     for point in baseline.points():
-        pairs = [
-            (baseline(input_of(item, False), point), picture(item.place).clean) for item in items
-        ]
+        pictures = [picture(item.place) for item in items]
+        pairs = [(baseline(pair.noisy, point), pair.clean) for pair in pictures]
         levels = fit_levels(pairs)
         key = float(point["sigma_px"])
         plain[key] = np.mean([psnr(c, i, data_range=1.0) for i, c in pairs])

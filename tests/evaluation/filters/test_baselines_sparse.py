@@ -13,17 +13,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from simnfnd.evaluation.data.pairs import geometry_of, items_of, picture
-from simnfnd.evaluation.filters import REGISTRY, dualtree
+from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.filters.bm3d import _all_blocks
-from simnfnd.evaluation.filters.convolutional import atoms, coded, reconstructed
-from simnfnd.evaluation.filters.dtcwt_map import _map
-from simnfnd.evaluation.filters.structural import noise_map
-from simnfnd.evaluation.methods.apply import denoised
+from simnfnd.evaluation.filters.literature import dual_tree as dualtree
+from simnfnd.evaluation.filters.literature.convolutional import atoms, coded, reconstructed
+from simnfnd.evaluation.filters.literature.dtcwt_map import _map
+from simnfnd.evaluation.filters.literature.structural import noise_map
 from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.metrics.fidelity import psnr
-from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
-from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.evaluation.pairs import Pair as Pair_
+from simnfnd.evaluation.pairs import geometry_of, items_of, picture
+from simnfnd.evaluation.runner import denoised
+from simnfnd.factory.dataset.format.schema import Axis, Column, Pair, Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
@@ -243,10 +244,10 @@ def test_the_report_tells_methods_where_range_is(tmp_path: Path) -> None:
     method = Method("richardson_lucy", "", {"sigma_px": 2.0, "iterations": 30})
     noisy = picture(item.place).noisy
     baseline = REGISTRY["richardson_lucy"]
-    shown = denoised(method, noisy, "cpu", item.place)
+    shown, _ = denoised(method, Pair_(item, 0.02, texture=False), "cpu")
+    assert shown is not None
     np.testing.assert_array_equal(shown, baseline(noisy, method.parameters, known))
-    unknown = denoised(method, noisy, "cpu", None)
-    np.testing.assert_array_equal(unknown, baseline(noisy, method.parameters))
+    unknown = baseline(noisy, method.parameters)
     assert np.abs(shown - unknown).max() > 0.05
 
 

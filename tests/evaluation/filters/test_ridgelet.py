@@ -10,7 +10,12 @@ import pytest
 
 from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.filters.base import BaselineError
-from simnfnd.evaluation.filters.ridgelet import _lines, basis, finite_radon, inverse_finite_radon
+from simnfnd.evaluation.filters.literature.ridgelet import (
+    _lines,
+    basis,
+    finite_radon,
+    inverse_finite_radon,
+)
 from simnfnd.evaluation.metrics.fidelity import psnr
 from tests.evaluation.filters.scenes import noisy_scene, run, scene
 

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import ndimage
 
-from simnfnd.evaluation.data.picture import Picture, sector_of
 from simnfnd.evaluation.metrics.edges import edge_preservation
-from simnfnd.evaluation.metrics.fidelity import MetricError, gmsd
-from simnfnd.evaluation.metrics.multiscale import SMALLEST, ms_ssim
+from simnfnd.evaluation.metrics.fidelity import MS_SSIM_SMALLEST, MetricError, gmsd, ms_ssim
+from simnfnd.evaluation.metrics.measure import Scene
+from simnfnd.evaluation.metrics.picture import Picture, sector_of
 from simnfnd.evaluation.metrics.reference import Compared
 from simnfnd.evaluation.metrics.speckle import (
     contrast_to_noise,
@@ -29,7 +29,6 @@ from simnfnd.evaluation.metrics.speckle import (
     structure,
     zone_enl,
 )
-from simnfnd.evaluation.metrics.texture import Scene
 from tests.evaluation.metrics.waves import waves
 
 Array = npt.NDArray[Any]
@@ -80,7 +79,11 @@ def test_ms_ssim_holds_what_it_must() -> None:
     # The negative has a negative structure term, which has no real root.
     assert ms_ssim(clean, 255 - clean, data_range=255) == 0
     with pytest.raises(MetricError, match="too small"):
-        ms_ssim(np.zeros((SMALLEST - 1, 300)), np.zeros((SMALLEST - 1, 300)), data_range=1)
+        ms_ssim(
+            np.zeros((MS_SSIM_SMALLEST - 1, 300)),
+            np.zeros((MS_SSIM_SMALLEST - 1, 300)),
+            data_range=1,
+        )
     with pytest.raises(MetricError, match="data_range"):
         ms_ssim(clean / 255, noisy / 255, data_range=255)
 

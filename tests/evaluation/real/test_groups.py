@@ -16,13 +16,13 @@ from simnfnd.command import main
 from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.methods.method import NOISY, Method
 from simnfnd.evaluation.real.groups import Group, alone, judged, nearest
-from simnfnd.evaluation.real.measure import RealRow, _task, measure
+from simnfnd.evaluation.real.judging import RealRow
+from simnfnd.evaluation.real.measure import RealPicture
 from simnfnd.evaluation.real.shots import Shot, open_input
 from simnfnd.evaluation.real.summary import Groups, summaries
 from simnfnd.evaluation.real.tuning import line_search, parts_of
+from simnfnd.evaluation.runner import MethodFailed, run
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
-from simnfnd.models.networks import build_network
-from simnfnd.models.networks.weights import save_weights
 from tests.evaluation.real.static_scenes import SHAPE, frames, shuffled
 from tests.project_files import ROOT
 
@@ -131,31 +131,18 @@ def test_the_truth_of_several_frames_holds_none_of_them(tmp_path: Path) -> None:
     assert nearest(10, 9, 7) == [3, 4, 5, 6, 7, 8, 9]
 
 
-def test_a_network_of_several_frames_is_judged_by_the_others(tmp_path: Path) -> None:
-    config = {"kind": "kdlae", "frames": 3, "widths": [4, 4], "blocks": 1}
-    path = tmp_path / "kdlae.safetensors"
-    save_weights(path, build_network(config), config, {})
-    method = Method("kdlae", "", {}, weights=str(path))
+def test_several_frames_are_judged_by_the_others(tmp_path: Path) -> None:
     values = [10, 20, 30, 40, 50, 60, 70, 90, 100, 130]
     (one,) = judged(0, group(tmp_path, values), [1], 7)
     assert one.several is not None
-    row, alone = RealRow("kdlae", (method,)), RealRow("noisy", (NOISY,))
-    task = _task(row, 0, 0, one, "cpu", False)
-    assert task is not None
-    assert task.looks is not None
-    assert task.judged.reference is one.several.reference, "none of the frames that it sees"
-    np.testing.assert_array_equal(task.looks, one.several.frames)
-    other = _task(alone, 0, 0, one, "cpu", False)
-    assert other is not None
-    assert other.looks is None
-    assert other.judged.reference is one.reference
-    # With too few frames for that it sees the one picture, judged by all others.
-    short = _task(row, 0, 0, replace(one, several=None), "cpu", False)
-    assert short is not None
-    assert short.looks is None
-    assert short.judged.reference is one.reference
-    assert row.sees_several
-    assert not alone.sees_several
+    picture, mean = RealPicture(one), Method("mean of 7", "", {}, given="mean")
+    np.testing.assert_array_equal(picture.given(mean), one.several.mean)
+    # Levels make the even pictures equal to their references.
+    figures = picture.measure(one.several.reference, mean)
+    assert figures["psnr_db"] == 100
+    with pytest.raises(MethodFailed, match="several looks"):
+        picture.seen(Method("recursive", "", {"memory": 1.0}))
+    assert RealPicture(replace(one, several=None)).given(mean) is None
 
 
 def test_filters_are_tuned_on_other_frames_than_they_judge(tmp_path: Path) -> None:
@@ -177,24 +164,27 @@ def test_tuning_finds_the_best_point_without_trying_all() -> None:
     def peak(point: dict[str, float]) -> float:
         return -abs(math.log(point["strength"] / 0.068)) - abs(point["levels"] - 2)
 
-    found = line_search(wavelet, peak)
+    found, points = line_search(wavelet, peak)
+    assert points[0] == found.parameters
     assert found.parameters == {"strength": 0.07, "levels": 2}
     assert found.tried < len(wavelet.points()) / 2
-    between = line_search(REGISTRY["gaussian"], lambda p: -abs(math.log(p["sigma_px"] / 1.2)))
+    between, _ = line_search(REGISTRY["gaussian"], lambda p: -abs(math.log(p["sigma_px"] / 1.2)))
     assert between.parameters["sigma_px"] == pytest.approx(1.18)
 
 
 def test_what_comes_back_as_it_was_is_called_unchanged(tmp_path: Path) -> None:
     folder = shuffled(tmp_path / "in", {0: 2})
     (stretch,), _ = open_input(str(folder), 9)
-    methods = [NOISY, *(Method("gaussian", "", {"sigma_px": size}) for size in (0.2, 2.0))]
-    rows = [RealRow(str(n), (method,)) for n, method in enumerate(methods)]
+    methods = [NOISY, *(Method("gaussian", str(s), {"sigma_px": s}) for s in (0.2, 2.0))]
+    pictures = {n: RealPicture(alone(shot)) for n, shot in enumerate(stretch.shots)}
     with TaskPool(1) as pool:
-        pictures = [alone(shot) for shot in stretch.shots]
-        shown = measure([(0, pictures)], rows, pool, "cpu", 9, lambda number: number == 1)
-    assert [list(row.images) for row in rows] == [[1]] * 3
-    assert list(shown) == [1]
-    found, _ = summaries(rows, Groups(False, ("0", "1"), np.arange(2)), resamples=100, seed=0)
+        measured = run(
+            methods, [pictures], pool, device="cpu", timeout_s=9, keep=lambda number: number == 1
+        )
+    assert list(measured.images) == [(method.label, 1) for method in methods]
+    rows = [RealRow(method.label, (method,)) for method in methods]
+    groups = Groups(False, ("0", "1"), np.arange(2))
+    found, _ = summaries(rows, measured, groups, resamples=100, seed=0)
     assert [found[row.label].unchanged for row in rows] == [2, 2, 0]
 
 

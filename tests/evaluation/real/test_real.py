@@ -13,8 +13,7 @@ import numpy.typing as npt
 import pytest
 
 from simnfnd.command import main
-from simnfnd.evaluation.real.measure import figures_of
-from simnfnd.evaluation.real.scenes import Scene, scene_of
+from simnfnd.evaluation.real.measure import Scene, figures_of, scene_of
 from simnfnd.evaluation.real.shots import Shot, open_input, sector_of
 from simnfnd.evaluation.realism.real import MDD_GEOMETRIES, MDD_SHAPE
 from tests.project_files import ROOT

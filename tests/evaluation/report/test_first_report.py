@@ -11,7 +11,7 @@ import pytest
 
 from simnfnd.evaluation.metrics.statistics import frames_needed, holm, paired
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.report import curves
+from simnfnd.evaluation.report import charts
 from simnfnd.evaluation.report.content import best_forms
 from tests.evaluation.evaluation_settings import settings_for
 from tests.small_dataset import write_dataset
@@ -84,7 +84,7 @@ def test_so_many_frames_are_needed_as_told() -> None:
 
 def test_a_cost_chart_needs_two_points(made: tuple[dict[str, Any], Path]) -> None:
     content, _ = made
-    assert curves.cost(content).count("<svg") == 1  # of two methods, and none of one network
+    assert charts.cost(content).count("<svg") == 1  # of two methods, and none of one network
     alone = [row for row in content["rows"] if row["kind"] != "baseline"]
-    assert curves.cost({**content, "rows": alone}) == ""
+    assert charts.cost({**content, "rows": alone}) == ""
     assert len(best_forms(alone)) == 2

@@ -14,14 +14,13 @@ from scipy import stats
 
 from simnfnd.command import main
 from simnfnd.evaluation import compare
-from simnfnd.evaluation.data.pairs import Item
-from simnfnd.evaluation.measurement.rows import Row
 from simnfnd.evaluation.methods.method import Method
 from simnfnd.evaluation.metrics import statistics
+from simnfnd.evaluation.pairs import Item
 from simnfnd.evaluation.report import breakdown, charts, paper, robustness
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.report.content import best_classical, content_of
-from simnfnd.evaluation.report.files import read_results
+from simnfnd.evaluation.report.content import Row, best_classical, content_of
+from simnfnd.evaluation.report.page import read_results
 from simnfnd.factory.errors import FactoryError
 from tests.evaluation.evaluation_settings import settings_for
 from tests.small_dataset import write_dataset
@@ -95,7 +94,18 @@ def made_row(label: str, psnr: Any, **changes: Any) -> Row:
 
 def items(count: int, scenes: int = 2) -> list[Item]:
     return [
-        Item("s", ("s", index), str(index), "", f"scene-{index % scenes}", str(index), 0, ())
+        Item(
+            "s",
+            ("s", index),
+            "test",
+            index,
+            str(index),
+            "",
+            f"scene-{index % scenes}",
+            str(index),
+            0,
+            (),
+        )
         for index in range(count)
     ]
 
@@ -210,8 +220,11 @@ def test_charts_show_every_point_and_escape_names() -> None:
     text = charts.chart(
         series, x_label="ms", y_label="PSNR", title='say "what"', lines=True, log_x=True
     )
-    assert text.count("<circle") == 3
-    assert text.count('class="whisker"') == 2
+    assert text.count("<title>") == 3
+    assert text.count("LineCollection") == 2, "the intervals"
+    assert "var(--c0)" in text
+    assert "var(--c3)" in text
+    assert "#0000" not in text
     assert "a &lt;b&gt;" in text
     assert "<b>" not in text
     assert 'aria-label="say &quot;what&quot;"' in text
@@ -247,8 +260,8 @@ def test_compare_says_which_is_better(
     assert "A = grey_opening (a), B = noisy (b): 24 pairs of 12 frames" in said
     content = json.loads((tmp_path / "compare.json").read_text(encoding="utf-8"))
     one, other = read_results(a), read_results(b)
-    first = one["psnr"][one["method"] == "grey_opening"]
-    second = other["psnr"][other["method"] == "noisy"]
+    first = one["psnr"][one["method"] == "grey_opening"].to_numpy()
+    second = other["psnr"][other["method"] == "noisy"].to_numpy()
     psnr = content["metrics"]["psnr"]
     assert psnr["difference"] == pytest.approx((first - second).mean())
     assert psnr["wins"] == pytest.approx((first > second).mean())
@@ -262,7 +275,7 @@ def test_compare_refuses_what_cannot_be_compared(
     reports: tuple[Path, Path, Path], capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     a, b, c = reports
-    (tmp_path / "results.parquet").write_bytes(b"PAR1")
+    (tmp_path / "results.csv").write_text("method,psnr\nnoisy,17\n")
     for words, said in (
         ((str(a), str(c)), "different pairs, none in common"),
         ((str(a), "nowhere"), "no report here"),

@@ -22,7 +22,7 @@ def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
         return int(ended.code or 0)
 
 
-@pytest.mark.parametrize("verb", ["preview", "inspect", "gallery", "merge", "export"])
+@pytest.mark.parametrize("verb", ["preview", "inspect", "merge", "export"])
 def test_verbs_explain_themselves(verb, monkeypatch, capsys) -> None:
     assert run(monkeypatch, verb, "--help") == 0
     assert f"simnfnd {verb}" in capsys.readouterr().out
@@ -44,7 +44,6 @@ def test_what_verbs_do_is_printed(monkeypatch, capsys, tmp_path: Path) -> None:
         ("inspect", "{nothing}"),
         ("merge", "{nothing}", "{nothing}", "--out", "{nothing}/out"),
         ("export", "{nothing}", "--to", "mdd", "--out", "{nothing}/out"),
-        ("gallery", "sonar.beams=-1", "--out", "{nothing}/out"),
     ],
 )
 def test_mistakes_are_one_line_and_exit_code_two(words, monkeypatch, capsys, tmp_path) -> None:

@@ -12,6 +12,7 @@ import pytest
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.factory.commands.inspect import main, report
 from simnfnd.factory.dataset.describe.quality import PSNR_CAP_DB, psnr_db, ssim
+from simnfnd.factory.dataset.describe.similarity import _plain_window, window
 from simnfnd.factory.dataset.describe.summary import summarize
 from simnfnd.factory.errors import FactoryError
 from tests import small_dataset
@@ -38,6 +39,12 @@ def test_quality_is_what_evaluation_reports(dtype) -> None:
     assert psnr_db(clean, clean) == PSNR_CAP_DB
     assert ssim(clean, clean) == pytest.approx(1)
     assert np.isnan(ssim(clean[:8, :8], noisy[:8, :8]))
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (30, 41)])
+def test_without_opencv_ssim_is_the_same(shape: tuple[int, int]) -> None:
+    values = np.random.default_rng(3).random(shape)
+    np.testing.assert_allclose(_plain_window(values), window(values), atol=1e-14)
 
 
 def test_figures_are_those_of_the_files(dataset) -> None:
@@ -69,7 +76,7 @@ def test_few_pairs_are_spread_over_all(dataset) -> None:
 def test_the_report_says_it_in_words(dataset) -> None:
     lines = list(report(summarize(dataset), "little"))
     text = "\n".join(lines)
-    assert lines[0].startswith("little: simnfnd/1, made by simnfnd 0.1.0, config hash 0000")
+    assert lines[0].startswith("little: simnfnd/1, made by simnfnd 0.1.0, config hash ")
     assert "9 train, 3 test, in 3 file(s)" in text
     assert "20 x 16 uint8 (0..255), fan" in text
     assert "gzip 1, fletcher32" in text

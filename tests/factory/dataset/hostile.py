@@ -15,19 +15,17 @@ from unittest import mock
 import h5py
 import numpy as np
 
-from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.check import validate
+from simnfnd.factory.dataset import PairDataset, validate
 from simnfnd.factory.dataset.format.checksums import crc32, write_checksums
 from simnfnd.factory.dataset.format.manifest import Manifest, load_manifest, save_manifest
-from simnfnd.factory.dataset.format.sample import Pair
-from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.format.schema import Pair, Provenance, config_hash
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.read import reader as shard_reader
-from simnfnd.factory.dataset.read.isolated import IsolatedProcess
 from simnfnd.factory.dataset.write.index import write_index
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
+from simnfnd.factory.isolated import IsolatedProcess
 from tests.fake_source import FakeConfig, FakeSource, refs
 
 SHARDS = {
@@ -36,7 +34,7 @@ SHARDS = {
     "test/shard-00000.h5": "gamma",
 }
 SECRET = 77
-PROVENANCE = Provenance({"seed": 7}, "c0ffee0123456789", "simnfnd 0.1.0")
+PROVENANCE = Provenance({"seed": 7}, config_hash({"seed": 7}), "simnfnd 0.1.0")
 Rng = np.random.Generator
 
 

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from simnfnd.factory.dataset.format.manifest import Manifest, ShardInfo, save_manifest
-from simnfnd.factory.dataset.format.sample import Pair
-from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.format.schema import Pair, Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.folder import open_folder
 from simnfnd.factory.dataset.write.writer import write_shard

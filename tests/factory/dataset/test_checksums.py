@@ -1,8 +1,10 @@
-"""Checksums of pictures, tables and texts; shards without them; `verify="hash"`."""
+"""What tells of damage: checksums of pictures, tables and texts, chunks, `verify="hash"`."""
 
 from __future__ import annotations
 
+import re
 import shutil
+import struct
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,15 +15,23 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.dataset import PairDataset
+from simnfnd.factory.dataset.format.layout import check_shard
+from simnfnd.factory.dataset.format.manifest import load_manifest, save_manifest
 from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.read import expected
-from simnfnd.factory.dataset.read.isolated import IsolatedProcess
+from simnfnd.factory.dataset.read import reader
+from simnfnd.factory.dataset.read.image_stack import ImageStack
 from simnfnd.factory.dataset.read.reader import check_readable
-from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.dataset.write.writer import (
+    deflate,
+    fletcher32,
+    write_gzip_chunk,
+    write_shard,
+)
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
+from simnfnd.factory.isolated import IsolatedProcess
 from tests.factory.dataset.flips import any_bit, flip, given_out, outcome
-from tests.factory.dataset.hostile import PROVENANCE, admit, whole
+from tests.factory.dataset.hostile import PROVENANCE, admit, keep_only, whole, with_layers
 from tests.fake_source import FakeConfig, FakeSource, refs
 
 SHARD = "train/shard-00000.h5"
@@ -50,7 +60,7 @@ PLACES: dict[str, Callable[[h5py.File, bytes], int]] = {
     "layer": lambda file, content: file["layers/background"].id.get_chunk_info(0).byte_offset,
     "sums": lambda file, content: file["checksums"].id.get_offset() + 5,
     "config": _text(b'{"seed":7}'),
-    "config hash": _text(b"c0ffee0123456789"),
+    "config hash": _text(PROVENANCE.config_hash.encode()),
     "generator": _text(b"simnfnd 0.1.0"),
     "text of an axis": _text(b"from the sonar"),
     "text of a column": _text(b"fraction of the scene points"),
@@ -68,44 +78,44 @@ def test_a_flipped_bit_is_refused(folder: Path, part: str) -> None:
     assert outcome(folder, right) == "refused"
 
 
-def strip(folder: Path) -> None:
-    """Make of the shards what an earlier version wrote."""
-    for path in folder.glob("*/*.h5"):
-        with h5py.File(path, "r+") as file:
-            for name in ("checksum", "text_checksum"):
-                del file.attrs[name]
-            del file["checksums"]
-    admit(folder)
-
-
-def test_shards_without_checksums_are_read(folder: Path) -> None:
-    right = given_out(folder)
-    strip(folder)
-    assert given_out(folder) == right
-
-
-def test_checksums_may_not_go_alone(folder: Path) -> None:
+def change(folder: Path, action: Callable[[h5py.File], None]) -> None:
     with h5py.File(folder / SHARD, "r+") as file:
-        del file["checksums"]
+        action(file)
     admit(folder)
-    with pytest.raises(FactoryError, match=r"shard-00000\.h5: .*checksum"):
+
+
+def _without(*names: str) -> Callable[[h5py.File], None]:
+    def action(file: h5py.File) -> None:
+        for name in names:
+            del (file if name in file else file.attrs)[name]
+
+    return action
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("checksums",), "some of its checksums are absent"),
+        (("text_checksum",), "some of its checksums are absent"),
+        (("checksums", "checksum", "text_checksum"), "versions before 0.3 wrote none"),
+    ],
+)
+def test_a_shard_without_its_checksums_is_refused(
+    folder: Path, names: tuple[str, ...], words: str
+) -> None:
+    change(folder, _without(*names))
+    with pytest.raises(FactoryError, match=rf"shard-00000\.h5: .*{words}"):
         given_out(folder)
 
 
-def test_anybody_can_check_a_picture(folder: Path) -> None:
-    with h5py.File(folder / SHARD) as file:
-        for name in file["checksums"].dtype.names:
-            sums = [zlib.crc32(image.tobytes()) for image in file[name]]
-            assert sums == file["checksums"][name].tolist()
-
-
-def test_bits_anywhere_change_nothing_unseen(folder: Path) -> None:
+def test_500_bits_anywhere_change_nothing_unseen(folder: Path) -> None:
+    keep_only(folder, SHARD)
     path = folder / SHARD
     content, right = path.read_bytes(), given_out(folder)
     rng = np.random.default_rng(5)
     said = []
     with IsolatedProcess() as process:
-        for _ in range(40):
+        for _ in range(500):
             flip(path, *any_bit(path, rng))
             said.append(process.call(outcome, folder, right, limit_s=20.0))
             path.write_bytes(content)
@@ -115,14 +125,13 @@ def test_bits_anywhere_change_nothing_unseen(folder: Path) -> None:
 def test_a_hash_is_compared_when_it_is_asked_for(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    strip(folder)
     hashed: list[str] = []
 
     def counted(path: Path) -> str:
         hashed.append(path.name)
         return sha256_of(path)
 
-    monkeypatch.setattr(expected, "sha256_of", counted)
+    monkeypatch.setattr(reader, "sha256_of", counted)
     with PairDataset(folder, verify="hash") as pairs:
         assert not hashed
         for _ in range(3):
@@ -130,10 +139,14 @@ def test_a_hash_is_compared_when_it_is_asked_for(
             pairs.meta()
             pairs.close()
     assert sorted(hashed) == ["shard-00000.h5", "shard-00001.h5"], "once a shard"
-    path = folder / SHARD
-    with h5py.File(path) as file:
-        place = PLACES["noisy"](file, b"")
-    flip(path, place, 0)
+    # Of what was exchanged on purpose nothing else tells.
+    manifest = load_manifest(folder)
+    assert manifest is not None
+    change(folder, lambda file: file.attrs.create("about", "another"))
+    now = load_manifest(folder)
+    assert now is not None
+    before = manifest.shards[SHARD].sha256
+    save_manifest(folder, now.with_shard(replace(now.shards[SHARD], sha256=before)))
     with PairDataset(folder) as pairs:
         list(pairs)
     for action in (lambda pairs: pairs[0], lambda pairs: pairs.meta(), lambda pairs: pairs.axes):
@@ -195,3 +208,169 @@ def test_the_axes_of_every_layer_are_looked_at(folder: Path, odd: str) -> None:
         ODD_AXES[odd](file)
     with pytest.raises(FactoryError, match=r"shard-00000\.h5: "):
         check_readable(path)
+
+
+# --- chunks
+
+SOURCE = FakeSource(FakeConfig())
+STACKS = ("noisy", "clean", "shadow", "range", "layers/background")
+COMPRESSIONS = ("gzip", "none", "lzf", "zstd")
+
+
+def shard(folder: Path, compression: str, samples: int = 4) -> Path:
+    pairs = (with_layers(SOURCE.pairs(ref, (0,))[0]) for ref in refs(samples, "alpha"))
+    settings = DatasetSettings(
+        compression=compression,  # type: ignore[arg-type]
+        compression_level={"gzip": 1, "zstd": 3}.get(compression, 1),
+    )
+    write_shard(folder, "train/a.h5", pairs, SOURCE.axes(), SOURCE.columns(), PROVENANCE, settings)
+    return folder / "train/a.h5"
+
+
+@pytest.mark.parametrize("compression", ["gzip", "none"])
+def test_a_flipped_bit_in_a_table_of_chunks_changes_no_picture(
+    tmp_path: Path, compression: str
+) -> None:
+    """In this very process, whom a damaged table must not abort; 150 chunks fill several nodes."""
+    path = shard(tmp_path, compression, samples=150)
+    sound = path.read_bytes()
+
+    def pictures() -> list[bytes]:
+        with PairDataset(tmp_path, layers=STACKS, trusted=True) as pairs:
+            return [image.tobytes() for sample in pairs for image in sample.values()]
+
+    right = pictures()
+    nodes = [found.start() for found in re.finditer(rb"TREE\x01", sound)]
+    assert len(nodes) >= len(STACKS) * 4
+    rng = np.random.default_rng(5)
+    refused = 0
+    for _ in range(100):
+        content = bytearray(sound)
+        # Key: size, mask, three offsets and one of the element (8 bytes each); then an address.
+        node = nodes[rng.integers(len(nodes))]
+        entries = max(1, int.from_bytes(content[node + 6 : node + 8], "little"))
+        content[node + int(rng.integers(4, 24 + (entries + 1) * 48))] ^= 1 << int(rng.integers(8))
+        path.write_bytes(content)
+        try:
+            assert pictures() == right
+        except FactoryError:
+            refused += 1
+    assert refused > 20
+
+
+@pytest.mark.parametrize("compression", ["gzip", "lzf", "zstd"])
+def test_a_filter_that_a_chunk_skips_is_refused(tmp_path: Path, compression: str) -> None:
+    if compression == "zstd":
+        pytest.importorskip("hdf5plugin")
+    for name in STACKS:
+        path = shard(tmp_path, compression)
+        with h5py.File(path, "r+") as file:
+            stack = file[name]
+            _, chunk = stack.id.read_direct_chunk((1, 0, 0))
+            # Of the same size, HDF5 would keep the entry of its table as it is.
+            stack.id.write_direct_chunk((1, 0, 0), bytes(chunk) + b"\0", filter_mask=1)
+        with pytest.raises(FactoryError, match=rf"a\.h5: /{name} sample 1 skips its filters"):
+            PairDataset(tmp_path, layers=STACKS, trusted=True)[0]
+
+
+@pytest.mark.parametrize("checksum", [False, True])
+@pytest.mark.parametrize("size", [0, 1, 479, 481, 480 * 1000])
+def test_a_chunk_of_another_length_is_no_picture(tmp_path: Path, size: int, checksum: bool) -> None:
+    """HDF5 shows what its memory held before where a chunk gives too few bytes."""
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        stack = file.create_dataset(
+            "x", (2, 24, 20), "u1", chunks=(1, 24, 20), compression="gzip", fletcher32=checksum
+        )
+        for row, content in enumerate((bytes(480), bytes(size))):
+            chunk = zlib.compress(content)
+            ending = struct.pack("<I", fletcher32(chunk)) if checksum else b""
+            stack.id.write_direct_chunk((row, 0, 0), chunk + ending)
+        sums = np.full(2, zlib.crc32(bytes(480)), np.uint32)
+        images = ImageStack(stack, sums)
+        assert not images[0].any()
+        with pytest.raises(ValueError, match="bytes of a picture"):
+            images[1]
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_pictures_are_those_that_h5py_reads(tmp_path: Path, compression: str) -> None:
+    if compression == "zstd":
+        pytest.importorskip("hdf5plugin")
+    with h5py.File(shard(tmp_path, compression)) as file:
+        for name in STACKS:
+            stack = ImageStack(file[name])
+            for row in (0, -1, np.int64(2)):
+                np.testing.assert_array_equal(stack[row], file[name][row])  # type: ignore[index]
+                assert stack[row].dtype == file[name].dtype  # type: ignore[index]
+                assert stack[row].flags.writeable  # type: ignore[index]
+            with pytest.raises(IndexError):
+                stack[4]
+
+
+def chunked(file: h5py.File, name: str) -> None:
+    values = file[name][()]
+    attributes = dict(file[name].attrs)
+    del file[name]
+    file.create_dataset(name, data=values, chunks=(1,), compression="gzip")
+    file[name].attrs.update(attributes)
+
+
+def test_a_table_in_chunks_is_refused(tmp_path: Path) -> None:
+    for name in ("meta", "axes/ahead"):
+        path = shard(tmp_path, "none")
+        with h5py.File(path, "r+") as file:
+            chunked(file, name)
+            with pytest.raises(FactoryError, match=f"/{name}: the schema keeps it in one piece"):
+                check_shard(file)
+
+
+@pytest.mark.parametrize("level", [0, 1, 9])
+@pytest.mark.parametrize("dtype", ["uint8", "float32"])
+def test_hdf5_reads_what_it_did_not_compress_and_sees_damage(
+    tmp_path: Path, level: int, dtype: str
+) -> None:
+    rng = np.random.default_rng(level)
+    images = (rng.random((3, 37, 53)) * 9 > 4).astype(dtype)
+    images[1] = 0
+    path = tmp_path / "stack.h5"
+
+    def make(chunked: bool) -> None:
+        with h5py.File(path, "w") as file:
+            stack = file.create_dataset(
+                "noisy",
+                shape=images.shape,
+                dtype=dtype,
+                chunks=(1, 37, 53),
+                compression="gzip",
+                compression_opts=level,
+                fletcher32=True,
+            )
+            for number, image in enumerate(images):
+                if chunked:
+                    write_gzip_chunk(stack, number, image, level)
+                else:
+                    stack[number] = image
+
+    make(chunked=False)
+    with h5py.File(path) as file:
+        size = file["noisy"].id.get_storage_size()
+    make(chunked=True)
+    with h5py.File(path) as file:
+        stack = file["noisy"]
+        np.testing.assert_array_equal(stack[()], images)
+        assert stack.id.get_storage_size() < 1.1 * size + 100
+        start = stack.id.get_chunk_info(2).byte_offset
+    content = bytearray(path.read_bytes())
+    content[start + 20] ^= 8
+    path.write_bytes(content)
+    with h5py.File(path) as file, pytest.raises(OSError, match="filter"):
+        file["noisy"][2]
+
+
+def test_deflated_bytes_are_the_same_every_time_and_small() -> None:
+    rng = np.random.default_rng(0)
+    picture = (rng.random((256, 256)) ** 8 * 255).astype(np.uint8)
+    first = deflate(picture, 1)
+    assert first == deflate(picture.copy(), 1)
+    assert zlib.decompress(first) == picture.tobytes()
+    assert len(first) < 1.05 * len(zlib.compress(picture.tobytes(), 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import resource
@@ -22,16 +23,21 @@ from hypothesis import strategies as st
 from simnfnd.factory.dataset.describe.card import write_card
 from simnfnd.factory.dataset.describe.preview import preview, spread
 from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.read.overview import SampleName
+from simnfnd.factory.dataset.read.source import SampleName
 from simnfnd.factory.dataset.write.failures import (
     Failure,
-    add_failures,
-    load_failures,
     save_failures,
 )
 from simnfnd.factory.dataset.write.folder import open_folder
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import check_writable, remove_stale_temporaries, write_atomically
+from simnfnd.factory.files import (
+    check_writable,
+    is_temporary,
+    remove_stale_temporaries,
+    whole_file,
+    whole_folder,
+    write_atomically,
+)
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.ownership import space
 from tests.factory.dataset.some_shards import PROVENANCE, dataset, write
@@ -103,6 +109,31 @@ def test_a_folder_that_cannot_be_written_is_named_with_its_key(tmp_path: Path, f
         check_writable(tmp_path / folder, "dataset.dir")
 
 
+def test_a_large_file_is_whole_or_absent_and_its_partial_name_is_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "film.avi"
+    with whole_file(path) as first, whole_file(path) as second:
+        assert first != second
+        assert is_temporary(first.name)
+        first.write_bytes(b"one")
+        second.write_bytes(b"two")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["film.avi"]
+    with contextlib.suppress(KeyboardInterrupt), whole_file(path) as partial:
+        partial.write_bytes(b"half")
+        raise KeyboardInterrupt
+    assert path.read_bytes() == b"one"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["film.avi"]
+
+
+def test_a_folder_is_whole_or_absent(tmp_path: Path) -> None:
+    for fails in (True, False):
+        with contextlib.suppress(ValueError), whole_folder(tmp_path / "out") as partial:
+            (partial / "a").write_bytes(b"a")
+            if fails:
+                raise ValueError
+        assert (tmp_path / "out").exists() is not fails
+    assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
+
+
 # --- failures, folder -------------------------------------------------------------------------
 
 
@@ -119,29 +150,6 @@ def test_failures_tell_frame_reason_and_command_in_order(tmp_path: Path) -> None
     assert [line["frame"] for line in lines] == ["alpha/9", "reef/beta/1", "reef/beta/2"]
     assert lines[1]["reason"] == "reef/beta/1: NaN"
     assert lines[1]["command"] == "simnfnd make frames.only=[reef/beta/1]"
-
-
-def test_failures_are_added_without_touching_those_before(tmp_path: Path) -> None:
-    """A kill in the middle of a line costs that line alone, and the end puts all in order."""
-    path = tmp_path / "failed.jsonl"
-    found = [
-        Failure(
-            FrameRef("", "alpha", str(n)), "frame", f"alpha/{n}: NaN", f"train/shard-0000{n}.h5"
-        )
-        for n in range(3)
-    ]
-    save_failures(tmp_path, [], rerun)
-    node = path.stat().st_ino
-    for failure in reversed(found):
-        before = path.read_bytes()
-        add_failures(tmp_path, [failure], rerun)
-        assert path.read_bytes().startswith(before)
-    assert path.stat().st_ino == node
-    assert [item["frame"] for item in load_failures(tmp_path)] == ["alpha/2", "alpha/1", "alpha/0"]
-    path.write_bytes(path.read_bytes()[:-5])
-    assert [item["frame"] for item in load_failures(tmp_path)] == ["alpha/2", "alpha/1"]
-    save_failures(tmp_path, reversed(found), rerun)
-    assert [item["frame"] for item in load_failures(tmp_path)] == ["alpha/0", "alpha/1", "alpha/2"]
 
 
 def test_a_folder_of_the_same_dataset_is_taken_up(tmp_path: Path) -> None:
@@ -206,14 +214,14 @@ def test_the_card_says_what_is_there_and_its_code_runs(
     assert header["license"] == "cc-by-4.0"
     assert header["size_categories"] == ["n<1K"]
     for text in (
-        "# reef",
+        "# reef: simulated forward-looking sonar images, noisy and clean",
         "12 pairs",
         "8 train and 4 test",
         "| train | reef | beta | 4 |",
         "| test | reef | gamma | 4 |",
         "c0ffee0123456789",
-        "| `hfov_deg` | 30 |",
-        "drawn evenly from 0.1 to 0.5",
+        "hfov_deg: 30.0",
+        "density: {uniform: [0.1, 0.5]}",
         "images left out: 3, no depth",
         "frames that failed: 1,",
         "Of this dataset: CC-BY-4.0.",
@@ -269,7 +277,7 @@ def test_a_preview_of_nothing_is_refused(tmp_path: Path) -> None:
 @given(sizes=st.lists(st.integers(1, 9), min_size=1, max_size=12), count=st.integers(1, 20))
 def test_a_preview_spreads_over_the_scenes(sizes: list[int], count: int) -> None:
     samples = [
-        SampleName("train/shard-00000.h5", row, "train", "reef", f"{scene:02d}", f"{row}", 0)
+        SampleName(Path("train/shard-00000.h5"), row, "train", "reef", f"{scene:02d}", f"{row}", 0)
         for scene, size in enumerate(sizes)
         for row in range(size)
     ]

@@ -12,13 +12,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simnfnd.factory.dataset.format.manifest import (
-    Additions,
     Manifest,
     ShardInfo,
     damage,
     load_manifest,
     save_manifest,
 )
+from simnfnd.factory.dataset.format.results import (
+    ShardOutcome,
+    forget_outcomes,
+    save_outcome,
+)
+from simnfnd.factory.dataset.write.failures import load_failures
 from simnfnd.factory.errors import FactoryError
 from tests.factory.dataset.some_shards import dataset
 
@@ -30,87 +35,68 @@ def info(number: int, **changes: object) -> ShardInfo:
     return replace(ShardInfo(path, "train", 4, 1000, "0" * 64, "plan"), **changes)  # type: ignore[arg-type]
 
 
-def begun(folder: Path, part: str = "") -> Additions:
-    """A manifest of shards 0 to 2, and nothing added."""
-    folder.mkdir(parents=True, exist_ok=True)
-    shards = {info(n).path: info(n) for n in range(3)}
-    save_manifest(folder, replace(START, shards=shards), part)
-    return Additions(folder, part)
+def begun(folder: Path) -> None:
+    """A manifest of shards 0 to 2."""
+    save_manifest(folder, replace(START, shards={info(n).path: info(n) for n in range(3)}))
 
 
-def shards(folder: Path, part: str = "") -> dict[str, ShardInfo]:
-    manifest = load_manifest(folder, part)
+def settle(folder: Path, number: int, shard: ShardInfo | None, hash_: str = "c0ffee") -> Path:
+    """The file of the result beside a shard."""
+    path = info(number).path
+    save_outcome(folder, ShardOutcome(path, hash_, shard, [FAILURE] if shard is None else []))
+    return (folder / path).with_suffix(".json")
+
+
+FAILURE = {"frame": "a/1", "shard": info(0).path, "kind": "frame", "reason": "NaN", "command": "x"}
+
+
+def shards(folder: Path) -> dict[str, ShardInfo]:
+    manifest = load_manifest(folder)
     assert manifest is not None
     return dict(manifest.shards)
 
 
-@pytest.mark.parametrize("part", ["", "1-of-3"])
-def test_what_is_added_counts_at_once_and_is_gone_once_it_is_saved(
-    tmp_path: Path, part: str
+def test_what_lies_beside_shards_counts_at_once_and_goes_once_it_is_put_together(
+    tmp_path: Path,
 ) -> None:
-    added = begun(tmp_path, part)
-    added.note(info(3).path, info(3, failed=("reef/alpha/1",)))
-    added.note(info(1).path, info(1, samples=7))
-    added.note(info(0).path, None)
-    found = shards(tmp_path, part)
+    begun(tmp_path)
+    settle(tmp_path, 3, info(3, failed=("reef/alpha/1",)))
+    settle(tmp_path, 1, info(1, samples=7))
+    settle(tmp_path, 0, None)
+    settle(tmp_path, 9, info(9), "of another run")
+    found = shards(tmp_path)
     assert sorted(found) == [info(n).path for n in (1, 2, 3)]
     assert found[info(1).path].samples == 7
     assert found[info(3).path].failed == ("reef/alpha/1",)
-    save_manifest(tmp_path, replace(START, shards=found), part)
-    assert shards(tmp_path, part) == found
-    assert len(os.listdir(tmp_path)) == 1
-
-
-def test_additions_to_an_older_manifest_are_left_alone(tmp_path: Path) -> None:
-    """The run was killed after it wrote manifest.json and before it removed manifest.jsonl."""
-    added = begun(tmp_path)
-    added.note(info(3).path, info(3))
-    old = (tmp_path / "manifest.jsonl").read_bytes()
-    save_manifest(tmp_path, START)
-    (tmp_path / "manifest.jsonl").write_bytes(old)
-    assert shards(tmp_path) == {}
+    assert load_failures(tmp_path) == [FAILURE]
+    save_manifest(tmp_path, replace(START, shards=found))
+    forget_outcomes(tmp_path)
+    assert shards(tmp_path) == found
+    assert not list(tmp_path.glob("*/*"))
 
 
 @given(cut=st.floats(0, 1), junk=st.binary(max_size=6))
-def test_a_line_that_a_crash_has_spoilt_costs_itself_and_what_follows(
+def test_a_result_that_is_damaged_costs_its_shard_alone(
     tmp_path_factory: pytest.TempPathFactory, cut: float, junk: bytes
 ) -> None:
-    folder = tmp_path_factory.getbasetemp() / "spoilt"
-    if not folder.exists():
-        added = begun(folder)
-        for number in range(3, 8):
-            added.note(info(number).path, info(number))
-        (folder / "whole").write_bytes((folder / "manifest.jsonl").read_bytes())
-    whole = (folder / "whole").read_bytes()
-    at = int(cut * len(whole))
-    (folder / "manifest.jsonl").write_bytes(whole[:at] + junk)
-    found = sorted(shards(folder))
-    good = max(0, whole[:at].count(b"\n") - 1)
-    if whole[: at + len(junk)] == whole[:at] + junk:
-        good = max(0, whole[: at + len(junk)].count(b"\n") - 1)
-    assert found == [info(n).path for n in range(3 + good)]
+    folder = tmp_path_factory.mktemp("spoilt")
+    begun(folder)
+    settle(folder, 3, info(3))
+    path = settle(folder, 4, info(4))
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(cut * (len(whole) - 1))] + junk)
+    assert sorted(shards(folder)) == [info(n).path for n in range(4)]
 
 
-@pytest.mark.parametrize("path", ["../secret.h5", "/etc/passwd", "test/shard-00000.h5"])
-def test_nothing_elsewhere_can_be_added(tmp_path: Path, path: str) -> None:
-    added = begun(tmp_path)
-    added.note(info(3).path, info(3))
-    file = tmp_path / "manifest.jsonl"
-    file.write_bytes(file.read_bytes().replace(info(3).path.encode(), path.encode()))
-    assert sorted(shards(tmp_path)) == [info(n).path for n in range(3)]
-
-
-def test_a_pipe_in_its_place_stops_nobody(tmp_path: Path) -> None:
+@pytest.mark.parametrize("path", ["../secret.h5", "/etc/passwd", "test/shard-00003.h5"])
+def test_nothing_elsewhere_can_be_settled(tmp_path: Path, path: str) -> None:
     begun(tmp_path)
-    os.mkfifo(tmp_path / "manifest.jsonl")
+    file = settle(tmp_path, 3, info(3))
+    file.write_bytes(file.read_bytes().replace(info(3).path.encode(), path.encode()))
     assert len(shards(tmp_path)) == 3
-
-
-def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
-    added = begun(tmp_path)
-    (tmp_path / "manifest.jsonl").mkdir()
-    with pytest.raises(FactoryError, match=r"dataset\.dir: cannot write .*manifest\.jsonl"):
-        added.note(info(3).path, info(3))
+    file.unlink()
+    os.mkfifo(file)
+    assert len(shards(tmp_path)) == 3, "a pipe stops nobody"
 
 
 def test_manifest_reads_back_and_its_bytes_do_not_depend_on_order(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ import psutil
 import pytest
 
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.format.manifest import load_manifest, save_manifest
+from simnfnd.factory.dataset.format.manifest import load_manifest
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.read.open_shards import _MOST_FILES
 from simnfnd.factory.dataset.write.index import write_index
@@ -352,57 +352,3 @@ def test_shards_of_another_form_are_not_indexed(folder: Path) -> None:
     assert info is not None
     with pytest.raises(FactoryError, match=r"shard-00002\.h5: has other pictures"):
         write_index(folder, manifest.with_shard(info))
-
-
-READ_ON = """
-import sys, time
-from pathlib import Path
-from simnfnd import PairDataset
-stop, counts = Path(sys.argv[2]), set()
-while not stop.exists():
-    with PairDataset(sys.argv[1], trusted=True) as pairs:
-        counts.add(len(pairs))
-        assert all(sample["noisy"].any() for sample in pairs)
-print(*sorted(counts))
-"""
-
-
-def test_two_processes_read_while_a_third_extends(folder: Path, tmp_path: Path) -> None:
-    stop = tmp_path / "stop"
-    readers = [
-        subprocess.Popen(
-            [sys.executable, "-c", READ_ON, str(folder), str(stop)],
-            cwd=ROOT,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for _ in range(2)
-    ]
-    try:
-        manifest = load_manifest(folder)
-        assert manifest is not None
-        for number in range(2, 14):
-            info = write_shard(
-                folder,
-                f"train/shard-{number:05d}.h5",
-                PAIRS[:4],
-                SOURCE.axes(),
-                SOURCE.columns(),
-                PROVENANCE,
-                DatasetSettings(),
-            )
-            assert info is not None
-            manifest = manifest.with_shard(info)
-            save_manifest(folder, manifest)
-            write_index(folder, manifest)
-            threading.Event().wait(0.05)
-    finally:
-        stop.touch()
-        ended = [reader.communicate(timeout=60) for reader in readers]
-    for reader, (out, errors) in zip(readers, ended, strict=True):
-        assert reader.returncode == 0, errors
-        assert len(out.split()) >= 1
-    assert max(int(count) for out, _ in ended for count in out.split()) > 8
-    with h5py.File(folder / "index.h5") as index:
-        assert index["train/noisy"].shape[0] == 8 + 12 * 4

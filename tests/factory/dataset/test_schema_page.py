@@ -6,20 +6,43 @@ import subprocess
 import sys
 from pathlib import Path
 
-from simnfnd.factory.config import digest
-from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.format.schema import (
+    ECHO_FIELDS,
+    OPTIONAL_LAYERS,
+    ROOT_ATTRIBUTES,
+    Provenance,
+    config_hash,
+    layers,
+)
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.writer import write_shard
-from simnfnd.factory.format_page import markdown
+from simnfnd.factory.labels import CLASSES
+from simnfnd.factory.noise.registry import NoiseSettings
+from simnfnd.factory.sample_table.record import columns, requested
 from tests.factory.dataset.hostile import whole
 from tests.fake_source import FakeConfig, FakeSource, refs
 from tests.project import readme_steps
 from tests.project_files import ROOT
 
+PAGE = (ROOT / "docs" / "dataset.md").read_text(encoding="utf-8")
 
-def test_the_format_is_documented_as_it_is() -> None:
-    text = (ROOT / "docs" / "dataset.md").read_text(encoding="utf-8")
-    assert text == markdown(), "run `python -m simnfnd.factory.format_page > docs/dataset.md`"
+
+def test_every_layer_column_and_attribute_is_documented() -> None:
+    """By its name, and with its type, unit and meaning in the same line of a table."""
+    lines = [line for line in PAGE.splitlines() if line.startswith("| ")]
+    asked = requested(("pose", "intrinsics", "calibration"))
+    expected = [
+        *((f"/{one.name}", one.units, one.description) for one in layers("uint8")),
+        *((f"/{one.name}", one.dtype, one.units, one.description) for one in OPTIONAL_LAYERS),
+        *((f"/echoes/{one.name}", one.dtype, one.description) for one in ECHO_FIELDS),
+        *((one.name, one.dtype, one.units) for one in columns(NoiseSettings())),
+        *((one.name, one.dtype, one.units, one.description) for one in asked),
+        *ROOT_ATTRIBUTES.items(),
+    ]
+    for name, *words in expected:
+        found = [line for line in lines if line.startswith(f"| `{name}` |")]
+        assert any(all(word in line for word in words) for line in found), (name, words)
+    assert ", ".join(f"{number} {name}" for number, name in enumerate(CLASSES)) in PAGE
 
 
 def test_a_stranger_can_compute_the_config_hash(tmp_path: Path) -> None:
@@ -32,19 +55,19 @@ def test_a_stranger_can_compute_the_config_hash(tmp_path: Path) -> None:
         source.pairs(refs(1, "alpha")[0], (0,)),
         source.axes(),
         source.columns(),
-        Provenance(config, digest(config), "tests"),
+        Provenance(config, config_hash(config), "tests"),
         DatasetSettings(),
     )
-    (block,) = (step for step in readme_steps.steps(markdown()) if "blake2b" in step.text)
+    (block,) = (step for step in readme_steps.steps(PAGE) if "blake2b" in step.text)
     done = subprocess.run(
         [sys.executable, "-c", block.text], cwd=tmp_path, capture_output=True, text=True
     )
-    assert done.stdout.split() == [digest(config)] * 2, done.stderr
+    assert done.stdout.split() == [config_hash(config)] * 2, done.stderr
 
 
 def test_the_python_of_the_documentation_runs(tmp_path: Path) -> None:
     whole(tmp_path / "outputs" / "demo")
-    blocks = [step for step in readme_steps.steps(markdown()) if step.kind == "python"]
+    blocks = [step for step in readme_steps.steps(PAGE) if step.kind == "python"]
     assert len(blocks) == 4
     for block in blocks:
         done = subprocess.run(

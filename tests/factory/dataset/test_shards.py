@@ -18,8 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simnfnd.factory.dataset.format.manifest import damage
-from simnfnd.factory.dataset.format.sample import Column
-from simnfnd.factory.dataset.format.schema import stored_image, table_dtype, table_row
+from simnfnd.factory.dataset.format.schema import Column, stored_image, table_dtype, table_row
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.settings import build
@@ -117,20 +116,6 @@ def test_no_pairs_make_no_file(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_flipped_bit_is_noticed_by_the_reader_too(tmp_path: Path) -> None:
-    info = write(tmp_path, compression="lzf")
-    assert info is not None
-    path = tmp_path / info.path
-    with h5py.File(path, "r") as file:
-        offset = file["noisy"].id.get_chunk_info(1).byte_offset
-    content = bytearray(path.read_bytes())
-    content[offset + 50] ^= 1
-    path.write_bytes(content)
-    assert damage(tmp_path, info) == "SHA-256 differs"
-    with h5py.File(path, "r") as file, pytest.raises(OSError, match=r"checksum|filter"):
-        file["noisy"][1]
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -153,16 +138,16 @@ def test_pairs_that_do_not_fit_are_refused(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"scene": "a-name-of-17-byte"}, "column scene holds 16 bytes"),
-        ({"scene": "ünïcödé-zwölf"}, "column scene holds 16 bytes"),
-        ({"scene": "nul\0"}, "NUL"),
-        ({"scene": 5}, "holds text"),
+        ({"scene": "a-name-of-17-byte"}, "column scene is text of at most 16 bytes and cannot"),
+        ({"scene": "ünïcödé-zwölf"}, "column scene is text of at most 16 bytes and cannot"),
+        ({"scene": "nul\0"}, "column scene is text"),
+        ({"scene": 5}, "column scene is text"),
         ({"variant": 2**31}, "column variant is int32"),
         ({"variant": 0.5}, "column variant is int32"),
-        ({"variant": "3"}, "holds a number"),
+        ({"variant": "3"}, "column variant is int32"),
         ({"variant": float("nan")}, "column variant is int32"),
         ({"variant": float("inf")}, "column variant is int32"),
-        ({"frame": "\udcff"}, "is no text"),
+        ({"frame": "\udcff"}, "column frame is text"),
         ({"extra": 1}, "disagree about extra"),
     ],
 )
@@ -217,11 +202,6 @@ def test_grey_values_survive_both_dtypes(value: int) -> None:
     assert stored.dtype == np.float32
     assert stored_image(stored, "uint8")[0, 0] == value
     assert stored_image(np.array([[0, 1]], np.float32), "uint8").tolist() == [[0, 255]]
-
-
-def test_float_images_round_to_the_nearest_grey_value() -> None:
-    image = np.array([[0.1, 0.5, 0.9]], np.float32)
-    assert stored_image(image, "uint8").tolist() == [[26, 128, 230]]
 
 
 # --- settings ---------------------------------------------------------------------------------

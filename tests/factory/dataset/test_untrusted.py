@@ -189,15 +189,6 @@ def test_files_are_opened_in_another_process_first(
         READERS[verb](folder)
 
 
-@pytest.mark.parametrize("value", [[1, 2], {"frequency_khz": "fast"}, "none"])
-def test_sonar_settings_that_make_no_sense_are_one_line(tmp_path: Path, value: object) -> None:
-    from tests.factory.export.export_dataset import CONFIG
-
-    folder = write(tmp_path / "dataset", layout="polar", config={**CONFIG, "sonar": value})
-    with pytest.raises(FactoryError, match=r"config.*sonar"):
-        export(folder, "sonar_message", tmp_path / "out")
-
-
 @pytest.mark.parametrize("name", ["a\nlicense: mit", "x" * 500, 7, ["a"]])
 def test_a_name_from_a_file_stays_one_line_of_the_card(folder: Path, name: object) -> None:
     import yaml

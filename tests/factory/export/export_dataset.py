@@ -10,8 +10,7 @@ import numpy as np
 import yaml
 
 from simnfnd.factory.dataset.format.manifest import Manifest, save_manifest
-from simnfnd.factory.dataset.format.sample import Axis, Column, Pair
-from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.format.schema import Axis, Column, Pair, Provenance, config_hash
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.writer import write_shard
 
@@ -85,7 +84,7 @@ def write(
     """A dataset folder: nine train samples in two shards and three test samples, scenes apart."""
     rng = np.random.default_rng(seed)
     config = {**config, "seed": seed}
-    provenance = Provenance(config, f"{seed:016x}", "simnfnd 0.1.0")
+    provenance = Provenance(config, config_hash(config), "simnfnd 0.1.0")
     settings = DatasetSettings(
         name="little", licence=licence, dtype="float32" if dtype == "float32" else "uint8"
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 import sys
 from pathlib import Path
@@ -190,83 +189,10 @@ def test_mdd_folders_hold_images_and_class_masks(fans, tmp_path) -> None:
         assert (labels > 11).any()
 
 
-MESSAGES = {
-    "marine_acoustic_msgs/msg/PingInfo": (
-        "float32 frequency\nfloat32 sound_speed\nfloat32[] tx_beamwidths\nfloat32[] rx_beamwidths\n"
-    ),
-    "marine_acoustic_msgs/msg/SonarImageData": (
-        "bool is_bigendian\nuint32 DTYPE_UINT8=0\nuint32 DTYPE_FLOAT32=8\nuint32 dtype\n"
-        "uint32 beam_count\nuint8[] data\n"
-    ),
-    "marine_acoustic_msgs/msg/ProjectedSonarImage": (
-        "std_msgs/Header header\nPingInfo ping_info\ngeometry_msgs/Vector3[] beam_directions\n"
-        "float32[] ranges\nSonarImageData image\n"
-    ),
-}
-
-
-@pytest.mark.parametrize("dtype", ["uint8", "float32"])
-def test_a_ping_survives_as_a_ros_message(dtype, tmp_path) -> None:
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in MESSAGES.items():
-        store.register(get_types_from_msg(text, name))
-    kinds = {name.rsplit("/")[-1]: store.types[name] for name in MESSAGES}
-    vector, header, time = (
-        store.types[f"{name}"]
-        for name in (
-            "geometry_msgs/msg/Vector3",
-            "std_msgs/msg/Header",
-            "builtin_interfaces/msg/Time",
-        )
-    )
-    source = write(tmp_path / "polar", layout="polar", dtype=dtype)
-    export(source, "sonar_message", tmp_path / "out")
-    for split, total in TOTALS.items():
-        assert len(list((tmp_path / "out" / split).glob("*.npz"))) == total
-        noisy = stored(source, split, "noisy")
-        table = stored(source, split, "meta")
-        for number in range(total):
-            stem = tmp_path / "out" / split / f"{number:06d}"
-            stated = json.loads(stem.with_suffix(".json").read_text())
-            arrays = np.load(stem.with_suffix(".npz"))
-            ping = stated["ping_info"]
-            widths = {k: np.asarray(ping.pop(k), np.float32) for k in list(ping) if "widths" in k}
-            head = stated["header"]
-            message = kinds["ProjectedSonarImage"](
-                header=header(stamp=time(**head["stamp"]), frame_id=head["frame_id"]),
-                ping_info=kinds["PingInfo"](**ping, **widths),
-                beam_directions=[vector(*direction) for direction in arrays["beam_directions"]],
-                ranges=arrays["ranges"],
-                image=kinds["SonarImageData"](
-                    **stated["image"], data=np.frombuffer(arrays["noisy"].tobytes(), np.uint8)
-                ),
-            )
-            kind = "marine_acoustic_msgs/msg/ProjectedSonarImage"
-            back: Any = store.deserialize_cdr(store.serialize_cdr(message, kind), kind)
-            beams = back.image.beam_count
-            pixel: Any = {0: np.uint8, 8: np.dtype("<f4")}[back.image.dtype]
-            picture = back.image.data.tobytes()
-            found = np.frombuffer(picture, pixel).reshape(-1, beams)
-            np.testing.assert_array_equal(found, noisy[number])
-            near, far = table["range_min_m"][number], table["range_max_m"][number]
-            rows = len(back.ranges)
-            np.testing.assert_allclose(
-                back.ranges, near + (np.arange(rows) + 0.5) / rows * (far - near), rtol=1e-6
-            )
-            # Zero azimuth is ahead (z); the first beam is the leftmost (y points right).
-            bearings = [math.degrees(math.atan2(d.y, d.z)) for d in back.beam_directions]
-            np.testing.assert_allclose(bearings, np.arange(beams) * 3.0 - 22.5, atol=1e-9)
-            assert back.ping_info.frequency == 1.2e6
-            same_record(stated["record"], table[number])
-
-
 @pytest.mark.parametrize("to", FORMATS)
 def test_the_same_dataset_gives_the_same_bytes(to, tmp_path, fans) -> None:
-    source = write(tmp_path / "polar", layout="polar") if to == "sonar_message" else fans
     for name in ("one", "two"):
-        export(source, to, tmp_path / name)
+        export(fans, to, tmp_path / name)
     files = [path for path in sorted((tmp_path / "one").rglob("*")) if path.is_file()]
     assert len(files) > 2
     for path in files:
@@ -287,8 +213,6 @@ def test_an_absent_library_is_named_with_its_cure(to, package, monkeypatch, tmp_
 
 def test_what_does_not_fit_is_refused_with_the_way_out(fans, floats, tmp_path) -> None:
     out = tmp_path / "out"
-    with pytest.raises(FactoryError, match=r"fan pictures.*layout=polar"):
-        export(fans, "sonar_message", out)
     with pytest.raises(FactoryError, match=r"no labels.*dataset.layers=\[segmentation\]"):
         export(floats, "mdd", out)
     with pytest.raises(FactoryError, match=r"polar pictures.*layout=fan"):

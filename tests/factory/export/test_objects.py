@@ -12,8 +12,9 @@ import yaml
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export import export
+from simnfnd.factory.export.coco import run_lengths
 from simnfnd.factory.export.objects import LEAST_PX
-from simnfnd.factory.export.outlines import joined, outlines
+from simnfnd.factory.export.yolo import outlines
 from simnfnd.factory.labels import CLASSES
 from tests.factory.dataset.hostile import reseal
 from tests.factory.export.export_dataset import write
@@ -109,17 +110,29 @@ def test_yolo_lines_are_the_objects(labelled: Path, tmp_path: Path) -> None:
             # Ultralytics finds the labels by these changes of the picture's name.
             place = Path(str(path).replace("/images/", "/labels/")).with_suffix(".txt")
             lines = [line.split() for line in place.read_text().splitlines()]
-            assert [int(line[0]) + 1 for line in lines] == [label for label, _ in masks]
-            for line, (_, mask) in zip(lines, masks, strict=True):
+            assert {int(line[0]) + 1 for line in lines} == {label for label, _ in masks}
+            filled = np.zeros((20, 16), bool)
+            for line in lines:
                 corners = np.array(line[1:], float).reshape(-1, 2)
-                assert corners.min() >= 0
-                assert corners.max() <= 1
+                assert 0 <= corners.min() <= corners.max() <= 1
                 assert len(corners) > 3
-                # Its box is that of the mask, its area, with slits that enclose nothing, too.
-                rows, columns = mask.nonzero()
-                low, high = corners.min(0) * (16, 20), corners.max(0) * (16, 20)
-                np.testing.assert_allclose(low, (columns.min(), rows.min()), atol=1e-4)
-                np.testing.assert_allclose(high, (columns.max() + 1, rows.max() + 1), atol=1e-4)
+                filled |= covered(corners * (16, 20), (20, 16))
+            for _, mask in masks:
+                assert filled[mask].all()
+            # Holes alone are filled beside.
+            union = np.logical_or.reduce([mask for _, mask in masks], initial=False)
+            rows, columns = union.nonzero()
+            outside = filled.copy()
+            outside[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1] = False
+            assert not outside.any()
+
+
+def covered(corners: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Pixels whose centres lie inside a polygon."""
+    from pycocotools import mask as tool
+
+    coded = tool.frPyObjects([corners.ravel().tolist()], *shape)
+    return np.asarray(tool.decode(coded)[..., 0], bool)
 
 
 def test_a_single_split_both_trains_and_validates(labelled: Path, tmp_path: Path) -> None:
@@ -129,21 +142,20 @@ def test_a_single_split_both_trains_and_validates(labelled: Path, tmp_path: Path
 
 
 @pytest.mark.parametrize("density", [0.1, 0.5, 0.9])
-def test_outlines_lose_no_pixel(density: float) -> None:
+def test_run_lengths_and_outlines_lose_no_pixel(density: float) -> None:
     from pycocotools import mask as tool
+    from scipy import ndimage
 
     rng = np.random.default_rng(2)
     for _ in range(20):
-        rows, columns = rng.integers(1, 30, 2)
+        rows, columns = (int(size) for size in rng.integers(1, 30, 2))
         mask = rng.random((rows, columns)) < density
-        rings = outlines(mask)
-        if not mask.any():
-            assert rings == []
-            continue
-        for given in (rings, [joined(rings)]):
-            lists = [ring.ravel().astype(float).tolist() for ring in given]
-            coded = tool.merge(tool.frPyObjects(lists, rows, columns))
-            np.testing.assert_array_equal(tool.decode(coded), mask)
+        coded = tool.frPyObjects(run_lengths(mask), rows, columns)
+        np.testing.assert_array_equal(tool.decode(coded), mask)
+        rings = [covered(ring.astype(float), (rows, columns)) for ring in outlines(mask)]
+        filled = np.logical_or.reduce(rings, initial=False)
+        holes_filled = ndimage.binary_fill_holes(mask)
+        np.testing.assert_array_equal(np.broadcast_to(filled, mask.shape), holes_filled)
 
 
 def test_straight_edges_need_their_ends_alone() -> None:

@@ -19,13 +19,11 @@ from hypothesis import strategies as st
 from simnfnd.factory import pairs
 from simnfnd.factory.config import FactoryConfig, digest, from_mapping, identity
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.check.facts import shard_facts
 from simnfnd.factory.dataset.format import echoes as lists
 from simnfnd.factory.dataset.format.checksums import crc32, seal
 from simnfnd.factory.dataset.format.echoes import EchoList, read_echoes, write_echoes
-from simnfnd.factory.dataset.format.layers import ECHO_FIELDS
-from simnfnd.factory.dataset.format.sample import Pair
-from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.format.schema import ECHO_FIELDS, Pair, Provenance
+from simnfnd.factory.dataset.validate import shard_facts
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Frame
@@ -358,7 +356,7 @@ def test_what_does_not_fit_is_not_written(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_drawn_devices_are_refused_by_name() -> None:
-    from simnfnd.models.data.composed import composed
+    from simnfnd.models.data.renders import composed
 
     with pytest.raises(FactoryError, match=r"dataset\.layers: echoes are of the bins of one dev"):
         composed(("experiment=any_sonar", "dataset.layers=[echoes]"))

@@ -12,11 +12,9 @@ import pytest
 
 from simnfnd.factory import pairs
 from simnfnd.factory.config import FactoryConfig, from_mapping
-from simnfnd.factory.dataset.check.facts import shard_facts
-from simnfnd.factory.dataset.format.layers import layers
-from simnfnd.factory.dataset.format.sample import Pair
-from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.format.schema import Pair, Provenance, layers
 from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.validate import shard_facts
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Frame

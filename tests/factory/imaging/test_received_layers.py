@@ -11,8 +11,8 @@ import pytest
 
 from simnfnd.factory import pairs
 from simnfnd.factory.config import digest, from_mapping, identity
-from simnfnd.factory.dataset.check.facts import shard_facts
 from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.validate import shard_facts
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.labels import CLASSES

@@ -1,16 +1,14 @@
-"""The parts of a run: the plan of shards, the crew, the journal, deaths that are counted."""
+"""The parts of a run: the plan of shards, the crew, deaths that are counted."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.scheduler.journal import open_journal, read_journal
+from simnfnd.factory.scheduler.attempt import AttemptState
 from simnfnd.factory.scheduler.pending import PendingShard
 from simnfnd.factory.scheduler.plan import plan_shards
 from simnfnd.factory.scheduler.settings import MAX_AUTO_WORKERS, Crew, SchedulerSettings
@@ -117,23 +115,11 @@ def test_bad_worker_counts_are_refused_by_name(workers: object) -> None:
         build(SchedulerSettings, {"workers": workers}, "scheduler")
 
 
-def test_journal_tells_progress_even_when_cut_short(tmp_path: Path) -> None:
-    path = tmp_path / "work" / "one.journal"
-    assert read_journal(path).begun is False
-    with open_journal(path, 1.0) as journal:
-        journal.start(0)
-        journal.done(0, 3)
-        journal.start(1)
-        journal.failed(1)
-        journal.start(12)
-    progress = read_journal(path)
-    assert (progress.samples, progress.failed, progress.in_hand) == (3, 1, 12)
-    text = path.read_text()
-    path.write_text(text[:-2])
-    assert read_journal(path).in_hand is None, "half a line is no event"
-    path.write_text(text + "Timeout (0:00:01)!\nThread 0x1 (most recent call first):\n")
-    assert read_journal(path).timed_out
-    assert read_journal(path).in_hand == 12
+def test_what_a_worker_tells() -> None:
+    state = AttemptState()
+    for message in (("start", 0), ("done", 3), ("start", 1), ("failed", 1), ("start", 12)):
+        state.hear(message)
+    assert (state.samples, state.failed, state.in_hand, state.begun) == (3, 1, 12, True)
 
 
 @given(deaths=st.lists(st.none() | st.integers(0, 4)), retries=st.integers(0, 3))
@@ -155,14 +141,3 @@ def test_deaths_of_a_shard_come_to_an_end(deaths: list[int | None], retries: int
     for index, (ref, _) in enumerate(task.items):
         named = ref.frame in {failure.ref.frame for failure in shard.given_up}
         assert named == (deaths.count(index) > retries)
-
-
-@settings(max_examples=30)
-@given(st.text(max_size=200))
-def test_any_text_in_a_journal_is_read_without_a_crash(text: str) -> None:
-    import tempfile
-
-    with tempfile.NamedTemporaryFile("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        read_journal(Path(file.name))

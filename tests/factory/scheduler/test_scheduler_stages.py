@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
-import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,12 +11,8 @@ import pytest
 
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.ownership import myself
-from simnfnd.factory.scheduler.lock import LOCK_NAME, Lock, owner_of
 from simnfnd.factory.scheduler.pending import PendingFrame, backoff_s
-from simnfnd.factory.scheduler.settings import ShardSlice
-from simnfnd.factory.settings import build
-from tests.factory.scheduler.run_files import failures, litter, shard_bytes, wait_for
+from tests.factory.scheduler.run_files import failures, litter, shard_bytes
 from tests.factory.scheduler.staged import staged
 from tests.fake_source import FakeConfig, GentleSource, prepared_file, refs
 from tests.run_fake import make
@@ -149,32 +141,6 @@ def test_tries_wait_longer_each_time_and_come_to_an_end() -> None:
     )
 
 
-# --- slices -----------------------------------------------------------------------------------
-
-
-def test_slices_make_every_shard_once_and_the_whole_takes_them_up(
-    tmp_path: Path, expected: dict[str, bytes]
-) -> None:
-    directory = tmp_path / "dataset"
-    for index in (1, 0):
-        report = staged(directory, scheduler=SERIAL, shard=ShardSlice(index, 2))
-        assert (report.shards, report.samples) == (2, 16)
-        assert not (directory / "README.md").exists()
-        assert not (directory / "manifest.json").exists()
-    assert shard_bytes(directory) == expected
-    report = staged(directory, scheduler=SERIAL)
-    assert (report.kept, report.samples) == (4, 32)
-    assert (directory / "README.md").exists()
-    assert not list(directory.glob("manifest.*-of-*"))
-    assert not list(directory.glob("failed.*-of-*"))
-    assert shard_bytes(directory) == expected
-
-
-def test_a_slice_must_be_one_of_those_that_there_are() -> None:
-    with pytest.raises(FactoryError, match=r"shard: index must be 0 to count - 1 = 3, got 4"):
-        build(ShardSlice, {"index": 4, "count": 4}, "shard")
-
-
 def test_overwrite_makes_another_dataset_in_the_folder(
     tmp_path: Path, expected: dict[str, bytes]
 ) -> None:
@@ -195,86 +161,3 @@ def test_overwrite_never_touches_a_folder_that_is_no_dataset(tmp_path: Path) -> 
     with pytest.raises(FactoryError, match="no dataset"):
         make(tmp_path, scheduler=SERIAL, dataset=over)
     assert (tmp_path / "README.md").read_text() == "mine"
-
-
-# --- lock -------------------------------------------------------------------------------------
-
-HOLD = """
-import sys, time
-from pathlib import Path
-from typing import Any
-from simnfnd.factory.scheduler.lock import Lock
-with Lock(Path(sys.argv[1]), sys.argv[2]):
-    print("held", flush=True)
-    time.sleep(60)
-"""
-
-
-def hold(folder: Path, part: str = "") -> subprocess.Popen[str]:
-    command = [sys.executable, "-c", HOLD, str(folder), part]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    assert process.stdout.readline() == "held\n"
-    return process
-
-
-def test_a_second_run_is_refused_and_a_dead_owner_holds_nothing(tmp_path: Path) -> None:
-    owner = hold(tmp_path)
-    assert owner_of(tmp_path) is not None
-    with pytest.raises(FactoryError, match=f"written by process {owner.pid} on") as caught:
-        make(tmp_path, scheduler=SERIAL)
-    assert "\n" not in str(caught.value)
-    assert os.listdir(tmp_path) == [LOCK_NAME], "the refused run touched the folder"
-    owner.kill()
-    owner.wait()
-    assert owner_of(tmp_path) is None
-    with Lock(tmp_path):
-        assert json.loads((tmp_path / LOCK_NAME).read_text())["pid"] == os.getpid()
-    assert not os.listdir(tmp_path)
-
-
-def test_slices_run_side_by_side_and_not_beside_the_whole(tmp_path: Path) -> None:
-    owner = hold(tmp_path, "0-of-2")
-    try:
-        with Lock(tmp_path, "1-of-2"):
-            pass
-        for part in ("", "0-of-2"):
-            with pytest.raises(FactoryError, match=str(owner.pid)), Lock(tmp_path, part):
-                pass
-    finally:
-        owner.kill()
-        owner.wait()
-
-
-def test_a_lock_of_another_machine_holds_while_it_is_touched(tmp_path: Path) -> None:
-    lock = tmp_path / LOCK_NAME
-    lock.write_text(json.dumps({"host": "elsewhere", "pid": 1, "started": 0.0}))
-    with pytest.raises(FactoryError, match="process 1 on elsewhere"), Lock(tmp_path):
-        pass
-    old = time.time() - 3600
-    os.utime(lock, (old, old))
-    with Lock(tmp_path):
-        assert json.loads(lock.read_text())["pid"] == os.getpid()
-
-
-def test_a_number_that_another_process_got_since_is_no_owner(tmp_path: Path) -> None:
-    me = myself()
-    (tmp_path / LOCK_NAME).write_text(json.dumps({**me, "started": me["started"] - 100}))
-    with Lock(tmp_path):
-        pass
-    (tmp_path / LOCK_NAME).write_text("{half a lo")
-    with Lock(tmp_path):
-        pass
-
-
-def test_of_many_that_come_at_once_one_gets_the_lock(tmp_path: Path) -> None:
-    (tmp_path / LOCK_NAME).write_text("{}")  # of somebody dead
-    code = HOLD.replace("time.sleep(60)", "time.sleep(3)")
-    command = [sys.executable, "-c", code, str(tmp_path), ""]
-    crowd = [
-        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-        for _ in range(4)
-    ]
-    told = [process.communicate()[0] for process in crowd]
-    assert told.count("held\n") == 1
-    wait_for(lambda: not os.listdir(tmp_path))

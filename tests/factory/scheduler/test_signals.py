@@ -12,11 +12,11 @@ from pathlib import Path
 import psutil
 import pytest
 
-from benchmarks.memory import workers_of
 from simnfnd.factory.dataset.format.manifest import load_manifest
 from tests.factory.scheduler.run_files import litter, shard_bytes, undisturbed_shards, wait_for
 from tests.project_files import ROOT
 from tests.run_fake import make
+from tests.worker_processes import workers_of
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.growth.storm import HANGS, KILLS, storm, undisturbed
+from tests.storm import HANGS, KILLS, storm, undisturbed
 
 
 @pytest.mark.slow

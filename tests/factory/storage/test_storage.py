@@ -19,15 +19,14 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.check.validate import validate
+from simnfnd.factory.dataset.validate import validate
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler import run
-from simnfnd.factory.scheduler.ledger import RunReport
+from simnfnd.factory.scheduler.results import RunReport
 from simnfnd.factory.scheduler.settings import ShardSlice
-from simnfnd.factory.storage import copies, room
+from simnfnd.factory.storage import copies
 from simnfnd.factory.storage.copies import folder_of, forget_copy, local_folder, url_of
-from simnfnd.factory.storage.lock import StoreLock
-from simnfnd.factory.storage.publish import Publication, publishing
+from simnfnd.factory.storage.publish import StoreLock, publishing
 from simnfnd.factory.storage.store import Store
 from tests import run_fake
 from tests.cloud_storage import contents, manifest_of, s3_server, shards_of
@@ -183,7 +182,7 @@ def test_copies_stay_small(bucket: str, monkeypatch: Any) -> None:
     make(folder_of(url))
     folder = local_folder(url, fresh=True)
     size = len(shards_of(url)["train/shard-00000.h5"])
-    shutil.rmtree(room.copies_folder())
+    shutil.rmtree(copies.copies_folder())
     copies._told.cache_clear()
     monkeypatch.setenv("SIMNFND_CLOUD_CACHE_BYTES", str(2 * size + size // 2))
     with PairDataset(url) as pairs:
@@ -233,32 +232,20 @@ def test_a_storage_without_conditions_is_refused(monkeypatch: Any) -> None:
         make(folder_of("memory://sonar/unconditional"))
 
 
-def test_workers_that_share_no_folder_prepare_put_and_tell(
+def test_workers_that_share_no_folder_prepare_and_put(
     bucket: str, tmp_path: Path, monkeypatch: Any
 ) -> None:
     config = FakeConfig(prepared=str(tmp_path / "prepared"), bad=("reef/alpha/0003",))
     how = {"source": GentleSource, "preparer": FakePreparer, "config": config}
     make(tmp_path / "dataset", **how)
     shutil.rmtree(tmp_path / "prepared")
-    told: list[str] = []
-    place = f"{bucket}/apart"
-    tell = Publication.tell
-
-    def note(self: Publication, journal: Path, content: bytes) -> None:
-        told.append(content.decode().splitlines()[-1])
-        tell(self, journal, content)
-        assert not journal.is_relative_to(folder_of(place)), "nothing of the run's is seen"
-
-    url = place
-    monkeypatch.setattr(Publication, "tell", note)
+    url = f"{bucket}/apart"
     monkeypatch.setattr(
         run, "publishing", lambda folder, part, apart: publishing(folder, part, apart=True)
     )
     report = make(folder_of(url), **how)
     assert [failure.ref.name for failure in report.failures] == ["reef/alpha/0003"]
     assert shards_of(url) == local_shards(tmp_path / "dataset")
-    assert told[:4] == ["start 0", "start 1", "start 2", "start 3"]
-    assert len(told) == 16
     assert not [name for name in contents(url) if name.startswith(".")]
 
 
@@ -299,31 +286,3 @@ def test_verbs_that_need_files_say_so(verb: str) -> None:
     more = ["--out", "x"] if verb == "merge" else []
     with pytest.raises(FactoryError, match="works on files of this machine"):
         main(["s3://sonar/data", *more])
-
-
-def test_copies_are_not_all_looked_at_for_every_shard(tmp_path: Path, monkeypatch: Any) -> None:
-    """It would take a time that grows with the square of their number."""
-    monkeypatch.setenv("SIMNFND_CLOUD_CACHE", str(tmp_path))
-    folder = tmp_path / "many-0123" / "train"
-    folder.mkdir(parents=True)
-    most = 400 * 1000
-    monkeypatch.setenv("SIMNFND_CLOUD_CACHE_BYTES", str(most))
-    looks: list[int] = []
-    look = room._kept_copies
-
-    def counted(where: Path) -> list[tuple[int, int, Path]]:
-        looks.append(1)
-        return look(where)
-
-    monkeypatch.setattr(room, "_kept_copies", counted)
-    for number in range(1000):
-        path = folder / f"shard-{number:05d}.h5"
-        path.write_bytes(bytes(1000))
-        os.utime(path, ns=(number, number))
-        room.make_room(spare=path)
-        if number % 50 == 0:
-            assert sum(size for _, size, _ in look(tmp_path)) <= most
-    assert len(looks) < 1000 / 4
-    kept = sorted(path.name for path in folder.iterdir())
-    assert len(kept) > 300
-    assert kept == [f"shard-{number:05d}.h5" for number in range(1000 - len(kept), 1000)]

@@ -15,14 +15,11 @@ from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.adapt import simulated
 from simnfnd.models.adapt.clips import natural, read_clips, runs
 from simnfnd.models.adapt.command import main
-from simnfnd.models.adapt.crops import crop, crop_size
-from simnfnd.models.adapt.objectives import StillLesson
-from simnfnd.models.adapt.score import psnr_after_levels
+from simnfnd.models.adapt.module import Lesson, crop_size, odds_of, psnr_after_levels
 from simnfnd.models.adapt.still import find_lessons
 from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.denoise.geometries import NONE, Geometries
 from simnfnd.models.networks import build_network
-from simnfnd.models.networks.sonarnet import SonarNet
 from simnfnd.models.networks.weights import load_weights, save_weights
 from tests.models.adapt.scenes import SIDE, Gray, noisy, scene, write
 from tests.project_files import ROOT
@@ -80,24 +77,6 @@ def test_weights_learn_from_frames_without_truth(
     assert str(tmp_path) not in str(facts)
 
 
-def test_part_of_the_change_lies_between_the_weights(tmp_path: Path, weights: Path) -> None:
-    stand_still(tmp_path / "in")
-    arguments = [str(tmp_path / "in"), "--weights", str(weights), "--keep", "0", "--steps", "12"]
-    states = []
-    for part in ("1", "0.25"):
-        out = tmp_path / f"{part}.safetensors"
-        assert main([*arguments, "--out", str(out), "--part", part]) == 0
-        loaded = load_weights(out)
-        assert loaded.training["part"] == float(part)
-        assert loaded.training["validation"]["step"] == 12, "measured at other steps"
-        states.append(loaded.network.state_dict())
-    begun = load_weights(weights).network.state_dict()
-    whole, quarter = states
-    assert any(not torch.equal(whole[name], begun[name]) for name in begun)
-    for name, value in begun.items():
-        torch.testing.assert_close(quarter[name], torch.lerp(value, whole[name], 0.25))
-
-
 def test_recordings_are_learned_from_alike_however_long(tmp_path: Path) -> None:
     """A long recording of many stretches and a short one of one: half of the steps each."""
     long, short = tmp_path / "long", tmp_path / "short"
@@ -111,41 +90,9 @@ def test_recordings_are_learned_from_alike_however_long(tmp_path: Path) -> None:
     assert recordings.count(0) >= 2
     assert recordings.count(1) == 1
     assert {still.recording for still in lessons.held} == {0}, "of those with several stretches"
-    odds = StillLesson(lessons, batch=2, seed=0)._odds
+    odds = odds_of(lessons.learning)
     assert odds.sum() == pytest.approx(1)
     assert odds[recordings.index(1)] == pytest.approx(0.5)
-
-
-def test_geometry_is_told_or_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A network that uses geometry sees it in every step, in none, or in about half of them."""
-    stand_still(tmp_path / "in", scenes=1)
-    lessons = find_lessons(clips_of(tmp_path / "in"))
-    assert lessons is not None
-    fan = FanGeometry.polar().with_size(SIDE, SIDE)
-    lessons = replace(lessons, learning=[replace(one, geometry=fan) for one in lessons.learning])
-    network = build_network(
-        {"kind": "sonarnet", "widths": [8], "blocks": [1], "polar": False, "lines": False}
-        | {"mask": False, "forget": 0.0}
-    )
-    seen: list[bool] = []
-    assert isinstance(network, SonarNet)
-    single = network._single_pass
-
-    def watched(noisy: torch.Tensor, extras: dict[str, torch.Tensor]) -> object:
-        seen.append("azimuth_rad" in extras)
-        return single(noisy, extras)
-
-    monkeypatch.setattr(network, "_single_pass", watched)
-    shares = []
-    for untold in (0.0, 0.5, 1.0):
-        seen.clear()
-        lesson = StillLesson(lessons, batch=1, seed=0, untold=untold)
-        for step in range(20):
-            lesson.loss(network, step)
-        shares.append(sum(seen) / len(seen))
-    assert shares[0] == 1
-    assert 0.2 < shares[1] < 0.8
-    assert shares[2] == 0
 
 
 def test_pairs_are_mixed_in(
@@ -175,20 +122,14 @@ def test_weights_that_are_no_better_are_not_written(
     assert not out.exists()
 
 
-def test_where_nothing_stands_still_pixels_are_foretold(
-    tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_a_scene_at_rest_one_line_says_so(tmp_path: Path, weights: Path) -> None:
     for frame in range(6):
         write(tmp_path / "in" / f"{frame}.png", noisy(scene(frame), frame))
     out = tmp_path / "out.safetensors"
-    arguments = ["--weights", str(weights), "--keep", "0", "--steps", "20"]
-    assert main([str(tmp_path / "in"), "--out", str(out), *arguments]) == 0
-    said = capsys.readouterr().out
-    assert "nothing stands still in 6 frames" in said
-    assert "hidden pixels of frames held out" in said
-    facts = load_weights(out).training
-    assert facts["adapted.by"] == "blind spots"
-    assert facts["validation"]["after"] > facts["validation"]["before"]
+    arguments = ["--weights", str(weights), "--keep", "0", "--steps", "2"]
+    with pytest.raises(FactoryError, match=r"nothing stands still in 6 frames.*sonar at rest"):
+        main([str(tmp_path / "in"), "--out", str(out), *arguments])
+    assert not out.exists()
 
 
 def test_no_frame_held_out_is_learned_from(tmp_path: Path) -> None:
@@ -248,14 +189,20 @@ def test_crops_of_narrow_pictures_are_long() -> None:
     assert crop_size(500, 500) == (192, 192)
     assert crop_size(2000, 48) == (768, 48)
     assert crop_size(100, 60) == (100, 60)
-    picture = np.arange(40 * 30, dtype=np.float32).reshape(40, 30) / 1200
-    target = np.full((40, 30), np.nan, np.float32)
-    target[30:, :] = picture[30:]
-    batch = crop(picture, target, None, (12, 30), (), np.random.default_rng(0))
-    assert batch["noisy"].shape == (1, 1, 12, 30)
+
+
+def test_crops_show_what_is_known_and_where_it_lies(tmp_path: Path) -> None:
+    stand_still(tmp_path / "in", scenes=1)
+    lessons = find_lessons(clips_of(tmp_path / "in"))
+    assert lessons is not None
+    fan = FanGeometry.polar().with_size(SIDE, SIDE)
+    lessons = replace(lessons, learning=[replace(one, geometry=fan) for one in lessons.learning])
+    lesson = Lesson(lessons, seed=0)
+    batch = lesson.crops(3, ("azimuth_rad", "sector"))["still"]
+    assert batch["noisy"].shape == batch["azimuth_rad"].shape == (2, 1, SIDE, SIDE)
     assert torch.isfinite(batch["clean"]).float().mean() >= 0.25
-    known = torch.isfinite(batch["clean"])
-    assert torch.equal(batch["clean"][known], batch["noisy"][known])
+    again = lesson.crops(3, ("azimuth_rad", "sector"))["still"]
+    assert torch.equal(batch["noisy"], again["noisy"])
 
 
 def test_reliefs_give_pictures_to_keep() -> None:
@@ -278,9 +225,6 @@ def test_reliefs_give_pictures_to_keep() -> None:
         (["a.png", "b.png"], ["--keep", "1"], "--keep 1"),
         (["a.png", "b.png"], ["--steps", "0"], "--steps 0"),
         (["a.png", "b.png"], ["--minutes", "0"], "--minutes 0"),
-        (["a.png", "b.png"], ["--part", "0"], "--part 0"),
-        (["a.png", "b.png"], ["--batch", "0"], "--batch 0"),
-        (["a.png", "b.png"], ["--untold", "2"], "--untold 2"),
         (["a.png", "b.png"], ["--learning-rate", "2"], "--learning-rate 2"),
         (["a.png", "b.png"], ["--out", "here"], r"must end in \.safetensors"),
         (["a.png", "b.png"], ["--weights", "nowhere"], "nowhere"),

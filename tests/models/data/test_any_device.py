@@ -73,23 +73,6 @@ def test_crops_tell_the_network_what_to_remove(source: DeviceSource) -> None:
     assert batch["remove"].shape == (2, 6)
 
 
-def test_looks_are_of_one_device_with_noise_of_their_own(source: DeviceSource) -> None:
-    several = DeviceSource(
-        source.config, source.frames, patch=48, weaker=0.3, choices=0.5, seed=1, looks=3
-    )
-    for visit in range(3):
-        sample, alone = several.sample(0, visit), source.sample(0, visit)
-        assert sample.clean is not None
-        assert alone.clean is not None
-        assert sample.looks is not None
-        np.testing.assert_array_equal(sample.noisy, alone.noisy)
-        np.testing.assert_array_equal(sample.clean, alone.clean)
-        assert sample.looks.shape == (3, *sample.noisy.shape)
-        np.testing.assert_array_equal(sample.looks[1], sample.noisy)
-        if not np.array_equal(sample.noisy, sample.clean):
-            assert not np.array_equal(sample.looks[0], sample.looks[2])
-
-
 def test_a_recipe_without_devices_is_refused(source: DeviceSource) -> None:
     plain = compose_config(["experiment=demo"])
     with pytest.raises(FactoryError, match=r"data\.experiment: has no"):

@@ -57,7 +57,7 @@ def visits(images: int, data: Any, steps: int = 5, intervals: int = 7) -> list[l
     sampler = VisitSampler(images, data, intervals, steps, seed=1)
     found = []
     for interval in range(intervals):
-        sampler.set_epoch(interval)
+        sampler.begin(interval, 0)
         assert len(sampler) == steps
         found += list(sampler)
     return found

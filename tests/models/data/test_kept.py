@@ -9,8 +9,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as some
 
-from simnfnd.models.data.crops import VisitSampler
-from simnfnd.models.data.kept import KEPT, KeptSource, drawn
+from simnfnd.models.data.crops import KEPT, KeptSource, VisitSampler, drawn
 from simnfnd.models.data.pairs import Sample
 from simnfnd.models.settings import RendersData
 from tests.models.data.data_settings import data_settings
@@ -76,11 +75,13 @@ def test_the_sampler_goes_on_where_it_was_interrupted() -> None:
     whole = VisitSampler(7, data, intervals=6, steps=5, seed=1)
     steps = []
     for interval in range(6):
-        whole.set_epoch(interval)
+        whole.begin(interval, 0)
         steps += list(whole)
     later = VisitSampler(7, data, intervals=6, steps=5, seed=1)
-    later.set_epoch(4)
+    later.begin(4, 0)
     assert list(later) == steps[20:25]
+    later.begin(4, 2)
+    assert list(later) == steps[22:25]
     visits = [visit for step in steps for visit in step]
     assert [visit.number for visit in visits] == list(range(60))
     shown = {(visit.image, visit.round) for visit in visits}

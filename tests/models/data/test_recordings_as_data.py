@@ -10,14 +10,13 @@ import numpy as np
 
 from simnfnd.evaluation.real.shots import open_input
 from simnfnd.factory.noise.registry import NoiseSettings
-from simnfnd.models.data.images import NoisySource, list_images, read_sample, smallest_side
+from simnfnd.models.data.images import list_images, read_sample, smallest_side
 from simnfnd.models.data.olddata import OldDataSource
 from simnfnd.models.data.recordings import digest_of
 from simnfnd.models.data.sources import open_data
-from simnfnd.models.recordings import kind_of
 from tests.models.data.data_settings import composed
 from tests.models.recordings.array_files import write_array
-from tests.models.recordings.recording_files import pings, write_stack
+from tests.models.recordings.recording_files import pings
 from tests.project_files import ROOT
 
 LAMPREY = ROOT / "examples" / "didson" / "lamprey.avi"
@@ -31,26 +30,10 @@ def test_frames_stand_beside_pictures(tmp_path: Path) -> None:
     assert found[0].scene == "dive.avi"
     side, smallest = smallest_side(found)
     assert (side, smallest.frame) == (300, "one.png")
-    source = NoisySource(found)
-    frames = [source.sample(number, None).noisy for number in (7, 0, 8)]
+    frames = [read_sample(found[number])[0] for number in (7, 0, 8)]
     assert [frame.shape for frame in frames] == [(774, 400), (774, 400), (300, 500)]
     assert 0 <= frames[0].min() < frames[0].max() <= 1
     np.testing.assert_array_equal(frames[1], read_sample(list_images(LAMPREY)[0])[0])
-
-
-def test_pictures_of_an_array_are_frames(tmp_path: Path) -> None:
-    pictures = pings(3, 30, 40)
-    np.save(tmp_path / "dive.npy", pictures)
-    np.save(tmp_path / "one.npy", pictures[1])
-    np.save(tmp_path / "poses.npy", np.zeros((3, 4, 4)))
-    found = list_images(tmp_path)
-    names = [*(f"dive.npy#{n}" for n in range(3)), "one.npy"]
-    assert [sample.frame for sample in found] == names
-    for number, place in ((0, 0), (2, 2), (3, 1)):
-        picture, _ = read_sample(found[number])
-        np.testing.assert_allclose(picture, pictures[place] / 255, atol=1e-6)
-    stretches, _ = open_input(str(tmp_path), 100)
-    assert [len(stretch.shots) for stretch in stretches] == [1, 3]
 
 
 def test_an_array_is_named(tmp_path: Path) -> None:
@@ -62,23 +45,10 @@ def test_an_array_is_named(tmp_path: Path) -> None:
     picture, _ = read_sample(found[5])
     np.testing.assert_allclose(picture, pictures[5] / 255, atol=1e-6)
     assert digest_of(found) == digest_of(list_images(f"{path}::other"))  # that of the file
-    words = ("data=self_supervised", f"data.folder='{path}::frames'", "data.patch=16")
+    words = ("data=olddata", f"data.folder='{path}::frames'", "data.patch=16")
     assert len(open_data(composed(*words)[0]).validation) > 0
     stretches, _ = open_input(f"{path}::frames", 100)
     assert [len(stretch.shots) for stretch in stretches] == [9]
-
-
-def test_pages_of_a_stack_are_frames(tmp_path: Path) -> None:
-    pages = write_stack(tmp_path / "dive.tif", pings(3, 30, 40))
-    cv2.imwrite(str(tmp_path / "one.tif"), np.full((30, 40), 90, np.uint8))
-    names = [*(f"dive.tif#{n}" for n in range(3)), "one.tif"]
-    found = list_images(tmp_path)
-    assert [sample.frame for sample in found] == names
-    expected = pings(3, 30, 40)[2] / np.float32(255)
-    np.testing.assert_array_equal(read_sample(found[2])[0], expected)
-    stretches, _ = open_input(str(tmp_path), 100)
-    assert sorted([shot.name for shot in one.shots] for one in stretches) == [names[:3], names[3:]]
-    assert kind_of(pages) == "stack"
 
 
 def test_old_data_takes_frames() -> None:

@@ -63,38 +63,6 @@ def test_renders_are_the_pairs_of_the_factory_with_other_noise_at_every_visit(
     assert source.config.seed == 5
 
 
-def test_looks_are_variants_of_the_same_render(rendered: tuple[Path, Path]) -> None:
-    source, _ = renders(rendered, weaker=0.0, fewer=0.0, frames=3)
-    alone, _ = renders(rendered, weaker=0.0, fewer=0.0)
-    ref = source.frames[1]
-    sample, same = source.sample(1, 3), alone.sample(1, 3)
-    assert sample.looks is not None
-    assert same.looks is None
-    assert sample.clean is not None
-    assert same.clean is not None
-    np.testing.assert_array_equal(sample.noisy, same.noisy)
-    np.testing.assert_array_equal(sample.clean, same.clean)
-    before, own, after = sample.looks
-    np.testing.assert_array_equal(own, sample.noisy)
-    maker = pair_maker(source.config)
-    for look, variant in ((before, 3 + 2**32), (after, 3 + 2 * 2**32)):
-        pair = maker.pairs(ref, (variant,))[0]
-        np.testing.assert_array_equal(look, in_unit_range(pair.noisy))
-        assert not np.array_equal(look, own)
-    dataset, pack = rendered
-    settings, _ = composed("data=renders")
-    assert isinstance(settings.data, RendersData)
-    table = read_table(dataset, "train")
-    _, held = hold_out(table.samples, 0.3, 0)
-    data = replace(settings.data, pack=str(pack), frames=3)
-    found = open_renders(data, table, held, str(dataset), seed=5)
-    assert found.validation is not None
-    shown = found.validation.sample(0, None)
-    assert shown.looks is not None
-    assert shown.looks.shape == (3, *shown.noisy.shape)
-    assert len(found.labels) == len(found.validation)
-
-
 def test_weaker_and_fewer_noise_down_to_none(rendered: tuple[Path, Path]) -> None:
     source, _ = renders(rendered, weaker=0.5, fewer=0.5)
     settings = [source.noise_of(0, visit) for visit in range(80)]
@@ -128,17 +96,17 @@ def test_training_on_renders_broken_off_ends_with_the_same_bytes(
     )
     monkeypatch.setattr("simnfnd.models.training.train.write_samples", _no_picture)
     train(*composed(*words, f"out='{tmp_path / 'whole'}'"))
-    step = DenoisingModule.training_step
+    step = DenoisingModule.update
     calls: list[int] = []
 
-    def breaks_down(self: DenoisingModule, batch: Any, index: int) -> Any:
-        calls.append(len(batch["noisy"]))
+    def breaks_down(self: DenoisingModule, *given: Any) -> Any:
+        calls.append(len(given[-1]["noisy"]))
         if len(calls) == 4:
             raise OSError("the power went")
-        return step(self, batch, index)
+        return step(self, *given)
 
     with monkeypatch.context() as patch:
-        patch.setattr(DenoisingModule, "training_step", breaks_down)
+        patch.setattr(DenoisingModule, "update", breaks_down)
         with pytest.raises(OSError, match="power"):
             train(*composed(*words, f"out='{tmp_path / 'broken'}'"))
     assert calls == [8, 8, 4, 4]

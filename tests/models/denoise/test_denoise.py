@@ -16,10 +16,10 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.denoise.command import main
-from simnfnd.models.denoise.compared import CAPTION_PX
 from simnfnd.models.denoise.denoiser import load_denoiser
-from simnfnd.models.denoise.files import denoise_image
 from simnfnd.models.denoise.inputs import Item, find_items
+from simnfnd.models.denoise.pictures import denoise_image
+from simnfnd.models.denoise.writers import CAPTION_PX
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.weights import save_weights
 from tests.models.denoise.untrained import half, through_network, untrained_sonarnet
@@ -154,9 +154,9 @@ def test_all_tiles_of_a_picture_get_the_same_part_of_their_change(
     gray = np.full((32, 64), 0.5, np.float32)
     gray[:, 32:] = 0.75
     monkeypatch.setattr(
-        denoise,
-        "_denoise_tile",
-        lambda part, maps: (part / 2, 1.0 if part[0, 0] > 0.6 else 0.5),
+        denoise.runtime,
+        "run",
+        lambda part, maps, told: (part / 2, 1.0 if part[0, 0] > 0.6 else 0.5),
     )
     np.testing.assert_allclose(denoise(gray), gray * (1 - 0.5 * 0.75), rtol=1e-6)
 

@@ -97,7 +97,7 @@ def test_outside_the_sector_nothing_changes() -> None:
 def test_weights_that_ship_denoise_enlarged_pictures(name: str) -> None:
     """Twice as wide grain leaves hardly more noise than grain of a pixel."""
     once = load_denoiser(name, "cpu")
-    assert once.trained.network.wide_grain == 0.56
+    assert once.runtime.wide_grain == 0.56
     side = 200
     wide, truth = larger(grain(side), 2), larger(ground(side), 2)
 
@@ -107,10 +107,10 @@ def test_weights_that_ship_denoise_enlarged_pictures(name: str) -> None:
         return float((found / level - truth)[20:-20, 20:-20].std())
 
     with_scales = error(once)
-    once.trained.network.wide_grain = 1.0
+    once.runtime.wide_grain = 1.0
     assert with_scales < 0.7 * error(once)
 
 
 def test_the_networks_of_points_know_wide_cells() -> None:
     for name in ("simnfnd-paper",):
-        assert load_denoiser(find_weights(name), "cpu").trained.network.wide_grain == 1
+        assert load_denoiser(find_weights(name), "cpu").runtime.wide_grain == 1

@@ -48,12 +48,6 @@ def test_a_blur_along_range_is_told_from_one_along_bearing() -> None:
     assert _statistics(noisy, change, whole)[0, 0].item() == pytest.approx(-7)
 
 
-def test_left_and_right_are_alike_to_the_statistics() -> None:
-    noisy, change = picture(1), picture(2) - 0.5
-    turned = [x.flip(-1) for x in (noisy, change, SECTOR)]
-    torch.testing.assert_close(_statistics(*turned), _statistics(noisy, change, SECTOR))
-
-
 @pytest.mark.parametrize("size", [(32, 32), (29, 31), (1, 1), (2, 6)])
 def test_any_size_gets_a_weight_and_at_first_the_same(size: tuple[int, int]) -> None:
     height, width = size

@@ -13,8 +13,8 @@ import yaml
 from safetensors.torch import save
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.models.networks import NETWORKS, build_network, cost
-from simnfnd.models.networks.cost import count_macs, measure
+from simnfnd.models.networks import NETWORKS, build_network
+from simnfnd.models.networks.cost import count_macs
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.restormer import ChannelAttention
 from simnfnd.models.networks.weights import FORMAT, load_weights, save_weights
@@ -54,7 +54,7 @@ def test_colours_are_images_of_their_own(kind: str) -> None:
         torch.testing.assert_close(restored[:, channel : channel + 1], alone)
 
 
-@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"sonarnet", "kdlae"}))
+@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"sonarnet"}))
 def test_a_network_built_for_three_channels_takes_one(kind: str) -> None:
     network = stirred(tiny(kind, channels=3))
     assert network(torch.rand(2, 3, 16, 24)).shape == (2, 3, 16, 24)
@@ -145,12 +145,8 @@ def test_a_description_that_makes_no_sense_is_refused(tmp_path: Path, model: Any
         ("dae", {"widths": []}, "one layer or more"),
         ("sid_tgan", {"heads": 5}, "which 5 heads cannot share"),
         ("sonarnet", {"blocks": [1]}, "as many of each"),
-        ("ap_bsn", {"passes": 8}, r"model\.passes"),
         ("dgp_srgan", {"penalty": -1}, r"model\.penalty"),
         ("three_stage", {"width": 2}, r"model\.width"),
-        ("kdlae", {"frames": 4}, "frames must be odd"),
-        ("kdlae", {"widths": [8]}, "two resolutions or more"),
-        ("kdlae", {"channels": 3}, r"model\.channels"),
     ],
 )
 def test_odd_networks_are_refused(kind: str, change: dict[str, Any], words: str) -> None:
@@ -180,10 +176,7 @@ def on_meta(config: dict[str, Any]) -> Network:
         ("dae", {}, 0.333e6, 1.40),
         ("sid_tgan", {}, 1.67e6, 4.25),
         ("three_stage", {}, 0.229e6, 6.44),
-        ("kdlae", {}, 0.320e6, 6.07),
         ("dgp_srgan", {}, 0.0716e6, 4.67),
-        ("ap_bsn", {}, 0.0456e6, 23.73),
-        ("ap_bsn", {"passes": 0}, 0.0456e6, 2.966),
     ],
 )  # fmt: skip
 def test_networks_are_as_large_as_published(
@@ -211,26 +204,6 @@ def test_counted_operations_are_those_of_the_formula() -> None:
     width = TINY["sid_tgan"]["width"] * 8
     # What grows with the number of pixels squared: two products over the places.
     assert many - 4 * few == 2 * width * ((128 // 8) ** 4 - 4 * (64 // 8) ** 4)
-
-
-def test_measuring_leaves_the_network_as_it_was() -> None:
-    network = tiny("unet").train()
-    threads = torch.get_num_threads()
-    found = measure(network, gmac_px=32, time_px=32)
-    assert found.parameters == sum(p.numel() for p in network.parameters())
-    assert found.gmac > 0
-    assert found.cpu_ms > 0
-    assert network.training
-    assert torch.get_num_threads() == threads
-
-
-def test_the_table_of_costs_is_printed(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(cost, "NETWORKS", {"dae": NETWORKS["dae"]})
-    monkeypatch.setattr(cost, "cpu_seconds", lambda network, size_px: 0.1234)
-    assert cost.main() == 0
-    assert capsys.readouterr().out.splitlines()[2:] == ["| dae | 0.33 | 1.40 | 123 |"]
 
 
 # --- single networks

@@ -167,32 +167,9 @@ def test_there_and_back_is_the_same_picture() -> None:
     assert difference.max() < 0.02
 
 
-def test_a_mirrored_picture_has_the_mirrored_grid() -> None:
-    _, fan, maps = fan_and_polar()
-    grid = polar_grid(**maps, fan=None)
-    flipped = {name: x.flip(-1) for name, x in maps.items()}
-    flipped["azimuth_rad"] = -flipped["azimuth_rad"]
-    mirrored = polar_grid(**flipped, fan=None)
-    assert grid is not None
-    assert mirrored is not None
-    torch.testing.assert_close(
-        mirrored.polar(fan.flip(-1)), grid.polar(fan).flip(-1), atol=1e-4, rtol=0
-    )
-
-
 def test_polar_pictures_and_single_pixels_stay_as_they_are() -> None:
     rows = torch.linspace(0.2, 1, 8)[None, None, :, None].expand(1, 1, 8, 6)
     columns = torch.linspace(-0.3, 0.3, 6)[None, None, None].expand(1, 1, 8, 6)
     assert polar_grid(rows, columns, torch.ones(1, 1, 8, 6)) is None
     one = torch.full((1, 1, 1, 1), 0.5)
     assert polar_grid(one, one, one) is None
-
-
-def test_a_window_without_sector_is_as_good_as_any() -> None:
-    network = stirred(tiny("sonarnet"))
-    image, extras = told(network, 32)
-    nothing = {**extras, "sector": torch.zeros_like(image)}
-    restored, logits, leave = network.with_heads(image, **nothing)
-    assert torch.isfinite(leave).all()
-    assert torch.equal(restored, image)
-    assert torch.isfinite(logits).all()

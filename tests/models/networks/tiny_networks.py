@@ -10,13 +10,11 @@ from simnfnd.models.networks import build_network
 from simnfnd.models.networks.network import Network
 
 TINY: dict[str, dict[str, Any]] = {
-    "ap_bsn": {"width": 8, "modules": 1, "train_stride": 2, "use_stride": 1, "passes": 2},
     "dae": {"widths": [8, 16]},
     "dgp_srgan": {
         **{"width": 8, "blocks": 2, "critic_width": 4},
         **{"adversarial": 0.001, "penalty": 10.0},
     },
-    "kdlae": {"frames": 3, "widths": [8, 8], "blocks": 1},
     "nafnet": {"width": 4, "encoder": [1, 1], "middle": 1, "decoder": [1, 1]},
     "restormer": {
         **{"width": 8, "blocks": [1, 1, 1], "refinement": 1},

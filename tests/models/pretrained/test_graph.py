@@ -1,4 +1,4 @@
-"""`simnfnd export-weights --to onnx` and `torchscript`: any size, as torch, and as `denoise`."""
+"""`simnfnd export-weights --to onnx`: any size, as torch, and as `denoise`."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ import onnxruntime
 import pytest
 import torch
 
-from simnfnd import denoise
+from simnfnd import denoise, open_recording
 from simnfnd.command import main as command
 from simnfnd.factory.errors import FactoryError
+from simnfnd.models.data.fans import write_fans
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.blend_head import BlendHead
 from simnfnd.models.networks.weights import load_weights, save_weights
@@ -33,7 +34,6 @@ TINY: dict[str, dict[str, Any]] = {
     "dgp_srgan": {
         "width": 4, "blocks": 1, "critic_width": 4, "adversarial": 0.001, "penalty": 10.0,
     },
-    "kdlae": {"frames": 5, "widths": [4, 8], "blocks": 1},
     "nafnet": {"width": 4, "encoder": [1], "middle": 1, "decoder": [1]},
     "restormer": {"width": 4, "blocks": [1, 1], "refinement": 1, "heads": [1, 2], "expansion": 2.0},
     "sid_tgan": {
@@ -149,27 +149,6 @@ def test_the_file_says_what_it_is(tmp_path: Path) -> None:
     assert str(Path(__file__).parents[3]).encode() not in out.read_bytes()
 
 
-def test_torchscript_gets_what_torch_gets(tmp_path: Path) -> None:
-    for kind, layout in (("unet", "none"), ("sonarnet", "fan")):
-        given, out = weights(tmp_path, kind), tmp_path / f"{kind}.pt"
-        assert (
-            main([str(given), "--to", "torchscript", "--geometry", layout, "--out", str(out)]) == 0
-        )
-        assert str(Path(__file__).parents[3]).encode() not in out.read_bytes()
-        extra = {"simnfnd.json": ""}
-        loaded = torch.jit.load(out, _extra_files=extra)
-        graph = Graph(load_weights(given).network, layout)  # type: ignore[arg-type]
-        assert json.loads(extra["simnfnd.json"])["inputs"] == list(graph.inputs)
-        for size in SIZES:
-            inputs = arrays(graph, size)
-            for values, expected in zip(
-                loaded(*map(torch.from_numpy, inputs.values())),
-                of_torch(graph, inputs),
-                strict=True,
-            ):
-                np.testing.assert_allclose(values, expected, atol=1e-6)
-
-
 @pytest.mark.parametrize("wrong", [1e-3, np.nan])
 def test_a_file_that_differs_from_torch_is_refused(tmp_path: Path, wrong: float) -> None:
     graph = Graph(load_weights(weights(tmp_path, "unet")).network, "none")
@@ -189,7 +168,7 @@ def test_what_cannot_be_exported_costs_a_line(tmp_path: Path) -> None:
     for words, said in (
         (("--to", "onnx", "--out", "a.pt"), r"must end in \.onnx"),
         (("--to", "onnx", "--geometry", "fan", "--out", onnx_file), "does not use the geometry"),
-        (("--geometry", "fan", "--out", "a.safetensors"), "for --to onnx and torchscript"),
+        (("--geometry", "fan", "--out", "a.safetensors"), "for --to onnx"),
         (("--to", "onnx", "--limits", "a.md", "--out", onnx_file), "are for the card"),
         (("--to", "onnx", "--set", "blocks=2", "--out", onnx_file), "do not fit such a network"),
     ):
@@ -199,7 +178,7 @@ def test_what_cannot_be_exported_costs_a_line(tmp_path: Path) -> None:
 
 
 def test_the_example_denoises_as_the_command_does(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The shipped weights, on a fan found in its picture; pictures may round differently."""
     monkeypatch.chdir(tmp_path)
@@ -207,9 +186,9 @@ def test_the_example_denoises_as_the_command_does(
     cv2.imwrite("picture.png", fan(preset("aris_1800_lf", 128, 160), 0.3, holes=False)[0])
     words = ("export-weights", "simnfnd", "--to", "onnx", "--geometry", "fan", "--out", "fan.onnx")
     assert command(words) == 0
-    capsys.readouterr()
-    assert command(("geometry", "picture.png")) == 0
-    Path("fans.csv").write_text(capsys.readouterr().out, encoding="utf-8")
+    geometry = open_recording("picture.png")[0].geometry
+    assert geometry is not None
+    write_fans("fans.csv", {"picture.png": geometry})
     assert command(("denoise", "picture.png", "--geometry", "fans.csv", "--out", "out")) == 0
     done = run("onnx_denoise.py", "fan.onnx", "picture.png", "a.png", "fans.csv", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -1,18 +1,28 @@
-"""NumPy files as pictures and recordings."""
+"""Arrays of NumPy and MATLAB as pictures and recordings, and how much they may unpack to."""
 
 from __future__ import annotations
 
+import resource
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 import pytest
+import scipy.io
+from hypothesis import given
+from hypothesis import strategies as st
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.models.recordings import is_recording, kind_of, open_recording
-from simnfnd.models.recordings.arrays.file import is_table
+from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.models.recordings import Levels, is_recording, kind_of, open_recording
+from simnfnd.models.recordings.arrays import ArrayFile, NpyWriter, is_table, split_name
 from simnfnd.models.recordings.pictures import read_grey, read_picture
+from tests.models.recordings.array_files import matlab, write_array
 from tests.models.recordings.recording_files import pings
+
+NAMES = ("a.npz", "b.npz", "a.mat", "b.mat")
 
 
 def saved(path: Path, array: Any) -> Path:
@@ -31,21 +41,53 @@ def test_a_picture_and_several(tmp_path: Path, dtype: str, order: Any) -> None:
     kept = np.dtype("f4") if dtype[0] == "f" else np.dtype(dtype).newbyteorder("=")
     assert read_picture(one).dtype == kept
     np.testing.assert_array_equal(read_picture(one), array[1].astype(kept))
-    with open_recording(several) as recording:
-        np.testing.assert_array_equal([frame.samples for frame in recording], array.astype(kept))
-        np.testing.assert_array_equal(recording[2].samples, array[2].astype(kept))
     np.testing.assert_array_equal(read_picture(several), array[0].astype(kept))
+    np.savez(tmp_path / "a.npz", frames=array)
+    for path in (several, tmp_path / "a.npz"):
+        with open_recording(path) as recording:
+            np.testing.assert_array_equal([one.samples for one in recording], array.astype(kept))
+            np.testing.assert_array_equal(recording[2].samples, array[2].astype(kept))
 
 
 @pytest.mark.parametrize("colours", [1, 3, 4])
 def test_colours_are_red_first(tmp_path: Path, colours: int) -> None:
     array = np.random.default_rng(3).integers(0, 256, (2, 20, 24, colours), dtype=np.uint8)
     order = [0] if colours == 1 else [2, 1, 0, 3][:colours]
-    np.testing.assert_array_equal(
-        read_picture(saved(tmp_path / "a.npy", array[0])), array[0][..., order]
-    )
+    picture = read_picture(saved(tmp_path / "a.npy", array[0]))
+    np.testing.assert_array_equal(picture, array[0][..., order])
     with open_recording(saved(tmp_path / "b.npy", array)) as recording:
         np.testing.assert_array_equal(recording[1].samples, array[1][..., order])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_files_of_several_arrays(tmp_path: Path, name: str) -> None:
+    """Colours are red first; a single picture needs no axis; a name chooses among arrays."""
+    coloured = np.random.default_rng(1).integers(0, 256, (5, 20, 24, 3), dtype=np.uint8)
+    path = write_array(tmp_path / name, coloured, other=pings(4, 20, 24), one=pings(1, 30, 40)[0])
+    with pytest.raises(FactoryError, match=rf"{name}: holds several arrays .*name one, {name}::"):
+        open_recording(path)
+    assert is_recording(Path(f"{path}::other"))
+    with open_recording(f"{path}::frames") as recording:
+        np.testing.assert_array_equal(recording[4].samples, coloured[4, ..., ::-1])
+        with pytest.raises(IndexError):
+            recording[5]
+    with open_recording(f"{path}::other") as recording:
+        np.testing.assert_array_equal(recording[3].samples, pings(4, 20, 24)[3])
+    with open_recording(f"{path}::one") as recording:
+        assert len(recording) == 1
+        np.testing.assert_array_equal(recording[0].samples, pings(1, 30, 40)[0])
+    with pytest.raises(FactoryError, match=r"no pictures named depth; it has .*other \("):
+        open_recording(f"{path}::depth")
+    with pytest.raises(FactoryError, match="no such file"):
+        open_recording(tmp_path / f"absent{path.suffix}::other")
+
+
+def test_a_file_whose_name_has_colons_is_that_file(tmp_path: Path) -> None:
+    path = write_array(tmp_path / "a.npz", pings(5, 30, 40)).rename(tmp_path / "a.npz::b.npz")
+    assert split_name(path) == (path, None)
+    assert split_name(tmp_path / "a.png::b") == (tmp_path / "a.png::b", None)
+    with open_recording(path) as recording:
+        assert len(recording) == 5
 
 
 @pytest.mark.parametrize(
@@ -61,17 +103,35 @@ def test_tables_are_no_pictures(tmp_path: Path, array: Any) -> None:
     path = saved(tmp_path / "a.npy", array)
     assert kind_of(path) is None
     assert is_table(path)
-    with pytest.raises(FactoryError, match=r"a.npy: an array .* holds no pictures; expected"):
+    with pytest.raises(FactoryError, match=r"a.npy: holds no pictures; expected"):
         read_picture(path)
     with pytest.raises(FactoryError, match="holds no picture "):
         open_recording(tmp_path)
+
+
+def test_matlab_classes_that_are_no_pictures(tmp_path: Path) -> None:
+    words = {"name": "lamprey", "cells": np.array([1, "a"], object), "nested": {"a": 1}}
+    scipy.io.savemat(tmp_path / "b.mat", {"mask": np.zeros((40, 50), bool), **words})
+    assert is_table(tmp_path / "b.mat")
+    scipy.io.savemat(tmp_path / "c.mat", {"picture": pings(1, 40, 50)[0], **words})
+    with open_recording(tmp_path / "c.mat") as recording:
+        np.testing.assert_array_equal(recording[0].samples, pings(1, 40, 50)[0])
+    complex_echoes = write_array(tmp_path / "a.mat", pings(5, 30, 40) * 1j)
+    with (
+        open_recording(complex_echoes) as recording,
+        pytest.raises(FrameError, match="their magnitude"),
+    ):
+        recording[0]
+    (tmp_path / "d.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(600))
+    with pytest.raises(FactoryError, match=r"d\.mat: of MATLAB 7\.3; save it with -v7, or as"):
+        open_recording(tmp_path / "d.mat")
 
 
 @pytest.mark.parametrize(
     ("array", "words"),
     [
         (np.full((20, 20), 3.5), "from 0 to 1, these are 3.5 to 3.5; scale them"),
-        (np.full((20, 20), -40.0), "from 0 to 1, these are -40 to -40; scale them"),
+        (np.full((20, 20), -40.0), "from 0 to 1, these are -40 to -40; .*--levels BLACK WHITE"),
         (np.full((20, 20), np.nan), "holds NaN; set what was not measured to 0"),
         (np.full((20, 20), 1e300), "from 0 to 1, these are inf to inf"),
         (np.zeros((20, 20), np.int32), "pixels are int32; expected uint8, uint16, float32"),
@@ -85,13 +145,107 @@ def test_values_that_are_no_grey_values(tmp_path: Path, array: Any, words: str) 
         recording[1]
 
 
+@pytest.mark.parametrize("name", ["a.npy", *NAMES])
+def test_levels_and_the_array_that_is_written(tmp_path: Path, name: str) -> None:
+    """Decibels: what lies beyond black and white, or was not measured, stays as it was."""
+    decibels = np.linspace(-90, 10, 5 * 30 * 40).reshape(5, 30, 40)
+    decibels[2, 3, 4] = np.nan
+    with ArrayFile(write_array(tmp_path / name, decibels), Levels(-60, 0)) as file:
+        shown = [frame.samples for frame in file]
+        np.testing.assert_allclose(shown[2][5], np.clip(decibels[2, 5] / 60 + 1, 0, 1), atol=1e-6)
+        assert shown[2][3, 4] == 0
+        writer = NpyWriter(tmp_path / "made.npy", file.header)
+        for number, picture in enumerate(shown):
+            writer.add(file.stored(number, picture / 2))
+        writer.close()
+    found = np.load(tmp_path / "made.npy")
+    within = (decibels >= -60) & (decibels <= 0)
+    np.testing.assert_array_equal(found[~within], decibels[~within])
+    np.testing.assert_allclose(found[within], decibels[within] / 2 - 30, atol=1e-4)
+
+
+@given(
+    values=st.lists(st.integers(-1000, 1000), min_size=4, max_size=4),
+    black=st.integers(-900, 900),
+    span=st.integers(-500, 500).filter(bool),
+)
+def test_levels_there_and_back(values: list[int], black: int, span: int) -> None:
+    before = np.array(values, np.int16).reshape(2, 2)
+    levels = Levels(black, black + span)
+    shown = levels.shown(before)
+    assert 0 <= shown.min() <= shown.max() <= 1
+    np.testing.assert_array_equal(levels.stored(shown, before), before)
+
+
 def test_files_that_are_no_arrays(tmp_path: Path) -> None:
     whole = saved(tmp_path / "whole.npy", pings(3, 30, 40)).read_bytes()
+    path = tmp_path / "a.npy"
     for content in (b"", b"hello", whole[:60], whole[:-1], b"\x93NUMPY\x09\x00" + whole[8:]):
-        path = tmp_path / "a.npy"
         path.write_bytes(content)
         with pytest.raises(FactoryError, match=r"a.npy: .*array"):
             read_picture(path)
     np.save(path, np.array([{1: 2}], dtype=object), allow_pickle=True)
     with pytest.raises(FactoryError, match="not a readable file of arrays"):
         read_picture(path)
+
+
+def npy_header(shape: tuple[int, ...], dtype: str, order: bool) -> bytes:
+    said = f"{{'descr': '{dtype}', 'fortran_order': {order}, 'shape': {shape}}}\n".encode()
+    return b"\x93NUMPY\1\0" + struct.pack("<H", len(said)) + said
+
+
+def zeros(count: int) -> bytes:
+    """A stream of zlib that unpacks to so many zeros."""
+    packer = zlib.compressobj(9)
+    step = bytes(1 << 20)
+    return b"".join(packer.compress(step) for _ in range(count >> 20)) + packer.flush()
+
+
+def element(kind: int, content: bytes, stated: int | None = None) -> bytes:
+    """A data element of a MATLAB file."""
+    size = len(content) if stated is None else stated
+    return struct.pack("<II", kind, size) + content + bytes(-len(content) % 8)
+
+
+def bomb(path: Path) -> Path:
+    """A small file that says, or hides, that it unpacks to more than a gigabyte."""
+    if path.suffix == ".npz":
+        with ZipFile(path, "w", ZIP_DEFLATED) as archive, archive.open("a.npy", "w") as stream:
+            stream.write(npy_header((2400, 1024, 512), "|u1", path.stem == "columns"))
+            for _ in range(1200):
+                stream.write(bytes(1 << 20))
+        return path
+    if path.stem == "doubles":  # stored as small integers
+        stack = np.zeros((512, 512, 600), np.uint8)
+        scipy.io.savemat(path, {"a": stack.astype(np.float32)}, do_compression=True)
+        return path
+    # An array of 32 x 32 whose data are said to be longer.
+    shape = element(5, struct.pack("<ii", 32, 32))
+    inside = element(6, struct.pack("<II", 9, 0)) + shape + element(1, b"a")
+    head = struct.pack("<IIII", 14, len(inside) + 8 + (3 << 30), 0, 0)[:8]
+    packer = zlib.compressobj(9)
+    parts = [packer.compress(head + inside + struct.pack("<II", 2, 3 << 30))]
+    parts += [packer.compress(bytes(1 << 20)) for _ in range(1400)]
+    content = b"".join(parts) + packer.flush()
+    intro = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x0100) + b"IM"
+    path.write_bytes(intro + struct.pack("<II", 15, len(content)) + content)
+    return path
+
+
+@pytest.mark.parametrize("name", ["rows.npz", "columns.npz", "doubles.mat", "hidden.mat"])
+def test_bombs_are_refused_before_they_unpack(tmp_path: Path, name: str) -> None:
+    path = bomb(tmp_path / name)
+    assert path.stat().st_size < 3 << 20
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(FactoryError, match=rf"{name}.*: unpacks to .* or more, at most .* are"):
+        open_recording(path)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000, "kilobytes"
+
+
+def test_a_sound_file_that_packs_well_is_read(tmp_path: Path) -> None:
+    stack = np.zeros((40, 256, 256), np.uint8)
+    np.savez_compressed(tmp_path / "a.npz", frames=stack)
+    scipy.io.savemat(tmp_path / "a.mat", {"frames": matlab(stack)}, do_compression=True)
+    for name in ("a.npz", "a.mat"):
+        with open_recording(tmp_path / name) as recording:
+            assert not recording[39].samples.any()

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.models.recordings import open_recording, rosbag_files
+from simnfnd.models.recordings import budget, open_recording, rosbag_files
 from simnfnd.models.recordings.ros_messages import IMAGE, typestore
-from simnfnd.models.recordings.rosbag_files import bound_the_library, unpacked_zstd
+from simnfnd.models.recordings.rosbag_files import unpacked_zstd
 from tests.models.recordings.bag_files import image, write_bag
 
 if sys.version_info >= (3, 14):
@@ -47,15 +47,15 @@ def test_what_a_bag_unpacks_into_is_bounded(
 ) -> None:
     path = black(tmp_path / name, compression)
     assert read(path) == 3
-    monkeypatch.setattr(rosbag_files, "MOST_RATIO", 0)
+    monkeypatch.setattr(budget, "RATIO", 0)
     # All messages together, then each alone.
     for most in (2.5, 0.5):
-        monkeypatch.setattr(rosbag_files, "MOST_CHUNK", int(most * SIDE * SIDE))
+        monkeypatch.setattr(budget, "ALWAYS_BYTES", int(most * SIDE * SIDE))
         with pytest.raises((FactoryError, FrameError)) as caught:
             read(path)
         said = str(caught.value)
         assert said.startswith(str(path))
-        assert "more than" in said
+        assert "unpacks to" in said
         assert "\n" not in said
 
 
@@ -63,8 +63,8 @@ def test_real_bombs_stop_at_the_bound() -> None:
     from rosbags.rosbag1.reader import decompressors
     from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 
-    bound_the_library()
-    zeros = bytes(rosbag_files.MOST_CHUNK + 1)
+    rosbag_files._bound_the_library()
+    zeros = bytes(budget.ALWAYS_BYTES + 1)
     for content, unpack in (
         (zstd.compress(zeros), unpacked_zstd),
         (zstd.compress(zeros), lambda content: DECOMPRESSORS["zstd"](content, 10)),
@@ -72,7 +72,7 @@ def test_real_bombs_stop_at_the_bound() -> None:
         (lz4.frame.compress(zeros), decompressors["lz4"]),
     ):
         assert len(content) < len(zeros) / 200
-        with pytest.raises(ValueError, match="more than"):
+        with pytest.raises(ValueError, match="unpacks to more"):
             unpack(content)
     both = bz2.compress(b"one ") + bz2.compress(b"two")
     assert decompressors["bz2"](both) == b"one two"

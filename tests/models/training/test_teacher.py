@@ -111,16 +111,9 @@ def test_a_student_becomes_like_its_teacher(teacher: Path, dataset: Path, tmp_pa
 def test_odd_teachers_are_one_line(teacher: Path, dataset: Path, tmp_path: Path) -> None:
     with pytest.raises(FactoryError, match=r"weights=nowhere: no such file"):
         train_small(dataset, tmp_path / "none", "train.teacher=nowhere")
-    for k in range(3):
-        cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((48, 48), 90 + k, np.uint8))
-    with pytest.raises(FactoryError, match=r"train\.teacher.*data=self_supervised"):
-        train_small(
-            dataset,
-            tmp_path / "alone",
-            f"train.teacher='{teacher}'",
-            "data=self_supervised",
-            f"data.folder='{tmp_path}'",
-        )
+    words = ("model=dgp_srgan", *(word for word in SMALL if not word.startswith("model.")))
+    with pytest.raises(FactoryError, match=r"train\.teacher.*network with a critic"):
+        train(*config_for(dataset, tmp_path / "alone", *words, f"train.teacher='{teacher}'"))
 
 
 @pytest.fixture(scope="module")

@@ -24,8 +24,9 @@ from simnfnd.models.data.crops import Crops, Visit
 from simnfnd.models.data.pairs import PairReader, read_table
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
+from simnfnd.models.training.loop import Stopped
 from simnfnd.models.training.module import DenoisingModule
-from simnfnd.models.training.validation import is_stopped, read_checkpoint
+from simnfnd.models.training.results import is_stopped, read_checkpoint
 from tests.models.training.small_training import SMALL, TINY, train_small
 from tests.project_files import ROOT
 from tests.small_dataset import write_dataset
@@ -82,7 +83,7 @@ def test_same_seed_same_weights_and_a_breakdown_changes_nothing(
     trained: Path, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Stopped in the middle of the second interval, training ends with the very same bytes."""
-    step, crop = DenoisingModule.training_step, Crops.__getitem__
+    step, crop = DenoisingModule.update, Crops.__getitem__
     calls: list[int] = []
     drawn: list[int] = []
 
@@ -90,14 +91,14 @@ def test_same_seed_same_weights_and_a_breakdown_changes_nothing(
         drawn.append(visit.number)
         return crop(self, visit)
 
-    def breaks_down(self: DenoisingModule, batch: Any, index: int) -> Any:
-        calls.append(index)
+    def breaks_down(self: DenoisingModule, *given: Any) -> Any:
+        calls.append(self.step)
         if len(calls) == 47:
             raise OSError("the power went")
-        return step(self, batch, index)
+        return step(self, *given)
 
     with monkeypatch.context() as patch:
-        patch.setattr(DenoisingModule, "training_step", breaks_down)
+        patch.setattr(DenoisingModule, "update", breaks_down)
         with pytest.raises(OSError, match="power"):
             train_small(dataset, tmp_path)
     assert len((tmp_path / "metrics.csv").read_text(encoding="utf-8").splitlines()) == 2
@@ -134,10 +135,61 @@ def test_killed_training_continues(trained: Path, dataset: Path, tmp_path: Path)
     assert (tmp_path / name).read_bytes() == (trained / name).read_bytes()
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_training_goes_on_from_its_last_step(
+    number: signal.Signals,
+    trained: Path,
+    dataset: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Long before the first check, and what it says is true."""
+    step = DenoisingModule.update
+
+    def stopped(self: DenoisingModule, *given: Any) -> Any:
+        if self.step == 11:
+            os.kill(os.getpid(), number)
+        return step(self, *given)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(DenoisingModule, "update", stopped)
+        with pytest.raises(Stopped, match=r"after step 12 of 90, which is kept") as caught:
+            train_small(dataset, tmp_path)
+    assert caught.value.exit_code == 128 + number
+    assert read_checkpoint(tmp_path / "checkpoint.ckpt")["step"] == 12
+    assert not (tmp_path / "weights.safetensors").exists()
+    train_small(dataset, tmp_path)
+    name = "weights.safetensors"
+    assert (tmp_path / name).read_bytes() == (trained / name).read_bytes()
+
+
+def test_checkpoints_are_kept_by_time(
+    trained: Path, dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not only at checks: a training whose machine goes away loses two minutes at most."""
+    step = DenoisingModule.update
+
+    def breaks_down(self: DenoisingModule, *given: Any) -> Any:
+        if self.step == 37:
+            raise OSError("the power went")
+        return step(self, *given)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("simnfnd.models.training.loop.SAVE_EVERY_S", 0.0)
+        patch.setattr(DenoisingModule, "update", breaks_down)
+        with pytest.raises(OSError, match="power"):
+            train_small(dataset, tmp_path)
+    assert read_checkpoint(tmp_path / "checkpoint.ckpt")["step"] == 37
+    train_small(dataset, tmp_path)
+    name = "weights.safetensors"
+    assert (tmp_path / name).read_bytes() == (trained / name).read_bytes()
+    assert _without_seconds(tmp_path) == _without_seconds(trained)
+
+
 def test_finished_training_is_not_done_again(
     trained: Path, dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(DenoisingModule, "training_step", None)
+    monkeypatch.setattr(DenoisingModule, "update", None)
     before = (trained / "weights.safetensors").stat().st_mtime_ns
     best = train_small(dataset, trained)
     assert best["gain_db"] > 3
@@ -158,12 +210,6 @@ def test_training_begins_from_given_weights(trained: Path, dataset: Path, tmp_pa
     for name, values in after.network.state_dict().items():
         torch.testing.assert_close(values, before[name], rtol=0, atol=1e-6)
     assert after.training["start"] == sha256_of(weights)[:16]
-    moved = tmp_path / "moved"
-    train_small(dataset, moved, f"start='{weights}'", "train.parts=[outro]", "train.ema=0")
-    for name, values in load_weights(moved / WEIGHTS_NAME).network.state_dict().items():
-        assert torch.equal(values, before[name]) != name.startswith("outro."), name
-    with pytest.raises(FactoryError, match=r"train\.parts: the network has no 'tail'; .*outro"):
-        train_small(dataset, tmp_path / "odd", "train.parts=[tail]")
     with pytest.raises(FactoryError, match=r"start=.*give both the same sizes"):
         train_small(dataset, tmp_path / "wider", f"start='{weights}'", "model.width=12")
     with pytest.raises(FactoryError, match=r"weights=nowhere: no such file"):
@@ -172,11 +218,11 @@ def test_training_begins_from_given_weights(trained: Path, dataset: Path, tmp_pa
 
 def test_training_stops_when_nothing_gets_better() -> None:
     rows = [{"psnr": value} for value in (20.0, 22.0, 21.9, 22.0)]
-    assert not is_stopped(rows, DenoisingModule, None)
-    assert not is_stopped(rows, DenoisingModule, 3)
-    assert is_stopped(rows, DenoisingModule, 2)
-    assert not is_stopped(rows[:2], DenoisingModule, 2)
-    assert not is_stopped([*rows, {"psnr": 22.1}], DenoisingModule, 2)
+    assert not is_stopped(rows, None)
+    assert not is_stopped(rows, 3)
+    assert is_stopped(rows, 2)
+    assert not is_stopped(rows[:2], 2)
+    assert not is_stopped([*rows, {"psnr": 22.1}], 2)
 
 
 def validate_ever_worse(monkeypatch: pytest.MonkeyPatch) -> list[int]:
@@ -262,7 +308,7 @@ def test_the_best_weights_are_kept_not_the_last(
     assert best["step"] == 2
     loaded = load_weights(tmp_path / "weights.safetensors")
     assert loaded.training["validation"]["step"] == 2
-    state = torch.load(tmp_path / "checkpoint.ckpt", weights_only=True)["state_dict"]
+    state = torch.load(tmp_path / "checkpoint.ckpt", weights_only=True)["module"]
     last = {name: value for name, value in state.items() if name.startswith("average.module.")}
     kept = loaded.network.state_dict()
     assert any(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -91,6 +92,7 @@ def test_bad_command_lines_are_one_line(tmp_path: Path) -> None:
     for arguments, words in (
         ((), "dataset: give the folder"),
         (("dataset=nowhere", "modle=nafnet"), "modle"),
+        (("dataset=nowhere", "output=here"), "output: no such key; did you mean out?"),
         (("dataset=nowhere", "model=vgg"), "vgg"),
         (("denoise", "a.png"), "--out"),
         (("denoise", "a.png", "--out", "o", "--weights", "w"), "a.png: no such file"),
@@ -108,3 +110,16 @@ def test_bad_command_lines_are_one_line(tmp_path: Path) -> None:
         assert words in done.stderr
         assert done.stderr.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_help_names_the_groups_of_a_training_alone() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "simnfnd", "train", "--help"],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    groups = re.findall(r"^(\w+): \w+, ", done.stdout, re.MULTILINE)
+    assert groups == ["data", "model", "loss"]
+    assert "learning_rate: 0.001" in done.stdout

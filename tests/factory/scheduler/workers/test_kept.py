@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.memory import workers_of
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.workers.kept import keep_workers, release_workers
 from tests.fake_source import BrokenSource, FakeConfig
 from tests.run_fake import make
+from tests.worker_processes import workers_of
 
 
 def workers() -> set[int]:

@@ -13,12 +13,17 @@ from collections import deque
 import psutil
 import pytest
 
-from benchmarks.memory import workers_of
-from simnfnd.factory.scheduler.workers import slot
-from simnfnd.factory.scheduler.workers.backends import open_backend
-from simnfnd.factory.scheduler.workers.contract import BackendName, Pool, WorkerSettings
+from simnfnd.factory.scheduler.workers import template
+from simnfnd.factory.scheduler.workers.contract import (
+    BackendName,
+    Pool,
+    WorkerSettings,
+    open_backend,
+)
+from simnfnd.factory.scheduler.workers.local import LocalBackend, WorkerDied
 from simnfnd.factory.scheduler.workers.tasks import TaskLost, TaskPool
 from tests.project_files import ROOT
+from tests.worker_processes import workers_of
 
 HEAVY, LIGHT = Pool("heavy", 1, also_takes=("light",)), Pool("light", 1)
 
@@ -74,39 +79,39 @@ def test_death_in_the_middle_of_an_answer_costs_its_task_alone() -> None:
 def test_a_worker_that_is_stopped_before_it_has_its_task_is_replaced(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(slot, "_START_S", 3.0)
-    workers = slot.Slot(LIGHT)
+    monkeypatch.setattr(template, "STOPPED_S", 2.0)
+    workers = LocalBackend(WorkerSettings((LIGHT,)))
     try:
-        assert workers.submit(task, "a", 60.0).result(60)[0] == "a"
+        assert workers.submit(task, "a", 60.0, "light").result(60)[0] == "a"
         (process,) = children()
         process.suspend()
         # Larger than the buffer between the two: sending it waits for the stopped process.
-        with pytest.raises(slot.WorkerDied, match="begun nothing after 3 s"):
-            workers.submit(len, bytes(1 << 24), 60.0).result(30)
-        assert workers.submit(len, bytes(1 << 24), 60.0).result(60) == 1 << 24
+        with pytest.raises(WorkerDied, match="stood still before it had begun"):
+            workers.submit(len, bytes(1 << 24), 60.0, "light").result(30)
+        assert workers.submit(len, bytes(1 << 24), 60.0, "light").result(60) == 1 << 24
         (other,) = children()
         assert other.pid != process.pid
     finally:
-        slot.stop_all([workers], 10.0)
+        workers.stop()
     assert not children()
 
 
 def test_a_worker_that_dies_idle_or_cannot_send_its_answer_is_no_end() -> None:
-    workers = slot.Slot(LIGHT)
+    workers = LocalBackend(WorkerSettings((LIGHT,)))
     try:
-        _, pid = workers.submit(task, "a", 60.0).result(60)
+        _, pid = workers.submit(task, "a", 60.0, "light").result(60)
         os.kill(pid, signal.SIGKILL)
         died = "no"
         try:
-            _, pid = workers.submit(task, "b", 60.0).result(60)
-        except slot.WorkerDied as error:  # found out only when it is asked
+            _, pid = workers.submit(task, "b", 60.0, "light").result(60)
+        except WorkerDied as error:  # found out only when it is asked
             died = str(error)
         assert died == "no" or "SIGKILL" in died
         with pytest.raises(TypeError, match="cannot pickle"):
-            workers.submit(open, os.devnull, 60.0).result(60)
-        assert workers.submit(task, "c", 60.0).result(60)[0] == "c"
+            workers.submit(open, os.devnull, 60.0, "light").result(60)
+        assert workers.submit(task, "c", 60.0, "light").result(60)[0] == "c"
     finally:
-        slot.stop_all([workers], 10.0)
+        workers.stop()
 
 
 def test_tasks_may_be_added_between_results() -> None:
@@ -152,4 +157,4 @@ def test_workers_know_nothing_of_datasets() -> None:
         [sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True
     )
     rooms = {name.split(".")[2] for name in result.stdout.split()}
-    assert rooms == {"workers", "errors"}
+    assert rooms == {"scheduler", "errors"}

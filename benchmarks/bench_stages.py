@@ -1,0 +1,91 @@
+"""CPU milliseconds of every stage from a frame's file to a finished pair.
+
+One procedural 968x608 frame (with --frame the first of FLSea VI), the default sonar and noise;
+medians of repeated runs in one process.
+Ratios are to one plain pass over the points (a copy of their coordinates), which cancels most of
+what differs between machines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from benchmarks.shared import Options, Section, Table, cpu_seconds, frame_words
+from simnfnd.factory import pairs, seeds
+from simnfnd.factory.cli.compose import compose_config
+from simnfnd.factory.imaging import resample
+from simnfnd.factory.imaging.clouds import effect_clouds, noisy_cloud
+from simnfnd.factory.noise.draws import StreamNames, draw
+from simnfnd.factory.render import open_renderer
+from simnfnd.factory.render.cloud import back_project
+from simnfnd.factory.render.view import decode, encode, view_of
+from simnfnd.factory.scenes import open_reader
+from simnfnd.factory.sonar import polar, transfer
+from simnfnd.factory.sonar.echoes import join
+from simnfnd.factory.sonar.fan import fan_table
+from simnfnd.factory.sonar.surface import insonified
+
+REPEATS = 9
+
+
+def measure(options: Options) -> Section:
+    """Time every stage."""
+    return Section((_table(options),))
+
+
+def _table(options: Options) -> Table:
+    config = compose_config(["render=embree", *frame_words(options.frame)])
+    repeats = options.amount(REPEATS)
+    sonar = config.sonar
+    reader, renderer = open_reader(config.scenes), open_renderer(config.render)
+    ref = reader.discover().frames[0]
+    frame = reader.load(ref)
+    rendered = renderer.render(frame, sonar.mount)
+    observed = pairs.observe(frame, rendered, config)
+    window, names = observed.window, StreamNames.of(frame.ref, 0, has_pose=True)
+    echoes = insonified(frame, rendered, window, sonar).echoes
+    kept = resample.random_subset(echoes, 0.6, seeds.stream(0, "thin"))
+    draws = draw(config.noise, config.seed, names)
+    made = effect_clouds(draws.effects, kept, kept, window)
+    cloud = join(*noisy_cloud(kept, made, 1.0))
+    level = polar.accumulate(cloud, window, sonar)
+    full_scale = transfer.full_scale(level, sonar.transfer)
+    grey = transfer.grey(level, full_scale, sonar.transfer)
+    table = fan_table(sonar, window.near_fraction)
+
+    view = view_of(frame, rendered, sonar.mount)
+    packed = encode(view)
+
+    stages: dict[str, Callable[[], Any]] = {
+        "load the frame (decode, or build the scene)": lambda: reader.load(ref),
+        "render, embree": lambda: renderer.render(frame, sonar.mount),
+        "back-project": lambda: back_project(frame.depth_m, frame.intrinsics),
+        "cached render: encode": lambda: encode(view),
+        "cached render: decode": lambda: decode(packed),
+        "observe: pixels to echoes, window, shadow": lambda: pairs.observe(frame, rendered, config),
+        "resample (random, 0.6)": lambda: resample.random_subset(
+            echoes, 0.6, seeds.stream(0, "thin")
+        ),
+    }
+    for effect in draws.effects:
+        stages[f"noise: {effect.name}"] = partial(effect_clouds, (effect,), kept, kept, window)
+    stages |= {
+        "join the layers": lambda: join(*noisy_cloud(kept, made, full_scale)),
+        "accumulate in bins": lambda: polar.accumulate(cloud, window, sonar),
+        "point-spread": lambda: polar.spread_points(level, sonar),
+        "grey values": lambda: transfer.grey(level, full_scale, sonar.transfer),
+        "fan, bilinear": lambda: table.bilinear(grey),
+        "**make_pair, all of it**": lambda: pairs.make_pair(observed, 0, config),
+    }
+    plain = cpu_seconds(lambda: np.stack([cloud.range_m, cloud.azimuth_rad]).copy(), repeats)
+    rows = tuple(
+        (name, spent / plain, 1000 * spent)
+        for name, spent in ((name, cpu_seconds(one, repeats)) for name, one in stages.items())
+    )
+    note = f"{len(echoes)} echoes, {len(cloud)} points in the noisy cloud."
+    columns = ("stage", "times one plain pass", "CPU ms")
+    return Table(columns, rows, note=note)

@@ -1,1 +1,0 @@
-"""What simulated noise and denoisers do, beyond the report on pairs."""

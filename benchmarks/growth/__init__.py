@@ -1,1 +1,0 @@
-"""Cost as workers, hosts and datasets grow."""

@@ -1,1 +1,0 @@
-"""What a frame and a pair cost."""

@@ -1,1 +1,0 @@
-"""Writing and reading shards, here and at a URL."""

@@ -1,1 +1,0 @@
-"""Damaged, forged and malicious datasets."""

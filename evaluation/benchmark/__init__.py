@@ -1,1 +1,0 @@
-"""`simnfnd benchmark`: fixed test sets, methods that enter by one door, results and their table."""

@@ -1,1 +1,0 @@
-"""The pairs that are measured: shards of a dataset, or folders of image files."""

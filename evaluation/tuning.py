@@ -1,0 +1,210 @@
+"""`simnfnd evaluate tune`: the best parameters of every baseline on validation pairs.
+
+Validation pairs are the scenes of the train split that training, too, holds out; the test split is
+never looked at.  The result is a file that the report reads.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..factory.errors import FactoryError
+from ..factory.files import explain_os_errors, write_atomically
+from ..factory.progress import progress_bar
+from ..factory.scheduler.workers.tasks import TaskLost, TaskPool
+from .filters import REGISTRY
+from .filters.base import Baseline, Gray, Parameters
+from .methods.method import Method, shown
+from .metrics.fidelity import finite_psnr, psnr
+from .metrics.levels import Levels, fit_levels
+from .pairs import Item, Pair, items_of, picture
+from .runner import MethodFailed, denoised
+from .settings import EvaluationSettings
+
+SCHEMA = "simnfnd-tuned/1"
+
+
+@dataclass(frozen=True)
+class Point:
+    """One point of a grid, measured: mean PSNR in dB, plain and with the levels fitted to it."""
+
+    parameters: Parameters
+    psnr: float
+    psnr_levels: float
+    levels: Levels
+
+
+@dataclass(frozen=True)
+class _Task:
+    baseline: str
+    number: int
+    parameters: Parameters
+    items: tuple[Item, ...]
+
+
+def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: TaskPool) -> list[str]:
+    """Tune the baselines and write the file after each.
+
+    What the file already has for the same pairs, grid and program is kept.  Returns lines to show:
+    one a baseline, and warnings.  Raises FactoryError for anything that is no readable dataset.
+    """
+    items = validation_items(settings)
+    path = settings.tuned_file
+    known = load_tuned(path)
+    keys = {baseline.name: _key(baseline, items) for baseline in baselines}
+    todo = [b for b in baselines if known.get(b.name, {}).get("key") != keys[b.name]]
+    usable = any(len(item.looks) > 1 for item in items)
+    lost = {b.name: "needs several noise variants a frame" for b in todo if b.looks and not usable}
+    todo = [b for b in todo if b.name not in lost]
+    wanted = {b.name: _with_default(b) for b in todo}
+    points: dict[str, dict[int, Point]] = {b.name: {} for b in todo}
+    waiting = deque(
+        _Task(b.name, n, p, tuple(items)) for b in todo for n, p in enumerate(wanted[b.name])
+    )
+    by_name = {baseline.name: baseline for baseline in todo}
+
+    def timeout_s(_: _Task) -> float:
+        return settings.image_timeout_s * len(items)
+
+    with progress_bar(total=len(waiting), unit="point", desc="tuning") as bar:
+        for task, found in pool.run(_measure_point, waiting, timeout_s):
+            bar.update()
+            name = task.baseline
+            if not isinstance(found, Point):
+                lost.setdefault(name, found.reason if isinstance(found, TaskLost) else found)
+                continue
+            points[name][task.number] = found
+            if len(points[name]) == len(wanted[name]) and name not in lost:
+                # In the order of the grid, whichever came first.
+                whole = [point for _, point in sorted(points[name].items())]
+                known[name] = {"key": keys[name], **_entry(by_name[name], whole)}
+                _save(path, known, items)
+    return [_line(b.name, known, lost) for b in baselines] + [f"tuned: {path}"]
+
+
+def validation_items(settings: EvaluationSettings) -> list[Item]:
+    """The pairs to tune on: those that `simnfnd train` validates on, with the same seed."""
+    try:
+        # torch takes seconds to import; the split must be the very one of training.
+        from ..models.data.pairs import hold_out, read_table, spread
+    except ImportError as error:
+        raise FactoryError(
+            'tune shares the validation split of models: pip install "simnfnd[train]"'
+        ) from error
+    root, tuning = Path(settings.dataset.dir), settings.tuning
+    _, held = hold_out(read_table(root, "train").samples, tuning.validation, settings.seed)
+    places = {(str(sample.path), sample.row) for sample in spread(held, tuning.pairs)}
+    return [item for item in items_of(root, "train") if item.place in places]
+
+
+def load_tuned(path: Path) -> dict[str, Any]:
+    """Baseline name -> entry of a tuned file; empty when there is none.
+
+    Raises FactoryError when the file is not one of ours.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["schema"] != SCHEMA:
+            raise ValueError(f"schema {content['schema']!r}")
+        baselines: dict[str, Any] = content["baselines"]
+        return {name: entry for name, entry in baselines.items() if name in REGISTRY}
+    except (FileNotFoundError, NotADirectoryError):
+        return {}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise FactoryError(
+            f"tuning.file={path}: not a file that `evaluation tune` wrote; remove it"
+        ) from error
+
+
+def _with_default(baseline: Baseline) -> list[Parameters]:
+    """The default first, then the grid."""
+    default = dict(baseline.default)
+    return [default, *(point for point in baseline.points() if point != default)]
+
+
+def _measure_point(task: _Task) -> Point | str:
+    """One point on all pairs, or why it failed."""
+    method = Method(task.baseline, "", task.parameters)
+    outputs = []
+    try:
+        for item in task.items:
+            image, _ = denoised(method, Pair(item, 0.0, texture=False), "cpu")
+            assert image is not None
+            outputs.append(image)
+    except MethodFailed as error:
+        return str(error)
+    cleans = [picture(item.place).clean for item in task.items]
+    levels = fit_levels(zip(outputs, cleans, strict=True))
+    corrected = [levels(output) for output in outputs]
+    return Point(
+        task.parameters, _mean_psnr(outputs, cleans), _mean_psnr(corrected, cleans), levels
+    )
+
+
+def _mean_psnr(images: list[Gray], cleans: list[Gray]) -> float:
+    values = [
+        finite_psnr(psnr(clean, image, data_range=1.0))
+        for image, clean in zip(images, cleans, strict=True)
+    ]
+    return float(np.mean(values))
+
+
+def _entry(baseline: Baseline, points: list[Point]) -> dict[str, Any]:
+    """The file's content for one baseline; of equal points the first (the default) wins."""
+    grid = baseline.points()
+    inside = [p for p in points if p.parameters in grid] or points
+    plain = max(inside, key=lambda point: point.psnr)
+    level = max(inside, key=lambda point: point.psnr_levels)
+    return {
+        "default": asdict(points[0]),
+        "tuned": asdict(plain),
+        "tuned_levels": asdict(level),
+        "at_edge": baseline.edges(plain.parameters),
+        "at_edge_levels": baseline.edges(level.parameters),
+        "points": [asdict(point) for point in points],
+    }
+
+
+def _key(baseline: Baseline, items: list[Item]) -> str:
+    """Changes with the pairs, the grid, the default and the program of the method."""
+    pairs = [[item.shard, item.place[1], item.group, item.variant] for item in items]
+    files = sorted({item.place[0] for item in items})
+    sizes = [Path(file).stat().st_size for file in files]
+    program = baseline.program()
+    parts = [baseline.name, dict(baseline.default), dict(baseline.grid), program, pairs, sizes]
+    return hashlib.blake2b(json.dumps(parts).encode(), digest_size=12).hexdigest()
+
+
+def _save(path: Path, known: dict[str, Any], items: list[Item]) -> None:
+    content = {
+        "schema": SCHEMA,
+        "validation": [f"{item.shard}#{item.place[1]}" for item in items],
+        "baselines": {name: known[name] for name in REGISTRY if name in known},
+    }
+    text = json.dumps(content, indent=1, allow_nan=False) + "\n"
+    with explain_os_errors(path, "tuning.file"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, text.encode(), durable=False, key="tuning.file")
+
+
+def _line(name: str, known: dict[str, Any], lost: dict[str, str]) -> str:
+    if name in lost:
+        return f"{name}: lost ({lost[name]})"
+    entry = known[name]
+    best, levels = entry["tuned"], entry["tuned_levels"]
+    text = (
+        f"{name}: {entry['default']['psnr']:.2f} dB by default, {best['psnr']:.2f} tuned"
+        f"{shown(best['parameters'])}, {levels['psnr_levels']:.2f} with levels"
+        f"{shown(levels['parameters'])}"
+    )
+    edges = sorted({*entry["at_edge"], *entry["at_edge_levels"]})
+    warning = f"; warning: the optimum is at the edge of the grid in {', '.join(edges)}"
+    return text + (warning if edges else "")

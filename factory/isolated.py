@@ -1,0 +1,282 @@
+"""A process of its own for strangers' files, whose library may crash, hang or take all memory.
+
+It is started as a command and not by multiprocessing, which would import the caller's main module
+again: a five-line script that reads a dataset has no `if __name__ == "__main__"`.  Calls and
+answers are JSON and arrays, never a pickle: a library that a file has taken over can send back
+wrong values and nothing that runs.
+"""
+
+from __future__ import annotations
+
+import atexit
+import base64
+import importlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from math import prod
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from .errors import FactoryError
+
+LIMIT_S = 60.0
+
+# Beyond what the process has after its imports; a picture has 64 MB at most.
+_MEMORY_BYTES = 800 << 20
+_MOST_ANSWER_BYTES = 1 << 31
+# Of a message: the length of its JSON text, which is followed by the bytes of all arrays.
+_LENGTH_BYTES = 8
+
+
+def look_at(
+    path: Path, function: Callable[..., Any], *arguments: Any, limit_s: float = LIMIT_S
+) -> Any:
+    """The answer of a function that reads what may be a stranger's file, in a process that lasts.
+
+    path: named in the error.  function: of a module, importable.  Arguments and answer are what
+    `encode` takes.
+    Raises FactoryError when the function does, when the process dies of the file, or when it takes
+    longer than `limit_s` or more memory than a sound file needs.
+    """
+    return _lasting.call(path, function, *arguments, limit_s=limit_s)
+
+
+class IsolatedProcess:
+    """Runs importable functions in another process, which is started again when one kills it."""
+
+    def __init__(self) -> None:
+        self._child: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> IsolatedProcess:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._child:
+            self._child.kill()
+        self._end()
+
+    def call(self, function: Callable[..., Any], *arguments: Any, limit_s: float = LIMIT_S) -> Any:
+        """`function(*arguments)`; see `look_at`.  Its FactoryError names no file.
+
+        Raises RuntimeError with the traceback for any other error of the function.
+        """
+        child = self._child = self._child or _start()
+        assert child.stdin is not None
+        assert child.stdout is not None
+        name = f"{function.__module__}:{function.__qualname__}"
+        asked = encode((name, limit_s, arguments))
+        try:
+            child.stdin.write(asked)
+            child.stdin.flush()
+            kind, result = decode(child.stdout)
+        except (EOFError, BrokenPipeError, ValueError, LookupError, TypeError) as error:
+            if not isinstance(error, EOFError | BrokenPipeError):
+                child.kill()  # what it sent is no answer
+            code = self._end()
+            if code == -signal.SIGALRM:
+                raise FactoryError(f"not read within {limit_s:g} s; made to hang?") from error
+            raise FactoryError("crashes the library that reads it; it is damaged") from error
+        except BaseException:
+            child.kill()
+            self._end()
+            raise
+        if kind == "answer":
+            return result
+        if kind == "memory":
+            raise FactoryError("asks for more memory than a sound file needs")
+        raise FactoryError(str(result)) if kind == "refused" else RuntimeError(result)
+
+    def named(self, path: Path, function: Callable[..., Any], *arguments: Any, **how: Any) -> Any:
+        """The same with the file's name before an error."""
+        try:
+            return self.call(function, *arguments, **how)
+        except FactoryError as error:
+            text = str(error).removeprefix(f"{path}: ")
+            raise FactoryError(f"{path}: {text}") from error
+
+    def _end(self) -> int | None:
+        """Stop the process; returns the exit code of one that ended by itself."""
+        child, self._child = self._child, None
+        if child is None:
+            return None
+        try:
+            # It closes its pipes a moment before its exit code can be had.
+            return child.wait(timeout=1)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            return child.wait()
+        finally:
+            for pipe in (child.stdin, child.stdout):
+                with suppress(OSError):  # what could not be flushed to a dead process
+                    if pipe:
+                        pipe.close()
+
+
+class _Lasting:
+    """One process for all calls of `look_at`; after a fork a new one."""
+
+    def __init__(self) -> None:
+        self._forget()
+        if hasattr(os, "register_at_fork"):
+            os.register_at_fork(after_in_child=self._forget)
+
+    def _forget(self) -> None:
+        self._lock = threading.Lock()
+        self._process: IsolatedProcess | None = None
+
+    def call(self, path: Path, function: Callable[..., Any], *arguments: Any, **how: Any) -> Any:
+        with self._lock:
+            if self._process is None:
+                self._process = IsolatedProcess()
+                atexit.register(self._process.__exit__)
+            return self._process.named(path, function, *arguments, **how)
+
+
+_lasting = _Lasting()
+
+
+def encode(value: Any) -> bytes:
+    """A message: None, numbers, text, bytes, paths and arrays, in lists and dicts with text keys.
+
+    Tuples come back as lists, named tuples too.  Raises TypeError for anything else.
+    """
+    parts: list[bytes] = []
+
+    def plain(item: Any) -> Any:
+        if item is None or isinstance(item, bool | int | float | str):
+            return item
+        if isinstance(item, np.generic) and item.dtype.kind in "biuf":
+            return item.item()
+        if isinstance(item, Path):
+            return {"path": str(item)}
+        if isinstance(item, bytes):
+            return {"bytes": base64.b64encode(item).decode()}
+        if isinstance(item, list | tuple):
+            return [plain(one) for one in item]
+        if isinstance(item, Mapping) and all(isinstance(key, str) for key in item):
+            return {"object": {key: plain(one) for key, one in item.items()}}
+        if isinstance(item, np.ndarray) and not item.dtype.hasobject:
+            # Text of HDF5 is S<n> with a note, for which there is no place here.
+            kind: Any = item.dtype.str
+            if item.dtype.names:
+                kind = [(name, item.dtype[name].str) for name in item.dtype.names]
+            parts.append(item.astype(kind).tobytes())
+            return {"array": kind, "shape": item.shape}
+        raise TypeError(f"{type(item).__name__} goes to no other process")
+
+    text = json.dumps(plain(value)).encode()
+    return b"".join((len(text).to_bytes(_LENGTH_BYTES, "little"), text, *parts))
+
+
+def decode(file: IO[bytes]) -> Any:
+    """The next message of a pipe.  Raises EOFError at its end, ValueError for what is none."""
+
+    def take(size: int) -> bytes:
+        if not 0 <= size <= _MOST_ANSWER_BYTES:
+            raise ValueError(f"a message of {size} bytes")
+        content = file.read(size)
+        if len(content) < size:
+            raise EOFError
+        return content
+
+    def whole(item: Any) -> Any:
+        if isinstance(item, list):
+            return [whole(one) for one in item]
+        if not isinstance(item, dict):
+            return item
+        if "object" in item:
+            return {key: whole(one) for key, one in item["object"].items()}
+        if "path" in item:
+            return Path(item["path"])
+        if "bytes" in item:
+            return base64.b64decode(item["bytes"])
+        kind, shape = item["array"], tuple(item["shape"])
+        dtype = np.dtype([(n, t) for n, t in kind] if isinstance(kind, list) else kind)
+        if dtype.hasobject or not all(type(size) is int and size >= 0 for size in shape):
+            raise ValueError(f"an array of {dtype} {shape}")
+        content = take(prod(shape) * dtype.itemsize)
+        return np.frombuffer(bytearray(content), dtype).reshape(shape)
+
+    return whole(json.loads(take(int.from_bytes(take(_LENGTH_BYTES), "little"))))
+
+
+def _start() -> subprocess.Popen[bytes]:
+    environment = dict(os.environ)
+    # Modules are to be found as this process finds them, wherever it was started.
+    environment["PYTHONPATH"] = os.pathsep.join(path or os.getcwd() for path in sys.path)
+    # Threads of numerical libraries reserve address space, and nothing is computed there.
+    environment["OMP_NUM_THREADS"] = environment["OPENBLAS_NUM_THREADS"] = "1"
+    return subprocess.Popen(
+        [sys.executable, "-c", f"from {__name__} import serve; serve()"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env=environment,
+    )
+
+
+def serve() -> None:
+    """Answer the calls that come on standard input until it ends."""
+    # Ctrl-C is for the parent, which then ends this process.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    answers = os.fdopen(os.dup(1), "wb")
+    # What libraries print must not get between the answers.
+    os.dup2(2, 1)
+    _limit_memory()
+    while True:
+        try:
+            name, limit_s, arguments = decode(sys.stdin.buffer)
+        except EOFError:
+            return
+        # Not caught: it ends the process even where C code never comes back.
+        signal.setitimer(signal.ITIMER_REAL, limit_s)
+        try:
+            content = encode(("answer", _found(name)(*arguments)))
+        except FactoryError as error:
+            content = encode(("refused", str(error)))
+        except MemoryError:
+            content = encode(("memory", None))
+        except Exception:
+            content = encode(("error", traceback.format_exc()))
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        answers.write(content)
+        answers.flush()
+
+
+def _found(name: str) -> Any:
+    module, _, parts = name.partition(":")
+    found: Any = importlib.import_module(module)
+    for part in parts.split("."):
+        found = getattr(found, part)
+    return found
+
+
+def _limit_memory() -> None:
+    import resource
+
+    import h5py  # noqa: F401  (counts as what the process has)
+
+    most = _address_space_bytes() + _MEMORY_BYTES
+    _, allowed = resource.getrlimit(resource.RLIMIT_AS)
+    if allowed != resource.RLIM_INFINITY:
+        most = min(most, allowed)
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    # A core file of an expected crash is of no use.
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _address_space_bytes() -> int:
+    """What this process has reserved; 0 where the system does not say (and knows no limit)."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+    except OSError:
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE")

@@ -1,0 +1,191 @@
+"""What runs have settled: each shard's result lies beside it, and is put together at the end.
+
+train/shard-00000.json says what became of train/shard-00000.h5, whoever made it: a run, a slice of
+it on another machine, or one that was killed.  At the end manifest.json and failed.jsonl take up
+all of them, and they go.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections import Counter
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+from ..dataset.format.manifest import Manifest, ShardInfo, damage, save_manifest
+from ..dataset.format.results import ShardOutcome, forget_outcomes, save_outcome
+from ..dataset.format.schema import SPLITS
+from ..dataset.write.failures import Failure, failure_lines, save_failures
+from ..errors import FactoryError
+from ..files import explain_os_errors, names_outside, remove_file
+from .job import Job
+from .plan import ShardTask
+from .worker import ShardResult
+
+_SHARD_NAME = re.compile(r"shard-\d{5,}\.h5")
+
+
+@dataclass(frozen=True)
+class RunReport:
+    """What a run did.
+
+    samples, shards, bytes: what the dataset now holds; samples_by_split: train and test.
+    kept: shards that an earlier run had finished.  failures: every frame without a sample.
+    frames: that were asked for.
+    """
+
+    samples: int
+    samples_by_split: Mapping[str, int]
+    shards: int
+    bytes: int
+    kept: int
+    failures: tuple[Failure, ...]
+    seconds: float
+    frames: int = 0
+
+
+@dataclass(frozen=True)
+class Resumed:
+    """Where a run starts.
+
+    manifest: the shards that are whole and planned the same.
+    todo: tasks to make, or to try again because they lack frames.
+    lacking: path of such a shard -> names of the frames it lacks.
+    notes: one line about each shard that was found damaged.
+    """
+
+    manifest: Manifest
+    todo: tuple[ShardTask, ...]
+    lacking: Mapping[str, tuple[str, ...]]
+    notes: tuple[str, ...]
+
+
+def take_up(job: Job, manifest: Manifest) -> Resumed:
+    """Compare plan, results and disk; shards that the plan no longer has are removed.
+
+    Of a slice nothing is removed.
+    Raises FactoryError when the plan has fewer samples than the folder already holds: then frames
+    have gone missing since, and going on would throw finished work away.
+    """
+    directory, tasks = job.directory, job.own_tasks
+    whole = not job.shard.part
+    planned = {task.path: task for task in tasks}
+    if whole:
+        _refuse_shrinking(job, manifest)
+    same = [
+        info
+        for path, info in manifest.shards.items()
+        if path in planned and info.plan == planned[path].digest
+    ]
+    with ThreadPoolExecutor() as pool:
+        found = list(pool.map(lambda info: damage(directory, info), same))
+    good = {info.path: info for info, problem in zip(same, found, strict=True) if not problem}
+    notes = tuple(
+        f"{directory / info.path}: {problem}; it is made again"
+        for info, problem in zip(same, found, strict=True)
+        if problem
+    )
+    if whole:
+        _remove_unplanned(job)
+    todo = tuple(
+        task for task in tasks if task.path not in good or good[task.path].samples < task.samples
+    )
+    lacking = {task.path: good[task.path].failed for task in todo if task.path in good}
+    return Resumed(_with_shards(manifest, good), todo, lacking, notes)
+
+
+def _with_shards(manifest: Manifest, shards: Mapping[str, ShardInfo]) -> Manifest:
+    """The manifest with these shards; an index.h5 that shows others counts no more."""
+    index = manifest.index_sha256 if shards == manifest.shards else ""
+    return replace(manifest, shards=dict(shards), index_sha256=index)
+
+
+def _refuse_shrinking(job: Job, manifest: Manifest) -> None:
+    planned: Counter[str] = Counter()
+    for task in job.tasks:
+        planned[task.split] += task.samples
+    for split in SPLITS:
+        there = manifest.samples(split)
+        if there > planned[split]:
+            raise FactoryError(
+                f"dataset.dir: {job.directory} holds {there} {split} samples, but the scenes now "
+                f"give only {planned[split]}; bring the frames back, or give another folder"
+            )
+
+
+def _remove_unplanned(job: Job) -> None:
+    """Shards of an earlier cut of the same frames would be read as part of the dataset."""
+    planned = {task.path for task in job.tasks}
+    for split in SPLITS:
+        folder = job.directory / split
+        found = {path.name for path in folder.glob("shard-*.h5")}
+        found |= {name.rpartition("/")[2] for name in names_outside(job.directory, split)}
+        for name in sorted(found):
+            if _SHARD_NAME.fullmatch(name) and f"{split}/{name}" not in planned:
+                with explain_os_errors(folder / name):
+                    remove_file(folder / name)
+
+
+class Results:
+    """The settled shards of one run and the failures of their frames.
+
+    manifest: the shards that were there before the run and are whole.
+    """
+
+    def __init__(self, job: Job, manifest: Manifest) -> None:
+        self._job, self._manifest = job, manifest
+        self._begun = time.monotonic()
+        self._shards = dict(manifest.shards)
+        self._failures: dict[str, tuple[Failure, ...]] = {}
+        self._kept = 0
+
+    @property
+    def failures(self) -> tuple[Failure, ...]:
+        """Of all settled shards, in the order of their paths."""
+        return tuple(failure for path in sorted(self._failures) for failure in self._failures[path])
+
+    def settle(self, task: ShardTask, result: ShardResult) -> None:
+        """Put the outcome of a shard on disk; a shard without a sample has no file."""
+        info = self._shards.get(task.path) if result.kept else result.info
+        self._kept += result.kept
+        if info is None:
+            self._shards.pop(task.path, None)
+            path = self._job.recipe.directory / task.path
+            with explain_os_errors(path):
+                remove_file(path)
+        else:
+            self._shards[task.path] = info
+        self._failures[task.path] = result.failures
+        told = failure_lines(result.failures, self._job.rerun_command)
+        outcome = ShardOutcome(task.path, self._manifest.config_hash, info, told)
+        save_outcome(self._job.directory, outcome)
+
+    def put_together(self) -> None:
+        """Write manifest.json and failed.jsonl of all that is settled; the results beside go.
+
+        At the start, with what is whole of earlier runs, and at the end; a run that was stopped
+        between leaves what it made beside its shards.  A slice leaves that to the run of the whole.
+        """
+        if self._job.shard.part:
+            return
+        directory = self._job.directory
+        save_failures(directory, self.failures, self._job.rerun_command)
+        save_manifest(directory, _with_shards(self._manifest, self._shards))
+        forget_outcomes(directory)
+
+    def report(self, already_done: int) -> RunReport:
+        """What the run did; `already_done`: shards in which nothing was left to do."""
+        manifest = replace(self._manifest, shards=dict(self._shards))
+        refs = {ref.name for task in self._job.own_tasks for ref, _ in task.items}
+        return RunReport(
+            samples=manifest.samples(),
+            samples_by_split={split: manifest.samples(split) for split in SPLITS},
+            shards=len(manifest.shards),
+            bytes=manifest.total_bytes(),
+            kept=already_done + self._kept,
+            failures=self.failures,
+            seconds=time.monotonic() - self._begun,
+            frames=len(refs),
+        )

@@ -1,0 +1,289 @@
+"""What computes a network: onnxruntime where its graph ships, torch for any other.
+
+Neither torch nor lightning is imported for a network whose graph ships (`models.pretrained`).
+What is quick in NumPy stands around the graph: the beam and the arc of each cell, the polar grid,
+the sector.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from ...factory.cli.extras import Need, require
+from ...factory.errors import FactoryError
+from ..networks.weights_file import read_header, read_weights
+from ..pretrained import graphs
+from .polar_grid import PolarGrid
+
+Gray = npt.NDArray[np.float32]
+Maps = Mapping[str, Gray]
+
+EXACT = "32-true"
+PRECISIONS = ("auto", EXACT, "bf16-mixed")
+"""Arithmetic of a denoiser, in the words of `train.precision`."""
+
+
+_MOST = np.float32(80)
+"""Of a logit, so that its exponential is a number."""
+
+
+class Runtime(Protocol):
+    """A network ready to denoise.
+
+    extras: names of its optional inputs (see `models.networks`).  looks: pictures that it sees at
+    once.  wide_grain: see `models.denoise.scales`.  on_gpu: whether it runs on a GPU.
+    """
+
+    extras: tuple[str, ...]
+    looks: int
+    wide_grain: float
+    on_gpu: bool
+
+    def run(self, gray: Gray, maps: Maps, told: Gray | None) -> tuple[Gray, float]:
+        """The picture (H, W) with its whole change, and the part of that it should get, 0 to 1.
+
+        gray: (H, W) in 0..1.  maps: (H, W) planes by the names of `extras`; `looks` (H, W, T).
+        told: (6,), what to remove; None where the network is not told.
+        """
+
+
+def open_runtime(weights: Path, device: str, precision: str = EXACT) -> Runtime:
+    """The network of a weights file.
+
+    device: auto, cpu or gpu.  Raises FactoryError for a file that holds no network, a GPU that is
+    not there, an unknown precision, and packages that are not installed.
+    """
+    if precision not in PRECISIONS:
+        raise FactoryError(f"--precision {precision}: is none of {', '.join(PRECISIONS)}")
+    if precision != "bf16-mixed":
+        graph = _graph_of(weights)
+        if graph is not None:
+            return OnnxNetwork(weights, graph, device)
+    return TorchNetwork(weights, device, precision)
+
+
+def structure(model: Mapping[str, Any]) -> dict[str, Any]:
+    """What of a `model` configuration decides the graph."""
+    every = {"told": True, "frames": False, "mirror": False, "channels": 1, **model}
+    return {key: value for key, value in every.items() if key not in ("forget", "wide_grain")}
+
+
+def give_weights(options: Any, weights: Mapping[str, npt.NDArray[Any]]) -> list[Any]:
+    """Put weights into the options of a session of a graph without any.
+
+    Returns what must be kept as long as the session: it shares the memory.
+    """
+    from onnxruntime import OrtValue
+
+    arrays = [np.ascontiguousarray(one) for one in weights.values()]
+    values = [OrtValue.ortvalue_from_numpy(one) for one in arrays]
+    options.add_external_initializers(list(weights), values)
+    return [arrays, values]
+
+
+class OnnxNetwork:
+    """A network in onnxruntime, in 32 bits; a `Runtime`."""
+
+    looks = 1
+
+    def __init__(self, path: Path, graph: Path, device: str) -> None:
+        """See `open_runtime`.  graph: as `simnfnd export-weights --to runtime` wrote it."""
+        require([Need("simnfnd denoise", "onnxruntime")])
+        import onnxruntime
+
+        has_gpu = "CUDAExecutionProvider" in onnxruntime.get_available_providers()
+        if device == "gpu" and not has_gpu:
+            raise FactoryError(
+                "--device gpu: onnxruntime finds no usable GPU here; install onnxruntime-gpu, or "
+                "use --device cpu"
+            )
+        self.on_gpu = has_gpu and device != "cpu"
+        providers = ["CUDAExecutionProvider"] if self.on_gpu else []
+        options = onnxruntime.SessionOptions()
+        options.log_severity_level = 3
+        # Waiting threads would burn as much time as computing ones.
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        header, weights = read_weights(path)
+        self._kept = give_weights(
+            options, {f"network.{name}": one for name, one in weights.items()}
+        )
+        try:
+            self._session = onnxruntime.InferenceSession(
+                graph.read_bytes(), options, providers=[*providers, "CPUExecutionProvider"]
+            )
+        except Exception as error:
+            # onnxruntime reports weights of other sizes with a dozen exception types.
+            reason = " ".join(str(error).split())[:160]
+            raise FactoryError(f"weights={path}: do not fit their network: {reason}") from error
+        facts = self._session.get_modelmeta().custom_metadata_map
+        model = json.loads(facts["model"])
+        self.extras = tuple(facts["extras"].split(","))
+        self.wide_grain = float(header["model"].get("wide_grain", 1.0))
+        self._stride, self.is_polar = int(facts["stride"]), bool(model["polar"])
+        self._mask = bool(model["mask"])
+        self._inputs = tuple(one.name for one in self._session.get_inputs())
+
+    def run(self, gray: Gray, maps: Maps, told: Gray | None) -> tuple[Gray, float]:
+        """See `Runtime`."""
+        grid = PolarGrid.of(maps) if self.is_polar and _known(maps) else None
+        if grid is None:
+            found = inputs_of(gray, maps, told, self._stride)
+        else:
+            sector = maps.get("sector", np.ones_like(gray))
+            shown = {
+                "range_fraction": grid.range_fraction,
+                "azimuth_rad": grid.azimuth_rad,
+                "sector": grid.polar(sector),
+            }
+            found = inputs_of(grid.polar(gray), shown, told, self._stride, is_grid=True)
+        change, logits, weight = self._session.run(
+            ["change", "shadow_logits", "weight"], {name: found[name] for name in self._inputs}
+        )
+        change, logits = change[0, 0], logits[0, 0]
+        if grid is not None:
+            change, logits = grid.fan(change), grid.fan(logits)
+        image = gray + change
+        if self._mask:
+            image = image / (1 + np.exp(np.minimum(logits, _MOST)))
+        if _known(maps) and "sector" in maps:
+            image = np.where(maps["sector"] > 0, image, gray)
+        return np.asarray(image, np.float32), float(weight[0])
+
+
+def _graph_of(weights: Path) -> Path | None:
+    """The graph that ships for the network of a weights file; None where there is none."""
+    model = read_header(weights)["model"]
+    wished = json.dumps(structure(model), sort_keys=True)
+    for graph in graphs():
+        # The words are at the end of the file, and few.
+        if wished.encode() in graph.read_bytes():
+            return graph
+    return None
+
+
+def inputs_of(
+    gray: Gray, maps: Maps, told: Gray | None, stride: int, *, is_grid: bool = False
+) -> dict[str, Any]:
+    """What a graph of `--to runtime` computes a picture from, (H, W) in 0..1.
+
+    maps: `range_fraction` and `azimuth_rad` where the geometry is known, `sector` where it is not
+    all of the picture, `frames` (log2 of how many were averaged) where these are several.
+    is_grid: whether columns are beams and rows ranges, evenly.
+    Returns `noisy` and `frames` (1, 1, H, W), `maps` (1, 3, H, W), `beams` and `arcs` (1, cells)
+    int64, the line of each cell at half resolution, and `remove` (1, 6).
+    """
+    height, width = gray.shape
+    rows, columns = (-(-side // stride) * stride // 2 for side in gray.shape)
+    if _known(maps):
+        sector = maps.get("sector", np.ones_like(gray))
+        radius, azimuth = maps["range_fraction"], maps["azimuth_rad"]
+        planes = 2 * radius - 1, azimuth, 1 - sector
+    else:
+        # -1 occurs in no known geometry.
+        nothing = np.zeros_like(gray)
+        planes = nothing, nothing, nothing - 1
+    if _known(maps) and not is_grid:
+        inside = _cells(sector, stride) > 0
+        beams = _numbers(_cells(azimuth, stride), inside, columns)
+        arcs = _numbers(_cells(radius, stride), inside, rows)
+    else:
+        # Columns count as beams and rows as arcs.
+        beams = np.broadcast_to(np.arange(columns), (rows, columns))
+        arcs = np.broadcast_to(np.arange(rows)[:, None], (rows, columns))
+    frames = maps.get("frames")
+    return {
+        "noisy": np.ascontiguousarray(gray, np.float32)[None, None],
+        "maps": np.stack(planes)[None].astype(np.float32),
+        "beams": np.ascontiguousarray(beams, np.int64).reshape(1, -1),
+        "arcs": np.ascontiguousarray(arcs, np.int64).reshape(1, -1),
+        "frames": np.zeros((1, 1, height, width), np.float32)
+        if frames is None
+        else np.ascontiguousarray(frames, np.float32)[None, None],
+        "remove": None if told is None else told[None],
+    }
+
+
+def _known(maps: Maps) -> bool:
+    return "range_fraction" in maps and "azimuth_rad" in maps
+
+
+def _cells(plane: Gray, stride: int) -> Gray:
+    """Every second pixel of a plane that is lengthened to a multiple of the stride."""
+    height, width = plane.shape
+    padded = np.pad(plane, ((0, -height % stride), (0, -width % stride)), mode="edge")
+    return padded[::2, ::2]
+
+
+def _numbers(values: Gray, inside: npt.NDArray[np.bool_], count: int) -> npt.NDArray[np.int64]:
+    """Which of `count` even steps between the extremes inside a value lies in."""
+    least, most = (values[inside].min(), values[inside].max()) if inside.any() else (0, 1)
+    extent = max(np.float32(most) - np.float32(least), np.float32(1e-6))
+    step = (values - np.float32(least)) / extent
+    return np.clip(step * np.float32(count), 0, count - 1).astype(np.int64)
+
+
+class TorchNetwork:
+    """A network in torch; a `Runtime`."""
+
+    def __init__(self, path: Path, device: str, precision: str = EXACT) -> None:
+        """See `open_runtime`."""
+        require(Need(f"weights={path.name}", module) for module in ("torch", "safetensors"))
+        import torch
+
+        from ..networks.weights import load_weights
+
+        network = load_weights(path).network
+        has_gpu = torch.cuda.is_available()
+        if device == "gpu" and not has_gpu:
+            raise FactoryError("--device gpu: no usable GPU here; use --device cpu")
+        self.on_gpu = has_gpu and device != "cpu"
+        self._device = "cuda" if self.on_gpu else "cpu"
+        self._network = network.to(self._device)
+        self.extras, self.looks = network.extras, network.looks
+        self.wide_grain = network.wide_grain
+        self._half = _is_half(precision, self._device)
+
+    def run(self, gray: Gray, maps: Maps, told: Gray | None) -> tuple[Gray, float]:
+        """See `Runtime`."""
+        import torch
+
+        known = {
+            name: torch.from_numpy(np.ascontiguousarray(plane))[None, None]
+            for name, plane in maps.items()
+            if name in self.extras and name != "looks"
+        }
+        if "looks" in maps:
+            looks = np.ascontiguousarray(np.moveaxis(maps["looks"], -1, 0))
+            known["looks"] = torch.from_numpy(looks)[None]
+        if told is not None:
+            known["remove"] = torch.from_numpy(told)[None]
+        known = {name: plane.to(self._device) for name, plane in known.items()}
+        noisy, weight = torch.from_numpy(np.ascontiguousarray(gray))[None, None], 1.0
+        noisy = noisy.to(self._device)
+        with (
+            torch.inference_mode(),
+            torch.autocast(self._device, torch.bfloat16, enabled=self._half),
+        ):
+            if self._network.has_heads:
+                output = self._network.with_heads(noisy, **known)
+                image, weight = output.image, float(output.weight[0])
+            else:
+                image = self._network(noisy, **known)
+        return np.asarray(image[0, 0].float().cpu().numpy(), np.float32), weight
+
+
+def _is_half(precision: str, device: str) -> bool:
+    """Whether to compute in bfloat16."""
+    if precision == EXACT:
+        return False
+    from ..training.precision import cpu_has_bf16, gpu_has_bf16
+
+    if precision == "auto":
+        return cpu_has_bf16() if device == "cpu" else gpu_has_bf16()
+    return True

@@ -1,0 +1,1 @@
+"""Recordings in time: frames laid over each other, fused where the scene stands still."""

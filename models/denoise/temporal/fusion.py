@@ -1,0 +1,231 @@
+"""Frames laid over each other become one, where they show the same as far as noise lets it be seen.
+
+What noise explains is measured in the recording itself, one usual difference a grey level.  A
+neighbour goes into a pixel where it agrees with the median of all frames (and so does the frame
+itself), over a small window and over a wide one; where the frame does not agree with the median,
+something moves there: then only neighbours that agree with the frame itself go in, mostly none.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from .motion import Grey, blurred, factors, reduced
+
+_LEVELS = 32
+_LEAST_PIXELS = 20
+_LEAST_SIGMA = 0.0015
+_NORMAL = 1.4826  # from the median of absolute values to a standard deviation
+_EVERY = 3  # pixels along each side from one that is measured to the next
+_LEARNED, _AGAIN = 30, 8
+"""Frames after which differences are measured in every so many only."""
+_SMALL, _WIDE, _CLIP = 0.8, 7, 3.0
+"""Sigma of the small window, reduced pixels; side of the wide one; deviations count no more."""
+_AGREES, _LIKE = 4.5, 3.0
+"""Standard deviations up to which a frame agrees with the median, and a neighbour with a frame."""
+_DARK = 0.02  # grey value below which there is nothing to learn from
+
+
+@dataclass(frozen=True, eq=False)
+class Fused:
+    """picture: (H, W) or (H, W, C) float32.  frames: (H, W), how many count in each pixel, >= 1.
+
+    agrees: (H, W), how far the frame itself agrees with the others, 0..1; 0: something moves.
+    """
+
+    picture: Grey
+    frames: Grey
+    agrees: Grey
+
+
+class Fusion:
+    """Fuses frames, and learns with each what noise explains.
+
+    noise: of a pixel of a single frame.
+    """
+
+    def __init__(self) -> None:
+        self._seen = 0
+        self._to_median, self._to_frame = Usual(), Usual()
+        self._wide_to_median, self._wide_to_frame = Usual(), Usual()
+        self.noise = Usual()
+
+    def __call__(self, own: Grey, laid: Sequence[Grey], shown: Sequence[Grey | None]) -> Fused:
+        """The frame with its neighbours.
+
+        own, laid: (H, W) or (H, W, C) float32 in 0..1.  shown: (H, W), where a neighbour shows what
+        the frame does; None: everywhere.
+        """
+        grey = _grey(own)
+        one = np.ones(grey.shape, np.float32)
+        if not laid:
+            return Fused(own, one, one)
+        smalls, masks = self._windows(grey, [_grey(other) for other in laid], shown)
+        if self._is_measured():
+            which = self._which(len(laid))
+            apart = (_grey(laid[which]) - grey) * np.float32(np.sqrt(0.5))
+            where = shown[which]
+            self.noise.add(apart, grey if where is None else grey * where)
+        weights, agrees = self._weights(smalls, masks)
+        self._seen += 1
+        down, right = factors(grey.shape)
+        size = smalls[0].shape[1] * right, smalls[0].shape[0] * down
+        odd = grey.shape[0] - size[1], grey.shape[1] - size[0]
+
+        def enlarged(plane: Grey) -> Grey:
+            found = cv2.resize(plane, size, interpolation=cv2.INTER_LINEAR)
+            if any(odd):
+                found = cv2.copyMakeBorder(found, 0, odd[0], 0, odd[1], cv2.BORDER_REPLICATE)
+            return found
+
+        total, count, squares = own.copy(), one.copy(), one.copy()
+        for other, mask, weight in zip(laid, shown, weights, strict=True):
+            part = enlarged(weight)
+            if mask is not None:
+                part *= mask
+            total += other * (part if own.ndim == 2 else part[..., None])
+            count += part
+            squares += part * part
+        total /= count if own.ndim == 2 else count[..., None]
+        return Fused(total, count * count / squares, enlarged(agrees))
+
+    def same(self, fused: Grey, outside: Grey, shown: Grey | None) -> npt.NDArray[np.bool_]:
+        """Where another frame, (H, W), shows what was fused, as far as noise lets it be seen."""
+        small = blurred(reduced(fused), _SMALL)
+        apart = np.abs(blurred(reduced(outside), _SMALL) - small) / self._to_frame.at(small)
+        agrees = (apart < _LIKE) & (small > _DARK)
+        size = fused.shape[1], fused.shape[0]
+        found = cv2.resize(agrees.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        return found if shown is None else found & (shown > 0)
+
+    def _is_measured(self) -> bool:
+        return self._seen < _LEARNED or self._seen % _AGAIN == 0
+
+    def _which(self, others: int) -> int:
+        """The neighbour that noise is measured with."""
+        return self._seen % others
+
+    def _windows(
+        self, grey: Grey, others: Sequence[Grey], shown: Sequence[Grey | None]
+    ) -> tuple[list[Grey], list[Grey | None]]:
+        """Of each frame the means over the small window, and where a neighbour shows its scene."""
+        smalls = [blurred(reduced(grey), _SMALL)]
+        masks: list[Grey | None] = [None]
+        for other, where in zip(others, shown, strict=True):
+            small = blurred(reduced(other), _SMALL)
+            mask = None
+            if where is not None:
+                mask = cv2.erode((reduced(where) > 0.99).astype(np.float32), np.ones((5, 5)))
+                small = np.where(mask > 0, small, smalls[0])
+            smalls.append(small)
+            masks.append(mask)
+        return smalls, masks
+
+    def _weights(self, smalls: list[Grey], masks: list[Grey | None]) -> tuple[list[Grey], Grey]:
+        own, middle = smalls[0], median(smalls)
+        measured, which = self._is_measured(), 1 + self._which(len(smalls) - 1)
+        seen = masks[which]
+        near = [small - middle for small in smalls]
+        apart = [small - own for small in smalls[1:]]
+        at_middle = middle if seen is None else np.where(seen > 0, middle, np.float32(0))
+        if measured:
+            self._to_median.add(near[which], at_middle)
+            self._to_frame.add(apart[which - 1], at_middle)
+        near_sigma, apart_sigma = self._to_median.at(middle), self._to_frame.at(own)
+        near = [one / near_sigma for one in near]
+        apart = [one / apart_sigma for one in apart]
+        wide_near, wide_apart = [_wide(one) for one in near], [_wide(one) for one in apart]
+        if measured:
+            self._wide_to_median.add(wide_near[which], at_middle)
+            self._wide_to_frame.add(wide_apart[which - 1], at_middle)
+        near_sigma = self._wide_to_median.at(middle)
+        apart_sigma = self._wide_to_frame.at(own)
+        agree = [
+            _falling(one, wide / near_sigma, _AGREES)
+            for one, wide in zip(near, wide_near, strict=True)
+        ]
+        like = [
+            _falling(one, wide / apart_sigma, _LIKE)
+            for one, wide in zip(apart, wide_apart, strict=True)
+        ]
+        weights = []
+        for one, other in zip(agree[1:], like, strict=True):
+            weight = one * agree[0] + (1 - agree[0]) * other
+            least = cv2.erode(weight, np.ones((3, 3), np.uint8))
+            weights.append(cv2.blur(least, (3, 3)))
+        return weights, agree[0]
+
+
+class Usual:
+    """How far values deviate by noise alone, by grey level: robust, the mean over frames."""
+
+    def __init__(self) -> None:
+        self._sum, self._pixels = np.zeros(_LEVELS), np.zeros(_LEVELS)
+        self._table: Grey | None = None
+
+    def add(self, deviation: Grey, grey: Grey) -> None:
+        """Deviations of pixels of some grey value in 0..1."""
+        level = np.minimum(grey[::_EVERY, ::_EVERY] * _LEVELS, _LEVELS - 1).astype(np.int32).ravel()
+        size = np.abs(deviation[::_EVERY, ::_EVERY]).ravel()
+        order = np.argsort(level, kind="stable")
+        size, ends = size[order], np.searchsorted(level[order], np.arange(_LEVELS + 1))
+        for number, (first, last) in enumerate(itertools.pairwise(ends)):
+            if last - first >= _LEAST_PIXELS:
+                usual = _NORMAL * float(np.median(size[first:last]))
+                self._sum[number] += usual * (last - first)
+                self._pixels[number] += last - first
+        self._table = None
+
+    def at(self, grey: Grey) -> Grey:
+        """Standard deviation at each pixel of such a grey value."""
+        if self._table is None:
+            self._table = self._levels()
+        return cv2.LUT(np.clip(grey * 255, 0, 255).astype(np.uint8), self._table)
+
+    def _levels(self) -> Grey:
+        """One for each of 256 grey values; neighbouring levels share what they know."""
+        known = self._pixels > 0
+        if not known.any():
+            return np.full(256, _LEAST_SIGMA, np.float32)
+        middles = (np.arange(_LEVELS) + 0.5) / _LEVELS
+        sigma = np.interp(middles, middles[known], self._sum[known] / self._pixels[known])
+        pixels = np.interp(middles, middles[known], self._pixels[known])
+        window = [1, 2, 3, 2, 1]
+        power = np.convolve(np.pad(sigma**2 * pixels, 2, mode="edge"), window, "valid")
+        power /= np.convolve(np.pad(pixels, 2, mode="edge"), window, "valid")
+        fine = np.interp(np.linspace(0, 1, 256), middles, np.sqrt(power))
+        return np.maximum(fine, _LEAST_SIGMA).astype(np.float32)
+
+
+def median(planes: Sequence[Grey]) -> Grey:
+    """Of some planes, pixel by pixel, by a network of lesser and greater ones."""
+    left, count = list(planes), len(planes)
+    for done in range(count // 2 + 1):
+        for one in range(count - 1 - done):
+            lesser = np.minimum(left[one], left[one + 1])
+            left[one + 1] = np.maximum(left[one], left[one + 1])
+            left[one] = lesser
+    if count % 2:
+        return left[count // 2]
+    return (left[count // 2] + left[count // 2 - 1]) / np.float32(2)
+
+
+def _wide(deviation: Grey) -> Grey:
+    """The mean over the wide window; a thing that moves nearby must not fill it."""
+    return cv2.blur(np.clip(deviation, -_CLIP, _CLIP), (_WIDE, _WIDE))
+
+
+def _falling(small: Grey, wide: Grey, limit: float) -> Grey:
+    """1 up to a limit of standard deviations in both windows, then falling to 0."""
+    over = np.maximum(np.maximum(np.abs(small), np.abs(wide)) - np.float32(limit), 0)
+    return cv2.exp(-over * over)
+
+
+def _grey(picture: Grey) -> Grey:
+    return picture if picture.ndim == 2 else picture.mean(axis=2, dtype=np.float32)

@@ -1,0 +1,393 @@
+"""How the scene moves from one frame to another: the whole frame, then blocks of it.
+
+The motion of a frame is affine: a yaw shifts the beams of a ping and turns a fan, a surge shifts
+its ranges.  It starts from what phase correlation, the frames before or the compass say, is
+refined below a pixel by Gauss-Newton steps (Lucas and Kanade 1981; the Hessian is that of the fixed
+frame, Baker and Matthews 2004), and must explain the frame better than no motion does: most
+sonars stand still, and laying a frame over another between its pixels costs sharpness.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+Grey = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.float64]
+
+ALIKE = 0.2
+"""Frames whose band-passed pictures correlate less show something else."""
+_BY_CHANCE = 4.0  # standard deviations of the correlation of unlike frames, the best of all shifts
+_FURTHEST = 48  # reduced pixels that the peak of a phase correlation may lie away
+_BETTER = 0.05  # part of what no motion leaves that a motion must explain
+_STEPS, _SETTLED = 4, 0.02
+_STILL = 0.06  # reduced pixels: less is no motion
+_WHITENED = 0.6  # exponent of the magnitudes in the phase correlation
+_LIT = 0.012  # grey value: darker surroundings hold no scene
+_CELL = 16  # reduced pixels: side of a block
+_BLOCK_SURE = 30.0  # squared standard deviations: only then a block moves by itself
+_BLOCK_USUAL, _AFFINE_USUAL = 0.35, 0.7  # reduced pixels
+_GRAIN = 8.0  # neighbouring pixels that noise shares
+_LEAST_HALVED = 192
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Where the pixels of a frame lie in another.
+
+    affine: (6,) shift right and down of the middle, and its change along x and y from the middle
+        to the right edge (x by x, x by y, y by x, y by y), in reduced pixels.
+    flow: (rows, columns, 2) what blocks moved besides; None: nothing.
+    alike: correlation of both frames, 0..1.
+    """
+
+    affine: Floats
+    flow: Grey | None
+    alike: float
+
+    def inverse(self, shape: tuple[int, int]) -> Motion:
+        """Where the pixels of the other lie in this one.  shape: of the reduced pictures."""
+        if np.any(self.affine[2:]):
+            back = _affine(np.linalg.inv(_square(_matrix(self.affine, shape)))[:2], shape)
+        else:
+            back = -self.affine
+        return Motion(back, None if self.flow is None else -self.flow, self.alike)
+
+
+class View:
+    """What alignment keeps of a frame: reduced, its noise made equal, coarse levels taken away."""
+
+    def __init__(self, grey: Grey) -> None:
+        """grey: (H, W) in 0..1."""
+        self.full: tuple[int, int] = grey.shape
+        small = np.sqrt(np.maximum(reduced(grey), 0))  # noise grows with the level
+        lit = (cv2.blur(small, (7, 7)) > np.sqrt(_LIT)).astype(np.float32)
+        self.lit: Grey = cv2.erode(
+            lit, np.ones((7, 7), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=1
+        )
+        around = cv2.blur(small * self.lit, (21, 21)) / np.maximum(
+            cv2.blur(self.lit, (21, 21)), 1e-3
+        )
+        self.band: Grey = (blurred(small, 1.0) - around) * self.lit
+        self.shape: tuple[int, int] = self.band.shape
+
+    @cached_property
+    def slopes(self) -> tuple[Grey, Grey]:
+        """Of the band along x and y."""
+        along = cv2.Sobel(self.band, cv2.CV_32F, 1, 0, scale=1 / 8)
+        down = cv2.Sobel(self.band, cv2.CV_32F, 0, 1, scale=1 / 8)
+        return along * self.lit, down * self.lit
+
+    @cached_property
+    def steepest(self) -> tuple[Grey, Floats]:
+        """Change of each pixel with each number of a motion, (6, pixels), and its Hessian."""
+        along, down = self.slopes
+        x, y = _from_middle(self.shape)
+        planes = [along, down, along * x, along * y, down * x, down * y]
+        change = np.stack(planes).reshape(6, -1)
+        return change, (change @ change.T).astype(np.float64)
+
+    @cached_property
+    def spectrum(self) -> npt.NDArray[np.float32]:
+        """Of the band, faded out at the edges."""
+        height, width = self.shape
+        padded = np.zeros((cv2.getOptimalDFTSize(height), cv2.getOptimalDFTSize(width)), np.float32)
+        padded[:height, :width] = self.band * _faded(self.shape)
+        return cv2.dft(padded, flags=cv2.DFT_COMPLEX_OUTPUT)
+
+
+class Aligner:
+    """Motions between the last frames of a recording, each found when it is first asked for."""
+
+    def __init__(self, kept: int) -> None:
+        """kept: how many frames are remembered."""
+        self._kept = kept
+        self._views: dict[int, View] = {}
+        self._shifts: dict[int, tuple[float, float] | None] = {}
+        self._motions: dict[tuple[int, int], Motion | None] = {}
+        self._last = np.zeros(6)
+
+    def add(self, number: int, grey: Grey, shift_px: tuple[float, float] | None = None) -> None:
+        """The next frame.
+
+        shift_px: how far right and down what the frame before saw lies now, where a compass tells
+        it; a start, nothing more.
+        """
+        self._views[number], self._shifts[number] = View(grey), shift_px
+        oldest = number - self._kept
+        self._views = {one: view for one, view in self._views.items() if one > oldest}
+        self._shifts = {one: shift for one, shift in self._shifts.items() if one > oldest}
+        self._motions = {pair: found for pair, found in self._motions.items() if pair[1] > oldest}
+
+    def motion(self, number: int, other: int) -> Motion | None:
+        """Where the pixels of a frame lie in another; None where that shows something else.
+
+        Quickest when frames nearer in time have been asked for before.
+        """
+        if other > number:
+            found = self.motion(other, number)
+            return None if found is None else found.inverse(self._views[number].shape)
+        if (number, other) not in self._motions:
+            self._motions[number, other] = self._between(number, other)
+        return self._motions[number, other]
+
+    def _between(self, number: int, other: int) -> Motion | None:
+        view, seen = self._views.get(number), self._views.get(other)
+        if view is None or seen is None or view.full != seen.full:
+            return None
+        affine, alike = _whole(view, seen, self._starts(number, other))
+        pixels = max(float(view.lit.sum()), 1.0)
+        if alike < ALIKE + _BY_CHANCE / np.sqrt(pixels / _GRAIN):
+            return None
+        if number - other == 1:
+            self._last = affine
+        return Motion(affine, _blocks(view, seen, affine), alike)
+
+    def _starts(self, number: int, other: int) -> list[Floats]:
+        """By way of a frame between both, else by all that can be known."""
+        view, seen = self._views[number], self._views[other]
+        for between in range(number - 1, other, -1):
+            first = self._motions.get((number, between))
+            second = self._motions.get((between, other))
+            if first and second:
+                both = _square(_matrix(second.affine, view.shape)) @ _square(
+                    _matrix(first.affine, view.shape)
+                )
+                return [_affine(both[:2], view.shape)]
+        starts = [self._last, _phase_shift(view, seen)]
+        shift = self._shifts[number]
+        if shift is not None:
+            down, right = factors(view.full)
+            starts.append(np.array([-shift[0] / right, -shift[1] / down, 0, 0, 0, 0]))
+        return starts
+
+
+def laid_over(grey: Grey, motion: Motion) -> tuple[Grey, Grey | None]:
+    """A frame (H, W) as it looks where the other one was taken, and where it shows that, 0 or 1.
+
+    None: everywhere.  Whole pixels are copied, others interpolated (bicubic).
+    """
+    height, width = grey.shape
+    down, right = factors(grey.shape)
+    moved = motion.affine
+    whole = np.round(moved[:2] * [right, down])
+    if (
+        motion.flow is None
+        and not moved[2:].any()
+        and np.allclose(whole, moved[:2] * [right, down])
+    ):
+        if not whole.any():
+            return grey, None
+        return _copied(grey, int(whole[0]), int(whole[1]))
+    matrix = _enlarged(_matrix(moved, _reduced_shape(grey.shape)), down, right)
+    size, how = (width, height), cv2.INTER_CUBIC
+    outside = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": -1.0}
+    if motion.flow is None:
+        laid = cv2.warpAffine(grey, matrix, size, flags=how | cv2.WARP_INVERSE_MAP, **outside)
+    else:
+        x, y = _pixels(grey.shape)
+        m = matrix.astype(np.float32)
+        flow = cv2.resize(motion.flow, size, interpolation=cv2.INTER_LINEAR)
+        laid = cv2.remap(
+            grey,
+            m[0, 0] * x + m[0, 1] * y + (m[0, 2] + right * flow[..., 0]),
+            m[1, 0] * x + m[1, 1] * y + (m[1, 2] + down * flow[..., 1]),
+            how,
+            **outside,
+        )
+    return np.clip(laid, 0, 1), (laid > -0.05).astype(np.float32)
+
+
+def reduced(grey: Grey) -> Grey:
+    """Half as large, means of neighbours, along sides long enough."""
+    height, width = _reduced_shape(grey.shape)
+    if (height, width) == grey.shape:
+        return grey
+    down, right = factors(grey.shape)
+    even = grey[: height * down, : width * right]
+    return cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA)
+
+
+def blurred(grey: Grey, sigma: float) -> Grey:
+    """With a Gaussian window."""
+    return cv2.GaussianBlur(grey, (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
+
+
+def factors(shape: tuple[int, ...]) -> tuple[int, int]:
+    """How many rows and columns a reduced pixel stands for."""
+    down, right = (2 if side >= _LEAST_HALVED else 1 for side in shape[:2])
+    return down, right
+
+
+def _reduced_shape(shape: tuple[int, ...]) -> tuple[int, int]:
+    down, right = factors(shape)
+    return shape[0] // down, shape[1] // right
+
+
+def _whole(view: View, seen: View, starts: Sequence[Floats]) -> tuple[Floats, float]:
+    """The simplest affine motion that explains the frame, and the correlation that it leaves."""
+    none = np.zeros(6)
+    still = _correlation(view.band, seen.band)
+    start, best = none, still
+    for candidate in starts:
+        if candidate.any():
+            found = _correlation(view.band, _moved(seen.band, candidate))
+            if found > best + 0.01:
+                start, best = candidate, found
+    fine = _refined(view, seen, start)
+    if not start.any() and np.abs(fine).max() < _STILL:
+        return none, still
+    down, right = factors(view.full)
+    whole, shift, turned = none.copy(), none.copy(), fine
+    whole[:2] = np.round(fine[:2] * [right, down]) / [right, down]
+    shift[:2] = fine[:2]
+    chosen, alike = none, still
+    for candidate in (whole, shift, turned, start):
+        if candidate.any():
+            found = _correlation(view.band, _moved(seen.band, candidate, cv2.INTER_CUBIC))
+            if found > alike + _BETTER * (1 - alike):
+                chosen, alike = candidate, found
+    return chosen, alike
+
+
+def _refined(view: View, seen: View, affine: Floats) -> Floats:
+    change, hessian = view.steepest
+    for _ in range(_STEPS):
+        left, noise = _left(view, seen, affine)
+        usual = np.diag([0, 0, *[noise / _AFFINE_USUAL**2] * 4]) + 1e-6 * np.trace(
+            hessian
+        ) * np.eye(6)
+        step = np.linalg.solve(hessian + usual, change @ left.ravel() + usual @ affine)
+        affine = affine - step
+        if np.abs(step).max() < _SETTLED:
+            break
+    return affine
+
+
+def _blocks(view: View, seen: View, affine: Floats) -> Grey | None:
+    """What blocks move besides, where that is beyond doubt; (rows, columns, 2)."""
+    along, down = view.slopes
+    left, noise = _left(view, seen, affine)
+    height, width = view.shape
+    columns, rows = max(width // _CELL, 1), max(height // _CELL, 1)
+    area = height * width / (rows * columns)
+
+    def sums(plane: Grey) -> Grey:
+        """Over blocks of three cells, one a cell."""
+        cells = cv2.resize(plane, (columns, rows), interpolation=cv2.INTER_AREA)
+        return cv2.blur(cells, (3, 3), borderType=cv2.BORDER_REFLECT) * np.float32(9 * area)
+
+    usual = np.float32(noise / _BLOCK_USUAL**2)
+    xx, yy, xy = sums(along * along) + usual, sums(down * down) + usual, sums(along * down)
+    x, y = sums(along * left), sums(down * left)
+    determinant = xx * yy - xy * xy
+    right = -(yy * x - xy * y) / determinant
+    lower = -(xx * y - xy * x) / determinant
+    sure = -(right * x + lower * y) > _BLOCK_SURE * noise
+    if not sure.any():
+        return None
+    flow = cv2.GaussianBlur(np.stack([right * sure, lower * sure], axis=-1), (0, 0), 0.8)
+    return flow if np.hypot(flow[..., 0], flow[..., 1]).max() > 0.15 else None
+
+
+def _left(view: View, seen: View, affine: Floats) -> tuple[Grey, float]:
+    """What a motion leaves of the difference, cut where things move, and its noise's power."""
+    left = (_moved(seen.band, affine) - view.band) * view.lit
+    lit = view.lit.ravel()[::7] > 0
+    usual = np.median(np.abs(left.ravel()[::7][lit])) if lit.any() else 0.0
+    sigma = max(1.4826 * float(usual), 1e-4)
+    return np.clip(left, -2.5 * sigma, 2.5 * sigma), _GRAIN * sigma * sigma
+
+
+def _correlation(band: Grey, other: Grey) -> float:
+    """Where both show something; -1 where that is too little."""
+    both = ((band != 0) & (other != 0)).astype(np.float32)
+    if float(both.sum()) < 0.25 * max(np.count_nonzero(band), 1):
+        return -1.0
+    one, two = band * both, other * both
+    power = float(np.vdot(one, one)) * float(np.vdot(two, two))
+    return float(np.vdot(one, two)) / max(np.sqrt(power), 1e-12)
+
+
+def _phase_shift(view: View, seen: View) -> Floats:
+    """The shift with the highest phase correlation (Kuglin and Hines 1975), in whole pixels."""
+    cross = cv2.mulSpectrums(seen.spectrum, view.spectrum, 0, conjB=True)
+    magnitude = np.maximum(cv2.magnitude(cross[..., 0], cross[..., 1]), 1e-12)
+    cross /= cv2.pow(magnitude, _WHITENED)[..., None]
+    peaks = cv2.dft(cross, flags=cv2.DFT_INVERSE | cv2.DFT_REAL_OUTPUT)
+    down, right = (min(_FURTHEST, side // 3) for side in peaks.shape)
+    near = np.roll(peaks, (down, right), (0, 1))[: 2 * down + 1, : 2 * right + 1]
+    row, column = np.unravel_index(int(np.argmax(near)), near.shape)
+    return np.array([column - right, row - down, 0, 0, 0, 0], np.float64)
+
+
+def _moved(band: Grey, affine: Floats, how: int = cv2.INTER_LINEAR) -> Grey:
+    if not affine.any():
+        return band
+    size = band.shape[1], band.shape[0]
+    return cv2.warpAffine(band, _matrix(affine, band.shape), size, flags=how | cv2.WARP_INVERSE_MAP)
+
+
+def _copied(grey: Grey, right: int, down: int) -> tuple[Grey, Grey]:
+    """Pixel (x + right, y + down) at (x, y)."""
+    height, width = grey.shape
+    laid, shown = np.zeros_like(grey), np.zeros_like(grey)
+    rows = slice(max(0, -down), min(height, height - down))
+    columns = slice(max(0, -right), min(width, width - right))
+    if rows.start < rows.stop and columns.start < columns.stop:
+        source = grey[rows.start + down : rows.stop + down]
+        laid[rows, columns] = source[:, columns.start + right : columns.stop + right]
+        shown[rows, columns] = 1
+    return laid, shown
+
+
+def _matrix(affine: Floats, shape: tuple[int, ...]) -> Floats:
+    """(2, 3) pixel -> where it lies in the other frame."""
+    half = shape[1] / 2
+    middle = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
+    turn = np.eye(2) + affine[2:].reshape(2, 2) / half
+    return np.c_[turn, affine[:2] + middle - turn @ middle]
+
+
+def _affine(matrix: Floats, shape: tuple[int, ...]) -> Floats:
+    """The reverse of `_matrix`."""
+    half = shape[1] / 2
+    middle = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
+    shift = matrix[:, 2] - middle + matrix[:, :2] @ middle
+    return np.r_[shift, ((matrix[:, :2] - np.eye(2)) * half).ravel()]
+
+
+def _enlarged(matrix: Floats, down: float, right: float) -> Floats:
+    """A matrix between reduced pictures as one between whole ones."""
+    up = np.diag([right, down, 1.0])
+    up[:2, 2] = (right - 1) / 2, (down - 1) / 2
+    found: Floats = (up @ _square(matrix) @ np.linalg.inv(up))[:2]
+    return found
+
+
+def _square(matrix: Floats) -> Floats:
+    return np.r_[matrix, [[0.0, 0.0, 1.0]]]
+
+
+@lru_cache(maxsize=8)
+def _pixels(shape: tuple[int, int]) -> tuple[Grey, Grey]:
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
+    return x, y
+
+
+@lru_cache(maxsize=8)
+def _from_middle(shape: tuple[int, int]) -> tuple[Grey, Grey]:
+    x, y = _pixels(shape)
+    half = np.float32(shape[1] / 2)
+    return (x - (shape[1] - 1) / 2) / half, (y - (shape[0] - 1) / 2) / half
+
+
+@lru_cache(maxsize=8)
+def _faded(shape: tuple[int, int]) -> Grey:
+    window: Grey = np.outer(np.hanning(shape[0]), np.hanning(shape[1])).astype(np.float32)
+    return window

@@ -1,0 +1,194 @@
+"""Training losses: functions of (prediction, clean, batch), images (N, C, H, W) in 0..1.
+
+A loss is a settings class whose `image` compares the images, and one line in `LOSSES`.  `Loss` adds
+what every loss can have: further terms on the images, and the terms that teach the heads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+import torch
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+from torch import Tensor
+from torch.nn import functional
+
+from ..factory.errors import FactoryError
+from ..factory.settings import STRICT, build
+from .networks.lines import MapLines
+
+NotNegative = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0)]
+BatchTensors = Mapping[str, Tensor]
+"""What else a batch holds (see `models`); losses read `noisy`, `shadow`, `shadow_logits`, `weight`,
+`progress` and the maps of the geometry."""
+_PSNR_FLOOR = 1e-4
+"""Added to the mean squared difference in `decibels`: below it, at 40 dB, gains count little."""
+_EQUAL = 1e-10
+"""Mean squared difference of pictures that count as equal: 100 dB."""
+_CLEAN = 1e-4
+"""In `blend` a picture counts as if its noise had at least this mean square, 40 dB."""
+
+
+@dataclass(frozen=True, config=STRICT, kw_only=True)
+class Loss:
+    """Base of the losses.
+
+    square: weight of the mean squared difference, which PSNR measures.
+    decibels: weight of 10 log10 of the mean squared difference of each image, averaged over the
+    images (after the PSNR loss of Chen et al., ECCV 2022, with a floor at 40 dB); nearly clean
+    images count as much as noisy ones.
+    beams: weight of the mean absolute difference of the means along beams, of each image: what a
+    spoke changes, however faint it is; no effect where range and bearing are unknown.
+    mask: weight of the binary cross entropy between the true shadow and the logits of the mask
+    head; no effect without such a head or without a known shadow.
+    blend: weight of the binary cross entropy between the weight that a network with heads gives its
+    change of a picture and the best one there is, each picture counting as the mean square of its
+    change over that of its noise, at most 1; teaches that weight alone.
+    """
+
+    square: NotNegative = 0.0
+    decibels: NotNegative = 0.0
+    beams: NotNegative = 0.0
+    mask: NotNegative = 0.05
+    blend: NotNegative = 0.02
+
+    def image(self, prediction: Tensor, clean: Tensor, batch: BatchTensors) -> Tensor:
+        """Scalar tensor: how far the images are apart."""
+        raise NotImplementedError
+
+    def __call__(
+        self, prediction: Tensor, clean: Tensor, batch: BatchTensors | None = None
+    ) -> Tensor:
+        """Scalar tensor, differentiable in `prediction` and in the logits of the batch."""
+        batch = {} if batch is None else batch
+        loss = self.image(prediction, clean, batch)
+        if self.square:
+            loss = loss + self.square * (prediction - clean).square().mean()
+        if self.decibels:
+            each = (prediction - clean).square().mean(dim=(1, 2, 3))
+            loss = loss + self.decibels * 10 * torch.log10(each + _PSNR_FLOOR).mean()
+        if self.beams and "azimuth_rad" in batch and "range_fraction" in batch:
+            loss = loss + self.beams * _along_beams(prediction - clean, batch).abs().mean()
+        if self.mask and "shadow_logits" in batch and "shadow" in batch:
+            logits, shadow = batch["shadow_logits"], batch["shadow"]
+            loss = loss + self.mask * functional.binary_cross_entropy_with_logits(logits, shadow)
+        if self.blend and "weight" in batch and "noisy" in batch:
+            change = (prediction.detach() - batch["noisy"]).float()
+            noise = (clean - batch["noisy"]).float()
+            power = change.square().mean(dim=(1, 2, 3))
+            best = ((change * noise).mean(dim=(1, 2, 3)) / (power + _EQUAL)).clamp(0, 1)
+            counts = power / (noise.square().mean(dim=(1, 2, 3)) + _CLEAN)
+            given = batch["weight"].float()
+            off = functional.binary_cross_entropy(given, best, counts.clamp(max=1))
+            loss = loss + self.blend * off
+        return loss
+
+
+@dataclass(frozen=True, config=STRICT, kw_only=True)
+class L1(Loss):
+    """Mean absolute difference."""
+
+    kind: Literal["l1"]
+
+    def image(self, prediction: Tensor, clean: Tensor, batch: BatchTensors) -> Tensor:
+        """Scalar tensor."""
+        return (prediction - clean).abs().mean()
+
+
+@dataclass(frozen=True, config=STRICT, kw_only=True)
+class Charbonnier(Loss):
+    """Mean of sqrt(difference^2 + epsilon^2) (Charbonnier et al. 1994)."""
+
+    kind: Literal["charbonnier"]
+    epsilon: Positive
+
+    def image(self, prediction: Tensor, clean: Tensor, batch: BatchTensors) -> Tensor:
+        """Scalar tensor."""
+        return ((prediction - clean).square() + self.epsilon**2).sqrt().mean()
+
+
+@dataclass(frozen=True, config=STRICT, kw_only=True)
+class NewLoss(Loss):
+    """L1 of the images plus `weight` times a term about shadow (SimNFND paper, section 4.3).
+
+    The paper's term is L1 of Shadow(prediction, t) and Shadow(clean, t), where Shadow is 1 above
+    the threshold t and 0 elsewhere; the paper does not give t.
+
+    shadow: which term.
+      literal  as printed.  A threshold has no slope, so this trains exactly as L1 does.
+      ste      the same number; the gradient passes the threshold as if it were not there
+               (straight-through estimator, Bengio et al. 2013).
+      sigmoid  L1 of sigmoid((prediction - t) / width) and Shadow(clean, t).
+      bce      binary cross entropy of the same two.
+      dice     soft Dice loss of the shadows of the same two (Milletari et al. 2016), by image.
+      zone     L1 of the images inside the true shadow alone (`shadow` of the batch; clean <= t
+               where the batch has none).
+    threshold: t, a grey value.  width: how soft the threshold is, in grey values.
+    width_start: what `width` is at the beginning of training; it shrinks by the same factor every
+    step, down to `width` (only where the batch holds `progress`).
+    """
+
+    kind: Literal["newloss"]
+    shadow: Literal["literal", "ste", "sigmoid", "bce", "dice", "zone"]
+    weight: NotNegative
+    threshold: Annotated[float, Field(ge=0, lt=1)]
+    width: Positive
+    width_start: Positive
+
+    def image(self, prediction: Tensor, clean: Tensor, batch: BatchTensors) -> Tensor:
+        """Scalar tensor."""
+        both = (prediction - clean).abs().mean()
+        return both + self.weight * self.term(prediction, clean, batch)
+
+    def term(self, prediction: Tensor, clean: Tensor, batch: BatchTensors) -> Tensor:
+        """The term about shadow alone, without its weight."""
+        dark = clean <= self.threshold
+        if self.shadow == "zone":
+            zone = batch["shadow"].expand_as(clean) if "shadow" in batch else dark.to(clean.dtype)
+            total = ((prediction - clean).abs() * zone).sum()
+            return total / zone.sum().clamp_min(1)
+        lit = (~dark).to(prediction.dtype)
+        if self.shadow in ("literal", "ste"):
+            shown = (prediction > self.threshold).to(prediction.dtype)
+            if self.shadow == "ste":
+                shown = shown + (prediction - prediction.detach())
+            return (shown - lit).abs().mean()
+        logits = (prediction - self.threshold) / self._width(batch)
+        if self.shadow == "bce":
+            return functional.binary_cross_entropy_with_logits(logits, lit)
+        if self.shadow == "sigmoid":
+            return (torch.sigmoid(logits) - lit).abs().mean()
+        dark_shown, dark_true = torch.sigmoid(-logits), 1 - lit
+        axes = (1, 2, 3)
+        # One more pixel in both avoids 0 / 0 in an image without any shadow.
+        common = 2 * (dark_shown * dark_true).sum(axes) + 1
+        return (1 - common / (dark_shown.sum(axes) + dark_true.sum(axes) + 1)).mean()
+
+    def _width(self, batch: BatchTensors) -> float:
+        progress = float(batch["progress"]) if "progress" in batch else 1.0
+        return float(self.width_start * (self.width / self.width_start) ** progress)
+
+
+LOSSES: dict[str, type[Loss]] = {"l1": L1, "charbonnier": Charbonnier, "newloss": NewLoss}
+
+
+def build_loss(config: Mapping[str, object]) -> Loss:
+    """The loss that the `loss` group describes; FactoryError for an unknown kind or key."""
+    kind = str(config.get("kind"))
+    if kind not in LOSSES:
+        raise FactoryError(f"loss.kind: {kind!r} is none of {', '.join(sorted(LOSSES))}")
+    return build(LOSSES[kind], config, "loss")
+
+
+def _along_beams(x: Tensor, batch: BatchTensors) -> Tensor:
+    """(N, C, H, W) -> (N, C, W/2), means along beams; the picture is W pixels wide."""
+    azimuth_rad = batch["azimuth_rad"]
+    sector = batch.get("sector", torch.ones_like(azimuth_rad))
+    # At half the resolution, where hardly a beam is without a pixel.
+    halved = functional.avg_pool2d(x, 2, ceil_mode=True)
+    shape = (halved.shape[-2], halved.shape[-1])
+    lines = MapLines.of(azimuth_rad, batch["range_fraction"], sector, shape)
+    return lines.beam_means(halved)

@@ -1,0 +1,234 @@
+"""A network of three stages, after MPRNet: quarters of a picture, its halves, then the whole.
+
+Lu et al. (2023), which the SimNFND paper names, denoise sonar pictures by a multi-stage network
+with supervised attention (SAM) and a fusion of features across scales and stages (MCFF).  Neither
+its sizes nor its code are public; the network is written from the paper that these parts come from
+(Zamir et al., MPRNet: Multi-Stage Progressive Image Restoration, CVPR 2021), without its code and
+much smaller.  Left out is what Lu et al. put around the network: adaptive Gaussian smoothing before
+it, and after it a weighted fusion that corrects grey levels.
+
+Stage 1 encodes the quarters of the picture and decodes its halves, stage 2 encodes these and
+decodes the whole, stage 3 stays at full resolution.  Each makes a picture, and each is taught.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated, ClassVar, Literal
+
+import torch
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+from torch import Tensor, nn
+
+from ....factory.settings import STRICT
+from ..network import Network, Pointwise
+
+_LEVELS = 3
+_REDUCTION = 4
+"""Of the channels inside the attention."""
+
+
+@dataclass(frozen=True, config=STRICT)
+class ThreeStageSettings:
+    """Keys of conf/model/three_stage.yaml.
+
+    width: channels at full resolution.  growth: channels more at each of the two downsamplings.
+    blocks: attention blocks at each resolution of the first two stages.
+    full_blocks: attention blocks in each of the three groups of the last stage.
+    channels: of the images, 1 or 3.
+    """
+
+    kind: Literal["three_stage"]
+    width: Annotated[int, Field(ge=4, le=256)]
+    growth: Annotated[int, Field(ge=0, le=256)]
+    blocks: Annotated[int, Field(ge=1, le=16)]
+    full_blocks: Annotated[int, Field(ge=1, le=16)]
+    channels: Literal[1, 3] = 1
+
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """Channels at each resolution, from full to coarse."""
+        return tuple(self.width + level * self.growth for level in range(_LEVELS))
+
+
+class AttentionBlock(nn.Module):
+    """Two convolutions whose channels are weighed by their means, added to what came in."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        inner = max(channels // _REDUCTION, 1)
+        self.change = nn.Sequential(
+            nn.Conv2d(channels, channels, 3, padding=1, bias=False),
+            nn.PReLU(),
+            nn.Conv2d(channels, channels, 3, padding=1, bias=False),
+        )
+        self.weigh = nn.Sequential(
+            Pointwise(channels, inner), nn.ReLU(), Pointwise(inner, channels), nn.Sigmoid()
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, C, H, W) -> the same shape."""
+        change = self.change(x)
+        weighed: Tensor = x + change * self.weigh(change.mean(dim=(2, 3), keepdim=True))
+        return weighed
+
+
+def _attention_blocks(channels: int, count: int) -> nn.Sequential:
+    return nn.Sequential(*(AttentionBlock(channels) for _ in range(count)))
+
+
+def _larger(before: int, after: int, factor: int = 2) -> nn.Sequential:
+    """Channels first, then so many times as many pixels each way."""
+    return nn.Sequential(Pointwise(before, after), nn.Upsample(None, factor, mode="bilinear"))
+
+
+class Encoder(nn.Module):
+    """Features at each resolution, from full to coarse; features of the stage before are added."""
+
+    def __init__(self, widths: tuple[int, ...], blocks: int, follows: bool) -> None:
+        super().__init__()
+        self.blocks = nn.ModuleList(_attention_blocks(width, blocks) for width in widths)
+        self.downs = nn.ModuleList(
+            nn.Sequential(nn.AvgPool2d(2), Pointwise(fine, coarse))
+            for fine, coarse in pairwise(widths)
+        )
+        fused = widths if follows else ()
+        self.encoded = nn.ModuleList(Pointwise(width, width) for width in fused)
+        self.decoded = nn.ModuleList(Pointwise(width, width) for width in fused)
+
+    def forward(self, x: Tensor, before: tuple[list[Tensor], list[Tensor]] | None) -> list[Tensor]:
+        """(N, C, H, W) and (encoded, decoded) of the stage before -> features of each level."""
+        found: list[Tensor] = []
+        for level, blocks in enumerate(self.blocks):
+            if level:
+                x = self.downs[level - 1](x)
+            x = blocks(x)
+            if before is not None:
+                x = x + self.encoded[level](before[0][level])
+                x = x + self.decoded[level](before[1][level])
+            found.append(x)
+        return found
+
+
+class Decoder(nn.Module):
+    """Features at each resolution, from full to coarse, of those of an encoder."""
+
+    def __init__(self, widths: tuple[int, ...], blocks: int) -> None:
+        super().__init__()
+        self.blocks = nn.ModuleList(_attention_blocks(width, blocks) for width in widths)
+        self.skips = nn.ModuleList(AttentionBlock(width) for width in widths[:-1])
+        self.ups = nn.ModuleList(_larger(coarse, fine) for fine, coarse in pairwise(widths))
+
+    def forward(self, encoded: list[Tensor]) -> list[Tensor]:
+        """Features of each level -> the same shapes."""
+        x = self.blocks[-1](encoded[-1])
+        found = [x]
+        for level in reversed(range(len(encoded) - 1)):
+            x = self.blocks[level](self.ups[level](x) + self.skips[level](encoded[level]))
+            found.insert(0, x)
+        return found
+
+
+class SupervisedAttention(nn.Module):
+    """A picture from the features of a stage, and the features weighed by that picture (SAM)."""
+
+    def __init__(self, width: int, channels: int) -> None:
+        super().__init__()
+        self.features = nn.Conv2d(width, width, 3, padding=1)
+        self.residual = nn.Conv2d(width, channels, 3, padding=1)
+        self.weigh = nn.Conv2d(channels, width, 3, padding=1)
+
+    def forward(self, features: Tensor, noisy: Tensor) -> tuple[Tensor, Tensor]:
+        """(N, width, H, W) and (N, C, H, W) -> the features for the next stage, the picture."""
+        image: Tensor = noisy + self.residual(features)
+        kept: Tensor = features + self.features(features) * torch.sigmoid(self.weigh(image))
+        return kept, image
+
+
+class ThreeStage(Network):
+    """Three pictures, each better than the one before; the last is the result."""
+
+    has_stages: ClassVar[bool] = True
+
+    def __init__(self, settings: ThreeStageSettings) -> None:
+        # Quarters have half the side, and that is halved at each downsampling.
+        super().__init__(settings.channels, stride=2**_LEVELS)
+        widths, width = settings.widths, settings.width
+        self.shallow = nn.ModuleList(
+            nn.Sequential(
+                nn.Conv2d(self.channels, width, 3, padding=1), _attention_blocks(width, 1)
+            )
+            for _ in range(3)
+        )
+        self.encoders = nn.ModuleList(
+            Encoder(widths, settings.blocks, follows) for follows in (False, True)
+        )
+        self.decoders = nn.ModuleList(Decoder(widths, settings.blocks) for _ in range(2))
+        self.supervised = nn.ModuleList(SupervisedAttention(width, self.channels) for _ in range(2))
+        self.joined = nn.ModuleList(Pointwise(2 * width, width) for _ in range(2))
+        self.groups = nn.ModuleList(
+            _attention_blocks(width, settings.full_blocks) for _ in range(_LEVELS)
+        )
+        self.encoded, self.decoded = (
+            nn.ModuleList(
+                _larger(wide, width, 2**level) if level else Pointwise(wide, width)
+                for level, wide in enumerate(widths)
+            )
+            for _ in range(2)
+        )
+        self.outro = nn.Conv2d(width, self.channels, 3, padding=1)
+
+    def restore(self, noisy: Tensor, **extras: Tensor) -> Tensor:
+        """(N, channels, H, W) -> the same; H and W divide by `stride`."""
+        return self.restore_stages(noisy)[-1]
+
+    def restore_stages(self, noisy: Tensor, **extras: Tensor) -> list[Tensor]:
+        """Like `restore`, the picture of each stage."""
+        halves = split_rows(noisy)
+        encoded = self.encoders[0](self.shallow[0](split_columns(halves)), None)
+        encoded = [join_columns(x) for x in encoded]
+        decoded = self.decoders[0](encoded)
+        features, first = self.supervised[0](decoded[0], halves)
+
+        x = self.joined[0](torch.cat([self.shallow[1](halves), features], dim=1))
+        encoded = [join_rows(x) for x in self.encoders[1](x, (encoded, decoded))]
+        decoded = self.decoders[1](encoded)
+        features, second = self.supervised[1](decoded[0], noisy)
+
+        x = self.joined[1](torch.cat([self.shallow[2](noisy), features], dim=1))
+        for level, blocks in enumerate(self.groups):
+            x = x + blocks(x)
+            x = x + self.encoded[level](encoded[level]) + self.decoded[level](decoded[level])
+        return [join_rows(first), second, noisy + self.outro(x)]
+
+
+# Sizes are written out, for the ONNX exporter loses the rank of `unflatten`.
+
+
+def split_rows(x: Tensor) -> Tensor:
+    """(N, C, H, W) -> (2 N, C, H / 2, W): upper and lower half of each."""
+    count, channels, _, width = x.shape
+    parts = x.reshape(count, channels, 2, -1, width).transpose(1, 2)
+    return parts.reshape(-1, channels, parts.shape[3], width)
+
+
+def join_rows(x: Tensor) -> Tensor:
+    """The way back from `split_rows`."""
+    _, channels, height, width = x.shape
+    parts = x.reshape(-1, 2, channels, height, width).transpose(1, 2)
+    return parts.reshape(parts.shape[0], channels, -1, width)
+
+
+def split_columns(x: Tensor) -> Tensor:
+    """(N, C, H, W) -> (2 N, C, H, W / 2): left and right half of each."""
+    count, channels, height, _ = x.shape
+    parts = x.reshape(count, channels, height, 2, -1).permute(0, 3, 1, 2, 4)
+    return parts.reshape(-1, channels, height, parts.shape[4])
+
+
+def join_columns(x: Tensor) -> Tensor:
+    """The way back from `split_columns`."""
+    _, channels, height, width = x.shape
+    parts = x.reshape(-1, 2, channels, height, width).permute(0, 2, 3, 1, 4)
+    return parts.reshape(parts.shape[0], channels, height, -1)

@@ -1,1 +1,0 @@
-"""ARIS recordings: the file, and where its beams look."""

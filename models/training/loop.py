@@ -1,0 +1,209 @@
+"""The one loop of training, distilling and adapting: steps, checks, and a wish to stop."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, nullcontext
+from dataclasses import dataclass, field
+from types import FrameType
+from typing import Any
+
+import torch
+from lightning.fabric import Fabric
+from torch import Tensor
+from torch.optim import Optimizer
+
+from ...factory.progress import progress_bar
+from ...factory.seeds import stream
+from ..data.pairs import Batch
+from .module import DenoisingModule, Row
+
+SAVE_EVERY_S = 120.0
+"""Time between two checkpoints, seconds, where checks are further apart."""
+
+Batches = Callable[[int, int], Iterator[Batch]]
+"""(number of the interval, steps of it that are done) -> the batches of its other steps."""
+Check = Callable[[int, float], Row]
+"""(steps done, mean loss since the last check) -> what was measured."""
+
+
+class Stopped(KeyboardInterrupt):
+    """Ctrl-C or SIGTERM, after the step in progress.
+
+    said: the line to print.  exit_code: what a shell expects.
+    """
+
+    def __init__(self, said: str, number: int) -> None:
+        super().__init__(said)
+        self.said, self.exit_code = said, 128 + number
+
+
+@dataclass
+class Progress:
+    """What a checkpoint holds beside the module and its optimizers.
+
+    step: steps done.  rows: of the checks done.  losses: of the steps since the last check.
+    drawn: state of torch's random numbers.
+    """
+
+    step: int = 0
+    rows: list[Row] = field(default_factory=list)
+    losses: list[Tensor] = field(default_factory=list)
+    drawn: Tensor | None = None
+
+
+class Loop:
+    """Takes `steps` steps with a module and checks it every `check_every` of them.
+
+    save: keeps `state()` on disk; called after every check, every `SAVE_EVERY_S` seconds, and when
+    the loop is stopped by Ctrl-C or SIGTERM; None keeps nothing.
+    """
+
+    def __init__(
+        self,
+        fabric: Fabric,
+        module: DenoisingModule,
+        *,
+        steps: int,
+        check_every: int,
+        seed: int,
+        label: str = "training",
+        save: Callable[[], None] | None = None,
+    ) -> None:
+        self.fabric, self.module, self.save = fabric, module, save
+        self.steps, self.check_every, self.seed, self.label = steps, check_every, seed, label
+        self.progress = Progress()
+        self.bar: Any = None
+        self._asked = _Signals()
+        # The same steps give the same weights, as far as the device has such kernels.
+        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
+        torch.use_deterministic_algorithms(True, warn_only=True)
+        found = fabric.setup(module, *module.make_optimizers())
+        self._wrapped, self._optimizers = found[0], list[Optimizer](found[1:])
+
+    def run(self, batches: Batches, check: Check, is_done: Callable[[list[Row]], bool]) -> None:
+        """Go on to the last step, or until `is_done` with the rows of the checks.
+
+        Raises Stopped, FactoryError where the loss becomes no number, and what the calls raise.
+        """
+        done = self.progress
+        bar: Any = nullcontext()
+        if self.fabric.is_global_zero:
+            self.bar = progress_bar(
+                total=self.steps, initial=done.step, unit="step", desc=self.label
+            )
+            bar = closing(self.bar)
+        with self._asked, bar:
+            while len(done.rows) * self.check_every < self.steps and not is_done(done.rows):
+                self._steps(batches, len(done.rows))
+                loss: Any = torch.stack(done.losses).mean()
+                loss = self.fabric.all_reduce(loss, reduce_op="mean")
+                done.rows.append(check(done.step, float(loss)))
+                done.losses, done.drawn = [], None
+                if self.save is not None:
+                    self.save()
+
+    def state(self) -> dict[str, Any]:
+        """All that going on needs, in types that are loaded without running code."""
+        done = self.progress
+        return {
+            "step": done.step,
+            "losses": torch.stack(done.losses).cpu() if done.losses else torch.empty(0),
+            "drawn": torch.get_rng_state() if done.losses else None,
+            "module": self.module.state_dict(),
+            "optimizers": [one.state_dict() for one in self._optimizers],
+            "precision": self.fabric.strategy.precision.state_dict(),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on where `state` was taken; `rows` of it are those of the checks done then."""
+        losses = list(state["losses"].to(self.fabric.device))
+        self.progress = Progress(state["step"], list(state["rows"]), losses, state["drawn"])
+        self.module.load_state_dict(state["module"])
+        for optimizer, stored in zip(self._optimizers, state["optimizers"], strict=True):
+            optimizer.load_state_dict(stored)
+        self.fabric.strategy.precision.load_state_dict(state["precision"])
+
+    def show(self, text: str) -> None:
+        """Say something beside the progress bar."""
+        if self.bar is not None:
+            self.bar.set_postfix_str(text)
+
+    def stop_if_asked(self) -> None:
+        """Raise Stopped after Ctrl-C or SIGTERM, with what was done kept; also for long checks."""
+        number = self._asked.number
+        if self.fabric.world_size > 1:
+            # All devices stop after the same step.
+            every: Any = self.fabric.all_reduce(torch.tensor(float(number)), reduce_op="sum")
+            number = int(every)
+        if not number:
+            return
+        if self.save is None:
+            raise Stopped("interrupted; nothing was written", self._asked.number)
+        self.save()
+        raise Stopped(
+            f"interrupted after step {self.progress.step} of {self.steps}, which is kept; run "
+            "again to go on",
+            self._asked.number or signal.SIGINT,
+        )
+
+    def _steps(self, batches: Batches, interval: int) -> None:
+        """The steps of an interval that are left."""
+        done, end = self.progress, (interval + 1) * self.check_every
+        if done.step == end:
+            return
+        saved_s = time.monotonic()
+        self.module.train()
+        # The first interval seeds after the loader has drawn its number, the others before it.
+        left = batches(interval, done.step - interval * self.check_every) if not interval else None
+        torch.manual_seed(int(stream(self.seed, "torch", interval).integers(2**62)))
+        if left is None:
+            left = batches(interval, done.step - interval * self.check_every)
+        if done.drawn is not None:
+            torch.set_rng_state(done.drawn)
+        while done.step < end:
+            try:
+                batch = self.fabric.to_device(next(left))
+            except RuntimeError:
+                # A reading process may have been stopped by the same Ctrl-C.
+                self.stop_if_asked()
+                raise
+            self.module.step = done.step
+            loss = self.module.update(self.fabric, self._wrapped, self._optimizers, batch)
+            done.losses.append(loss.detach())
+            done.step += 1
+            if self.bar is not None:
+                self.bar.update()
+            self.stop_if_asked()
+            if self.save is not None and time.monotonic() - saved_s > SAVE_EVERY_S:
+                self.save()
+                saved_s = time.monotonic()
+
+
+class _Signals:
+    """Notes Ctrl-C and SIGTERM; a second one ends the program at once."""
+
+    def __init__(self) -> None:
+        self.number = 0
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> _Signals:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, before in self._before.items():
+            signal.signal(number, before)
+
+    def _note(self, number: int, _: FrameType | None) -> None:
+        if self.number:
+            raise Stopped(
+                "interrupted at once; the last checkpoint is kept, if there is one", number
+            )
+        self.number = number

@@ -1,0 +1,174 @@
+"""Datasets that version 0.3 made are read: pictures, labels, fields, echoes, tables, verbs."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import tarfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simnfnd.command import main
+from simnfnd.factory.dataset import PairDataset
+from simnfnd.factory.dataset.format.axes import image_axes
+from simnfnd.factory.dataset.format.echoes import EchoList, echo_names, read_echoes
+from simnfnd.factory.dataset.format.layout import optional_layers
+from simnfnd.factory.dataset.format.manifest import ShardInfo, load_manifest, save_manifest
+from simnfnd.factory.dataset.format.schema import Column, Pair, Provenance
+from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.read.reader import Split, reading
+from simnfnd.factory.dataset.validate import validate
+from simnfnd.factory.dataset.write.index import write_index
+from simnfnd.factory.dataset.write.writer import write_shard
+
+# BLAKE2b (8 bytes) of all samples of a layer, as the readers of 0.3 gave them.
+POINTS = {
+    "train": {
+        "noisy": "7021eebb4c29a90b", "clean": "220c9cbbfb63117d", "shadow": "02700cd6bebb14d5",
+        "range": "c36339ee28a8da9c", "elevation": "04a39e7bba615433",
+        "segmentation": "c2c2dc59b64fc00a", "instance": "238da45bebb9a314",
+        "layers/multipath": "cf9783fe02d15074", "meta": "92549183673255f5",
+        "echoes": "119ec312feaecd5d",
+    },
+    "test": {
+        "noisy": "3ba1473edff78f73", "clean": "ea5e6c6b01d66d27", "shadow": "32716dca98d89b10",
+        "range": "3059673642545c8a", "elevation": "f77d6c1b32ac67d1",
+        "segmentation": "21606b1aeb2a1b08", "instance": "2223f08f60746bfd",
+        "layers/multipath": "99b9e6391889431b", "meta": "857f66deb62efe0c",
+        "echoes": "bbaa456511407e21",
+    },
+}  # fmt: skip
+FIELD = {
+    "train": {
+        "noisy": "57d1b15b1650cc81", "clean": "e836a7d58ad83fbd", "shadow": "006fb5b4c7491bd7",
+        "intensity_db": "b7c5de244341901d", "field": "32e26a9a54160a87", "meta": "e9d4912356d8462a",
+    },
+    "test": {
+        "noisy": "90f1c9df690d0137", "clean": "559b138d10fb0659", "shadow": "3d7bb226fbf7048a",
+        "intensity_db": "317dcf9f3458ec6a", "field": "f570a438cd4ecf72", "meta": "99d3c8632444113c",
+    },
+}  # fmt: skip
+EXPECTED = {"points": POINTS, "field": FIELD}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """points: gzip, uint8, effects, labels, echoes.  field: lzf, float32, the received field."""
+    folder = tmp_path_factory.mktemp("made")
+    with tarfile.open(Path(__file__).parent / "made_by_0_3.tar.xz") as archive:
+        archive.extractall(folder, filter="data")
+    return folder
+
+
+def digests(folder: Path, split: Split, names: list[str]) -> dict[str, str]:
+    """Of every layer, of the table and of the echoes."""
+    sums = {name: hashlib.blake2b(digest_size=8) for name in names}
+    layers = [name for name in names if name not in ("meta", "echoes")]
+    with PairDataset(folder, split, layers=layers) as pairs:
+        for number, sample in enumerate(pairs):
+            for name, image in sample.items():
+                sums[name].update(image.tobytes())
+            if "echoes" in sums:
+                echoes = pairs.echoes(number)
+                for name in sorted(echoes.fields):
+                    sums["echoes"].update(np.ascontiguousarray(echoes[name]).tobytes())
+        sums["meta"].update(pairs.meta().tobytes())
+    return {name: found.hexdigest() for name, found in sums.items()}
+
+
+@pytest.mark.parametrize("split", ["train", "test"])
+@pytest.mark.parametrize("name", sorted(EXPECTED))
+def test_every_layer_is_what_0_3_read(made: Path, name: str, split: Split) -> None:
+    expected = EXPECTED[name][split]
+    assert digests(made / name, split, list(expected)) == expected
+
+
+@pytest.mark.parametrize("name", sorted(EXPECTED))
+def test_it_is_valid_and_the_index_is_the_same_to_the_byte(
+    made: Path, tmp_path: Path, name: str
+) -> None:
+    folder = Path(shutil.copytree(made / name, tmp_path / name))
+    assert validate(folder, deep=True).errors == ()
+    manifest, index = load_manifest(folder), folder / "index.h5"
+    assert manifest is not None
+    before = index.read_bytes()
+    write_index(folder, manifest)
+    assert index.read_bytes() == before
+    index.write_bytes(before[:-1] + bytes([before[-1] ^ 1]))
+    (error,) = validate(folder).errors
+    assert str(error).startswith("error: index.h5: its SHA-256 is not that of the manifest")
+
+
+def written_again(path: Path, out: Path, settings: DatasetSettings) -> ShardInfo | None:
+    """A shard made anew of all that it holds."""
+    with reading(path) as file:
+        axes = image_axes(file["noisy"])
+        table = file["meta"]
+        columns = tuple(
+            Column(name, table.dtype[name].str.lstrip("|<"), *(
+                table.attrs[f"{name}.{key}"] for key in ("units", "description")
+            ))
+            for name in table.dtype.names
+        )  # fmt: skip
+        names = optional_layers(file)
+        lists: dict[tuple[int, ...], EchoList] = {}
+        pairs = []
+        for row, values in enumerate(table[()]):
+            record = {name: values[name].item() for name in table.dtype.names}
+            texts = {k: v.decode() for k, v in record.items() if isinstance(v, bytes)}
+            echoes = None
+            if echo_names(file):
+                # Samples of one frame share a list.
+                place = tuple(file["echoes/place"][row].tolist())
+                echoes = lists.setdefault(place, read_echoes(file, row))
+            stored = {name: file[name][row] for name in ("noisy", "clean", "shadow", *names)}
+            core = (stored.pop(name) for name in ("noisy", "clean", "shadow"))
+            pairs.append(Pair(*core, {**record, **texts}, stored, echoes))
+        config, hash_, generator, split = (
+            str(file.attrs[name]) for name in ("config", "config_hash", "generator", "split")
+        )
+    provenance = Provenance(json.loads(config), hash_, generator)
+    return write_shard(out, f"{split}/{path.name}", pairs, axes, columns, provenance, settings)
+
+
+@pytest.mark.parametrize(
+    ("name", "dtype", "how"), [("points", "uint8", "gzip"), ("field", "float32", "lzf")]
+)
+def test_the_writer_gives_the_bytes_of_0_3(
+    made: Path, tmp_path: Path, name: str, dtype: Any, how: Any
+) -> None:
+    settings = DatasetSettings(dtype=dtype, compression=how)
+    manifest = load_manifest(made / name)
+    assert manifest is not None
+    for path, info in manifest.shards.items():
+        again = written_again(made / name / path, tmp_path, settings)
+        assert again is not None
+        assert again.sha256 == info.sha256
+
+
+def test_verbs_take_it(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = made / "points"
+    main(["inspect", str(folder)])
+    assert "samples      2 train, 2 test" in capsys.readouterr().out
+    for to, word in (("png", "4 samples"), ("coco", "4 pictures"), ("webdataset", "4 samples")):
+        main(["export", str(folder), "--to", to, "--out", str(tmp_path / to)])
+        assert word in capsys.readouterr().out.replace("2 train samples and 2 test", "4")
+
+
+def test_its_halves_merge_to_the_same_shards(made: Path, tmp_path: Path) -> None:
+    manifest = load_manifest(made / "points")
+    assert manifest is not None
+    for split in ("train", "test"):
+        half = Path(shutil.copytree(made / "points", tmp_path / split))
+        shards = {path: s for path, s in manifest.shards.items() if s.split == split}
+        save_manifest(half, replace(manifest, shards=shards))
+    out = tmp_path / "merged"
+    main(["merge", str(tmp_path / "train"), str(tmp_path / "test"), "--out", str(out)])
+    for split, expected in POINTS.items():
+        assert digests(out, split, list(expected)) == expected  # type: ignore[arg-type]
+    assert validate(out, deep=True).errors == ()

@@ -1,0 +1,136 @@
+"""Workers that stand still, and a template that is stopped or killed: time alone is lost."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from multiprocessing import forkserver
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from simnfnd.factory.scheduler.workers import local, template
+from simnfnd.factory.scheduler.workers.contract import Pool, WorkerSettings
+from simnfnd.factory.scheduler.workers.local import LocalBackend
+from tests.factory.scheduler.run_files import wait_for
+from tests.fake_source import FakeConfig
+from tests.project_files import ROOT
+from tests.run_fake import make
+
+FORKED = WorkerSettings((Pool("all", 2),), preload=("simnfnd.factory.scheduler.worker",))
+
+
+def template_pid() -> int:
+    server: Any = vars(forkserver)["_forkserver"]
+    return int(server._forkserver_pid)
+
+
+def nap(seconds: float) -> int:
+    time.sleep(seconds)
+    return os.getpid()
+
+
+def test_a_stopped_worker_costs_the_limit_and_some_seconds(tmp_path: Path) -> None:
+    config = FakeConfig(stops=("reef/alpha/0002",))
+    make(tmp_path / "first", workers=2)  # the template is warm
+    begun = time.monotonic()
+    report = make(tmp_path / "dataset", config, workers=2, retries=0, frame_timeout_s=2.0)
+    assert time.monotonic() - begun < 2 + 10 + 8, "the rest of the run on a busy machine"
+    (failure,) = report.failures
+    assert (report.samples, failure.ref.name, failure.kind) == (30, "reef/alpha/0002", "timeout")
+    assert "frame_timeout_s=2" in failure.reason
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_workers_outlive_their_template_and_not_the_backend(number: int) -> None:
+    template.kill()
+    backend = LocalBackend(FORKED)
+    pids = []
+    try:
+        futures = [backend.submit(nap, 0.0, 60.0, "all") for _ in range(2)]
+        pids = [future.result(60) for future in futures]
+        again = [backend.submit(nap, 1.5, 60.0, "all") for _ in range(2)]
+        os.kill(template_pid(), number)
+        assert {future.result(60) for future in again} == set(pids), "one was taken for dead"
+        backend.submit(nap, 60.0, 90.0, "all")
+    finally:
+        backend.stop()
+        template.kill()
+    wait_for(lambda: not any(map(_alive, pids)), 10)
+
+
+def _alive(pid: int) -> bool:
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False
+
+
+def test_two_deaths_of_the_template_cost_no_frame(tmp_path: Path) -> None:
+    import threading
+
+    ended = threading.Event()
+
+    def killing() -> None:
+        for _ in range(2):
+            if ended.wait(1.0):
+                return
+            template_is = vars(forkserver)["_forkserver"]
+            if template_is._forkserver_pid:
+                os.kill(template_is._forkserver_pid, signal.SIGKILL)
+
+    thread = threading.Thread(target=killing)
+    thread.start()
+    try:
+        report = make(tmp_path / "dataset", FakeConfig(delay_s=0.1), workers=2, recycle_frames=4)
+    finally:
+        ended.set()
+        thread.join()
+    assert (report.samples, report.failures) == (32, ())
+
+
+KILLED = """
+import os, sys, time
+from simnfnd.factory.cli import PRELOADED
+from simnfnd.factory.scheduler.workers.contract import Pool, WorkerSettings
+from simnfnd.factory.scheduler.workers.local import LocalBackend
+if __name__ == "__main__":
+    backend = LocalBackend(WorkerSettings((Pool("all", 1),), preload=PRELOADED))
+    print(backend.submit(abs, -1, 60.0, "all").result(120), flush=True)
+    time.sleep(60)
+"""
+
+
+def test_a_killed_run_leaves_no_temporary_folder(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    script = tmp_path / "run.py"
+    script.write_text(KILLED)
+    folder = tmp_path_factory.mktemp("t")  # a socket's name is short
+    environment = {**os.environ, "TMPDIR": str(folder), "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, env=environment, cwd=ROOT
+    ) as run:
+        assert run.stdout is not None
+        assert run.stdout.readline() == b"1\n"
+        assert list(folder.glob("pymp-*"))
+        run.kill()
+    wait_for(lambda: not list(folder.glob("pymp-*")), 30)
+
+
+def test_a_worker_whose_parent_has_gone_says_nothing(capfd: pytest.CaptureFixture[str]) -> None:
+    backend = LocalBackend(FORKED)
+    backend.submit(nap, 0.3, 60.0, "all")
+    wait_for(lambda: any(slot._child and slot._child.alive for slot in backend._slots))
+    for slot in backend._slots:
+        if slot._child:
+            slot._child._connection.close()
+    time.sleep(0.6)
+    backend.stop()
+    assert "Traceback" not in capfd.readouterr().err
+    assert local._children is not None
