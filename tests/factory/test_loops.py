@@ -294,7 +294,7 @@ def test_streams_are_those_of_numpys_seed_sequence(seed: int, names: list[str | 
 
 
 def test_every_module_of_loops_is_compiled_before_workers_start() -> None:
-    """A module that `compile_all` forgets would be compiled by every worker at once."""
+    """A module that `loops` forgets would be compiled by every worker at once."""
     from simnfnd.factory.loops import LOOPS
 
     using = {
@@ -302,9 +302,26 @@ def test_every_module_of_loops_is_compiled_before_workers_start() -> None:
         for path in (ROOT / "factory").rglob("*.py")
         if "\n@compiled(" in path.read_text(encoding="utf-8")
     }
-    assert using == set(LOOPS)
-    for name in LOOPS:
+    modules = {f"simnfnd.factory.{name}" for name in LOOPS}
+    assert using == modules
+    for name in modules:
         importlib.import_module(name)
+
+
+def test_what_is_not_compiled_yet_can_be_left_alone(tmp_path: Path) -> None:
+    """The process that workers are forked from loads loops, but never compiles them."""
+    code = """
+import sys
+from simnfnd.factory.loops import load_compiled
+load_compiled()
+print([name for name in sys.modules if name.endswith("elementary")])
+"""
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True,
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+        )  # fmt: skip
+        assert done.stdout.strip() == "[]"
 
 
 def test_loops_work_where_nothing_can_be_kept(tmp_path: Path) -> None:

@@ -96,7 +96,8 @@ class ViewMaker:
     """Renders frames into the cache; a `simnfnd.factory.dataset.format.schema.Preparer`."""
 
     def __init__(self, config: FactoryConfig) -> None:
-        from ...scenes import open_reader
+        from ...loops import compile_needed
+from ...scenes import open_reader
 
         self.config = config
         self.reader = open_reader(config.scenes)
@@ -121,6 +122,7 @@ class ViewMaker:
             # Not before it is needed: with all renders at hand nobody has to load Blender.
             from .. import open_renderer
 
+            compile_needed(self.config)
             self._renderer = open_renderer(self.config.render)
         frame = self.reader.load(ref)
         mount = self.config.sonar.mount
