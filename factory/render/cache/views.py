@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 from ...dataset.format.schema import Prepared
 from ...errors import FrameError, NotRendered
 from ...frame import FrameRef
+from ...loops import compile_needed
 from ..view import View, view_of
 from .cache import Cache
 from .key import FrameKeys
@@ -96,8 +97,7 @@ class ViewMaker:
     """Renders frames into the cache; a `simnfnd.factory.dataset.format.schema.Preparer`."""
 
     def __init__(self, config: FactoryConfig) -> None:
-        from ...loops import compile_needed
-from ...scenes import open_reader
+        from ...scenes import open_reader
 
         self.config = config
         self.reader = open_reader(config.scenes)
