@@ -28,7 +28,7 @@ def compile_needed(*, scenes: str = "", render: str = "", field: bool = False) -
     by the complex field.
     One process of a machine at a time does it: many workers would compile the same loops at once.
     """
-    names = PICTURES
+    names: tuple[str, ...] = PICTURES
     if scenes == "seabed":
         names += SEABED
     if render in ("cycles", "embree"):

@@ -100,8 +100,6 @@ def _filled_up(matrix: Matrix) -> Floats:
     return np.pad(matrix, ((0, -len(matrix) % 4), (0, 0))).astype(np.float32)
 
 
-Floats = npt.NDArray[np.float32]
-
 _PATTERN_STEPS = 4096
 
 

@@ -11,6 +11,7 @@ from ...compiled import compiled
 from .kernels import mixed
 
 Floats = npt.NDArray[np.float32]
+Doubles = npt.NDArray[np.float64]
 
 STEPS_X, STEPS_Y, STEPS_Z = np.uint32(73856093), np.uint32(19349663), np.uint32(83492791)
 _1, _2, _3 = np.uint32(1), np.uint32(2), np.uint32(3)
@@ -159,7 +160,7 @@ def count(
     "void(int32[::1], float32[::1], uint32[::1], float32[::1], uint32, float32[:, ::1],"
     " float32[:, ::1])"
 )
-def scatter_paths(
+def scatter(
     bin_of: npt.NDArray[np.int32],
     power_of: Floats,
     name_of: npt.NDArray[np.uint32],
@@ -199,9 +200,6 @@ def into_planes(bins: Floats, amplitude: Floats, planes: Floats) -> None:
             real[beam] = factor * pairs[beam, 0]
             imaginary[beam] = factor * pairs[beam, 1]
 
-
-Floats = npt.NDArray[np.float32]
-Doubles = npt.NDArray[np.float64]
 
 _1, _8, _16 = np.uint32(1), np.uint32(8), np.uint32(16)
 _X, _Y, _Z = np.uint32(0x68BC21EB), np.uint32(0x02E5BE93), np.uint32(0x967A889B)
@@ -368,7 +366,7 @@ def locate(
     "void(int32[::1], float32[::1], uint32[::1], uint16[::1], uint32, float32[:, ::1],"
     " float32[:, ::1], float32[:, ::1])"
 )
-def scatter(
+def scatter_paths(
     bin_of: npt.NDArray[np.int32],
     root_of: Floats,
     cell_of: npt.NDArray[np.uint32],
@@ -389,8 +387,6 @@ def scatter(
         bins[bin_of[at], 0] += real * c + imaginary * s
         bins[bin_of[at], 1] += imaginary * c - real * s
 
-
-Floats = npt.NDArray[np.float32]
 
 _1, _16 = np.uint32(1), np.uint32(16)
 _ONE, _TWO, _THREE, _FOUR = np.float32(1), np.float32(2), np.float32(3), np.float32(4)

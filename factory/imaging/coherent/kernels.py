@@ -290,8 +290,6 @@ def amplitude(field: Floats, level: Floats) -> None:
             made[beam] = np.sqrt(made[beam] / np.float32(looks))
 
 
-Floats = npt.NDArray[np.float32]
-
 # Far below every level that is shown, and no subnormal number.
 _FAINTEST = np.float32(1e-37)
 
