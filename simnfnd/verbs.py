@@ -130,7 +130,7 @@ VERBS: dict[str, Verb] = {
         f"{_COMMANDS}.export:main",
         (
             "simnfnd export outputs/demo --to huggingface --out outputs/hub",
-            "simnfnd export outputs/demo --to huggingface --push me/demo --out outputs/hub",
+            "simnfnd export outputs/demo --to huggingface --out outputs/hub",
             "simnfnd export outputs/demo --to png --split test --out outputs/png",
             "simnfnd export outputs/labelled --to coco --out outputs/coco",
         ),
