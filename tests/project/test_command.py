@@ -228,7 +228,7 @@ def test_help_and_configuration_need_nothing(monkeypatch, capsys) -> None:
         monkeypatch.setitem(sys.modules, module, None)
     for words in (("train", "--help"), ("train", "--cfg", "job"), ("evaluate", "fit", "--help")):
         assert run(monkeypatch, *words) == 0
-    assert 'Needs pip install "simnfnd[train]"' in capsys.readouterr().out
+    assert 'Needs pip install "simnfnd[denoise]"' in capsys.readouterr().out
 
 
 def test_the_extras_install_what_they_are_named_for() -> None:
