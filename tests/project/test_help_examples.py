@@ -36,7 +36,7 @@ REAL: dict[str, tuple[str, ...]] = {
     "export": (),
 }
 # Need the network, a hub's account, a recording of some size, or end only when they are told.
-NOT_REALLY = ("--push", "dive.aris", "simnfnd view", "--watch", "export-weights simnfnd")
+NOT_REALLY = ("dive.aris", "simnfnd view", "--watch", "export-weights simnfnd")
 
 
 def examples() -> Iterator[tuple[str, str]]:
