@@ -176,11 +176,11 @@ RECORDING = (*ANALYTIC, "scenes=csv_list", "scenes.root={in}/list.csv",
         (("denoise", "{in}", "--out", "{out}"), "safetensors", "train"),
         (("export-weights", "{in}/w.safetensors", "--out", "{out}"), "torch", "train"),
         ((*ONNX, "--out", "{out}.onnx"), "onnxruntime", "onnx"),
-        (("evaluate", "dataset={in}", "out={out}"), "pyarrow", "report"),
+        (("evaluate", "dataset={in}", "out={out}"), "pandas", "report"),
         (("evaluate", "dataset={in}", "out={out}", "models=[simnfnd]"), "torch", "train"),
         (("evaluate", "dataset={in}", "ablation.olddata_l1=simnfnd"), "torch", "train"),
         (("evaluate", "tune", "dataset={in}"), "torch", "train"),
-        (("evaluate", "compare", "{in}", "{in}", "--out", "{out}"), "pyarrow", "report"),
+        (("evaluate", "compare", "{in}", "{in}", "--out", "{out}"), "pandas", "report"),
         (("evaluate", "real", "{in}", "out={out}"), "skimage", "report"),
         (("evaluate", "real", "{in}", "out={out}", "models=[simnfnd]"), "torch", "train"),
         (("evaluate", "realism", "{in}", "{in}", "out={out}"), "skimage", "report"),
@@ -228,7 +228,7 @@ def test_help_and_configuration_need_nothing(monkeypatch, capsys) -> None:
         monkeypatch.setitem(sys.modules, module, None)
     for words in (("train", "--help"), ("train", "--cfg", "job"), ("evaluate", "fit", "--help")):
         assert run(monkeypatch, *words) == 0
-    assert 'Needs pip install "simnfnd[train]"' in capsys.readouterr().out
+    assert 'Needs pip install "simnfnd[denoise]"' in capsys.readouterr().out
 
 
 def test_the_extras_install_what_they_are_named_for() -> None:
