@@ -1,4 +1,4 @@
-"""A page in a real browser without a window: Chromium runs a script in it and says what it found."""
+"""A page in a real browser: Chromium without a window runs a script in it and prints the answer."""
 
 from __future__ import annotations
 
@@ -47,7 +47,8 @@ def found_on(page: Path, script: str, folder: Path, *, size: tuple[int, int]) ->
     content = html.escape(_WATCH + page.read_text(encoding="utf-8"), quote=True)
     shell = folder / "shell.html"
     shell.write_text(_SHELL % (*size, content, script), encoding="utf-8")
-    flags = ["--headless", "--hide-scrollbars", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
+    flags = ["--headless", "--hide-scrollbars", "--no-sandbox", "--disable-gpu",
+             "--disable-dev-shm-usage",
              f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=20000",
              "--window-size=1600,1200", "--dump-dom"]  # fmt: skip
     done = subprocess.run(
