@@ -45,7 +45,8 @@ MAKE, LOOK, PASS_ON, DENOISE, JUDGE = (
 )
 _COMMANDS = "simnfnd.factory.commands"
 _SONAR = ("cv2", "scipy")
-_NETWORK = ("torch", "safetensors", *_SONAR)
+_NETWORK = ("onnxruntime", "safetensors", *_SONAR)
+_ADAPTING = ("torch", "lightning", "safetensors", *_SONAR)
 _TRAINING = ("torch", "lightning", "safetensors", "tensorboard", *_SONAR)
 
 
@@ -166,7 +167,7 @@ VERBS: dict[str, Verb] = {
             "simnfnd adapt lamprey.avi --out own.safetensors --pairs outputs/demo",
             "simnfnd denoise dive.aris --weights own.safetensors --out outputs/denoised",
         ),
-        needs=_NETWORK,
+        needs=_ADAPTING,
     ),
     "export-weights": Verb(
         DENOISE, "trained weights in 16 bits with a model card, or as ONNX",
@@ -176,7 +177,7 @@ VERBS: dict[str, Verb] = {
             "--out own.safetensors",
             "simnfnd export-weights simnfnd --to onnx --geometry fan --out fan.onnx",
         ),
-        needs=_NETWORK,
+        needs=_ADAPTING,
     ),
     "evaluate": Verb(
         JUDGE, "the report on a dataset, and on methods that denoise it",

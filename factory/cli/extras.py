@@ -22,7 +22,7 @@ EXTRAS = {
     "open3d": "open3d",
     "torch": "train",
     "lightning": "train",
-    "safetensors": "train",
+    "safetensors": "denoise",
     "tensorboard": "train",
     "optuna": "report",
     "pandas": "report",
