@@ -324,7 +324,7 @@ def test_somebodys_denoised_pictures_are_a_row(tmp_path: Path) -> None:
     for number, item in enumerate(items):
         noisy = np.rint(picture(item.place).noisy * 255).astype(np.uint8)
         cv2.imwrite(str(mine / "test" / "noisy" / f"{number:06d}.png"), cv2.medianBlur(noisy, 3))
-        np.save(arrays / f"{number:06d}.npy", noisy.astype(np.float32) / 255)
+        np.save(arrays / f"{number:06d}.npy", noisy / 255)
     given = [{"name": "mine", "dir": str(mine)}, {"name": "arrays", "dir": str(arrays)}]
     content = builder.build(settings_for(dataset, pictures=given))
     rows_ = {row["label"]: row for row in content["rows"]}
@@ -334,6 +334,9 @@ def test_somebodys_denoised_pictures_are_a_row(tmp_path: Path) -> None:
         assert rows_["mine"]["metrics"][name] == rows_["median"]["metrics"][name]
         assert rows_["arrays"]["metrics"][name] == rows_["noisy"]["metrics"][name]
     assert "psnr" in rows_["mine"]["against_best"]
+    np.save(arrays / "000002.npy", np.full((48, 48), 9.0))
+    content = builder.build(settings_for(dataset, pictures=given[1:]))
+    assert "pixels of 0 .. 9; floats must lie in 0..1" in content["rows"][-1]["lost"]
     cases: list[tuple[dict[str, str], str]] = [
         ({"name": "mine", "dir": "nowhere"}, "mine: nowhere: no such folder"),
         ({"name": "median", "dir": str(mine)}, "median: another row has this name"),
