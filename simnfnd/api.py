@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from .factory.dataset.format.schema import Pair
     from .factory.render.base import Renderer, RenderSettings
     from .factory.sonar.geometry import FanGeometry
+    from .models.denoise.asked import InTurn
     from .models.denoise.denoiser import Denoiser
-    from .models.denoise.weighing.in_turn import InTurn
 
 
 def denoise(
@@ -26,6 +26,7 @@ def denoise(
     geometry: Literal["find", "polar"] | FanGeometry | None = "find",
     remove: Sequence[str] | None = None,
     strength: float = 1.0,
+    noise: Literal["real", "points"] = "real",
     frames: int = 7,
     causal: bool = False,
     device: Literal["auto", "cpu", "gpu"] = "auto",
@@ -35,15 +36,16 @@ def denoise(
     picture: (H, W), (N, H, W), or (H, W, 3 or 4) in colours; uint8, uint16, or float in 0..1.
         Colours of a colour map are denoised as the levels that they stand for.
     weights: a weights.safetensors of a training or the name of weights that ship; None: of those
-        that ship the ones that suit the picture and what is to be removed: `simnfnd`,
-        `simnfnd-paper` where its noise is that of points, `simnfnd-removal` for haze, spokes,
-        ghosts and gains.  They stay loaded for the next call.
+        that ship `simnfnd`, and `simnfnd-removal` for haze, spokes, ghosts and gains.  They stay
+        loaded for the next call.
     geometry: where range and bearing are, for networks that use it.  "find": the fan is looked for
         in each picture, as `simnfnd denoise` does.  "polar": rows are ranges, near range first, and
         the columns span 30 degrees.  None: not known.
     remove: what to remove, of speckle, haze, spokes, ghosts, blur and gains; None: what most want
         of an unknown picture (speckle, spokes, ghosts and blur).
     strength: how much of it, 0 to 1.
+    noise: of real sonars, or of the points that the paper simulates, whose weights are
+        `simnfnd-paper`.
     frames: of a stack whose pictures follow each other in time: up to so many, odd, are laid over
         each other and fused where they show the same; 1: each by itself.
     causal: fuse with pictures before alone.
@@ -51,11 +53,11 @@ def denoise(
 
     Returns an array of the same shape and dtype.
     Raises ValueError for another shape or dtype, NaN, and floats outside 0..1; FactoryError for
-    weights that are not there, a missing GPU, and where the extra `train` is not installed.
+    weights that are not there, a missing GPU, and where the extra `denoise` is not installed.
     """
     from .factory.cli.extras import Need, require
 
-    needed = ("torch", "safetensors", "cv2", "scipy")
+    needed = ("onnxruntime", "safetensors", "cv2", "scipy")
     require(Need("simnfnd.denoise", module) for module in needed)
     from .models.denoise.pictures import Denoising, check_frames
     from .models.pretrained import find_weights
@@ -73,14 +75,7 @@ def denoise(
     chosen = None if remove is None else tuple(remove)
     network: Callable[..., npt.NDArray[np.float32]]
     named = None if weights is None else path
-    network = _denoiser(named, path.stat().st_mtime_ns, device, chosen, strength)
-    if weights is None and remove is None:
-        from .models.denoise.weighing.suited import Suited
-        from .models.pretrained import POINTS
-
-        of_points = find_weights(POINTS)
-        changed_ns = of_points.stat().st_mtime_ns
-        network = Suited(network, lambda: _denoiser(of_points, changed_ns, device, None, strength))
+    network = _denoiser(named, path.stat().st_mtime_ns, device, chosen, strength, noise)
     if isinstance(geometry, str) and geometry not in ("find", "polar"):
         raise ValueError(f"geometry={geometry!r}: expected 'find', 'polar', a FanGeometry or None")
     layout = "polar" if geometry == "polar" else None
@@ -171,9 +166,14 @@ def _renderer(settings: RenderSettings) -> Renderer:
 
 @lru_cache(maxsize=2)
 def _denoiser(
-    path: Path | None, changed_ns: int, device: str, remove: tuple[str, ...] | None, strength: float
+    path: Path | None,
+    changed_ns: int,
+    device: str,
+    remove: tuple[str, ...] | None,
+    strength: float,
+    noise: str,
 ) -> Denoiser | InTurn:
     """changed_ns: of the file, so that weights trained anew are loaded anew."""
-    from .models.denoise.weighing.in_turn import asked_denoiser
+    from .models.denoise.asked import asked_denoiser
 
-    return asked_denoiser(path, device, remove, strength=strength)
+    return asked_denoiser(path, device, remove, noise=noise, strength=strength)

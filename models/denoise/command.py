@@ -20,6 +20,7 @@ from ...factory.scheduler.workers.memory import keep_freed_memory
 from ..pretrained import POINTS, REMOVAL
 from ..recordings import Levels, open_recording
 from ..removal import DEFAULT
+from .asked import NOISES, OF_POINTS, OVER, REAL, InTurn, asked_denoiser
 from .denoiser import (
     EXACT,
     OVERLAP,
@@ -36,8 +37,6 @@ from .runtime import PRECISIONS
 from .shards import denoise_shard, made_of_points, opened_shard
 from .temporal.stream import FRAMES
 from .watch import Watched, watch
-from .weighing.in_turn import OVER, InTurn, asked_denoiser
-from .weighing.suited import Suited
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -55,13 +54,19 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--weights",
         help="weights.safetensors of a training, or the name of weights that ship (default: "
-        f"simnfnd, for shards and pictures of the paper's points {POINTS}, and {REMOVAL} for what "
+        f"simnfnd, for shards of the paper's points {POINTS}, and {REMOVAL} for what "
         f"--remove names of {', '.join(OVER)})",
     )
     parser.add_argument(
         "--remove",
         metavar="LIST",
         help=f"what to remove, of {','.join(ARTEFACTS)} (default: {','.join(DEFAULT)})",
+    )
+    parser.add_argument(
+        "--noise",
+        choices=NOISES,
+        default=REAL,
+        help="of real sonars, or of the paper's points; shards say it themselves",
     )
     parser.add_argument(
         "--strength", type=float, default=1.0, help="how much of it, 0 to 1 (default: 1)"
@@ -144,13 +149,12 @@ def main(arguments: Sequence[str]) -> int:
         "strength": chosen.strength,
         "precision": chosen.precision,
     }
-    denoise = asked_denoiser(chosen.weights, remove=remove, **how)
-    points = suited = None
-    if chosen.weights is None and remove is None:
+    denoise = asked_denoiser(chosen.weights, remove=remove, noise=chosen.noise, **how)
+    points = None
+    if chosen.weights is None and remove is None and chosen.noise != OF_POINTS:
         points = cache(lambda: load_denoiser(POINTS, **how))
-        suited = Suited(denoise, points)
     denoising = Denoising(
-        suited or denoise, frames=chosen.frames, causal=chosen.causal, calibrated=calibrated
+        denoise, frames=chosen.frames, causal=chosen.causal, calibrated=calibrated
     )
     job = Job(out, denoising, geometries.of, chosen.compare, chosen.topic)
     work = _Work(job, denoise, points)
@@ -159,8 +163,7 @@ def main(arguments: Sequence[str]) -> int:
             failed = _watch(work, watched, chosen.every)
         else:
             failed = _all(work, items, Finished(out, denoise.digest, list(arguments)))
-    said = suited.summary() if suited else ()
-    for line in (*geometries.summary(), *denoising.summary(), *said):
+    for line in (*geometries.summary(), *denoising.summary()):
         print(line)
     print(f"denoised: {work.done} file(s) in {out}")
     return 1 if failed and not watched else 0
