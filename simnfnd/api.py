@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from .factory.dataset.format.schema import Pair
     from .factory.render.base import Renderer, RenderSettings
     from .factory.sonar.geometry import FanGeometry
+    from .models.denoise.asked import InTurn
     from .models.denoise.denoiser import Denoiser
-    from .models.denoise.in_turn import InTurn
 
 
 def denoise(
@@ -25,8 +25,8 @@ def denoise(
     weights: str | Path | None = None,
     geometry: Literal["find", "polar"] | FanGeometry | None = "find",
     remove: Sequence[str] | None = None,
-    noise: Literal["sonar", "points"] = "sonar",
     strength: float = 1.0,
+    noise: Literal["real", "points"] = "real",
     frames: int = 7,
     causal: bool = False,
     device: Literal["auto", "cpu", "gpu"] = "auto",
@@ -36,15 +36,16 @@ def denoise(
     picture: (H, W), (N, H, W), or (H, W, 3 or 4) in colours; uint8, uint16, or float in 0..1.
         Colours of a colour map are denoised as the levels that they stand for.
     weights: a weights.safetensors of a training or the name of weights that ship; None: of those
-        that ship the ones for what is to be removed: `simnfnd`, and `simnfnd-removal` for haze,
-        spokes, ghosts and gains.  They stay loaded for the next call.
+        that ship `simnfnd`, and `simnfnd-removal` for haze, spokes, ghosts and gains.  They stay
+        loaded for the next call.
     geometry: where range and bearing are, for networks that use it.  "find": the fan is looked for
         in each picture, as `simnfnd denoise` does.  "polar": rows are ranges, near range first, and
         the columns span 30 degrees.  None: not known.
     remove: what to remove, of speckle, haze, spokes, ghosts, blur and gains; None: what most want
         of an unknown picture (speckle, spokes, ghosts and blur).
-    noise: "points" for pictures with the paper's noise, by `simnfnd-paper`.
     strength: how much of it, 0 to 1.
+    noise: of real sonars, or of the points that the paper simulates, whose weights are
+        `simnfnd-paper`.
     frames: of a stack whose pictures follow each other in time: up to so many, odd, are laid over
         each other and fused where they show the same; 1: each by itself.
     causal: fuse with pictures before alone.
@@ -59,7 +60,7 @@ def denoise(
     needed = ("onnxruntime", "safetensors", "cv2", "scipy")
     require(Need("simnfnd.denoise", module) for module in needed)
     from .models.denoise.pictures import Denoising, check_frames
-    from .models.pretrained import NOISES, POINTS, find_weights
+    from .models.pretrained import find_weights
     from .models.recordings.fan.finder import find_geometry
 
     given = np.asarray(picture)
@@ -67,12 +68,6 @@ def denoise(
         raise ValueError(
             f"picture has shape {given.shape}; expected (H, W), (N, H, W) or (H, W, 3)"
         )
-    if noise not in NOISES:
-        raise ValueError(f"noise={noise!r}: expected one of {', '.join(NOISES)}")
-    if noise == "points":
-        if weights is not None or remove is not None:
-            raise ValueError("noise='points' has weights of its own; leave out weights and remove")
-        weights = POINTS
     path = find_weights(weights)
     check_frames(frames)
     if not 0 <= strength <= 1:
@@ -80,7 +75,7 @@ def denoise(
     chosen = None if remove is None else tuple(remove)
     network: Callable[..., npt.NDArray[np.float32]]
     named = None if weights is None else path
-    network = _denoiser(named, path.stat().st_mtime_ns, device, chosen, strength)
+    network = _denoiser(named, path.stat().st_mtime_ns, device, chosen, strength, noise)
     if isinstance(geometry, str) and geometry not in ("find", "polar"):
         raise ValueError(f"geometry={geometry!r}: expected 'find', 'polar', a FanGeometry or None")
     layout = "polar" if geometry == "polar" else None
@@ -171,9 +166,14 @@ def _renderer(settings: RenderSettings) -> Renderer:
 
 @lru_cache(maxsize=2)
 def _denoiser(
-    path: Path | None, changed_ns: int, device: str, remove: tuple[str, ...] | None, strength: float
+    path: Path | None,
+    changed_ns: int,
+    device: str,
+    remove: tuple[str, ...] | None,
+    strength: float,
+    noise: str,
 ) -> Denoiser | InTurn:
     """changed_ns: of the file, so that weights trained anew are loaded anew."""
-    from .models.denoise.in_turn import asked_denoiser
+    from .models.denoise.asked import asked_denoiser
 
-    return asked_denoiser(path, device, remove, strength=strength)
+    return asked_denoiser(path, device, remove, noise=noise, strength=strength)

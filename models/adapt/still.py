@@ -30,7 +30,7 @@ from .clips import RUN, Clip, Shot
 LEAST = 4
 """Fewer frames make no stretch: too little is known of what stands still."""
 _ALIKE = 0.75  # of pictures in any order
-_LEAST_ALIKE = 0.3  # of frames that follow each other
+_FOLLOWS = 0.3  # of frames that follow each other: raw pings of one scene have .3 to .5
 _LEAST_ALIGNED = 3
 _LEAST_KNOWN = 0.1  # of the sector that must stand still
 
@@ -126,7 +126,7 @@ def _stretches(clip: Clip) -> list[list[Shot]]:
     pieces = np.array_split(left, max(1, math.ceil(len(left) / RUN)))
     for piece in pieces:
         # Frames that follow each other show one scene unless it is plain that they do not.
-        found += _groups(clip, piece.tolist(), _ALIKE if clip.shuffled else _LEAST_ALIKE)
+        found += _groups(clip, piece.tolist(), _ALIKE if clip.shuffled else _FOLLOWS)
     taken = {number for group in found for number in group}
     found += _groups(clip, [number for number in left if number not in taken], _ALIKE)
     return [[clip.shots[i] for i in group] for group in sorted(found)]

@@ -17,9 +17,10 @@ from ...factory.files import check_writable
 from ...factory.imaging.contract import ARTEFACTS
 from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.memory import keep_freed_memory
-from ..pretrained import NOISES, POINTS, REMOVAL
+from ..pretrained import POINTS, REMOVAL
 from ..recordings import Levels, open_recording
 from ..removal import DEFAULT
+from .asked import NOISES, OF_POINTS, OVER, REAL, InTurn, asked_denoiser
 from .denoiser import (
     EXACT,
     OVERLAP,
@@ -29,7 +30,6 @@ from .denoiser import (
 )
 from .files import Job, denoise_bag, denoise_files, denoise_pings, denoise_video, open_bag
 from .geometries import FIND, Geometries
-from .in_turn import OVER, InTurn, asked_denoiser
 from .inputs import Item, find_items, sequences
 from .pictures import Denoising, check_frames
 from .resume import Finished, stopped_by_sigterm
@@ -65,9 +65,8 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--noise",
         choices=NOISES,
-        default=NOISES[0],
-        help=f"of pictures: that of sonars, or the paper's points, for which {POINTS} is made; "
-        f"shards say it themselves ({NOISES[0]})",
+        default=REAL,
+        help="of real sonars, or of the paper's points; shards say it themselves",
     )
     parser.add_argument(
         "--strength", type=float, default=1.0, help="how much of it, 0 to 1 (default: 1)"
@@ -150,15 +149,9 @@ def main(arguments: Sequence[str]) -> int:
         "strength": chosen.strength,
         "precision": chosen.precision,
     }
-    if chosen.noise == "points":
-        if chosen.weights is not None or remove is not None:
-            raise FactoryError(
-                "--noise points: has weights of its own; leave out --weights, --remove"
-            )
-        chosen.weights = POINTS
-    denoise = asked_denoiser(chosen.weights, remove=remove, **how)
+    denoise = asked_denoiser(chosen.weights, remove=remove, noise=chosen.noise, **how)
     points = None
-    if chosen.weights is None and remove is None:
+    if chosen.weights is None and remove is None and chosen.noise != OF_POINTS:
         points = cache(lambda: load_denoiser(POINTS, **how))
     denoising = Denoising(
         denoise, frames=chosen.frames, causal=chosen.causal, calibrated=calibrated

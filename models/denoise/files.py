@@ -84,7 +84,7 @@ def denoise_files(items: Sequence[Item], job: Job) -> Iterator[tuple[Item, Frame
         try:
             _write_picture(seen.key, denoised, job.out)
             if job.compare:
-                write_compared(job.out, seen.key.relative, [(seen.original, denoised)])
+                write_compared(job.out / seen.key.compared, [(seen.original, denoised)])
         except FrameError as found:
             error = found
         job.tick()
@@ -108,7 +108,7 @@ def denoise_video(item: Item, job: Job) -> None:
                 shown.append((seen.original, denoised))
             job.tick()
     if job.compare:
-        write_compared(job.out, item.relative, shown)
+        write_compared(job.out / item.compared, shown)
 
 
 def denoise_pings(item: Item, job: Job) -> str:
@@ -134,7 +134,7 @@ def denoise_pings(item: Item, job: Job) -> str:
                 write_image(path / f"{frame.number:06d}_polar.png", samples)
         warning = recording.warning
     if job.compare:
-        write_compared(job.out, item.relative, shown)
+        write_compared(job.out / item.compared, shown)
     return warning
 
 
@@ -167,7 +167,7 @@ def denoise_bag(item: Item, job: Job) -> str:
                 f"{', '.join(bag.topics)} with --topic to denoise them in time"
             )
     if shown:
-        write_compared(job.out, item.relative, shown)
+        write_compared(job.out / item.compared, shown)
     return warning
 
 
@@ -191,7 +191,8 @@ def _frames(
             try:
                 yield job.denoising.seen(frame, frame.samples, place, shift)
             except ValueError as error:
-                raise FrameError(f"{item.source}: frame {frame.number}: {error}") from error
+                what = "message" if item.kind == "bag" else "frame"
+                raise FrameError(f"{item.source}: {what} {frame.number}: {error}") from error
 
     return job.denoising.sequence(read(), alone=alone)
 

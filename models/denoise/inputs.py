@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -40,12 +41,21 @@ class Item:
     source: of a file of arrays also FILE::NAME.
     checked: a shard that another process has opened without harm.
     levels: of arrays and TIFF files, what shows as black and white.
+    whole_name: whether its sheet to compare by keeps its suffix, as another has its name without.
     """
 
     source: Path
     relative: Path
     checked: bool = False
     levels: Levels | None = None
+    whole_name: bool = False
+
+    @property
+    def compared(self) -> Path:
+        """Name of the sheet to compare by, below the output folder."""
+        if self.whole_name:
+            return Path("compare") / f"{self.relative}.png"
+        return Path("compare") / self.relative.with_suffix(".png")
 
     @cached_property
     def kind(self) -> Literal["image", "shard", "video", "pings", "bag"]:
@@ -79,13 +89,10 @@ def find_items(
         for found in _of_input(path, out):
             item = replace(found, levels=levels)
             items.setdefault((item.relative, item.source.resolve()), item)
-    _check_outputs(list(items.values()), out, compare=compare)
-    return list(items.values())
-
-
-def compared_name(relative: Path) -> Path:
-    """Where the sheet to compare by of a result lies, below the output folder."""
-    return Path("compare") / relative.with_suffix(".png")
+    sheets = Counter(item.compared for item in items.values())
+    found_items = [replace(item, whole_name=sheets[item.compared] > 1) for item in items.values()]
+    _check_outputs(found_items, out, compare=compare)
+    return found_items
 
 
 def sequences(items: Sequence[Item]) -> list[list[Item]]:
@@ -114,7 +121,7 @@ def _check_outputs(items: Sequence[Item], out: Path, *, compare: bool) -> None:
     sources = {file_of(item.source).resolve() for item in items}
     written: dict[Path, Item] = {}
     for item in items:
-        results = [item.relative, *([compared_name(item.relative)] if compare else [])]
+        results = [item.relative, *([item.compared] if compare else [])]
         for relative in results:
             path = (out / relative).resolve()
             other = written.setdefault(path, item)

@@ -74,7 +74,7 @@ def denoise_shard(
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, content)
     if compare and shown:
-        write_compared(out, item.relative, shown)
+        write_compared(out / item.compared, shown)
 
 
 def opened_shard(item: Item) -> h5py.File:

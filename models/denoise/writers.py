@@ -21,7 +21,6 @@ from ..recordings.arrays import ArrayFile, NpyWriter
 from ..recordings.base import FULL_SCALE, TIFF_SUFFIXES, Recording
 from ..recordings.levels import swapped
 from ..recordings.pictures import StackFile
-from .inputs import compared_name
 
 CODECS = {".avi": "FFV1", ".mkv": "FFV1", ".mov": "FFV1", ".mp4": "png "}
 """Suffix of a container -> the codec without loss that it holds."""
@@ -188,9 +187,9 @@ def write_image(path: Path, image: npt.NDArray[Any]) -> None:
     write_atomically(path, content.tobytes())
 
 
-def write_compared(out: Path, relative: Path, rows: Sequence[Sequence[npt.NDArray[Any]]]) -> None:
+def write_compared(path: Path, rows: Sequence[Sequence[npt.NDArray[Any]]]) -> None:
     """Noisy, denoised (and clean) side by side, one row a sample."""
-    write_image(out / compared_name(relative), sheet(rows))
+    write_image(path, sheet(rows))
 
 
 def sheet(rows: Sequence[Sequence[npt.NDArray[Any]]]) -> npt.NDArray[np.uint8]:

@@ -30,7 +30,10 @@ class Trained:
 
 def channels_last(network: Network) -> Network:
     """The same network with the memory layout that halves its time on a CPU."""
-    return network.to(memory_format=torch.channels_last)
+    for tensor in (*network.parameters(), *network.buffers()):
+        if tensor.ndim == 4:
+            tensor.data = tensor.data.to(memory_format=torch.channels_last)
+    return network
 
 
 def save_weights(

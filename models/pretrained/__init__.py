@@ -13,9 +13,6 @@ DEFAULT = "simnfnd"
 """Name of the weights that `simnfnd denoise` takes when none are given."""
 POINTS = "simnfnd-paper"
 """Those for the paper's noise: shards of acoustics.formation=points, and where it is asked for."""
-NOISES = ("sonar", "points")
-"""Kinds of noise that a picture can be said to have."""
-
 REMOVAL = "simnfnd-removal"
 """Those for what lies over a picture (haze, spokes, ghosts, gains), where it is asked for."""
 

@@ -23,7 +23,7 @@ _LEAST_PIXELS = 20
 _LEAST_SIGMA = 0.0015
 _NORMAL = 1.4826  # from the median of absolute values to a standard deviation
 _EVERY = 3  # pixels along each side from one that is measured to the next
-_LEARNED, _AGAIN = 60, 8
+_LEARNED, _AGAIN = 30, 8
 """Frames after which differences are measured in every so many only."""
 _SMALL, _WIDE, _CLIP = 0.8, 7, 3.0
 """Sigma of the small window, reduced pixels; side of the wide one; deviations count no more."""

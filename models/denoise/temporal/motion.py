@@ -22,9 +22,11 @@ Floats = npt.NDArray[np.float64]
 
 ALIKE = 0.2
 """Frames whose band-passed pictures correlate less show something else."""
+_BY_CHANCE = 4.0  # standard deviations of the correlation of unlike frames, the best of all shifts
 _FURTHEST = 48  # reduced pixels that the peak of a phase correlation may lie away
 _BETTER = 0.05  # part of what no motion leaves that a motion must explain
-_STEPS, _SETTLED = 4, 0.01
+_STEPS, _SETTLED = 4, 0.02
+_STILL = 0.06  # reduced pixels: less is no motion
 _WHITENED = 0.6  # exponent of the magnitudes in the phase correlation
 _LIT = 0.012  # grey value: darker surroundings hold no scene
 _CELL = 16  # reduced pixels: side of a block
@@ -139,7 +141,8 @@ class Aligner:
         if view is None or seen is None or view.full != seen.full:
             return None
         affine, alike = _whole(view, seen, self._starts(number, other))
-        if alike < ALIKE:
+        pixels = max(float(view.lit.sum()), 1.0)
+        if alike < ALIKE + _BY_CHANCE / np.sqrt(pixels / _GRAIN):
             return None
         if number - other == 1:
             self._last = affine
@@ -237,6 +240,8 @@ def _whole(view: View, seen: View, starts: Sequence[Floats]) -> tuple[Floats, fl
             if found > best + 0.01:
                 start, best = candidate, found
     fine = _refined(view, seen, start)
+    if not start.any() and np.abs(fine).max() < _STILL:
+        return none, still
     down, right = factors(view.full)
     whole, shift, turned = none.copy(), none.copy(), fine
     whole[:2] = np.round(fine[:2] * [right, down]) / [right, down]
@@ -302,9 +307,9 @@ def _left(view: View, seen: View, affine: Floats) -> tuple[Grey, float]:
 def _correlation(band: Grey, other: Grey) -> float:
     """Where both show something; -1 where that is too little."""
     both = ((band != 0) & (other != 0)).astype(np.float32)
-    one, two = band * both, other * both
-    if np.count_nonzero(both) < 0.25 * max(np.count_nonzero(band), 1):
+    if float(both.sum()) < 0.25 * max(np.count_nonzero(band), 1):
         return -1.0
+    one, two = band * both, other * both
     power = float(np.vdot(one, one)) * float(np.vdot(two, two))
     return float(np.vdot(one, two)) / max(np.sqrt(power), 1e-12)
 

@@ -11,7 +11,7 @@ import numpy as np
 from ....factory.sonar.geometry import FanGeometry
 from .fusion import Fused, Fusion
 from .motion import Aligner, Grey, laid_over
-from .strength import Strength, total_variation
+from .strength import ALONE, TOLD, UNTOLD, Parts, Strength, total_variation
 
 FRAMES, MOST_FRAMES = 7, 31
 
@@ -69,7 +69,10 @@ class Tally:
 
 
 class InTime(Generic[Key]):
-    """Denoises the frames of one sequence."""
+    """Denoises the frames of one sequence.
+
+    strength: chosen so far.
+    """
 
     def __init__(
         self,
@@ -78,21 +81,24 @@ class InTime(Generic[Key]):
         frames: int = FRAMES,
         causal: bool = False,
         calibrated: bool = True,
+        fixed: tuple[Parts, Parts] | None = None,
         tally: Tally | None = None,
     ) -> None:
         """frames: of a window, odd.  causal: a window ends with its frame.
 
         calibrated: whether the recording chooses the strength; else the usual one is taken.
+        fixed: the strength of a frame alone and of a whole window, whatever is measured.
         tally: counts what is done.
         """
         self._network, self._frames, self._causal = network, frames, causal
         self._before = frames - 1 if causal else frames // 2
         self._after = 0 if causal else frames // 2
-        self._calibrated = calibrated and frames > 1
+        self._calibrated = calibrated and fixed is None and frames > 1
         self._tally = tally if tally is not None else Tally()
         self._aligner, self._fusion = Aligner(2 * frames), Fusion()
         self._told = bool(getattr(network, "knows_frames", False))
-        self._strength = Strength(frames, told=self._told)
+        usual = fixed or (ALONE, TOLD if self._told else UNTOLD)
+        self.strength = Strength(frames, usual)
         self._held: dict[int, Shot[Key]] = {}
         self._places: dict[int, FanGeometry | None] = {}
         self._newest, self._next = -1, 0
@@ -104,14 +110,16 @@ class InTime(Generic[Key]):
         self._held[self._newest] = shot
         if self._frames > 1:
             self._aligner.add(self._newest, _grey(shot.levels), shot.shift_px)
+            # Motions over several frames start from those between neighbours.
+            self._aligner.motion(self._newest, self._newest - 1)
         yield from self._ready()
 
     def finish(self) -> Iterator[tuple[Key, Grey]]:
         """All that are left."""
         while self._next <= self._newest:
             yield self._one()
-        if self._strength.measured:
-            self._tally.strengths.append(str(self._strength))
+        if self.strength.measured:
+            self._tally.strengths.append(str(self.strength))
 
     def _ready(self) -> Iterator[tuple[Key, Grey]]:
         while self._next <= self._newest - self._wait():
@@ -174,11 +182,12 @@ class InTime(Generic[Key]):
             return each_plane(fused.picture, lambda grey: self._network(grey, geometry))
 
         def one(grey: Grey) -> Grey:
-            network = self._asked(grey, geometry, fused.frames)
-            variation = None
-            if self._strength.needs_variation:
+            network = variation = None
+            if self.strength.needs(2):
+                network = self._asked(grey, geometry, fused.frames)
+            if self.strength.needs(1):
                 variation = total_variation(grey, self._left(grey, fused.frames))
-            return self._strength.applied(grey, variation, network, fused.frames)
+            return self.strength.applied(grey, variation, network, fused.frames)
 
         return each_plane(fused.picture, one)
 
@@ -212,8 +221,8 @@ class InTime(Generic[Key]):
             network = self._asked(grey, geometry, frames)
             variation = total_variation(grey, self._left(grey, frames))
             full = where & (frames > 0.8 * frames.max()) if whole else where
-            self._strength.add(whole, (grey, variation, network), target[0], full)
-        self._strength.fit()
+            self.strength.add(whole, (grey, variation, network), target[0], full)
+        self.strength.fit()
 
     def _count(self, fused: Fused) -> None:
         if self._frames == 1:

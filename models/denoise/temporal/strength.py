@@ -20,6 +20,7 @@ Floats = npt.NDArray[np.float64]
 Parts = tuple[float, float, float]
 """Of the fused frame, its total variation and the network; they add up to 1."""
 
+AS_FUSED: Parts = (1.0, 0.0, 0.0)
 ALONE: Parts = (0.0, 0.0, 1.0)
 TOLD: Parts = (0.0, 0.3, 0.7)
 UNTOLD: Parts = (0.2, 0.5, 0.3)
@@ -42,21 +43,21 @@ class Strength:
     measured: on how many frames they were.
     """
 
-    def __init__(self, frames: int, *, told: bool) -> None:
-        """told: whether the network knows how many frames count."""
-        self._frames = frames
-        self._usual = ALONE, (TOLD if told else UNTOLD)
+    def __init__(self, frames: int, usual: tuple[Parts, Parts]) -> None:
+        """usual: of a frame alone and of a whole window, until anything is measured."""
+        self._frames, self._usual = frames, usual
         self._least_network = _LEAST_NETWORK
         self.alone, self.whole = self._usual
         self.measured = 0
         self._sums = [(np.zeros((3, 3)), np.zeros(3), 0) for _ in range(2)]
 
-    @property
-    def needs_variation(self) -> bool:
-        """Whether total variation has any part."""
-        return self.alone[1] > 0 or self.whole[1] > 0
+    def needs(self, which: int) -> bool:
+        """Whether a part counts anywhere."""
+        return self.alone[which] > 0 or self.whole[which] > 0
 
-    def applied(self, fused: Grey, variation: Grey | None, network: Grey, frames: Grey) -> Grey:
+    def applied(
+        self, fused: Grey, variation: Grey | None, network: Grey | None, frames: Grey
+    ) -> Grey:
         """All of them together, (H, W) in 0..1.  frames: how many count in each pixel."""
         along = np.clip(cv2.log(frames) / np.float32(np.log(max(self._frames, 2))), 0, 1)
 
@@ -64,9 +65,10 @@ class Strength:
             first, last = np.float32(self.alone[which]), np.float32(self.whole[which])
             return first if first == last else first + (last - first) * along
 
-        result = fused + part(2) * (network - fused)
-        if variation is not None and self.needs_variation:
-            result += part(1) * (variation - fused)
+        result = fused.copy()
+        for which, found in ((1, variation), (2, network)):
+            if found is not None:
+                result += part(which) * (found - fused)
         return np.clip(result, 0, 1)
 
     def add(self, whole: bool, planes: tuple[Grey, Grey, Grey], outside: Grey, where: Grey) -> None:

@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simnfnd.factory.errors import FactoryError
-from simnfnd.models.denoise.command import main
+from simnfnd.models.denoise import command
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.ros_messages import IMAGE, SONAR, typestore
 from simnfnd.models.recordings.rosbag import RosBag
-from tests.models.denoise.halving import Halving
+from tests.models.denoise.halving import Halving, main
 from tests.models.recordings.bag_files import content, image, sonar, write_bag
 from tests.models.recordings.fan_pictures import fan, preset
 from tests.models.recordings.recording_files import pings
@@ -85,18 +84,19 @@ def test_bags_that_cannot_be_denoised_are_skipped(
     assert sorted(path.name for path in out.iterdir()) == ["a.bag", "there"]
 
 
-def test_frames_of_one_topic_are_averaged(
+def test_frames_of_one_topic_are_fused(
     tmp_path: Path, halving: Halving, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Those of several topics are denoised one by one."""
     store = typestore(1)
     still = [sonar(store, number, pings(1, 40, 32)[0]) for number in range(3)]
     write_bag(tmp_path / "a.bag", {"/a": (SONAR, still), "/b": (SONAR, still)})
     words = [str(tmp_path / "a.bag"), "--out", str(tmp_path / "out"), "--frames", "3"]
-    with pytest.raises(FactoryError, match=r"--frames averages one topic; choose of /a, /b with"):
-        main(words)
-    assert main([*words, "--topic", "/b"]) == 0
-    assert "averaged: " in capsys.readouterr().out
-    for topic, divisor in (("/a", 1), ("/b", 2)):
-        with RosBag(tmp_path / "out/a.bag", [topic]) as bag:
-            found = bag[1].samples
-        assert np.abs(found - pings(1, 40, 32)[0] / divisor).max() <= 0.5
+    assert command.main(words) == 0
+    said = capsys.readouterr()
+    assert "frames of several topics were denoised one by one; choose of /a, /b with" in said.err
+    assert "in time" not in said.out
+    assert command.main([*words, "--topic", "/b"]) == 0
+    assert "in time: " in capsys.readouterr().out
+    with RosBag(tmp_path / "out/a.bag", ["/a"]) as bag:
+        assert (bag[1].samples == pings(1, 40, 32)[0]).all()

@@ -11,12 +11,10 @@ import numpy.typing as npt
 import pytest
 
 from simnfnd.models.denoise import command
-from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.pictures import Gray
-from simnfnd.models.denoise.temporal import Steady
 from simnfnd.models.recordings import open_recording
-from simnfnd.models.recordings.palettes import find_painted
 from tests.models.adapt.scenes import noisy, scene
+from tests.models.denoise.halving import main
 
 Bytes = npt.NDArray[Any]
 
@@ -74,30 +72,3 @@ def test_a_video_is_painted_again(tmp_path: Path) -> None:
     with open_recording(tmp_path / "out" / "a.avi") as denoised:
         for before, after in zip(frames, denoised, strict=True):
             assert away(after.samples, jet(before / 2)) < 8, "a codec of video mixes colours"
-
-
-def test_levels_are_averaged_and_not_colours(tmp_path: Path) -> None:
-    """Of neighbours in files and in a recording."""
-    folder = tmp_path / "in"
-    folder.mkdir()
-    for number in range(3):
-        assert cv2.imwrite(str(folder / f"f{number}.png"), jet(levels_of(number)))
-    grey = tmp_path / "grey"
-    grey.mkdir()
-    for number in range(3):
-        assert cv2.imwrite(str(grey / f"f{number}.png"), levels_of(number))
-    found = {}
-    for name, source in (("jet", folder), ("grey", grey)):
-        with open_recording(source) as recording:
-            found[name] = [seen.picture for seen in Steady(3).of_recording(recording, _nowhere)]
-    for coloured, alone in zip(found["jet"], found["grey"], strict=True):
-        np.testing.assert_allclose(coloured, alone, atol=0.004)
-    words = [str(folder), "--out", str(tmp_path / "out"), "--weights", "x", "--frames", "3"]
-    assert main(words) == 0
-    result = find_painted(cv2.imread(str(tmp_path / "out" / "f1.png")))
-    assert result is not None
-    np.testing.assert_allclose(result.levels, found["grey"][1] / 2, atol=0.006)
-
-
-def _nowhere(_: npt.NDArray[np.generic]) -> None:
-    return None

@@ -12,11 +12,10 @@ import torch
 from PIL import Image, ImageSequence
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.models.denoise.command import main
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
 from simnfnd.models.recordings import open_recording
-from tests.models.denoise.halving import Halving
+from tests.models.denoise.halving import Halving, main
 from tests.models.recordings.array_files import write_array
 from tests.models.recordings.fan_pictures import fan, preset
 from tests.models.recordings.recording_files import (

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.writers import CODECS, FrameFiles
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.video import VideoFile
+from tests.models.denoise.halving import main
 from tests.models.denoise.untrained import through_network
 from tests.models.recordings.array_files import write_array
 from tests.models.recordings.recording_files import pings

@@ -12,9 +12,9 @@ import pytest
 import simnfnd
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.models.denoise.asked import InTurn, asked_denoiser
 from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
-from simnfnd.models.denoise.in_turn import InTurn, asked_denoiser
 from simnfnd.models.pretrained import REMOVAL
 from tests.models.recordings.fan_pictures import fan, preset
 

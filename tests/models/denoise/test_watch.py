@@ -12,10 +12,9 @@ import pytest
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.models.denoise import command
-from simnfnd.models.denoise.command import main
 from simnfnd.models.denoise.inputs import Item
 from simnfnd.models.denoise.watch import Watched, watch
-from tests.models.denoise.halving import Halving
+from tests.models.denoise.halving import Halving, main
 from tests.models.recordings.recording_files import pings, write_aris, write_oculus
 
 PNG = cv2.imencode(".png", np.full((30, 40), 80, np.uint8))[1].tobytes()

@@ -1,0 +1,206 @@
+"""Recordings of a scene that stands still, judged in time: as they are, moving, with a swimmer.
+
+A denoiser may use the frames up to `AWAY` before and after each; the reference is the mean of
+frames further away, whose noise it has not seen.  Three kinds of input are made of the same real
+frames, none of them interpolated, so that the noise stays the sonar's own:
+
+still    the frames as they are;
+moving   a window that travels over them by whole pixels, as if the sonar moved;
+swimmer  the frames as they are, and over them a bright speckled thing that swims.  It must stay
+         where it is, as bright and sharp as a single frame shows it, without a trail.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ...models.denoise.temporal.stream import InTime, Network, Shot
+from ...models.denoise.temporal.strength import AS_FUSED
+from ..metrics.fidelity import psnr, ssim_map
+
+Gray = npt.NDArray[np.float32]
+Mask = npt.NDArray[np.bool_]
+
+AWAY, FAR = 3, 15
+"""Frames up to so far from one are a denoiser's; those beyond, up to so far, make the reference."""
+LEAST_FRAMES = 12
+WEIGHTS = (0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06)
+"""Of the total variation that is tuned."""
+ROWS = ("one frame", "fused", "fused and denoised", "mean of 7", "mean of 7, tuned TV")
+
+_LIT = 8 / 255
+_MOVED_SHARE = 0.05  # of the scene, the part that changes most in time, is left out
+_WINDOW = 0.6  # of the height and width, in `moving`
+_FASTEST = (4.0, 3.0)  # pixels a frame, down and right
+_SWIMS, _LENGTH, _WIDTH, _LEVEL, _GRAIN = 6.0, 12.0, 3.5, 0.75, 0.09
+_WAKE_PX = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """One kind of input with what it is judged by.
+
+    frames, references: (N, H, W) float32 in 0..1.  masks: (N, H, W), which pixels count.
+    levels: whether one gain and offset is fitted before a frame is judged.
+    """
+
+    name: str
+    frames: Gray
+    references: Gray
+    masks: Mask
+    levels: bool = True
+
+    def numbers(self, step: int = 1) -> range:
+        """The frames that are judged: they have a whole window."""
+        return range(AWAY + 1, len(self.frames) - AWAY - 1, step)
+
+    def score(self, number: int, made: Gray) -> dict[str, float]:
+        """PSNR (dB) and SSIM of a frame that was made, where its mask is."""
+        mask, truth = self.masks[number], self.references[number]
+        if self.levels:
+            spread = made[mask] - made[mask].mean()
+            gain = float(spread @ truth[mask]) / max(float(spread @ spread), 1e-12)
+            made = gain * (made - made[mask].mean()) + truth[mask].mean()
+        made = np.clip(made, 0, 1).astype(np.float32)
+        return {
+            "psnr_db": psnr(truth, made, data_range=1, mask=mask),
+            "ssim": float(ssim_map(truth, made, data_range=1)[mask].mean()),
+        }
+
+
+def kinds_of(frames: Gray, seed: int = 0) -> Iterator[Judged]:
+    """The three kinds of one recording.
+
+    frames: (N, H, W) float32 in 0..1, of a scene that stands still.
+    Raises ValueError for fewer than `LEAST_FRAMES`.
+    """
+    if len(frames) < LEAST_FRAMES:
+        raise ValueError(f"{len(frames)} frames; at least {LEAST_FRAMES} are judged in time")
+    references, masks = _references(frames)
+    still = Judged("still", frames, references, masks)
+    yield still
+    yield _moving(still, np.random.default_rng([seed, 1]))
+    yield _swimmer(still, np.random.default_rng([seed, 2]))
+
+
+def rows_of(judged: Judged, network: Network, weight: float) -> dict[str, Callable[[int], Gray]]:
+    """Row -> what it makes of a frame.  weight: of the total variation."""
+    fused, denoised = _in_time(judged.frames, None), _in_time(judged.frames, network)
+
+    def mean(number: int) -> Gray:
+        window = judged.frames[max(0, number - AWAY) : number + AWAY + 1]
+        return np.asarray(window.mean(axis=0), np.float32)
+
+    rows: tuple[Callable[[int], Gray], ...] = (
+        lambda number: network(judged.frames[number], None),
+        lambda number: fused[number],
+        lambda number: denoised[number],
+        mean,
+        lambda number: variation_of(mean(number), weight),
+    )
+    return dict(zip(ROWS, rows, strict=True))
+
+
+def tuned_weight(others: Sequence[Judged], step: int = 8) -> float:
+    """The weight of total variation that is best for means of 7 of other recordings."""
+    means = [
+        (one, number, one.frames[number - AWAY : number + AWAY + 1].mean(axis=0))
+        for one in others
+        for number in one.numbers(step)
+    ]
+
+    def gain(weight: float) -> float:
+        found = [one.score(number, variation_of(mean, weight)) for one, number, mean in means]
+        return float(np.mean([each["psnr_db"] for each in found]))
+
+    return max(WEIGHTS, key=gain)
+
+
+def variation_of(picture: Gray, weight: float) -> Gray:
+    """With less total variation (Chambolle 2004, scikit-image)."""
+    from skimage.restoration import denoise_tv_chambolle  # slow to import
+
+    return np.asarray(denoise_tv_chambolle(picture, weight=weight), np.float32)
+
+
+def _in_time(frames: Gray, network: Network | None) -> list[Gray]:
+    """Fused, and denoised where there is a network."""
+    fixed = (AS_FUSED, AS_FUSED) if network is None else None
+    stream: InTime[int] = InTime(network or _unchanged, fixed=fixed)
+    found: list[Gray] = []
+    for number, frame in enumerate(frames):
+        found += [picture for _, picture in stream.push(Shot(number, frame))]
+    return found + [picture for _, picture in stream.finish()]
+
+
+def _unchanged(gray: Gray, geometry: object = None) -> Gray:
+    return gray
+
+
+def _references(frames: Gray) -> tuple[Gray, Mask]:
+    """For each frame the mean of those far away, and where the scene is lit and stands still."""
+    count = len(frames)
+    lit = cv2.GaussianBlur(frames.mean(axis=0), (0, 0), 2) > _LIT
+    references, masks = np.empty_like(frames), np.empty(frames.shape, bool)
+    for number in range(count):
+        apart = np.abs(np.arange(count) - number)
+        references[number] = frames[(apart > AWAY) & (apart <= FAR)].mean(axis=0)
+        change = np.abs(
+            cv2.GaussianBlur(frames[apart <= AWAY].mean(axis=0), (0, 0), 2)
+            - cv2.GaussianBlur(references[number], (0, 0), 2)
+        )
+        limit = np.quantile(change[lit], 1 - _MOVED_SHARE) if lit.any() else 0
+        masks[number] = lit & (change < limit)
+    return references, masks
+
+
+def _moving(still: Judged, rng: np.random.Generator) -> Judged:
+    """A window of part of the frame on a smooth random way, whole pixels a frame."""
+    count, *sides = still.frames.shape
+    size = np.array([int(side * _WINDOW) // 8 * 8 for side in sides])
+    room, fastest = np.array(sides) - size, np.array(_FASTEST)
+    place, speed = room / 2, rng.uniform(-1, 1, 2) * fastest
+    windows = []
+    for _ in range(count):
+        top, left = np.rint(place).astype(int)
+        windows.append((slice(top, top + size[0]), slice(left, left + size[1])))
+        speed = np.clip(speed + rng.normal(0, 0.5, 2), -fastest, fastest)
+        speed = np.where((place + speed < 0) | (place + speed > room), -speed, speed)
+        place = np.clip(place + speed, 0, room)
+
+    def cut(planes: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
+        return np.stack([plane[one] for plane, one in zip(planes, windows, strict=True)])
+
+    return Judged(
+        "moving",
+        np.asarray(cut(still.frames), np.float32),
+        np.asarray(cut(still.references), np.float32),
+        np.asarray(cut(still.masks), bool),
+    )
+
+
+def _swimmer(still: Judged, rng: np.random.Generator) -> Judged:
+    """A bright body with a grain of its own, weaving down the middle of the frame."""
+    _, height, width = still.frames.shape
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    frames, references = still.frames.copy(), still.references.copy()
+    masks = np.zeros_like(still.masks)
+    wake = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _WAKE_PX + 1,) * 2)
+    for number in range(len(frames)):
+        swum = _SWIMS * number
+        right = x - (0.5 + 0.12 * np.sin(swum / (0.12 * width))) * width
+        down = y - (0.35 * height + (0.8 * swum) % (0.4 * height))
+        along, across = 0.34 * right + 0.94 * down, 0.94 * right - 0.34 * down
+        body = np.exp(-(((along / _LENGTH) ** 2 + (across / _WIDTH) ** 2) ** 2)).astype(np.float32)
+        grain = cv2.GaussianBlur(rng.normal(0, 1, (height, width)).astype(np.float32), (0, 0), 0.7)
+        seen = _LEVEL + _GRAIN * grain / grain.std()
+        frames[number] = np.clip(frames[number] * (1 - body) + seen * body, 0, 1)
+        references[number] = references[number] * (1 - body) + _LEVEL * body
+        masks[number] = cv2.dilate((body > 0.1).astype(np.uint8), wake) > 0
+    frames = np.rint(frames * 255) / np.float32(255)
+    return Judged("swimmer", frames, references, masks, levels=False)
