@@ -206,8 +206,10 @@ class Pair:
         """The noisy image (H, W), or all looks at it (T, H, W), this one last."""
         if not method.looks:
             return picture(self.item.place).noisy
+        from .runner import MethodFailed
+
         if len(self.item.looks) < 2:
-            raise FactoryError("needs several noise variants a frame")
+            raise MethodFailed("needs several noise variants a frame")
         return np.stack([picture(place).noisy for place in self.item.looks])
 
     def geometry(self) -> FanGeometry | None:

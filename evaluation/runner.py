@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from ..factory.errors import FactoryError
 from ..factory.files import explain_os_errors
 from ..factory.scheduler.workers.tasks import TaskLost, TaskPool
 from .filters import REGISTRY
@@ -42,6 +43,10 @@ _TRIES = 2
 """A method whose worker died is tried once more, alone; then it has lost its row."""
 
 
+class MethodFailed(Exception):
+    """A method gave no picture: it loses its row, for the reason that this says."""
+
+
 class Subject(Protocol):
     """A picture that methods are judged on; it travels to the workers."""
 
@@ -50,7 +55,10 @@ class Subject(Protocol):
         ...
 
     def seen(self, method: Method) -> Gray | None:
-        """(H, W) in 0..1, or (T, H, W) for a method of several looks; None: it has no such."""
+        """(H, W) in 0..1, or (T, H, W) for a method of several looks; None: nothing for it.
+
+        Raises FactoryError for a damaged picture, MethodFailed for a method that needs more.
+        """
         ...
 
     def geometry(self) -> FanGeometry | None:
@@ -187,14 +195,27 @@ def measure_task(task: Task) -> list[Result]:
 def denoised(method: Method, subject: Subject, device: str) -> tuple[Gray | None, float]:
     """The method's picture without levels, (H, W) in 0..1, and its seconds (NaN: unknown).
 
-    None where there is no picture of it.  Raises whatever the method raises.
+    None where there is no picture of it.  Raises MethodFailed, and FactoryError for a damaged
+    subject.
     """
     if not method.is_function:
-        return subject.given(method), math.nan
+        try:
+            return subject.given(method), math.nan
+        except FactoryError as error:
+            raise MethodFailed(str(error)) from error
     image = subject.seen(method)
     if image is None:
         return None, math.nan
     geometry = subject.geometry() if method.uses_geometry else None
+    try:
+        return _timed(method, image, geometry, device)
+    except Exception as error:  # a method that crashes loses its row, not the report
+        raise MethodFailed(reason(error)) from error
+
+
+def _timed(
+    method: Method, image: Gray, geometry: FanGeometry | None, device: str
+) -> tuple[Gray, float]:
     clock = time.process_time  # what other processes take does not count
     if method.weights is None:
         start = clock()
@@ -218,8 +239,8 @@ def _applied(method: Method, task: Task) -> tuple[dict[int, Gray], dict[int, flo
     for number, subject in task.subjects.items():
         try:
             image, took = denoised(method, subject, task.device)
-        except Exception as error:  # a method that crashes loses its row, not the report
-            return reason(error)
+        except MethodFailed as error:
+            return str(error)
         if image is not None:
             images[number], seconds[number] = image, took
     return images, seconds

@@ -22,11 +22,11 @@ from ..factory.progress import progress_bar
 from ..factory.scheduler.workers.tasks import TaskLost, TaskPool
 from .filters import REGISTRY
 from .filters.base import Baseline, Gray, Parameters
-from .methods.method import Method, reason, shown
+from .methods.method import Method, shown
 from .metrics.fidelity import finite_psnr, psnr
 from .metrics.levels import Levels, fit_levels
 from .pairs import Item, Pair, items_of, picture
-from .runner import denoised
+from .runner import MethodFailed, denoised
 from .settings import EvaluationSettings
 
 SCHEMA = "simnfnd-tuned/1"
@@ -139,8 +139,8 @@ def _measure_point(task: _Task) -> Point | str:
             image, _ = denoised(method, Pair(item, 0.0, texture=False), "cpu")
             assert image is not None
             outputs.append(image)
-    except Exception as error:  # a method's own defect must not take the others along
-        return reason(error)
+    except MethodFailed as error:
+        return str(error)
     cleans = [picture(item.place).clean for item in task.items]
     levels = fit_levels(zip(outputs, cleans, strict=True))
     corrected = [levels(output) for output in outputs]

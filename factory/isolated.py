@@ -22,7 +22,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from math import prod
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import IO, Any
 
 import numpy as np
 
@@ -177,7 +177,7 @@ def encode(value: Any) -> bytes:
     return b"".join((len(text).to_bytes(_LENGTH_BYTES, "little"), text, *parts))
 
 
-def decode(file: BinaryIO) -> Any:
+def decode(file: IO[bytes]) -> Any:
     """The next message of a pipe.  Raises EOFError at its end, ValueError for what is none."""
 
     def take(size: int) -> bytes:

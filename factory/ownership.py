@@ -50,7 +50,7 @@ def myself() -> dict[str, Any]:
 
 def is_alive(told: Mapping[str, Any]) -> bool | None:
     """Whether the process that `myself` told of runs; None when that cannot be seen from here."""
-    if told.get("space") != space():
+    if told.get("space") != space() or not Path("/proc/self/stat").exists():
         return None
     pid, started = told.get("pid"), told.get("started")
     if type(pid) is not int or not 0 < pid < 1 << 31:
@@ -62,7 +62,8 @@ def is_alive(told: Mapping[str, Any]) -> bool | None:
 def _started(pid: int) -> float | None:
     """When a process started, in ticks since the machine did; None when there is none.
 
-    No clock that somebody sets: the seconds that psutil gives move with it.
+    No clock that somebody sets: the seconds that psutil gives move with it.  Without /proc nobody
+    is seen, and a lock at a URL holds as long as it is written.
     """
     try:
         # Its name, in brackets, may hold anything.
@@ -70,18 +71,6 @@ def _started(pid: int) -> float | None:
         dead = fields[0] in (b"Z", b"X")  # its parent has not collected it yet
         return None if dead else float(int(fields[19]))
     except (OSError, IndexError, ValueError):
-        return None if Path("/proc/self/stat").exists() else _started_elsewhere(pid)
-
-
-def _started_elsewhere(pid: int) -> float | None:
-    """The same on systems without /proc, in seconds, to the nearest ten."""
-    import psutil
-
-    try:
-        process = psutil.Process(pid)
-        dead = process.status() == psutil.STATUS_ZOMBIE
-        return None if dead else round(process.create_time(), -1)
-    except psutil.Error:
         return None
 
 

@@ -140,7 +140,6 @@ class TrainSettings:
     clip: Annotated[float, Field(gt=0)]
     ema: Annotated[float, Field(ge=0, lt=1)]
     precision: Literal["auto", "32-true", "bf16-mixed", "16-mixed"]
-    parts: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     teacher: str | None = None
     teacher_share: Share = 0.8
     teacher_recordings: tuple[str, ...] = ()

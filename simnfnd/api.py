@@ -53,11 +53,11 @@ def denoise(
 
     Returns an array of the same shape and dtype.
     Raises ValueError for another shape or dtype, NaN, and floats outside 0..1; FactoryError for
-    weights that are not there, a missing GPU, and where the extra `train` is not installed.
+    weights that are not there, a missing GPU, and where the extra `denoise` is not installed.
     """
     from .factory.cli.extras import Need, require
 
-    needed = ("torch", "safetensors", "cv2", "scipy")
+    needed = ("onnxruntime", "safetensors", "cv2", "scipy")
     require(Need("simnfnd.denoise", module) for module in needed)
     from .models.denoise.pictures import Denoising, check_frames
     from .models.pretrained import find_weights

@@ -45,7 +45,8 @@ MAKE, LOOK, PASS_ON, DENOISE, JUDGE = (
 )
 _COMMANDS = "simnfnd.factory.commands"
 _SONAR = ("cv2", "scipy")
-_NETWORK = ("torch", "safetensors", *_SONAR)
+_NETWORK = ("onnxruntime", "safetensors", *_SONAR)
+_ADAPTING = ("torch", "lightning", "safetensors", *_SONAR)
 _TRAINING = ("torch", "lightning", "safetensors", "tensorboard", *_SONAR)
 
 
@@ -166,7 +167,7 @@ VERBS: dict[str, Verb] = {
             "simnfnd adapt lamprey.avi --out own.safetensors --pairs outputs/demo",
             "simnfnd denoise dive.aris --weights own.safetensors --out outputs/denoised",
         ),
-        needs=_NETWORK,
+        needs=_ADAPTING,
     ),
     "export-weights": Verb(
         DENOISE, "trained weights in 16 bits with a model card, or as ONNX",
@@ -176,21 +177,21 @@ VERBS: dict[str, Verb] = {
             "--out own.safetensors",
             "simnfnd export-weights simnfnd --to onnx --geometry fan --out fan.onnx",
         ),
-        needs=_NETWORK,
+        needs=_ADAPTING,
     ),
     "evaluate": Verb(
         JUDGE, "the report on a dataset, and on methods that denoise it",
-        "simnfnd.evaluation.command:report",
+        "simnfnd.evaluation.commands:report",
         (
             "simnfnd evaluate dataset=outputs/demo",
             "simnfnd evaluate dataset=outputs/demo baselines=[all] models=[outputs/models/nafnet]",
             "simnfnd evaluate dataset=outputs/demo \"pictures=[{name: mine, dir: outputs/mine}]\"",
         ),
-        needs=("pyarrow", "skimage", *_SONAR), hydra=True, config="evaluation",
+        needs=("pandas", "skimage", *_SONAR), hydra=True, config="evaluation",
         verbs={
             "tune": Verb(
                 JUDGE, "the best parameters of the classical filters first",
-                "simnfnd.evaluation.command:tune",
+                "simnfnd.evaluation.commands:tune",
                 ("simnfnd evaluate tune dataset=outputs/demo baselines=[median,nlm]",),
                 needs=("torch", "skimage", *_SONAR), hydra=True, config="evaluation",
             ),
@@ -199,23 +200,23 @@ VERBS: dict[str, Verb] = {
                 "simnfnd.evaluation.compare:main",
                 ("simnfnd evaluate compare outputs/evaluation/a outputs/evaluation/b "
                  "--row-b noisy",),
-                needs=("pyarrow", *_SONAR),
+                needs=("pandas", *_SONAR),
             ),
             "real": Verb(
                 JUDGE, "what methods make of real pictures and recordings",
-                "simnfnd.evaluation.real.command:real",
+                "simnfnd.evaluation.commands:real",
                 ("simnfnd evaluate real mdd models=[simnfnd]",),
                 needs=("skimage", *_SONAR), hydra=True, places=1, config="real",
             ),
             "realism": Verb(
                 JUDGE, "how near datasets are to real pictures",
-                "simnfnd.evaluation.realism.command:realism",
+                "simnfnd.evaluation.commands:realism",
                 ("simnfnd evaluate realism mdd outputs/demo outputs/aris",),
                 needs=("skimage", *_SONAR), hydra=True, places=None, config="realism",
             ),
             "fit": Verb(
                 JUDGE, "the noise parameters that come nearest to real pictures",
-                "simnfnd.evaluation.calibrate.command:fit",
+                "simnfnd.evaluation.commands:fit",
                 ("simnfnd evaluate fit mdd name=mine trials=100",
                  "simnfnd evaluate fit mdd -- experiment=physical scenes=pack "
                  "scenes.root=views.pack"),

@@ -10,15 +10,26 @@ from typing import Any
 import yaml
 
 from ...factory.config import plain
-from ...factory.dataset.describe import markdown
 from ...factory.files import explain_os_errors, write_atomically
-from ..realism.tables import number, times
+from ..realism.report import number, times
+from ..report.text import as_markdown, as_table
 from .search import Result, score
 from .settings import FitSettings
 
 # What the recipe's renders, frames and files are is not part of a profile.
 _PROFILE = ("sonar", "resample", "acoustics", "water")
 _FORMS = ("uniform", "choice", "normal")
+
+
+def report(settings: FitSettings, result: Result) -> None:
+    """Print what was found, write it, and say how to use it."""
+    print(table(result))
+    for path in write(settings, result):
+        print(f"written: {path}")
+    print(
+        f"use it: simnfnd make --config-dir {settings.folder} {usage(settings)}, or copy the files "
+        "into conf/"
+    )
 
 
 def table(result: Result) -> str:
@@ -35,7 +46,7 @@ def table(result: Result) -> str:
         for before, after in zip(result.before, result.after, strict=True)
     ]
     head = ("real against", "real", "recipe", "ratio", "fitted", "ratio")
-    return "\n".join([markdown.table(head, rows), "", *summary(result)])
+    return "\n".join([as_markdown(as_table(head, rows)), "", *summary(result)])
 
 
 def summary(result: Result) -> list[str]:

@@ -69,16 +69,16 @@ class Network:
         """Raises FactoryError for a file that holds no weights of a network."""
         from ...models.denoise.denoiser import load_denoiser
 
-        self._denoise = load_denoiser(weights, device)
+        self.denoiser = load_denoiser(weights, device)
 
     @property
     def on_gpu(self) -> bool:
         """Whether it runs on a GPU."""
-        return self._denoise.runtime.on_gpu
+        return self.denoiser.runtime.on_gpu
 
     def __call__(self, image: Gray, geometry: FanGeometry | None = None) -> Gray:
         """(H, W) float32 in 0..1 -> the same, as `simnfnd denoise` makes it."""
-        return self._denoise(image, geometry if self._denoise.runtime.extras else None)
+        return self.denoiser(image, geometry if self.denoiser.runtime.extras else None)
 
 
 @lru_cache(maxsize=2)

@@ -6,21 +6,27 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...factory.errors import FactoryError
+from ...factory.files import check_writable
 from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
+from ...models.recordings.fan.pings import close_last
 from ..filters.base import Baseline
-from ..methods.method import NOISY, Method
+from ..methods.method import NOISY, Method, baselines_of, methods_of
+from ..methods.networks import networks_at
 from ..runner import Measured, Subject, run
+from ..tuning import load_tuned
 from .groups import LEAST, Group, Judged, Searched, alone, judged, search
 from .measure import MEAN, MEDIAN, RealPicture
 from .settings import RealSettings
-from .shots import Shot, Stretch, spread
+from .shots import Shot, Stretch, open_input, spread
 from .summary import Groups, Summary, summaries
+from .time_rows import InTime, judged_in_time
 from .tuning import Part, Task, Tuned, parts_of, tuned
 
 TUNED = "tuned on others"
@@ -79,6 +85,7 @@ class Outcome:
     shown: dict[int, Judged]
     summaries: dict[str, Summary]
     best: dict[str, str]
+    in_time: InTime
     notes: tuple[str, ...]
 
     def facts(self) -> dict[str, Any]:
@@ -98,7 +105,35 @@ class Outcome:
                 for group, part in zip(self.groups, self.parts, strict=True)
             ],
             "best_filter": self.best,
+            "in_time": self.in_time.facts(),
         }
+
+
+def evaluate(settings: RealSettings) -> None:
+    """Measure, print the table and write the report.  Raises FactoryError."""
+    from . import report
+
+    if settings.tuned is not None and not Path(settings.tuned).is_file():
+        raise FactoryError(f"tuned={settings.tuned}: no such file; `evaluation tune` writes one")
+    tuned_before = None if settings.tuned is None else load_tuned(Path(settings.tuned))
+    baselines = baselines_of(settings.baselines)
+    simulated = [] if tuned_before is None else methods_of(baselines, tuned_before)
+    networks = networks_at(settings.models, {})
+    stretches, notes = open_input(settings.real, settings.search)
+    out = settings.folder
+    check_writable(out, "out")
+    with TaskPool(settings.workers) as pool:
+        outcome = judge(settings, stretches, baselines, simulated, networks, pool)
+    facts: dict[str, Any] = {
+        "schema": "simnfnd-real/2",
+        "name": Path(settings.real).expanduser().resolve().name,
+        **outcome.facts(),
+        "notes": [*notes, *outcome.notes],
+    }
+    report.write(out, facts, outcome)
+    close_last()
+    print(report.terminal(out))
+    print(f"report: {out / 'real.html'}")
 
 
 def judge(
@@ -132,6 +167,7 @@ def judge(
     found, best = summaries(
         rows, measured, member, resamples=settings.bootstrap, seed=settings.seed
     )
+    in_time = judged_in_time(settings, groups, networks, pool)
     return Outcome(
         tuple(groups),
         tuple(parts),
@@ -141,7 +177,8 @@ def judge(
         shown,
         found,
         best,
-        tuple(notes),
+        in_time,
+        (*notes, *in_time.notes),
     )
 
 

@@ -16,6 +16,7 @@ from ..methods.method import Method
 from ..metrics.edges import edge_preservation
 from ..metrics.measure import Figures
 from ..metrics.speckle import contrast_to_noise, enl, homogeneous_zones, m_index, ratio_mean
+from ..runner import MethodFailed
 from .groups import Judged
 from .score import Score, score
 
@@ -110,7 +111,7 @@ class RealPicture:
     def seen(self, method: Method) -> Gray:
         """See `Subject`."""
         if method.looks:
-            raise FactoryError("needs several looks at a scene that stands still")
+            raise MethodFailed("needs several looks at a scene that stands still")
         return self.judged.noisy
 
     def geometry(self) -> FanGeometry | None:

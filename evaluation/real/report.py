@@ -52,6 +52,12 @@ TRUTH = (
     "the others (compare their gain, which is against the single frame with that same reference), "
     f"and groups that leave fewer than {LEAST_LEFT} frames for it do not count.",
 )
+IN_TIME = (
+    "A method may use the three frames before and after each; the reference is the mean of frames "
+    "further away. still: the frames as they are; moving: a window that travels over them by whole "
+    "pixels; swimmer: over them a bright speckled thing, judged where it is. Mean of 7 is that of "
+    "the whole window without alignment. Means over recordings."
+)
 RULES = (
     "Of the figures without a truth none alone says that one method is better than another: blur "
     "alone raises ENL and CNR, and doing nothing keeps all edges and has a low M-index. Read them "
@@ -69,6 +75,7 @@ def write(out: Path, facts: Mapping[str, Any], outcome: Outcome) -> None:
     lines = [_line(row, outcome) for row in outcome.rows]
     rules = (*TRUTH, *RULES) if outcome.groups else RULES
     content = {**facts, "rows": lines, "rules": rules}
+    in_time = outcome.in_time.table() if outcome.in_time.rows else None
     text = json.dumps(content, indent=1, allow_nan=False) + "\n"
     write_atomically(out / "real.json", text.encode(), durable=False, key="out")
     verdicts = _verdicts(lines, outcome)
@@ -85,12 +92,16 @@ def write(out: Path, facts: Mapping[str, Any], outcome: Outcome) -> None:
         cells={line["label"]: _cells(line, _names(lines)) for line in lines},
         notes={line["label"]: " ".join(_words(line)[1:]).strip() for line in lines},
         by_group=_by_group(lines, outcome),
+        in_time=None if in_time is None else [list(in_time), *in_time.to_numpy().tolist()],
+        in_time_rule=IN_TIME,
         rules=rules,
         strips=_strips(outcome),
     )
     parts = [f"# Real sonar: {facts['name']}", _about(facts), markdown_table(lines), *verdicts]
     if outcome.groups:
         parts += ["## PSNR by group, dB", as_markdown(as_table(*_by_group(lines, outcome)))]
+    if in_time is not None:
+        parts += ["## In time", as_markdown(in_time), IN_TIME]
     text = "\n\n".join([*parts, "## How to read them", *rules, ""])
     write_atomically(out / "real.md", text.encode(), durable=False, key="out")
     write_atomically(out / "real.html", page.encode(), durable=False, key="out")

@@ -24,6 +24,7 @@ class RealSettings:
     search: Count
     limit: Count | None
     frames: Annotated[int, Field(ge=2)]
+    in_time: Annotated[int, Field(ge=0)]
     examples: Annotated[int, Field(ge=0)]
     workers: Literal["auto"] | Count
     device: Literal["auto", "cpu", "gpu"]

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ...factory.progress import progress_bar
-from .pictures import Collection
 from .polar import Gray, Grid
+from .sources import Collection
 from .statistics import artefacts, features, texture, windows
 
 Values = npt.NDArray[np.float64]

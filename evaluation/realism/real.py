@@ -19,8 +19,7 @@ from ...factory.errors import FactoryError
 from ...factory.sonar.geometry import FanGeometry
 from ...models.recordings import PICTURE_SUFFIXES, is_recording, kind_of
 from ...models.recordings.pictures import read_grey
-from .pictures import Collection, Source, label_of
-from .recorded import recorded
+from .sources import Collection, Source, label_of, recorded
 
 GEOMETRY_FILE = "geometry.csv"
 _FAN = ("apex_x_px", "apex_y_px", "near_px", "far_px")

@@ -10,13 +10,57 @@ from pathlib import Path
 from typing import Any
 
 from ...factory.errors import FactoryError
-from ..report.pages import render
-from .compare import Comparison, Interval, overall
-from .measure import Measured
-from .pictures import Collection
+from ..report.page import render
+from ..report.text import as_markdown, as_table, plain
+from .compare import Comparison, Interval, compare, overall
+from .measure import Measured, measure
 from .plots import draw_all
+from .real import open_real
 from .settings import RealismSettings
-from .tables import number, sums, table, times
+from .sources import Collection, open_dataset
+
+_OVERALL = {
+    "geometric_mean_ratio": "mean ratio",
+    "median_ratio": "median ratio",
+    "within_2": "within 2 times",
+}
+
+
+def evaluate(settings: RealismSettings) -> None:
+    """Measure, compare, print the table and write the report.  Raises FactoryError."""
+    real = open_real(settings.real).at_most(settings.limit)
+    collections = {"real": real, **_simulations(settings)}
+    measured = {name: measure(item, settings.grid) for name, item in collections.items()}
+    comparisons = compare(
+        measured["real"],
+        {name: one for name, one in measured.items() if name != "real"},
+        resamples=settings.resamples,
+        halves=settings.halves,
+        seed=settings.seed,
+    )
+    first = next(name for name in collections if name != "real")
+    out = Path(settings.out or Path("outputs", "realism", first))
+    write(out, settings, collections, measured, comparisons)
+    for note in (note for item in collections.values() for note in item.notes):
+        print(note)
+    print(table(comparisons))
+    print(f"report: {out / 'realism.html'}")
+
+
+def _simulations(settings: RealismSettings) -> dict[str, Collection]:
+    """Name -> pictures; two folders of one name get a number."""
+    found: dict[str, Collection] = {}
+    for folder in settings.sim:
+        path = Path(folder).expanduser()
+        pictures = (path / "geometry.csv").is_file() or (path / "Images").is_dir()
+        opened = (
+            open_real(path) if pictures else open_dataset(path, settings.sim_split, settings.layer)
+        )
+        name, number = opened.name, 2
+        while name in found or name == "real":
+            name, number = f"{opened.name} {number}", number + 1
+        found[name] = opened.at_most(settings.limit)
+    return found
 
 
 def write(
@@ -66,8 +110,7 @@ def _facts(
         "resamples": settings.resamples,
         "seed": settings.seed,
         "overall": {
-            name: {key: _finite(v) for key, v in overall(comparisons, name).items()}
-            for name in names
+            name: {key: plain(v) for key, v in overall(comparisons, name).items()} for name in names
         },
         "statistics": {
             item.statistic.name: {
@@ -76,7 +119,7 @@ def _facts(
                 "what": item.statistic.what,
                 "baseline": _interval(item.baseline),
                 "distance": {name: _interval(item.distance[name]) for name in names},
-                "ratio": {name: _finite(item.ratio(name)) for name in names},
+                "ratio": {name: plain(item.ratio(name)) for name in names},
             }
             for item in comparisons
         },
@@ -84,12 +127,7 @@ def _facts(
 
 
 def _interval(interval: Interval) -> dict[str, float | None]:
-    return {key: _finite(getattr(interval, key)) for key in ("mean", "low", "high")}
-
-
-def _finite(value: float) -> float | None:
-    """JSON has no NaN."""
-    return value if math.isfinite(value) else None
+    return {key: plain(getattr(interval, key)) for key in ("mean", "low", "high")}
 
 
 def _explanation(facts: Mapping[str, Any]) -> str:
@@ -147,3 +185,40 @@ def _page(
 def _inline(out: Path, name: str) -> str:
     data = base64.b64encode((out / f"{name}.png").read_bytes()).decode()
     return f"data:image/png;base64,{data}"
+
+
+def table(comparisons: Sequence[Comparison]) -> str:
+    """Markdown: the baseline, every simulation's distance, and how many times the baseline."""
+    names = list(comparisons[0].distance)
+    head = ["real against", "unit", "real", *(cell for name in names for cell in (name, "ratio"))]
+    rows = []
+    for item in comparisons:
+        cells = [item.statistic.label, item.statistic.unit, number(item.baseline.mean)]
+        for name in names:
+            cells += [number(item.distance[name].mean), times(item.ratio(name))]
+        rows.append(cells)
+    for label, values in sums(comparisons):
+        rows.append([f"**{label}**", "", "", *(cell for value in values for cell in ("", value))])
+    return as_markdown(as_table(head, rows), "llr")
+
+
+def sums(comparisons: Sequence[Comparison]) -> list[tuple[str, list[str]]]:
+    """(label, its value for each simulation) of the figures that sum up the whole table."""
+    found = [overall(comparisons, name) for name in comparisons[0].distance]
+    return [(label, [_sum(key, one[key]) for one in found]) for key, label in _OVERALL.items()]
+
+
+def _sum(key: str, value: float) -> str:
+    return f"{value:.0%}" if key == "within_2" and math.isfinite(value) else times(value)
+
+
+def number(value: float) -> str:
+    """Three digits, or a dash where there is no figure."""
+    return f"{value:.3g}" if math.isfinite(value) else "-"
+
+
+def times(value: float) -> str:
+    """A ratio as people read it."""
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:.1f}" if value < 100 else f"{value:.0f}"

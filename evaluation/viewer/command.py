@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
 import webbrowser
+from contextlib import suppress
 from pathlib import Path
 
 from ...factory.cli import Parser
@@ -18,11 +20,16 @@ def main(words: list[str]) -> None:
     parser.add_argument("--port", type=int, default=0, help="of 127.0.0.1; default: a free one")
     parser.add_argument("--no-browser", action="store_true", help="only print the address")
     given = parser.parse_args(words)
-    with Viewer(open_shown(given.path, given.after), given.port) as viewer:
+    with (
+        Viewer(open_shown(given.path, given.after), given.port) as viewer,
+        tempfile.TemporaryDirectory(prefix="simnfnd-view-", ignore_cleanup_errors=True) as folder,
+    ):
         print(f"view: {viewer.url} (Ctrl-C ends)", flush=True)
         if not given.no_browser:
-            webbrowser.open(viewer.url)
-        try:
+            # Every user can read the words of a browser's process: a file of ours has the address.
+            page = Path(folder, "open.html")
+            page.write_text(f'<meta http-equiv="refresh" content="0; url={viewer.url}">')
+            webbrowser.open(page.as_uri())
+        with suppress(KeyboardInterrupt):
             viewer.serve_forever()
-        except KeyboardInterrupt:
-            print()
+        print()

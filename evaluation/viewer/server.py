@@ -6,6 +6,9 @@ import io
 import json
 import math
 import re
+import secrets
+import socket
+import sys
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -24,7 +27,10 @@ _FACTS = re.compile(r"/facts/(\d{1,12})\.json")
 
 
 class Viewer(ThreadingHTTPServer):
-    """Serves what is shown until it is shut down; `url` is where."""
+    """Serves what is shown until it is shut down.
+
+    url: where; it holds a random token, without which other users of the machine get nothing.
+    """
 
     daemon_threads = True
 
@@ -37,7 +43,16 @@ class Viewer(ThreadingHTTPServer):
         self.shown = shown
         # Files are read by one thread at a time.
         self.lock = threading.Lock()
-        self.url = f"http://{ADDRESS}:{self.server_port}/"
+        self.token = secrets.token_urlsafe(24)
+        self.url = f"http://{ADDRESS}:{self.server_port}/{self.token}/"
+
+    def handle_error(
+        self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any
+    ) -> None:
+        """Nothing of a browser that went away; one line of anything else."""
+        error = sys.exc_info()[1]
+        if not isinstance(error, ConnectionError | TimeoutError):
+            print(f"view: {type(error).__name__}: {error}", file=sys.stderr)
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -51,9 +66,16 @@ class _Handler(BaseHTTPRequestHandler):
         ):
             self._send(403, "text/plain", b"not for other names")
             return
+        path, _, query = self.path.partition("?")
+        _, _, rest = path.partition("/")
+        token, slash, wanted = rest.partition("/")
+        # In bytes, because a path may have any letters.
+        if not secrets.compare_digest(token.encode(), self.server.token.encode()):
+            self._send(403, "text/plain", b"open the address that `simnfnd view` printed")
+            return
         try:
             with self.server.lock:
-                kind, content = self._answer(*self.path.split("?", 1))
+                kind, content = self._answer(slash + wanted, query)
             self._send(200, kind, content)
         except LookupError:
             self._send(404, "text/plain", b"not found")
@@ -87,6 +109,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(content)))
         self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("Referrer-Policy", "no-referrer")
         own = "default-src 'self'; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
         self.send_header("Content-Security-Policy", own)
         self.end_headers()
@@ -108,7 +131,11 @@ def _png(picture: Picture) -> bytes:
 def _wanted(query: str) -> tuple[str | None, dict[str, tuple[float, float]]]:
     """`scene=NAME&in:COLUMN=LEAST..MOST` in parts; LookupError for other words."""
     scene, ranges = None, {}
-    for key, value in parse_qsl(query, max_num_fields=50):
+    try:
+        fields = parse_qsl(query, max_num_fields=50)
+    except ValueError:  # too many
+        raise LookupError(query[:80]) from None
+    for key, value in fields:
         if key == "scene":
             scene = value
             continue

@@ -26,7 +26,7 @@ from ..dataset.format.manifest import (
     load_manifest,
     save_manifest,
 )
-from ..dataset.format.schema import SPLITS, Provenance
+from ..dataset.format.schema import SPLITS, Provenance, config_hash
 from ..dataset.format.settings import DatasetSettings
 from ..dataset.read.source import Source, dataset_settings, open_source
 from ..dataset.write.folder import differences, list_differences, open_folder
@@ -84,6 +84,10 @@ def _whole(directory: Path) -> Manifest:
     manifest = load_manifest(directory)
     if manifest is None:
         raise FactoryError(f"{directory}: no {MANIFEST_NAME}; give the folder of a dataset")
+    if config_hash(manifest.config) != manifest.config_hash:
+        raise FactoryError(
+            f"{directory / MANIFEST_NAME}: its config does not give its config_hash; damaged"
+        )
     for info in manifest.shards.values():
         if wrong := damage(directory, info):
             raise FactoryError(
@@ -167,8 +171,6 @@ def _common_licence(directories: Sequence[Path]) -> str | None:
 
 def _provenance(manifests: Mapping[Path, Manifest]) -> Provenance:
     """What all have in common, and under `merged` what each was made with."""
-    from ..config import digest  # needs the settings of every room, but only here
-
     configs = [manifest.config for manifest in manifests.values()]
     common = {
         key: value
@@ -185,7 +187,7 @@ def _provenance(manifests: Mapping[Path, Manifest]) -> Provenance:
     ]
     config = {**common, "merged": parts}
     generator = next(iter(manifests.values())).generator
-    return Provenance(config, digest(config), generator)
+    return Provenance(config, config_hash(config), generator)
 
 
 def _fill(

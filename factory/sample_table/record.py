@@ -12,14 +12,16 @@ import numpy as np
 from .. import seeds
 from ..dataset.format.schema import Axis, Column
 from ..frame import Frame, FrameRef
+from ..imaging.coherent.settings import AcousticsSettings
 from ..imaging.contract import Sample
 from ..noise import draws as drawn
 from ..noise.draws import Draws
 from ..noise.registry import EFFECTS, NoiseSettings
+from ..sonar.acoustics import WaterSettings
 from ..sonar.fan import pixel_size
 from ..sonar.settings import SonarSettings
 from ..sonar.window import Window
-from . import calibration, camera, pose
+from . import camera, pose
 
 if TYPE_CHECKING:
     from ..config import FactoryConfig
@@ -53,6 +55,16 @@ _TARGET = Column(
     "radiometric: backscatter",
 )
 
+# What turns grey values into sound pressure: level at the receiver = full scale of the picture, its
+# transfer curve backwards, less the gain, plus the source level; layer intensity_db is the result.
+_CALIBRATION = (
+    Column("source_level_db", "f8", "dB re 1 uPa at 1 m", "of the device"),
+    Column("sound_speed_m_s", "f8", "m/s", "of the water"),
+    Column("absorption_db_per_m", "f8", "dB/m", "of the water at the frequency, one way"),
+    Column("tvg_db_per_decade", "f8", "dB", "time-varying gain of the pictures, per tenfold range"),
+    Column("tvg_db_per_m", "f8", "dB/m", "time-varying gain of the pictures, per metre"),
+)
+
 
 def columns(noise: NoiseSettings, formation: str = "points") -> tuple[Column, ...]:
     """Columns of the sample table: a parameter that was not drawn (effect off) is NaN or empty.
@@ -80,7 +92,7 @@ def _described(column: Column) -> Column:
 _REQUESTED = {
     "pose": pose.COLUMNS,
     "intrinsics": camera.COLUMNS,
-    "calibration": calibration.COLUMNS,
+    "calibration": _CALIBRATION,
 }
 
 
@@ -97,8 +109,23 @@ def requested_row(frame: Frame, config: FactoryConfig) -> dict[str, float]:
     if "intrinsics" in config.dataset.columns:
         made |= camera.row(frame)
     if "calibration" in config.dataset.columns:
-        made |= calibration.row(config.sonar, config.water, config.acoustics)
+        made |= _calibration(config.sonar, config.water, config.acoustics)
     return made
+
+
+def _calibration(
+    sonar: SonarSettings, water: WaterSettings, acoustics: AcousticsSettings
+) -> dict[str, float]:
+    """The values of `_CALIBRATION`."""
+    absorption = water.absorption_db_per_m(sonar.frequency_khz)
+    values = (
+        sonar.array.source_level_db,
+        water.sound_speed_m_s(),
+        absorption,
+        acoustics.tvg_log,
+        2 * absorption if acoustics.tvg_absorption else 0.0,
+    )
+    return {column.name: value for column, value in zip(_CALIBRATION, values, strict=True)}
 
 
 def record(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import secrets
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from filelock import FileLock, Timeout
 
 from ..errors import FactoryError
 from ..files import explain_os_errors
-from ..ownership import Fence, fenced, myself, owner_text, read_owner
+from ..ownership import Fence, myself, owner_text, read_owner
 
 LOCK_NAME = ".lock"
 # Who only asks whether somebody is at work holds it for a moment.
@@ -34,7 +34,6 @@ class Lock:
         self.path = folder / (f"{LOCK_NAME}.{part}" if part else LOCK_NAME)
         self.fence = Fence(Path(os.path.abspath(self.path)), secrets.token_hex(16))
         self._lock = FileLock(self.path, thread_local=False)
-        self._held = ExitStack()
 
     def __enter__(self) -> Lock:
         with explain_os_errors(self.path.parent):
@@ -50,11 +49,9 @@ class Lock:
         except BaseException:
             self.__exit__()
             raise
-        self._held.enter_context(fenced(self.fence))
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._held.close()
         # While it is held: who waits for it finds that the file is gone, and makes another.
         with suppress(OSError):
             self.path.unlink()

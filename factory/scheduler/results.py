@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
-from ..dataset.format.manifest import Manifest, damage, save_manifest
+from ..dataset.format.manifest import Manifest, ShardInfo, damage, save_manifest
 from ..dataset.format.results import ShardOutcome, forget_outcomes, save_outcome
 from ..dataset.format.schema import SPLITS
 from ..dataset.write.failures import Failure, failure_lines, save_failures
@@ -93,7 +93,13 @@ def take_up(job: Job, manifest: Manifest) -> Resumed:
         task for task in tasks if task.path not in good or good[task.path].samples < task.samples
     )
     lacking = {task.path: good[task.path].failed for task in todo if task.path in good}
-    return Resumed(replace(manifest, shards=good), todo, lacking, notes)
+    return Resumed(_with_shards(manifest, good), todo, lacking, notes)
+
+
+def _with_shards(manifest: Manifest, shards: Mapping[str, ShardInfo]) -> Manifest:
+    """The manifest with these shards; an index.h5 that shows others counts no more."""
+    index = manifest.index_sha256 if shards == manifest.shards else ""
+    return replace(manifest, shards=dict(shards), index_sha256=index)
 
 
 def _refuse_shrinking(job: Job, manifest: Manifest) -> None:
@@ -166,7 +172,7 @@ class Results:
             return
         directory = self._job.directory
         save_failures(directory, self.failures, self._job.rerun_command)
-        save_manifest(directory, replace(self._manifest, shards=dict(self._shards)))
+        save_manifest(directory, _with_shards(self._manifest, self._shards))
         forget_outcomes(directory)
 
     def report(self, already_done: int) -> RunReport:

@@ -11,25 +11,38 @@ import os
 import re
 import secrets
 import shutil
+import time
+import zlib
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
 from ..errors import FactoryError
 from ..files import explain_os_errors
 from ..small_files import read_regular
-from .alone import alone
-from .room import copies_folder, make_room, touch
 from .store import Store, is_url
 
 ORIGIN_NAME = ".origin"
 _SHARD = re.compile(r"(train|test)/[A-Za-z0-9_-]+\.h5")
 # What lies beside the shards and is a reader's business.
 _SMALL = re.compile(
-    r"(README\.md|config\.yaml|croissant\.json|index\.h5|preview\.png"
-    r"|failed\.jsonl|manifest\.json|(train|test)/shard-\d+\.json)"
+    r"(README\.md|config\.yaml|croissant\.json|index\.h5|preview\.png|failed\.jsonl|manifest\.json"
+    r"|(train|test)/shard-\d+\.json)"
 )
 _MOST_SMALL_BYTES = 1 << 28
+_KEPT_BYTES = 10_000_000_000
+_LIMIT = "SIMNFND_CLOUD_CACHE_BYTES"
+# Lock files of each copy, which shards share by their names; and how long one waits for another.
+_LOCKS, _LONGEST_S = 64, 120.0
+
+
+def copies_folder() -> Path:
+    """Where the copies are: SIMNFND_CLOUD_CACHE, or the user's folder for caches."""
+    if told := os.environ.get("SIMNFND_CLOUD_CACHE"):
+        return Path(told).absolute()
+    base = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
+    return Path(base).absolute() / "simnfnd" / "cloud"
 
 
 def folder_of(url: str, part: str = "") -> Path:
@@ -88,10 +101,13 @@ def take_copy(folder: Path, sizes: Mapping[str, int], *, fresh: bool) -> None:
     """Bring the small files of a copy up to date with the storage, and drop shards that differ."""
     store = Store(str(url_of(folder)))
     with explain_os_errors(folder, "SIMNFND_CLOUD_CACHE"):
-        for path in sorted([*folder.glob("*.*"), *folder.glob("t*/*.json")]):
+        for path in [*folder.glob("*.*"), *folder.glob("t*/*")]:
             name = path.relative_to(folder).as_posix()
-            if _SMALL.fullmatch(name) and name not in sizes:
-                path.unlink()
+            gone = _SMALL.fullmatch(name) and name not in sizes
+            if gone or (
+                _SHARD.fullmatch(name) and (fresh or sizes.get(name) != path.stat().st_size)
+            ):
+                path.unlink(missing_ok=True)
         for name, size in sizes.items():
             if not _SMALL.fullmatch(name):
                 continue
@@ -101,10 +117,6 @@ def take_copy(folder: Path, sizes: Mapping[str, int], *, fresh: bool) -> None:
             if content is not None:
                 (folder / name).parent.mkdir(exist_ok=True)
                 _write(folder / name, content)
-        for path in folder.glob("t*/*.h5"):
-            name = f"{path.parent.name}/{path.name}"
-            if fresh or sizes.get(name) != path.stat().st_size:
-                path.unlink(missing_ok=True)
 
 
 def shard_names(sizes: Mapping[str, int]) -> list[str]:
@@ -115,25 +127,33 @@ def shard_names(sizes: Mapping[str, int]) -> list[str]:
 def fetched(path: Path, look: Callable[[Path], None] | None = None, *, wait: bool = True) -> bool:
     """Fetch the shard of a copy that is not here; returns whether it was fetched.
 
-    wait: for another that fetches it now, or leave it to that.
+    wait: for another that fetches it now (two minutes at most), or leave it to that.
     look: called with the file before it gets its name; what it raises leaves nothing behind.
     Nothing is done about any other file, or where the storage does not have it.
     """
-    folder = path.parent.parent
-    url = url_of(folder)
-    if url is None or not _SHARD.fullmatch(f"{path.parent.name}/{path.name}"):
-        return False
-    if touch(path):
-        return False
+    url = url_of(path.parent.parent)
     name = f"{path.parent.name}/{path.name}"
-    with explain_os_errors(path, "SIMNFND_CLOUD_CACHE"), alone(path, wait=wait) as mine:
-        if not mine or touch(path):  # another fetches it, or has done so meanwhile
-            return False
-        content = Store(url).get(name)
-        if content is None:
-            return False
-        _write(path, content, look)
-        make_room(spare=path)
+    if url is None or not _SHARD.fullmatch(name) or touch(path):
+        return False
+    from filelock import FileLock, Timeout
+
+    with explain_os_errors(path, "SIMNFND_CLOUD_CACHE"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        number = zlib.crc32(path.name.encode()) % _LOCKS
+        alone = FileLock(path.parent.parent / f".fetching-{number:02d}", thread_local=False)
+        with suppress(Timeout):  # after so long it is fetched twice at worst
+            alone.acquire(timeout=_LONGEST_S if wait else 0, poll_interval=0.005)
+        try:
+            # Another has fetched it meanwhile, or does so now.
+            if touch(path) or not (wait or alone.is_locked):
+                return False
+            content = Store(url).get(name)
+            if content is None:
+                return False
+            _write(path, content, look)
+            make_room(spare=path)
+        finally:
+            alone.release()
     return True
 
 
@@ -142,6 +162,46 @@ def forget_copy(folder: Path) -> None:
     if url_of(folder) is not None:
         shutil.rmtree(folder, ignore_errors=True)
         _told.cache_clear()
+
+
+def sure_bytes() -> int:
+    """What all copies together may take.  Raises FactoryError when the variable is no number."""
+    told = os.environ.get(_LIMIT, str(_KEPT_BYTES))
+    try:
+        return int(told)
+    except ValueError as error:
+        raise FactoryError(f"{_LIMIT}={told}: must be a whole number of bytes") from error
+
+
+def touch(path: Path) -> bool:
+    """Note that a shard is in use, so that others go first; returns whether it is there.
+
+    By its time of access alone: the time of change tells whether it is the file that it was.
+    """
+    try:
+        os.utime(path, ns=(time.time_ns(), path.stat().st_mtime_ns))
+    except OSError:
+        return path.exists()
+    return True
+
+
+def make_room(spare: Path) -> None:
+    """Remove shards of copies, those not used for longest first, until the rest is small enough.
+
+    spare: the shard that came just now, which stays.
+    """
+    found = []
+    for path in copies_folder().glob("*/t*/*.h5"):
+        with suppress(OSError):
+            state = path.stat()
+            found.append((state.st_atime_ns, state.st_size, path))
+    total, most = sum(size for _, size, _ in found), sure_bytes()
+    for _, size, path in sorted(found):
+        if total <= most:
+            return
+        if path != spare:
+            path.unlink(missing_ok=True)
+            total -= size
 
 
 def _write(path: Path, content: bytes, look: Callable[[Path], None] | None = None) -> None:

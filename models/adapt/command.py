@@ -138,7 +138,7 @@ def _adapt(chosen: Any, lessons: Lessons, start: Path, out: Path) -> int:
     fabric = Fabric(accelerator=chosen.device, devices=1)
     trained = load_weights(start)
     network = trained.network.to(fabric.device)
-    lesson, kept = Lesson(lessons, chosen.seed), {}
+    lesson, kept = Lesson(lessons, chosen.seed, "frames" in network.extras), {}
     if chosen.keep:
         simulated = (
             of_dataset(chosen.pairs, chosen.seed) if chosen.pairs else of_reliefs(chosen.seed)

@@ -19,6 +19,7 @@ from ..data.crops import concatenate, crop, whole_image_batch
 from ..data.pairs import Batch, Image, Sample
 from ..losses import L1
 from ..networks.network import Network, known_extras
+from ..removal import averaged
 from ..settings import TrainSettings
 from ..training.loop import Loop
 from ..training.module import DenoisingModule, Row
@@ -37,6 +38,9 @@ _MOST_MEASURED = 4
 _TIMED = 3  # steps whose pace says how many fit into the minutes
 _TRIES = 6
 _LEAST_KNOWN = 0.25  # of a crop's pixels
+_SEVERAL = 0.5  # of the steps show means of frames to weights that know how many
+_MOST_FRAMES = 7
+_LEAST_OTHERS = 3  # frames that a target is the mean of
 
 T = TypeVar("T")
 
@@ -82,8 +86,9 @@ class AdaptModule(DenoisingModule):
 class Lesson:
     """Crops of the steps, which depend on the seed and the step alone; and the frames held out."""
 
-    def __init__(self, found: Lessons, seed: int) -> None:
-        self.stills, self.seed = found.learning, seed
+    def __init__(self, found: Lessons, seed: int, knows_frames: bool = False) -> None:
+        """knows_frames: whether the weights know how many frames were averaged."""
+        self.stills, self.seed, self.knows_frames = found.learning, seed, knows_frames
         self.kept: list[Sample] = []
         self.simulated: list[Sample] = []
         self._odds = odds_of(found.learning)
@@ -93,6 +98,9 @@ class Lesson:
             for frame, target in zip(still.frames, still.targets, strict=True)
         ]
         self.held = _spread(held)
+        if knows_frames:
+            means = [mean_of(still, 0, _most(still)) for still in found.held if _most(still) > 1]
+            self.held += _spread(means)
 
     def keep(self, found: Simulated, start: Network) -> bool:
         """Mix simulated pictures in, every other one without its geometry, as pictures often come.
@@ -116,8 +124,15 @@ class Lesson:
         """What `AdaptModule` learns from in a step."""
         rng = stream(self.seed, "adapt", "still", step)
         still = self.stills[rng.choice(len(self.stills), p=self._odds)]
-        numbers = rng.integers(len(still.frames), size=BATCH)
-        samples = [Sample(still.frames[i], still.targets[i], None, still.geometry) for i in numbers]
+        if self.knows_frames and _most(still) > 1 and rng.random() < _SEVERAL:
+            counts = rng.integers(2, _most(still) + 1, size=BATCH)
+            firsts = [int(rng.integers(len(still.laid) - count + 1)) for count in counts]
+            samples = [mean_of(still, *both) for both in zip(firsts, counts, strict=True)]
+        else:
+            numbers = rng.integers(len(still.frames), size=BATCH)
+            samples = [
+                Sample(still.frames[i], still.targets[i], None, still.geometry) for i in numbers
+            ]
         parts = [_crop(sample, extras, rng) for sample in samples]
         kept = []
         if self.kept:
@@ -208,6 +223,18 @@ def psnr_after_levels(picture: Image, reference: Image) -> float:
     return float(-10 * np.log10(max(float(np.square(fitted - y).mean()), 1e-10)))
 
 
+def mean_of(still: Still, first: int, count: int) -> Sample:
+    """The mean of frames that follow each other, towards that of the others of the stretch."""
+    noisy, target = still.averaged(first, count)
+    frames = np.full(noisy.shape, averaged(count), np.float32)
+    return Sample(noisy, target, None, still.geometry, frames=frames)
+
+
+def _most(still: Still) -> int:
+    """The most frames to average: enough others are left for a target."""
+    return min(_MOST_FRAMES, len(still.laid) - _LEAST_OTHERS)
+
+
 def odds_of(stills: Sequence[Still]) -> npt.NDArray[np.float64]:
     """(stretches,): all recordings alike, however long, and in each all frames alike."""
     frames = np.array([len(still.frames) for still in stills], float)
@@ -241,7 +268,7 @@ def _crop(sample: Sample, extras: Sequence[str], rng: np.random.Generator) -> Ba
 
 
 def _denoised(network: Network, sample: Sample) -> Image:
-    shown = Sample(sample.noisy, geometry=sample.geometry)
+    shown = Sample(sample.noisy, geometry=sample.geometry, frames=sample.frames)
     return denoise_batch(network, whole_image_batch(shown, network.extras))
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 
 import cv2
@@ -17,7 +17,6 @@ import numpy.typing as npt
 
 from ...factory.sonar.geometry import FanGeometry
 from ..data.pairs import Image
-from ..recordings.averaging import LEAST_ALIKE
 from ..recordings.static import (
     StaticGroup,
     aligned,
@@ -31,6 +30,7 @@ from .clips import RUN, Clip, Shot
 LEAST = 4
 """Fewer frames make no stretch: too little is known of what stands still."""
 _ALIKE = 0.75  # of pictures in any order
+_FOLLOWS = 0.3  # of frames that follow each other: raw pings of one scene have .3 to .5
 _LEAST_ALIGNED = 3
 _LEAST_KNOWN = 0.1  # of the sector that must stand still
 
@@ -41,13 +41,23 @@ class Still:
 
     frames: (H, W) float32 in 0..1.  targets: one for each frame, NaN where none is known: outside
     the sector and where something moves.  geometry: of all frames.  recording: number of the one
-    that they are from.
+    that they are from.  laid: the frames with the scene where the first has it.
     """
 
     frames: list[Image]
     targets: list[Image]
     geometry: FanGeometry | None
     recording: int = 0
+    laid: list[Image] = field(default_factory=list)
+
+    def averaged(self, first: int, count: int) -> tuple[Image, Image]:
+        """The mean of `count` frames from `first` on, and that of all others, NaN where unknown."""
+        inside = np.zeros(len(self.laid), bool)
+        inside[first : first + count] = True
+        own = np.mean([one for one, is_in in zip(self.laid, inside, strict=True) if is_in], axis=0)
+        rest = [one for one, is_in in zip(self.laid, inside, strict=True) if not is_in]
+        target = np.where(np.isfinite(self.targets[0]), np.mean(rest, axis=0), np.nan)
+        return np.asarray(own, np.float32), np.asarray(target, np.float32)
 
     def only(self, numbers: Sequence[int]) -> Still:
         """Some of the frames, with the targets that they have."""
@@ -55,6 +65,7 @@ class Still:
             self,
             frames=[self.frames[i] for i in numbers],
             targets=[self.targets[i] for i in numbers],
+            laid=[self.laid[i] for i in numbers],
         )
 
 
@@ -115,7 +126,7 @@ def _stretches(clip: Clip) -> list[list[Shot]]:
     pieces = np.array_split(left, max(1, math.ceil(len(left) / RUN)))
     for piece in pieces:
         # Frames that follow each other show one scene unless it is plain that they do not.
-        found += _groups(clip, piece.tolist(), _ALIKE if clip.shuffled else LEAST_ALIKE)
+        found += _groups(clip, piece.tolist(), _ALIKE if clip.shuffled else _FOLLOWS)
     taken = {number for group in found for number in group}
     found += _groups(clip, [number for number in left if number not in taken], _ALIKE)
     return [[clip.shots[i] for i in group] for group in sorted(found)]
@@ -148,7 +159,8 @@ def _stills(shots: list[Shot]) -> list[tuple[list[Shot], Still]]:
     targets = [
         np.where(known, target, np.nan).astype(np.float32) for target in references(frames, group)
     ]
-    return [(kept, Still(frames, targets, shots[0].geometry))]
+    laid = [shifted(frame, shift) for frame, shift in zip(frames, group.shifts_px, strict=True)]
+    return [(kept, Still(frames, targets, shots[0].geometry, laid=laid))]
 
 
 def _known(

@@ -90,7 +90,7 @@ class WholeImages(Dataset[Batch]):
 
 def whole_image_batch(sample: Sample, extras: Sequence[str] = ()) -> Batch:
     """A sample as a batch of one."""
-    images = _images(sample)
+    images = _images(sample, extras)
     if sample.geometry is not None and extras:
         maps = sample.geometry.maps(0, 0, *sample.noisy.shape)
         images |= {name: maps[name] for name in extras if name in maps}
@@ -111,7 +111,7 @@ def crop(
     (top, left), (height, width) = corner, shape
     window = np.s_[top : top + height, left : left + width]
     step = -1 if flip else 1
-    images = {name: image[window][:, ::step] for name, image in _images(sample).items()}
+    images = {name: image[window][:, ::step] for name, image in _images(sample, extras).items()}
     if sample.geometry is not None and extras:
         maps: Maps = sample.geometry.maps(top, left, height, width)
         maps = _mirrored(maps) if flip else maps
@@ -135,8 +135,11 @@ def _mirrored(maps: Maps) -> Maps:
     return flipped
 
 
-def _images(sample: Sample) -> Maps:
+def _images(sample: Sample, extras: Sequence[str]) -> Maps:
     images = {"noisy": sample.noisy, "clean": sample.clean, "shadow": sample.shadow}
+    if "frames" in extras:
+        one = np.zeros_like(sample.noisy)  # crops of a batch have the same planes
+        images["frames"] = one if sample.frames is None else sample.frames
     return {name: image for name, image in images.items() if image is not None}
 
 

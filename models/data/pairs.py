@@ -42,6 +42,8 @@ class Sample:
     shadow: (H, W) float32, 1 in shadow, or None.  geometry: where range and bearing are, or None.
     remove: (6,) float32, the artefacts that `clean` is without (`models.removal`), or None for
         the usual ones.
+    frames: (H, W) float32, how many frames were averaged in `noisy` (`removal.averaged`), or None
+        for one.
     """
 
     noisy: Image
@@ -49,6 +51,7 @@ class Sample:
     shadow: Image | None = None
     geometry: FanGeometry | None = None
     remove: Image | None = None
+    frames: Image | None = None
 
 
 class Source(Protocol):

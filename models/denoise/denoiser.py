@@ -12,15 +12,13 @@ import numpy.typing as npt
 from ...factory.errors import FactoryError
 from ...factory.sonar.geometry import FanGeometry
 from ..recordings.presentation import presentation_of
-from ..removal import DEFAULT, vector
+from ..removal import DEFAULT, averaged, vector
 from .pictures import Gray
 from .runtime import EXACT, open_runtime
 from .scales import by_scales
 from .tile import Maps, tiled
 
 TILE, OVERLAP = 1024, 96
-_MOST_FRAMES = 16.0
-"""More frames are too few to tell from this many by the noise that is left."""
 _SEVERAL = 1.5
 """From so many frames on average on, grain is the scene's: the picture is not halved first."""
 _LIT, _LIT_SHARE = 0.1, 0.01
@@ -84,7 +82,7 @@ class Denoiser:
         told = None
         if frames is not None and self.knows_frames:
             told = np.broadcast_to(np.asarray(frames, np.float32), gray.shape)
-            told = np.log2(np.clip(np.rot90(told, given.quarter_turns), 1, _MOST_FRAMES))
+            told = averaged(np.rot90(told, given.quarter_turns))
         return given.undone(self._denoise(given.shown(gray), given.geometry, shown, told))
 
     def _denoise(
@@ -102,7 +100,7 @@ class Denoiser:
         widest = network.wide_grain
         if frames is not None:
             maps["frames"] = np.ascontiguousarray(frames, np.float32)
-            widest = 1.0 if frames.mean() > np.log2(_SEVERAL) else widest
+            widest = 1.0 if frames.mean() > averaged(_SEVERAL) else widest
         if self.looks > 1 and looks:
             maps["looks"] = np.stack(looks, axis=-1)  # tiles cut the first two axes
         outside = _surroundings(gray, maps)
@@ -183,6 +181,6 @@ def load_denoiser(
     these.  remove, strength, precision: see `Denoiser`.
     Raises FactoryError when there are none, and as `Denoiser` does.
     """
-    from ..pretrained import find_runnable
+    from ..pretrained import find_weights
 
-    return Denoiser(find_runnable(weights), device, tile, overlap, remove, strength, precision)
+    return Denoiser(find_weights(weights), device, tile, overlap, remove, strength, precision)

@@ -1,11 +1,13 @@
-"""What computes a network: onnxruntime for the weights that ship, torch for weights of one's own.
+"""What computes a network: onnxruntime where its graph ships, torch for any other.
 
-Neither torch nor lightning is imported for an ONNX file of `simnfnd export-weights --to runtime`.
-What is quick in NumPy stands around the graph: the beam and the arc of each cell, and the sector.
+Neither torch nor lightning is imported for a network whose graph ships (`models.pretrained`).
+What is quick in NumPy stands around the graph: the beam and the arc of each cell, the polar grid,
+the sector.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,6 +17,9 @@ import numpy.typing as npt
 
 from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError
+from ..networks.weights_file import read_header, read_weights
+from ..pretrained import graphs
+from .polar_grid import PolarGrid
 
 Gray = npt.NDArray[np.float32]
 Maps = Mapping[str, Gray]
@@ -22,6 +27,10 @@ Maps = Mapping[str, Gray]
 EXACT = "32-true"
 PRECISIONS = ("auto", EXACT, "bf16-mixed")
 """Arithmetic of a denoiser, in the words of `train.precision`."""
+
+
+_MOST = np.float32(80)
+"""Of a logit, so that its exponential is a number."""
 
 
 class Runtime(Protocol):
@@ -45,16 +54,37 @@ class Runtime(Protocol):
 
 
 def open_runtime(weights: Path, device: str, precision: str = EXACT) -> Runtime:
-    """The network of a weights file (`.safetensors`) or of an ONNX file of `--to runtime`.
+    """The network of a weights file.
 
     device: auto, cpu or gpu.  Raises FactoryError for a file that holds no network, a GPU that is
     not there, an unknown precision, and packages that are not installed.
     """
     if precision not in PRECISIONS:
         raise FactoryError(f"--precision {precision}: is none of {', '.join(PRECISIONS)}")
-    if weights.suffix == ".onnx":
-        return OnnxNetwork(weights, device, precision)
+    if precision != "bf16-mixed":
+        graph = _graph_of(weights)
+        if graph is not None:
+            return OnnxNetwork(weights, graph, device)
     return TorchNetwork(weights, device, precision)
+
+
+def structure(model: Mapping[str, Any]) -> dict[str, Any]:
+    """What of a `model` configuration decides the graph."""
+    every = {"told": True, "frames": False, "mirror": False, "channels": 1, **model}
+    return {key: value for key, value in every.items() if key not in ("forget", "wide_grain")}
+
+
+def give_weights(options: Any, weights: Mapping[str, npt.NDArray[Any]]) -> list[Any]:
+    """Put weights into the options of a session of a graph without any.
+
+    Returns what must be kept as long as the session: it shares the memory.
+    """
+    from onnxruntime import OrtValue
+
+    arrays = [np.ascontiguousarray(one) for one in weights.values()]
+    values = [OrtValue.ortvalue_from_numpy(one) for one in arrays]
+    options.add_external_initializers(list(weights), values)
+    return [arrays, values]
 
 
 class OnnxNetwork:
@@ -62,16 +92,11 @@ class OnnxNetwork:
 
     looks = 1
 
-    def __init__(self, path: Path, device: str, precision: str = EXACT) -> None:
-        """See `open_runtime`."""
-        require([Need("these weights", "onnxruntime")])
+    def __init__(self, path: Path, graph: Path, device: str) -> None:
+        """See `open_runtime`.  graph: as `simnfnd export-weights --to runtime` wrote it."""
+        require([Need("simnfnd denoise", "onnxruntime")])
         import onnxruntime
 
-        if precision == "bf16-mixed":
-            raise FactoryError(
-                "--precision bf16-mixed: is for weights of your own; those that ship compute in 32 "
-                "bits"
-            )
         has_gpu = "CUDAExecutionProvider" in onnxruntime.get_available_providers()
         if device == "gpu" and not has_gpu:
             raise FactoryError(
@@ -84,36 +109,72 @@ class OnnxNetwork:
         options.log_severity_level = 3
         # Waiting threads would burn as much time as computing ones.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        header, weights = read_weights(path)
+        self._kept = give_weights(
+            options, {f"network.{name}": one for name, one in weights.items()}
+        )
         try:
             self._session = onnxruntime.InferenceSession(
-                path.read_bytes(), options, providers=[*providers, "CPUExecutionProvider"]
+                graph.read_bytes(), options, providers=[*providers, "CPUExecutionProvider"]
             )
-            facts = self._session.get_modelmeta().custom_metadata_map
-            self.extras = tuple(filter(None, facts["extras"].split(",")))
-            self.wide_grain, self._stride = float(facts["wide_grain"]), int(facts["stride"])
         except Exception as error:
-            # onnxruntime reports a damaged file with a dozen exception types.
-            raise FactoryError(
-                f"weights={path}: not an ONNX file of `simnfnd export-weights --to runtime`, or a "
-                "damaged one"
-            ) from error
+            # onnxruntime reports weights of other sizes with a dozen exception types.
+            reason = " ".join(str(error).split())[:160]
+            raise FactoryError(f"weights={path}: do not fit their network: {reason}") from error
+        facts = self._session.get_modelmeta().custom_metadata_map
+        model = json.loads(facts["model"])
+        self.extras = tuple(facts["extras"].split(","))
+        self.wide_grain = float(header["model"].get("wide_grain", 1.0))
+        self._stride, self.is_polar = int(facts["stride"]), bool(model["polar"])
+        self._mask = bool(model["mask"])
         self._inputs = tuple(one.name for one in self._session.get_inputs())
 
     def run(self, gray: Gray, maps: Maps, told: Gray | None) -> tuple[Gray, float]:
         """See `Runtime`."""
-        found = inputs_of(gray, maps, told, self._stride)
-        image, weight = self._session.run(
-            ["image", "weight"], {name: found[name] for name in self._inputs}
+        grid = PolarGrid.of(maps) if self.is_polar and _known(maps) else None
+        if grid is None:
+            found = inputs_of(gray, maps, told, self._stride)
+        else:
+            sector = maps.get("sector", np.ones_like(gray))
+            shown = {
+                "range_fraction": grid.range_fraction,
+                "azimuth_rad": grid.azimuth_rad,
+                "sector": grid.polar(sector),
+            }
+            found = inputs_of(grid.polar(gray), shown, told, self._stride, is_grid=True)
+        change, logits, weight = self._session.run(
+            ["change", "shadow_logits", "weight"], {name: found[name] for name in self._inputs}
         )
-        inside = maps["sector"] > 0 if _known(maps) and "sector" in maps else True
-        return np.asarray(np.where(inside, image[0, 0], gray), np.float32), float(weight[0])
+        change, logits = change[0, 0], logits[0, 0]
+        if grid is not None:
+            change, logits = grid.fan(change), grid.fan(logits)
+        image = gray + change
+        if self._mask:
+            image = image / (1 + np.exp(np.minimum(logits, _MOST)))
+        if _known(maps) and "sector" in maps:
+            image = np.where(maps["sector"] > 0, image, gray)
+        return np.asarray(image, np.float32), float(weight[0])
 
 
-def inputs_of(gray: Gray, maps: Maps, told: Gray | None, stride: int) -> dict[str, Any]:
-    """What an ONNX file of `--to runtime` computes a picture from, (H, W) in 0..1.
+def _graph_of(weights: Path) -> Path | None:
+    """The graph that ships for the network of a weights file; None where there is none."""
+    model = read_header(weights)["model"]
+    wished = json.dumps(structure(model), sort_keys=True)
+    for graph in graphs():
+        # The words are at the end of the file, and few.
+        if wished.encode() in graph.read_bytes():
+            return graph
+    return None
+
+
+def inputs_of(
+    gray: Gray, maps: Maps, told: Gray | None, stride: int, *, is_grid: bool = False
+) -> dict[str, Any]:
+    """What a graph of `--to runtime` computes a picture from, (H, W) in 0..1.
 
     maps: `range_fraction` and `azimuth_rad` where the geometry is known, `sector` where it is not
     all of the picture, `frames` (log2 of how many were averaged) where these are several.
+    is_grid: whether columns are beams and rows ranges, evenly.
     Returns `noisy` and `frames` (1, 1, H, W), `maps` (1, 3, H, W), `beams` and `arcs` (1, cells)
     int64, the line of each cell at half resolution, and `remove` (1, 6).
     """
@@ -123,13 +184,16 @@ def inputs_of(gray: Gray, maps: Maps, told: Gray | None, stride: int) -> dict[st
         sector = maps.get("sector", np.ones_like(gray))
         radius, azimuth = maps["range_fraction"], maps["azimuth_rad"]
         planes = 2 * radius - 1, azimuth, 1 - sector
+    else:
+        # -1 occurs in no known geometry.
+        nothing = np.zeros_like(gray)
+        planes = nothing, nothing, nothing - 1
+    if _known(maps) and not is_grid:
         inside = _cells(sector, stride) > 0
         beams = _numbers(_cells(azimuth, stride), inside, columns)
         arcs = _numbers(_cells(radius, stride), inside, rows)
     else:
-        # Columns count as beams and rows as arcs; -1 occurs in no known geometry.
-        nothing = np.zeros_like(gray)
-        planes = nothing, nothing, nothing - 1
+        # Columns count as beams and rows as arcs.
         beams = np.broadcast_to(np.arange(columns), (rows, columns))
         arcs = np.broadcast_to(np.arange(rows)[:, None], (rows, columns))
     frames = maps.get("frames")

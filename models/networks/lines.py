@@ -7,7 +7,7 @@ at once which one it is.
 
 from __future__ import annotations
 
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 import torch
 from torch import Tensor, nn
@@ -21,9 +21,6 @@ class LineContext(nn.Module):
 
     channels: of the features.  width: channels that are pooled.  It starts as the identity.
     """
-
-    LAST: ClassVar[str] = "added"
-    """The layer that decides how much it adds."""
 
     def __init__(self, channels: int, width: int = 12) -> None:
         super().__init__()

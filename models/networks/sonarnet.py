@@ -20,6 +20,7 @@ Without geometry it works on the picture as it is; in training the geometry is w
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated, ClassVar, Literal
 
@@ -41,6 +42,7 @@ from .unet import residual_blocks
 _MAPS = ("range_fraction", "azimuth_rad", "sector")
 _TOLD = 32  # features of what is to be removed
 _FRAMES = 4.0  # log2 of the most frames that are averaged
+_HALVED = -math.log(2) / 2  # noise falls by the root of two with twice as many frames
 # Logit of shadow before anything is learned, and outside the sector.
 _FIRST, _OUTSIDE = -2.0, -10.0
 
@@ -132,8 +134,8 @@ class SonarNet(Network):
 
         Geometry counts only where `range_fraction` and `azimuth_rad` are both there; without
         `sector` everything is insonified.  remove: (N, 6), 1 for each artefact to remove (see
-        `imaging.contract.ARTEFACTS`); without it the usual ones.  frames: (N, 1, H, W), log2 of the
-        number of frames averaged; without it 0, a single frame.
+        `imaging.contract.ARTEFACTS`); without it the usual ones.  frames: (N, 1, H, W), how many
+        frames were averaged, as of `removal.averaged`; without it 0, a single frame.
         """
         output = self._single_pass(noisy, extras)
         if self.training or not self.settings.mirror:
@@ -255,7 +257,7 @@ def _frames_levels(frames: Tensor, count: int) -> list[Tensor]:
 
     frames: (N, 1, H, W) log2.  Both planes are 0 for a single frame.
     """
-    planes, levels = torch.cat([frames / _FRAMES, torch.exp2(-frames / 2) - 1], dim=1), []
+    planes, levels = torch.cat([frames / _FRAMES, torch.exp(frames * _HALVED) - 1], dim=1), []
     for _ in range(count):
         planes = functional.avg_pool2d(planes, 2)
         levels.append(planes)

@@ -7,7 +7,7 @@ without normalisation, as denoising networks use them (Zhang et al., DRUNet, TPA
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
@@ -39,9 +39,6 @@ class UNetSettings:
 
 class ResidualBlock(nn.Module):
     """Two convolutions, added to what came in; it starts as the identity."""
-
-    LAST: ClassVar[str] = "second"
-    """The layer that decides how much it adds."""
 
     def __init__(self, first: nn.Conv2d, second: nn.Conv2d) -> None:
         super().__init__()

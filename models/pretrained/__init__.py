@@ -12,8 +12,7 @@ from .. import WEIGHTS_NAME
 DEFAULT = "simnfnd"
 """Name of the weights that `simnfnd denoise` takes when none are given."""
 POINTS = "simnfnd-paper"
-"""Those for shards of acoustics.formation=points: trained on the paper's noise."""
-
+"""Those for the paper's noise: shards of acoustics.formation=points, and where it is asked for."""
 REMOVAL = "simnfnd-removal"
 """Those for what lies over a picture (haze, spokes, ghosts, gains), where it is asked for."""
 
@@ -49,14 +48,9 @@ def find_weights(given: str | Path | None) -> Path:
     )
 
 
-def find_runnable(given: str | Path | None) -> Path:
-    """What `models.denoise.runtime` runs for `find_weights`: of weights that ship the ONNX file.
-
-    Raises FactoryError as `find_weights` does.
-    """
-    path = find_weights(given)
-    onnx = path.with_suffix(".onnx")
-    return onnx if path.parent == _FOLDER and onnx.is_file() else path
+def graphs() -> tuple[Path, ...]:
+    """The graphs that ship: what onnxruntime computes of the weights of such a network."""
+    return tuple(sorted(_FOLDER.glob("*.onnx")))
 
 
 def _of_hub(repository: str) -> Path:

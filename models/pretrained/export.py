@@ -90,8 +90,8 @@ def main(arguments: Sequence[str]) -> int:
         "--to",
         choices=tuple(SUFFIXES),
         default="safetensors",
-        help="safetensors: 16 bits with a model card (default); runtime: the ONNX file that "
-        "`simnfnd denoise` runs without torch; others: see docs/deploy.md",
+        help="safetensors: 16 bits with a model card (default); runtime: the graph without "
+        "weights by which `simnfnd denoise` does without torch; others: see docs/deploy.md",
     )
     parser.add_argument(
         "--geometry",
@@ -135,17 +135,16 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def export_runtime(weights: Path, out: Path) -> Iterator[str]:
-    """Write what `simnfnd denoise` runs in onnxruntime; a line on it.
+    """Write the graph by which `simnfnd denoise` runs weights in onnxruntime; a line on it.
 
-    Raises FactoryError when the weights cannot be read, are of another network than a `sonarnet`
-    without a polar grid, or onnxruntime would not compute what torch does.
+    Raises FactoryError when the weights cannot be read, are of another network than `sonarnet`, or
+    onnxruntime would not compute what torch does.
     """
     require(Need("--to runtime", module) for module in ("onnx", "onnxruntime"))
     from .runtime_graph import write_runtime
 
     difference = write_runtime(weights, out)
-    size_mb = out.stat().st_size / 1e6
-    yield f"{out}: {size_mb:.2f} MB, within {difference:.1e} of torch"
+    yield f"{out}: {out.stat().st_size / 1e6:.2f} MB, within {difference:.1e} of torch"
 
 
 def export_graph(

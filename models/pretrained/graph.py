@@ -69,6 +69,10 @@ class Graph(nn.Module):
         change = found.weight[:, None, None, None] * (found.image - noisy)
         return (noisy + change).clamp(0, 1), found.weight
 
+    def shown(self, name: str, values: np.ndarray) -> np.ndarray:
+        """An output as it shows in a picture, for comparisons."""
+        return 1 / (1 + np.exp(-values)) if name == "shadow_logits" else values
+
     def example(self, height: int, width: int, count: int = 1, seed: int = 0) -> Inputs:
         """Speckle in a sector of 60 degrees, and the other inputs for it."""
         geometry = _fan(height, width) if self.layout == "fan" else FanGeometry.polar()
@@ -98,7 +102,8 @@ def described(graph: Graph) -> Mapping[str, str]:
         "maps": "(1, 3, H, W) 2 range_fraction - 1, azimuth_rad, 1 - sector; 0, 0, -1 if unknown",
         "beams": "(1, cells) beam of each cell at half the padded size; columns if unknown",
         "arcs": "(1, cells) arc of each cell at half the padded size; rows if unknown",
-        "image": "(1, 1, H, W) the picture with the whole change",
+        "change": "(1, 1, H, W) what to add to the picture",
+        "shadow_logits": "(1, 1, H, W) positive where the network sees shadow",
         "denoised": "(N, 1, H, W) the picture denoised, 0 to 1",
         "weight": "(N) the part of its change that the picture was given, 0 to 1",
     }

@@ -1,12 +1,11 @@
-"""A `sonarnet` as the ONNX file that `simnfnd denoise` runs (`models.denoise.runtime`).
+"""The graph of a `sonarnet` that `simnfnd denoise` runs in onnxruntime (`models.denoise.runtime`).
 
-Beams and arcs of the cells are inputs, so one file serves fans, polar pictures and pictures of
-unknown geometry.  The weights are stored in 16 bits and computed with in 32.
+Beams and arcs of the cells are inputs, so one graph serves fans, polar pictures and pictures of
+unknown geometry.  It holds no weights: they stay in the safetensors, which they are taken from.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
 from typing import ClassVar
@@ -17,7 +16,7 @@ from torch import Tensor
 
 from ...factory.errors import FactoryError
 from ...factory.sonar.geometry import FanGeometry
-from ..denoise.runtime import inputs_of
+from ..denoise.runtime import inputs_of, structure
 from ..networks.lines import MapLines
 from ..networks.network import Network, padded
 from ..networks.sonarnet import SonarNet
@@ -33,7 +32,7 @@ TOLERANCE = 1e-5
 class RuntimeGraph(Graph):
     """What the network computes of one picture, given the inputs of `denoise.runtime.inputs_of`.
 
-    Outputs: `image` (1, 1, H, W), with the whole change; `weight` (1,), the part of it to apply.
+    Outputs: `change` and `shadow_logits` (1, 1, H, W); `weight` (1,), the part of it to apply.
     """
 
     tolerance: ClassVar[float] = TOLERANCE
@@ -41,21 +40,22 @@ class RuntimeGraph(Graph):
     def __init__(self, network: Network) -> None:
         """Raises FactoryError for a network that the runtime has no inputs for."""
         super().__init__(network, "none")
-        if not isinstance(network, SonarNet) or network.settings.polar or network.settings.mirror:
+        if not isinstance(network, SonarNet) or network.settings.mirror:
             raise FactoryError(
-                "--to runtime: is for model=sonarnet with polar=false and mirror=false; use "
-                "--to onnx for other networks"
+                "--to runtime: is for model=sonarnet with mirror=false; use --to onnx for other "
+                "networks"
             )
         told = [name for name in ("frames", "remove") if name in network.extras]
         self.inputs = ("noisy", "maps", "beams", "arcs", *told)
-        self.outputs = ("image", "weight")
+        self.outputs = ("change", "shadow_logits", "weight")
 
     @property
     def axes(self) -> dict[str, dict[int, str]]:
         """Name -> its dimensions of any size."""
         size, cells = {2: "height", 3: "width"}, {1: "cells"}
-        found = {"noisy": size, "maps": size, "image": size, "beams": cells, "arcs": cells}
-        return found | ({"frames": size} if "frames" in self.inputs else {})
+        found = dict.fromkeys(("noisy", "maps", "frames", "change", "shadow_logits"), size)
+        found |= {"beams": cells, "arcs": cells}
+        return {name: found[name] for name in (*self.inputs, *self.outputs) if name in found}
 
     def forward(self, noisy: Tensor, *told: Tensor) -> tuple[Tensor, ...]:
         """See the class."""
@@ -72,8 +72,7 @@ class RuntimeGraph(Graph):
         if remove is None:
             remove = torch.from_numpy(vector(DEFAULT))[None]
         planes = maps.split(1, dim=1)
-        change, logits, part = network.core(remove, given.get("frames"), lines, noisy, *planes)
-        return network.gated(noisy + change, logits), part
+        return network.core(remove, given.get("frames"), lines, noisy, *planes)
 
     def example(self, height: int, width: int, count: int = 1, seed: int = 0) -> Inputs:
         """Speckle in a fan, a polar picture or one of unknown geometry, in turn by `seed`."""
@@ -106,18 +105,17 @@ class RuntimeGraph(Graph):
 
 
 def write_runtime(weights: Path, out: Path) -> float:
-    """Write the ONNX file of a weights file; how far onnxruntime is from torch with it.
+    """Write the graph of a weights file; how far onnxruntime is from torch with both.
 
-    The same weights and versions of torch and onnx give the same bytes.  Raises FactoryError for
-    another network, and where the difference is above TOLERANCE; nothing is written then.
+    The same network and versions of torch and onnx give the same bytes, whatever its weights.
+    Raises FactoryError for another network, and where the difference is above TOLERANCE; nothing is
+    written then.
     """
     trained = load_weights(weights)
     graph = RuntimeGraph(trained.network)
     about = {
-        "model": json.dumps(trained.model, sort_keys=True),
-        "weights_sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
+        "model": json.dumps(structure(trained.model), sort_keys=True),
         "extras": ",".join(trained.network.extras),
         "stride": graph.core_stride,
-        "wide_grain": trained.network.wide_grain,
     }
-    return write_onnx(graph, out, about, halves=True)
+    return write_onnx(graph, out, about, bare=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from torch import Tensor
 from ...factory import __version__
 from ...factory.errors import FactoryError
 from ...factory.files import check_writable, write_atomically
+from ..denoise.runtime import give_weights
 from .graph import Graph, described, wanted
 
 OPSET = 18
@@ -31,27 +32,27 @@ Newer runtimes read older opsets.
 _TRACED = (75, 91, 2)
 _COMPARED = ((64, 64, 1), (50, 83, 2), (128, 70, 1))
 
-_FEW = 64
-"""Fewer weights are not worth a step that widens them."""
-
 Run = Callable[[Mapping[str, Tensor]], list[np.ndarray]]
 
 
 def write_onnx(
-    graph: Graph, path: Path, about: Mapping[str, object], *, halves: bool = False
+    graph: Graph, path: Path, about: Mapping[str, object], *, bare: bool = False
 ) -> float:
     """Write a `.onnx` file of any height, width and number of pictures; how far it is from torch.
 
-    about: what the file says of itself.  halves: store weights that 16 bits hold exactly so.
+    about: what the file says of itself.  bare: without the network's weights.
     Raises FactoryError when onnxruntime does not get what
     torch does, or the file cannot be written.
     """
     import onnxruntime
 
     check_writable(path.parent, "--out")
-    content = _with_words(graph, _exported(graph), about, halves)
+    content = _with_words(graph, _exported(graph, folded=not bare), about, bare)
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
+    if bare:
+        weights = {name: values.numpy() for name, values in graph.state_dict().items()}
+        kept = give_weights(options, weights)  # noqa: F841  (the session shares their memory)
     session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
 
     def run(inputs: Mapping[str, Tensor]) -> list[np.ndarray]:
@@ -76,9 +77,9 @@ def compared(graph: Graph, run: Run, who: str) -> float:
         if seed and "remove" in inputs:
             inputs["remove"] = torch.from_numpy(wanted(("haze", "gains")))
         expected = [values.numpy() for values in graph(*inputs.values())]
-        for values, wished in zip(run(inputs), expected, strict=True):
+        for name, values, wished in zip(graph.outputs, run(inputs), expected, strict=True):
             # NaN must not pass.
-            distance = float(np.abs(values - wished).max())
+            distance = float(np.abs(graph.shown(name, values) - graph.shown(name, wished)).max())
             worst = distance if not distance <= worst else worst
     if not worst <= graph.tolerance:
         raise FactoryError(
@@ -99,7 +100,8 @@ def _traced(graph: Graph) -> torch.jit.ScriptModule:
         return traced
 
 
-def _exported(graph: Graph) -> bytes:
+def _exported(graph: Graph, folded: bool = True) -> bytes:
+    """folded: with what follows from weights alone computed."""
     content = io.BytesIO()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -109,6 +111,7 @@ def _exported(graph: Graph) -> bytes:
             content,  # type: ignore[arg-type]
             dynamo=False,
             opset_version=OPSET,
+            do_constant_folding=folded,
             input_names=list(graph.inputs),
             output_names=list(graph.outputs),
             dynamic_axes=graph.axes,
@@ -117,14 +120,12 @@ def _exported(graph: Graph) -> bytes:
 
 
 def _with_words(
-    graph: Graph, content: bytes, about: Mapping[str, object], halves: bool = False
+    graph: Graph, content: bytes, about: Mapping[str, object], bare: bool = False
 ) -> bytes:
-    """The same file with its inputs and itself explained; halves: with weights in 16 bits."""
+    """The same file with its inputs and itself explained; bare: without weights."""
     import onnx
 
     model = onnx.load_model_from_string(content)
-    if halves:
-        _halve(model)
     lines = described(graph)
     for value in (*model.graph.input, *model.graph.output):
         value.doc_string = lines[value.name]
@@ -137,27 +138,21 @@ def _with_words(
         model, {key: str(value) for key, value in sorted(_facts(graph, about).items())}
     )
     onnx.checker.check_model(model, full_check=True)
+    if bare:
+        _without_weights(model, graph.state_dict().keys())
     written: bytes = model.SerializeToString(deterministic=True)
     return written
 
 
-def _halve(model: Any) -> None:
-    """Store weights in 16 bits where these hold them exactly; the graph widens them first."""
+def _without_weights(model: Any, names: Collection[str]) -> None:
+    """Leave these weights out of the file: whoever opens it gives them by their names."""
     import onnx
-    from onnx import numpy_helper
 
-    casts = []
     for one in model.graph.initializer:
-        values = numpy_helper.to_array(one)
-        halved = values.astype(np.float16)
-        if values.dtype != np.float32 or values.size < _FEW or (halved != values).any():
-            continue
-        name = one.name
-        one.CopyFrom(numpy_helper.from_array(halved, f"{name}.half"))
-        casts.append(onnx.helper.make_node("Cast", [one.name], [name], to=onnx.TensorProto.FLOAT))
-    nodes = [*casts, *model.graph.node]
-    del model.graph.node[:]
-    model.graph.node.extend(nodes)
+        if one.name in names:
+            one.ClearField("raw_data")
+            one.data_location = onnx.TensorProto.EXTERNAL
+            one.external_data.add(key="location", value="weights")
 
 
 def _facts(graph: Graph, about: Mapping[str, object]) -> dict[str, object]:

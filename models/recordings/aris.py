@@ -23,40 +23,25 @@ from .base import (
     Device,
     FileOfFrames,
     Frame,
-    Pose,
     Samples,
-    header_layout,
     known,
+    layout_of,
+    pose_of,
 )
 
 HEADER = 1024  # bytes, of the file and of each frame
 SIGNATURE = 0x05464444  # "DDF" and 5
 DECIBELS = 80.0
 
-_AT = {
-    "FrameTime": (4, "<u8"),
-    "Version": (12, "<u4"),
-    "ReceiverGain": (68, "<u4"),
-    "Depth": (128, "<f4"),
-    "CompassHeading": (160, "<f4"),
-    "CompassPitch": (164, "<f4"),
-    "CompassRoll": (168, "<f4"),
-    "Latitude": (172, "<f8"),
-    "Longitude": (180, "<f8"),
-    "SonarPan": (244, "<f4"),
-    "SonarTilt": (248, "<f4"),
-    "PingMode": (436, "<u4"),
-    "FrequencyHiLow": (440, "<u4"),
-    "SamplePeriod": (452, "<u4"),
-    "SoundSpeed": (464, "<f4"),
-    "SamplesPerBeam": (468, "<u4"),
-    "SampleStartDelay": (476, "<u4"),
-    "LargeLens": (480, "<u4"),
-    "TheSystemType": (484, "<u4"),
-    "SonarSerialNumber": (488, "<u4"),
-    "ReorderedSamples": (516, "<u4"),
-}
-FRAME_HEADER = header_layout(_AT, HEADER)
+_AT = """
+    FrameTime 4 u8  Version 12 u4  ReceiverGain 68 u4  Depth 128 f4  CompassHeading 160 f4
+    CompassPitch 164 f4  CompassRoll 168 f4  Latitude 172 f8  Longitude 180 f8  SonarPan 244 f4
+    SonarTilt 248 f4  PingMode 436 u4  FrequencyHiLow 440 u4  SamplePeriod 452 u4
+    SoundSpeed 464 f4  SamplesPerBeam 468 u4  SampleStartDelay 476 u4  LargeLens 480 u4
+    TheSystemType 484 u4  SonarSerialNumber 488 u4  ReorderedSamples 516 u4
+"""
+_POSE = "CompassHeading CompassPitch CompassRoll Depth SonarPan SonarTilt Latitude Longitude"
+FRAME_HEADER = layout_of(_AT, HEADER)
 """The fields that are read; names and offsets of FrameHeader.h."""
 
 _BEAMS_OF_PING_MODES = ((48, 1, 2), (96, 3, 5), (64, 6, 8), (128, 9, 12))
@@ -121,16 +106,7 @@ class ArisFile(FileOfFrames):
             np.ascontiguousarray(samples),
             Beams(tuple(azimuths.tolist()), near, far),
             time_s=float(header["FrameTime"]) * 1e-6,
-            pose=Pose(
-                heading_deg=known(header["CompassHeading"], 360),
-                pitch_deg=known(header["CompassPitch"], 360),
-                roll_deg=known(header["CompassRoll"], 360),
-                depth_m=known(header["Depth"]),
-                pan_deg=known(header["SonarPan"], 720),
-                tilt_deg=known(header["SonarTilt"], 720),
-                latitude_deg=known(header["Latitude"], 90),
-                longitude_deg=known(header["Longitude"], 180),
-            ),
+            pose=pose_of(header, _POSE),
             device=Device(
                 name=name,
                 serial_number=int(header["SonarSerialNumber"]),

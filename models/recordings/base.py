@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -222,16 +222,28 @@ def explained(
         raise FrameError(f"{words} ({told})" if reason else words) from error
 
 
-def header_layout(fields: Mapping[str, tuple[int, str]], size: int) -> np.dtype:
-    """The dtype of a header of `size` bytes: name -> (offset, kind) of the fields that are read."""
-    return np.dtype(
-        {
-            "names": list(fields),
-            "formats": [kind for _, kind in fields.values()],
-            "offsets": [offset for offset, _ in fields.values()],
-            "itemsize": size,
-        }
-    )
+def layout_of(fields: str, size: int | None = None) -> np.dtype:
+    """The dtype of a header, little end first.
+
+    fields: "NAME KIND ..." of all fields in order, or, of a header of `size` bytes, "NAME OFFSET
+        KIND ..." of those that are read; "KIND*COUNT" is several.
+    """
+    words = fields.split()
+    step = 2 if size is None else 3
+    names, kinds = words[::step], [word.split("*") for word in words[step - 1 :: step]]
+    formats = [(f"<{kind}", *((int(count),) for count in counts)) for kind, *counts in kinds]
+    if size is None:
+        return np.dtype([(name, *one) for name, one in zip(names, formats, strict=True)])
+    offsets = [int(word) for word in words[1::3]]
+    made = {"names": names, "formats": [one[0] for one in formats]}
+    return np.dtype({**made, "offsets": offsets, "itemsize": size})  # type: ignore[call-overload]
+
+
+def pose_of(header: np.void, names: str) -> Pose:
+    """What the fields of a header say; names: in the order of `Pose`."""
+    most = (360, 360, 360, 1e6, 720, 720, 90, 180)
+    pairs = zip(names.split(), most, strict=True)
+    return Pose(*(known(header[name], limit) for name, limit in pairs))
 
 
 def known(value: float, most: float = 1e6) -> float | None:

@@ -21,50 +21,28 @@ from .base import (
     Device,
     FileOfFrames,
     Frame,
-    Pose,
-    header_layout,
     known,
+    layout_of,
+    pose_of,
 )
 
 # Version -> bytes of the file's and of a frame's header.
 HEADERS = {3: (512, 256), 4: (1024, 1024)}
 DECIBELS = 90.0
 
-_FILE_AT = {
-    "numframes": (4, "<i4"),
-    "resolution": (12, "<i4"),  # 1: high frequency
-    "numbeams": (16, "<i4"),
-    "samplerate": (20, "<f4"),
-    "samplesperchannel": (24, "<i4"),
-    "reverse": (40, "<i4"),
-    "serialnumber": (44, "<i4"),
-}
-_FRAME_AT = {
-    "frametime": (4, "<u4"),
-    "year": (20, "<i4"),
-    "month": (24, "<i4"),
-    "day": (28, "<i4"),
-    "hour": (32, "<i4"),
-    "minute": (36, "<i4"),
-    "second": (40, "<i4"),
-    "hsecond": (44, "<i4"),
-    "windowstart": (52, "<i4"),
-    "windowlength": (56, "<i4"),
-    "receivergain": (68, "<i4"),
-    "depth": (128, "<f4"),
-    "pitch": (136, "<f4"),
-    "roll": (144, "<f4"),
-    "heading": (152, "<f4"),
-    "sonarpan": (160, "<f4"),
-    "sonartilt": (164, "<f4"),
-    "latitude": (172, "<f8"),
-    "longitude": (180, "<f8"),
-    "configflags": (192, "<i4"),
-}
-
-
-FILE_HEADER = header_layout(_FILE_AT, HEADERS[3][0])
-FRAME_HEADER = header_layout(_FRAME_AT, HEADERS[3][1])
+_FILE_AT = """
+    numframes 4 i4  resolution 12 i4  numbeams 16 i4  samplerate 20 f4  samplesperchannel 24 i4
+    reverse 40 i4  serialnumber 44 i4
+"""
+_FRAME_AT = """
+    frametime 4 u4  year 20 i4  month 24 i4  day 28 i4  hour 32 i4  minute 36 i4  second 40 i4
+    hsecond 44 i4  windowstart 52 i4  windowlength 56 i4  receivergain 68 i4  depth 128 f4
+    pitch 136 f4  roll 144 f4  heading 152 f4  sonarpan 160 f4  sonartilt 164 f4
+    latitude 172 f8  longitude 180 f8  configflags 192 i4
+"""
+_POSE = "heading pitch roll depth sonarpan sonartilt latitude longitude"
+FILE_HEADER = layout_of(_FILE_AT, HEADERS[3][0])
+FRAME_HEADER = layout_of(_FRAME_AT, HEADERS[3][1])
 """The fields that are read; both versions have them at the same places."""
 
 _CLASSIC, _LONG_RANGE = 1, 2
@@ -126,16 +104,7 @@ class DdfFile(FileOfFrames):
             np.ascontiguousarray(samples),
             Beams(beam_azimuths_rad(self.beams), near, far),
             time_s=_time_s(header),
-            pose=Pose(
-                heading_deg=known(header["heading"], 360),
-                pitch_deg=known(header["pitch"], 360),
-                roll_deg=known(header["roll"], 360),
-                depth_m=known(header["depth"]),
-                pan_deg=known(header["sonarpan"], 720),
-                tilt_deg=known(header["sonartilt"], 720),
-                latitude_deg=known(header["latitude"], 90),
-                longitude_deg=known(header["longitude"], 180),
-            ),
+            pose=pose_of(header, _POSE),
             device=Device(
                 name="DIDSON",
                 serial_number=self._serial,

@@ -28,6 +28,7 @@ from .base import (
     Samples,
     explained,
     known,
+    layout_of,
 )
 
 MAGIC = 0x4F53
@@ -36,96 +37,31 @@ SIMPLE_PING = 0x23
 _SENDS_GAIN = 0x04
 _MOST_BYTES = 1 << 26  # of one message
 
-HEADER = np.dtype(
-    [
-        ("id", "<u2"),
-        ("source", "<u2"),
-        ("destination", "<u2"),
-        ("kind", "<u2"),
-        ("version", "<u2"),
-        ("payload", "<u4"),
-        ("spare", "<u2"),
-    ]
+_MESSAGE = "id u2  source u2  destination u2  kind u2  version u2  payload u4  unused u2 "
+_FIRE = (
+    _MESSAGE
+    + """
+    mode u1  ping_rate u1  network_speed u1  gamma u1  flags u1
+    range f8  gain_percent f8  speed_set f8  salinity f8
+"""
 )
-_FIRE = [
-    ("header", HEADER),
-    ("mode", "u1"),
-    ("ping_rate", "u1"),
-    ("network_speed", "u1"),
-    ("gamma", "u1"),
-    ("flags", "u1"),
-    ("range", "<f8"),
-    ("gain_percent", "<f8"),
-    ("speed_set", "<f8"),
-    ("salinity", "<f8"),
-]
-_IMAGE = [("image_offset", "<u4"), ("image_size", "<u4"), ("message_size", "<u4")]
-PING_1 = np.dtype(
-    [
-        *_FIRE,
-        ("ping", "<u4"),
-        ("status", "<u4"),
-        ("frequency_hz", "<f8"),
-        ("temperature", "<f8"),
-        ("pressure", "<f8"),
-        ("speed_m_s", "<f8"),
-        ("start", "<u4"),
-        ("data_size", "u1"),
-        ("range_step_m", "<f8"),
-        ("ranges", "<u2"),
-        ("beams", "<u2"),
-        *_IMAGE,
-    ]
+_IMAGE = " image_offset u4  image_size u4  message_size u4"
+HEADER = layout_of(_MESSAGE)
+PING_1 = layout_of(
+    f"""{_FIRE} ping u4  status u4  frequency_hz f8  temperature f8  pressure f8  speed_m_s f8
+    start u4  data_size u1  range_step_m f8  ranges u2  beams u2  {_IMAGE}"""
 )
-PING_2 = np.dtype(
-    [
-        *_FIRE,
-        ("more_flags", "<u4", 9),
-        ("ping", "<u4"),
-        ("status", "<u4"),
-        ("frequency_hz", "<f8"),
-        ("temperature", "<f8"),
-        ("pressure", "<f8"),
-        ("heading", "<f8"),
-        ("pitch", "<f8"),
-        ("roll", "<f8"),
-        ("speed_m_s", "<f8"),
-        ("start_s", "<f8"),
-        ("data_size", "u1"),
-        ("range_step_m", "<f8"),
-        ("ranges", "<u2"),
-        ("beams", "<u2"),
-        ("spare", "<u4", 4),
-        *_IMAGE,
-    ]
+PING_2 = layout_of(
+    f"""{_FIRE} more_flags u4*9  ping u4  status u4  frequency_hz f8  temperature f8  pressure f8
+    heading f8  pitch f8  roll f8  speed_m_s f8  start_s f8  data_size u1  range_step_m f8
+    ranges u2  beams u2  spare u4*4  {_IMAGE}"""
 )
-
-
-LOG = np.dtype(
-    [
-        ("magic", "<u4"),
-        ("size", "<u4"),
-        ("source", "S16"),
-        ("version", "<u2"),
-        ("encryption", "<u2"),
-        ("spare", "<u4"),
-        ("key", "<i8"),
-        ("time", "<f8"),
-    ]
+LOG = layout_of(
+    "magic u4  size u4  source S16  version u2  encryption u2  spare u4  key i8  time f8"
 )
-ITEM = np.dtype(
-    [
-        ("magic", "<u4"),
-        ("size", "<u4"),
-        ("kind", "<u2"),
-        ("version", "<u2"),
-        ("spare", "<u4"),
-        ("time_s", "<f8"),
-        ("compression", "<u2"),
-        ("more", "<u2"),
-        ("unpacked", "<u4"),
-        ("payload", "<u4"),
-    ]
+ITEM = layout_of(
+    """magic u4  size u4  kind u2  version u2  spare u4  time_s f8  compression u2  more u2
+    unpacked u4  payload u4"""
 )
 
 
@@ -226,7 +162,7 @@ class OculusFile(FileOfFrames):
             pose=_pose(ping) if version == 2 else Pose(),
             device=Device(
                 name="Oculus",
-                serial_number=int(ping["header"]["source"]),
+                serial_number=int(ping["source"]),
                 frequency_khz=known(float(ping["frequency_hz"]) / 1000),
                 sound_speed_m_s=known(ping["speed_m_s"], 1e4),
                 gain_percent=known(ping["gain_percent"], 1e3),

@@ -107,7 +107,7 @@ def _bound_the_library() -> None:
 
 
 def unpacked_zstd(content: bytes) -> bytes:
-    """A chunk or message.  Raises FrameError when it is too large, ValueError when damaged."""
+    """A chunk or message.  Raises ValueError when it is too large, or damaged."""
     return _unpacked(content, zstd.ZstdDecompressor)
 
 
@@ -128,7 +128,8 @@ def _unpacked(content: bytes, kind: Any) -> bytes:
         one = kind()
         part = one.decompress(content, max_length=budget.ALWAYS_BYTES - total + 1)
         total += len(part)
-        budget.ask_bytes("a part of it", total, budget.ALWAYS_BYTES)
+        if total > budget.ALWAYS_BYTES:
+            raise ValueError(f"a part unpacks to more than {budget.ALWAYS_BYTES:,} bytes")
         if not one.eof:
             raise ValueError("compressed data end too early")
         parts.append(part)

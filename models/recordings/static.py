@@ -152,11 +152,6 @@ def moving(frames: Sequence[Gray], sector: Mask, *, times: float = 4.0) -> Mask:
     return cv2.dilate(found.astype(np.uint8), np.ones((15, 15), np.uint8)).astype(bool)
 
 
-def likeness(one: Gray, other: Gray, sector: Mask) -> float:
-    """Correlation of the scenes of two pictures of one size, without their brightness and grain."""
-    return float(_small(one, sector) @ _small(other, sector))
-
-
 def shifted(frame: Gray, shift_px: npt.NDArray[np.float64]) -> Gray:
     """The frame, (H, W) or (H, W, C), with its scene moved left and up by (right, down) pixels.
 

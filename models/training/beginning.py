@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from torch import Tensor
 
@@ -20,21 +20,16 @@ from .teacher import Teacher
 
 _GROWN = (ResidualBlock, LineContext)
 """Parts that a network can be grown by: they begin as the identity."""
-LAST_LAYERS = tuple(f".{kind.LAST}." for kind in _GROWN)
-"""Parts of their names: the layers of grown parts that are all zeros at first."""
 
 
 def build_module(settings: ModelsSettings) -> DenoisingModule:
     """The network as training begins, and the way to train it.
 
-    Raises FactoryError where the network and `start`, `data`, `train.parts` or `train.teacher` do
-    not fit.
+    Raises FactoryError where the network and `start`, `data` or `train.teacher` do not fit.
     """
     network: Network = build_network(settings.model)
     if settings.start is not None:
         _load_start(network, settings)
-    if settings.train.parts is not None:
-        _freeze_all_but(network, settings.train.parts)
     loss = build_loss(settings.loss)
     teacher = _teacher(network, settings)
     if network.adversarial:
@@ -73,7 +68,7 @@ def _load_start(network: Network, settings: ModelsSettings) -> None:
     trained = load_weights(find_weights(settings.start))
     if trained.model["kind"] == settings.model["kind"]:
         state = trained.network.state_dict()
-        fresh = fresh_parts(network, state)
+        fresh = _fresh_parts(network, state)
         try:
             network.load_state_dict({**fresh, **state})
             return
@@ -85,25 +80,13 @@ def _load_start(network: Network, settings: ModelsSettings) -> None:
     )
 
 
-def fresh_parts(network: Network, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def _fresh_parts(network: Network, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Weights of the residual blocks and of the lines that `state` lacks.
 
-    They begin as the identity, because their last layer (`LAST_LAYERS`) is all zeros.
+    They begin as the identity, because their last layer is all zeros.
     """
     parts = (name for name, one in network.named_modules() if isinstance(one, _GROWN))
     fresh = tuple(
         f"{name}." for name in parts if not any(key.startswith(f"{name}.") for key in state)
     )
     return {key: value for key, value in network.state_dict().items() if key.startswith(fresh)}
-
-
-def _freeze_all_but(network: Network, parts: Sequence[str]) -> None:
-    known = [name for name, _ in network.named_modules() if name]
-    for part in parts:
-        if part not in known:
-            raise FactoryError(
-                f"train.parts: the network has no {part!r}; its parts are "
-                f"{', '.join(name for name in known if '.' not in name)}"
-            )
-    for name, weights in network.named_parameters():
-        weights.requires_grad_(any(name.startswith(f"{part}.") for part in parts))

@@ -100,7 +100,8 @@ class Loop:
         with self._asked, bar:
             while len(done.rows) * self.check_every < self.steps and not is_done(done.rows):
                 self._steps(batches, len(done.rows))
-                loss = self.fabric.all_reduce(torch.stack(done.losses).mean(), reduce_op="mean")
+                loss: Any = torch.stack(done.losses).mean()
+                loss = self.fabric.all_reduce(loss, reduce_op="mean")
                 done.rows.append(check(done.step, float(loss)))
                 done.losses, done.drawn = [], None
                 if self.save is not None:
@@ -137,7 +138,8 @@ class Loop:
         number = self._asked.number
         if self.fabric.world_size > 1:
             # All devices stop after the same step.
-            number = int(self.fabric.all_reduce(torch.tensor(float(number)), reduce_op="sum"))
+            every: Any = self.fabric.all_reduce(torch.tensor(float(number)), reduce_op="sum")
+            number = int(every)
         if not number:
             return
         if self.save is None:
@@ -146,7 +148,7 @@ class Loop:
         raise Stopped(
             f"interrupted after step {self.progress.step} of {self.steps}, which is kept; run "
             "again to go on",
-            self._asked.number,
+            self._asked.number or signal.SIGINT,
         )
 
     def _steps(self, batches: Batches, interval: int) -> None:

@@ -75,7 +75,7 @@ def test_one_command_writes_the_whole_report(tmp_path: Path) -> None:
             ]
     results = read_results(out)
     noisy = results["method"] == "noisy"
-    assert results["psnr"][noisy] == pytest.approx(expected, rel=1e-6)
+    assert results["psnr"][noisy].to_numpy() == pytest.approx(expected, rel=1e-6)
     assert set(results["method"]) == {
         "noisy", "median", "median + levels", "median tuned", "median tuned + levels",
     }  # fmt: skip

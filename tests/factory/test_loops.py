@@ -20,7 +20,6 @@ from scipy import ndimage, special
 
 from simnfnd.factory import seeds
 from simnfnd.factory.config import from_mapping
-from simnfnd.factory.dataset.describe import similarity
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.imaging import resample
 from simnfnd.factory.render.albedo import _box
@@ -363,24 +362,3 @@ def test_box_means_are_those_of_opencv_to_the_bit(shape: tuple[int, int], side: 
     values[rng.random(shape) < 0.3] = 0
     expected = cv2.blur(values, (side, side), borderType=cv2.BORDER_CONSTANT)
     np.testing.assert_array_equal(_box(values, side), expected)
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (3, 40), (11, 11), (64, 75), (256, 256)])
-def test_window_of_ssim_is_that_of_opencv(shape: tuple[int, int]) -> None:
-    """To the bit where OpenCV has FMA, which it takes where the processor does."""
-    import cv2
-
-    values = np.random.default_rng(8).random(shape)
-    size = (2 * similarity.RADIUS_PX + 1,) * 2
-    expected = cv2.GaussianBlur(values, size, similarity.SIGMA_PX, borderType=cv2.BORDER_REFLECT)
-    found = similarity.window(values)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-15)
-    if "*AVX2" in cv2.getCPUFeaturesLine():
-        np.testing.assert_array_equal(found, expected)
-
-
-def test_window_of_ssim_takes_any_strides() -> None:
-    values = np.random.default_rng(9).random((30, 40))
-    np.testing.assert_array_equal(
-        similarity.window(values[::2, ::3]), similarity.window(values[::2, ::3].copy())
-    )

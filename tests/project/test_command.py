@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -124,6 +126,30 @@ def test_the_entries_of_the_checkout_know_verbs_too(room: str, word: str, said: 
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize("kept", ["", "12 of 40 files are done, run again to go on"])
+def test_every_verb_stops_alike(number: int, code: int, kept: str, monkeypatch, capsys) -> None:
+    from simnfnd.factory.commands import status
+
+    undone = []
+
+    def work(words: list[str]) -> None:
+        try:
+            os.kill(os.getpid(), number)
+            time.sleep(20)
+        except KeyboardInterrupt as stopped:
+            undone.append(words)
+            if kept:
+                stopped.kept = kept  # type: ignore[attr-defined]
+            raise
+
+    monkeypatch.setattr(status, "main", work)
+    assert run(monkeypatch, "status", "x") == code
+    assert undone
+    said = kept or "what was finished is kept, run again to go on"
+    assert capsys.readouterr().err == f"error: interrupted; {said}\n"
+
+
 # --- modules that are not installed -------------------------------------------------------------
 
 ANALYTIC = ("make", "render=analytic", "dataset.dir={out}")
@@ -150,11 +176,11 @@ RECORDING = (*ANALYTIC, "scenes=csv_list", "scenes.root={in}/list.csv",
         (("denoise", "{in}", "--out", "{out}"), "safetensors", "train"),
         (("export-weights", "{in}/w.safetensors", "--out", "{out}"), "torch", "train"),
         ((*ONNX, "--out", "{out}.onnx"), "onnxruntime", "onnx"),
-        (("evaluate", "dataset={in}", "out={out}"), "pyarrow", "report"),
+        (("evaluate", "dataset={in}", "out={out}"), "pandas", "report"),
         (("evaluate", "dataset={in}", "out={out}", "models=[simnfnd]"), "torch", "train"),
         (("evaluate", "dataset={in}", "ablation.olddata_l1=simnfnd"), "torch", "train"),
         (("evaluate", "tune", "dataset={in}"), "torch", "train"),
-        (("evaluate", "compare", "{in}", "{in}", "--out", "{out}"), "pyarrow", "report"),
+        (("evaluate", "compare", "{in}", "{in}", "--out", "{out}"), "pandas", "report"),
         (("evaluate", "real", "{in}", "out={out}"), "skimage", "report"),
         (("evaluate", "real", "{in}", "out={out}", "models=[simnfnd]"), "torch", "train"),
         (("evaluate", "realism", "{in}", "{in}", "out={out}"), "skimage", "report"),
@@ -202,7 +228,7 @@ def test_help_and_configuration_need_nothing(monkeypatch, capsys) -> None:
         monkeypatch.setitem(sys.modules, module, None)
     for words in (("train", "--help"), ("train", "--cfg", "job"), ("evaluate", "fit", "--help")):
         assert run(monkeypatch, *words) == 0
-    assert 'Needs pip install "simnfnd[train]"' in capsys.readouterr().out
+    assert 'Needs pip install "simnfnd[denoise]"' in capsys.readouterr().out
 
 
 def test_the_extras_install_what_they_are_named_for() -> None:

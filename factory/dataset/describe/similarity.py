@@ -19,9 +19,6 @@ SIGMA_PX = 1.5
 RADIUS_PX = 5
 """Of the Gaussian window, which scikit-image cuts at 3.5 sigma."""
 
-_SHIFTS = np.arange(-RADIUS_PX, RADIUS_PX + 1)
-_WINDOW = np.exp(-0.5 * (_SHIFTS / SIGMA_PX) ** 2)
-_WINDOW /= _WINDOW.sum()
 _K1, _K2 = 0.01, 0.03
 
 
@@ -71,12 +68,17 @@ def window(values: Values) -> Values:
     try:
         import cv2  # of the extra sonar
     except ImportError:
-        for axis in (0, 1):
-            edges = [(RADIUS_PX, RADIUS_PX) if k == axis else (0, 0) for k in (0, 1)]
-            wide = np.lib.stride_tricks.sliding_window_view(
-                np.pad(values, edges, mode="symmetric"), len(_WINDOW), axis=axis
-            )
-            values = wide @ _WINDOW
-        return values
-    means = cv2.sepFilter2D(values, cv2.CV_64F, _WINDOW, _WINDOW, borderType=cv2.BORDER_REFLECT)
+        return _plain_window(values)
+    size = (2 * RADIUS_PX + 1,) * 2
+    means = cv2.GaussianBlur(values, size, SIGMA_PX, borderType=cv2.BORDER_REFLECT)
     return np.asarray(means, np.float64)
+
+
+def _plain_window(values: Values) -> Values:
+    """The same without OpenCV, to rounding."""
+    weights = np.exp(-0.5 * (np.arange(-RADIUS_PX, RADIUS_PX + 1) / SIGMA_PX) ** 2)
+    wide = np.pad(values, RADIUS_PX, mode="symmetric")
+    for axis in (0, 1):
+        views = np.lib.stride_tricks.sliding_window_view(wide, len(weights), axis=axis)
+        wide = views @ (weights / weights.sum())
+    return wide

@@ -137,6 +137,7 @@ def draw(found: DatasetSummary, path: Path) -> Path:
     # A second to import, and only needed here.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     panels = {"PSNR, dB": found.psnr_db, "SSIM": found.ssim}
     for column in found.source.columns:
@@ -160,7 +161,7 @@ def draw(found: DatasetSummary, path: Path) -> Path:
             colour = palette.AMBER if number <= 2 else palette.BLUE
             axes.hist(values, bins="auto" if values.size < 1000 else 30, color=colour, rwidth=0.92)
             axes.axvline(float(values.mean()), color=palette.TEXT, linewidth=0.8, linestyle=":")
-        axes.yaxis.get_major_locator().set_params(integer=True)
+        axes.yaxis.set_major_locator(MaxNLocator(4, integer=True))
         axes.tick_params(colors=palette.FAINT, labelsize=6.5, length=2)
         for spine in axes.spines.values():
             spine.set_color(palette.LINE)

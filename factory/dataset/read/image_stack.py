@@ -9,7 +9,6 @@ picture and no further, and compared with the picture's checksum.
 from __future__ import annotations
 
 import sys
-import zlib
 from typing import Any
 
 import h5py
@@ -74,14 +73,15 @@ class ImageStack:
     def _unpacked(self, codec: str, packed: bytes) -> bytes:
         """The bytes of a picture, and never more, of a gzip or zstd chunk."""
         unpacker: Any
+        failure: type[Exception]
         if codec == "gzip":
-            unpacker, failure = isal_zlib.decompressobj(), (isal_zlib.error, zlib.error)
+            unpacker, failure = isal_zlib.decompressobj(), isal_zlib.error
         else:
             if sys.version_info >= (3, 14):
                 from compression import zstd
             else:
                 from backports import zstd
-            unpacker, failure = zstd.ZstdDecompressor(), (zstd.ZstdError,)
+            unpacker, failure = zstd.ZstdDecompressor(), zstd.ZstdError
         try:
             # One byte more, so that a longer stream shows and the stream's own checksum is read.
             pixels: bytes = unpacker.decompress(packed, self._bytes + 1)

@@ -119,8 +119,11 @@ class Source:
         """Every sample, in order."""
         for split, path, rows in self.tables():
             for row, record in enumerate(rows):
-                names = (record[key].decode() for key in ("location", "scene", "frame"))
-                yield SampleName(path, row, split, *names, int(record["variant"]))
+                location, scene, frame = (
+                    record[key].decode() for key in ("location", "scene", "frame")
+                )
+                variant = int(record["variant"])
+                yield SampleName(path, row, split, location, scene, frame, variant)
 
     def samples(self, split: str) -> Iterator[Sample]:
         """Every sample of one split; one image of each layer is in memory at a time."""

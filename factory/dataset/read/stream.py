@@ -16,8 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ...errors import FactoryError
-from ...storage.copies import url_of
-from ...storage.room import sure_bytes, touch
+from ...storage.copies import sure_bytes, touch, url_of
 from .reader import bring
 
 WINDOW = 16

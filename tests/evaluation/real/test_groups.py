@@ -21,8 +21,7 @@ from simnfnd.evaluation.real.measure import RealPicture
 from simnfnd.evaluation.real.shots import Shot, open_input
 from simnfnd.evaluation.real.summary import Groups, summaries
 from simnfnd.evaluation.real.tuning import line_search, parts_of
-from simnfnd.evaluation.runner import run
-from simnfnd.factory.errors import FactoryError
+from simnfnd.evaluation.runner import MethodFailed, run
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from tests.evaluation.real.static_scenes import SHAPE, frames, shuffled
 from tests.project_files import ROOT
@@ -141,7 +140,7 @@ def test_several_frames_are_judged_by_the_others(tmp_path: Path) -> None:
     # Levels make the even pictures equal to their references.
     figures = picture.measure(one.several.reference, mean)
     assert figures["psnr_db"] == 100
-    with pytest.raises(FactoryError, match="several looks"):
+    with pytest.raises(MethodFailed, match="several looks"):
         picture.seen(Method("recursive", "", {"memory": 1.0}))
     assert RealPicture(replace(one, several=None)).given(mean) is None
 

@@ -24,7 +24,7 @@ def test_they_are_seen_whole(tmp_path: Path, width_px: int) -> None:
     page.write_text(
         render(
             "real.html", css=own_file("page.css"), title="t", about="", truth=False,
-            by_group=([], []), rules=[], strips=strips, **empty,
+            by_group=([], []), in_time=None, rules=[], strips=strips, **empty,
         ),
         encoding="utf-8",
     )  # fmt: skip

@@ -260,8 +260,8 @@ def test_compare_says_which_is_better(
     assert "A = grey_opening (a), B = noisy (b): 24 pairs of 12 frames" in said
     content = json.loads((tmp_path / "compare.json").read_text(encoding="utf-8"))
     one, other = read_results(a), read_results(b)
-    first = one["psnr"][one["method"] == "grey_opening"]
-    second = other["psnr"][other["method"] == "noisy"]
+    first = one["psnr"][one["method"] == "grey_opening"].to_numpy()
+    second = other["psnr"][other["method"] == "noisy"].to_numpy()
     psnr = content["metrics"]["psnr"]
     assert psnr["difference"] == pytest.approx((first - second).mean())
     assert psnr["wins"] == pytest.approx((first > second).mean())

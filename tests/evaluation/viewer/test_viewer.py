@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import socket
+import struct
 import subprocess
 import threading
 from collections.abc import Iterator
@@ -11,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
-from urllib.parse import urlencode
+from urllib.parse import quote, urlencode
 from urllib.request import Request, urlopen
 
 import cv2
@@ -140,12 +142,34 @@ def test_samples_are_found_by_scene_and_by_what_was_drawn(dataset: Path) -> None
 def test_only_what_is_shown_and_only_to_this_machine(dataset: Path) -> None:
     with served(open_shown(dataset)) as url:
         assert url.startswith("http://127.0.0.1:")
-        port = url.rsplit(":", 1)[1].strip("/")
+        port = url.split(":")[2].split("/")[0]
         assert fetched(url, f"localhost:{port}").startswith(b"<!doctype html>")
         assert code(url, "somebody.example") == 403
         for path in ("picture/12/0.png", "picture/0/99.png", "facts/12.json", "../pyproject.toml",
                      "picture/-1/0.png", "page.html"):  # fmt: skip
             assert code(url + path) == 404, path
+        many = "&".join(f"in:c{number}=0..1" for number in range(60))
+        assert code(f"{url}found.json?{many}") == 404
+        # Another user of the machine knows the port and not the token.
+        for path in ("", "about.json", "picture/0/0.png", f"{'x' * 32}/about.json", "\u00fc/"):
+            assert code(f"http://127.0.0.1:{port}/{quote(path)}") == 403, path
+    with Viewer(open_shown(dataset)) as one, Viewer(open_shown(dataset)) as other:
+        assert one.token != other.token
+
+
+def test_a_browser_that_goes_away_says_nothing(dataset: Path, capfd) -> None:
+    with served(open_shown(dataset)) as url:
+        port = int(url.split(":")[2].split("/")[0])
+        for _ in range(3):
+            with socket.create_connection(("127.0.0.1", port)) as gone:
+                gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                path = url.split("/", 3)[3]
+                gone.sendall(
+                    f"GET /{path}picture/0/0.png HTTP/1.1\r\nHost: 127.0.0.1:{port}".encode()
+                )
+                gone.sendall(b"\r\n\r\n")
+        assert fetched(f"{url}about.json")
+    assert capfd.readouterr().err == ""
 
 
 def test_a_recording_before_and_after(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import pytest
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.factory.commands.inspect import main, report
 from simnfnd.factory.dataset.describe.quality import PSNR_CAP_DB, psnr_db, ssim
+from simnfnd.factory.dataset.describe.similarity import _plain_window, window
 from simnfnd.factory.dataset.describe.summary import summarize
 from simnfnd.factory.errors import FactoryError
 from tests import small_dataset
@@ -38,6 +39,12 @@ def test_quality_is_what_evaluation_reports(dtype) -> None:
     assert psnr_db(clean, clean) == PSNR_CAP_DB
     assert ssim(clean, clean) == pytest.approx(1)
     assert np.isnan(ssim(clean[:8, :8], noisy[:8, :8]))
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (30, 41)])
+def test_without_opencv_ssim_is_the_same(shape: tuple[int, int]) -> None:
+    values = np.random.default_rng(3).random(shape)
+    np.testing.assert_allclose(_plain_window(values), window(values), atol=1e-14)
 
 
 def test_figures_are_those_of_the_files(dataset) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import resource
@@ -29,7 +30,14 @@ from simnfnd.factory.dataset.write.failures import (
 )
 from simnfnd.factory.dataset.write.folder import open_folder
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import check_writable, remove_stale_temporaries, write_atomically
+from simnfnd.factory.files import (
+    check_writable,
+    is_temporary,
+    remove_stale_temporaries,
+    whole_file,
+    whole_folder,
+    write_atomically,
+)
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.ownership import space
 from tests.factory.dataset.some_shards import PROVENANCE, dataset, write
@@ -99,6 +107,31 @@ def test_a_folder_that_cannot_be_written_is_named_with_its_key(tmp_path: Path, f
     (tmp_path / "file").touch()
     with pytest.raises(FactoryError, match=r"dataset\.dir: cannot write .*; give a writable"):
         check_writable(tmp_path / folder, "dataset.dir")
+
+
+def test_a_large_file_is_whole_or_absent_and_its_partial_name_is_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "film.avi"
+    with whole_file(path) as first, whole_file(path) as second:
+        assert first != second
+        assert is_temporary(first.name)
+        first.write_bytes(b"one")
+        second.write_bytes(b"two")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["film.avi"]
+    with contextlib.suppress(KeyboardInterrupt), whole_file(path) as partial:
+        partial.write_bytes(b"half")
+        raise KeyboardInterrupt
+    assert path.read_bytes() == b"one"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["film.avi"]
+
+
+def test_a_folder_is_whole_or_absent(tmp_path: Path) -> None:
+    for fails in (True, False):
+        with contextlib.suppress(ValueError), whole_folder(tmp_path / "out") as partial:
+            (partial / "a").write_bytes(b"a")
+            if fails:
+                raise ValueError
+        assert (tmp_path / "out").exists() is not fails
+    assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
 
 
 # --- failures, folder -------------------------------------------------------------------------

@@ -24,10 +24,9 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler import run
 from simnfnd.factory.scheduler.results import RunReport
 from simnfnd.factory.scheduler.settings import ShardSlice
-from simnfnd.factory.storage import copies, room
+from simnfnd.factory.storage import copies
 from simnfnd.factory.storage.copies import folder_of, forget_copy, local_folder, url_of
-from simnfnd.factory.storage.lock import StoreLock
-from simnfnd.factory.storage.publish import publishing
+from simnfnd.factory.storage.publish import StoreLock, publishing
 from simnfnd.factory.storage.store import Store
 from tests import run_fake
 from tests.cloud_storage import contents, manifest_of, s3_server, shards_of
@@ -183,7 +182,7 @@ def test_copies_stay_small(bucket: str, monkeypatch: Any) -> None:
     make(folder_of(url))
     folder = local_folder(url, fresh=True)
     size = len(shards_of(url)["train/shard-00000.h5"])
-    shutil.rmtree(room.copies_folder())
+    shutil.rmtree(copies.copies_folder())
     copies._told.cache_clear()
     monkeypatch.setenv("SIMNFND_CLOUD_CACHE_BYTES", str(2 * size + size // 2))
     with PairDataset(url) as pairs:
@@ -287,31 +286,3 @@ def test_verbs_that_need_files_say_so(verb: str) -> None:
     more = ["--out", "x"] if verb == "merge" else []
     with pytest.raises(FactoryError, match="works on files of this machine"):
         main(["s3://sonar/data", *more])
-
-
-def test_copies_are_not_all_looked_at_for_every_shard(tmp_path: Path, monkeypatch: Any) -> None:
-    """It would take a time that grows with the square of their number."""
-    monkeypatch.setenv("SIMNFND_CLOUD_CACHE", str(tmp_path))
-    folder = tmp_path / "many-0123" / "train"
-    folder.mkdir(parents=True)
-    most = 400 * 1000
-    monkeypatch.setenv("SIMNFND_CLOUD_CACHE_BYTES", str(most))
-    looks: list[int] = []
-    look = room._kept_copies
-
-    def counted(where: Path) -> list[tuple[int, int, Path]]:
-        looks.append(1)
-        return look(where)
-
-    monkeypatch.setattr(room, "_kept_copies", counted)
-    for number in range(1000):
-        path = folder / f"shard-{number:05d}.h5"
-        path.write_bytes(bytes(1000))
-        os.utime(path, ns=(number, number))
-        room.make_room(spare=path)
-        if number % 50 == 0:
-            assert sum(size for _, size, _ in look(tmp_path)) <= most
-    assert len(looks) < 1000 / 4
-    kept = sorted(path.name for path in folder.iterdir())
-    assert len(kept) > 300
-    assert kept == [f"shard-{number:05d}.h5" for number in range(1000 - len(kept), 1000)]

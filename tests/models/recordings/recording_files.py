@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from PIL import Image
 
 from tests.project_files import ROOT
 
@@ -63,8 +65,10 @@ def write_ddf(
     high: bool = True,
     flags: int = 0,
     reverse: bool = False,
+    code: int = 2,
+    year: int = 2011,
 ) -> Path:
-    """A DIDSON recording whose window has start 4 and length code 2."""
+    """A DIDSON recording whose window has start 4; its computer's clock is at 1.4e9 s."""
     count, ranges, beams = samples.shape
     file_size, frame_size = {3: (512, 256), 4: (1024, 1024)}[version]
     head = bytearray(file_size)
@@ -73,11 +77,13 @@ def write_ddf(
         (4, count), (12, int(high)), (16, beams), (24, ranges), (40, int(reverse)), (44, serial),
     ):  # fmt: skip
         struct.pack_into("<i", head, offset, value)
+    struct.pack_into("<f", head, 20, 48000.0)
     parts = [bytes(head)]
     for number, frame in enumerate(samples):
         header = bytearray(frame_size)
-        struct.pack_into("<8i", header, 16, 0, 2011, 6, 15, 12, 30, 45 + number, 25)
-        for offset, value in ((0, number), (52, 4), (56, 2), (68, 30), (192, flags)):
+        struct.pack_into("<8i", header, 16, 0, year, 6, 15, 12, 30, 45 + number, 25)
+        put = ((0, number), (4, 1_400_000_000), (52, 4), (56, code), (68, 30), (192, flags))
+        for offset, value in put:
             struct.pack_into("<i", header, offset, value)
         struct.pack_into("<f", header, 152, 200.0)
         parts += [bytes(header), (frame if reverse else frame[:, ::-1]).tobytes()]
@@ -137,4 +143,24 @@ def write_video(path: Path, frames: Bytes) -> Path:
     for frame in frames:
         writer.write(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR))
     writer.release()
+    return path
+
+
+def write_gif(path: Path, frames: Any) -> Path:
+    """An animated GIF, grey or RGB."""
+    first, *others = map(Image.fromarray, frames)
+    first.save(path, save_all=True, append_images=others)
+    return path
+
+
+def write_log(path: Path, samples: Bytes, *, packed: bool = False) -> Path:
+    """A log of ViewPoint with a ping in every other item; each second later from 1.6e9 s on."""
+    parts = [struct.pack("<2I16s2H4xqd", 0x11223344, 48, b"Oculus", 1, 0, 0, 1.6e9)]
+    for number in range(len(samples)):
+        message = write_oculus(path, samples[number : number + 1], others=False).read_bytes()
+        stored = struct.pack(">I", len(message)) + zlib.compress(message) if packed else message
+        for kind, content in ((1, b"settings"), (10, stored)):
+            head = (0xAABBCCDD, 40, kind, 0, 1.6e9 + number, packed, len(message), len(content))
+            parts.append(struct.pack("<2I2H4xdH2x2I4x", *head) + content)
+    path.write_bytes(b"".join(parts))
     return path

@@ -1,9 +1,12 @@
-"""Damaged and foreign recordings: one line, little memory, little time."""
+"""Strangers' recordings: one line, little memory, little time, and no other file or address."""
 
 from __future__ import annotations
 
 import resource
+import socket
+import struct
 import time
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +15,10 @@ import cv2
 import numpy as np
 import pytest
 
-from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.models.recordings import open_recording
+from simnfnd.models.recordings.aris import ArisFile
+from simnfnd.models.recordings.pictures import read_picture
 from simnfnd.models.recordings.ros_messages import COMPRESSED, IMAGE, SONAR, typestore
 from tests.models.recordings.array_files import write_array
 from tests.models.recordings.bag_files import compressed, image, sonar, write_bag
@@ -21,6 +27,8 @@ from tests.models.recordings.recording_files import (
     pings,
     write_aris,
     write_ddf,
+    write_gif,
+    write_log,
     write_oculus,
     write_stack,
     write_video,
@@ -45,8 +53,10 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
     "a.ddf": lambda path: write_ddf(path, pings(3, 16, 48)),
     "a.raw": lambda path: write_oculus(path, pings(3, 16, 16)),
     "b.raw": lambda path: write_oculus(path, pings(3, 16, 16), version=2, gains=True),
+    "a.oculus": lambda path: write_log(path, pings(3, 16, 16), packed=True),
     "a.avi": lambda path: write_video(path, pings(4, 48, 64)),
     "a.tif": lambda path: write_stack(path, pings(4, 48, 64)),
+    "a.gif": lambda path: write_gif(path, pings(4, 48, 64)),
     "a.png": _png,
     **{
         name: lambda path: write_array(path, pings(4, 48, 64))
@@ -95,3 +105,79 @@ def test_foreign_files(tmp_path: Path, suffix: str, content: bytes) -> None:
         use(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+_LISTS = ("#EXTM3U\n#EXTINF:1,\nfile://{}\n#EXT-X-ENDLIST\n", "ffconcat version 1.0\nfile {}")
+
+
+@pytest.mark.parametrize("text", _LISTS)
+def test_a_video_that_lists_other_files_is_not_opened(
+    tmp_path: Path, text: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    secret = write_video(tmp_path / "secret.avi", pings(4, 48, 64))
+    path = tmp_path / "a.avi"
+    path.write_text(text.format(secret))
+    with pytest.raises(FactoryError, match=r"a\.avi: not a readable video \(no AVI, MP4"):
+        open_recording(path)
+    path.write_bytes(b"RIFF\x40\0\0\0AVI " + path.read_bytes())
+    with pytest.raises(FactoryError, match=r"a\.avi: not a readable video"):
+        open_recording(path)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_file_named_as_an_address_is_that_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.2)
+        name = f"tcp:127.0.0.1:{server.getsockname()[1]}.avi"
+        write_video(tmp_path / "a.avi", pings(4, 48, 64)).rename(name)
+        with open_recording(name) as recording:
+            assert len(list(recording)) == 4
+        with pytest.raises(TimeoutError):
+            server.accept()
+
+
+def test_damage_that_libraries_pass_over_stays_off_the_terminal(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert cv2.imwrite(str(tmp_path / "a.jpg"), pings(1, 64, 64)[0])
+    content = (tmp_path / "a.jpg").read_bytes()
+    (tmp_path / "a.jpg").write_bytes(content[: len(content) // 2] + b"\0" * 40 + b"\xff\xd9")
+    read_picture(tmp_path / "a.jpg")
+    path = write_video(tmp_path / "a.avi", pings(4, 48, 64))
+    content = path.read_bytes()
+    path.write_bytes(content[:6000] + bytes(2000) + content[8000:])
+    with open_recording(path) as recording:
+        list(recording)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("side", [9000, 20_000])
+def test_a_picture_that_is_too_large_says_how_large_is_allowed(tmp_path: Path, side: int) -> None:
+    packer = zlib.compressobj(9)
+    rows = b"".join(packer.compress(bytes(side + 1)) for _ in range(side)) + packer.flush()
+    chunks = [(b"IHDR", struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)), (b"IDAT", rows)]
+    parts = [b"\x89PNG\r\n\x1a\n"]
+    for kind, content in (*chunks, (b"IEND", b"")):
+        crc = zlib.crc32(kind + content)
+        parts.append(struct.pack(">I", len(content)) + kind + content + struct.pack(">I", crc))
+    (tmp_path / "a.png").write_bytes(b"".join(parts))
+    with pytest.raises(FrameError, match=r"a\.png: .*too large; up to 67,108,864 \(such as 8192 x"):
+        read_picture(tmp_path / "a.png")
+
+
+def test_an_error_of_the_source_names_the_source(tmp_path: Path) -> None:
+    """Not the file that is written."""
+    source = ArisFile(write_aris(tmp_path / "a.aris", pings(3, 20, 48)))
+    with (tmp_path / "a.aris").open("r+b") as file:
+        file.truncate(2000)
+    with pytest.raises(FrameError, match=r"a\.aris: ends within"):
+        source.rewrite(pings(3, 20, 48), tmp_path / "b.aris")
+    source._file.close()
+    source._file = open("/proc/self/mem", "rb", buffering=0)  # noqa: SIM115  cannot be read at 0
+    with pytest.raises(FrameError, match=r"a\.aris: cannot be read"):
+        source.rewrite(pings(3, 20, 48), tmp_path / "b.aris")
+    source.close()
+    assert not (tmp_path / "b.aris").exists()

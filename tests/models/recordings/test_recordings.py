@@ -21,6 +21,8 @@ from tests.models.recordings.recording_files import (
     pings,
     write_aris,
     write_ddf,
+    write_gif,
+    write_log,
     write_oculus,
     write_stack,
     write_video,
@@ -156,6 +158,45 @@ def test_oculus(tmp_path: Path, version: int, gains: bool, dtype: Any) -> None:
     assert frame.device.sound_speed_m_s == 1490
     assert frame.pose.heading_deg == (90.0 if version == 2 else None)
     assert frame.time_s == (77.5 if version == 2 else None)
+
+
+@pytest.mark.parametrize("code", [4, 6, 12])
+def test_a_ddf_window_of_another_code_is_as_long_as_its_samples(tmp_path: Path, code: int) -> None:
+    """512 samples at 48 kHz are 8 m; where the sonar's clock says nothing, the computer's does."""
+    path = write_ddf(tmp_path / "a.ddf", pings(1, 512, 48), code=code, year=0)
+    frame = open_recording(path)[0]
+    assert frame.beams is not None
+    assert frame.beams.range_max_m - frame.beams.range_min_m == pytest.approx(8.0)
+    assert frame.time_s == 1.4e9
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_log_of_viewpoint(tmp_path: Path, packed: bool) -> None:
+    samples = pings(3, 40, 16)
+    path = write_log(tmp_path / "a.oculus", samples, packed=packed)
+    with open_recording(path) as recording:
+        assert len(recording) == 3
+        assert not recording.warning
+        assert [frame.time_s for frame in recording] == [1.6e9, 1.6e9 + 1, 1.6e9 + 2]
+        np.testing.assert_array_equal([frame.samples for frame in recording], samples)
+    path.write_bytes(path.read_bytes()[:-7])
+    with open_recording(path) as recording:
+        assert len(recording) == 2
+        assert "cut short" in recording.warning
+    path.write_bytes(path.read_bytes()[:26] + b"\1" + path.read_bytes()[27:])
+    with pytest.raises(FactoryError, match="is encrypted"):
+        open_recording(path)
+
+
+def test_an_animated_gif(tmp_path: Path) -> None:
+    grey = pings(3, 30, 40)
+    with open_recording(write_gif(tmp_path / "a.gif", grey)) as recording:
+        np.testing.assert_array_equal([frame.samples for frame in recording], grey)
+        np.testing.assert_array_equal(recording[1].samples, grey[1])
+    colours = np.zeros((2, 30, 40, 3), np.uint8)
+    colours[0, 5:], colours[1, :9] = (200, 0, 0), (0, 90, 0)
+    with open_recording(write_gif(tmp_path / "b.gif", colours)) as recording:
+        np.testing.assert_array_equal(recording[0].samples, colours[0, ..., ::-1])
 
 
 @pytest.mark.parametrize(("tint", "dimensions"), [(0, 2), (4, 2), (60, 3)])
@@ -325,6 +366,9 @@ def test_real_aris() -> None:
     # The header says as much in fields that are not read: WindowStart 3.33 and WindowLength 20.3.
     assert beams.range_min_m == pytest.approx(3.33, abs=0.04)
     assert beams.range_max_m - beams.range_min_m == pytest.approx(20.3, abs=0.3)
+    # The sound speed is the frame's own.
+    assert frames[0].device.sound_speed_m_s == pytest.approx(1435.93, abs=0.01)
+    assert beams.range_min_m == pytest.approx(4593e-6 * 1435.93 / 2, abs=1e-4)
     assert frames[0].device.name == "ARIS 1200"
     steps = np.diff([frame.time_s or 0.0 for frame in frames])
     assert steps == pytest.approx([0.153] * 5, abs=0.002)

@@ -72,7 +72,7 @@ def test_real_bombs_stop_at_the_bound() -> None:
         (lz4.frame.compress(zeros), decompressors["lz4"]),
     ):
         assert len(content) < len(zeros) / 200
-        with pytest.raises(FrameError, match="unpacks to"):
+        with pytest.raises(ValueError, match="unpacks to more"):
             unpack(content)
     both = bz2.compress(b"one ") + bz2.compress(b"two")
     assert decompressors["bz2"](both) == b"one two"

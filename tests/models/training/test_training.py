@@ -210,12 +210,6 @@ def test_training_begins_from_given_weights(trained: Path, dataset: Path, tmp_pa
     for name, values in after.network.state_dict().items():
         torch.testing.assert_close(values, before[name], rtol=0, atol=1e-6)
     assert after.training["start"] == sha256_of(weights)[:16]
-    moved = tmp_path / "moved"
-    train_small(dataset, moved, f"start='{weights}'", "train.parts=[outro]", "train.ema=0")
-    for name, values in load_weights(moved / WEIGHTS_NAME).network.state_dict().items():
-        assert torch.equal(values, before[name]) != name.startswith("outro."), name
-    with pytest.raises(FactoryError, match=r"train\.parts: the network has no 'tail'; .*outro"):
-        train_small(dataset, tmp_path / "odd", "train.parts=[tail]")
     with pytest.raises(FactoryError, match=r"start=.*give both the same sizes"):
         train_small(dataset, tmp_path / "wider", f"start='{weights}'", "model.width=12")
     with pytest.raises(FactoryError, match=r"weights=nowhere: no such file"):

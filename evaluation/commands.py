@@ -1,0 +1,190 @@
+"""The verbs of `simnfnd evaluate` as Hydra applications: words -> checked settings -> work.
+
+What does the work is imported only after the configuration is known, so that `--help` and typing
+errors answer at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+from omegaconf import DictConfig, OmegaConf
+
+from ..factory.cli import accept_dataset_folder, run_app
+from ..factory.cli.extras import Need, require
+from ..factory.errors import FactoryError
+from ..factory.settings import build
+from ..factory.storage.copies import local_folder
+
+if TYPE_CHECKING:
+    from .settings import EvaluationSettings
+
+S = TypeVar("S")
+
+
+def report(words: Sequence[str]) -> int:
+    """`simnfnd evaluate dataset=DIR ...`."""
+    return hydra_verb(_report, "evaluation", words)
+
+
+def tune(words: Sequence[str]) -> int:
+    """`simnfnd evaluate tune dataset=DIR ...`: all baselines, when none is named."""
+    chosen = any(word.startswith("baselines=") for word in words)
+    return hydra_verb(_tune, "evaluation", [*words, *([] if chosen else ["baselines=[all]"])])
+
+
+def real(words: Sequence[str]) -> int:
+    """`simnfnd evaluate real IN [KEY=VALUE ...]`."""
+    return hydra_verb(_real, "real", named(words, "real"))
+
+
+def realism(words: Sequence[str]) -> int:
+    """`simnfnd evaluate realism REAL SIM [SIM ...] [KEY=VALUE ...]`."""
+    return hydra_verb(_realism, "realism", named(words, "real", "sim"))
+
+
+def fit(words: Sequence[str]) -> int:
+    """`simnfnd evaluate fit REAL [KEY=VALUE ...] [-- WORDS OF simnfnd make]`."""
+    own, recipe = list(words), []
+    if "--" in own:
+        place = own.index("--")
+        own, recipe = own[:place], [f"recipe={listed(own[place + 1 :])}"]
+    return hydra_verb(_fit, "fit", [*named(own, "real"), *recipe])
+
+
+def hydra_verb(task: Callable[[DictConfig], Any], config_name: str, words: Sequence[str]) -> int:
+    """Run `task` with conf/<config_name>.yaml and the overrides `words`; returns the exit code.
+
+    `dataset=DIR` means `dataset.dir=DIR`, and -m (a sweep) may stand anywhere.
+    """
+    flags = [word for word in words if word in ("-m", "--multirun")]
+    # Hydra reads the command line itself.
+    sys.argv[1:] = flags + [word for word in words if word not in flags]
+    accept_dataset_folder()
+    return run_app(task, config_name)
+
+
+def named(words: Sequence[str], first: str, rest: str | None = None) -> list[str]:
+    """Words without `=` as overrides: the first one of `first`, the others a list of `rest`."""
+    plain = [word for word in words if "=" not in word and not word.startswith("-")]
+    overrides = [word for word in words if word not in plain]
+    if plain:
+        overrides.append(f"{first}={_quoted(plain[0])}")
+    if plain[1:]:
+        if rest is None:
+            raise FactoryError(f"{plain[1]}: unexpected; only one folder is taken here")
+        overrides.append(f"{rest}={listed(plain[1:])}")
+    return overrides
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words as a list in Hydra's grammar."""
+    return f"[{','.join(_quoted(word) for word in words)}]"
+
+
+def settings_of(config: DictConfig) -> EvaluationSettings:
+    """The checked settings of a report.  FactoryError names the key that is wrong."""
+    from .settings import EvaluationSettings
+
+    if config.dataset.dir is None:
+        raise FactoryError("dataset: give the folder that `simnfnd make` made, dataset=DIR")
+    settings = build(EvaluationSettings, _values(config))
+    folder = str(local_folder(settings.dataset.dir))
+    settings = replace(settings, dataset=replace(settings.dataset, dir=folder))
+    for key, folders in (("dataset", [settings.dataset.dir]), ("robustness", settings.robustness)):
+        for folder in folders:
+            if not Path(folder).is_dir():
+                raise FactoryError(
+                    f"{key}={folder}: no such folder; give one that `simnfnd make` made"
+                )
+    return settings
+
+
+def needs_of(settings: EvaluationSettings) -> Iterator[Need]:
+    """What the networks of a report need beyond what every report does."""
+    # The ones that ship are left out where there is nothing to run them.
+    given = () if settings.models == "auto" else settings.models
+    networks = {"models": given, "ablation": vars(settings.ablation).values()}
+    for key, weights in networks.items():
+        if any(weights):
+            yield from (Need(f"{key}=", module) for module in ("torch", "safetensors"))
+
+
+def _report(config: DictConfig) -> None:
+    settings = settings_of(config)
+    require(needs_of(settings))
+    from .report import build as builder
+
+    builder.build(settings)
+
+
+def _tune(config: DictConfig) -> None:
+    settings = settings_of(config)
+    from ..factory.scheduler.workers.tasks import TaskPool
+    from . import tuning
+    from .methods.method import baselines_of
+
+    with TaskPool(settings.workers) as pool:
+        print("\n".join(tuning.tune(settings, baselines_of(settings.baselines), pool)))
+
+
+def _real(config: DictConfig) -> None:
+    from .real.settings import RealSettings
+
+    values = _values(config)
+    if not values["real"]:
+        raise FactoryError("real: give pictures or a recording: simnfnd evaluate real IN")
+    settings = build(RealSettings, values)
+    if settings.models:
+        require(Need("models=", module) for module in ("torch", "safetensors"))
+    from .real.judging import evaluate
+
+    evaluate(settings)
+
+
+def _realism(config: DictConfig) -> None:
+    from .realism.settings import RealismSettings
+
+    values = _values(config)
+    usage = "give both folders: simnfnd evaluate realism REAL SIM"
+    if not values["real"] or not values["sim"]:
+        raise FactoryError(f"{'sim' if values['real'] else 'real'}: {usage}")
+    if isinstance(values["sim"], str):
+        values["sim"] = [values["sim"]]
+    settings = build(RealismSettings, values)
+    from .realism.report import evaluate
+
+    evaluate(settings)
+
+
+def _fit(config: DictConfig) -> None:
+    from hydra.core.global_hydra import GlobalHydra
+
+    from .calibrate.settings import FitSettings, flattened
+
+    values = _values(config)
+    if not values["real"]:
+        raise FactoryError("real: give a folder of real pictures: simnfnd evaluate fit REAL")
+    # A key whose default is not wanted is set to null.
+    values["parameters"] = {
+        key: value for key, value in flattened(values["parameters"]).items() if value is not None
+    }
+    settings = build(FitSettings, values)
+    from .calibrate import files, search
+
+    # The recipe is composed as `simnfnd make` would, by a Hydra of its own.
+    GlobalHydra.instance().clear()
+    files.report(settings, search.search(settings))
+
+
+def _values(config: DictConfig) -> dict[str, Any]:
+    return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
+
+
+def _quoted(word: str) -> str:
+    """A path as Hydra's grammar takes it, whatever characters it has."""
+    return "'" + word.replace("\\", "\\\\").replace("'", "\\'") + "'"

@@ -1,1 +1,0 @@
-"""Which weights denoise a picture: those that suit its noise, or several in turn."""
