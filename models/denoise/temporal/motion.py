@@ -20,7 +20,7 @@ import numpy.typing as npt
 Grey = npt.NDArray[np.float32]
 Floats = npt.NDArray[np.float64]
 
-ALIKE = 0.2
+ALIKE = 0.33
 """Frames whose band-passed pictures correlate less show something else."""
 _BY_CHANCE = 4.0  # standard deviations of the correlation of unlike frames, the best of all shifts
 _FURTHEST = 48  # reduced pixels that the peak of a phase correlation may lie away
