@@ -121,11 +121,10 @@ VERBS: dict[str, Verb] = {
         ("simnfnd merge outputs/a outputs/b --out outputs/both",),
     ),
     "export": Verb(
-        PASS_ON, "a dataset as WebDataset, Hugging Face, PNG, MDD, COCO, YOLO or sonar messages",
+        PASS_ON, "a dataset as WebDataset, Hugging Face, PNG, MDD, COCO or YOLO",
         f"{_COMMANDS}.export:main",
         (
             "simnfnd export outputs/demo --to huggingface --out outputs/hub",
-            "simnfnd export outputs/demo --to huggingface --push me/demo --out outputs/hub",
             "simnfnd export outputs/demo --to png --split test --out outputs/png",
             "simnfnd export outputs/labelled --to coco --out outputs/coco",
         ),

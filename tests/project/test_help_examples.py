@@ -38,7 +38,7 @@ REAL: dict[str, tuple[str, ...]] = {
 }
 # Need the network, a hub's account, a recording of some size, or end only when they are told.
 LONG = ("--watch", "export-weights simnfnd", "evaluate paper")
-NOT_REALLY = ("--push", "dive.aris", "simnfnd view", "--watch", "export-weights simnfnd")
+NOT_REALLY = ("dive.aris", "simnfnd view", "--watch", "export-weights simnfnd")
 
 
 def examples() -> Iterator[tuple[str, str]]:
