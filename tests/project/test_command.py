@@ -84,7 +84,7 @@ def test_the_version_is_ours(words: tuple[str, ...], monkeypatch, capsys) -> Non
         (("mkae",), "mkae: no such verb; did you mean `simnfnd make`"),
         (("tune", "dataset=x"), "did you mean `simnfnd evaluate tune`?"),
         (("evaluate", "tun"), "tun: no such verb; did you mean `simnfnd evaluate tune`?"),
-        (("cache", "sats"), "did you mean `simnfnd cache stats`?"),
+        (("cache", "sats"), "invalid choice: 'sats' (choose from"),
         (("evaluate", "qqqqq"), "qqqqq: no such verb; `simnfnd evaluate --help` lists them"),
         (("seed=3",), "seed=3: a setting needs a verb before it; did you mean `simnfnd make"),
         (("make", "demo"), "demo: not KEY=VALUE; see `simnfnd make --help`"),

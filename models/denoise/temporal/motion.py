@@ -20,11 +20,11 @@ import numpy.typing as npt
 Grey = npt.NDArray[np.float32]
 Floats = npt.NDArray[np.float64]
 
-ALIKE = 0.2
+ALIKE = 0.33
 """Frames whose band-passed pictures correlate less show something else."""
 _BY_CHANCE = 4.0  # standard deviations of the correlation of unlike frames, the best of all shifts
 _FURTHEST = 48  # reduced pixels that the peak of a phase correlation may lie away
-_BETTER = 0.05  # part of what no motion leaves that a motion must explain
+_BETTER = 0.08  # part of what no motion leaves that a motion must explain
 _STEPS, _SETTLED = 4, 0.02
 _STILL = 0.06  # reduced pixels: less is no motion
 _WHITENED = 0.6  # exponent of the magnitudes in the phase correlation
