@@ -29,6 +29,7 @@ _UNTOLD = (0.5, 0.3, *[0.0] * len(_BLURS))
 """Weights where nothing was measured, for a network that knows how many frames count, or not."""
 _VARIES = (0.45, 0.75, 1.1, 1.55, 2.2, 3.3, 5.0)
 """Middles of the classes of how much a picture varies, standard deviations of its noise."""
+_AROUND = 2.2  # sigma of the window in which it varies, pixels
 _LEVELS = 64  # of how much it varies, in a table
 _KNOWN, _SURE = 300.0, 1e-3
 """Pixels that count for the usual weights, and their part whatever is measured."""
@@ -53,7 +54,7 @@ class Predictors:
 def predictors(grey: Grey, sigma: Grey, network: Grey) -> Predictors:
     """Of a picture (H, W).  sigma: (H, W) of its noise.  network: what that makes of it."""
     planes = [total_variation(grey, sigma), network, *(blurred(grey, one) for one in _BLURS)]
-    spread = blurred(grey * grey, 1.5) - blurred(grey, 1.5) ** 2
+    spread = blurred(grey * grey, _AROUND) - blurred(grey, _AROUND) ** 2
     varies = np.sqrt(np.maximum(spread, 0)) / np.maximum(sigma, 1e-4)
     level = np.clip(varies * np.float32(_LEVELS / _VARIES[-1]), 0, _LEVELS - 1)
     return Predictors(grey, [plane - grey for plane in planes], level.astype(np.uint8))
