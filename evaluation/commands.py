@@ -7,7 +7,7 @@ errors answer at once.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -107,11 +107,15 @@ def settings_of(config: DictConfig) -> EvaluationSettings:
 def needs_of(settings: EvaluationSettings) -> Iterator[Need]:
     """What the networks of a report need beyond what every report does."""
     # The ones that ship are left out where there is nothing to run them.
-    given = () if settings.models == "auto" else settings.models
-    networks = {"models": given, "ablation": vars(settings.ablation).values()}
-    for key, weights in networks.items():
-        if any(weights):
-            yield from (Need(f"{key}=", module) for module in ("torch", "safetensors"))
+    yield from _needs("models=", [] if settings.models == "auto" else settings.models)
+    yield from _needs("ablation=", vars(settings.ablation).values())
+
+
+def _needs(key: str, weights: Iterable[str | None]) -> Iterator[Need]:
+    """Weights that ship run in onnxruntime, those of a path in torch."""
+    for one in filter(None, weights):
+        runtime = "torch" if Path(one).expanduser().exists() else "onnxruntime"
+        yield from (Need(key, module) for module in (runtime, "safetensors"))
 
 
 def _report(config: DictConfig) -> None:
@@ -139,8 +143,7 @@ def _real(config: DictConfig) -> None:
     if not values["real"]:
         raise FactoryError("real: give pictures or a recording: simnfnd evaluate real IN")
     settings = build(RealSettings, values)
-    if settings.models:
-        require(Need("models=", module) for module in ("torch", "safetensors"))
+    require(_needs("models=", settings.models))
     from .real.judging import evaluate
 
     evaluate(settings)

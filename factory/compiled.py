@@ -7,12 +7,31 @@ the order that the source says (no fastmath), so the result is the same on every
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+class NotCompiled(ImportError):
+    """A loop that was not to be compiled now has no compiled form on disk."""
+
+
+class _Mode:
+    loading = False
+
+
+@contextmanager
+def only_loaded() -> Iterator[None]:
+    """Modules imported in the block load their loops from disk, or raise NotCompiled."""
+    _Mode.loading = True
+    try:
+        yield
+    finally:
+        _Mode.loading = False
 
 
 def compiled(*signatures: str) -> Callable[[Function], Function]:
@@ -23,15 +42,20 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
     """
 
     def decorate(function: Function) -> Function:
-        given: Any = list(signatures) or None
         options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
         made: Any
         try:
-            made = numba.njit(given, cache=True, **options)(function)
+            made = numba.njit(cache=True, **options)(function)
         except RuntimeError as error:
             if "cannot cache" not in str(error):
                 raise
-            made = numba.njit(given, **options)(function)
+            made = numba.njit(**options)(function)
+        for signature in signatures:
+            if _Mode.loading and made._cache.load_overload(signature, made.targetctx) is None:
+                raise NotCompiled(function.__name__)
+            made.compile(signature)
+        if signatures:
+            made.disable_compile()
         result: Function = made
         return result
 

@@ -1,45 +1,77 @@
-"""Every module with compiled loops, so that a run can compile them before its workers start."""
+"""Modules with compiled loops, so that a machine compiles those that a run needs once."""
 
 from __future__ import annotations
 
 import importlib
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from .progress import stage_if_slow
 
-LOOPS = (
-    "simnfnd.factory.imaging.coherent.cells.cell_loops",
-    "simnfnd.factory.imaging.coherent.display_loops",
-    "simnfnd.factory.imaging.coherent.kernels",
-    "simnfnd.factory.imaging.coherent.cells.path_loops",
-    "simnfnd.factory.imaging.coherent.pixel_rows",
-    "simnfnd.factory.imaging.coherent.placing",
-    "simnfnd.factory.imaging.coherent.cells.world_loops",
-    "simnfnd.factory.render.albedo",
-    "simnfnd.factory.render.cloud.joints",
-    "simnfnd.factory.render.cloud.planes",
-    "simnfnd.factory.render.shading",
-    "simnfnd.factory.render.traced",
-    "simnfnd.factory.scenes.seabed.loops.colour_loops",
-    "simnfnd.factory.scenes.seabed.loops.field_loops",
-    "simnfnd.factory.scenes.seabed.loops.ground_loops",
-    "simnfnd.factory.scenes.seabed.loops.light_loops",
-    "simnfnd.factory.scenes.seabed.objects.mesh_loops",
-    "simnfnd.factory.scenes.seabed.loops.picture_loops",
-    "simnfnd.factory.scenes.seabed.loops.raster_loops",
-    "simnfnd.factory.scenes.seabed.loops.surface_loops",
-    "simnfnd.factory.scenes.seabed.loops.texture_loops",
-    "simnfnd.factory.scenes.seabed.loops.viewpoint_loops",
-    "simnfnd.factory.sonar.echo_loops",
-    "simnfnd.models.recordings.fan.loops",
-    "simnfnd.factory.sonar.number_loops",
-    "simnfnd.factory.sonar.picture_loops",
-)
+if TYPE_CHECKING:
+    from .config import FactoryConfig
+
+PICTURES = ("elementary", "render.albedo", "render.shading", "sonar.echo_loops",
+            "sonar.picture_loops", "render.cloud.joints")  # fmt: skip
+SURFACES = ("render.cloud.planes", "render.traced")
+SEABED = ("scenes.seabed.kernels",)
+FIELD = ("imaging.coherent.cells.cell_loops", "imaging.coherent.cells.path_loops",
+         "imaging.coherent.cells.world_loops", "imaging.coherent.display_loops",
+         "imaging.coherent.kernels", "imaging.coherent.pixel_rows",
+         "imaging.coherent.placing")  # fmt: skip
+LOOPS = PICTURES + SURFACES + SEABED + FIELD
 
 
-def compile_all() -> None:
-    """Compile what is not on disk yet: once, before many workers would do it at once."""
-    with stage_if_slow(
-        "loading the loops; the first time compiles them, about a minute", after_s=3.0
+def compile_needed(config: FactoryConfig) -> None:
+    """Load the loops of a configuration, compiling what is not on disk yet.
+
+    One process of a machine at a time does it: many workers would compile the same loops at once.
+    """
+    names = PICTURES
+    if config.scenes.kind == "seabed":
+        names += SEABED
+    if config.render.kind != "analytic":
+        names += SURFACES
+    if config.acoustics.formation == "field" or config.devices is not None:
+        names += FIELD
+    if all(_module(name) in sys.modules for name in names):
+        return
+    with (
+        _alone(),
+        stage_if_slow("compiling kernels, once per machine, about a minute", after_s=2.0),
     ):
+        for name in names:
+            importlib.import_module(_module(name))
+
+
+def load_compiled() -> None:
+    """Load what has a compiled form on disk, for processes that are forked from this one."""
+    from .compiled import NotCompiled, only_loaded
+
+    with only_loaded():
         for name in LOOPS:
-            importlib.import_module(name)
+            with suppress(NotCompiled):
+                importlib.import_module(_module(name))
+
+
+def _module(name: str) -> str:
+    return f"{__package__}.{name}"
+
+
+@contextmanager
+def _alone() -> Iterator[None]:
+    try:
+        import fcntl
+    except ImportError:  # Windows: whoever comes, compiles
+        yield
+        return
+    path = Path(tempfile.gettempdir()) / f"simnfnd-kernels-{os.getuid()}.lock"
+    with ExitStack() as open_files:
+        with suppress(OSError):  # a full or closed folder keeps nobody from compiling
+            fcntl.flock(open_files.enter_context(path.open("a")), fcntl.LOCK_EX)
+        yield

@@ -23,6 +23,7 @@ from .frame import Frame, FrameRef
 from .imaging import layers as truth
 from .imaging.contract import Floats, Scene
 from .imaging.registry import FORMATIONS
+from .loops import compile_needed
 from .noise.draws import StreamNames, draw
 from .render.cache.views import CachedViews, Views, open_views
 from .sample_table.camera import Camera
@@ -117,6 +118,7 @@ def _chosen(found: tuple[FrameRef, ...], config: FactoryConfig) -> tuple[FrameRe
 
 def pair_maker(config: FactoryConfig) -> PairMaker:
     """The pair maker of a configuration, with the renders that it means."""
+    compile_needed(config)
     return PairMaker(config, open_views(config))
 
 

@@ -50,10 +50,6 @@ _ADAPTING = ("torch", "lightning", "safetensors", *_SONAR)
 _TRAINING = ("torch", "lightning", "safetensors", "tensorboard", *_SONAR)
 
 
-def _cache(action: str, line: str, *examples: str) -> Verb:
-    return Verb(MAKE, line, f"{_COMMANDS}.cache:main", examples, before=(action,), config="factory")
-
-
 VERBS: dict[str, Verb] = {
     "demo": Verb(
         MAKE, "a small dataset of procedural scenes, with a preview of it",
@@ -80,18 +76,16 @@ VERBS: dict[str, Verb] = {
         config="factory",
     ),
     "cache": Verb(
-        MAKE, "the renders that are kept on disk", f"{_COMMANDS}.cache:main",
-        ("simnfnd cache stats", "simnfnd cache pack experiment=demo --out views.pack"),
-        verbs={
-            "stats": _cache("stats", "how many there are, and how large", "simnfnd cache stats"),
-            "verify": _cache("verify", "remove damaged ones", "simnfnd cache verify"),
-            "pack": _cache(
-                "pack", "the renders of a configuration in one file, for a box without Blender",
-                "simnfnd cache pack experiment=demo --out views.pack",
-                "simnfnd make scenes=pack scenes.root=views.pack",
-            ),
-            "clear": _cache("clear", "remove all", "simnfnd cache clear cache.dir=outputs/cache"),
-        },
+        MAKE, "the renders that are kept on disk: stats, verify, pack, clear",
+        f"{_COMMANDS}.cache:main",
+        (
+            "simnfnd cache stats",
+            "simnfnd cache verify",
+            "simnfnd cache pack experiment=demo --out views.pack",
+            "simnfnd make scenes=pack scenes.root=views.pack",
+            "simnfnd cache clear cache.dir=outputs/cache",
+        ),
+        config="factory",
     ),
     "status": Verb(
         LOOK, "how far a dataset is, which frames failed and why", f"{_COMMANDS}.status:main",
@@ -127,11 +121,10 @@ VERBS: dict[str, Verb] = {
         ("simnfnd merge outputs/a outputs/b --out outputs/both",),
     ),
     "export": Verb(
-        PASS_ON, "a dataset as WebDataset, Hugging Face, PNG, MDD, COCO, YOLO or sonar messages",
+        PASS_ON, "a dataset as WebDataset, Hugging Face, PNG, MDD, COCO or YOLO",
         f"{_COMMANDS}.export:main",
         (
             "simnfnd export outputs/demo --to huggingface --out outputs/hub",
-            "simnfnd export outputs/demo --to huggingface --push me/demo --out outputs/hub",
             "simnfnd export outputs/demo --to png --split test --out outputs/png",
             "simnfnd export outputs/labelled --to coco --out outputs/coco",
         ),

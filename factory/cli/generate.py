@@ -93,15 +93,16 @@ def commonest(report: RunReport) -> tuple[int, str]:
 
 def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     """Discover, plan and make one dataset.  `arguments` are the words that would make it again."""
-    from ..loops import compile_all
+    from ..loops import compile_needed
     from ..scheduler.run import make_dataset
 
     require(needs_of(config))
     check_views(config)
     forked = template.runs() and config.scheduler.backend == "local"
     if not (forked and config.scheduler.threads == 1):
-        # Else the process that workers are forked from does it, for all of them.
-        compile_all()
+        # Else the process that workers are forked from loads them, and the first worker compiles
+        # what that does not find.
+        compile_needed(config)
     job = job_of(config, arguments)
     report = make_dataset(job)
     if job.shard.part:

@@ -19,11 +19,11 @@ gc.disable()
 # What is absent or broken is told by the task that needs it.
 with suppress(Exception):
     from .. import pairs  # noqa: F401
-    from ..loops import compile_all
+    from ..loops import load_compiled
     from ..render.cache import views  # noqa: F401
     from ..scheduler import worker  # noqa: F401
 
-    compile_all()
+    load_compiled()
 
 # The template ends after all that came of it; what it was started by may have been killed.
 if folder := os.environ.pop("SIMNFND_TEMPLATE_FOLDER", ""):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..compiled import compiled
-from .number_loops import FLOATS, atan2, cos
+from ..elementary import FLOATS, atan2, cos
 
 _F = np.float32
 _ZERO = _F(0)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..compiled import compiled
+from ..elementary import FLOATS
 from .echo_loops import PICTURE, cell, nearest_beam
-from .number_loops import FLOATS
 
 _F = np.float32
 

@@ -16,12 +16,12 @@ def quantiles(
     As numpy's default has it: between the values of the two nearest ranks, linearly.
     skip: so many of the smallest do not count.
     """
-    from . import number_loops  # loads numba
+    from .. import elementary  # loads numba
 
     places = [skip + fraction * (len(values) - 1 - skip) for fraction in fractions]
     ranks = np.array([(int(place), min(int(place) + 1, len(values) - 1)) for place in places])
     found = np.empty(ranks.size, np.float32)
-    number_loops.ranked(np.ascontiguousarray(values), ranks.ravel().astype(np.int64), found)
+    elementary.ranked(np.ascontiguousarray(values), ranks.ravel().astype(np.int64), found)
     low, high = found.reshape(-1, 2).astype(np.float64).T
     return [
         float(one + (other - one) * (place - int(place)))

@@ -264,12 +264,12 @@ def test_full_scale_is_a_percentile_of_the_echoing_bins() -> None:
 
 
 def test_half_normal_is_the_inverse_of_its_distribution() -> None:
-    from simnfnd.factory.sonar import number_loops
+    from simnfnd.factory import elementary
 
     lot = np.random.default_rng(0).random(100_000, dtype=np.float32)
     lot[:3] = 0, 2**-24, 1 - 2**-24  # the least and the most there is
     size = np.empty_like(lot)
-    number_loops.half_normal(lot, size)
+    elementary.half_normal(lot, size)
     expected = np.sqrt(2) * special.erfinv(lot.astype(np.float64))
     np.testing.assert_allclose(size, expected, rtol=1e-6)
 
@@ -294,7 +294,7 @@ def test_streams_are_those_of_numpys_seed_sequence(seed: int, names: list[str | 
 
 
 def test_every_module_of_loops_is_compiled_before_workers_start() -> None:
-    """A module that `compile_all` forgets would be compiled by every worker at once."""
+    """A module that `loops` forgets would be compiled by every worker at once."""
     from simnfnd.factory.loops import LOOPS
 
     using = {
@@ -302,9 +302,26 @@ def test_every_module_of_loops_is_compiled_before_workers_start() -> None:
         for path in (ROOT / "factory").rglob("*.py")
         if "\n@compiled(" in path.read_text(encoding="utf-8")
     }
-    assert using == set(LOOPS)
-    for name in LOOPS:
+    modules = {f"simnfnd.factory.{name}" for name in LOOPS}
+    assert using == modules
+    for name in modules:
         importlib.import_module(name)
+
+
+def test_what_is_not_compiled_yet_can_be_left_alone(tmp_path: Path) -> None:
+    """The process that workers are forked from loads loops, but never compiles them."""
+    code = """
+import sys
+from simnfnd.factory.loops import load_compiled
+load_compiled()
+print([name for name in sys.modules if name.endswith("elementary")])
+"""
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True,
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+        )  # fmt: skip
+        assert done.stdout.strip() == "[]"
 
 
 def test_loops_work_where_nothing_can_be_kept(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ...compiled import compiled
-from ...sonar.number_loops import log10
+from ...elementary import log10
 
 Floats = npt.NDArray[np.float32]
 

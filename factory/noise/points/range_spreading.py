@@ -62,10 +62,10 @@ def range_spreading(
 
 def _half_normal(rng: np.random.Generator, count: int) -> npt.NDArray[np.float32]:
     """(count,) float32 draws of |N(0, 1)|, by the inverse of its distribution."""
-    from ...sonar import number_loops  # loads numba
+    from ... import elementary  # loads numba
 
     size = np.empty(count, np.float32)
-    number_loops.half_normal(rng.random(count, dtype=np.float32), size)
+    elementary.half_normal(rng.random(count, dtype=np.float32), size)
     return size
 
 

@@ -15,6 +15,7 @@ from pydantic import TypeAdapter
 
 from ...frame import FrameRef
 from ...scenes import Scenes
+from ...scenes.seabed import GENERATOR
 from ..base import RenderSettings
 from ..mount import Mount
 
@@ -23,7 +24,7 @@ _NOT_PIXELS = (
     *("root", "file", "path", "locations", "first_location", "frames_per_location", "scenes"),
 )
 # All code between the files of a recording and the rendered pixels.
-_CODE = ("compiled.py", "frame.py", "labels.py", "render", "scenes")
+_CODE = ("compiled.py", "elementary.py", "frame.py", "labels.py", "render", "scenes")
 _LIBRARY = {"cycles": "bpy", "embree": "open3d-cpu", "analytic": "numpy"}
 
 
@@ -37,6 +38,7 @@ class FrameKeys:
                 _plain(RenderSettings, render),
                 _plain(Mount, mount),
                 code_version(render.kind),
+                GENERATOR if scenes.kind == "seabed" else None,
             ],
             sort_keys=True,
         )

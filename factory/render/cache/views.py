@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 from ...dataset.format.schema import Prepared
 from ...errors import FrameError, NotRendered
 from ...frame import FrameRef
+from ...loops import compile_needed
 from ..view import View, view_of
 from .cache import Cache
 from .key import FrameKeys
@@ -121,6 +122,7 @@ class ViewMaker:
             # Not before it is needed: with all renders at hand nobody has to load Blender.
             from .. import open_renderer
 
+            compile_needed(self.config)
             self._renderer = open_renderer(self.config.render)
         frame = self.reader.load(ref)
         mount = self.config.sonar.mount

@@ -7,4 +7,7 @@ are drawn by one z-buffer, so depth, labels and pictures agree to the pixel.
 from ...labels import CLASSES
 from .reader import SeabedReader, SeabedSettings
 
-__all__ = ["CLASSES", "SeabedReader", "SeabedSettings"]
+GENERATOR = 2
+"""Version of the frames: changes with their bytes, and is part of the names of cached renders."""
+
+__all__ = ["CLASSES", "GENERATOR", "SeabedReader", "SeabedSettings"]

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from .fields import waves
-from .names import PlaceName
 from .terrain import Banks, Ripples, Terrain
 
 Range = tuple[float, float]
+
+# The order is the order in which locations 0, 1, 2, ... take them.
+PlaceName = Literal[
+    "debris", "canyon", "reef", "pier", "pipeline", "rubble", "quay", "sand", "garden", "wall"
+]
+
+PLACE_NAMES: tuple[PlaceName, ...] = get_args(PlaceName)
 
 
 @dataclass(frozen=True)

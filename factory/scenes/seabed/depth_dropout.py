@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 import numpy.typing as npt
 
-from .fields import Floats, tiles
+from .fields import STEPS, TILE, Floats, tiles
 
 MOST_LOST = 0.42  # share of the pixels
 
@@ -15,44 +13,50 @@ MOST_LOST = 0.42  # share of the pixels
 def measured(
     rng: np.random.Generator, depth_m: Floats, range_m: Floats, clear_m: float
 ) -> npt.NDArray[np.bool_]:
-    """(H, W) bool: pixels that keep their depth.
+    """(H, W) bool: pixels that keep their depth, decided for every second one.
 
     depth_m, range_m: (H, W), inf where there is only water.  clear_m: how far the water lets
-    matching work; the border is ragged.  At least 8 to 38 % are lost, small shares more often.
+    matching work; the border is ragged.  About 8 to 38 % are lost, small shares more often.
     """
-    from .loops.picture_loops import (
-        doubts,
-        least_around,
-        ranked,
-        window,
-    )
-
     scale = depth_m.shape[1] / 968
-    shift = rng.uniform(0, 1000, 2)
-    where = np.float32(shift[0]), np.float32(shift[1]), np.float32(1 / scale), np.float32(1000)
-    broad, grain, nearest_m, close_m, doubt = (np.empty_like(depth_m) for _ in range(5))
-    window(tiles().texture, *where, broad, grain)
-    # Cracks along depth edges, on the far side, of a width that varies.
-    finite_m = np.minimum(depth_m, np.float32(1e4))
-    size = max(round(9 * scale), 3) | 1
-    least_around(finite_m, _ellipse(size), nearest_m)
-    least_around(finite_m, _ellipse(max(size // 3, 3) | 1), close_m)
-    keep = np.empty(depth_m.shape, dtype=np.bool_)
-    # Matching fails first far away, then near the picture's border; a few blobs are anywhere.
-    kept = doubts(
-        finite_m, range_m, broad, grain, nearest_m, close_m, np.float32(clear_m), keep, doubt
+    near_m, range_m = np.minimum(depth_m[::2, ::2], np.float32(1e4)), range_m[::2, ::2]
+    rows, columns = (
+        (rng.integers(TILE) + np.arange(size) / scale).astype(np.int64) % (TILE // 2)
+        for size in near_m.shape
     )
-    missing = 0.08 + 0.3 * rng.random() ** 2 - float(1 - kept / keep.size)
-    # The least sure pixels go; they are counted, so that the share is met exactly.
-    count = min(round(missing * keep.size), kept) if missing > 0 else 0
-    if count:
-        keep &= doubt < ranked(doubt, keep, kept - count)
-    return keep
+    words = tiles().texture[rows[:, None], columns]
+    step = np.float32(1 / STEPS)
+    broad, grain = (words << bits >> 24 for bits in (24, 16))  # its first two channels
+    broad, grain = broad * step, grain * step
+    # Cracks along depth edges, on the far side, of a width that varies.
+    noise = broad + grain
+    ragged = np.minimum(np.float32(0.06) * broad + np.float32(0.03) * grain, np.float32(0.2))
+    keep = range_m < clear_m * (1 + ragged)
+    for reach, level in ((max(round(2 * scale), 1), 0.6), (1, -0.7)):
+        behind = near_m > np.float32(1.12) * _least_around(near_m, reach)
+        keep &= ~(behind & (noise > np.float32(level)))
+    missing = 0.08 + 0.3 * rng.random() ** 2 - float(1 - keep.mean())
+    if missing > 0 and keep.any():
+        # Matching fails first far away, then near the picture's border; a few blobs are anywhere.
+        down, across = (np.linspace(-1, 1, size, dtype=np.float32) ** 8 for size in keep.shape)
+        doubt = np.float32(0.3) * broad + np.float32(0.1) * grain
+        doubt += np.float32(0.9) * np.maximum(across, down[:, None])
+        doubt += np.float32(2.4 / clear_m) * np.minimum(range_m, np.float32(clear_m))
+        keep &= doubt <= np.quantile(doubt[keep], 1 - min(missing / keep.mean(), 1))
+    whole = keep.repeat(2, axis=0).repeat(2, axis=1)[: depth_m.shape[0], : depth_m.shape[1]]
+    return np.asarray(whole & np.isfinite(depth_m))
 
 
-@functools.cache
-def _ellipse(size: int) -> npt.NDArray[np.int64]:
-    """(size, 2) rows of a round stencil: distance from its middle and half width."""
-    rows = np.arange(size) - size // 2
-    half = np.rint(np.sqrt((size // 2) ** 2 - rows**2)).astype(np.int64)
-    return np.stack([rows, half], axis=-1)
+def _least_around(values: Floats, reach: int) -> Floats:
+    """(H, W) the least of the (2 reach + 1) x (2 reach + 1) values around each."""
+    size = 2 * reach + 1
+    for axis in (0, 1):
+        sides = [(0, 0), (0, 0)]
+        sides[axis] = (reach, reach)
+        least, span = np.pad(values, sides, constant_values=np.inf), 1
+        least = least if axis == 0 else least.T
+        while span < size:  # windows of twice the width are the lesser of two
+            step = min(span, size - span)
+            least, span = np.minimum(least[:-step], least[step:]), span + step
+        values = least if axis == 0 else least.T
+    return values

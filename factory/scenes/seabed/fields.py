@@ -21,7 +21,10 @@ Arrays = npt.NDArray[np.floating[Any]]  # any precision
 WORLD_SEED = 0  # the procedural world is one and the same; a location number is a place in it
 TILE = 1024  # pixels a side of every noise picture
 STEPS = 25  # of a standard deviation, in the noise that pictures are painted with
-TEXTURE_M, FINE_M = 3.7, 0.7  # a side of the tiles that pictures are painted with
+TEXTURE_M, FINE_M = (
+    3.7,
+    0.7,
+)  # a side of the tile that pictures are painted with twice
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +41,7 @@ class Waves:
     def __call__(self, *coordinates_m: Arrays) -> Floats:
         """The field at D coordinate arrays (metres, one shape), float32 of that shape."""
         # Reading a configuration imports this module; only making frames needs numba.
-        from .loops.field_loops import add_waves
+        from .kernels import add_waves
 
         first = np.asarray(coordinates_m[0])
         axes = np.stack([np.asarray(axis, dtype=np.float32).ravel() for axis in coordinates_m])
@@ -93,73 +96,33 @@ def smoothstep(
 class Tiles:
     """Noise pictures, TILE pixels a side, that repeat without a seam; each channel has std 1.
 
-    texture: (S, S) int32, four channels of 8 bits, the first the lowest: broad clouds, fine grain,
-    cells (dark seams between lumps), speckle, in steps of 1 / STEPS: a picture looks up a million
-    places all over it, which must be near, and all channels of one at once.
-    fine: (S / 2, S / 2, 2) int32, every second pixel of the texture and, in the two lowest channels
-    of the second number, for the light on detail too fine for the mesh, of the gradient of a rough
-    surface.
+    texture: (S / 2, S / 2) int32, four channels of 8 bits, the first the lowest: broad clouds,
+    fine grain, cells (dark seams between lumps), speckle, in steps of 1 / STEPS: a picture looks up
+    a million places all over it, which must be near, and all channels of one at once.
     rock, sand: (S, S) relief, mean 0.
-    caustics: (S, S) brightness of sunlight focused by waves, mean 1.
     """
 
     texture: npt.NDArray[np.int32]
-    fine: npt.NDArray[np.int32]
     rock: Floats
     sand: Floats
-    caustics: Floats
-
-
-def lookup(
-    tile: Floats,
-    u_m: Arrays,
-    v_m: Arrays,
-    period_m: float,
-) -> Floats:
-    """Values of a periodic (S, S) `tile`, one period every `period_m`, at coordinates."""
-    from .loops.field_loops import look_up
-
-    u, v = (np.ascontiguousarray(axis, dtype=np.float32) for axis in (u_m, v_m))
-    values = np.empty(u.shape, dtype=np.float32)
-    look_up(tile, u.ravel(), v.ravel(), np.float32(period_m), values.reshape(-1))
-    return values
-
-
-@functools.cache
-def dither() -> Floats:
-    """(TILE, TILE) numbers in [0, 1): a fixed pattern of pixels, so that chance repeats."""
-    return stream(WORLD_SEED, "seabed", "dither").random((TILE, TILE), dtype=np.float32)
 
 
 @functools.cache
 def tiles() -> Tiles:
     """The noise pictures, drawn once a process; every location uses them at its own offset."""
     rng = stream(WORLD_SEED, "seabed", "tiles")
-    broad, fine = _fractal(rng, 2, 64, 1.3), _fractal(rng, 24, 400, 0.5)
-    cells, speckle = _cells(rng, 700), _fractal(rng, 60, 500, 0.0)
-    rough = 0.5 * _cells(rng, 1100) + 0.7 * _fractal(rng, 12, 300, 0.9)
-    gradient = np.stack([_difference(rough, 1), _difference(rough, 0)], axis=-1)
+    broad, grain = _fractal(rng, 2, 64, 1.3), _fractal(rng, 24, 400, 0.5)
+    cells, speckle = _cells(rng, 26), _fractal(rng, 60, 500, 0.0)
     ridged = _unit(-np.abs(_fractal(rng, 3, 80, 1.0)))
-    rock = _unit(ridged + 0.6 * _fractal(rng, 3, 160, 0.9) + 0.35 * _cells(rng, 500))
+    rock = _unit(ridged + 0.6 * _fractal(rng, 3, 160, 0.9) + 0.35 * _cells(rng, 22))
     sand = _unit(_fractal(rng, 6, 120, 0.9))
-    texture = _packed(np.stack([broad, fine, cells, speckle], axis=-1))
-    both = np.stack([texture, _packed(gradient / gradient.std())], axis=-1)
-    return Tiles(
-        texture,
-        np.ascontiguousarray(both[::2, ::2]),
-        rock,
-        sand,
-        _caustics(rng),
-    )
-
-
-def _packed(values: Floats) -> npt.NDArray[np.int32]:
-    """(H, W) of up to four channels (H, W, C), each a signed byte in steps of 1 / STEPS."""
-    steps = np.clip(np.rint(values * STEPS), -127, 127).astype(np.int8).view(np.uint8)
-    words = np.zeros(steps.shape[:2], dtype=np.uint32)
-    for k in range(steps.shape[2]):
-        words |= steps[..., k].astype(np.uint32) << np.uint32(8 * k)
-    return words.view(np.int32)
+    words = np.zeros((TILE // 2, TILE // 2), dtype=np.uint32)
+    for k, channel in enumerate((broad, grain, cells, speckle)):
+        steps = (
+            np.clip(np.rint(channel[::2, ::2] * STEPS), -127, 127).astype(np.int8).view(np.uint8)
+        )
+        words |= steps.astype(np.uint32) << np.uint32(8 * k)
+    return Tiles(words.view(np.int32), rock, sand)
 
 
 def _fractal(
@@ -173,30 +136,27 @@ def _fractal(
     return _unit(np.fft.irfft2(white * gain, s=(TILE, TILE)))
 
 
-def _cells(rng: np.random.Generator, count: int) -> Floats:
-    """Periodic lumps: minus the distance to the nearest of `count` random points."""
-    from .loops.field_loops import cell_borders
-
-    lumps = np.empty((TILE // 2, TILE // 2), dtype=np.float32)
-    cell_borders(rng.random((count, 2)), lumps)
+def _cells(rng: np.random.Generator, across: int) -> Floats:
+    """Periodic lumps: how much nearer the nearest of across x across scattered points is."""
+    side = TILE // 2
+    scattered = rng.random((across, across, 2), dtype=np.float32)  # one in each square of a grid
+    at = (np.arange(side, dtype=np.float32) + np.float32(0.5)) * np.float32(across / side)
+    own = at.astype(np.int64)
+    first, second = (np.full((side, side), np.inf, np.float32) for _ in range(2))
+    for down in (-2, -1, 0, 1, 2):
+        for right in (-2, -1, 0, 1, 2):
+            point = scattered[((own + down) % across)[:, None], (own + right) % across]
+            dy = point[..., 0] + (own + down - at).astype(np.float32)[:, None]
+            dx = point[..., 1] + (own + right - at).astype(np.float32)
+            apart = dx * dx + dy * dy
+            second = np.minimum(second, np.maximum(first, apart))
+            first = np.minimum(first, apart)
+    lumps = np.sqrt(second) - np.sqrt(first)
     for axis in (0, 1):  # twice as fine: each new value a quarter of a pixel from an old one
         sides = [0.75 * lumps + 0.25 * np.roll(lumps, turn, axis) for turn in (1, -1)]
-        lumps = np.stack(sides, axis=axis + 1).reshape(
-            (TILE, TILE // 2) if axis == 0 else (TILE, TILE)
-        )
+        shape = (TILE, side) if axis == 0 else (TILE, TILE)
+        lumps = np.stack(sides, axis=axis + 1).reshape(shape)
     return _unit(np.sqrt(np.maximum(lumps, 0)))
-
-
-def _caustics(rng: np.random.Generator) -> Floats:
-    """Bright nets: light bunches where a wavy surface focuses it, that is on its fold lines."""
-    nets = [np.abs(_fractal(rng, 4, 22, 1.2)) for _ in range(2)]
-    bright = np.exp(-np.minimum(nets[0], nets[1]) * 3.2) + 0.5 * np.exp(-1.5 * (nets[0] + nets[1]))
-    bright *= np.clip(1 + 0.35 * _fractal(rng, 1, 4, 1.0), 0.2, 2)
-    return np.asarray(bright / bright.mean(), dtype=np.float32)
-
-
-def _difference(field: Floats, axis: int) -> Floats:
-    return np.asarray((np.roll(field, -1, axis) - np.roll(field, 1, axis)) * 0.5)
 
 
 def _unit(field: Arrays) -> Floats:

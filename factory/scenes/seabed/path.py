@@ -28,14 +28,14 @@ class Loop:
     tangents: Points
     length_m: float
 
-    def at(self, distance_m: float) -> tuple[Points, Points]:
-        """Position and unit tangent, (2,) each, after `distance_m` along the loop."""
-        where = (distance_m / self.length_m) % 1 * SAMPLES
-        low = int(where) % SAMPLES
-        high, part = (low + 1) % SAMPLES, where - int(where)
+    def at(self, distance_m: npt.ArrayLike) -> tuple[Points, Points]:
+        """Positions and unit tangents, (..., 2) each, after distances (...) along the loop."""
+        where = (np.asarray(distance_m) / self.length_m) % 1 * SAMPLES
+        low = where.astype(np.int64) % SAMPLES
+        high, part = (low + 1) % SAMPLES, (where - np.floor(where))[..., None]
         point = self.points[low] * (1 - part) + self.points[high] * part
         tangent = self.tangents[low] * (1 - part) + self.tangents[high] * part
-        return point, tangent / np.sqrt((tangent**2).sum())
+        return point, tangent / np.sqrt((tangent**2).sum(axis=-1, keepdims=True))
 
     def distance_m(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Points:
         """Distance from points on the map to the loop."""

@@ -10,14 +10,8 @@ import numpy.typing as npt
 
 from ...frame import Intrinsics
 from .fields import Floats
-from .objects.meshes import (
-    Mesh,
-    grid_triangles,
-    join,
-    vertex_normals,
-)
+from .meshes import Mesh, grid_triangles, join, vertex_normals
 from .optics import Optics
-from .terrain import GroundMesh
 
 Points = npt.NDArray[np.float64]
 
@@ -114,6 +108,12 @@ class ZBuffer:
     inverse: Floats
     which: npt.NDArray[np.int32]
 
+    @property
+    def depth_m(self) -> Floats:
+        """(H, W) depth along the optical axis, inf where nothing is."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(1 / self.inverse)
+
 
 def z_buffer(
     where: Pose,
@@ -124,7 +124,7 @@ def z_buffer(
     reach_m: float = 1e6,
 ) -> ZBuffer:
     """Paint the (R, C, 3) grid of the ground and the wanted objects, no further than `reach_m`."""
-    from .loops.raster_loops import paint
+    from .kernels import paint
 
     rows, columns = ground.shape[:2]
     lens = lens_of(optics)
@@ -132,25 +132,24 @@ def z_buffer(
     which = np.full((optics.height, optics.width), -1, dtype=np.int32)
     camera = where.eye, where.rotation, lens, inverse, which
     triangles = grid_triangles(rows, columns)
-    paint(ground.reshape(-1, 3), triangles, whole(rows * columns, len(triangles)), 0, *camera)
-    parts = objects.parts(wanted & _in_sight(where, optics, objects.balls, reach_m))
+    whole = np.array([[0, 0, rows * columns, len(triangles)]], dtype=np.int64)
+    paint(ground.reshape(-1, 3), triangles, whole, 0, *camera)
+    near = in_sight(where, lens, which.shape, objects.balls, reach_m)
+    parts = objects.parts(wanted & near)
     paint(objects.mesh.vertices, objects.mesh.triangles, parts, len(triangles), *camera)
     return ZBuffer(inverse, which)
 
 
-def whole(points: int, triangles: int) -> npt.NDArray[np.int64]:
-    """A mesh as its one part."""
-    return np.array([[0, 0, points, triangles]], dtype=np.int64)
-
-
-def _in_sight(where: Pose, optics: Optics, balls: Points, reach_m: float) -> npt.NDArray[np.bool_]:
-    """(N,) whether balls touch what a camera sees no further than `reach_m`."""
+def in_sight(
+    where: Pose, lens: Points, shape: tuple[int, ...], balls: Points, reach_m: float
+) -> npt.NDArray[np.bool_]:
+    """(N,) whether balls touch what a camera of this picture (H, W) sees within `reach_m`."""
     x, y, z = ((balls[:, :3] - where.eye)[:, None] * where.rotation.T).sum(axis=2).T
     radius = balls[:, 3]
-    fx, fy, cx, cy = lens_of(optics)
+    fx, fy, cx, cy = lens
     seen = (z > -radius) & (z < reach_m + radius)
-    for offset, slope in ((x, (optics.width - 1 - cx) / fx), (-x, cx / fx),
-                          (y, (optics.height - 1 - cy) / fy), (-y, cy / fy)):  # fmt: skip
+    for offset, slope in ((x, (shape[1] - 1 - cx) / fx), (-x, cx / fx),
+                          (y, (shape[0] - 1 - cy) / fy), (-y, cy / fy)):  # fmt: skip
         seen &= offset - slope * z < radius * np.hypot(1, slope)
     return np.asarray(seen)
 
@@ -159,42 +158,3 @@ def lens_of(optics: Optics) -> Points:
     """(4,) focal lengths and principal point, pixels."""
     camera = optics.intrinsics
     return np.array([camera.fx, camera.fy, camera.cx, camera.cy], dtype=np.float64)
-
-
-@dataclass(frozen=True, eq=False)
-class Hits:
-    """What the pixels of a view meet.
-
-    depth_m: (H, W) along the optical axis, inf where there is nothing.  inverse: (H, W) one over
-    it.  normals: (H, W, 3).  base: (H, W, 3) attributes of `Terrain.surface` where ground is, the
-    object's colour where an object is.  owner: (H, W) one more than the object's number, 0 on
-    ground.
-    """
-
-    depth_m: Floats
-    inverse: Floats
-    normals: Floats
-    base: Floats
-    owner: npt.NDArray[np.uint16]
-
-
-def view(where: Pose, optics: Optics, ground: GroundMesh, objects: Objects) -> Hits:
-    """What every pixel of a camera meets on ground and objects."""
-    from .loops.surface_loops import meet
-
-    seen = z_buffer(
-        where, optics, ground.points, objects, np.ones(len(objects.balls), dtype=np.bool_)
-    )
-    shape = seen.which.shape
-    depth_m = np.empty(shape, dtype=np.float32)
-    normals, base = (np.zeros((*shape, 3), dtype=np.float32) for _ in range(2))
-    owner = np.zeros(shape, dtype=np.uint16)
-    mesh = objects.mesh
-    meet(
-        ground.points.reshape(-1, 3), ground.normals.reshape(-1, 3),
-        ground.attributes.reshape(-1, 3), ground.points.shape[1],
-        mesh.vertices, objects.normals, mesh.colours, mesh.triangles, objects.owner,
-        where.eye, where.rotation, lens_of(optics), seen.inverse, seen.which,
-        depth_m, normals, base, owner,
-    )  # fmt: skip
-    return Hits(depth_m, seen.inverse, normals, base, owner)

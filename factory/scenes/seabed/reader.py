@@ -13,11 +13,12 @@ from pydantic.dataclasses import dataclass
 
 from ...errors import FrameError
 from ...frame import Frame, FrameRef, checked
+from ...labels import ObjectName
 from ...settings import STRICT
 from ..base import Discovery, SceneSettings
 from ..roots import Root
+from .biomes import PLACE_NAMES, PlaceName
 from .movement import Movement, movements
-from .names import PLACE_NAMES, KindName, PlaceName
 from .optics import HFOV_DEG
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ class SeabedSettings(SceneSettings):
     vfov_deg: Annotated[float, Field(gt=0, le=60)] | None = None
     path: Root | None = None
     objects: Annotated[float, Field(ge=0, le=4)] = 1.0
-    kinds: tuple[KindName, ...] | None = None
+    kinds: tuple[ObjectName, ...] | None = None
     places: Annotated[tuple[PlaceName, ...], Field(min_length=1)] | None = None
 
     def __post_init__(self) -> None:

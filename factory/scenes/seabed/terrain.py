@@ -18,7 +18,6 @@ from .fields import (
     smoothstep,
     tiles,
 )
-from .objects.meshes import Indices, grid_triangles
 
 FAR_M = 36.0  # the ground ends here; water hides it long before
 
@@ -115,7 +114,7 @@ class Terrain:
         Returns (R, C, 3) positions, and (R, C, 3) attributes: rockiness, gravel share, relief (in
         units of its standard deviation, negative in crevices).
         """
-        from .loops.ground_loops import relieve
+        from .kernels import relieve
 
         x, y = np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32)
         outcrop = self.outcrop(x, y)
@@ -166,7 +165,7 @@ class Ripples:
 
 def grid_normals(points: Floats) -> Floats:
     """(R, C, 3) unit normals of a (R, C, 3) grid of points, turned upward."""
-    from .loops.ground_loops import normals_of_grid
+    from .kernels import normals_of_grid
 
     normals = np.empty_like(points)
     normals_of_grid(points, normals)
@@ -180,11 +179,6 @@ class GroundMesh:
     points: Floats
     normals: Floats
     attributes: Floats
-
-    @property
-    def triangles(self) -> Indices:
-        """(T, 3), two a cell, in the order of `grid_triangles`."""
-        return grid_triangles(*self.points.shape[:2])
 
 
 def view_mesh(

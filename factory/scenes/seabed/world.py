@@ -11,29 +11,18 @@ import numpy.typing as npt
 
 from ...frame import Frame, FrameRef
 from ...seeds import stream
-from .appearance import Palette, draw_palette
-from .biomes import PLACES, draw_terrain
+from .appearance import Palette, Scene, Water, draw_palette, draw_water, photograph
+from .biomes import PLACES, PlaceName, draw_terrain
 from .depth_dropout import measured
 from .fields import WORLD_SEED, Floats
+from .meshes import mesh
 from .movement import Movement, moved
-from .names import PlaceName
-from .objects.kinds import KINDS
-from .objects.meshes import mesh
-from .objects.placement import Item, Site, furnish
 from .optics import Optics
 from .path import Path, draw_loop, draw_path
-from .photo import Scene, photograph
-from .rasterizer import (
-    Objects,
-    Pose,
-    directions,
-    lens_of,
-    objects_of,
-    view,
-)
+from .placement import KINDS, Item, Site, furnish
+from .rasterizer import Objects, Pose, directions, lens_of, objects_of, z_buffer
 from .terrain import Terrain, view_mesh
 from .viewpoint import choose_pose
-from .water import Water, draw_water
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +30,7 @@ class World:
     """One location.
 
     labels, instances: (N,) by object number; pebbles have 0.  finishes: (N, 3) fouling, silt and
-    bump of each object, see `kinds.Kind`.
+    bump of each object, see `placement.Kind`.
     """
 
     location: int
@@ -106,22 +95,28 @@ def take(
     azimuths, elevations = _field_of_view(where, optics)
     # The mesh is as fine as the pixels: of a camera that sees 45 degrees, so many across.
     fine = min(max(optics.width / optics.across / 968, 0.35), 1.5)
-    shape = (int(440 * fine), int(320 * fine * optics.across))
+    shape = (int(370 * fine), int(280 * fine * optics.across))
     ground = view_mesh(world.terrain, where.eye, azimuths, elevations, shape)
-    hits = view(where, optics, ground, world.objects)
+    every = np.ones(len(world.labels), dtype=np.bool_)
+    seen = z_buffer(where, optics, ground.points, world.objects, every)
     rng = stream(WORLD_SEED, "seabed", world.location, "frame", frame)
     scene = Scene(
         where, optics, ground, world.objects, world.finishes, world.palette, world.water,
         world.terrain.offset_m,
     )  # fmt: skip
-    rgb = photograph(rng, scene, hits)
-    range_m = hits.depth_m * _lengths(optics)
-    keep = measured(rng, hits.depth_m, range_m, world.water.clear_m)
-    number = hits.owner * (range_m < world.water.clear_m)
+    rgb = photograph(scene, seen, rng.uniform(0.68, 0.92))
+    depth_m = seen.depth_m
+    range_m = depth_m * _lengths(optics)
+    keep = measured(rng, depth_m, range_m, world.water.clear_m)
+    things = np.append(np.uint16(0), world.objects.owner + np.uint16(1))
+    first_object = 2 * (shape[0] - 1) * (shape[1] - 1)
+    number = things.take(np.maximum(seen.which - (first_object - 1), 0)) * (
+        range_m < world.water.clear_m
+    )
     return Frame(
         ref=ref,
         rgb=rgb,
-        depth_m=np.where(keep, hits.depth_m, np.float32(0)),
+        depth_m=np.where(keep, depth_m, np.float32(0)),
         intrinsics=optics.intrinsics,
         world_from_camera=where.matrix,
         segmentation=np.append(np.uint8(0), world.labels).take(number),

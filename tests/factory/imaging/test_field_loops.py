@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.compiled import compiled
+from simnfnd.factory.elementary import log10
 from simnfnd.factory.imaging.coherent import kernels
 from simnfnd.factory.imaging.coherent.cells import cell_loops
 from simnfnd.factory.imaging.coherent.scatterers import beam_table, scatterers
 from simnfnd.factory.imaging.coherent.signal import gaussian_table
 from simnfnd.factory.imaging.coherent.tables import vertical_table
 from simnfnd.factory.pairs import fitted_window
-from simnfnd.factory.sonar.number_loops import log10
 from simnfnd.factory.sonar.window_fit import conical
 from tests.constant_field import config
 from tests.frames import ground_and_post, plain_render

@@ -1,4 +1,4 @@
-"""The compiled passes of the procedural seabed against the same steps in plain numpy."""
+"""Compiled loops and meshes of the procedural seabed against the same steps in plain numpy."""
 
 from __future__ import annotations
 
@@ -9,110 +9,45 @@ import numpy.typing as npt
 import pytest
 from scipy import ndimage
 
-from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.scenes.seabed import SeabedReader, SeabedSettings, photo, terrain
-from simnfnd.factory.scenes.seabed.depth_dropout import _ellipse, measured
+from simnfnd.factory.scenes.seabed import terrain
+from simnfnd.factory.scenes.seabed.depth_dropout import _least_around, measured
 from simnfnd.factory.scenes.seabed.fields import Floats, tiles
-from simnfnd.factory.scenes.seabed.objects.meshes import tube
-from simnfnd.factory.scenes.seabed.photo import Scene
-from simnfnd.factory.scenes.seabed.rasterizer import Hits, Objects
+from simnfnd.factory.scenes.seabed.meshes import tube
 from simnfnd.factory.seeds import stream
-from tests.seabed_in_numpy import between, channels, plain_colour
 
 
-@pytest.mark.parametrize("location", [0, 6, 8])
-def test_colours_light_and_water_are_those_of_numpy(
-    location: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A pixel at the edge of a tile's pixel may fall on the other side in double precision."""
-    from simnfnd.factory.scenes.seabed.loops import colour_loops
-
-    kept: dict[str, Any] = {}
-    light, paint = photo._light, colour_loops.photograph
-
-    def lit(scene: Scene, hits: Hits) -> tuple[Floats, Floats]:
-        made = light(scene, hits)
-        kept.update(scene=scene, hits=hits, light=made)
-        return made
-
-    def painted(*arguments: Any) -> None:
-        paint(*arguments)
-        kept["colour"] = arguments[-1].copy()
-
-    monkeypatch.setattr(photo, "_light", lit)
-    monkeypatch.setattr(colour_loops, "photograph", painted)
-    reader = SeabedReader(SeabedSettings(width=243, height=151))
-    reader.load(FrameRef("seabed", f"seabed-{location:04d}", "0001"))
-    expected = plain_colour(kept["scene"], kept["hits"], *kept["light"])
-    error = np.abs(kept["colour"] - expected).max(axis=-1)
-    assert expected.std() > 0.01
-    assert np.median(error) < 1e-5
-    assert (error > 1e-3).mean() < 0.01
+def between(tile: npt.NDArray[Any], u: Floats, v: Floats, period_m: float) -> Floats:
+    """(N,) or (N, C) values of a periodic tile between its pixels."""
+    side = tile.shape[0]
+    where = []
+    for axis_m in (u, v):
+        turns = axis_m * np.float32(1 / period_m)
+        where.append((turns - np.floor(turns)) * np.float32(side))
+    (x, y), (left, top) = where, (part.astype(np.int64) for part in where)
+    right, down = (part.reshape(-1, *[1] * (tile.ndim - 2)) for part in (x - left, y - top))
+    left, top, beside, below = (k % side for k in (left, top, left + 1, top + 1))
+    upper = tile[top, left] * (1 - right) + tile[top, beside] * right
+    lower = tile[below, left] * (1 - right) + tile[below, beside] * right
+    return np.asarray(upper * (1 - down) + lower * down, np.float32)
 
 
-@pytest.mark.parametrize("size", [3, 5, 9, 13])
-def test_least_around_is_that_of_scipy(size: int) -> None:
-    from simnfnd.factory.scenes.seabed.loops.picture_loops import least_around
-
-    values = np.random.default_rng(size).random((31, 47), dtype=np.float32)
-    least = np.empty_like(values)
-    least_around(values, _ellipse(size), least)
-    stencil = np.zeros((size, size), np.bool_)
-    for row, half in _ellipse(size):
-        stencil[row + size // 2, size // 2 - half : size // 2 + half + 1] = True
-    expected = ndimage.minimum_filter(values, footprint=stencil, mode="constant", cval=np.inf)
-    np.testing.assert_array_equal(least, expected)
+@pytest.mark.parametrize("reach", [1, 2, 4, 6])
+def test_least_around_is_that_of_scipy(reach: int) -> None:
+    values = np.random.default_rng(reach).random((31, 47), dtype=np.float32)
+    expected = ndimage.minimum_filter(values, 2 * reach + 1, mode="constant", cval=np.inf)
+    np.testing.assert_array_equal(_least_around(values, reach), expected)
 
 
-def test_ranked_is_that_of_sorting() -> None:
-    from simnfnd.factory.scenes.seabed.loops.picture_loops import ranked
-
-    rng = np.random.default_rng(0)
-    values = np.round(rng.normal(0, 3, (40, 50)), 2).astype(np.float32)  # of both signs, some equal
-    among = rng.random(values.shape) < 0.6
-    ordered = np.sort(values[among])
-    for rank in (0, 1, 300, len(ordered) - 1):
-        assert ranked(values, among, rank) == ordered[rank]
-
-
-def test_what_is_measured_is_what_numpy_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(3)
-    depth_m = ndimage.gaussian_filter(rng.uniform(0, 40, (152, 242)), 6).astype(np.float32) - 17
-    depth_m[40:80, 60:120] = 1.5
-    depth_m[:20] = np.inf
-    range_m, clear_m = depth_m * np.float32(1.1), 5.0
-    keep = measured(stream(1, "gaps"), depth_m, range_m, clear_m)
-    again = stream(1, "gaps")
-    shift = again.uniform(0, 1000, 2).astype(np.float32)
-    y, x = np.indices(depth_m.shape, dtype=np.float32) * np.float32(968 / 242)
-    texture = channels(tiles().texture)[..., :2]
-    noise = between(texture, (x + shift[0]).ravel(), (y + shift[1]).ravel(), 1000)
-    broad, grain = np.moveaxis(noise.reshape(*depth_m.shape, 2), -1, 0)
-    finite = np.minimum(depth_m, 1e4)
-    least = [
-        ndimage.minimum_filter(
-            finite, footprint=np.array(shape, bool), mode="constant", cval=np.inf
-        )
-        for shape in (_ellipse_mask(max(round(9 * 242 / 968), 3) | 1), _ellipse_mask(3))
-    ]
-    edges = (finite > least[0] * 1.12) & (broad + grain > 0.6)
-    edges |= (finite > least[1] * 1.12) & (broad + grain > -0.7)
-    near = (range_m < clear_m * (1 + 0.06 * broad + 0.03 * grain)) & ~edges
-    missing = 0.08 + 0.3 * again.random() ** 2 - (1 - near.mean())
-    border = np.maximum(abs(x / 968 * 2 - 1), abs(y / 608 * 2 - 1)) ** 8
-    doubt = 0.3 * broad + 0.1 * grain + 0.9 * border + 2.4 * np.minimum(range_m / clear_m, 1)
-    count = max(round(missing * near.size), 0)
-    limit = np.sort(doubt[near])[near.sum() - count] if count else np.inf
-    expected = near & (doubt < limit)
-    assert 0.1 < expected.mean() < 0.9
-    assert (keep == expected).mean() > 0.999
-
-
-def _ellipse_mask(size: int) -> npt.NDArray[np.bool_]:
-    mask = np.zeros((size, size), np.bool_)
-    for row, half in _ellipse(size):
-        mask[row + size // 2, size // 2 - half : size // 2 + half + 1] = True
-    return mask
+def test_depth_is_lost_far_away_and_behind_edges_in_the_share_drawn() -> None:
+    depth_m = np.full((608, 968), 3.0, np.float32)
+    depth_m[:, 500:] = 4.5
+    depth_m[:60] = np.inf
+    keep = measured(stream(1, "gaps"), depth_m, depth_m, 5.0)
+    assert not keep[:60].any()
+    assert 0.6 < keep.mean() < 0.93
+    behind, before = keep[200:400, 500:504].mean(), keep[200:400, 496:500].mean()
+    assert behind < 0.6 < before
+    assert not measured(stream(1, "gaps"), depth_m, depth_m, 1.0).any()
 
 
 def test_normals_of_a_grid_are_those_of_numpy() -> None:
@@ -127,7 +62,7 @@ def test_normals_of_a_grid_are_those_of_numpy() -> None:
 
 
 def test_relief_is_that_of_numpy() -> None:
-    from simnfnd.factory.scenes.seabed.loops.ground_loops import relieve
+    from simnfnd.factory.scenes.seabed.kernels import relieve
 
     rng = np.random.default_rng(6)
     flat = rng.uniform(-9, 9, (12, 17, 3)).astype(np.float32)
@@ -158,35 +93,6 @@ def test_relief_is_that_of_numpy() -> None:
     np.testing.assert_allclose(points, flat + normals * relief[..., None], atol=1e-4)
     tone = rock * stone + (1 - rock) * (0.4 * sand + 0.8 * crest + 0.5 * gravel * pebbles)
     np.testing.assert_allclose(attributes, np.dstack([rock, gravel, tone]), atol=1e-2)
-
-
-@pytest.mark.parametrize("location", [1, 4])
-def test_light_is_that_of_sun_maps_of_everything(
-    location: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Leaving out what throws its shadow on nothing that is seen changes no pixel."""
-    kept: list[Any] = []
-    light, parts = photo._light, Objects.parts
-    counts: list[int] = []
-
-    def both(scene: Scene, hits: Hits) -> tuple[Floats, Floats]:
-        monkeypatch.setattr(Objects, "parts", lambda self, wanted: counted(self, wanted))
-        first = light(scene, hits)
-        monkeypatch.setattr(photo, "_over", lambda balls, *rest: np.ones(len(balls), np.bool_))
-        kept.extend((first, light(scene, hits)))
-        return first
-
-    def counted(objects: Objects, wanted: npt.NDArray[np.bool_]) -> Any:
-        counts.append(int(wanted.sum()))
-        return parts(objects, wanted)
-
-    monkeypatch.setattr(photo, "_light", both)
-    SeabedReader(SeabedSettings(width=242, height=152)).load(
-        FrameRef("seabed", f"seabed-{location:04d}", "0001")
-    )
-    for one, other in zip(*kept, strict=True):
-        np.testing.assert_array_equal(one, other)
-    assert sum(counts[:2]) < sum(counts[2:]) / 2
 
 
 @pytest.mark.parametrize("closed", [False, True])

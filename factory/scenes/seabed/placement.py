@@ -2,26 +2,85 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import functools
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-from ....labels import CLASSES
-from ....seeds import stream
-from ..biomes import Place, draw
-from ..fields import WORLD_SEED
-from ..path import Loop
-from ..terrain import Terrain
-from . import nature, works
-from .kinds import KINDS
+from ...labels import CLASSES
+from ...seeds import stream
+from . import debris, nature, structures
+from .biomes import Place, draw
+from .fields import WORLD_SEED
 from .meshes import Mesh, rotation
+from .path import Loop
+from .terrain import Terrain
 
 Points = npt.NDArray[np.float64]
 
 LOW_M = 0.42  # what is lower than this may lie under the camera's path
 CLEAR_M = 0.75  # what is taller keeps this far from it
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of object.
+
+    build: draws one that rests on z = 0; None where it is built to fit its place (`Site`).
+    fouling, silt: how readily algae and fallen sediment cover it, 0 to 1.
+    bump: strength of fine surface roughness in the light, 0 to 1.
+    upright: it stays vertical on a slope.
+    """
+
+    build: Callable[[np.random.Generator], Mesh] | None
+    fouling: float
+    silt: float
+    bump: float
+    upright: bool = False
+
+
+KINDS: dict[str, Kind] = {
+    "Bottle": Kind(debris.bottle, 0.25, 0.4, 0.1),
+    "Can": Kind(debris.can, 0.25, 0.35, 0.15),
+    "Chain": Kind(None, 0.5, 0.4, 0.6),
+    "Drink-carton": Kind(debris.drink_carton, 0.2, 0.4, 0.1),
+    "Hook": Kind(debris.hook, 0.4, 0.3, 0.5),
+    "Propeller": Kind(debris.propeller, 0.45, 0.35, 0.35),
+    "Shampoo-bottle": Kind(debris.shampoo_bottle, 0.2, 0.35, 0.1),
+    "Standing-bottle": Kind(debris.standing_bottle, 0.25, 0.2, 0.1, upright=True),
+    "Tire": Kind(debris.tire, 0.35, 0.7, 0.35),
+    "Valve": Kind(debris.valve, 0.4, 0.35, 0.4),
+    "Wall": Kind(None, 0.7, 0.3, 0.8, upright=True),
+    "Boulder": Kind(nature.boulder, 0.6, 0.6, 1.0),
+    "Pipe": Kind(None, 0.5, 0.6, 0.5),
+    "Pillar": Kind(None, 0.6, 0.1, 0.9, upright=True),
+    "Frame": Kind(structures.frame, 0.45, 0.3, 0.5),
+    "Anchor": Kind(structures.anchor, 0.45, 0.35, 0.6),
+    "Block": Kind(structures.block, 0.5, 0.6, 0.8),
+    "Coral": Kind(nature.coral, 0.0, 0.0, 0.9, upright=True),
+    "Plant": Kind(nature.plant, 0.0, 0.0, 0.1, upright=True),
+    "Barrel": Kind(debris.barrel, 0.45, 0.5, 0.5),
+}
+
+_MODELS = 24  # of a kind, each turned, scaled and tinted anew wherever it lies
+
+
+@functools.cache
+def model(kind: str, number: int) -> Mesh:
+    """One of the models of a kind of object, at rest on z = 0; drawn once a process."""
+    build = nature.pebble if kind == "Pebble" else KINDS[kind].build
+    assert build is not None
+    return build(stream(WORLD_SEED, "seabed", "model", kind, number))
+
+
+def drawn_model(rng: np.random.Generator, kind: str) -> Mesh:
+    """A model of a kind, chosen at random, a little larger or smaller, lighter or darker."""
+    shape = model(kind, int(rng.integers(_MODELS)))
+    size, shade = rng.uniform(0.9, 1.1), np.float32(rng.uniform(0.85, 1.15))
+    turned = shape.moved(rotation("z", rng.uniform(0, 2 * np.pi)), scale=size)
+    return Mesh(turned.vertices, turned.colours * shade, turned.triangles)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +114,11 @@ class Site:
 
     def scatter(self, kind: str, count: int) -> None:
         """Put `count` objects of a kind with a free-standing builder near the path."""
-        build = KINDS[kind].build
         for _ in range(count):
-            if build is None:
+            if KINDS[kind].build is None:
                 self._lay(kind)
                 continue
-            mesh = build(self.rng)
-            turned = mesh.moved(rotation("z", self.rng.uniform(0, 2 * np.pi)))
+            turned = drawn_model(self.rng, kind)
             reach = float(np.sqrt((turned.vertices[:, :2] ** 2).sum(axis=1).max()))
             spot = self._spot(reach, float(turned.vertices[:, 2].max()))
             if spot is not None:
@@ -69,17 +126,13 @@ class Site:
 
     def pebbles(self, count: int) -> None:
         """Small stones, in heaps, of a few shapes used again and again."""
-        shapes = [nature.pebble(self.rng) for _ in range(12)]
-        heaps = [self._near_loop(self.rng.uniform(-6, 6)) for _ in range(max(count // 14, 1))]
-        spots = np.stack(heaps)[self.rng.integers(len(heaps), size=count)]
+        heaps = self._near_loop(self.rng.uniform(-6, 6, max(count // 14, 1)))
+        spots = heaps[self.rng.integers(len(heaps), size=count)]
         spots += self.rng.normal(0, 0.7, (count, 2))
         for (x, y), height in zip(spots, self.terrain.height_m(*spots.T), strict=True):
-            shape = shapes[int(self.rng.integers(len(shapes)))]
-            turned = shape.moved(
-                rotation("z", self.rng.uniform(0, 2 * np.pi)),
-                (x, y, height),
-                self.rng.uniform(0.6, 1.5),
-            )
+            turn, size = self.rng.uniform(0, 2 * np.pi), self.rng.uniform(0.6, 1.5)
+            shape = model("Pebble", int(self.rng.integers(12)))
+            turned = shape.moved(rotation("z", turn), (x, y, height), size)
             self.items.append(Item(turned, None))
 
     def build_pier(self) -> None:
@@ -93,12 +146,12 @@ class Site:
             for along in np.arange(-22, 22, spacing):
                 foot = self._on_axis(along + rng.normal(0, 0.1), across + rng.normal(0, 0.08))
                 top = rng.uniform(6, 8)
-                shaft = works.pile(rng, top, radius * rng.uniform(0.9, 1.1))
+                shaft = structures.pile(rng, top, radius * rng.uniform(0.9, 1.1))
                 self._fix(shaft, "Pillar", foot)
                 if previous is not None and rng.random() < 0.55:
                     low, high = rng.uniform(0.4, 1.4), rng.uniform(1.6, 3.2)
                     lift = np.array([0, 0, 1.0])
-                    beam = works.brace(rng, previous + low * lift, foot + high * lift)
+                    beam = structures.brace(rng, previous + low * lift, foot + high * lift)
                     self.items.append(Item(beam, "Pillar"))
                 previous = foot
 
@@ -110,12 +163,12 @@ class Site:
         foot = self._on_axis(0.0, face)
         turn = rotation("z", self.heading_rad)
         steel = rng.random() < 0.35
-        build = works.sheet_pile if steel else works.quay
+        build = structures.sheet_pile if steel else structures.quay
         self.items.append(Item(build(rng, length, height).moved(turn, foot), "Wall"))
         for along in np.arange(-18, 18, 2.2):
             where = np.array([along + rng.uniform(-0.8, 0.8), -0.28, rng.uniform(0.7, 2.4)])
             if rng.random() < 0.5:
-                hung = works.fender(rng)
+                hung = structures.fender(rng)
                 offset = np.einsum("ij,j->i", turn, where) + foot
                 self.items.append(Item(hung.moved(turn, offset), "Tire"))
         self.taken += [
@@ -127,7 +180,7 @@ class Site:
         """Lay out an object that follows the ground."""
         rng = self.rng
         if kind == "Wall":  # a ruined piece of wall, off the path
-            build = works.quay if rng.random() < 0.7 else works.sheet_pile
+            build = structures.quay if rng.random() < 0.7 else structures.sheet_pile
             wall = build(rng, rng.uniform(1.5, 4.0), rng.uniform(0.5, 1.4))
             wall = wall.moved(rotation("z", rng.uniform(0, 2 * np.pi)))
             reach = float(np.abs(wall.vertices[:, :2]).max())
@@ -138,15 +191,14 @@ class Site:
         if kind == "Pillar":
             spot = self._spot(0.4, 5.0)
             if spot is not None:
-                pile = works.pile(rng, rng.uniform(1.0, 6.0), rng.uniform(0.12, 0.35))
+                pile = structures.pile(rng, rng.uniform(1.0, 6.0), rng.uniform(0.12, 0.35))
                 self._fix(pile, kind, np.array([*spot, self._ground(*spot)]), 0.5)
             return
         length = rng.uniform(2.0, 4.5) if kind == "Chain" else rng.uniform(5.0, 14.0)
-        near = self._near_loop(
-            rng.choice([-1, 1]) * rng.uniform(0.3, 0.7 * self.place.spread_m + 0.5)
-        )
-        line = works.curve(rng, near, length, 0.9 if kind == "Chain" else 0.12)
-        build_line = works.chain if kind == "Chain" else works.pipe
+        aside = rng.choice([-1, 1]) * rng.uniform(0.3, 0.7 * self.place.spread_m + 0.5)
+        near = self._near_loop(np.array([aside]))[0]
+        line = structures.curve(rng, near, length, 0.9 if kind == "Chain" else 0.12)
+        build_line = structures.chain if kind == "Chain" else structures.pipe
         self.items.append(Item(build_line(rng, line, self.terrain.height_m), kind))
         if kind == "Pipe":
             self.taken += [(float(x), float(y), 0.25) for x, y in line[::6]]
@@ -175,21 +227,19 @@ class Site:
     def _spot(self, reach: float, height: float) -> tuple[float, float] | None:
         """A free place for a thing of that reach and height, or None after 40 tries."""
         nearest = 0.0 if height < LOW_M else reach + CLEAR_M
-        for _ in range(40):
-            aside = nearest + self.rng.exponential(self.place.spread_m)
-            x, y = self._near_loop(aside * self.rng.choice([-1, 1]))
-            if self.loop.distance_m(x, y) < nearest:
-                continue
+        for _ in range(5):  # eight tries at once
+            aside = nearest + self.rng.exponential(self.place.spread_m, 8)
+            points = self._near_loop(aside * self.rng.choice([-1, 1], 8))
+            free = self.loop.distance_m(*points.T) >= nearest
             if self.terrain.banks is not None:
-                behind = self.terrain.banks.behind_foot_m(
-                    np.array([x], np.float32), np.array([y], np.float32)
-                )
-                if float(behind[0]) > 0.3 * reach:
-                    continue
+                behind = self.terrain.banks.behind_foot_m(*points.T.astype(np.float32))
+                free &= behind <= 0.3 * reach
             there = self._there()
-            apart = np.hypot(x - there[:, 0], y - there[:, 1])
-            if (apart > reach + there[:, 2]).all():
-                return float(x), float(y)
+            apart = np.hypot(*(points[:, :, None] - there[:, :2].T).transpose(1, 0, 2))
+            free &= (apart > reach + there[:, 2]).all(axis=1)
+            if free.any():
+                x, y = points[np.argmax(free)].tolist()
+                return x, y
         return None
 
     def _there(self) -> Points:
@@ -198,9 +248,10 @@ class Site:
             self._known = np.array(self.taken, dtype=np.float64)
         return self._known
 
-    def _near_loop(self, aside: float) -> Points:
-        point, tangent = self.loop.at(self.rng.uniform(0, self.loop.length_m))
-        return point + aside * np.array([-tangent[1], tangent[0]])
+    def _near_loop(self, aside: Points) -> Points:
+        """(N, 2) points beside the loop anywhere along it, (N,) metres to its left."""
+        point, tangent = self.loop.at(self.rng.uniform(0, self.loop.length_m, len(aside)))
+        return point + aside[:, None] * np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
 
     def _on_axis(self, along: float, across: float) -> Points:
         c, s = np.cos(self.heading_rad), np.sin(self.heading_rad)

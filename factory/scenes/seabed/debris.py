@@ -182,33 +182,17 @@ def tire(rng: np.random.Generator) -> Mesh:
     outer = rng.uniform(0.28, 0.58)
     width = outer * rng.uniform(0.32, 0.5)
     rim = outer * rng.uniform(0.55, 0.66)
-    profile = np.array(
-        [
-            [rim, -0.36],
-            [rim + 0.3 * (outer - rim), -0.49],
-            [rim + 0.75 * (outer - rim), -0.5],
-            [outer * 0.985, -0.4],
-            [outer, -0.2],
-            [outer * 0.978, -0.18],
-            [outer * 0.978, -0.1],
-            [outer, -0.08],
-            [outer, 0.08],
-            [outer * 0.978, 0.1],
-            [outer * 0.978, 0.18],
-            [outer, 0.2],
-            [outer * 0.985, 0.4],
-            [rim + 0.75 * (outer - rim), 0.5],
-            [rim + 0.3 * (outer - rim), 0.49],
-            [rim, 0.36],
-            [rim + 0.1 * (outer - rim), 0.34],
-            [rim + 0.7 * (outer - rim), 0.4],
-            [outer * 0.94, 0.3],
-            [outer * 0.94, -0.3],
-            [rim + 0.7 * (outer - rim), -0.4],
-            [rim + 0.1 * (outer - rim), -0.34],
-            [rim, -0.36],
-        ]
-    )
+    side = [[rim, -0.36], [rim + 0.3 * (outer - rim), -0.49], [rim + 0.75 * (outer - rim), -0.5]]
+    tread = [[0.985, -0.4], [1, -0.2], [0.978, -0.18], [0.978, -0.1], [1, -0.08]]
+    outside = np.concatenate([side, np.array(tread) * [outer, 1]])
+    inside = [
+        [rim + 0.1 * (outer - rim), 0.34],
+        [rim + 0.7 * (outer - rim), 0.4],
+        [outer * 0.94, 0.3],
+    ]
+    hollow = np.array(inside)
+    turned = [outside, outside[::-1] * [1, -1], hollow, hollow[::-1] * [1, -1], side[:1]]
+    profile = np.concatenate(turned)
     rubber = np.array([0.035, 0.035, 0.038]) * rng.uniform(0.8, 1.6)
     shape = lathe(profile * [1, width], 44, rubber)
     lean = rng.choice([0.0, 0.3, 1.25, np.pi / 2], p=[0.45, 0.2, 0.15, 0.2])
@@ -237,24 +221,8 @@ def valve(rng: np.random.Generator) -> Mesh:
 def barrel(rng: np.random.Generator) -> Mesh:
     """A steel drum, lying or upright."""
     radius, height = 0.29 * rng.uniform(0.8, 1.1), 0.86 * rng.uniform(0.85, 1.1)
-    levels = [
-        0.03,
-        0.03,
-        0,
-        0.02,
-        0.3,
-        0.32,
-        0.34,
-        0.36,
-        0.64,
-        0.66,
-        0.68,
-        0.7,
-        0.98,
-        1,
-        0.97,
-        0.97,
-    ]
+    hoops = [0.3, 0.32, 0.34, 0.36, 0.64, 0.66, 0.68, 0.7]
+    levels = [0.03, 0.03, 0, 0.02, *hoops, 0.98, 1, 0.97, 0.97]
     radii = [0, 0.94, 0.97, 1, 1, 1.04, 1.04, 1, 1, 1.04, 1.04, 1, 1, 0.97, 0.94, 0]
     profile = np.column_stack([np.array(radii) * radius, np.array(levels) * height])
     paint = pick(rng, (RUST, PAINTS[2], PAINTS[0], PAINTS[1]))

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from ..fields import Arrays, Floats, waves
+from .fields import Arrays, Floats, waves
 
 Indices = npt.NDArray[np.int32]
 Colour = tuple[float, float, float]
@@ -38,7 +39,10 @@ class Mesh:
         """Scaled, then rotated by a (3, 3) matrix, then shifted by `offset` metres."""
         points = self.vertices * np.asarray(scale, dtype=np.float32)
         if rotation is not None:
-            points = np.einsum("ij,vj->vi", np.asarray(rotation, dtype=np.float32), points)
+            turn = np.asarray(rotation, dtype=np.float32)
+            x, y, z = points.T
+            rows = [turn[k, 0] * x + turn[k, 1] * y + turn[k, 2] * z for k in range(3)]
+            points = np.stack(rows, axis=-1)
         return Mesh(points + np.asarray(offset, dtype=np.float32), self.colours, self.triangles)
 
     def standing(self) -> Mesh:
@@ -80,7 +84,7 @@ def join(parts: Iterable[Mesh]) -> Mesh:
 
 def vertex_normals(vertices: Floats, triangles: Indices) -> Floats:
     """(V, 3) unit normals, the area-weighted mean of the triangles around each vertex."""
-    from .mesh_loops import point_normals
+    from .kernels import point_normals
 
     normals = np.empty(vertices.shape, dtype=np.float32)
     point_normals(np.ascontiguousarray(vertices), np.ascontiguousarray(triangles), normals)
@@ -136,21 +140,37 @@ def tube(
     colour: npt.ArrayLike = GREY,
 ) -> Mesh:
     """A round bar along an (N, 3) path; radius and colour may change along it; ends are capped."""
-    from .mesh_loops import bend_tube
-
-    points = np.ascontiguousarray(path, dtype=np.float64)
-    radii = np.ascontiguousarray(radius, dtype=np.float64).reshape(-1)
-    colours = np.ascontiguousarray(colour, dtype=np.float32).reshape(-1, 3)
-    rings = len(points) + (0 if closed else 4)
-    vertices, painted = (np.empty((rings * segments, 3), dtype=np.float32) for _ in range(2))
-    bend_tube(points, radii, colours, closed, *_circle(segments), vertices, painted)
-    return Mesh(vertices, painted, _tube_triangles(rings, segments, closed))
-
-
-@functools.cache
-def _circle(segments: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    points = np.asarray(path, dtype=np.float64)
+    radii = np.broadcast_to(np.asarray(radius, dtype=np.float64), len(points))
+    colours = np.broadcast_to(np.asarray(colour, dtype=np.float32), points.shape)
+    if closed:
+        tangents = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
+    else:  # a ring of radius 0 at either end, and the rims twice to keep their edges
+        rings = np.array([0, 0, *range(len(points)), -1, -1])
+        tangents = np.gradient(points, axis=0)[rings]
+        points, radii, colours = points[rings], radii[rings], colours[rings]
+        radii[[0, -1]] = 0
+    tangents /= np.maximum(np.sqrt((tangents**2).sum(axis=1, keepdims=True)), 1e-12)
+    side = _sides(tangents)
+    up = np.cross(tangents, side)
     angle = np.arange(segments) * (2 * np.pi / segments)
-    return np.cos(angle), np.sin(angle)
+    around = np.cos(angle)[:, None] * side[:, None] + np.sin(angle)[:, None] * up[:, None]
+    vertices = (points[:, None] + radii[:, None, None] * around).reshape(-1, 3)
+    triangles = _tube_triangles(len(points), segments, closed)
+    return mesh(vertices, triangles, np.repeat(colours, segments, axis=0))
+
+
+def _sides(tangents: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """(N, 3) unit vectors across unit tangents that do not spin along the path."""
+    sides = np.empty_like(tangents)
+    x, y, z = np.eye(3)[np.argmin(np.abs(tangents[0]))].tolist()
+    for k, (ax, ay, az) in enumerate(tangents.tolist()):
+        along = ax * x + ay * y + az * z
+        x, y, z = x - ax * along, y - ay * along, z - az * along
+        scale = 1 / max(math.sqrt(x * x + y * y + z * z), 1e-12)
+        x, y, z = x * scale, y * scale, z * scale
+        sides[k] = x, y, z
+    return sides
 
 
 @functools.cache

@@ -1,7 +1,9 @@
-"""Compiled loops over numbers, and functions for other loops; see `simnfnd.factory.compiled`.
+"""Elementary functions for compiled loops, and the two loops over numbers that several rooms share.
 
-Polynomials, because a loop must run several numbers at a time: atan of Abramowitz and Stegun (1964)
-4.4.49, within 2e-8 before rounding; cos by its series up to the twelfth power, within 1e-8.
+Written out, because a loop must run several numbers at a time, and because the bytes of a dataset
+may not depend on the C library: atan of Abramowitz and Stegun (1964) 4.4.49, within 2e-8 before
+rounding; cos by its series up to the twelfth power, within 1e-8.
+Imported where it is used: see `simnfnd.factory.compiled`.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..compiled import compiled
+from .compiled import compiled
 
 _F = np.float32
 _ONE, _ZERO, _TINY = _F(1), _F(0), _F(1e-30)
@@ -56,6 +58,14 @@ _PER_LN10, _LOG10_2, _LOG10_2_REST = (
     _F(7.9034151668e-07),
 )
 
+_TURN = 2 * np.pi
+_S1, _S3, _S5 = (_F(v) for v in (_TURN, -(_TURN**3) / 6, _TURN**5 / 120))
+_S7, _S9 = _F(-(_TURN**7) / 5040), _F(_TURN**9 / 362880)
+_S11 = _F(-(_TURN**11) / 39916800)
+_HALF, _ROUND = _F(0.5), _F(12582912)  # added and taken off again, it rounds to whole numbers
+_LOG2E = _F(1 / np.log(2))
+_E = tuple(_F(np.log(2) ** k / f) for k, f in enumerate((1, 1, 2, 6, 24, 120, 720)))
+
 FLOATS = "Array(float32, 1, 'C', readonly=True)"
 _OUT = "float32[::1]"
 
@@ -80,6 +90,29 @@ def cos(angle: Any) -> Any:
     """Cosine of an angle within a quarter turn, float32."""
     u = angle * angle
     return _ONE + u * (_C2 + u * (_C4 + u * (_C6 + u * (_C8 + u * (_C10 + u * _C12)))))
+
+
+@compiled()
+def sine_of_turns(turns: Any) -> Any:
+    """Sine of an angle in turns, float32, |turns| < 2^21, by its series, within 6e-8."""
+    part = turns - ((turns + _ROUND) - _ROUND)
+    size = abs(part)
+    size = min(size, _HALF - size)
+    t = size if part >= _F(0) else -size
+    u = t * t
+    return t * (_S1 + u * (_S3 + u * (_S5 + u * (_S7 + u * (_S9 + u * _S11)))))
+
+
+@compiled()
+def exponential(x: Any) -> Any:
+    """Exponential, float32, -80 <= x <= 80, within 2e-7 of its size."""
+    turns = x * _LOG2E
+    whole = (turns + _ROUND) - _ROUND
+    t = turns - whole
+    series = _E[3] + t * (_E[4] + t * (_E[5] + t * _E[6]))
+    mantissa = _ONE + t * (_E[1] + t * (_E[2] + t * series))
+    bits = np.int32(np.int32(whole) + np.int32(127)) << np.int32(23)
+    return mantissa * np.int32(bits).view(np.float32)
 
 
 @compiled(f"void({FLOATS}, int64[::1], {_OUT})")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ..fields import waves
 from .debris import pick
+from .fields import waves
 from .meshes import (
     Colour,
     Mesh,

@@ -1,0 +1,566 @@
+"""Compiled loops of procedural scenes: random fields, z-buffer, relief and colours of a view.
+
+Imported where it is used: see `simnfnd.factory.compiled`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...compiled import compiled
+from ...elementary import exponential, sine_of_turns
+from .fields import FINE_M, STEPS, TEXTURE_M
+
+_F = np.float32
+_ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)
+_TURNS = _F(1 / (2 * np.pi))
+_STEP = _F(1 / STEPS)
+_BLOCK = 1024
+_NEAR_M = 0.02  # what is nearer to the lens is not seen
+_SHADE_M = _F(0.04)  # how far behind an object its shadow begins
+# Of an index with a sign every access asks whether it is negative.
+_U = np.uint64
+
+_LINE, _ROWS = (f"Array(float32, {n}, 'C', readonly=True)" for n in (1, 2))
+_TRIANGLES, _TILE = ("Array(int32, 2, 'C', readonly=True)" for _ in range(2))
+_OWNERS = "Array(uint16, 1, 'C', readonly=True)"
+_PLANE, _VECTORS = "float32[:, ::1]", "float32[:, :, ::1]"
+_CAMERA = "float64[::1], float64[:, ::1], float64[::1]"
+_SIGHT = "float32[::1], float32[:, ::1], float32[::1]"
+
+
+@compiled(f"void({_ROWS}, {_ROWS}, {_LINE}, {_LINE}, float32[::1])")
+def add_waves(axes: Any, vectors: Any, phases: Any, amplitudes: Any, total: Any) -> None:
+    """Add to `total` (N,) the waves at `axes` (D, N), D of 2 or 3.
+
+    vectors: (K, D) rad/m.  phases, amplitudes: (K,).
+    """
+    for begin in range(0, axes.shape[1], _BLOCK):
+        # Cut out, so that the compiler sees that no index is negative, and does several at a time.
+        x, y = axes[0, begin : begin + _BLOCK], axes[1, begin : begin + _BLOCK]
+        z = axes[axes.shape[0] - 1, begin : begin + _BLOCK]
+        part = total[begin : begin + _BLOCK]
+        for k in range(len(phases)):
+            start, height = phases[k] * _TURNS, amplitudes[k]
+            a, b = vectors[k, 0] * _TURNS, vectors[k, 1] * _TURNS
+            c = vectors[k, 2] * _TURNS if axes.shape[0] == 3 else _ZERO
+            for i in range(len(part)):
+                part[i] += height * sine_of_turns(start + a * x[i] + b * y[i] + c * z[i])
+
+
+@compiled()
+def _tile_at(tile: Any, u_m: Any, v_m: Any, scale: Any) -> Any:
+    """Value of a periodic (S, S) tile between its pixels; `scale`: of (u, v) in periods."""
+    side = tile.shape[0]
+    x, y = u_m * scale, v_m * scale
+    x, y = (x - np.floor(x)) * _F(side), (y - np.floor(y)) * _F(side)
+    column, row = int(x), int(y)
+    right, down = x - _F(column), y - _F(row)
+    column, row = column & (side - 1), row & (side - 1)
+    after, below = (column + 1) & (side - 1), (row + 1) & (side - 1)
+    upper = tile[row, column] + right * (tile[row, after] - tile[row, column])
+    lower = tile[below, column] + right * (tile[below, after] - tile[below, column])
+    return upper + down * (lower - upper)
+
+
+@compiled(f"void({_ROWS}, {_TRIANGLES}, {_PLANE})")
+def point_normals(points: Any, triangles: Any, normals: Any) -> None:
+    """(V, 3) unit normals, the mean of the triangles around each point by their area."""
+    total = np.zeros((len(points), 3))
+    for k in range(len(triangles)):
+        a, b, c = triangles[k, 0], triangles[k, 1], triangles[k, 2]
+        px, py = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+        qx, qy = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
+        pz, qz = points[b, 2] - points[a, 2], points[c, 2] - points[a, 2]
+        x, y, z = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
+        for corner in (a, b, c):
+            total[corner, 0] += x
+            total[corner, 1] += y
+            total[corner, 2] += z
+    for k in range(len(points)):
+        x, y, z = total[k, 0], total[k, 1], total[k, 2]
+        scale = 1 / max(np.sqrt(x * x + y * y + z * z), 1e-20)
+        normals[k, 0], normals[k, 1], normals[k, 2] = x * scale, y * scale, z * scale
+
+
+@compiled()
+def _row_of_normals(here: Any, above: Any, below: Any, columns: int, normals: Any) -> None:
+    for column in range(columns):
+        left, right = 3 * max(column - 1, 0), 3 * min(column + 1, columns - 1)
+        at = 3 * column
+        dx, rx = below[at] - above[at], here[right] - here[left]
+        dy, ry = below[at + 1] - above[at + 1], here[right + 1] - here[left + 1]
+        dz, rz = below[at + 2] - above[at + 2], here[right + 2] - here[left + 2]
+        x, y, z = ry * dz - rz * dy, rz * dx - rx * dz, rx * dy - ry * dx
+        up = -_ONE if z < 0 else _ONE
+        x, y, z = x * up, y * up, z * up
+        length = max(np.sqrt(x * x + y * y + z * z), _F(1e-20))
+        normals[at], normals[at + 1], normals[at + 2] = x / length, y / length, z / length
+
+
+@compiled(f"void({_VECTORS}, {_VECTORS})")
+def normals_of_grid(points: Any, normals: Any) -> None:
+    """(R, C, 3) unit normals of a grid of points, turned upward, by central differences."""
+    rows, columns = points.shape[:2]
+    for row in range(rows):
+        # Flat, so that the compiler knows the steps from point to point.
+        above, below = points[max(row - 1, 0)], points[min(row + 1, rows - 1)]
+        _row_of_normals(
+            points[row].reshape(-1), above.reshape(-1), below.reshape(-1), columns,
+            normals[row].reshape(-1),
+        )  # fmt: skip
+
+
+@compiled(
+    f"void({_VECTORS}, {_VECTORS}, {_PLANE}, {_PLANE}, {_PLANE}, {_ROWS}, {_ROWS}, float32[::1], "
+    f"float32[::1], {_VECTORS})"
+)
+def relieve(
+    points: Any,
+    normals: Any,
+    rock: Any,
+    gravel: Any,
+    crest: Any,
+    rock_tile: Any,
+    sand_tile: Any,
+    offset: Any,
+    heights: Any,
+    attributes: Any,
+) -> None:
+    """Move points (R, C, 3) of the ground along their normals by its fine relief.
+
+    rock, gravel, crest: (R, C) rockiness, share of gravel, ripples.  heights: (3,) metres of a
+    standard deviation of rock and sand, and of a ripple's crest.
+    Written, too: attributes (R, C, 3), see `Terrain.surface`.
+    """
+    rock_m, sand_m, crest_m = heights[0], heights[1], heights[2]
+    coarse, fine = _ONE / _F(9.1), _ONE / _F(2.3)
+    sandy, pebbly = _ONE / _F(6.7), _ONE / _F(1.7)
+    first, second = offset[0], offset[1]
+    for row in range(points.shape[0]):
+        for column in range(points.shape[1]):
+            x, y, z = points[row, column, 0], points[row, column, 1], points[row, column, 2]
+            nx, ny, nz = normals[row, column, 0], normals[row, column, 1], normals[row, column, 2]
+            bare, pebbles, ripple = rock[row, column], gravel[row, column], crest[row, column]
+            stone = sand = stones = _ZERO
+            if bare > 0:
+                # The tile is laid on from the three axes and mixed by the normal.
+                sx, sy, sz = nx * nx, ny * ny, nz * nz
+                sx, sy, sz = sx * sx, sy * sy, sz * sz
+                total = max(sx + sy + sz, _F(1e-12))
+                sx, sy, sz = sx / total, sy / total, sz / total
+                px, py, pz, qy = x + first, y + first, z + second, y + second
+                stone = sx * _tile_at(rock_tile, py, pz, coarse)
+                stone += sy * _tile_at(rock_tile, px, pz, coarse)
+                stone += sz * _tile_at(rock_tile, px, qy, coarse)
+                small = sx * _tile_at(rock_tile, py, pz, fine)
+                small += sy * _tile_at(rock_tile, px, pz, fine)
+                small += sz * _tile_at(rock_tile, px, qy, fine)
+                stone += _F(0.35) * small
+            loose = _ONE - bare
+            if loose != 0:
+                sand = _tile_at(sand_tile, x + first, y + second, sandy)
+            if pebbles != 0:
+                stones = _tile_at(rock_tile, x + first, y + second, pebbly)
+            relief = rock_m * bare * stone + sand_m * loose * sand
+            relief += _F(0.011) * pebbles * stones + crest_m * ripple
+            tone = _F(0.4) * sand + _F(0.8) * ripple + _HALF * pebbles * stones
+            points[row, column, 0] = x + nx * relief
+            points[row, column, 1] = y + ny * relief
+            points[row, column, 2] = z + nz * relief
+            attributes[row, column, 0], attributes[row, column, 1] = bare, pebbles
+            attributes[row, column, 2] = bare * stone + loose * tone
+
+
+@compiled(
+    f"void({_ROWS}, {_TRIANGLES}, int64[:, ::1], int64, {_CAMERA}, float32[:, ::1], int32[:, ::1])"
+)
+def paint(
+    points: Any,
+    triangles: Any,
+    parts: Any,
+    offset: Any,
+    eye: Any,
+    axes: Any,
+    lens: Any,
+    inverse: Any,
+    which: Any,
+) -> None:
+    """Paint parts of a mesh into the picture of a camera; triangle numbers begin at `offset`.
+
+    parts: (N, 4) first point, first triangle and the ends of both.  eye: (3,).  axes: (3, 3) world
+    from camera.  lens: (4,) fx, fy, cx, cy.  inverse: (H, W) one over the depth along the optical
+    axis, 0 where nothing was met so far.  which: (H, W) number of the triangle met.
+    """
+    height, width = inverse.shape
+    x_axis, y_axis, z_axis = (
+        (axes[0, 0], axes[1, 0], axes[2, 0]),
+        (axes[0, 1], axes[1, 1], axes[2, 1]),
+        (axes[0, 2], axes[1, 2], axes[2, 2]),
+    )
+    fx, fy, middle_x, middle_y = lens[0], lens[1], lens[2], lens[3]
+    step_x, step_y = 1 / fx, 1 / fy
+    left_slope, right_slope = -middle_x * step_x, (width - 1 - middle_x) * step_x
+    top_slope, bottom_slope = -middle_y * step_y, (height - 1 - middle_y) * step_y
+    across_by_column = np.empty(width, np.float64)
+    for column in range(width):
+        across_by_column[column] = (column - middle_x) * step_x
+    placed = np.empty((len(points), 3), np.float64)  # in camera axes
+    seen = np.empty((len(points), 2), np.float32)  # column and row
+    for part in range(len(parts)):
+        for k in range(parts[part, 0], parts[part, 2]):
+            x, y, z = points[k, 0] - eye[0], points[k, 1] - eye[1], points[k, 2] - eye[2]
+            depth = z_axis[0] * x + z_axis[1] * y + z_axis[2] * z
+            across = x_axis[0] * x + x_axis[1] * y + x_axis[2] * z
+            down = y_axis[0] * x + y_axis[1] * y + y_axis[2] * z
+            placed[k, 0], placed[k, 1], placed[k, 2] = across, down, depth
+            over = 1 / max(depth, _NEAR_M)
+            seen[k, 0] = across * over * fx + middle_x
+            seen[k, 1] = down * over * fy + middle_y
+        for k in range(parts[part, 1], parts[part, 3]):
+            a, b, c = _U(triangles[k, 0]), _U(triangles[k, 1]), _U(triangles[k, 2])
+            az, bz, cz = placed[a, 2], placed[b, 2], placed[c, 2]
+            if min(az, bz, cz) > _NEAR_M:
+                left = min(seen[a, 0], seen[b, 0], seen[c, 0])
+                right = max(seen[a, 0], seen[b, 0], seen[c, 0])
+                if left > width - 1 or right < 0:
+                    continue
+                first, last = max(int(np.ceil(left)), 0), min(int(np.floor(right)), width - 1)
+                if first > last:
+                    continue
+                top = min(seen[a, 1], seen[b, 1], seen[c, 1])
+                bottom = max(seen[a, 1], seen[b, 1], seen[c, 1])
+                if top > height - 1 or bottom < 0:
+                    continue
+                upper, lower = max(int(np.ceil(top)), 0), min(int(np.floor(bottom)), height - 1)
+                if upper > lower:
+                    continue
+            elif max(az, bz, cz) <= _NEAR_M:
+                continue
+            else:
+                first, last, upper, lower = 0, width - 1, 0, height - 1
+            ax, ay = placed[a, 0], placed[a, 1]
+            bx, by = placed[b, 0], placed[b, 1]
+            cx, cy = placed[c, 0], placed[c, 1]
+            if last - first == width - 1 and (
+                (ax < left_slope * az and bx < left_slope * bz and cx < left_slope * cz)
+                or (ax > right_slope * az and bx > right_slope * bz and cx > right_slope * cz)
+                or (ay < top_slope * az and by < top_slope * bz and cy < top_slope * cz)
+                or (ay > bottom_slope * az and by > bottom_slope * bz and cy > bottom_slope * cz)
+            ):
+                continue  # it reaches behind the lens, but beside the picture
+            ux, uy, uz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+            volume = ax * ux + ay * uy + az * uz
+            if volume == 0:
+                continue
+            vx, vy, vz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
+            wx, wy, wz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            scale = 1 / volume
+            for row in range(upper, lower + 1):
+                y = (row - middle_y) * step_y
+                u0, v0, w0 = uy * y + uz, vy * y + vz, wy * y + wz
+                here = _U(row)
+                for column in range(_U(first), _U(last + 1)):
+                    x = across_by_column[column]
+                    u, v, w = (ux * x + u0) * scale, (vx * x + v0) * scale, (wx * x + w0) * scale
+                    if u >= 0 and v >= 0 and w >= 0:
+                        near = np.float32(u + v + w)
+                        if near > inverse[here, column]:
+                            inverse[here, column] = near
+                            which[here, column] = offset + k
+
+
+@compiled()
+def _ramp(low: Any, high: Any, x: Any) -> Any:
+    """0 below `low`, 1 above `high`, smooth between; see `fields.smoothstep`."""
+    t = min(max((x - low) / (high - low), _ZERO), _ONE)
+    return t * t * (_F(3) - _F(2) * t)
+
+
+@compiled()
+def _byte(word: Any, number: int) -> Any:
+    """Signed byte `number` of a 32-bit word of a noise tile, in standard deviations."""
+    return _F(np.int32(np.int32(word << np.int32(24 - 8 * number)) >> np.int32(24))) * _STEP
+
+
+@compiled()
+def _fine(word: Any, number: int) -> Any:
+    """`_byte` of detail that is finer than a pixel from a few metres on, and varies the less."""
+    return _byte(word, number) * _F(0.55)
+
+
+@compiled()
+def _word(tile: Any, u: Any, v: Any, rate: Any) -> Any:
+    """The pixel of a periodic tile at (u, v) metres, `rate` periods a metre."""
+    side = tile.shape[0]
+    x, y = u * rate, v * rate
+    column = np.int32((x - np.floor(x)) * _F(side)) & (side - 1)
+    row = np.int32((y - np.floor(y)) * _F(side)) & (side - 1)
+    return tile[_U(row), _U(column)]
+
+
+@compiled()
+def _ground(word: Any, small: Any, close: Any, surface: Any, palette: Any, turf: Any) -> Any:
+    """Albedo (red, green, blue) and roughness of ground.
+
+    word, small: what the two noise tiles say there.  close: 1 nearby, 0 where detail is finer than
+    a pixel.  surface: rockiness, share of gravel, relief.  palette: see `appearance.Palette`.
+    """
+    broad, grain, cells, speckle = _byte(word, 0), _byte(word, 1), _byte(word, 2), _byte(word, 3)
+    fine_grain, fine_cells, fine_speckle = _fine(small, 1), _fine(small, 2), _fine(small, 3)
+    bare, stones, tone = surface
+    rock = _ramp(_F(0.3), _F(0.7), bare + _F(0.22) * grain * close + _F(0.1) * cells)
+    gravel = _ramp(_F(0.35), _F(0.65), stones + _F(0.18) * cells)
+    fine = _F(0.06) * fine_grain + _F(0.05) * fine_speckle + _F(0.03) * speckle
+    sand_shade = _ONE + _F(0.07) * (broad + tone) + close * fine
+    gravel_shade = _ONE + _F(0.1) * broad + _F(0.16) * tone
+    gravel_shade += close * (_F(0.22) * fine_cells + _F(0.1) * speckle)
+    grown = _ramp(_F(0.9) - _F(1.6) * turf, _F(1.7) - _F(1.6) * turf, broad + _HALF * cells)
+    crust = _ramp(_F(0.9), _F(1.5), _fine(small, 0) + _F(0.4) * speckle)
+    crust *= (_ONE - _F(0.6) * grown) * _F(0.7)
+    rock_shade = _ONE + _F(0.14) * tone + _F(0.12) * grain
+    rock_shade += close * (_F(0.14) * fine_cells + _F(0.12) * fine_grain)
+    # Crevices are dark, edges are worn bright.
+    rock_shade *= _F(0.75) + _HALF * _ramp(_F(-2.0), _F(1.2), tone)
+    rough = _F(0.1) + _F(0.35) * gravel + rock * (_HALF - _F(0.35) * gravel)
+    mixed = (
+        _mixed(palette, 0, sand_shade, gravel_shade, rock_shade, gravel, rock, grown, crust),
+        _mixed(palette, 1, sand_shade, gravel_shade, rock_shade, gravel, rock, grown, crust),
+        _mixed(palette, 2, sand_shade, gravel_shade, rock_shade, gravel, rock, grown, crust),
+    )
+    return mixed[0], mixed[1], mixed[2], rough
+
+
+@compiled()
+def _mixed(
+    palette: Any,
+    channel: int,
+    sand_shade: Any,
+    gravel_shade: Any,
+    rock_shade: Any,
+    gravel: Any,
+    rock: Any,
+    grown: Any,
+    crust: Any,
+) -> Any:
+    loose = palette[0, channel] * sand_shade
+    loose += gravel * (palette[1, channel] * gravel_shade - loose)
+    stone = palette[2, channel] + grown * (palette[3, channel] - palette[2, channel])
+    stone = (stone + crust * (palette[4, channel] - stone)) * rock_shade
+    return loose + rock * (stone - loose)
+
+
+@compiled()
+def _thing(
+    word: Any, small: Any, close: Any, own: Any, up: Any, finishes: Any, number: Any, palette: Any
+) -> Any:
+    """Albedo and roughness of an object of colour `own`; arguments as of `_ground` and `look`."""
+    broad, grain, cells, speckle = _byte(word, 0), _byte(word, 1), _byte(word, 2), _byte(word, 3)
+    fine_broad, fine_grain, fine_cells = _fine(small, 0), _fine(small, 1), _fine(small, 2)
+    fouling, silt = finishes[number, 0], finishes[number, 1]
+    patchy = _F(0.6) * broad + _HALF * cells + _F(0.4) * fine_broad
+    grown = _ramp(_ZERO, _F(0.9), patchy + _F(2.2) * fouling - _F(1.3)) * _F(0.85)
+    crust = _ramp(_ONE, _F(1.5), fine_broad + _HALF * speckle) * min(fouling * _F(1.5), _F(0.8))
+    dusted = _ramp(_F(0.45), _F(0.95), up + _F(0.12) * grain + _F(0.1) * broad) * silt
+    shade = _ONE + _F(0.1) * grain + close * _F(0.1) * (fine_grain + fine_cells)
+    rough = finishes[number, 2] * _F(0.55) * (_ONE - _HALF * dusted)
+    sand = _F(0.8) * (_ONE + _F(0.07) * fine_grain)
+    return (
+        _overgrown(palette, 0, own[0], grown, crust, shade, sand, dusted),
+        _overgrown(palette, 1, own[1], grown, crust, shade, sand, dusted),
+        _overgrown(palette, 2, own[2], grown, crust, shade, sand, dusted),
+        rough,
+    )
+
+
+@compiled()
+def _overgrown(
+    palette: Any, channel: int, own: Any, grown: Any, crust: Any, shade: Any, sand: Any, dusted: Any
+) -> Any:
+    tint = own + grown * (palette[3, channel] - own)
+    tint = (tint + crust * (palette[4, channel] - tint)) * shade
+    return tint + dusted * (palette[0, channel] * sand - tint)
+
+
+@compiled()
+def _met(
+    corners: Any,
+    facings: Any,
+    paints: Any,
+    first: Any,
+    second: Any,
+    third: Any,
+    eye: Any,
+    x: Any,
+    y: Any,
+    z: Any,
+) -> Any:
+    """Where the ray (x, y, z) meets a triangle: its side (positive: from behind), normal, paint."""
+    a, b, c = _U(first), _U(second), _U(third)
+    px, py, pz = corners[a, 0] - eye[0], corners[a, 1] - eye[1], corners[a, 2] - eye[2]
+    qx, qy, qz = corners[b, 0] - eye[0], corners[b, 1] - eye[1], corners[b, 2] - eye[2]
+    rx, ry, rz = corners[c, 0] - eye[0], corners[c, 1] - eye[1], corners[c, 2] - eye[2]
+    one = x * (qy * rz - qz * ry) + y * (qz * rx - qx * rz) + z * (qx * ry - qy * rx)
+    two = x * (ry * pz - rz * py) + y * (rz * px - rx * pz) + z * (rx * py - ry * px)
+    three = x * (py * qz - pz * qy) + y * (pz * qx - px * qz) + z * (px * qy - py * qx)
+    facing = one + two + three
+    share = _ONE / facing
+    u, v, w = one * share, two * share, three * share
+    return (
+        facing,
+        u * facings[a, 0] + v * facings[b, 0] + w * facings[c, 0],
+        u * facings[a, 1] + v * facings[b, 1] + w * facings[c, 1],
+        u * facings[a, 2] + v * facings[b, 2] + w * facings[c, 2],
+        u * paints[a, 0] + v * paints[b, 0] + w * paints[c, 0],
+        u * paints[a, 1] + v * paints[b, 1] + w * paints[c, 1],
+        u * paints[a, 2] + v * paints[b, 2] + w * paints[c, 2],
+    )
+
+
+@compiled(
+    f"void({_ROWS}, {_ROWS}, {_ROWS}, int64, {_ROWS}, {_ROWS}, {_ROWS}, {_TRIANGLES}, {_OWNERS}, "
+    f"{_SIGHT}, {_PLANE}, int32[:, ::1], {_ROWS}, {_ROWS}, float32, float32[::1], {_TILE}, "
+    f"{_ROWS}, float32[::1], {_SIGHT}, {_PLANE}, {_VECTORS})"
+)
+def look(
+    ground: Any,
+    ground_normals: Any,
+    attributes: Any,
+    columns: Any,
+    points: Any,
+    point_normals: Any,
+    colours: Any,
+    triangles: Any,
+    owners: Any,
+    eye: Any,
+    axes: Any,
+    lens: Any,
+    inverse: Any,
+    which: Any,
+    finishes: Any,
+    palette: Any,
+    turf: Any,
+    offset: Any,
+    texture: Any,
+    water: Any,
+    sun: Any,
+    sun_eye: Any,
+    sun_axes: Any,
+    sun_lens: Any,
+    sun_inverse: Any,
+    colour: Any,
+) -> None:
+    """Linear colour of every second pixel of every second row, from what a z-buffer met.
+
+    finishes: (N, 3) fouling, silt and bump of each object.  palette: (5, 3) sand, gravel, rock,
+    algae, crust.  texture: see `fields.Tiles`.  water: (4, 3) attenuation per metre, colour
+    of the haze, light of sun and sky.  sun: (3,) toward it.  sun_*: a camera in the sun and its
+    (S, S) picture of the objects, see `paint`.
+    Written: colour (h, w, 3).
+    """
+    side = sun_inverse.shape[0]
+    cells = np.int32(columns - 1)
+    first_object = 2 * cells * (len(ground) // columns - 1)
+    for i in range(colour.shape[0]):
+        row = 2 * i
+        y0 = (_F(row) - lens[3]) / lens[1]
+        for j in range(colour.shape[1]):
+            column = 2 * j
+            number = which[row, column]
+            if number < 0:
+                for k in range(3):
+                    colour[i, j, k] = water[1, k]
+                continue
+            depth = _ONE / inverse[row, column]
+            x0 = (_F(column) - lens[2]) / lens[0]
+            x = axes[0, 0] * x0 + axes[0, 1] * y0 + axes[0, 2]
+            y = axes[1, 0] * x0 + axes[1, 1] * y0 + axes[1, 2]
+            z = axes[2, 0] * x0 + axes[2, 1] * y0 + axes[2, 2]
+            on_ground = number < first_object
+            if on_ground:
+                cell = number >> 1
+                a = np.int64(cell // cells * columns + cell % cells)
+                b = a + columns + (number & 1)
+                c = a + 1 if number & 1 else b + 1
+                met = _met(ground, ground_normals, attributes, a, b, c, eye, x, y, z)
+            else:
+                number -= first_object
+                a = np.int64(triangles[number, 0])
+                b, c = np.int64(triangles[number, 1]), np.int64(triangles[number, 2])
+                met = _met(points, point_normals, colours, a, b, c, eye, x, y, z)
+            facing, nx, ny, nz = met[0], met[1], met[2], met[3]
+            surface = met[4], met[5], met[6]
+            # Thin sheets and inner sides are seen from behind: turn their normals to the camera.
+            if not on_ground and facing > 0 and nx * x + ny * y + nz * z > 0:
+                nx, ny, nz = -nx, -ny, -nz
+            # The noise tiles are laid on along one axis, by chance in proportion to the normal.
+            ex, ey, ez = eye[0] + depth * x, eye[1] + depth * y, eye[2] + depth * z
+            sx, sy, sz = nx * nx, ny * ny, nz * nz
+            sx, sy, sz = sx * sx, sy * sy, sz * sz
+            dither = np.uint32(row * 0x9E3779B1) ^ np.uint32(column * 0x85EBCA77)
+            dither = np.uint32((dither ^ (dither >> np.uint32(15))) * np.uint32(0x2C1B3C6D))
+            chance = _F(dither >> np.uint32(8)) * _F(2.0**-24) * (sx + sy + sz)
+            across = (ey if chance < sx else ex) + offset[0]
+            along = (ez if chance < sx + sy else ey) + offset[1]
+            word = _word(texture, across, along, _F(1 / TEXTURE_M))
+            small = _word(texture, across, along, _F(1 / FINE_M))
+            # Detail that is finer than a pixel would only sparkle: fade it out with distance.
+            close = min(max(_F(1.25) - depth * _F(1 / 9), _ZERO), _ONE)
+            if on_ground:
+                red, green, blue, rough = _ground(word, small, close, surface, palette, turf)
+            else:
+                red, green, blue, rough = _thing(
+                    word, small, close, surface, nz, finishes, owners[number], palette
+                )
+            # Light: the sun by the cosine of a rough surface unless an object is in between, and
+            # the sky from above.
+            shine = nx * sun[0] + ny * sun[1] + nz * sun[2]
+            slope = _fine(small, 1) * rough * (_F(0.25) + _F(0.75) * close)
+            shine = max(shine + _HALF * slope, _ZERO)
+            dx, dy, dz = ex - sun_eye[0], ey - sun_eye[1], ez - sun_eye[2]
+            far = sun_axes[0, 2] * dx + sun_axes[1, 2] * dy + sun_axes[2, 2] * dz
+            left = sun_axes[0, 0] * dx + sun_axes[1, 0] * dy + sun_axes[2, 0] * dz
+            down = sun_axes[0, 1] * dx + sun_axes[1, 1] * dy + sun_axes[2, 1] * dz
+            at_x = int(left / far * sun_lens[0] + sun_lens[2] + _HALF)
+            at_y = int(down / far * sun_lens[1] + sun_lens[3] + _HALF)
+            if 0 <= at_x < side and 0 <= at_y < side:
+                shade = sun_inverse[at_y, at_x]
+                if shade > 0 and _ONE / shade < far - _SHADE_M:
+                    shine = _ZERO
+            sky = (_F(0.55) + _F(0.45) * nz) * (_ONE + _HALF * slope)
+            range_m = depth * np.sqrt(_ONE + x0 * x0 + y0 * y0)
+            tints = (red, green, blue)
+            for k in range(3):
+                tint = min(max(tints[k], _F(0.01)), _F(0.95))
+                haze = water[1, k]
+                lit = tint * (shine * water[2, k] + sky * water[3, k])
+                colour[i, j, k] = haze + (lit - haze) * exponential(-water[0, k] * range_m)
+
+
+@compiled(
+    f"void({_VECTORS}, float32[::1], float32, Array(uint8, 1, 'C', readonly=True), "
+    "uint8[:, :, ::1])"
+)
+def expose(colour: Any, black: Any, gain: Any, gamma: Any, picture: Any) -> None:
+    """A picture (H, W, 3) of linear colours of every second pixel, those between by their mean.
+
+    black: (3,) black level.  gain: exposure.  gamma: (L,) codes of levels from 0 to 1.
+    """
+    height, width = picture.shape[:2]
+    rows, columns = colour.shape[:2]
+    most = _F(len(gamma) - 1)
+    for row in range(height):
+        above, below = colour[row // 2], colour[min((row + 1) // 2, rows - 1)]
+        for column in range(width):
+            left, right = column // 2, min((column + 1) // 2, columns - 1)
+            for k in range(3):
+                value = _F(0.25) * (
+                    above[left, k] + above[right, k] + below[left, k] + below[right, k]
+                )
+                value = (value - black[k]) * gain
+                over = value - _F(0.75)
+                value /= _ONE + (over if over > _ZERO else _ZERO)  # highlights roll off
+                value = min(max(value, _ZERO), _ONE) * most
+                picture[row, column, k] = gamma[_U(value)]
