@@ -27,7 +27,7 @@ _LEARNED, _AGAIN = 30, 8
 """Frames after which differences are measured in every so many only."""
 _SMALL, _WIDE, _CLIP = 0.8, 7, 3.0
 """Sigma of the small window, reduced pixels; side of the wide one; deviations count no more."""
-_AGREES, _LIKE = 4.5, 3.0
+_AGREES, _LIKE = 7.0, 4.0
 """Standard deviations up to which a frame agrees with the median, and a neighbour with a frame."""
 _DARK = 0.02  # grey value below which there is nothing to learn from
 
