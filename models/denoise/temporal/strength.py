@@ -90,7 +90,7 @@ class Strength:
         for part, change in zip(self.alone, found.changes[:2], strict=True):
             if part:
                 alone += np.float32(part) * change
-        return np.clip(found.grey + alone + along * (whole - alone), 0, 1)
+        return np.asarray(np.clip(found.grey + alone + along * (whole - alone), 0, 1))
 
     def add(
         self, whole: bool, found: Predictors, outside: Grey, where: npt.NDArray[np.bool_]
@@ -193,7 +193,7 @@ def total_variation(grey: Grey, sigma: Grey) -> Grey:
 
 def _less(grey: Grey, across: Grey, down: Grey, weight: Grey) -> Grey:
     """The picture and the divergence of the dual, times the weight."""
-    divergence = across + down
+    divergence: Grey = across + down
     divergence[:, 1:] -= across[:, :-1]
     divergence[1:] -= down[:-1]
     divergence *= weight
