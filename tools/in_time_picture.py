@@ -20,7 +20,7 @@ from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.recordings import open_recording
 
 FRAMES, NUMBER = 24, 12
-SIDE, ZOOM, GAP, CAPTION_PX = 150, 2, 6, 26
+SIDE, ZOOM, GAP, CAPTION_PX = 180, 1, 4, 26
 BRIGHTER = 2.5  # the dim ground is shown so much brighter
 COLUMNS = ("as recorded", "one frame", "fused", "fused and denoised", "mean of 7")
 

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from .motion import Grey, blurred, factors, reduced
+from .motion import Floats, Grey, blurred, factors, reduced
 
 _LEVELS = 32
 _LEAST_PIXELS = 20
@@ -197,7 +197,7 @@ class Usual:
         sigma = np.interp(middles, middles[known], self._sum[known] / self._pixels[known])
         pixels = np.interp(middles, middles[known], self._pixels[known])
         window = [1, 2, 3, 2, 1]
-        power = np.convolve(np.pad(sigma**2 * pixels, 2, mode="edge"), window, "valid")
+        power: Floats = np.convolve(np.pad(sigma**2 * pixels, 2, mode="edge"), window, "valid")
         power = power / np.convolve(np.pad(pixels, 2, mode="edge"), window, "valid")
         fine = np.interp(np.linspace(0, 1, 256), middles, np.sqrt(power))
         return np.maximum(fine, _LEAST_SIGMA).astype(np.float32)

@@ -20,7 +20,7 @@ from .motion import Grey, blurred
 
 Floats = npt.NDArray[np.float64]
 
-_VARIATION, _VARIATION_STEPS = 0.9, 7
+_VARIATION, _VARIATION_STEPS = 0.9, 5
 """Weight of the total variation, standard deviations of the noise that is left; its iterations."""
 _BLURS = (0.7, 1.2, 2.5)  # sigma, pixels
 _PREDICTORS = 2 + len(_BLURS)  # total variation, network, blurred
