@@ -15,8 +15,7 @@ from ..recordings.presentation import presentation_of
 from ..removal import DEFAULT, averaged, vector
 from .pictures import Gray
 from .runtime import EXACT, open_runtime
-from .scales import by_scales
-from .tile import Maps, tiled
+from .sizes import Maps, by_scales, tiled
 
 TILE, OVERLAP = 1024, 96
 _SEVERAL = 1.5
@@ -29,7 +28,7 @@ class Denoiser:
     """Trained weights as a function of a picture.
 
     digest: SHA-256 of the weights file.  runtime: what computes it.
-    tile, overlap: see `simnfnd.models.denoise.tile`.
+    tile, overlap: see `simnfnd.models.denoise.sizes`.
     """
 
     def __init__(

@@ -20,7 +20,7 @@ from .motion import Grey, blurred
 
 Floats = npt.NDArray[np.float64]
 
-_VARIATION, _VARIATION_STEPS = 0.9, 7
+_VARIATION, _VARIATION_STEPS = 0.9, 5
 """Weight of the total variation, standard deviations of the noise that is left; its iterations."""
 _BLURS = (0.7, 1.2, 2.5)  # sigma, pixels
 _PREDICTORS = 2 + len(_BLURS)  # total variation, network, blurred
@@ -29,6 +29,7 @@ _UNTOLD = (0.5, 0.3, *[0.0] * len(_BLURS))
 """Weights where nothing was measured, for a network that knows how many frames count, or not."""
 _VARIES = (0.45, 0.75, 1.1, 1.55, 2.2, 3.3, 5.0)
 """Middles of the classes of how much a picture varies, standard deviations of its noise."""
+_AROUND = 2.2  # sigma of the window in which it varies, pixels
 _LEVELS = 64  # of how much it varies, in a table
 _KNOWN, _SURE = 300.0, 1e-3
 """Pixels that count for the usual weights, and their part whatever is measured."""
@@ -53,7 +54,7 @@ class Predictors:
 def predictors(grey: Grey, sigma: Grey, network: Grey) -> Predictors:
     """Of a picture (H, W).  sigma: (H, W) of its noise.  network: what that makes of it."""
     planes = [total_variation(grey, sigma), network, *(blurred(grey, one) for one in _BLURS)]
-    spread = blurred(grey * grey, 1.5) - blurred(grey, 1.5) ** 2
+    spread = blurred(grey * grey, _AROUND) - blurred(grey, _AROUND) ** 2
     varies = np.sqrt(np.maximum(spread, 0)) / np.maximum(sigma, 1e-4)
     level = np.clip(varies * np.float32(_LEVELS / _VARIES[-1]), 0, _LEVELS - 1)
     return Predictors(grey, [plane - grey for plane in planes], level.astype(np.uint8))
@@ -89,7 +90,7 @@ class Strength:
         for part, change in zip(self.alone, found.changes[:2], strict=True):
             if part:
                 alone += np.float32(part) * change
-        return np.clip(found.grey + alone + along * (whole - alone), 0, 1)
+        return np.asarray(np.clip(found.grey + alone + along * (whole - alone), 0, 1))
 
     def add(
         self, whole: bool, found: Predictors, outside: Grey, where: npt.NDArray[np.bool_]
@@ -192,7 +193,7 @@ def total_variation(grey: Grey, sigma: Grey) -> Grey:
 
 def _less(grey: Grey, across: Grey, down: Grey, weight: Grey) -> Grey:
     """The picture and the divergence of the dual, times the weight."""
-    divergence = across + down
+    divergence: Grey = across + down
     divergence[:, 1:] -= across[:, :-1]
     divergence[1:] -= down[:-1]
     divergence *= weight
