@@ -7,10 +7,10 @@ errors answer at once.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -22,8 +22,6 @@ from ..factory.storage.copies import local_folder
 
 if TYPE_CHECKING:
     from .settings import EvaluationSettings
-
-S = TypeVar("S")
 
 
 def report(words: Sequence[str]) -> int:
@@ -92,7 +90,7 @@ def settings_of(config: DictConfig) -> EvaluationSettings:
 
     if config.dataset.dir is None:
         raise FactoryError("dataset: give the folder that `simnfnd make` made, dataset=DIR")
-    settings = build(EvaluationSettings, _values(config))
+    settings: EvaluationSettings = build(EvaluationSettings, _values(config))
     folder = str(local_folder(settings.dataset.dir))
     settings = replace(settings, dataset=replace(settings.dataset, dir=folder))
     for key, folders in (("dataset", [settings.dataset.dir]), ("robustness", settings.robustness)):
@@ -107,11 +105,15 @@ def settings_of(config: DictConfig) -> EvaluationSettings:
 def needs_of(settings: EvaluationSettings) -> Iterator[Need]:
     """What the networks of a report need beyond what every report does."""
     # The ones that ship are left out where there is nothing to run them.
-    given = () if settings.models == "auto" else settings.models
-    networks = {"models": given, "ablation": vars(settings.ablation).values()}
-    for key, weights in networks.items():
-        if any(weights):
-            yield from (Need(f"{key}=", module) for module in ("torch", "safetensors"))
+    yield from _needs("models=", [] if settings.models == "auto" else settings.models)
+    yield from _needs("ablation=", vars(settings.ablation).values())
+
+
+def _needs(key: str, weights: Iterable[str | None]) -> Iterator[Need]:
+    """Weights that ship run in onnxruntime, those of a path in torch."""
+    for one in filter(None, weights):
+        runtime = "torch" if Path(one).expanduser().exists() else "onnxruntime"
+        yield from (Need(key, module) for module in (runtime, "safetensors"))
 
 
 def _report(config: DictConfig) -> None:
@@ -138,9 +140,8 @@ def _real(config: DictConfig) -> None:
     values = _values(config)
     if not values["real"]:
         raise FactoryError("real: give pictures or a recording: simnfnd evaluate real IN")
-    settings = build(RealSettings, values)
-    if settings.models:
-        require(Need("models=", module) for module in ("torch", "safetensors"))
+    settings: RealSettings = build(RealSettings, values)
+    require(_needs("models=", settings.models))
     from .real.judging import evaluate
 
     evaluate(settings)
@@ -155,7 +156,7 @@ def _realism(config: DictConfig) -> None:
         raise FactoryError(f"{'sim' if values['real'] else 'real'}: {usage}")
     if isinstance(values["sim"], str):
         values["sim"] = [values["sim"]]
-    settings = build(RealismSettings, values)
+    settings: RealismSettings = build(RealismSettings, values)
     from .realism.report import evaluate
 
     evaluate(settings)
@@ -173,7 +174,7 @@ def _fit(config: DictConfig) -> None:
     values["parameters"] = {
         key: value for key, value in flattened(values["parameters"]).items() if value is not None
     }
-    settings = build(FitSettings, values)
+    settings: FitSettings = build(FitSettings, values)
     from .calibrate import files, search
 
     # The recipe is composed as `simnfnd make` would, by a Hydra of its own.

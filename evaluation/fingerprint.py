@@ -3,40 +3,38 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
 from functools import lru_cache
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 
 _LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "scikit-image")
+_RUNTIMES = ("torch", "onnxruntime")
+# Wider than need be: a digest that is too narrow would let old figures pass for new ones.
 _MEASURING = (
     "simnfnd.evaluation.metrics",
     "simnfnd.evaluation.runner",
-    "simnfnd.factory.dataset.describe.similarity",
-)
-# What turns files into pictures, and says where range and bearing are in them.
-_READING = (
     "simnfnd.evaluation.pairs",
     "simnfnd.evaluation.image_files",
     "simnfnd.factory.dataset.read",
+    "simnfnd.factory.dataset.describe.similarity",
     "simnfnd.factory.sonar",
 )
-# Wider than need be: a digest that is too narrow would let old figures pass for new ones.
 _NETWORKS = ("simnfnd.models", "simnfnd.evaluation.methods.networks")
 
 
 def program_digest() -> str:
     """Changes with the code and the libraries that decide the figures of every method."""
-    return _digest([sources_digest(*_MEASURING, *_READING), *map(_version, _LIBRARIES)])
+    return _digest(sources_digest(*_MEASURING), *map(_version, _LIBRARIES))
 
 
 def network_digest(device: str) -> str:
-    """Changes with the code that runs networks, with torch, and with the kind of device.
+    """Changes with the code that runs networks, with what computes them, and with the device.
 
     device: auto, cpu or gpu, as in the settings.
     """
-    return _digest([sources_digest(*_NETWORKS), _version("torch"), _device_kind(device)])
+    runtimes = map(_version, _RUNTIMES)
+    return _digest(sources_digest(*_NETWORKS), *runtimes, _device_kind(device))
 
 
 @lru_cache(maxsize=16)
@@ -56,11 +54,11 @@ def sources_digest(*modules: str) -> str:
 
 
 def _device_kind(device: str) -> str:
+    if device == "cpu" or find_spec("torch") is None:
+        return device
     import torch
 
-    if device != "cpu" and torch.cuda.is_available():
-        return torch.cuda.get_device_name()
-    return "cpu"
+    return torch.cuda.get_device_name() if torch.cuda.is_available() else "cpu"
 
 
 def _version(library: str) -> str:
@@ -70,5 +68,5 @@ def _version(library: str) -> str:
         return f"{library} absent"
 
 
-def _digest(parts: Iterable[str]) -> str:
+def _digest(*parts: str) -> str:
     return hashlib.blake2b("\n".join(parts).encode(), digest_size=12).hexdigest()

@@ -8,6 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from PIL import Image
 
 from ..factory.dataset.read.reader import reading
@@ -48,15 +49,25 @@ def read_given(folder: str, item: Item) -> Gray:
             array = np.load(path, allow_pickle=False)
         except (OSError, ValueError) as error:
             raise FactoryError(f"{path}: not a readable .npy file ({error})") from error
-        found = in_unit_range(array, str(path))
+        found = _in_unit_range(array, path)
     else:
         found = read_gray(path)
     wanted = picture(item.place).noisy.shape
     if found.shape != wanted:
         raise FactoryError(f"{path}: {_size(found.shape)} pixels, but its pair has {_size(wanted)}")
-    if not np.isfinite(found).all():
-        raise FactoryError(f"{path}: has NaN or infinite pixels")
     return found
+
+
+def _in_unit_range(array: npt.NDArray[np.generic], path: Path) -> Gray:
+    """Whole numbers by their full scale; floats as they are, what overshoots clipped."""
+    if array.dtype in (np.uint8, np.uint16):
+        return in_unit_range(array, str(path))
+    if array.dtype.kind != "f":
+        raise FactoryError(f"{path}: {array.dtype} pixels; give uint8, uint16 or floats in 0..1")
+    low, high = float(array.min(initial=0)), float(array.max(initial=0))
+    if not -0.5 <= low <= high <= 1.5:
+        raise FactoryError(f"{path}: pixels of {low:g} .. {high:g}; floats must lie in 0..1")
+    return np.asarray(np.clip(array, 0, 1), np.float32)
 
 
 def _checked(given: PicturesFolder, items: Sequence[Item]) -> str:

@@ -75,16 +75,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("settings", nargs="*", metavar="KEY=VALUE")
     parser.add_argument("--out", type=Path, default=Path("outputs/figures"))
+    parser.add_argument("--only", choices=("paper", "devices"))
     given = parser.parse_intermixed_args()
     own = any(word.startswith("scenes=") for word in given.settings)
     config = compose_config([*(() if own else SCENES), *PICTURE, *given.settings])
     matplotlib.use("Agg")
     given.out.mkdir(parents=True, exist_ok=True)
-    seen = views(config)
-    for name, rows in figures(seen, config).items():
-        save(given.out / f"{name}.png", rows)
-    renders = [word for word in given.settings if word.startswith("render=")]
-    save(given.out / "devices.png", devices(renders))
+    if given.only != "devices":
+        for name, rows in figures(views(config), config).items():
+            save(given.out / f"{name}.png", rows)
+    if given.only != "paper":
+        renders = [word for word in given.settings if word.startswith("render=")]
+        save(given.out / "devices.png", devices(renders))
 
 
 def views(config: FactoryConfig, most: int = 3) -> list[View]:

@@ -82,7 +82,7 @@ class PairsData(DataSettings):
 class RendersData(DataSettings):
     """`data=renders`: fresh noise on the renders of a dataset, at every visit."""
 
-    kind: Literal["renders"]
+    kind: Literal["renders", "mixed"]
     pack: str | None
     cache: str | None
     factory: tuple[str, ...]
@@ -99,6 +99,23 @@ class RendersData(DataSettings):
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
+class MixedData(RendersData):
+    """`data=mixed`: drawn devices, the paper's points and recordings beside each other."""
+
+    kind: Literal["mixed"]
+    experiment: str
+    recordings: tuple[str, ...]
+    recordings_share: Share
+    points_share: Share
+    several: Share
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.points_share + self.recordings_share > 1:
+            raise ValueError("points_share and recordings_share: must not be more than 1 together")
+
+
+@dataclass(frozen=True, config=STRICT, kw_only=True)
 class OldData(DataSettings):
     """`data=olddata`: real images taken as clean, artificial noise on top."""
 
@@ -112,6 +129,7 @@ class OldData(DataSettings):
 DATA: dict[str, type[DataSettings]] = {
     "pairs": PairsData,
     "renders": RendersData,
+    "mixed": MixedData,
     "olddata": OldData,
 }
 """kind -> its settings."""

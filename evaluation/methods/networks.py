@@ -33,8 +33,8 @@ def networks_of(settings: EvaluationSettings) -> list[Method]:
 
 
 def shipped_for(settings: EvaluationSettings) -> list[str]:
-    """Name of the weights that `simnfnd denoise` takes for the pictures; [] without torch."""
-    if not all(map(find_spec, ("torch", "safetensors"))):
+    """Name of the weights that `simnfnd denoise` takes here; [] where nothing runs them."""
+    if not all(map(find_spec, ("onnxruntime", "safetensors"))):
         return []
     from ...models.denoise.inputs import Item
     from ...models.denoise.shards import made_of_points
@@ -88,8 +88,11 @@ def network(weights: str, device: str) -> Network:
 
 
 def costs_of(networks: Sequence[Method]) -> dict[str, dict[str, float]]:
-    """Label -> gmac (for 256x256 pixels) and parameters of each network, as docs/models.md."""
-    if not networks:
+    """Label -> gmac (for 256x256 pixels) and parameters of each network, as docs/models.md.
+
+    Nothing without torch, which counts them.
+    """
+    if not networks or find_spec("torch") is None:
         return {}
     from ...models.networks.cost import count_macs
     from ...models.networks.weights import load_weights

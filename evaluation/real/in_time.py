@@ -20,7 +20,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ...models.denoise.temporal.stream import InTime, Network, Shot
-from ...models.denoise.temporal.strength import AS_FUSED
 from ..metrics.fidelity import psnr, ssim_map
 
 Gray = npt.NDArray[np.float32]
@@ -130,16 +129,11 @@ def variation_of(picture: Gray, weight: float) -> Gray:
 
 def _in_time(frames: Gray, network: Network | None) -> list[Gray]:
     """Fused, and denoised where there is a network."""
-    fixed = (AS_FUSED, AS_FUSED) if network is None else None
-    stream: InTime[int] = InTime(network or _unchanged, fixed=fixed)
+    stream: InTime[int] = InTime(network)
     found: list[Gray] = []
     for number, frame in enumerate(frames):
         found += [picture for _, picture in stream.push(Shot(number, frame))]
     return found + [picture for _, picture in stream.finish()]
-
-
-def _unchanged(gray: Gray, geometry: object = None) -> Gray:
-    return gray
 
 
 def _references(frames: Gray) -> tuple[Gray, Mask]:

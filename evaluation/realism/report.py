@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ...factory.errors import FactoryError
-from ..report.page import render
+from ...factory.files import explain_os_errors, write_atomically
+from ..report.measure import as_data_uri
+from ..report.page import own_file, render
 from ..report.text import as_markdown, as_table, plain
 from .compare import Comparison, Interval, compare, overall
 from .measure import Measured, measure
-from .plots import draw_all
+from .plots import distributions, ratios
 from .real import open_real
 from .settings import RealismSettings
 from .sources import Collection, open_dataset
@@ -70,27 +70,40 @@ def write(
     measured: Mapping[str, Measured],
     comparisons: Sequence[Comparison],
 ) -> None:
-    """Write realism.json, realism.md, realism.html and the plots into `out`.
+    """Write realism.json, realism.md and realism.html into `out`.
 
     collections, measured: "real" first, then the simulations.  Raises FactoryError when the folder
     cannot be written.
     """
     facts = _facts(settings, collections, comparisons)
+    # Far range on top.
     pictures = {
-        name: [source.polar(settings.grid) for source in collection.at_most(8).sources]
+        name: [as_data_uri(one.polar(settings.grid)[::-1]) for one in collection.at_most(8).sources]
         for name, collection in collections.items()
     }
-    try:
+    page = render(
+        "realism.html",
+        {"number": number, "times": times},
+        css=own_file("page.css"),
+        title=f"Simulated against real: {facts['real']}",
+        facts=facts,
+        names=list(comparisons[0].distance),
+        comparisons=comparisons,
+        sums=sums(comparisons),
+        explanation=_explanation(facts),
+        ratios=ratios(comparisons),
+        distributions=distributions(measured),
+        pictures=pictures,
+    )
+    files = {
+        "realism.json": json.dumps(facts, indent=2, allow_nan=False) + "\n",
+        "realism.md": _markdown(facts, comparisons),
+        "realism.html": page,
+    }
+    with explain_os_errors(out, "out"):
         out.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(facts, indent=2, allow_nan=False)
-        (out / "realism.json").write_text(text + "\n", encoding="utf-8")
-        (out / "realism.md").write_text(_markdown(facts, comparisons), encoding="utf-8")
-        plots = draw_all(out, comparisons, measured, pictures)
-        (out / "realism.html").write_text(_page(out, facts, comparisons, plots), encoding="utf-8")
-    except OSError as error:
-        raise FactoryError(
-            f"out={out}: cannot write there ({error.strerror or error}); choose another out="
-        ) from error
+    for name, text in files.items():
+        write_atomically(out / name, text.encode(), durable=False, key="out")
 
 
 def _facts(
@@ -148,43 +161,6 @@ def _markdown(facts: Mapping[str, Any], comparisons: Sequence[Comparison]) -> st
         f"# Simulated against real: {facts['real']}\n\n{notes}\n{table(comparisons)}\n\n"
         f"{_explanation(facts)}\n"
     )
-
-
-_TITLES = {
-    "ratios": "Distance over baseline",
-    "distributions": "What lies behind it",
-    "pictures": "Examples: polar pictures, far range on top",
-}
-
-
-def _page(
-    out: Path, facts: Mapping[str, Any], comparisons: Sequence[Comparison], plots: Sequence[str]
-) -> str:
-    """One file with everything in it: it can be sent by mail."""
-    names = list(comparisons[0].distance)
-    return render(
-        "realism.html",
-        {"number": number, "times": times},
-        title=f"Simulated against real: {facts['real']}",
-        facts=facts,
-        names=names,
-        comparisons=comparisons,
-        sums=sums(comparisons),
-        explanation=_explanation(facts),
-        plots=[
-            {
-                "title": _TITLES[name],
-                "light": _inline(out, name),
-                "dark": _inline(out, f"{name}-dark"),
-            }
-            for name in plots
-        ],
-    )
-
-
-def _inline(out: Path, name: str) -> str:
-    data = base64.b64encode((out / f"{name}.png").read_bytes()).decode()
-    return f"data:image/png;base64,{data}"
 
 
 def table(comparisons: Sequence[Comparison]) -> str:

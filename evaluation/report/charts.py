@@ -16,6 +16,8 @@ from .robustness import curve_of
 from .text import METRIC_NAMES, written
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from .measure import Example
 
 Content = Mapping[str, Any]
@@ -23,7 +25,7 @@ Content = Mapping[str, Any]
 _COLOURS = 10
 """Of the style sheet: --c0 .. --c9."""
 # matplotlib knows no variables of a style sheet: these stand for them until the text is made.
-_INK, _GRID, _SERIES = "#000001", "#000002", "#0000{:02x}"
+INK, _GRID = "#000001", "#000002"
 _FIRST_SERIES = 16
 _ROWS = 40
 
@@ -63,34 +65,27 @@ def chart(
     """
     if not any(one.points for one in series):
         return Markup("")
-    import matplotlib
     from matplotlib.figure import Figure
 
     tips: list[str] = []
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": title}):
-        figure = Figure(figsize=(7.1, 3.4), layout="constrained")
-        axis = figure.subplots()
-        for one in series:
-            colour = _SERIES.format(_FIRST_SERIES + one.colour % _COLOURS)
-            if lines and len(one.points) > 1:
-                axis.plot([p.x for p in one.points], [p.y for p in one.points], color=colour, lw=2)
-            for point in one.points:
-                if point.low is not None and point.high is not None:
-                    axis.vlines(point.x, point.low, point.high, color=colour, lw=2, alpha=0.55)
-                (dot,) = axis.plot(point.x, point.y, "o", color=colour, ms=6.5)
-                dot.set_gid(f"tip-{len(tips)}")
-                said = f" {point.label}" if point.label else ""
-                tips.append(f"{one.name}: {point.y:.2f}{said}")
-        axis.set(xlabel=x_label, ylabel=y_label, xscale="log" if log_x else "linear")
-        if log_x:
-            axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        _style(axis)
-        buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
-    return Markup(
-        f'<figure class="chart"><div class="scroll">{_in_page(buffer.getvalue(), title, tips)}'
-        f"</div>{_legend(series)}</figure>"
-    )
+    figure = Figure(figsize=(7.1, 3.4), layout="constrained")
+    axis = figure.subplots()
+    for one in series:
+        colour = page_colour(one.colour)
+        if lines and len(one.points) > 1:
+            axis.plot([p.x for p in one.points], [p.y for p in one.points], color=colour, lw=2)
+        for point in one.points:
+            if point.low is not None and point.high is not None:
+                axis.vlines(point.x, point.low, point.high, color=colour, lw=2, alpha=0.55)
+            (dot,) = axis.plot(point.x, point.y, "o", color=colour, ms=6.5)
+            dot.set_gid(f"tip-{len(tips)}")
+            said = f" {point.label}" if point.label else ""
+            tips.append(f"{one.name}: {point.y:.2f}{said}")
+    axis.set(xlabel=x_label, ylabel=y_label, xscale="log" if log_x else "linear")
+    if log_x:
+        axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    style(axis)
+    return in_page(figure, title, {one.name: one.colour for one in series}, tips)
 
 
 def cost(content: Content) -> Markup:
@@ -235,18 +230,36 @@ def _png(figure: Any) -> bytes:
     return content.getvalue()
 
 
-def _style(axis: Any) -> None:
+def page_colour(number: int) -> str:
+    """Stands for a colour of the style sheet until `in_page`."""
+    return f"#0000{_FIRST_SERIES + number % _COLOURS:02x}"
+
+
+def style(axis: Any) -> None:
+    """Axes in the colours of the page."""
     axis.grid(color=_GRID, lw=0.8)
     axis.set_axisbelow(True)
     axis.spines[["top", "right", "left"]].set_visible(False)
-    axis.spines["bottom"].set_color(_INK)
-    axis.tick_params(which="both", colors=_INK, length=0, labelsize=9)
-    for label in (axis.xaxis.label, axis.yaxis.label):
-        label.set(color=_INK, fontsize=10)
+    axis.spines["bottom"].set_color(INK)
+    axis.tick_params(which="both", colors=INK, length=0, labelsize=9)
+    for label in (axis.xaxis.label, axis.yaxis.label, axis.title):
+        label.set(color=INK, fontsize=10)
 
 
-def _in_page(svg: str, title: str, tips: Sequence[str]) -> str:
-    """The svg element alone, named, with the page's colours and font, and a title a point."""
+def in_page(
+    figure: Figure, title: str, legend: Mapping[str, int], tips: Sequence[str] = ()
+) -> Markup:
+    """A figure as SVG with the page's colours and font, and a legend below.
+
+    legend: name -> number of its colour.  tips: what the artists of gid tip-0, tip-1, ... say when
+    one points at them.
+    """
+    import matplotlib
+
+    buffer = io.StringIO()
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": title}):
+        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+    svg = buffer.getvalue()
     text = svg[svg.index("<svg") :]
     text = re.sub(r' width="[^"]*pt"| height="[^"]*pt"', "", text, count=2)
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
@@ -255,17 +268,16 @@ def _in_page(svg: str, title: str, tips: Sequence[str]) -> str:
         named = f"<g><title>{escape(tip)}</title>"
         text = text.replace(f'<g id="tip-{number}">', named, 1)
     for number in range(_COLOURS):
-        text = text.replace(_SERIES.format(_FIRST_SERIES + number), f"var(--c{number})")
-    text = text.replace(_INK, "var(--soft)").replace(_GRID, "var(--line)")
+        text = text.replace(page_colour(number), f"var(--c{number})")
+    text = text.replace(INK, "var(--soft)").replace(_GRID, "var(--line)")
     # Namespaces and fonts are those of the page.
     text = re.sub(r' xmlns(:\w+)?="[^"]*"', "", text).replace("xlink:href", "href")
-    return re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", text)
-
-
-def _legend(series: Sequence[Series]) -> str:
+    text = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", text)
     names = "".join(
-        f'<li class="s{one.colour % _COLOURS}"><span aria-hidden="true"></span>'
-        f"{escape(one.name)}</li>"
-        for one in series
+        f'<li class="s{number % _COLOURS}"><span aria-hidden="true"></span>{escape(name)}</li>'
+        for name, number in legend.items()
     )
-    return f'<ul class="legend">{names}</ul>'
+    return Markup(
+        f'<figure class="chart"><div class="scroll">{text}</div>'
+        f'<ul class="legend">{names}</ul></figure>'
+    )

@@ -103,7 +103,7 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
         except (HydraException, OmegaConfBaseException) as error:
             if debug:
                 raise
-            raise FactoryError(config_line(error)) from error
+            raise FactoryError(config_line(error, config_name)) from error
         except RuntimeError as error:
             if debug or '"srun"' not in str(error):
                 raise
@@ -181,11 +181,11 @@ def say_error(error: Exception) -> int:
     return EXIT_BAD_INPUT
 
 
-def config_line(error: Exception) -> str:
+def config_line(error: Exception, config_name: str) -> str:
     """Hydra's several lines in one, with the remedy."""
     from .words import explained
 
-    if line := explained(str(error)):
+    if line := explained(str(error), config_name):
         return line
     reasons = [str(error)]
     if error.__cause__ is not None:

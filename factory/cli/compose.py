@@ -68,7 +68,7 @@ def compose_points(
                 points.append((tuple(differs), config))
             return points
     except (HydraException, OmegaConfBaseException) as error:
-        raise FactoryError(config_line(error)) from error
+        raise FactoryError(config_line(error, "factory")) from error
 
 
 def sweep_points(overrides: Sequence[str], params: Mapping[str, Any]) -> list[list[str]]:

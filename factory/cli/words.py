@@ -35,23 +35,23 @@ def _readable(word: str) -> str:
     return f"{key}='{text}{ends}'"
 
 
-def explained(problem: str) -> str | None:
+def explained(problem: str, name: str) -> str | None:
     """One line for a key or choice that Hydra does not know, with what is nearest; else None.
 
-    problem: Hydra's message.
+    problem: Hydra's message.  name: of the root configuration, conf/<name>.yaml.
     """
     if found := re.search(r"Could not find '([^'/]+)/([^']+)'", problem):
         group, choice = found[1], found[2]
-        choices = sorted(_stems(group))
-        near = difflib.get_close_matches(choice, choices, cutoff=0.5)
-        hint = f"did you mean {group}={near[0]}?" if near else f"there are {', '.join(choices)}"
+        choices = sorted(_choices(group))
+        near = [f"{group}={one}" for one in _near(choice, choices, 0.5)]
+        hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(choices)}"
         return f"{group}={choice}: no such choice; {hint}"
     if found := re.search(r"Could not (?:override|delete from config\.) '([^']+)'", problem):
-        key, keys = found[1], sorted(set(_all_keys()))
+        key, keys = found[1], sorted(set(_keys(name)))
         if key in keys:
             return f"{key}: the chosen `{key.split('.')[0]}` has no such key (see `--cfg job`)"
         last = [one for one in keys if one.rpartition(".")[2] == key.rpartition(".")[2]]
-        near = difflib.get_close_matches(key, keys, cutoff=0.7) or last[:3]
+        near = _near(key, keys, 0.7) or last[:3]
         hint = f"did you mean {' or '.join(near)}?" if near else "`--cfg job` shows every key"
         return f"{key}: no such key; {hint}"
     if found := re.search(r"Ambiguous value for argument '([^=]+)=", problem):
@@ -59,33 +59,40 @@ def explained(problem: str) -> str | None:
     return None
 
 
-def _stems(group: str) -> list[str]:
+def _near(word: str, known: Sequence[str], cutoff: float) -> list[str]:
+    """Those most like a word; one alone where that is a slip of a letter."""
+    near = difflib.get_close_matches(word, known, cutoff=cutoff)
+    slip = near and difflib.SequenceMatcher(None, word, near[0]).ratio() > 0.9
+    return near[:1] if slip else near
+
+
+def _choices(group: str) -> list[str]:
     folder = files("simnfnd.conf").joinpath(group)
     names = [entry.name for entry in folder.iterdir()] if folder.is_dir() else []
     return [name.removesuffix(".yaml") for name in names if name.endswith(".yaml")]
 
 
-def _all_keys() -> Iterator[str]:
-    """Dotted keys of every configuration, and the names of the groups."""
-    conf = files("simnfnd.conf")
-    for entry in conf.iterdir():
-        if entry.name.endswith(".yaml"):
-            yield from _flat(entry.read_text(encoding="utf-8"), "")
-        elif entry.is_dir() and (names := _stems(entry.name)):
-            yield entry.name
-            for name in names:
-                text = entry.joinpath(f"{name}.yaml").read_text(encoding="utf-8")
-                package = re.search(r"^# @package (\S+)", text, re.MULTILINE)
-                if not package or package[1] != "_global_":
-                    yield from _flat(text, f"{package[1] if package else entry.name}.")
+def _keys(name: str) -> Iterator[str]:
+    """Dotted keys of a root configuration and of every choice of its groups, and the groups."""
+    root = _load(f"{name}.yaml")
+    yield from _flat({key: value for key, value in root.items() if key != "hydra"})
+    groups = [next(iter(entry)) for entry in root.get("defaults", ()) if isinstance(entry, dict)]
+    for group in (group for group in groups if " " not in group):
+        yield group
+        for choice in _choices(group):
+            yield from _flat(_load(f"{group}/{choice}.yaml"), f"{group}.")
 
 
-def _flat(text: str, prefix: str) -> Iterator[str]:
-    def below(values: Mapping[str, Any], prefix: str) -> Iterator[str]:
-        for key, value in values.items():
+def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    for key, value in values.items():
+        if key != "defaults":
             yield f"{prefix}{key}"
-            if isinstance(value, dict) and key != "hydra":
-                yield from below(value, f"{prefix}{key}.")
+            if isinstance(value, dict):
+                yield from _flat(value, f"{prefix}{key}.")
 
-    values = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    return below({k: v for k, v in (values or {}).items() if k != "defaults"}, prefix)
+
+def _load(path: str) -> dict[str, Any]:
+    text = files("simnfnd.conf").joinpath(path).read_text(encoding="utf-8")
+    values = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)) or {}
+    # An experiment sets keys of others.
+    return {} if "# @package _global_" in text and "/" in path else dict(values)

@@ -19,7 +19,12 @@ _EPILOG = (
 def main(words: list[str]) -> int:
     """Do what `words` ask for; returns the exit code (1: verify found damage)."""
     parser = Parser(prog="simnfnd cache", epilog=_EPILOG)
-    parser.add_argument("action", choices=("stats", "verify", "pack", "clear"))
+    parser.add_argument(
+        "action",
+        choices=("stats", "verify", "pack", "clear"),
+        help="how many there are and how large; remove damaged ones; the renders of a "
+        "configuration in one file, for a machine without Blender; remove all",
+    )
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE")
     parser.add_argument("--out", type=Path, help="pack: file to write, for example views.pack")
     parser.add_argument(

@@ -310,7 +310,7 @@ def _facts(file: h5py.File, deep: bool) -> ShardFacts:
         if len(problems) >= _MOST_PROBLEMS:
             break
     return ShardFacts(
-        problems=problems[:_MOST_PROBLEMS],
+        problems=tuple(problems[:_MOST_PROBLEMS]),
         config_hash=str(file.attrs["config_hash"])[:200],
         split=str(file.attrs["split"]),
         form=f"{' '.join((str(noisy.shape[1:]), *sizes))} {noisy.dtype}, "

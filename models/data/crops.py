@@ -121,11 +121,14 @@ def crop(
 
 
 def _told(sample: Sample, extras: Sequence[str]) -> Batch:
-    """What the network is told beside pictures and maps: `remove` (1, 6)."""
-    if "remove" not in extras:
-        return {}
-    remove = vector(DEFAULT) if sample.remove is None else sample.remove
-    return {"remove": torch.from_numpy(remove)[None]}
+    """What goes with pictures and maps: `remove` (1, 6), and `taught` (1, 1, 1, 1) if known."""
+    told: Batch = {}
+    if "remove" in extras:
+        remove = vector(DEFAULT) if sample.remove is None else sample.remove
+        told["remove"] = torch.from_numpy(remove)[None]
+    if sample.taught is not None:
+        told["taught"] = torch.full((1, 1, 1, 1), sample.taught)
+    return told
 
 
 def _mirrored(maps: Maps) -> Maps:

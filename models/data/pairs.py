@@ -44,6 +44,7 @@ class Sample:
         the usual ones.
     frames: (H, W) float32, how many frames were averaged in `noisy` (`removal.averaged`), or None
         for one.
+    taught: part of the target that a teacher's picture is, 0 to 1; None: that of the training.
     """
 
     noisy: Image
@@ -52,6 +53,7 @@ class Sample:
     geometry: FanGeometry | None = None
     remove: Image | None = None
     frames: Image | None = None
+    taught: float | None = None
 
 
 class Source(Protocol):

@@ -50,7 +50,7 @@ class WithRecordings:
         if rng.random() >= self.share:
             return self.source.sample(index, visit)
         ref = self.frames[int(rng.integers(len(self.frames)))]
-        found = _frame(ref)
+        found = frame_of(ref)
         if min(found.noisy.shape) < self.patch:
             height, width = found.noisy.shape
             raise FactoryError(
@@ -71,7 +71,7 @@ def frames_with_geometry(paths: Sequence[str]) -> tuple[SampleRef, ...]:
     found: list[SampleRef] = []
     for path in paths:
         here = list_images(path, "train.teacher_recordings")
-        known = {one.path: _frame(one).geometry is not None for one in reversed(here)}
+        known = {one.path: frame_of(one).geometry is not None for one in reversed(here)}
         usable = [one for one in here if known[one.path]]
         if not usable:
             raise FactoryError(
@@ -90,7 +90,8 @@ def digest_of(frames: Sequence[SampleRef]) -> str:
 
 
 @lru_cache(maxsize=_KEPT)
-def _frame(ref: SampleRef) -> Sample:
+def frame_of(ref: SampleRef) -> Sample:
+    """A frame as networks are shown it; its clean picture is NaN."""
     grey, geometry = read_sample(ref)
     if geometry is None:
         given = presentation_of(grey, find_geometry(grey))

@@ -29,7 +29,8 @@ from ...factory.seeds import stream
 from ...factory.selection import choose_frames, split_frames
 from ...factory.sonar.geometry import FanGeometry
 from ...factory.sonar.settings import SonarSettings
-from ..settings import RendersData, Scale
+from ..settings import MixedData, RendersData, Scale
+from .images import list_images
 from .pairs import PairTable, Sample, SampleRef, Source, spread, weakened
 
 _DECIDE = ("devices", "noise", "acoustics", "sonar", "water")
@@ -203,12 +204,35 @@ def open_renders(
         "renders.frames": len(ready),
         "renders.names": hashlib.blake2b(names_.encode(), digest_size=8).hexdigest(),
     }
-    if data.experiment is not None:
-        return _by_any_device(data, config, ready, held_out, facts, said, seed)
-    source = RenderSource(
+    points = RenderSource(
         config, ready, weaker=data.weaker, fewer=data.fewer, scales=data.scales, seed=seed
     )
-    return Renders(source, facts, said)
+    if data.experiment is None:
+        return Renders(points, facts, said)
+    found_ = _by_any_device(data, config, ready, held_out, facts, said, seed)
+    return _mixed(data, found_, points, seed) if isinstance(data, MixedData) else found_
+
+
+def _mixed(data: MixedData, devices: Renders, points: Source, seed: int) -> Renders:
+    from .mixed import MixedSource
+    from .recordings import digest_of
+    from .time_stacks import open_stacks
+
+    stacks = open_stacks(data.recordings, data.least_side)
+    refs = tuple(ref for path in data.recordings for ref in list_images(path, "data.recordings"))
+    source = MixedSource(
+        devices.source,
+        points,
+        stacks,
+        points_share=data.points_share,
+        recordings_share=data.recordings_share,
+        several=data.several,
+        seed=seed,
+    )
+    still = sum(one.is_still for one in stacks)
+    said = f"{devices.said}; recordings: {len(stacks)}, of which {still} stand still"
+    facts = {**devices.facts, "data.recordings": digest_of(refs)}
+    return replace(devices, source=source, facts=facts, said=said)
 
 
 def _by_any_device(

@@ -22,7 +22,6 @@ from ..recordings import Levels, open_recording
 from ..removal import DEFAULT
 from .asked import NOISES, OF_POINTS, OVER, REAL, InTurn, asked_denoiser
 from .denoiser import (
-    EXACT,
     OVERLAP,
     TILE,
     Denoiser,
@@ -33,7 +32,7 @@ from .geometries import FIND, Geometries
 from .inputs import Item, find_items, sequences
 from .pictures import Denoising, check_frames
 from .resume import Finished, stopped_by_sigterm
-from .runtime import PRECISIONS
+from .runtime import EXACT, PRECISIONS
 from .shards import denoise_shard, made_of_points, opened_shard
 from .temporal.stream import FRAMES
 from .watch import Watched, watch

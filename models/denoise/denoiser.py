@@ -15,8 +15,7 @@ from ..recordings.presentation import presentation_of
 from ..removal import DEFAULT, averaged, vector
 from .pictures import Gray
 from .runtime import EXACT, open_runtime
-from .scales import by_scales
-from .tile import Maps, tiled
+from .sizes import Maps, by_scales, tiled
 
 TILE, OVERLAP = 1024, 96
 _SEVERAL = 1.5
@@ -29,7 +28,7 @@ class Denoiser:
     """Trained weights as a function of a picture.
 
     digest: SHA-256 of the weights file.  runtime: what computes it.
-    tile, overlap: see `simnfnd.models.denoise.tile`.
+    tile, overlap: see `simnfnd.models.denoise.sizes`.
     """
 
     def __init__(
@@ -125,6 +124,9 @@ class Denoiser:
         denoised = tiled(denoise_tile, gray, maps, self.tile, self.overlap)
         # One weight for the whole picture: single tiles with less change would be visible.
         weight = np.float32(np.average(weights, weights=areas))
+        if "frames" in maps and maps["frames"].mean() > averaged(_SEVERAL):
+            # The head that weighs knows single frames; of means it takes too little.
+            weight = np.float32(1)
         return np.asarray(np.clip(gray + weight * (denoised - gray), 0, 1), np.float32)
 
     @property

@@ -37,7 +37,7 @@ class Runtime(Protocol):
     """A network ready to denoise.
 
     extras: names of its optional inputs (see `models.networks`).  looks: pictures that it sees at
-    once.  wide_grain: see `models.denoise.scales`.  on_gpu: whether it runs on a GPU.
+    once.  wide_grain: see `models.denoise.sizes`.  on_gpu: whether it runs on a GPU.
     """
 
     extras: tuple[str, ...]

@@ -37,7 +37,7 @@ class Network(nn.Module):
     adversarial: ClassVar[bool] = False
     looks: int = 1
     wide_grain: float = 1.0
-    """See `models.denoise.scales`."""
+    """See `models.denoise.sizes`."""
 
     def __init__(self, channels: int, stride: int) -> None:
         super().__init__()

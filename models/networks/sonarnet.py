@@ -60,7 +60,7 @@ class SonarNetSettings:
     work; not in training, so trained weights may change it.
     forget: part of the training steps in which the network gets no geometry.
     wide_grain: correlation of neighbouring pixels' grain from which on `simnfnd denoise` denoises
-        a picture at half its size first (`models.denoise.scales`); 1: never; not in training, so
+        a picture at half its size first (`models.denoise.sizes`); 1: never; not in training, so
         trained weights may change it.
     told: whether the network is told what to remove; else it always removes the same.
     frames: whether it gets the number of frames averaged in each pixel; not with `polar`.

@@ -82,7 +82,7 @@ class OculusFile(FileOfFrames):
         magic = int.from_bytes(self.bytes_at(0, 4, "its first bytes"), "little")
         if magic != LOG_MAGIC and magic & 0xFFFF != MAGIC:
             raise FrameError(f"{self.path}: not a file of raw Oculus messages")
-        self._pings = []
+        self._pings: list[_Message] = []
         self._end = 0
         for one in self._items() if magic == LOG_MAGIC else self._messages():
             header = _header(self._content(one, HEADER.itemsize))

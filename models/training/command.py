@@ -51,7 +51,7 @@ def _help() -> str:
 
 def run(config: DictConfig) -> None:
     """Train as the configuration says."""
-    if config.dataset.dir is None and config.data.get("kind") in ("pairs", "renders"):
+    if config.dataset.dir is None and config.data.get("kind") in ("pairs", "renders", "mixed"):
         raise FactoryError(
             "dataset: give the folder that `simnfnd make` made, dataset=DIR "
             "(or `simnfnd denoise --help` to use trained weights)"

@@ -123,7 +123,9 @@ class DenoisingModule(nn.Module):
             batch |= {"shadow_logits": output.shadow_logits, "weight": output.weight}
         else:
             prediction = self.network(batch["noisy"], **extras)
-        if self.teacher is not None:
+        if "taught" in batch:
+            batch = completed(batch, prediction, self.teacher)
+        elif self.teacher is not None:
             return self.teacher.loss(self.loss, prediction, batch)
         return self.loss(prediction, batch["clean"], batch)
 
@@ -137,6 +139,24 @@ class DenoisingModule(nn.Module):
             *(shadow_iou(noisy, batch), shadow_iou(denoised, batch)),
         )
         return {name: float(one.mean()) for name, one in zip(self.FIGURES, found, strict=True)}
+
+
+def completed(batch: Batch, prediction: Tensor, teacher: Teacher | None) -> Batch:
+    """The batch with a target everywhere: `taught` of it is the teacher's picture.
+
+    Where nothing is known (NaN) the target is the prediction, which then costs nothing.
+    """
+    clean, taught = batch["clean"], batch["taught"]
+    batch = dict(batch)
+    if teacher is not None:
+        image = teacher.picture(batch).to(clean.dtype)
+        mixed = torch.where(clean.isnan(), image, torch.lerp(clean, image, taught))
+        clean = torch.where(taught > 0, mixed, clean)
+    batch["clean"] = torch.where(clean.isnan(), prediction.detach(), clean)
+    if "shadow" in batch and "shadow_logits" in batch:
+        shadow, seen = batch["shadow"], torch.sigmoid(batch["shadow_logits"].detach())
+        batch["shadow"] = torch.where(shadow.isnan(), seen, shadow)
+    return batch
 
 
 def learning_rate_factor(step: int, warmup: int, steps: int) -> float:

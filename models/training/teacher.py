@@ -35,6 +35,17 @@ class Teacher:
         """Optional inputs that the teacher uses."""
         return self.network.extras
 
+    @torch.no_grad()
+    def picture(self, batch: Batch) -> Tensor:
+        """(N, C, H, W), what the teacher makes of noisy pictures, with the whole change."""
+        noisy = batch["noisy"]
+        self.network.to(noisy.device)
+        known = known_extras(self.network, batch)
+        if self.network.has_heads:
+            return self.network.with_heads(noisy, **known).image
+        found: Tensor = self.network(noisy, **known)
+        return found
+
     def loss(self, loss: Loss, prediction: Tensor, batch: Batch) -> Tensor:
         """Scalar tensor: the loss against clean pictures and teacher's, weighed by `share`.
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from simnfnd import denoise
 from simnfnd.models.networks import build_network
@@ -145,6 +146,17 @@ def test_a_node_of_ros_denoises_what_comes(tmp_path: Path, monkeypatch: pytest.M
             found = np.frombuffer(data, np.uint8).reshape(40, 32)
             assert not np.array_equal(found, noise)
             np.testing.assert_array_equal(found, expected)
+
+
+def test_the_papers_figures(tmp_path: Path) -> None:
+    small = ("render=analytic", "scenes.width=242", "scenes.height=152", "scenes.locations=1")
+    words = ("--out", str(tmp_path), "--only", "paper", *small)
+    done = run("paper_figures.py", *words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    names = {path.stem for path in tmp_path.glob("*.png")}
+    assert names == {f"figure-{number:02d}" for number in (3, 4, 5, 6, 7, 8, 12)}
+    for path in tmp_path.glob("*.png"):
+        assert np.asarray(Image.open(path).convert("L")).std() > 20
 
 
 def test_every_example_is_tested() -> None:

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from .motion import Grey, blurred, factors, reduced
+from .motion import Floats, Grey, blurred, factors, reduced
 
 _LEVELS = 32
 _LEAST_PIXELS = 20
@@ -27,7 +27,7 @@ _LEARNED, _AGAIN = 30, 8
 """Frames after which differences are measured in every so many only."""
 _SMALL, _WIDE, _CLIP = 0.8, 7, 3.0
 """Sigma of the small window, reduced pixels; side of the wide one; deviations count no more."""
-_AGREES, _LIKE = 4.5, 3.0
+_AGREES, _LIKE = 7.0, 4.0
 """Standard deviations up to which a frame agrees with the median, and a neighbour with a frame."""
 _DARK = 0.02  # grey value below which there is nothing to learn from
 
@@ -92,7 +92,7 @@ class Fusion:
             total += other * (part if own.ndim == 2 else part[..., None])
             count += part
             squares += part * part
-        total /= count if own.ndim == 2 else count[..., None]
+        total = total / (count if own.ndim == 2 else count[..., None])
         return Fused(total, count * count / squares, enlarged(agrees))
 
     def same(self, fused: Grey, outside: Grey, shown: Grey | None) -> npt.NDArray[np.bool_]:
@@ -102,7 +102,7 @@ class Fusion:
         agrees = (apart < _LIKE) & (small > _DARK)
         size = fused.shape[1], fused.shape[0]
         found = cv2.resize(agrees.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-        return found if shown is None else found & (shown > 0)
+        return np.asarray(found if shown is None else found & (shown > 0))
 
     def _is_measured(self) -> bool:
         return self._seen < _LEARNED or self._seen % _AGAIN == 0
@@ -197,8 +197,8 @@ class Usual:
         sigma = np.interp(middles, middles[known], self._sum[known] / self._pixels[known])
         pixels = np.interp(middles, middles[known], self._pixels[known])
         window = [1, 2, 3, 2, 1]
-        power = np.convolve(np.pad(sigma**2 * pixels, 2, mode="edge"), window, "valid")
-        power /= np.convolve(np.pad(pixels, 2, mode="edge"), window, "valid")
+        power: Floats = np.convolve(np.pad(sigma**2 * pixels, 2, mode="edge"), window, "valid")
+        power = power / np.convolve(np.pad(pixels, 2, mode="edge"), window, "valid")
         fine = np.interp(np.linspace(0, 1, 256), middles, np.sqrt(power))
         return np.maximum(fine, _LEAST_SIGMA).astype(np.float32)
 
@@ -224,7 +224,7 @@ def _wide(deviation: Grey) -> Grey:
 def _falling(small: Grey, wide: Grey, limit: float) -> Grey:
     """1 up to a limit of standard deviations in both windows, then falling to 0."""
     over = np.maximum(np.maximum(np.abs(small), np.abs(wide)) - np.float32(limit), 0)
-    return cv2.exp(-over * over)
+    return np.asarray(cv2.exp(-over * over))
 
 
 def _grey(picture: Grey) -> Grey:

@@ -9,22 +9,25 @@ sonars stand still, and laying a frame over another between its pixels costs sha
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-Grey = npt.NDArray[np.float32]
+Grey = npt.NDArray[Any]
+"""float32; OpenCV's types do not say so."""
 Floats = npt.NDArray[np.float64]
 
-ALIKE = 0.2
+ALIKE = 0.33
 """Frames whose band-passed pictures correlate less show something else."""
 _BY_CHANCE = 4.0  # standard deviations of the correlation of unlike frames, the best of all shifts
 _FURTHEST = 48  # reduced pixels that the peak of a phase correlation may lie away
-_BETTER = 0.05  # part of what no motion leaves that a motion must explain
+_BETTER = 0.08  # part of what no motion leaves that a motion must explain
 _STEPS, _SETTLED = 4, 0.02
 _STILL = 0.06  # reduced pixels: less is no motion
 _WHITENED = 0.6  # exponent of the magnitudes in the phase correlation
@@ -64,11 +67,11 @@ class View:
 
     def __init__(self, grey: Grey) -> None:
         """grey: (H, W) in 0..1."""
-        self.full: tuple[int, int] = grey.shape
+        self.full: tuple[int, ...] = grey.shape
         small = np.sqrt(np.maximum(reduced(grey), 0))  # noise grows with the level
         lit = (cv2.blur(small, (7, 7)) > np.sqrt(_LIT)).astype(np.float32)
         self.lit: Grey = cv2.erode(
-            lit, np.ones((7, 7), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=1
+            lit, np.ones((7, 7), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=(1.0,)
         )
         around = cv2.blur(small * self.lit, (21, 21)) / np.maximum(
             cv2.blur(self.lit, (21, 21)), 1e-3
@@ -93,7 +96,7 @@ class View:
         return change, (change @ change.T).astype(np.float64)
 
     @cached_property
-    def spectrum(self) -> npt.NDArray[np.float32]:
+    def spectrum(self) -> Grey:
         """Of the band, faded out at the edges."""
         height, width = self.shape
         padded = np.zeros((cv2.getOptimalDFTSize(height), cv2.getOptimalDFTSize(width)), np.float32)
@@ -186,7 +189,7 @@ def laid_over(grey: Grey, motion: Motion) -> tuple[Grey, Grey | None]:
         return _copied(grey, int(whole[0]), int(whole[1]))
     matrix = _enlarged(_matrix(moved, _reduced_shape(grey.shape)), down, right)
     size, how = (width, height), cv2.INTER_CUBIC
-    outside = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": -1.0}
+    outside: dict[str, Any] = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": -1.0}
     if motion.flow is None:
         laid = cv2.warpAffine(grey, matrix, size, flags=how | cv2.WARP_INVERSE_MAP, **outside)
     else:
@@ -285,7 +288,7 @@ def _blocks(view: View, seen: View, affine: Floats) -> Grey | None:
     usual = np.float32(noise / _BLOCK_USUAL**2)
     xx, yy, xy = sums(along * along) + usual, sums(down * down) + usual, sums(along * down)
     x, y = sums(along * left), sums(down * left)
-    determinant = xx * yy - xy * xy
+    determinant: Grey = xx * yy - xy * xy
     right = -(yy * x - xy * y) / determinant
     lower = -(xx * y - xy * x) / determinant
     sure = -(right * x + lower * y) > _BLOCK_SURE * noise
@@ -311,14 +314,14 @@ def _correlation(band: Grey, other: Grey) -> float:
         return -1.0
     one, two = band * both, other * both
     power = float(np.vdot(one, one)) * float(np.vdot(two, two))
-    return float(np.vdot(one, two)) / max(np.sqrt(power), 1e-12)
+    return float(np.vdot(one, two)) / max(math.sqrt(power), 1e-12)
 
 
 def _phase_shift(view: View, seen: View) -> Floats:
     """The shift with the highest phase correlation (Kuglin and Hines 1975), in whole pixels."""
     cross = cv2.mulSpectrums(seen.spectrum, view.spectrum, 0, conjB=True)
     magnitude = np.maximum(cv2.magnitude(cross[..., 0], cross[..., 1]), 1e-12)
-    cross /= cv2.pow(magnitude, _WHITENED)[..., None]
+    cross = cross / cv2.pow(magnitude, _WHITENED)[..., None]
     peaks = cv2.dft(cross, flags=cv2.DFT_INVERSE | cv2.DFT_REAL_OUTPUT)
     down, right = (min(_FURTHEST, side // 3) for side in peaks.shape)
     near = np.roll(peaks, (down, right), (0, 1))[: 2 * down + 1, : 2 * right + 1]
@@ -351,7 +354,8 @@ def _matrix(affine: Floats, shape: tuple[int, ...]) -> Floats:
     half = shape[1] / 2
     middle = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
     turn = np.eye(2) + affine[2:].reshape(2, 2) / half
-    return np.c_[turn, affine[:2] + middle - turn @ middle]
+    found: Floats = np.c_[turn, affine[:2] + middle - turn @ middle]
+    return found
 
 
 def _affine(matrix: Floats, shape: tuple[int, ...]) -> Floats:
@@ -359,7 +363,8 @@ def _affine(matrix: Floats, shape: tuple[int, ...]) -> Floats:
     half = shape[1] / 2
     middle = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
     shift = matrix[:, 2] - middle + matrix[:, :2] @ middle
-    return np.r_[shift, ((matrix[:, :2] - np.eye(2)) * half).ravel()]
+    found: Floats = np.r_[shift, ((matrix[:, :2] - np.eye(2)) * half).ravel()]
+    return found
 
 
 def _enlarged(matrix: Floats, down: float, right: float) -> Floats:
@@ -371,7 +376,8 @@ def _enlarged(matrix: Floats, down: float, right: float) -> Floats:
 
 
 def _square(matrix: Floats) -> Floats:
-    return np.r_[matrix, [[0.0, 0.0, 1.0]]]
+    found: Floats = np.r_[matrix, [[0.0, 0.0, 1.0]]]
+    return found
 
 
 @lru_cache(maxsize=8)

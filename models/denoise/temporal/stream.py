@@ -11,7 +11,7 @@ import numpy as np
 from ....factory.sonar.geometry import FanGeometry
 from .fusion import Fused, Fusion
 from .motion import Aligner, Grey, laid_over
-from .strength import ALONE, TOLD, UNTOLD, Parts, Strength, total_variation
+from .strength import Predictors, Strength, predictors
 
 FRAMES, MOST_FRAMES = 7, 31
 
@@ -76,29 +76,28 @@ class InTime(Generic[Key]):
 
     def __init__(
         self,
-        network: Network,
+        network: Network | None,
         *,
         frames: int = FRAMES,
         causal: bool = False,
         calibrated: bool = True,
-        fixed: tuple[Parts, Parts] | None = None,
         tally: Tally | None = None,
     ) -> None:
-        """frames: of a window, odd.  causal: a window ends with its frame.
+        """network: None: frames are fused, no more.  frames: of a window, odd.
+
+        causal: a window ends with its frame.
 
         calibrated: whether the recording chooses the strength; else the usual one is taken.
-        fixed: the strength of a frame alone and of a whole window, whatever is measured.
         tally: counts what is done.
         """
         self._network, self._frames, self._causal = network, frames, causal
         self._before = frames - 1 if causal else frames // 2
         self._after = 0 if causal else frames // 2
-        self._calibrated = calibrated and fixed is None and frames > 1
+        self._calibrated = calibrated and network is not None and frames > 1
         self._tally = tally if tally is not None else Tally()
         self._aligner, self._fusion = Aligner(2 * frames), Fusion()
         self._told = bool(getattr(network, "knows_frames", False))
-        usual = fixed or (ALONE, TOLD if self._told else UNTOLD)
-        self.strength = Strength(frames, usual)
+        self.strength = Strength(frames, told=self._told)
         self._held: dict[int, Shot[Key]] = {}
         self._places: dict[int, FanGeometry | None] = {}
         self._newest, self._next = -1, 0
@@ -178,27 +177,27 @@ class InTime(Generic[Key]):
         return None if motion is None else laid_over(self._held[other].levels, motion)
 
     def _denoised(self, fused: Fused, geometry: FanGeometry | None) -> Grey:
+        network = self._network
+        if network is None:
+            return fused.picture
         if self._frames == 1:
-            return each_plane(fused.picture, lambda grey: self._network(grey, geometry))
+            return each_plane(fused.picture, lambda grey: network(grey, geometry))
+        return each_plane(
+            fused.picture,
+            lambda grey: self.strength.applied(
+                self._predictors(grey, fused.frames, geometry), fused.frames
+            ),
+        )
 
-        def one(grey: Grey) -> Grey:
-            network = variation = None
-            if self.strength.needs(2):
-                network = self._asked(grey, geometry, fused.frames)
-            if self.strength.needs(1):
-                variation = total_variation(grey, self._left(grey, fused.frames))
-            return self.strength.applied(grey, variation, network, fused.frames)
-
-        return each_plane(fused.picture, one)
-
-    def _asked(self, grey: Grey, geometry: FanGeometry | None, frames: Grey) -> Grey:
+    def _predictors(self, grey: Grey, frames: Grey, geometry: FanGeometry | None) -> Predictors:
+        assert self._network is not None
         if self._told:
-            return self._network(grey, geometry, frames=frames)
-        return self._network(grey, geometry)
-
-    def _left(self, grey: Grey, frames: Grey) -> Grey:
-        """Standard deviation of the noise that is left in a pixel."""
-        return self._fusion.noise.at(grey) / np.sqrt(frames)
+            network = self._network(grey, geometry, frames=frames)
+        else:
+            network = self._network(grey, geometry)
+        # Of the noise that is left in a pixel.
+        sigma = self._fusion.noise.at(grey) / np.sqrt(frames)
+        return predictors(grey, sigma, network)
 
     def _calibrate(self, number: int) -> None:
         """Measure on a frame which strength predicts one outside its window."""
@@ -218,10 +217,9 @@ class InTime(Generic[Key]):
             (False, shot.levels, one),
             (True, fused.picture, fused.frames),
         ):
-            network = self._asked(grey, geometry, frames)
-            variation = total_variation(grey, self._left(grey, frames))
+            found = self._predictors(grey, frames, geometry)
             full = where & (frames > 0.8 * frames.max()) if whole else where
-            self.strength.add(whole, (grey, variation, network), target[0], full)
+            self.strength.add(whole, found, target[0], full)
         self.strength.fit()
 
     def _count(self, fused: Fused) -> None:

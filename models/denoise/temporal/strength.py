@@ -1,121 +1,166 @@
 """How much of the noise that fusing leaves is removed, and by what: the recording itself says.
 
 A frame outside the window has noise of its own, so what predicts it best is nearest to the scene
-(Lehtinen et al. 2018 train on this; here three numbers are fitted).  The parts of the fused frame,
-of its weak total variation and of the network are fitted for a frame alone and for a whole window;
-between them they are interpolated by the logarithm of how many frames count in a pixel.
+(Lehtinen et al. 2018 train on this; here a few numbers are fitted by least squares).  What predicts
+are the fused frame, its weak total variation, the network and blurred frames, each with a weight by
+how much the picture varies around a pixel.  A frame alone is fitted by itself, for what moves;
+between it and a whole window the logarithm of how many frames count interpolates.
 """
 
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from .motion import Grey
+from .motion import Grey, blurred
 
 Floats = npt.NDArray[np.float64]
-Parts = tuple[float, float, float]
-"""Of the fused frame, its total variation and the network; they add up to 1."""
 
-AS_FUSED: Parts = (1.0, 0.0, 0.0)
-ALONE: Parts = (0.0, 0.0, 1.0)
-TOLD: Parts = (0.0, 0.3, 0.7)
-UNTOLD: Parts = (0.2, 0.5, 0.3)
-"""Where nothing was measured: of a frame alone, and of a whole window for a network that knows how
-many frames count and for one that does not."""
-
-_VARIATION = 0.9
-"""Weight of the total variation, standard deviations of the noise that is left."""
-_VARIATION_STEPS = 10
-_FINENESS = 20  # parts that are tried: twentieths
+_VARIATION, _VARIATION_STEPS = 0.9, 5
+"""Weight of the total variation, standard deviations of the noise that is left; its iterations."""
+_BLURS = (0.7, 1.2, 2.5)  # sigma, pixels
+_PREDICTORS = 2 + len(_BLURS)  # total variation, network, blurred
+_TOLD = (0.3, 0.7, *[0.0] * len(_BLURS))
+_UNTOLD = (0.5, 0.3, *[0.0] * len(_BLURS))
+"""Weights where nothing was measured, for a network that knows how many frames count, or not."""
+_VARIES = (0.45, 0.75, 1.1, 1.55, 2.2, 3.3, 5.0)
+"""Middles of the classes of how much a picture varies, standard deviations of its noise."""
+_AROUND = 2.2  # sigma of the window in which it varies, pixels
+_LEVELS = 64  # of how much it varies, in a table
+_KNOWN, _SURE = 300.0, 1e-3
+"""Pixels that count for the usual weights, and their part whatever is measured."""
+_FINENESS = 20  # parts of a frame alone that are tried: twentieths
 _LEAST_NETWORK = 0.3  # of a frame alone: it also removes what is no noise in time
-_PRIOR = 2e-7  # how much worse a prediction counts far from what is usual
 _LEAST_PIXELS = 500
 
 
-class Strength:
-    """Parts of the fused frame, its total variation and the network, by how many frames count.
+@dataclass(frozen=True, eq=False)
+class Predictors:
+    """What a picture without its noise may be like.
 
-    alone, whole: of a frame alone, and of a window of `frames`.
+    grey: (H, W) as it is.  changes: of total variation, network and blurred frames from it.
+    varies: (H, W) uint8, how much the picture varies around a pixel.
+    """
+
+    grey: Grey
+    changes: list[Grey]
+    varies: npt.NDArray[np.uint8]
+
+
+def predictors(grey: Grey, sigma: Grey, network: Grey) -> Predictors:
+    """Of a picture (H, W).  sigma: (H, W) of its noise.  network: what that makes of it."""
+    planes = [total_variation(grey, sigma), network, *(blurred(grey, one) for one in _BLURS)]
+    spread = blurred(grey * grey, _AROUND) - blurred(grey, _AROUND) ** 2
+    varies = np.sqrt(np.maximum(spread, 0)) / np.maximum(sigma, 1e-4)
+    level = np.clip(varies * np.float32(_LEVELS / _VARIES[-1]), 0, _LEVELS - 1)
+    return Predictors(grey, [plane - grey for plane in planes], level.astype(np.uint8))
+
+
+class Strength:
+    """Weights of what predicts, by how much the picture varies; see the top.
+
+    alone: parts of the total variation and the network for a frame alone.
+    whole: (classes, predictors) weights for a window of `frames`.
     measured: on how many frames they were.
     """
 
-    def __init__(self, frames: int, usual: tuple[Parts, Parts]) -> None:
-        """usual: of a frame alone and of a whole window, until anything is measured."""
-        self._frames, self._usual = frames, usual
-        self._least_network = _LEAST_NETWORK
-        self.alone, self.whole = self._usual
+    def __init__(self, frames: int, *, told: bool) -> None:
+        """told: whether the network knows how many frames count."""
+        self._frames = frames
+        self._usual = np.array(_TOLD if told else _UNTOLD)
+        self.alone = np.array([0.0, 1.0])
+        self.whole = np.tile(self._usual, (len(_VARIES), 1))
         self.measured = 0
-        self._sums = [(np.zeros((3, 3)), np.zeros(3), 0) for _ in range(2)]
+        self._alone_sums = np.zeros((2, 2)), np.zeros(2)
+        self._squares = np.zeros((len(_VARIES), _PREDICTORS, _PREDICTORS))
+        self._products = np.zeros((len(_VARIES), _PREDICTORS))
+        self._pixels = np.zeros(len(_VARIES))
 
-    def needs(self, which: int) -> bool:
-        """Whether a part counts anywhere."""
-        return self.alone[which] > 0 or self.whole[which] > 0
-
-    def applied(
-        self, fused: Grey, variation: Grey | None, network: Grey | None, frames: Grey
-    ) -> Grey:
-        """All of them together, (H, W) in 0..1.  frames: how many count in each pixel."""
+    def applied(self, found: Predictors, frames: Grey) -> Grey:
+        """All of it together, (H, W) in 0..1.  frames: how many count in each pixel."""
         along = np.clip(cv2.log(frames) / np.float32(np.log(max(self._frames, 2))), 0, 1)
+        table = _between_classes(self.whole)
+        whole, alone = np.zeros_like(found.grey), np.zeros_like(found.grey)
+        for number, change in enumerate(found.changes):
+            whole += cv2.LUT(found.varies, table[:, number]) * change
+        for part, change in zip(self.alone, found.changes[:2], strict=True):
+            if part:
+                alone += np.float32(part) * change
+        return np.asarray(np.clip(found.grey + alone + along * (whole - alone), 0, 1))
 
-        def part(which: int) -> Grey | np.float32:
-            first, last = np.float32(self.alone[which]), np.float32(self.whole[which])
-            return first if first == last else first + (last - first) * along
-
-        result = fused.copy()
-        for which, found in ((1, variation), (2, network)):
-            if found is not None:
-                result += part(which) * (found - fused)
-        return np.clip(result, 0, 1)
-
-    def add(self, whole: bool, planes: tuple[Grey, Grey, Grey], outside: Grey, where: Grey) -> None:
+    def add(
+        self, whole: bool, found: Predictors, outside: Grey, where: npt.NDArray[np.bool_]
+    ) -> None:
         """What predicts a frame outside the window.
 
-        whole: of a whole window, else of a frame alone.  planes: fused, total variation, network.
-        where: pixels of `outside` that show the same scene, bool.
+        whole: of a whole window, else of a frame alone.
+        where: pixels of `outside` that show the same scene.
         """
         if np.count_nonzero(where) < _LEAST_PIXELS:
             return
-        fused, variation, network = (plane[where].astype(np.float64) for plane in planes)
-        change = np.stack([np.zeros_like(fused), variation - fused, network - fused])
-        target = outside[where] - fused
-        level = target.mean()  # of another gain
-        squares, products, pixels = self._sums[whole]
-        self._sums[whole] = (
-            squares + change @ change.T,
-            products + change @ (target - level),
-            pixels + fused.size,
-        )
+        target = (outside - found.grey)[where].astype(np.float64)
+        target -= target.mean()  # of another gain
+        kept = found.changes if whole else found.changes[:2]
+        changes = np.stack([change[where] for change in kept]).astype(np.float64)
+        if not whole:
+            squares, products = self._alone_sums
+            self._alone_sums = squares + changes @ changes.T, products + changes @ target
+            return
+        middles = np.array(_VARIES) * _LEVELS / _VARIES[-1]
+        edges = (middles[1:] + middles[:-1]) / 2
+        classes = np.digitize(found.varies[where], edges)
+        for number in range(len(_VARIES)):
+            here = classes == number
+            some = changes[:, here]
+            self._squares[number] += some @ some.T
+            self._products[number] += some @ target[here]
+            self._pixels[number] += np.count_nonzero(here)
 
     def fit(self) -> None:
-        """Choose the parts that predict best."""
+        """Choose the weights that predict best."""
         self.measured += 1
-        self.alone, self.whole = (
-            self._fitted(sums, usual, least)
-            for sums, usual, least in zip(
-                self._sums, self._usual, (self._least_network, 0.0), strict=True
-            )
-        )
-
-    def _fitted(self, sums: tuple[Floats, Floats, int], usual: Parts, least: float) -> Parts:
-        squares, products, pixels = sums
-        if not pixels:
-            return usual
+        squares, products = self._alone_sums
         tried = _all_parts()
-        tried = tried[tried[:, 2] >= least]
         error = np.einsum("ni,ij,nj->n", tried, squares, tried) - 2 * tried @ products
-        error = error / pixels + _PRIOR * ((tried - np.array(usual)) ** 2).sum(axis=1)
-        fused, variation, network = tried[int(np.argmin(error))]
-        return float(fused), float(variation), float(network)
+        if error.any():
+            self.alone = tried[int(np.argmin(error))]
+        for number, pixels in enumerate(self._pixels):
+            power = self._squares[number]
+            usual = np.diag(np.diag(power) * (_SURE + _KNOWN / (pixels + 1)) + 1e-12)
+            self.whole[number] = np.linalg.solve(
+                power + usual, self._products[number] + usual @ self._usual
+            )
 
     def __str__(self) -> str:
-        def said(parts: Parts) -> str:
-            return f"{parts[2]:.2f} network, {parts[1]:.2f} variation, {parts[0]:.2f} as fused"
+        pixels = self._pixels / max(self._pixels.sum(), 1)
+        variation, network, *blurs = pixels @ self.whole
+        return (
+            f"in whole windows {network:.2f} network, {variation:.2f} total variation, "
+            f"{sum(blurs):.2f} blurred, the rest as fused; where something moves "
+            f"{self.alone[1]:.2f} network, {self.alone[0]:.2f} total variation "
+            f"(measured on {self.measured} frames)"
+        )
 
-        return f"whole windows: {said(self.whole)}; a frame alone: {said(self.alone)}"
+
+def _between_classes(weights: Floats) -> Grey:
+    """(256, predictors) for each level of how much a picture varies."""
+    levels = np.minimum(np.arange(256), _LEVELS - 1) * _VARIES[-1] / _LEVELS
+    columns = [np.interp(levels, _VARIES, column) for column in weights.T]
+    return np.ascontiguousarray(np.stack(columns, axis=1), np.float32)
+
+
+def _all_parts() -> Floats:
+    """Of total variation and network, which leave a part of the frame as it is, or none."""
+    parts = [
+        (first, second)
+        for first, second in itertools.product(range(_FINENESS + 1), repeat=2)
+        if first + second <= _FINENESS and second >= _LEAST_NETWORK * _FINENESS
+    ]
+    return np.array(parts, np.float64) / _FINENESS
 
 
 def total_variation(grey: Grey, sigma: Grey) -> Grey:
@@ -148,18 +193,9 @@ def total_variation(grey: Grey, sigma: Grey) -> Grey:
 
 def _less(grey: Grey, across: Grey, down: Grey, weight: Grey) -> Grey:
     """The picture and the divergence of the dual, times the weight."""
-    divergence = across + down
+    divergence: Grey = across + down
     divergence[:, 1:] -= across[:, :-1]
     divergence[1:] -= down[:-1]
     divergence *= weight
     divergence += grey
     return divergence
-
-
-def _all_parts() -> Floats:
-    parts = [
-        (first, second, _FINENESS - first - second)
-        for first, second in itertools.product(range(_FINENESS + 1), repeat=2)
-        if first + second <= _FINENESS
-    ]
-    return np.array(parts, np.float64) / _FINENESS

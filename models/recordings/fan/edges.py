@@ -20,6 +20,7 @@ _LEAST_PART = 0.2  # of the picture's width: a line's length
 _LEAST_DEG, _MOST_DEG = 3.0, 75.0  # a line's angle against the picture's rows
 _ALIKE_DEG = 1.0  # by which both angles may differ
 _GAP_PX = 12.0  # between the sonar and the beginning of a line
+_TRIED = 8  # of the longest lines
 _MOST_DRAWN = 0.05  # of the picture: where more is thin and bright, it is speckle
 _ARC_SHARE = 0.35  # of an arc within the picture that must be white
 
@@ -37,13 +38,14 @@ def find_drawn(grey: npt.NDArray[np.uint8]) -> tuple[FanGeometry, float] | None:
     found = cv2.HoughLinesP(lines, 1, math.radians(0.25), 100, None, _LEAST_PART * width, _GAP_PX)
     if found is None:
         return None
-    left, right = [], []
+    left: list[tuple[float, ...]] = []
+    right: list[tuple[float, ...]] = []
     for x1, y1, x2, y2 in found.reshape(-1, 4).astype(float):
         slope = math.degrees(math.atan2(y2 - y1, x2 - x1))  # x1 <= x2
         if _LEAST_DEG <= abs(slope) <= _MOST_DEG:
             (left if slope > 0 else right).append((math.hypot(x2 - x1, y2 - y1), slope, x1, y1))
-    for _, down, x1, y1 in sorted(left, reverse=True):
-        for _, up, x2, y2 in sorted(right, reverse=True):
+    for _, down, x1, y1 in sorted(left, reverse=True)[:_TRIED]:
+        for _, up, x2, y2 in sorted(right, reverse=True)[:_TRIED]:
             # Where both meet is the sonar.
             fall, rise = math.tan(math.radians(down)), math.tan(math.radians(up))
             x = (y2 - y1 + fall * x1 - rise * x2) / (fall - rise)

@@ -14,7 +14,6 @@ from PIL import Image
 from simnfnd.command import main
 from simnfnd.evaluation.calibrate import files as fit_files
 from simnfnd.evaluation.calibrate import search as fit_search
-from simnfnd.evaluation.calibrate.climb import step_after
 from simnfnd.evaluation.calibrate.settings import FitSettings, flattened
 from simnfnd.evaluation.calibrate.simulate import Simulation
 from simnfnd.evaluation.realism.polar import Grid
@@ -162,14 +161,6 @@ def test_climbing_finds_it_too_and_goes_on_after_an_interruption(
     fit_search.search(settings_for(real, tmp_path / "parts", trials=5, **chosen))
     resumed = fit_search.search(settings_for(real, tmp_path / "parts", trials=14, **chosen))
     assert resumed.values == whole.values
-
-
-def test_steps_grow_with_success_and_shrink_without() -> None:
-    assert step_after([]) == step_after([3.0]) == 0.15
-    assert step_after([3.0, 2.0]) == pytest.approx(0.165)
-    assert step_after([3.0, 4.0, 3.5]) == pytest.approx(0.15 * 0.985**2)
-    assert step_after([1.0] * 400) == 0.05
-    assert step_after([float(-n) for n in range(40)]) == 0.25
 
 
 def test_what_cannot_be_searched_is_refused(real: Path, tmp_path: Path) -> None:

@@ -14,13 +14,8 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from simnfnd.evaluation.filters import REGISTRY
-from simnfnd.evaluation.filters.bm3d import _all_blocks
 from simnfnd.evaluation.filters.literature import dual_tree as dualtree
-from simnfnd.evaluation.filters.literature.convolutional import atoms, coded, reconstructed
-from simnfnd.evaluation.filters.literature.dtcwt_map import _map
-from simnfnd.evaluation.filters.literature.structural import noise_map
 from simnfnd.evaluation.methods.method import Method
-from simnfnd.evaluation.metrics.fidelity import psnr
 from simnfnd.evaluation.pairs import Pair as Pair_
 from simnfnd.evaluation.pairs import geometry_of, items_of, picture
 from simnfnd.evaluation.runner import denoised
@@ -52,63 +47,6 @@ def test_dual_tree_is_a_tight_frame(rows: int, columns: int, levels: int, seed: 
     assert power == pytest.approx(float((image**2).sum()), rel=1e-5)
 
 
-def wavelet_of(tree: int, level: int, size: int = 256) -> Array:
-    """(size,) the wavelet of a tree at a level, by the way back from one coefficient."""
-    one = np.zeros((size >> level, 1), np.float32)
-    one[one.size // 2] = 1
-    for number in reversed(range(level)):
-        low, high = dualtree.filters(number, tree)
-        one = dualtree._synthesised(one, high if number == level - 1 else low, 0)
-    return one[:, 0]
-
-
-@pytest.mark.parametrize("level", [2, 3, 4, 5])
-def test_wavelets_of_both_trees_are_a_hilbert_pair(level: int) -> None:
-    """Together they have no negative frequencies; a tree alone has half of its power there."""
-    pair = wavelet_of(0, level) + 1j * wavelet_of(1, level)
-    power = np.abs(np.fft.fft(pair)) ** 2
-    assert power[129:].sum() < 0.01 * power.sum()
-
-
-def test_dual_tree_hardly_feels_a_shift_and_tells_directions() -> None:
-    y, x = np.mgrid[0:128, 0:128]
-    step = ((x - 64) ** 2 + (y - 64) ** 2 < 30**2).astype(np.float32)
-    moved = [np.roll(step, n, (0, 1)) for n in range(8)]
-
-    def unsteady(levels_of: Any) -> Array:
-        power = np.array([[float((np.abs(b) ** 2).sum()) for b in levels_of(m)] for m in moved])
-        return np.asarray(power.std(axis=0) / power.mean(axis=0))
-
-    complex_bands = unsteady(lambda image: dualtree.forward(image, 4).bands)
-    real_bands = unsteady(lambda image: dualtree._forward(image, 4, 0, 0)[0])
-    assert complex_bands.max() < 0.05
-    assert (real_bands[1:] > 2.5 * complex_bands[1:]).all()
-    # Waves of six directions are strongest in one band each; real wavelets mix +45 and -45.
-    strongest = []
-    for degrees in (20, 45, 70, 110, 135, 160):
-        turn = np.deg2rad(degrees)
-        wave = np.cos(0.375 * np.pi * (x * np.cos(turn) + y * np.sin(turn))).astype(np.float32)
-        power = (np.abs(dualtree.forward(wave, 2).bands[1]) ** 2).sum(axis=(1, 2))
-        strongest.append(int(power.argmax()))
-    assert sorted(strongest) == list(range(6))
-
-
-def test_map_shrinkage_is_its_formula() -> None:
-    rng = np.random.default_rng(3)
-    band, parent = (
-        (rng.normal(size=shape) + 1j * rng.normal(size=shape)).astype(np.complex64)
-        for shape in ((6, 16, 16), (6, 8, 8))
-    )
-    result, noise = _map(band, parent, 0.6), 0.6
-    for number, row, column in ((0, 7, 9), (4, 8, 8), (5, 12, 3)):
-        around = band[number, row - 3 : row + 4, column - 3 : column + 4]
-        sigma = np.sqrt((np.abs(around) ** 2).mean() / 2 - noise**2)
-        y, above = band[number, row, column], parent[number, row // 2, column // 2]
-        length = np.sqrt(abs(y) ** 2 + abs(above) ** 2)
-        kept = max(length - np.sqrt(3) * noise**2 / sigma, 0) / length
-        assert result[number, row, column] == pytest.approx(kept * y, abs=1e-5)
-
-
 def test_dtcwt_map_keeps_the_mean_and_leaves_a_noiseless_picture() -> None:
     noisy = noisy_scene("speckle", 61)
     assert run("dtcwt_map", noisy, strength=0.5).mean() == pytest.approx(noisy.mean(), rel=1e-2)
@@ -118,53 +56,6 @@ def test_dtcwt_map_keeps_the_mean_and_leaves_a_noiseless_picture() -> None:
     smooth = run("dtcwt_map", speckled.astype(np.float32))
     even = np.s_[8:24, 8:56]
     assert smooth[even].std() < 0.25 * speckled[even].std()
-
-
-def test_convolutional_code_is_the_minimum() -> None:
-    """The conditions of the minimum: correlations of what is left are +-strength where a map is
-    not 0, and no larger anywhere."""
-    values, strength = noisy_scene("white", 40) - np.float32(0.5), 0.1
-    worst = []
-    for iterations in (20, 100, 500):
-        maps = coded(values, strength, iterations)
-        left = values - reconstructed(maps)
-        turned = np.conj(np.fft.fft2(atoms(), s=left.shape))
-        correlation = np.fft.ifft2(np.fft.fft2(left) * turned).real
-        wanted = np.where(maps != 0, strength * np.sign(maps), 0)
-        excess = np.where(maps != 0, correlation - wanted, np.abs(correlation) - strength)
-        worst.append(np.where(maps != 0, np.abs(excess), excess).max())
-        assert 0.005 < (maps != 0).mean() < 0.2, "sparse"
-    assert worst == sorted(worst, reverse=True)
-    assert worst[-1] < 0.1 * strength
-    # The sum of the maps with their atoms, pixel by pixel.
-    direct = sum(
-        ndimage.convolve(np.roll(m, (2, 2), (0, 1)), a, mode="wrap")
-        for m, a in zip(maps, atoms(), strict=True)
-    )
-    np.testing.assert_allclose(reconstructed(maps), direct, atol=1e-5)
-
-
-def test_a_code_without_price_is_the_picture() -> None:
-    image = noisy_scene("speckle", 50)
-    np.testing.assert_allclose(
-        run("convolutional", image, strength=1e-4, iterations=300), image, atol=0.02
-    )
-
-
-def test_structural_sees_noise_that_is_not_everywhere_the_same() -> None:
-    rng = np.random.default_rng(0)
-    sigma = np.where(np.arange(128) < 64, 0.03, 0.12)[None] * np.ones((128, 1))
-    flat = (0.5 + sigma * rng.normal(size=sigma.shape)).astype(np.float32)
-    seen = noise_map(_all_blocks(flat))
-    assert seen[:, :40].mean() == pytest.approx(0.03, rel=0.1)
-    assert seen[:, -40:].mean() == pytest.approx(0.12, rel=0.1)
-    # BM3D knows one level for the whole picture: whichever it is told, it is wrong somewhere.
-    clean = scene(96)
-    ramp = np.linspace(0.02, 0.25, 96)[None] * rng.normal(size=clean.shape)
-    noisy = np.clip(clean + ramp, 0, 1).astype(np.float32)
-    ours = psnr(clean, run("structural", noisy), data_range=1)
-    others = [psnr(clean, run("bm3d", noisy, sigma=s), data_range=1) for s in (0.1, 0.15, 0.2)]
-    assert ours > max(others) + 0.5
 
 
 def test_structural_leaves_a_noiseless_picture() -> None:

@@ -160,12 +160,6 @@ def test_identical_images() -> None:
     assert metrics.gmsd(clean, clean, data_range=255) == pytest.approx(0, abs=1e-12)
 
 
-def test_constant_images_are_allowed() -> None:
-    flat, gray = np.zeros((16, 16)), np.full((16, 16), 0.5)
-    assert metrics.ssim(flat, gray, data_range=1) < 0.01
-    assert 0 < metrics.gmsd(flat, gray, data_range=1) < 1  # the border is an edge
-
-
 @settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
@@ -187,17 +181,6 @@ def test_symmetric_and_bounded(seed: int, height: int, width: int, pooled: bool)
     if width % 2 == 0 or not pooled:
         mirrored = metrics.gmsd(a[:, ::-1], b[:, ::-1], data_range=1, pooled=pooled)
         assert one == pytest.approx(mirrored)
-
-
-@settings(max_examples=10, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_more_noise_is_worse(seed: int) -> None:
-    clean = waves(64, 64)[0] / 255
-    noise = np.random.default_rng(seed).normal(size=clean.shape)
-    noisy = [clean + sigma * noise for sigma in (0.01, 0.03, 0.06, 0.1)]
-    for metric, better in ((metrics.psnr, 1), (metrics.ssim, 1), (metrics.gmsd, -1)):
-        values = [better * metric(clean, image, data_range=1) for image in noisy]
-        assert values == sorted(values, reverse=True)
 
 
 def test_masked_values_use_the_mask_alone() -> None:

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import ndimage
 
@@ -88,17 +86,6 @@ def test_ms_ssim_holds_what_it_must() -> None:
         ms_ssim(clean / 255, noisy / 255, data_range=255)
 
 
-@settings(max_examples=5, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_more_noise_is_worse(seed: int) -> None:
-    clean = waves(180, 180)[0] / 255
-    noise = np.random.default_rng(seed).normal(size=clean.shape)
-    noisy = [clean + sigma * noise for sigma in (0.01, 0.03, 0.06, 0.1)]
-    for metric in (ms_ssim, edge_preservation):
-        values = [metric(clean, image, data_range=1) for image in noisy]
-        assert values == sorted(values, reverse=True)
-
-
 def test_edge_preservation_is_the_correlation_of_laplacians() -> None:
     clean, noisy = (image.astype(float) for image in waves(20, 24))
 
@@ -120,16 +107,6 @@ def test_edge_preservation_is_the_correlation_of_laplacians() -> None:
     far[16:] = 0
     inside = edge_preservation(clean, noisy, data_range=255, mask=mask)
     assert edge_preservation(clean, far, data_range=255, mask=mask) == inside
-
-
-def test_blur_costs_edges() -> None:
-    clean = waves(64, 64)[0] / 255
-    values = [
-        edge_preservation(clean, ndimage.gaussian_filter(clean, sigma), data_range=1)
-        for sigma in (0.3, 0.6, 1.0, 2.0)
-    ]
-    assert values == sorted(values, reverse=True)
-    assert math.isnan(edge_preservation(clean, np.full_like(clean, 0.1), data_range=1))
 
 
 def speckled(level: Array, looks: float, seed: int = 0) -> Array:

@@ -13,7 +13,7 @@ from simnfnd.evaluation.report.page import own_file, render
 from tests.evaluation.report import browser
 
 
-@pytest.mark.skipif(browser.found() is None, reason="no browser here")
+@pytest.mark.skipif(browser.program() is None, reason="no browser here")
 @pytest.mark.parametrize("width_px", [390, 1280])
 def test_they_are_seen_whole(tmp_path: Path, width_px: int) -> None:
     picture = as_data_uri(np.linspace(0, 1, 1600 * 200, dtype=np.float32).reshape(200, 1600))
@@ -28,13 +28,13 @@ def test_they_are_seen_whole(tmp_path: Path, width_px: int) -> None:
         ),
         encoding="utf-8",
     )  # fmt: skip
-    with browser.Browser() as shown:
-        shown.screen(width_px, 844, dark=False)
-        shown.open(page)
-        assert shown.run("document.documentElement.scrollWidth") == width_px
-        box = "(({width, height, right}) => [width, height, right])"
-        boxes = f"[...document.images].map((one) => {box}(one.getBoundingClientRect()))"
-        for width, height, right in shown.run(boxes):
-            assert right <= width_px
-            assert width / height == pytest.approx(8, rel=0.02)
-        assert shown.complaints == []
+    boxes = """
+    const boxes = [...page.document.images].map((one) => one.getBoundingClientRect());
+    return {wide: page.document.documentElement.scrollWidth,
+            boxes: boxes.map(({width, height, right}) => [width, height, right])};
+    """
+    found = browser.found_on(page, boxes, tmp_path, size=(width_px, 844))
+    assert (found["wide"], found["complaints"]) == (width_px, [])
+    for width, height, right in found["boxes"]:
+        assert right <= width_px
+        assert width / height == pytest.approx(8, rel=0.02)

@@ -118,7 +118,9 @@ def test_a_scene_that_trains_here_and_tests_there_is_refused(tmp_path, two) -> N
 def test_other_noise_is_refused_by_its_key(tmp_path, two) -> None:
     noise = {"background": {"density": {"uniform": [0.1, 0.9]}}}
     other = write(tmp_path / "other", place="mole", config={**CONFIG, "noise": noise})
-    refused((two[0], other), tmp_path / "out", r"noise.background.density.uniform \[0.1, 0.5\] and")
+    refused(
+        (two[0], other), tmp_path / "out", r"noise.background.density.uniform \[0.1, 0.5\] -> \["
+    )
 
 
 @pytest.mark.parametrize(

@@ -221,7 +221,7 @@ def test_the_card_says_what_is_there_and_its_code_runs(
         "| test | reef | gamma | 4 |",
         "c0ffee0123456789",
         "hfov_deg: 30.0",
-        "density: {uniform: [0.1, 0.5]}",
+        "    uniform: [0.1, 0.5]",
         "images left out: 3, no depth",
         "frames that failed: 1,",
         "Of this dataset: CC-BY-4.0.",

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
-from simnfnd.models.denoise.scales import Grey, Maps, by_scales, correlation, halved
+from simnfnd.models.denoise.sizes import Grey, Maps, by_scales, correlation, halved
 from simnfnd.models.pretrained import find_weights
 
 

@@ -229,9 +229,8 @@ def test_the_recording_chooses_the_strength() -> None:
 
     perfect, spoiling = chosen(truth), chosen(np.zeros_like(truth))
     assert perfect.measured >= 2
-    assert perfect.whole[2] > 0.9
-    assert spoiling.whole[2] == 0
-    assert sum(spoiling.whole) == pytest.approx(1)
+    assert perfect.whole[2:5, 1].min() > 0.8
+    assert np.abs(spoiling.whole[2:5, 1]).max() < 0.1
 
 
 def test_total_variation_removes_noise_and_keeps_edges() -> None:

@@ -29,7 +29,6 @@ from tests.models.recordings.fan_pictures import fan, preset
 from tests.project.run_example import run
 
 TINY: dict[str, dict[str, Any]] = {
-    "ap_bsn": {"width": 4, "modules": 1, "train_stride": 3, "use_stride": 2, "passes": 3},
     "dae": {"widths": [4, 4]},
     "dgp_srgan": {
         "width": 4, "blocks": 1, "critic_width": 4, "adversarial": 0.001, "penalty": 10.0,

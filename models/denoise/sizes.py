@@ -1,4 +1,4 @@
-"""Pictures with wide grain, first denoised at half their size.
+"""Large pictures in overlapping tiles, and pictures with wide grain at half their size first.
 
 A display that enlarges makes grain wider than any that a network has learned from, which then takes
 it for ground.  At half the size the grain is as it should be.  The change found there is enlarged
@@ -7,6 +7,7 @@ and added, and the picture with less noise denoised as it is, which finds edges 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 import cv2
@@ -15,6 +16,7 @@ import numpy.typing as npt
 
 Grey = npt.NDArray[np.float32]
 Maps = Mapping[str, Grey]
+Work = Callable[[Grey, Maps], Grey]
 
 _AROUND_PX = 9  # side of the mean that grain is measured against
 _RAMP = 0.05  # of the correlation: from nothing to the whole change of the smaller picture
@@ -71,3 +73,41 @@ def halved(plane: Grey) -> Grey:
         (even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]) / np.float32(4),
         np.float32,
     )
+
+
+def starts(size: int, tile: int, overlap: int) -> list[int]:
+    """First pixels of tiles that cover `size`, evenly spread, each sharing >= `overlap` pixels."""
+    if size <= tile:
+        return [0]
+    count = math.ceil((size - overlap) / (tile - overlap))
+    return [round(number * (size - tile) / (count - 1)) for number in range(count)]
+
+
+def tiled(work: Work, image: Grey, maps: Maps, tile: int, overlap: int) -> Grey:
+    """`work` on tiles of at most `tile` pixels a side, put together again.
+
+    image, and each of maps: (H, W).  Where tiles overlap, their weights rise and fall linearly over
+    the `overlap` nearest the edge.  A picture that fits one tile goes through as it is.
+    Raises ValueError unless 0 <= overlap <= tile / 2.
+    """
+    height, width = image.shape
+    if not 0 <= overlap <= tile // 2:
+        raise ValueError(f"overlap {overlap} must be at most half of the tile {tile}")
+    if height <= tile and width <= tile:
+        return work(image, maps)
+    total = np.zeros(image.shape, np.float64)
+    weights = np.zeros(image.shape, np.float64)
+    for top in starts(height, tile, overlap):
+        for left in starts(width, tile, overlap):
+            window = np.s_[top : top + tile, left : left + tile]
+            part = work(image[window], {name: values[window] for name, values in maps.items()})
+            weight = np.outer(_ramp(part.shape[0], overlap), _ramp(part.shape[1], overlap))
+            total[window] += weight * part
+            weights[window] += weight
+    return (total / weights).astype(np.float32)
+
+
+def _ramp(size: int, overlap: int) -> npt.NDArray[np.float64]:
+    """Rises from the edge over `overlap` pixels, never quite 0."""
+    edge = np.minimum(np.arange(size), np.arange(size)[::-1]) + 1.0
+    return np.minimum(edge / (overlap + 1), 1.0)

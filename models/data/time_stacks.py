@@ -1,0 +1,207 @@
+"""Means of frames as training pictures: of recordings that stand still, and of drawn pictures.
+
+In time, what stands still is the target: the mean of other frames of a recording, or a drawn
+picture with its speckle under fresh noise.  A network that learns it removes from an average the
+noise that is left and keeps what averaging has brought out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ...factory.errors import FactoryError
+from ...factory.sonar.geometry import FanGeometry
+from ..recordings.static import find_groups
+from ..removal import averaged
+from .images import list_images
+from .pairs import Image, Sample
+from .recordings import frame_of
+
+_ALIKE = 0.75
+"""Likeness of two frames in a row from which on a recording stands still."""
+_AROUND = 25
+"""Frames before and after whose mean is a target."""
+_MOST = 7
+"""Frames that are averaged, at most; of short recordings half of them."""
+_MOVED = 0.045
+"""Difference of smoothed means that says that something moved."""
+_SINGLE = 0.4
+"""Part of the visits of a recording that show a single frame."""
+_UNEVEN, _OFF, _OFF_PX = 0.45, 0.25, 0.5
+"""Part of the means with uneven weights and with frames that lie beside, and by how much."""
+_TAUGHT = 0.5
+"""Of the target of a single frame, what a teacher makes of it; the rest is the mean of others."""
+_LOUD = 0.12
+"""Part of the pictures that get a loud beam."""
+_FEWEST, _FULL = 0.15, 0.7
+"""Weight in the loss of a pixel with one frame amid several; log2 of the number of full weight."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stack:
+    """The frames of a recording, (T, H, W) uint8, and whether they stand still."""
+
+    frames: npt.NDArray[np.uint8]
+    geometry: FanGeometry
+    is_still: bool
+
+    def sample(self, rng: np.random.Generator) -> Sample:
+        """A single frame or a mean of several, towards the mean of others, NaN where unknown."""
+        count = len(self.frames)
+        most = min(_MOST, count // 2)
+        if not self.is_still or most < 2 or rng.random() < _SINGLE:
+            number = int(rng.integers(count))
+            grey = _grey(self.frames[number])
+            if not self.is_still or count < 3:
+                return self._sample(grey, np.full_like(grey, np.nan), taught=1.0)
+            return self._sample(grey, self._target([number]), taught=_TAUGHT)
+        several = int(rng.integers(2, most + 1))
+        first = int(rng.integers(count - several + 1))
+        members = list(range(first, first + several))
+        own = int(rng.integers(several))
+        stack = _grey(self.frames[members])
+        if rng.random() < _OFF:
+            for number in range(several):
+                if number != own:
+                    stack[number] = _moved(stack[number], rng.uniform(-_OFF_PX, _OFF_PX, 2))
+        weights = np.ones_like(stack)
+        if rng.random() < _UNEVEN:
+            field = smooth_field(rng, stack.shape[1:])
+            for number in range(several):
+                if number != own:
+                    weights[number] = field
+        weights /= weights.sum(axis=0)
+        mean = np.asarray((weights * stack).sum(axis=0), np.float32)
+        frames = averaged(1 / np.square(weights).sum(axis=0))
+        return self._sample(mean, self._target(members), frames=frames)
+
+    def _sample(
+        self, noisy: Image, target: Image, taught: float = 0.0, frames: Image | None = None
+    ) -> Sample:
+        shadow = np.full_like(noisy, np.nan)
+        return Sample(noisy, target, shadow, self.geometry, frames=frames, taught=taught)
+
+    def _target(self, members: Sequence[int]) -> Image:
+        """The mean of frames around the members, NaN where something moved."""
+        near, far = members[0] - _AROUND, members[-1] + _AROUND + 1
+        inside = [i for i in range(max(0, near), min(len(self.frames), far)) if i not in members]
+        target = self.frames[inside].mean(axis=0, dtype=np.float32) / np.float32(255)
+        own = self.frames[list(members)].mean(axis=0, dtype=np.float32) / np.float32(255)
+        change = cv2.GaussianBlur(own, (0, 0), 2) - cv2.GaussianBlur(target, (0, 0), 2)
+        return np.asarray(np.where(np.abs(change) < _MOVED, target, np.nan), np.float32)
+
+
+def open_stacks(
+    paths: Sequence[str], least_side: int, key: str = "data.recordings"
+) -> tuple[Stack, ...]:
+    """The recordings of files and folders whose geometry is known or found.
+
+    least_side: of a frame, pixels.  Raises FactoryError, naming `key`, where there are none.
+    """
+    found = []
+    for path in paths:
+        refs = list_images(path, key)
+        for scene in dict.fromkeys(ref.scene for ref in refs):
+            samples = [frame_of(ref) for ref in refs if ref.scene == scene]
+            shape = samples[0].noisy.shape
+            frames = np.stack([one.noisy for one in samples if one.noisy.shape == shape])
+            geometry = samples[0].geometry
+            if geometry is None or min(shape) < least_side:
+                continue
+            sector = geometry.maps(0, 0, *shape)["sector"] > 0
+            still = bool(
+                find_groups(list(frames[:2]), [sector] * 2, least=2, alike=_ALIKE, furthest_px=1.0)
+            )
+            found.append(Stack(np.uint8(np.rint(frames * 255)), geometry, still))
+    if paths and not found:
+        raise FactoryError(
+            f"{key}: no recording there has frames of {least_side} pixels or more with a fan that "
+            "can be found"
+        )
+    return tuple(found)
+
+
+def standing(sample: Sample, rng: np.random.Generator) -> Sample:
+    """A drawn pair as the mean of frames: some of its speckle stands still, the rest is fresh."""
+    assert sample.clean is not None
+    part = np.float32(rng.choice([0.0, 0.3, 0.6, 1.0]))
+    target = sample.clean + part * (sample.noisy - sample.clean)
+    count: float | Image = float(np.exp(rng.uniform(np.log(1.5), np.log(20))))
+    if rng.random() < _UNEVEN:
+        count = 1 + (count - 1) * smooth_field(rng, target.shape)
+    frames = np.broadcast_to(averaged(count), target.shape).copy()
+    noise = temporal_noise(rng, target) * np.exp2(-frames / 2) * rng.uniform(0.9, 1.5)
+    noisy = np.asarray(np.clip(target + noise, 0, 1), np.float32)
+    # Where a single frame is left, speckle may go: the target says too little there.
+    weight = np.clip(2 * frames / _FULL, _FEWEST, 1)
+    unknown = rng.random(target.shape) > weight
+    return replace(
+        sample,
+        noisy=noisy,
+        clean=np.where(unknown, np.nan, target).astype(np.float32),
+        shadow=np.full_like(noisy, np.nan),
+        frames=frames,
+        taught=0.0,
+    )
+
+
+def temporal_noise(rng: np.random.Generator, picture: Image) -> Image:
+    """What one frame differs by from what stands still: nothing in black, some grain wide."""
+    grain = rng.standard_normal(picture.shape, dtype=np.float32)
+    across, down = rng.uniform(0.2, 1.3), rng.uniform(0.2, 1.1)
+    if max(across, down) > 0.25:
+        grain = np.asarray(cv2.GaussianBlur(grain, (0, 0), across, sigmaY=down), np.float32)
+        grain /= grain.std()
+    level = np.clip(picture / rng.uniform(0.03, 0.2), 0, 1)
+    if rng.random() < 0.5:
+        # Echoes of DIDSON recordings vary less where they are bright.
+        level = level * np.clip(1 - (picture - 0.25) / rng.uniform(0.5, 1.2), 0.35, 1)
+    return np.asarray(rng.uniform(0.015, 0.07) * level * grain * (picture > 0.004), np.float32)
+
+
+def with_loud_beam(sample: Sample, rng: np.random.Generator) -> Sample:
+    """The same with a beam that is too loud along most of its length, which the target lacks."""
+    if sample.geometry is None or sample.clean is None or rng.random() >= _LOUD:
+        return sample
+    maps = sample.geometry.maps(0, 0, *sample.noisy.shape)
+    inside = maps["sector"] > 0
+    if not inside.any():
+        return sample
+    dark = np.float32(rng.uniform(0.1, 0.7) if rng.random() < 0.5 else 1)
+    azimuth, radius = maps["azimuth_rad"], maps["range_fraction"]
+    low, high = float(azimuth[inside].min()), float(azimuth[inside].max())
+    middle = 0.0 if low < 0 < high and rng.random() < 0.4 else rng.uniform(low, high)
+    beam = np.exp(-0.5 * ((azimuth - middle) / rng.uniform(0.0012, 0.009)) ** 2)
+    profile = np.interp(radius, np.linspace(0, 1, 9), rng.uniform(0.5, 1, 9))
+    looks = 4 * (1 if sample.frames is None else float(np.exp2(np.median(sample.frames))))
+    speckle = 1 + rng.uniform(0.2, 1.2) * (rng.gamma(looks, 1 / looks, azimuth.shape) - 1)
+    loud = rng.uniform(0.06, 0.7) * beam * profile * speckle * inside
+    noisy = np.clip(dark * sample.noisy + loud, 0, 1).astype(np.float32)
+    return replace(sample, noisy=noisy, clean=dark * sample.clean)
+
+
+def smooth_field(rng: np.random.Generator, shape: tuple[int, ...]) -> Image:
+    """(H, W) in 0..1, patches of 8 to 60 pixels with soft edges."""
+    side = rng.uniform(8, 60)
+    coarse = rng.random([int(size / side) + 3 for size in shape]).astype(np.float32)
+    field = cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)
+    field = (field - 0.5) * rng.uniform(1, 6) + rng.uniform(0.2, 0.9)
+    return np.asarray(np.clip(field, 0, 1), np.float32)
+
+
+def _moved(picture: Image, shift_px: npt.NDArray[np.float64]) -> Image:
+    matrix = np.array([[1, 0, shift_px[0]], [0, 1, shift_px[1]]], np.float64)
+    size = picture.shape[::-1]
+    moved = cv2.warpAffine(
+        picture, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(moved, np.float32)
+
+
+def _grey(frames: npt.NDArray[np.uint8]) -> Image:
+    return frames.astype(np.float32) / np.float32(255)

@@ -1,0 +1,97 @@
+"""Decibels of every weights file that ships, on pictures that never change.
+
+Real frames: examples/didson/lamprey.avi against the mean of its other frames, inside the fan after
+one gain and offset.  Procedural pairs: golden_pairs.npz, two with the paper's points and two of
+drawn devices, from places that no training saw.  Figures may rise; a fall of more than _MAY_LOSE
+dB is a fault.
+"""
+
+from __future__ import annotations
+
+import json
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.models.adapt.module import psnr_after_levels
+from simnfnd.models.denoise.denoiser import load_denoiser
+from simnfnd.models.pretrained import shipped
+from simnfnd.models.recordings.fan.finder import find_geometry
+from tests.project_files import ROOT
+
+Grey = npt.NDArray[np.float32]
+RECORDING = ROOT / "examples" / "didson" / "lamprey.avi"
+PAIRS = Path(__file__).with_name("golden_pairs.npz")
+_MAY_LOSE = 0.03
+
+GOLDEN: dict[str, dict[str, float]] = {}
+
+
+@lru_cache(maxsize=1)
+def frames(path: Path = RECORDING) -> tuple[Grey, FanGeometry]:
+    """(T, H, W) float32 in 0..1, and the fan."""
+    video, found = cv2.VideoCapture(str(path)), []
+    while (read := video.read())[0]:
+        found.append(cv2.cvtColor(read[1], cv2.COLOR_BGR2GRAY))
+    geometry = find_geometry(found[0])
+    assert geometry is not None
+    return np.stack(found).astype(np.float32) / 255, geometry
+
+
+def target(members: range) -> Grey:
+    """The mean of the other frames, NaN outside the fan."""
+    seen, geometry = frames()
+    others = [number for number in range(len(seen)) if number not in members]
+    sector = geometry.maps(0, 0, *seen.shape[1:])["sector"] > 0
+    return np.where(sector, seen[others].mean(axis=0), np.nan).astype(np.float32)
+
+
+def pairs(kind: str) -> list[tuple[Grey, Grey, FanGeometry]]:
+    """(noisy, clean, geometry) of procedural pictures, `points` or `sonar`."""
+    with np.load(PAIRS) as stored:
+        return [
+            (
+                stored[f"{kind}{number}.noisy"].astype(np.float32) / 255,
+                stored[f"{kind}{number}.clean"].astype(np.float32) / 255,
+                FanGeometry(**json.loads(str(stored[f"{kind}{number}.geometry"]))),
+            )
+            for number in range(2)
+        ]
+
+
+def psnr(picture: Grey, reference: Grey) -> float:
+    return float(-10 * np.log10(np.square(picture - reference).mean()))
+
+
+def figures(name: str) -> dict[str, float]:
+    """What a file gains, dB: on single frames, on means of seven, on procedural pictures."""
+    denoise = load_denoiser(name, "cpu")
+    seen, geometry = frames()
+    single: list[float] = []
+    several: list[float] = []
+    for members in (range(2, 3), range(5, 6), range(4), range(4, 8)):
+        noisy = seen[members.start : members.stop].mean(axis=0)
+        made, wished = denoise(noisy, geometry, frames=len(members)), target(members)
+        gain = psnr_after_levels(made, wished) - psnr_after_levels(noisy, wished)
+        (single if len(members) == 1 else several).append(gain)
+    found = {"frame": float(np.mean(single)), "mean of 4": float(np.mean(several))}
+    for kind in ("sonar", "points"):
+        gains = [
+            psnr(denoise(noisy, where), clean) - psnr(noisy, clean)
+            for noisy, clean, where in pairs(kind)
+        ]
+        found[kind] = float(np.mean(gains))
+    return found
+
+
+@pytest.mark.parametrize("name", sorted(shipped()))
+def test_weights_that_ship_keep_their_decibels(name: str) -> None:
+    found = figures(name)
+    assert GOLDEN.keys() == shipped().keys()
+    short = {key: round(found[key], 3) for key, least in GOLDEN[name].items()}
+    assert all(found[key] > least - _MAY_LOSE for key, least in GOLDEN[name].items()), short
