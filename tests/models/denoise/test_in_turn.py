@@ -59,8 +59,8 @@ def test_both_in_turn() -> None:
     over = asked_denoiser(None, "cpu", ["haze", "gains"])
     assert isinstance(over, Denoiser)
     assert over.digest == first.digest
-    named = asked_denoiser("simnfnd-fast", "cpu", ["haze"])
-    assert named.digest == load_denoiser("simnfnd-fast", "cpu").digest
+    named = asked_denoiser("simnfnd-removal", "cpu", ["haze"])
+    assert named.digest == load_denoiser("simnfnd-removal", "cpu").digest
 
 
 def test_by_the_command(tmp_path: Path) -> None:
