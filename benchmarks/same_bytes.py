@@ -4,9 +4,11 @@
     python -m benchmarks.same_bytes --against FILE     in one of the other: exit 1 if they differ
 
 It makes a demo (Cycles), pictures of several devices and layouts with all optional layers, the
-physical profile, the ARIS fit, a sweep, short trainings, denoised pictures and a report, and notes
-the SHA-256 of every picture, mask, table and attribute of every shard, of weights and of figures.
-What is written beside them for people to read (cards, messages) is not compared.
+physical profile, the ARIS fit, a sweep, short trainings, denoised pictures and a report; of FLSea
+frames (--flsea) the paper's points, the complex field, drawn devices and a pack of renders, by one
+worker, by 48, and killed in the middle and resumed.  It notes the SHA-256 of every picture, mask,
+table and attribute of every shard, of weights and of figures.  What is written beside them for
+people to read (cards, messages) is not compared.
 """
 
 from __future__ import annotations
@@ -16,9 +18,11 @@ import hashlib
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import h5py
@@ -43,6 +47,15 @@ DATASETS: dict[str, tuple[str, ...]] = {
     "aris_mdd": ("experiment=aris_mdd", "render=analytic", *SMALL, "scenes.kinds=null"),
 }  # fmt: skip
 
+# Of real frames, in shards of two pairs: points, field, drawn devices.
+REAL: dict[str, tuple[str, ...]] = {
+    "flsea_points": ("experiment=simnfnd", "frames.variants=2"),
+    "flsea_field": ("experiment=physical", LAYERS, "frames.variants=2"),
+    "flsea_any_sonar": ("experiment=any_sonar", "frames.variants=2"),
+}
+FEW = ("render=analytic", "frames.total=4", "scheduler.shard_size=2", "dataset.preview_pairs=0")
+ONE, MANY = ("scheduler=serial",), ("scheduler=local", "scheduler.workers=48")
+
 
 def main() -> int:
     """See the module."""
@@ -51,9 +64,13 @@ def main() -> int:
     choice.add_argument("--write", type=Path, metavar="FILE")
     choice.add_argument("--against", type=Path, metavar="FILE")
     parser.add_argument("--only", nargs="*", help="names of datasets; leaves out what needs others")
+    parser.add_argument("--flsea", type=Path, default=Path("../shared/data/flsea-vi"),
+                        metavar="FOLDER", help="FLSea VI; left out where there is none")  # fmt: skip
     given = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="same-bytes-") as folder:
         hashes = everything(Path(folder), given.only)
+        if given.flsea.is_dir():
+            hashes |= of_real_frames(Path(folder), given.flsea.resolve(), given.only)
     if given.write:
         given.write.write_text(json.dumps(hashes, indent=1, sort_keys=True) + "\n")
         print(f"{len(hashes)} hashes: {given.write}")
@@ -75,13 +92,13 @@ def everything(folder: Path, only: list[str] | None) -> dict[str, str]:
         if only is not None and name not in only:
             continue
         made = folder / name
-        run("factory", *words, f"dataset.dir={made}", f"cache.dir={folder / 'cache'}")
-        run("factory", "validate", str(made), "--deep")
+        run("simnfnd.factory", *words, f"dataset.dir={made}", f"cache.dir={folder / 'cache'}")
+        run("simnfnd.factory", "validate", str(made), "--deep")
         hashes |= {f"{name}/{key}": value for key, value in dataset_hashes(made).items()}
     if only is not None:
         return hashes
     # The points of a sweep name their own folders, by the hash of their configuration.
-    run("factory", "-m", "render=analytic", *SMALL, f"cache.dir={folder / 'cache'}",
+    run("simnfnd.factory", "-m", "render=analytic", *SMALL, f"cache.dir={folder / 'cache'}",
         "noise.background.density=0.1,0.5", "resample.rate=0.1,0.3", "dataset.name=same-bytes",
         f"hydra.sweep.dir={folder / 'sweep'}")  # fmt: skip
     for point in sorted(Path("outputs").glob("same-bytes-*")):
@@ -97,18 +114,65 @@ def everything(folder: Path, only: list[str] | None) -> dict[str, str]:
         "train_renders": (f"dataset={demo}", "data=renders", "model=unet"),
     }.items():
         out = folder / name
-        run("models", *words, *short, f"out={out}")
+        run("simnfnd.models", *words, *short, f"out={out}")
         hashes[name] = weights_hash(out / "weights.safetensors")
     denoised = folder / "denoised"
-    run("models", "denoise", str(demo), "--out", str(denoised))
+    run("simnfnd.models", "denoise", str(demo), "--out", str(denoised))
     for path in sorted(denoised.rglob("*.h5")):
         for key, value in shard_hashes(path).items():
             hashes[f"denoised/{path.relative_to(denoised)}/{key}"] = value
     report = folder / "report"
-    run("evaluation", f"dataset={demo}", "baselines=[fast]", f"out={report}", "limit=4",
+    run("simnfnd.evaluation", f"dataset={demo}", "baselines=[fast]", f"out={report}", "limit=4",
         "bootstrap=100", f"models=[{folder / 'train_pairs'}]")  # fmt: skip
     hashes["report"] = figures_hash(report / "results.parquet")
     return hashes
+
+
+def of_real_frames(folder: Path, root: Path, only: list[str] | None) -> dict[str, str]:
+    """The same of FLSea frames.  Raises SystemExit where workers, a kill or a pack change bytes."""
+    hashes: dict[str, str] = {}
+    scenes = ("scenes=flsea", f"scenes.root={root}")
+    for name, words in REAL.items():
+        if only is not None and name not in only:
+            continue
+        words = (*words, *FEW, f"cache.dir={folder / 'real-cache'}")
+        made = folder / name
+        run("simnfnd.factory", *words, *scenes, *ONE, f"dataset.dir={made}")
+        expected = dataset_hashes(made)
+        hashes |= {f"{name}/{key}": value for key, value in expected.items()}
+        ways = {"many": MANY, "killed": (*ONE, "cache.enabled=false")}
+        for way, how in ways.items():
+            other = folder / f"{name}_{way}"
+            if way == "killed":
+                kill_in_the_middle(other, *words, *scenes, *how, f"dataset.dir={other}")
+            run("simnfnd.factory", *words, *scenes, *how, f"dataset.dir={other}")
+            same(f"{name}, {way}", expected, dataset_hashes(other))
+        pack, packed = folder / f"{name}.pack", folder / f"{name}_packed"
+        run("simnfnd.factory", "cache", "pack", "--out", str(pack), *words, *scenes)
+        run("simnfnd.factory", *words, "scenes=pack", f"scenes.root={pack}", *ONE,
+            f"dataset.dir={packed}")  # fmt: skip
+        hashes |= {f"{name}_packed/{key}": value for key, value in dataset_hashes(packed).items()}
+    return hashes
+
+
+def same(what: str, expected: dict[str, str], found: dict[str, str]) -> None:
+    """Raise SystemExit where two datasets of one version differ."""
+    if expected != found:
+        keys = sorted(k for k in {*expected, *found} if expected.get(k) != found.get(k))
+        raise SystemExit(f"{what}: {len(keys)} parts have other bytes: {', '.join(keys[:5])}")
+
+
+def kill_in_the_middle(folder: Path, *words: str) -> None:
+    """Kill a run, its workers too, as soon as its first shard is there."""
+    print("killed in the middle: python -m simnfnd.factory", *words, flush=True)
+    with subprocess.Popen(
+        [sys.executable, "-m", "simnfnd.factory", *words], start_new_session=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    ) as made:  # fmt: skip
+        while made.poll() is None and not any(folder.glob("*/shard-*.h5")):
+            time.sleep(0.02)
+        if made.poll() is None:
+            os.killpg(made.pid, signal.SIGKILL)
 
 
 def run(*words: str) -> None:

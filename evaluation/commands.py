@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -22,8 +22,6 @@ from ..factory.storage.copies import local_folder
 
 if TYPE_CHECKING:
     from .settings import EvaluationSettings
-
-S = TypeVar("S")
 
 
 def report(words: Sequence[str]) -> int:
@@ -92,7 +90,7 @@ def settings_of(config: DictConfig) -> EvaluationSettings:
 
     if config.dataset.dir is None:
         raise FactoryError("dataset: give the folder that `simnfnd make` made, dataset=DIR")
-    settings = build(EvaluationSettings, _values(config))
+    settings: EvaluationSettings = build(EvaluationSettings, _values(config))
     folder = str(local_folder(settings.dataset.dir))
     settings = replace(settings, dataset=replace(settings.dataset, dir=folder))
     for key, folders in (("dataset", [settings.dataset.dir]), ("robustness", settings.robustness)):
@@ -142,7 +140,7 @@ def _real(config: DictConfig) -> None:
     values = _values(config)
     if not values["real"]:
         raise FactoryError("real: give pictures or a recording: simnfnd evaluate real IN")
-    settings = build(RealSettings, values)
+    settings: RealSettings = build(RealSettings, values)
     require(_needs("models=", settings.models))
     from .real.judging import evaluate
 
@@ -158,7 +156,7 @@ def _realism(config: DictConfig) -> None:
         raise FactoryError(f"{'sim' if values['real'] else 'real'}: {usage}")
     if isinstance(values["sim"], str):
         values["sim"] = [values["sim"]]
-    settings = build(RealismSettings, values)
+    settings: RealismSettings = build(RealismSettings, values)
     from .realism.report import evaluate
 
     evaluate(settings)
@@ -176,7 +174,7 @@ def _fit(config: DictConfig) -> None:
     values["parameters"] = {
         key: value for key, value in flattened(values["parameters"]).items() if value is not None
     }
-    settings = build(FitSettings, values)
+    settings: FitSettings = build(FitSettings, values)
     from .calibrate import files, search
 
     # The recipe is composed as `simnfnd make` would, by a Hydra of its own.

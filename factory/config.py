@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import field, replace
 from pathlib import Path
@@ -114,6 +115,11 @@ class FactoryConfig:
                 "acoustics.formation=field set render.bounces=0 (noise.bottom_multipath and "
                 "noise.surface_multipath have the delay)"
             )
+        if self.acoustics.formation == "field" and not self.resample.is_default:
+            raise ValueError(
+                "resample thins points, and acoustics.formation=field has none; leave "
+                "resample.kind and resample.rate at their defaults, or set acoustics=points"
+            )
         if self.acoustics.formation == "field" and moving:
             raise ValueError(
                 f"noise.{moving[0]} moves points, and acoustics.formation=field has none; "
@@ -185,6 +191,17 @@ def from_mapping(values: Mapping[str, Any]) -> FactoryConfig:
         sonar = config.sonar
         config = replace(config, scenes=seeing(config.scenes, sonar.hfov_deg, sonar.vfov_deg))
     return config
+
+
+def with_cache(config: FactoryConfig, work: Path) -> FactoryConfig:
+    """The configuration with a cache that workers in any folder find.
+
+    With cache.enabled=false it is in `work`, which lasts as long as the run.
+    """
+    folder = config.cache.folder
+    if not config.cache.enabled:
+        folder = Path(os.path.abspath(work / "renders"))
+    return replace(config, cache=replace(config.cache, dir=str(folder)))
 
 
 def plain(config: FactoryConfig) -> dict[str, Any]:

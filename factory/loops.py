@@ -9,12 +9,8 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from .progress import stage_if_slow
-
-if TYPE_CHECKING:
-    from .config import FactoryConfig
 
 PICTURES = ("elementary", "render.albedo", "render.shading", "sonar.echo_loops",
             "sonar.picture_loops", "render.cloud.joints")  # fmt: skip
@@ -27,17 +23,19 @@ FIELD = ("imaging.coherent.cells.cell_loops", "imaging.coherent.cells.path_loops
 LOOPS = PICTURES + SURFACES + SEABED + FIELD
 
 
-def compile_needed(config: FactoryConfig) -> None:
-    """Load the loops of a configuration, compiling what is not on disk yet.
+def compile_needed(*, scenes: str = "", render: str = "", field: bool = False) -> None:
+    """Load the loops that a task needs, compiling what is not on disk yet.
 
+    scenes, render: the kinds whose frames it makes and renders.  field: whether it forms pictures
+    by the complex field.
     One process of a machine at a time does it: many workers would compile the same loops at once.
     """
     names = PICTURES
-    if config.scenes.kind == "seabed":
+    if scenes == "seabed":
         names += SEABED
-    if config.render.kind != "analytic":
+    if render in ("cycles", "embree"):
         names += SURFACES
-    if config.acoustics.formation == "field" or config.devices is not None:
+    if field:
         names += FIELD
     if all(_module(name) in sys.modules for name in names):
         return

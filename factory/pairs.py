@@ -118,7 +118,7 @@ def _chosen(found: tuple[FrameRef, ...], config: FactoryConfig) -> tuple[FrameRe
 
 def pair_maker(config: FactoryConfig) -> PairMaker:
     """The pair maker of a configuration, with the renders that it means."""
-    compile_needed(config)
+    compile_needed(field=config.acoustics.formation == "field" or config.devices is not None)
     return PairMaker(config, open_views(config))
 
 

@@ -26,10 +26,10 @@ def vector(removed: Collection[str]) -> npt.NDArray[np.float32]:
 
 _MOST_FRAMES = 16.0
 """More frames are too few to tell from this many by the noise that is left."""
-_INDEPENDENT = 0.5
+_INDEPENDENT = 0.36
 """Power of the number of frames that says how many of independent noise they are worth: the noise
 of frames that follow each other is correlated.  Seven frames of two DIDSON recordings and of five
-of the MDD groups came out best as two to three independent ones."""
+of the MDD groups came out best as two independent ones."""
 
 
 def averaged(frames: npt.ArrayLike) -> npt.NDArray[np.float32]:

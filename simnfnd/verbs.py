@@ -19,7 +19,6 @@ class Verb:
     before: words put before those of the user.
     needs: modules without which it can do nothing, each of an extra (`simnfnd.factory.cli.extras`).
     hydra: its words are overrides of a Hydra configuration, KEY=VALUE.
-    config: the one that the KEY=VALUE among its words are of, conf/<config>.yaml.
     places: how many words that are no KEY=VALUE a Hydra verb takes; None: any number.
     verbs: verbs of its own.
     """
@@ -31,7 +30,6 @@ class Verb:
     before: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
     hydra: bool = False
-    config: str = ""
     places: int | None = 0
     verbs: Mapping[str, Verb] = field(default_factory=dict)
 
@@ -55,7 +53,7 @@ VERBS: dict[str, Verb] = {
         MAKE, "a small dataset of procedural scenes, with a preview of it",
         f"{_COMMANDS}.make:main",
         ("simnfnd demo", "simnfnd demo render=analytic dataset.dir=outputs/first"),
-        before=("experiment=demo",), hydra=True, config="factory",
+        before=("experiment=demo",), hydra=True,
     ),
     "make": Verb(
         MAKE, "a dataset as the configuration says; -m for a sweep", f"{_COMMANDS}.make:main",
@@ -67,13 +65,12 @@ VERBS: dict[str, Verb] = {
             "simnfnd make experiment=demo --cfg job",
             "simnfnd make -m experiment=benchmark,benchmark_physical sonar.image.width_px=256,512",
         ),
-        hydra=True, config="factory",
+        hydra=True,
     ),
     "plan": Verb(
         MAKE, "what `make` would make, and the disk, memory and time it would take",
         f"{_COMMANDS}.plan:main",
         ("simnfnd plan experiment=simnfnd scenes.root=flsea-vi", "simnfnd plan -m seed=1,2,3"),
-        config="factory",
     ),
     "cache": Verb(
         MAKE, "the renders that are kept on disk: stats, verify, pack, clear",
@@ -85,7 +82,6 @@ VERBS: dict[str, Verb] = {
             "simnfnd make scenes=pack scenes.root=views.pack",
             "simnfnd cache clear cache.dir=outputs/cache",
         ),
-        config="factory",
     ),
     "status": Verb(
         LOOK, "how far a dataset is, which frames failed and why", f"{_COMMANDS}.status:main",
@@ -135,7 +131,7 @@ VERBS: dict[str, Verb] = {
             "simnfnd train dataset=outputs/demo train.steps=200",
             "simnfnd train dataset=outputs/demo model=unet loss=charbonnier name=small",
         ),
-        needs=_TRAINING, hydra=True, config="models",
+        needs=_TRAINING, hydra=True,
     ),
     "denoise": Verb(
         DENOISE, "images, videos, datasets, recordings of sonars and bags",
@@ -180,13 +176,13 @@ VERBS: dict[str, Verb] = {
             "simnfnd evaluate dataset=outputs/demo baselines=[all] models=[outputs/models/nafnet]",
             "simnfnd evaluate dataset=outputs/demo \"pictures=[{name: mine, dir: outputs/mine}]\"",
         ),
-        needs=("pandas", "skimage", *_SONAR), hydra=True, config="evaluation",
+        needs=("pandas", "skimage", *_SONAR), hydra=True,
         verbs={
             "tune": Verb(
                 JUDGE, "the best parameters of the classical filters first",
                 "simnfnd.evaluation.commands:tune",
                 ("simnfnd evaluate tune dataset=outputs/demo baselines=[median,nlm]",),
-                needs=("torch", "skimage", *_SONAR), hydra=True, config="evaluation",
+                needs=("torch", "skimage", *_SONAR), hydra=True,
             ),
             "compare": Verb(
                 JUDGE, "is one report's row better than another's",
@@ -199,13 +195,13 @@ VERBS: dict[str, Verb] = {
                 JUDGE, "what methods make of real pictures and recordings",
                 "simnfnd.evaluation.commands:real",
                 ("simnfnd evaluate real mdd models=[simnfnd]",),
-                needs=("skimage", *_SONAR), hydra=True, places=1, config="real",
+                needs=("skimage", *_SONAR), hydra=True, places=1,
             ),
             "realism": Verb(
                 JUDGE, "how near datasets are to real pictures",
                 "simnfnd.evaluation.commands:realism",
                 ("simnfnd evaluate realism mdd outputs/demo outputs/aris",),
-                needs=("skimage", *_SONAR), hydra=True, places=None, config="realism",
+                needs=("skimage", *_SONAR), hydra=True, places=None,
             ),
             "fit": Verb(
                 JUDGE, "the noise parameters that come nearest to real pictures",
@@ -213,7 +209,7 @@ VERBS: dict[str, Verb] = {
                 ("simnfnd evaluate fit mdd name=mine trials=100",
                  "simnfnd evaluate fit mdd -- experiment=physical scenes=pack "
                  "scenes.root=views.pack"),
-                needs=("optuna", "skimage", *_SONAR), hydra=True, places=None, config="fit",
+                needs=("optuna", "skimage", *_SONAR), hydra=True, places=None,
             ),
         },
     ),

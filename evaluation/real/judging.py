@@ -309,7 +309,8 @@ def _measured(
 ) -> tuple[Measured, dict[int, Judged]]:
     """Every row on every picture, fold after fold; and number -> picture of those to look at."""
     alive = [row for row in rows if row.lost is None]
-    every, shown = Measured(), {}
+    every = Measured()
+    shown: dict[int, Judged] = {}
     with progress_bar(total=len(shots) * len(alive), unit="picture", desc="judging") as bar:
         for fold in sorted({part.fold for part in parts}) or [0]:
             pictures = _Pictures(fold, groups, parts, shots, settings.frames, picked)

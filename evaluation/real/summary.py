@@ -75,7 +75,8 @@ def summaries(
             for name, label in best.items():
                 if row.label != label:
                     own[MARGINS[name]] = own[name] - by_group[label][name]
-        values = {n: own[n].to_numpy(float) for n in own if n != SECONDS and own[n].notna().any()}
+        names = [str(name) for name in own if name != SECONDS and own[name].notna().any()]
+        values = {name: own[name].to_numpy(float) for name in names}
         known = {
             name: estimate(one, groups.names, resamples=resamples, seed=seed)
             for name, one in values.items()

@@ -163,9 +163,9 @@ def markdown(content: Content) -> str:
     if content["breakdown"]:
         parts.append("## Mean PSNR in dB by place, noise and resampling (number of pairs)")
         parts += [as_markdown(tables.breakdown(entry)) for entry in content["breakdown"]]
-    for number, entry in enumerate(content["robustness"]):
+    for place, entry in enumerate(content["robustness"]):
         how = ", ".join(f"{key} = {value}" for key, value in entry["differs"].items()) or "nothing"
-        parts += ["## Other noise"] if not number else []
+        parts += ["## Other noise"] if not place else []
         parts.append(f"**{entry['dataset']}** ({entry['pairs']} pairs; differs in {how})")
         parts.append(as_markdown(tables.robustness(entry)))
     parts += ["## How it was measured", *facts["rules"]]

@@ -109,8 +109,8 @@ def as_latex(rows: Sequence[Content]) -> str:
         cells.append("" if gain is None else percent(gain["wins"]).replace("\u00a0%", r"\,\%"))
         lines.append(cells)
     head = ["Method", "PSNR / dB", r"95\,\% interval", "SSIM", "GMSD", "Wins"]
-    text = as_table(head, lines).style.hide(axis="index")
-    return str(text.to_latex(hrules=True, column_format="lrrrrr"))
+    table = as_table(head, lines).style.hide(axis="index")
+    return str(table.to_latex(hrules=True, column_format="lrrrrr"))
 
 
 def as_csv(rows: Sequence[Content]) -> str:

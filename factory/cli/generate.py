@@ -17,6 +17,7 @@ from ..config import (
     from_mapping,
     identity,
     plain,
+    with_cache,
 )
 from ..dataset.describe.quality import lit_share, seen_sector_deg
 from ..dataset.format.schema import Provenance
@@ -25,7 +26,7 @@ from ..frame import FrameRef
 from ..pairs import pair_maker
 from ..progress import stage_if_slow
 from ..render.cache.cache import Limit
-from ..render.cache.views import ViewMaker, check_views, with_cache
+from ..render.cache.views import ViewMaker, check_views
 from ..scheduler.workers import template
 from ..selection import choose_frames, frames_digest, split_frames, split_warnings
 from ..storage.copies import shown
@@ -102,7 +103,11 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     if not (forked and config.scheduler.threads == 1):
         # Else the process that workers are forked from loads them, and the first worker compiles
         # what that does not find.
-        compile_needed(config)
+        compile_needed(
+            scenes=config.scenes.kind,
+            render=config.render.kind,
+            field=config.acoustics.formation == "field" or config.devices is not None,
+        )
     job = job_of(config, arguments)
     report = make_dataset(job)
     if job.shard.part:

@@ -98,10 +98,11 @@ def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
     The first render of a process, which has Blender to load, is not counted.
     Raises FactoryError when none of the three can be made.
     """
+    from ..config import with_cache
     from ..dataset.format.schema import Provenance
     from ..dataset.write.writer import write_shard
     from ..pairs import pair_maker
-    from ..render.cache.views import ViewMaker, with_cache
+    from ..render.cache.views import ViewMaker
     from ..render.view import encode
     from ..scheduler.workers.memory import keep_freed_memory
 

@@ -13,8 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from ..config import FactoryConfig
+    from ..sonar.acoustics import WaterSettings
+    from ..sonar.settings import SonarSettings
     from ..sonar.surface import LitSurface
+    from .coherent.settings import AcousticsSettings
+    from .resample import ResampleSettings
 
 Floats = npt.NDArray[np.float32]
 Layers = npt.NDArray[np.generic]
@@ -63,10 +66,34 @@ class DrawnEffect(Protocol):
         """What it makes of `subject`; equal calls give equal results."""
 
 
+class ImagingSettings(Protocol):
+    """The groups of the configuration that pictures are formed by."""
+
+    @property
+    def seed(self) -> int:
+        """Root of all random streams."""
+
+    @property
+    def sonar(self) -> SonarSettings:
+        """The device."""
+
+    @property
+    def water(self) -> WaterSettings:
+        """What the sound goes through."""
+
+    @property
+    def acoustics(self) -> AcousticsSettings:
+        """How the field is formed."""
+
+    @property
+    def resample(self) -> ResampleSettings:
+        """How points are thinned."""
+
+
 class Formation(Protocol):
     """Observes the frames of a configuration."""
 
-    def __call__(self, surface: LitSurface, config: FactoryConfig) -> Scene:
+    def __call__(self, surface: LitSurface, config: ImagingSettings) -> Scene:
         """The frame as the sonar observes it.
 
         Raises FrameError when no surface lies in the sonar's sector.
@@ -80,7 +107,9 @@ class Scene(Protocol):
     def filled(self) -> npt.NDArray[np.bool_]:
         """(range_bins, beams) bool: bins in which insonified surface lies."""
 
-    def sample(self, variant: int, effects: Sequence[DrawnEffect], config: FactoryConfig) -> Sample:
+    def sample(
+        self, variant: int, effects: Sequence[DrawnEffect], config: ImagingSettings
+    ) -> Sample:
         """One sample; config is that of the scene but for the noise.  Equal calls, equal bytes."""
 
 

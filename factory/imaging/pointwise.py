@@ -26,7 +26,7 @@ from .clouds import EffectCloud, effect_clouds, noisy_cloud
 from .contract import DrawnEffect, Floats, Layers
 
 if TYPE_CHECKING:
-    from ..config import FactoryConfig
+    from .contract import ImagingSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class PointScene:
     filled: npt.NDArray[np.bool_]
 
     def sample(
-        self, variant: int, effects: Sequence[DrawnEffect], config: FactoryConfig
+        self, variant: int, effects: Sequence[DrawnEffect], config: ImagingSettings
     ) -> PointSample:
         """See `contract.Scene`."""
         names = (self.ref.location, self.ref.scene, self.ref.frame, variant)
@@ -123,7 +123,7 @@ class PointSample:
         return {}
 
 
-def observe(surface: LitSurface, config: FactoryConfig) -> PointScene:
+def observe(surface: LitSurface, config: ImagingSettings) -> PointScene:
     """See `contract.Formation`."""
     echoes, _, hit = surface.insonified
     return PointScene(surface.frame.ref, surface.window, echoes, hit)

@@ -28,6 +28,12 @@ class ResampleSettings:
     kind: Literal["random", "voxel"] = "random"
     rate: PositiveFraction = uniform(0.35, 0.9)
 
+    @property
+    def is_default(self) -> bool:
+        """Whether nothing else was asked for."""
+        usual = ResampleSettings.__dataclass_fields__["rate"].default
+        return (self.kind, self.rate.kind, self.rate.values) == ("random", usual.kind, usual.values)
+
 
 def random_subset(echoes: Echoes, rate: float, rng: np.random.Generator) -> Echoes:
     """Each echo kept with probability `rate`."""

@@ -12,6 +12,7 @@ from .. import seeds
 from ..dataset.format.schema import Column
 from ..distribution import number
 from ..imaging.contract import Scene
+from ..imaging.resample import ResampleSettings
 from ..noise.registry import EFFECTS, NoiseSettings, blocks
 from ..sonar.fan import fan_size
 from ..sonar.settings import (
@@ -144,7 +145,11 @@ def configured(config: FactoryConfig, device: Device, *, any_size: bool) -> Fact
     if not acoustics.standing and noise.scintillation is not None:
         # What trembles beside speckle that is new in every ping cannot be told from it.
         noise = replace(noise, scintillation=replace(noise.scintillation, enabled=False))
-    return replace(config, sonar=sonar, acoustics=acoustics, noise=noise, devices=None)
+    # The field has no points to thin.
+    resample = config.resample if points else ResampleSettings()
+    return replace(
+        config, sonar=sonar, acoustics=acoustics, noise=noise, resample=resample, devices=None
+    )
 
 
 def resolved(

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from ...factory.errors import FactoryError
 from ...factory.sonar.geometry import FanGeometry
-from ..recordings.static import likeness
+from ..recordings.static import find_groups
 from ..removal import averaged
 from .images import list_images
 from .pairs import Image, Sample
@@ -114,7 +114,9 @@ def open_stacks(
             if geometry is None or min(shape) < least_side:
                 continue
             sector = geometry.maps(0, 0, *shape)["sector"] > 0
-            still = len(frames) > 1 and likeness(frames[0], frames[1], sector) > _ALIKE
+            still = bool(
+                find_groups(list(frames[:2]), [sector] * 2, least=2, alike=_ALIKE, furthest_px=1.0)
+            )
             found.append(Stack(np.uint8(np.rint(frames * 255)), geometry, still))
     if paths and not found:
         raise FactoryError(

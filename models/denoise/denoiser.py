@@ -124,6 +124,9 @@ class Denoiser:
         denoised = tiled(denoise_tile, gray, maps, self.tile, self.overlap)
         # One weight for the whole picture: single tiles with less change would be visible.
         weight = np.float32(np.average(weights, weights=areas))
+        if "frames" in maps and maps["frames"].mean() > averaged(_SEVERAL):
+            # The head that weighs knows single frames; of means it takes too little.
+            weight = np.float32(1)
         return np.asarray(np.clip(gray + weight * (denoised - gray), 0, 1), np.float32)
 
     @property

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import numpy.typing as npt
@@ -77,13 +79,8 @@ def decoded(content: bytes, what: str) -> Samples:
 
     # Its size first: a small file can decode to gigabytes.
     kinds = ", ".join(FULL_SCALE)
-    with explained(f"{what}: not a readable picture of {kinds}"):
-        try:
-            with Image.open(BytesIO(content)) as header:
-                size = header.size
-        except Image.DecompressionBombError as error:
-            raise FrameError(f"{what}: {too_large()}") from error
-    ask_pixels(what, *size)
+    with _opened(BytesIO(content), what, f"picture of {kinds}") as header:
+        ask_pixels(what, *header.size)
     # libjpeg and libtiff write to the terminal about damage that they pass over.
     with explained(f"{what}: not a readable picture"), quiet_stderr():
         picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -92,6 +89,17 @@ def decoded(content: bytes, what: str) -> Samples:
     if str(picture.dtype) not in FULL_SCALE:
         raise FrameError(f"{what}: pixels are {picture.dtype}; expected {kinds}")
     return np.asarray(picture)
+
+
+def _opened(
+    file: IO[bytes], what: str, kind: str, formats: Sequence[str] | None = None
+) -> Image.Image:
+    """A picture whose pixels are not read yet.  Raises FrameError."""
+    with explained(f"{what}: not a readable {kind}"):
+        try:
+            return Image.open(file, formats=formats)
+        except Image.DecompressionBombError as error:
+            raise FrameError(f"{what}: {too_large()}") from error
 
 
 def in_unit_range(picture: Samples, what: str) -> npt.NDArray[np.float32]:
@@ -132,8 +140,8 @@ class StackFile(FileOfFrames):
         super().__init__(path)
 
     def _open(self) -> None:
+        self._image = _opened(self._file, str(self.path), "TIFF or GIF file", _FORMATS)
         with explained(f"{self.path}: not a readable TIFF or GIF file"):
-            self._image = Image.open(self._file, formats=_FORMATS)
             self._count = int(getattr(self._image, "n_frames", 1))
         width, height = self._first = self._image.size
         ask_pixels(str(self.path), width, height)

@@ -221,17 +221,6 @@ def test_bad_input_is_one_line(arguments: tuple[str, ...], words: str, tmp_path:
     assert not list(tmp_path.iterdir())
 
 
-def test_nan_in_a_shard_names_the_sample(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path / "data", train=0, test=3, dtype="float32")
-    with h5py.File(dataset / "test" / "shard-00000.h5", "r+") as file:
-        file["noisy"][1, 5, 5] = np.nan
-        # As a stranger writes it, who has no checksums.
-        for name in ("checksums", "checksum", "text_checksum"):
-            (file if name == "checksums" else file.attrs).__delitem__(name)
-    with pytest.raises(FactoryError, match=r"shard-00000\.h5: sample 1: noisy has NaN"):
-        measured(dataset, [MEDIAN], tmp_path / "out")
-
-
 def test_out_that_cannot_be_written(tmp_path: Path) -> None:
     dataset = write_dataset(tmp_path / "data", train=0, test=2, size=48)
     (tmp_path / "file").write_text("in the way", encoding="utf-8")

@@ -51,7 +51,8 @@ def test_every_verb_explains_itself(name: str, monkeypatch, capsys) -> None:
     assert run(monkeypatch, *name.split(), "--help") == 0
     printed = capsys.readouterr().out
     assert printed.startswith(f"simnfnd {name}: {ALL[name].line}\n\nExamples:\n  simnfnd ")
-    assert ("Powered by Hydra" in printed) if ALL[name].hydra else ("usage: simnfnd" in printed)
+    wanted = "Configuration groups" if ALL[name].hydra else "usage: simnfnd"
+    assert wanted.lower() in printed.lower()
 
 
 def test_help_imports_the_standard_library_alone() -> None:
@@ -172,10 +173,10 @@ RECORDING = (*ANALYTIC, "scenes=csv_list", "scenes.root={in}/list.csv",
         (("export", "{in}", "--to", "webdataset", "--out", "{out}"), "webdataset", "export"),
         (("export", "{in}", "--to", "huggingface", "--out", "{out}"), "pyarrow", "export"),
         (("train", "dataset={in}", "out={out}"), "lightning", "train"),
-        (("denoise", "{in}", "--out", "{out}"), "torch", "train"),
-        (("denoise", "{in}", "--out", "{out}"), "safetensors", "train"),
+        (("denoise", "{in}", "--out", "{out}"), "onnxruntime", "denoise"),
+        (("denoise", "{in}", "--out", "{out}"), "safetensors", "denoise"),
         (("export-weights", "{in}/w.safetensors", "--out", "{out}"), "torch", "train"),
-        ((*ONNX, "--out", "{out}.onnx"), "onnxruntime", "onnx"),
+        ((*ONNX, "--out", "{out}.onnx"), "onnx", "onnx"),
         (("evaluate", "dataset={in}", "out={out}"), "pandas", "report"),
         (("evaluate", "dataset={in}", "out={out}", "models=[simnfnd]"), "onnxruntime", "denoise"),
         (("evaluate", "dataset={in}", "ablation.olddata_l1={in}"), "torch", "train"),
@@ -190,7 +191,7 @@ RECORDING = (*ANALYTIC, "scenes=csv_list", "scenes.root={in}/list.csv",
         (("make", "render=analytic", "experiment=any_sonar", "dataset.dir={out}"), "cv2", "sonar"),
         ((*RECORDING, "scenes.undistort=true"), "cv2", "sonar"),
         (("export", "{in}", "--to", "png", "--out", "{out}"), "cv2", "sonar"),
-        (("export", "{in}", "--to", "coco", "--out", "{out}"), "scipy", "sonar"),
+        (("export", "{in}", "--to", "coco", "--out", "{out}"), "cv2", "sonar"),
         (("denoise", "{in}", "--out", "{out}"), "cv2", "sonar"),
     ],
 )  # fmt: skip
@@ -228,7 +229,7 @@ def test_help_and_configuration_need_nothing(monkeypatch, capsys) -> None:
         monkeypatch.setitem(sys.modules, module, None)
     for words in (("train", "--help"), ("train", "--cfg", "job"), ("evaluate", "fit", "--help")):
         assert run(monkeypatch, *words) == 0
-    assert 'Needs pip install "simnfnd[denoise]"' in capsys.readouterr().out
+    assert 'Needs pip install "simnfnd[' in capsys.readouterr().out
 
 
 def test_the_extras_install_what_they_are_named_for() -> None:
@@ -237,7 +238,8 @@ def test_the_extras_install_what_they_are_named_for() -> None:
     for module, extra in EXTRAS.items():
         lines = " ".join(declared[extra])
         assert distributions.get(module, module) in lines
-    within = {name for name, lines in declared.items() if "simnfnd[sonar]" in lines}
+    bringing = {"simnfnd[sonar]", "simnfnd[denoise]"}
+    within = {name for name, lines in declared.items() if bringing & set(lines)}
     assert within == WITH_SONAR
     everything = set(declared) - {"all", "dev", "docs"}
     assert declared["all"] == [f"simnfnd[{','.join(k for k in declared if k in everything)}]"]

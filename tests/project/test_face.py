@@ -210,6 +210,6 @@ def test_pictures_and_weights_that_will_not_do(monkeypatch) -> None:
         simnfnd.denoise(np.zeros((8, 8)), weights="nowhere")
     with pytest.raises(ValueError, match="'fan': expected 'find', 'polar'"):
         simnfnd.denoise(np.zeros((8, 8)), geometry="fan")  # type: ignore[arg-type]
-    monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(simnfnd.FactoryError, match=r"simnfnd\.denoise needs torch.*\[train\]"):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(simnfnd.FactoryError, match=r"denoise needs onnxruntime.*\[denoise\]"):
         simnfnd.denoise(np.zeros((8, 8)))

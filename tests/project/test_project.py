@@ -129,7 +129,7 @@ def test_an_experiment_begins_with_the_command_that_runs_it(name: str) -> None:
     lines = (ROOT / "conf" / "experiment" / f"{name}.yaml").read_text(encoding="utf-8").splitlines()
     # Hydra's own header may stand first.
     first = next(line for line in lines if not line.startswith("# @"))
-    assert re.match(rf"# simnfnd make .*\bexperiment={name}\b", first), first
+    assert re.match(rf"# simnfnd (make|train) .*\bexperiment=\S*\b{name}\b", first), first
 
 
 def test_ci_is_check_and_test() -> None:

@@ -14,7 +14,6 @@ from typing import Any
 import h5py
 import numpy as np
 import numpy.typing as npt
-from isal import isal_zlib
 
 from ..format.checksums import crc32, picture_sums
 from ..format.layout import chain_of
@@ -75,7 +74,11 @@ class ImageStack:
         unpacker: Any
         failure: type[Exception]
         if codec == "gzip":
-            unpacker, failure = isal_zlib.decompressobj(), isal_zlib.error
+            try:  # two thirds of zlib's time; readers may have numpy and h5py alone
+                from isal import isal_zlib as deflate
+            except ImportError:
+                import zlib as deflate
+            unpacker, failure = deflate.decompressobj(), deflate.error
         else:
             if sys.version_info >= (3, 14):
                 from compression import zstd

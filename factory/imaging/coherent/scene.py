@@ -32,7 +32,7 @@ from .signal import Ping, Receiver, beamform_power
 from .targets import Target, target
 
 if TYPE_CHECKING:
-    from ...config import FactoryConfig
+    from ..contract import ImagingSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class FieldScene:
         return decimation.any_of(self.ping.scatterers.in_beam, self.samples)
 
     def sample(
-        self, variant: int, effects: Sequence[DrawnEffect], config: FactoryConfig
+        self, variant: int, effects: Sequence[DrawnEffect], config: ImagingSettings
     ) -> FieldSample:
         """See `contract.Scene`."""
         acoustics = config.acoustics
@@ -165,7 +165,7 @@ class FieldSample:
         return polar.where_seen(grey, ping.window, ping.sonar)
 
 
-def observe(surface: LitSurface, config: FactoryConfig) -> FieldScene:
+def observe(surface: LitSurface, config: ImagingSettings) -> FieldScene:
     """See `contract.Formation`."""
     from . import kernels  # loads numba
 

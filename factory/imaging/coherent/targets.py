@@ -14,7 +14,7 @@ from .scatterers import scatterers
 from .tables import bin_centres_m
 
 if TYPE_CHECKING:
-    from ...config import FactoryConfig
+    from ..contract import ImagingSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class Target:
 
 
 def target(
-    surface: LitSurface, config: FactoryConfig, amplitude: Floats, full_scale: float
+    surface: LitSurface, config: ImagingSettings, amplitude: Floats, full_scale: float
 ) -> Target | None:
     """The target that `acoustics.target` asks for; None where it depends on the noise.
 
@@ -54,7 +54,7 @@ def target(
     return Target(polar.where_seen(grey, window, sonar), intensity)
 
 
-def backscatter(surface: LitSurface, config: FactoryConfig) -> Floats:
+def backscatter(surface: LitSurface, config: ImagingSettings) -> Floats:
     """(range_bins, beams) float32 backscatter cross-section per plan area of each bin, 1.
 
     No spreading, no absorption, no beam pattern, no point-spread: what is left of the sonar

@@ -6,10 +6,7 @@ those that add noise, which need neither.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
-from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from ...dataset.format.schema import Prepared
@@ -21,8 +18,38 @@ from .cache import Cache
 from .key import FrameKeys
 
 if TYPE_CHECKING:
-    from ...config import FactoryConfig
-    from ..base import Renderer
+    from ...scenes import Scenes
+    from ..base import Renderer, RenderSettings
+    from ..mount import Mount
+    from .cache import CacheSettings
+
+
+class Mounted(Protocol):
+    """What of a sonar a render depends on."""
+
+    @property
+    def mount(self) -> Mount:
+        """Where it is."""
+
+
+class RenderNeeds(Protocol):
+    """The groups of the configuration that renders depend on."""
+
+    @property
+    def scenes(self) -> Scenes:
+        """Which frames there are."""
+
+    @property
+    def render(self) -> RenderSettings:
+        """How they are rendered."""
+
+    @property
+    def cache(self) -> CacheSettings:
+        """Where renders are kept."""
+
+    @property
+    def sonar(self) -> Mounted:
+        """Whose light it is."""
 
 
 class Views(Protocol):
@@ -35,7 +62,7 @@ class Views(Protocol):
         """The frame's render.  Raises NotRendered when it is not there (any more)."""
 
 
-def open_views(config: FactoryConfig) -> Views:
+def open_views(config: RenderNeeds) -> Views:
     """The renders that the configuration means: of the cache, or of a pack."""
     if config.scenes.kind == "pack":
         from ..pack import PackViews
@@ -47,7 +74,7 @@ def open_views(config: FactoryConfig) -> Views:
 class CachedViews:
     """Renders in the cache; a `Views`."""
 
-    def __init__(self, config: FactoryConfig) -> None:
+    def __init__(self, config: RenderNeeds) -> None:
         self.cache = Cache(config.cache.folder)
         self.keys = FrameKeys(config.scenes, config.render, config.sonar.mount)
         self._expected: Mapping[str, str] = {}
@@ -96,7 +123,7 @@ class OneView:
 class ViewMaker:
     """Renders frames into the cache; a `simnfnd.factory.dataset.format.schema.Preparer`."""
 
-    def __init__(self, config: FactoryConfig) -> None:
+    def __init__(self, config: RenderNeeds) -> None:
         from ...scenes import open_reader
 
         self.config = config
@@ -122,14 +149,14 @@ class ViewMaker:
             # Not before it is needed: with all renders at hand nobody has to load Blender.
             from .. import open_renderer
 
-            compile_needed(self.config)
+            compile_needed(scenes=self.config.scenes.kind, render=self.config.render.kind)
             self._renderer = open_renderer(self.config.render)
         frame = self.reader.load(ref)
         mount = self.config.sonar.mount
         return view_of(frame, self._renderer.render(frame, mount), mount)
 
 
-def check_views(config: FactoryConfig, *, touch: bool = True) -> None:
+def check_views(config: RenderNeeds, *, touch: bool = True) -> None:
     """Raise FactoryError when renders can be neither made nor kept; loads nothing heavy.
 
     touch: try to write into the cache.
@@ -141,14 +168,3 @@ def check_views(config: FactoryConfig, *, touch: bool = True) -> None:
     check_renderer(config.render)
     if config.cache.enabled and touch:
         Cache(config.cache.folder).check()
-
-
-def with_cache(config: FactoryConfig, work: Path) -> FactoryConfig:
-    """The configuration with a cache that workers in any folder find.
-
-    With cache.enabled=false it is in `work`, which lasts as long as the run.
-    """
-    folder = config.cache.folder
-    if not config.cache.enabled:
-        folder = Path(os.path.abspath(work / "renders"))
-    return replace(config, cache=replace(config.cache, dir=str(folder)))

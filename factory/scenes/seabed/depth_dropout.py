@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from .fields import STEPS, TILE, Floats, tiles
+from .fields import TILE, Floats, tiles
 
 MOST_LOST = 0.42  # share of the pixels
 
@@ -18,6 +18,8 @@ def measured(
     depth_m, range_m: (H, W), inf where there is only water.  clear_m: how far the water lets
     matching work; the border is ragged.  About 8 to 38 % are lost, small shares more often.
     """
+    from .kernels import STEPS
+
     scale = depth_m.shape[1] / 968
     near_m, range_m = np.minimum(depth_m[::2, ::2], np.float32(1e4)), range_m[::2, ::2]
     rows, columns = (

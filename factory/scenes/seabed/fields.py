@@ -20,11 +20,6 @@ Arrays = npt.NDArray[np.floating[Any]]  # any precision
 
 WORLD_SEED = 0  # the procedural world is one and the same; a location number is a place in it
 TILE = 1024  # pixels a side of every noise picture
-STEPS = 25  # of a standard deviation, in the noise that pictures are painted with
-TEXTURE_M, FINE_M = (
-    3.7,
-    0.7,
-)  # a side of the tile that pictures are painted with twice
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +105,8 @@ class Tiles:
 @functools.cache
 def tiles() -> Tiles:
     """The noise pictures, drawn once a process; every location uses them at its own offset."""
+    from .kernels import STEPS
+
     rng = stream(WORLD_SEED, "seabed", "tiles")
     broad, grain = _fractal(rng, 2, 64, 1.3), _fractal(rng, 24, 400, 0.5)
     cells, speckle = _cells(rng, 26), _fractal(rng, 60, 500, 0.0)

@@ -11,7 +11,9 @@ import numpy as np
 
 from ...compiled import compiled
 from ...elementary import exponential, sine_of_turns
-from .fields import FINE_M, STEPS, TEXTURE_M
+
+STEPS = 25  # of a standard deviation, in the noise that pictures are painted with
+TEXTURE_M, FINE_M = 3.7, 0.7  # a side of the tile that pictures are painted with twice
 
 _F = np.float32
 _ZERO, _HALF, _ONE = _F(0), _F(0.5), _F(1)

@@ -103,7 +103,7 @@ class SeabedReader:
             )
         # Reading a configuration imports this module, but needs nothing that makes pictures.
         from .optics import camera
-        from .world import take
+        from .view import take
 
         world = self._world(int(scene[1]))
         settings = self._settings

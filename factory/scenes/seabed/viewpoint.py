@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,9 +11,7 @@ from .depth_dropout import MOST_LOST
 from .optics import Optics, camera
 from .rasterizer import Pose, ZBuffer, directions, lens_of, pose, z_buffer
 from .terrain import FAR_M
-
-if TYPE_CHECKING:
-    from .world import World
+from .world import World
 
 _EVERY = 32  # pixels of FLSea's camera from one ray to the next
 _SIDE_DEG, _DOWN_DEG = 50, 20

@@ -31,8 +31,9 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_it_is_one_file_that_asks_nobody(report: Path) -> None:
     text = report.read_text(encoding="utf-8")
     assert text.startswith("<!DOCTYPE html>")
-    for word in ("http://", "https://", "//cdn", "@import", "url("):
+    for word in ("http://", "https://", "//cdn", "@import"):
         assert word not in text
+    assert not re.search(r"url\((?!#)", text), "parts of its own pictures alone"
     assert not re.search(r"<(script|img|link)[^>]+(src|href)=\"(?!data:)", text)
 
 

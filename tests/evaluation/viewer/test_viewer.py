@@ -57,7 +57,7 @@ def served(shown: Shown) -> Iterator[str]:
 
 def fetched(url: str, host: str | None = None) -> bytes:
     request = Request(url, headers={"Host": host} if host else {})
-    with urlopen(request, timeout=20) as answer:
+    with urlopen(request, timeout=90) as answer:
         content: bytes = answer.read()
         return content
 
@@ -216,7 +216,7 @@ def test_what_cannot_be_shown_costs_a_line(dataset: Path, tmp_path: Path) -> Non
         assert caught.value.code == 500
         assert "a.png: not a readable picture" in caught.value.read().decode()
         with pytest.raises(FactoryError, match=r"--port \d+: cannot be used"):
-            Viewer(open_shown(tmp_path), int(url.rsplit(":", 1)[1].strip("/")))
+            Viewer(open_shown(tmp_path), int(url.split(":")[2].split("/")[0]))
 
 
 # Choose a scene, then a range, step, and choose layers by key.

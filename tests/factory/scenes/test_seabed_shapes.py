@@ -27,8 +27,9 @@ from simnfnd.factory.scenes.seabed.meshes import (
 from simnfnd.factory.scenes.seabed.optics import Optics, camera
 from simnfnd.factory.scenes.seabed.rasterizer import directions, z_buffer
 from simnfnd.factory.scenes.seabed.terrain import view_mesh
+from simnfnd.factory.scenes.seabed.view import _field_of_view
 from simnfnd.factory.scenes.seabed.viewpoint import choose_pose
-from simnfnd.factory.scenes.seabed.world import _field_of_view, build_world
+from simnfnd.factory.scenes.seabed.world import build_world
 
 
 @pytest.mark.parametrize("location", [0, 1, 3, 6, 12])

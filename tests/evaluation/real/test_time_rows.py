@@ -1,0 +1,75 @@
+"""Recordings that stand still, judged in time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from simnfnd.evaluation.methods.method import Method
+from simnfnd.evaluation.real import time_rows
+from simnfnd.evaluation.real.groups import Group
+from simnfnd.evaluation.real.shots import Shot
+from simnfnd.factory.scheduler.workers.tasks import TaskPool
+from tests.evaluation.real.static_scenes import SHAPE, frames
+
+
+def recording(path: Path, seed: int, count: int) -> Group:
+    """A group of the frames of a video of one scene."""
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 5, SHAPE[::-1], True)
+    for frame in frames(seed, count):
+        video.write(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR))
+    video.release()
+    shots = tuple(Shot(path, number, f"{path.name}#{number}") for number in range(count))
+    still = np.ones(SHAPE, bool)
+    return Group(path.name, shots, np.zeros((count, 2)), None, still, 1.0)
+
+
+def blurred(gray: Any, geometry: object = None, **more: object) -> Any:
+    return cv2.GaussianBlur(gray, (0, 0), 1.0)
+
+
+def judged(groups: list[Group], networks: list[Method], most: int = 20) -> time_rows.InTime:
+    settings: Any = SimpleNamespace(in_time=most, device="cpu")
+    with TaskPool(1) as pool:
+        return time_rows.judged_in_time(settings, groups, networks, pool)
+
+
+def test_rows_of_networks_and_of_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    network = SimpleNamespace(denoiser=blurred)
+    monkeypatch.setattr(time_rows, "network", lambda weights, device: network)
+    one = Method("one", "", {}, weights="one")
+    groups = [recording(tmp_path / f"{seed}.avi", seed, 14) for seed in (0, 1)]
+    found = judged(groups, [one])
+    rows = [
+        "one: one frame",
+        "fused",
+        "one: fused and denoised",
+        "mean of 7",
+        "mean of 7, tuned TV",
+    ]
+    assert list(dict.fromkeys(row.row for row in found.rows)) == rows
+    assert list(dict.fromkeys(row.kind for row in found.rows)) == ["still", "moving", "swimmer"]
+    assert len(found.rows) == 2 * 3 * len(rows)
+    psnr = {(row.kind, row.row): row.psnr_db for row in found.rows}
+    assert psnr["still", "mean of 7, tuned TV"] > psnr["still", "mean of 7"]
+    assert psnr["moving", "mean of 7"] < psnr["moving", "fused"]
+    assert any("0.avi: tuned TV has weight" in n and "tuned on 1.avi" in n for n in found.notes)
+    table = found.table()
+    assert list(table) == ["row", *(f"{k}, dB / SSIM" for k in ("still", "moving", "swimmer"))]
+    assert list(table["row"]) == rows
+    alone = judged(groups[:1], [one])
+    assert "tuned on the first 12 frames of itself" in alone.notes[0]
+
+
+def test_nothing_is_judged_in_time_without_recordings_or_networks(tmp_path: Path) -> None:
+    network = Method("one", "", {}, weights="one")
+    short = recording(tmp_path / "short.avi", 0, 8)
+    long = recording(tmp_path / "long.avi", 0, 14)
+    assert judged([short], [network]).rows == ()
+    assert judged([long], []).rows == ()
+    assert judged([long], [network], most=0).rows == ()

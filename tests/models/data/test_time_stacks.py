@@ -1,0 +1,124 @@
+"""Means of frames as training pictures, and targets that are known in part."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.models.data.mixed import MixedSource
+from simnfnd.models.data.pairs import Sample
+from simnfnd.models.data.time_stacks import Stack, standing, with_loud_beam
+from simnfnd.models.removal import averaged
+from simnfnd.models.training.module import completed
+
+SHAPE = (64, 80)
+POLAR = FanGeometry.polar().with_size(*SHAPE)
+
+
+def scene() -> np.ndarray:
+    return np.linspace(0.2, 0.6, SHAPE[1], dtype=np.float32)[None].repeat(SHAPE[0], 0)
+
+
+def stack(count: int, still: bool = True) -> Stack:
+    noise = np.random.default_rng(0).normal(0, 0.05, (count, *SHAPE))
+    grey = np.uint8(np.clip(scene() + noise, 0, 1) * 255)
+    return Stack(grey, POLAR, still)
+
+
+def test_recordings_give_single_frames_and_means_towards_the_mean_of_others() -> None:
+    numbers = set()
+    for seed in range(30):
+        sample = stack(20).sample(np.random.default_rng(seed))
+        assert sample.clean is not None
+        assert np.isfinite(sample.clean).mean() > 0.9
+        assert np.nanstd(sample.clean - scene()) < 0.02
+        if sample.frames is None:
+            assert sample.taught == 0.5
+            continue
+        assert sample.taught == 0
+        assert sample.frames.min() >= 0
+        assert sample.frames.max() <= averaged(7) + 1e-6
+        numbers.add(round(float(2 ** (2 * sample.frames.max()))))
+        # What it is told is the noise that is left.
+        even = sample.frames == sample.frames.max()
+        left = float((sample.noisy - scene())[even].std())
+        assert left < 1.3 * 0.05 / 2 ** float(sample.frames.max())
+    assert len(numbers) > 3
+
+
+def test_a_recording_that_moves_is_taught_alone() -> None:
+    sample = stack(3, still=False).sample(np.random.default_rng(0))
+    assert sample.taught == 1
+    assert sample.clean is not None
+    assert np.isnan(sample.clean).all()
+
+
+def test_speckle_that_stands_still_stays_in_the_target() -> None:
+    rng = np.random.default_rng(1)
+    noisy = np.clip(scene() * rng.gamma(3, 1 / 3, SHAPE), 0, 1).astype(np.float32)
+    kept = [
+        standing(Sample(noisy, scene(), np.zeros(SHAPE, np.float32), POLAR), rng) for _ in range(12)
+    ]
+    spread = [float(np.nanstd(one.clean - scene())) for one in kept if one.clean is not None]
+    assert min(spread) < 0.01
+    assert max(spread) > 0.1
+    for one in kept:
+        assert one.frames is not None
+        assert one.clean is not None
+        assert np.nanmax(np.abs(one.noisy - one.clean)) < 0.5
+
+
+def test_a_loud_beam_is_not_in_the_target() -> None:
+    for seed in range(60):
+        dark = Sample(
+            np.full(SHAPE, 0.05, np.float32), np.full(SHAPE, 0.05, np.float32), None, POLAR
+        )
+        found = with_loud_beam(dark, np.random.default_rng(seed))
+        assert found.clean is not None
+        assert found.clean.std() < 1e-6
+        if found is not dark:
+            along = (found.noisy - found.clean).mean(axis=0)
+            assert along.max() > 5 * np.median(along)
+            return
+    raise AssertionError("no loud beam in 60 pictures")
+
+
+def test_unknown_targets_cost_nothing_and_teachers_fill_them() -> None:
+    clean = torch.tensor([[[[0.2, float("nan")]]]])
+    prediction = torch.tensor([[[[0.5, 0.7]]]])
+    batch = {"clean": clean, "noisy": clean.nan_to_num(), "taught": torch.zeros(1, 1, 1, 1)}
+    assert completed(batch, prediction, None)["clean"].flatten().tolist() == [
+        torch.tensor(0.2).item(),
+        torch.tensor(0.7).item(),
+    ]
+
+    class Half:
+        def picture(self, batch: dict[str, torch.Tensor]) -> torch.Tensor:
+            return torch.full_like(batch["noisy"], 0.4)
+
+    taught = {**batch, "taught": torch.full((1, 1, 1, 1), 0.5)}
+    found = completed(taught, prediction, Half())["clean"]  # type: ignore[arg-type]
+    torch.testing.assert_close(found.flatten(), torch.tensor([0.3, 0.4]))
+
+
+class Only:
+    """A source of one pair."""
+
+    def __len__(self) -> int:
+        return 4
+
+    def sample(self, index: int, visit: int | None) -> Sample:
+        grey = np.full(SHAPE, 0.3, np.float32)
+        return Sample(grey, grey, np.zeros(SHAPE, np.float32), POLAR)
+
+
+def test_all_kinds_are_mixed_and_every_visit_is_the_same_again() -> None:
+    source = MixedSource(
+        Only(), Only(), [stack(20)], points_share=0.2, recordings_share=0.3, several=0.5, seed=3
+    )
+    samples = [source.sample(index % 4, index // 4) for index in range(60)]
+    assert {one.taught for one in samples} == {0.0, 0.5, 0.8}
+    again = source.sample(2, 5)
+    np.testing.assert_array_equal(again.noisy, samples[22].noisy)
+    assert source.sample(1, None).taught is None
