@@ -4,4 +4,4 @@ Read `pairs.py` first: it is the whole method in one screen.  Every other room d
 (scenes -> cloud -> render -> noise -> resample -> sonar) or carries its result (shards, scheduler).
 """
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
