@@ -49,9 +49,16 @@ DATASETS: dict[str, tuple[str, ...]] = {
 
 # Of real frames, in shards of two pairs: points, field, drawn devices.
 REAL: dict[str, tuple[str, ...]] = {
-    "flsea_points": ("experiment=simnfnd", "frames.variants=2"),
-    "flsea_field": ("experiment=physical", LAYERS, "frames.variants=2"),
-    "flsea_any_sonar": ("experiment=any_sonar", "frames.variants=2"),
+    "flsea_points": ("noise=simnfnd", "frames.variants=2"),
+    "flsea_field": (
+        "acoustics=field",
+        "noise=physical",
+        "water=sea",
+        "sonar=oculus_m750d_hf",
+        LAYERS,
+        "frames.variants=2",
+    ),
+    "flsea_any_sonar": ("devices=any_sonar", "noise=any_sonar", "frames.variants=2"),
 }
 FEW = ("render=analytic", "frames.total=4", "scheduler.shard_size=2", "dataset.preview_pairs=0")
 ONE, MANY = ("scheduler=serial",), ("scheduler=local", "scheduler.workers=48")

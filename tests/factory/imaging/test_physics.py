@@ -372,6 +372,7 @@ def test_the_papers_data_set_does_not_know_of_physics() -> None:
         (["noise=physical"], "noise.speckle acts on the complex field; set acoustics=field"),
         (["acoustics=field"], "noise.range_spreading moves points"),
         (["experiment=physical", "render.bounces=1"], "render.bounces adds the brightness"),
+        (["experiment=physical", "resample.rate=0.4"], "resample thins points"),
         (["experiment=physical", "noise.speckle.looks=0"], "noise.speckle.looks: must lie in"),
         (["sonar.array.horizontal.window=square"], "sonar.array.horizontal.window"),
         (["water.ph=3"], "water.ph"),
