@@ -63,9 +63,8 @@ def main() -> int:
     choice = parser.add_mutually_exclusive_group(required=True)
     choice.add_argument("--write", type=Path, metavar="FILE")
     choice.add_argument("--against", type=Path, metavar="FILE")
-    parser.add_argument("--only", nargs="*", help="names of datasets; leaves out what needs others")
-    parser.add_argument("--flsea", type=Path, default=Path("../shared/data/flsea-vi"),
-                        metavar="FOLDER", help="FLSea VI; left out where there is none")  # fmt: skip
+    parser.add_argument("--only", nargs="*", help="names of datasets; the rest is left out")
+    parser.add_argument("--flsea", type=Path, default=Path("../shared/data/flsea-vi"))
     given = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="same-bytes-") as folder:
         hashes = everything(Path(folder), given.only)

@@ -16,9 +16,7 @@ PICTURES = ("elementary", "render.albedo", "render.shading", "sonar.echo_loops",
             "sonar.picture_loops", "render.cloud.joints")  # fmt: skip
 SURFACES = ("render.cloud.planes", "render.traced")
 SEABED = ("scenes.seabed.kernels",)
-FIELD = ("imaging.coherent.cells.cell_loops", "imaging.coherent.cells.path_loops",
-         "imaging.coherent.cells.world_loops", "imaging.coherent.display_loops",
-         "imaging.coherent.kernels", "imaging.coherent.pixel_rows",
+FIELD = ("imaging.coherent.cell_kernels", "imaging.coherent.kernels", "imaging.coherent.pixel_rows",
          "imaging.coherent.placing")  # fmt: skip
 LOOPS = PICTURES + SURFACES + SEABED + FIELD
 
@@ -30,7 +28,7 @@ def compile_needed(*, scenes: str = "", render: str = "", field: bool = False) -
     by the complex field.
     One process of a machine at a time does it: many workers would compile the same loops at once.
     """
-    names = PICTURES
+    names: tuple[str, ...] = PICTURES
     if scenes == "seabed":
         names += SEABED
     if render in ("cycles", "embree"):

@@ -159,6 +159,8 @@ def main(arguments: Sequence[str]) -> int:
     work = _Work(job, denoise, points)
     with stopped_by_sigterm():
         if watched:
+            # Pictures that come one by one have none after them.
+            job.live = {} if chosen.causal else None
             failed = _watch(work, watched, chosen.every)
         else:
             failed = _all(work, items, Finished(out, denoise.digest, list(arguments)))

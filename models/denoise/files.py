@@ -21,8 +21,9 @@ from ..recordings.fan.pings import fan_of, grey_of, polar_geometry
 from ..recordings.pictures import in_unit_range, read_picture
 from ..recordings.rosbag import RosBag
 from ..recordings.video import VideoFile
-from .inputs import Item
-from .pictures import Denoising, Picture, Place, Seen
+from .inputs import Item, SequenceKey, place_in_time
+from .pictures import Denoising, Picture, Place, Seen, finished, shot_of
+from .temporal.stream import InTime
 from .writers import COMPARED, FrameFiles, write_compared, write_image
 
 Find = Callable[[Item, Picture], FanGeometry | None]
@@ -38,6 +39,7 @@ class Job:
     """How files are denoised, and into which folder.
 
     topics: of bags, whose pictures; none: as `RosBag` says.  finished: of an earlier run.
+    live: what takes pictures that come one by one, for each sequence; None: none do.
     """
 
     out: Path
@@ -46,6 +48,7 @@ class Job:
     compare: bool = False
     topics: Sequence[str] = ()
     finished: frozenset[Path] = frozenset()
+    live: dict[SequenceKey, InTime[Seen[Item]]] | None = None
     tick: Tick = field(default=lambda: None)
 
     def place(self, item: Item) -> Place:
@@ -77,7 +80,7 @@ def denoise_files(items: Sequence[Item], job: Job) -> Iterator[tuple[Item, Frame
                 named = text if text.startswith(str(item.source)) else f"{item.source}: {text}"
                 failed.append((item, FrameError(named)))
 
-    for seen, denoised in job.denoising.sequence(read(), alone=len(items) < 2):
+    for seen, denoised in _in_time(items, read(), job):
         if seen.key.relative in job.finished:
             continue
         error = None
@@ -92,6 +95,19 @@ def denoise_files(items: Sequence[Item], job: Job) -> Iterator[tuple[Item, Frame
         yield from failed
         failed.clear()
     yield from failed
+
+
+def _in_time(
+    items: Sequence[Item], seen: Iterator[Seen[Item]], job: Job
+) -> Iterator[tuple[Seen[Item], Picture]]:
+    """Pictures of a sequence; one that came alone follows those that came before."""
+    if job.live is None:
+        yield from job.denoising.sequence(seen, alone=len(items) < 2)
+        return
+    key, _ = place_in_time(items[0])
+    stream = job.live.setdefault(key, job.denoising.stream())
+    for one in seen:
+        yield from finished(stream.push(shot_of(one)))
 
 
 def denoise_video(item: Item, job: Job) -> None:

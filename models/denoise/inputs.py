@@ -31,6 +31,8 @@ SUFFIXES = (
     ),
 )
 
+SequenceKey = tuple[str, ...]
+
 _NUMBER = re.compile(r"\d+")
 
 
@@ -100,20 +102,24 @@ def sequences(items: Sequence[Item]) -> list[list[Item]]:
 
     A sequence is the pictures of a folder whose names differ in their last number alone.
     """
-    found: dict[tuple[object, ...], list[tuple[int, Item]]] = {}
+    found: dict[SequenceKey, list[tuple[int, Item]]] = {}
     for item in items:
-        key: tuple[object, ...] = (item.source,)
-        number = 0
-        if item.kind == "image" and (numbers := list(_NUMBER.finditer(item.source.name))):
-            last = numbers[-1]
-            name = item.source.name
-            key = item.source.parent, name[: last.start()], name[last.end() :]
-            number = int(last[0])
+        key, number = place_in_time(item)
         found.setdefault(key, []).append((number, item))
     return [
         [item for _, item in sorted(some, key=lambda one: (one[0], one[1].source))]
         for some in found.values()
     ]
+
+
+def place_in_time(item: Item) -> tuple[SequenceKey, int]:
+    """The sequence of a file, and its number there; see `sequences`."""
+    name = item.source.name
+    numbers = list(_NUMBER.finditer(name)) if item.kind == "image" else []
+    if not numbers:
+        return (str(item.source),), 0
+    last = numbers[-1]
+    return (str(item.source.parent), name[: last.start()], name[last.end() :]), int(last[0])
 
 
 def _check_outputs(items: Sequence[Item], out: Path, *, compare: bool) -> None:

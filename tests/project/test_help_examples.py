@@ -103,7 +103,8 @@ def test_an_example_of_a_help_does_what_it_says(
     verb = " ".join(said[1:3]) if said[1] == "cache" else said[1]
     if verb in REAL and not any(part in example for part in NOT_REALLY):
         monkeypatch.chdir(place)
-        code = run(example, *dict.fromkeys(REAL[verb]))
+        # Words after `--cfg job` would be another option's.
+        code = run(example, *(() if "--cfg" in example else REAL[verb]))
         told = capfd.readouterr()
         assert code == 0, told.err
     else:

@@ -92,14 +92,14 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
 
     full_scale: intensity that is shown as grey value 1.
     """
-    from . import display_loops  # loads numba
+    from . import kernels  # loads numba
 
     # E[x^p]^(1/p) of a log-normal x of median 1.
     full_scale /= float(np.exp(_power(settings) * state.scintillation_nepers2 / 2))
     if not (state.echo.any() or state.noise.any()):
         return transfer.grey(np.sqrt(state.steady), float(np.sqrt(full_scale)), settings)
     grey = np.empty_like(state.echo)
-    display_loops.displayed(
+    kernels.displayed(
         state.echo,
         state.noise,
         state.steady,

@@ -25,8 +25,8 @@ from ...sonar.acoustics import WaterSettings
 from ...sonar.settings import SonarSettings
 from ...sonar.surface import mount_weight
 from ...sonar.window import Window
+from .beams import bin_centres_m, vertical_table
 from .settings import AcousticsSettings
-from .tables import bin_centres_m, vertical_table
 
 Floats = npt.NDArray[np.float32]
 
@@ -82,13 +82,13 @@ class Scatterers:
     def world_cells(self, edge_m: float) -> Cells:
         """The world cells of this edge in which the scatterers lie."""
         if edge_m not in self._cells:
-            from .cells import cell_loops
+            from . import cell_kernels
 
             across, down = directions(self.frame)
             pose = np.ascontiguousarray(self.world_from_camera[:3])
             size = len(self.pixels)
             names, places = np.empty(size, np.uint32), np.empty(size, np.uint32)
-            cell_loops.cells(
+            cell_kernels.cells(
                 self.pixels, self.parts, self.row_ends, self.frame.depth_m, across, down, pose,
                 edge_m, names, places,
             )  # fmt: skip
@@ -108,25 +108,25 @@ class Scatterers:
 
     @cached_property
     def _surface(self) -> tuple[npt.NDArray[np.int32], Floats]:
-        from .cells import world_loops
+        from . import cell_kernels
 
         size = self.owner.size
         bins, points_m = np.empty(size, np.int32), np.empty((3, size), np.float32)
         seen = directions(self.frame)
-        count = world_loops.surface_points(
+        count = cell_kernels.surface_points(
             self.owner.reshape(-1), self.frame.depth_m, *seen, bins, points_m
         )
         return bins[:count], np.ascontiguousarray(points_m[:, :count])
 
 
 def shares(names: npt.NDArray[np.uint32], places: npt.NDArray[np.uint32]) -> Floats:
-    """(N,) float32: see `Cells.shares`; the arguments are what `cell_loops.cells` gives."""
-    from .cells import cell_loops
+    """(N,) float32: see `Cells.shares`; the arguments are what `cell_kernels.cells` gives."""
+    from . import cell_kernels
 
     made, work = np.empty(len(names), np.float32), np.empty((len(names), 2), np.uint32)
     slots = 1 << (2 + len(names).bit_length())
     parts = max(slots // _SLOTS, 1)
-    while not cell_loops.count(
+    while not cell_kernels.count(
         names, places, parts, np.empty((slots // parts, 2), np.uint32), work, made
     ):
         parts //= 2

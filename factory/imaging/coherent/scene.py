@@ -23,9 +23,8 @@ from ...sonar.surface import LitSurface
 from ..clouds import EffectCloud, effect_clouds
 from ..contract import DrawnEffect, Floats, Layers
 from . import decimation
-from .calibrated import calibrated
 from .expected import Expected, display, expected
-from .received import received
+from .received import calibrated, received
 from .scatterers import scatterers
 from .settings import AcousticsSettings
 from .signal import Ping, Receiver, beamform_power

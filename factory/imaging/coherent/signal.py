@@ -13,8 +13,8 @@ from ...sonar.acoustics import WaterSettings, thermal_noise_db
 from ...sonar.settings import SonarSettings
 from ...sonar.window import Window
 from . import beams
+from .beams import bin_centres_m
 from .scatterers import Scatterers
-from .tables import bin_centres_m
 
 Floats = npt.NDArray[np.float32]
 

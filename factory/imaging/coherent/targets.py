@@ -10,8 +10,8 @@ import numpy as np
 from ...sonar import polar, transfer
 from ...sonar.surface import LitSurface
 from ..contract import Floats
+from .beams import bin_centres_m
 from .scatterers import scatterers
-from .tables import bin_centres_m
 
 if TYPE_CHECKING:
     from ..contract import ImagingSettings

@@ -49,7 +49,7 @@ def expect_crosstalk(
     spacing_beams: float,
 ) -> None:
     """Intensities of the leaks, and what they add in phase: beams that overlap are alike."""
-    from ...imaging.coherent import display_loops  # loads numba
+    from ...imaging.coherent import kernels  # loads numba
 
     leak, step = 10 ** (level_db / 20), max(round(spacing_beams), 1)
     alike = _alike(ping, step)
@@ -60,7 +60,7 @@ def expect_crosstalk(
         (expected.textured, alike),
     ):
         if plane.any():
-            display_loops.leaked(plane, step, leak, correlation)
+            kernels.leaked(plane, step, leak, correlation)
 
 
 def _alike(ping: Ping, step: int) -> float:

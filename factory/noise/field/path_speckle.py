@@ -34,19 +34,19 @@ def path_speckle(
     signal: Signal, ping: Ping, rng: np.random.Generator, *, looks: float, scatterer_m: float
 ) -> Signal:
     """The field of the cells instead of the mean power of the echoes."""
-    from ...imaging.coherent.cells import cell_loops, path_loops
-    from ...imaging.coherent.cells.path_cells import edge_m, path_cells, turns
+    from ...imaging.coherent import cell_kernels
+    from ...imaging.coherent.path_cells import edge_m, path_cells, turns
 
     scene, amplitude = ping.scatterers, np.sqrt(ping.scatterers.loss)
     cells = path_cells(ping, scatterer_m or edge_m(ping))
     field = np.empty((max(round(looks), 1), 2, *ping.shape), np.float32)
     for look in field:
         bins = np.zeros((signal.power.size, 2), np.float32)
-        path_loops.scatter(
+        cell_kernels.scatter_paths(
             cells.bins, cells.roots, cells.names, cells.phases, int(rng.integers(2**32)),
             gaussian_table(), turns(), bins,
         )  # fmt: skip
-        cell_loops.into_planes(bins, amplitude, look)
+        cell_kernels.into_planes(bins, amplitude, look)
     return Signal(np.zeros_like(scene.power), field)
 
 

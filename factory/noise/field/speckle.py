@@ -50,7 +50,7 @@ def speckle(
     signal: Signal, ping: Ping, rng: np.random.Generator, *, looks: float, scatterer_m: float
 ) -> Signal:
     """The scatterers' complex field instead of the mean power of the echoes."""
-    from ...imaging.coherent.cells import cell_loops
+    from ...imaging.coherent import cell_kernels
 
     scene, amplitude = ping.scatterers, np.sqrt(ping.scatterers.loss)
     cells = scene.world_cells(scatterer_m or _CELL * min(ping.bin_m, ping.resolution_m))
@@ -58,10 +58,10 @@ def speckle(
     for look in field:
         key = int(rng.integers(2**32))
         bins = np.zeros((signal.power.size, 2), np.float32)
-        cell_loops.scatter(
+        cell_kernels.scatter(
             scene.bins, scene.powers, cells.names, cells.shares, key, gaussian_table(), bins,
         )  # fmt: skip
-        cell_loops.into_planes(bins, amplitude, look)
+        cell_kernels.into_planes(bins, amplitude, look)
     return Signal(np.zeros_like(signal.power), field)
 
 

@@ -38,24 +38,24 @@ def texture(
     field: Floats, ping: Ping, rng: np.random.Generator, *, shape: float, patch_m: float
 ) -> Floats:
     """The field, every bin that a surface fills weakened or strengthened by sqrt(tau)."""
-    from ...imaging.coherent.cells import world_loops
+    from ...imaging.coherent import cell_kernels
 
     scene = ping.scatterers
     normal = np.empty(len(scene.filled), np.float32)
     key = int(rng.integers(2**32))
     lattice_from_camera = np.ascontiguousarray(scene.world_from_camera[:3] / patch_m)
-    world_loops.lattice(scene.filled_camera_m, lattice_from_camera, key, gaussian_table(), normal)
+    cell_kernels.lattice(scene.filled_camera_m, lattice_from_camera, key, gaussian_table(), normal)
     planes = field.reshape(-1, field.shape[-2] * field.shape[-1])
-    world_loops.strengthen(scene.filled, gamma_of_normal(normal, shape), planes)
+    cell_kernels.strengthen(scene.filled, gamma_of_normal(normal, shape), planes)
     return field
 
 
 def gamma_of_normal(normal: Floats, shape: float) -> Floats:
     """Gamma(nu, 1 / nu) values at the quantiles of standard normal ones; mean 1."""
-    from ...imaging.coherent.cells import world_loops
+    from ...imaging.coherent import cell_kernels
 
     gamma = np.empty(len(normal), np.float32)
-    world_loops.interpolated(normal, _quantiles(shape), _REACH, gamma)
+    cell_kernels.interpolated(normal, _quantiles(shape), _REACH, gamma)
     return gamma
 
 

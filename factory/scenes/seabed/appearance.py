@@ -158,15 +158,17 @@ def photograph(scene: Scene, seen: ZBuffer, exposure: float) -> npt.NDArray[np.u
     rgb = np.empty((height, width, 3), np.uint8)
     ground, mesh, where = scene.ground, scene.objects.mesh, scene.where
     sun, sun_lens, shade = _shade(scene)
+    sight = _single(where.eye, where.rotation, lens_of(scene.optics))
+    light = _single(sun.eye, sun.rotation, sun_lens)
     kernels.look(
         ground.points.reshape(-1, 3), ground.normals.reshape(-1, 3),
         ground.attributes.reshape(-1, 3), ground.points.shape[1],
         mesh.vertices, scene.objects.normals, mesh.colours, mesh.triangles, scene.objects.owner,
-        *_single(where.eye, where.rotation, lens_of(scene.optics)), seen.inverse, seen.which,
+        *sight, seen.inverse, seen.which,
         scene.finishes, scene.palette.table, np.float32(scene.palette.turf),
         np.array(scene.offset_m, np.float32), tiles().texture,
         scene.water.table, np.array(scene.water.sun_direction, np.float32),
-        *_single(sun.eye, sun.rotation, sun_lens), shade, colour,
+        *light, shade, colour,
     )  # fmt: skip
     # The camera sets its black level on the haze, as far as that has one colour, and lets the
     # bright parts of the picture fill most of the scale, whatever the water.
@@ -201,8 +203,8 @@ def _shade(scene: Scene) -> tuple[Pose, Points, Floats]:
     return sun, lens, inverse
 
 
-def _single(*arrays: Points) -> list[Floats]:
-    return [array.astype(np.float32) for array in arrays]
+def _single(eye: Points, rotation: Points, lens: Points) -> tuple[Floats, Floats, Floats]:
+    return eye.astype(np.float32), rotation.astype(np.float32), lens.astype(np.float32)
 
 
 @functools.cache

@@ -182,17 +182,18 @@ def tire(rng: np.random.Generator) -> Mesh:
     outer = rng.uniform(0.28, 0.58)
     width = outer * rng.uniform(0.32, 0.5)
     rim = outer * rng.uniform(0.55, 0.66)
-    side = [[rim, -0.36], [rim + 0.3 * (outer - rim), -0.49], [rim + 0.75 * (outer - rim), -0.5]]
-    tread = [[0.985, -0.4], [1, -0.2], [0.978, -0.18], [0.978, -0.1], [1, -0.08]]
-    outside = np.concatenate([side, np.array(tread) * [outer, 1]])
-    inside = [
-        [rim + 0.1 * (outer - rim), 0.34],
-        [rim + 0.7 * (outer - rim), 0.4],
-        [outer * 0.94, 0.3],
-    ]
-    hollow = np.array(inside)
-    turned = [outside, outside[::-1] * [1, -1], hollow, hollow[::-1] * [1, -1], side[:1]]
-    profile = np.concatenate(turned)
+    # From the rim over the outside's half to its middle, and on the inside; both are mirrored.
+    outside = np.array(
+        [[rim, -0.36], [rim + 0.3 * (outer - rim), -0.49], [rim + 0.75 * (outer - rim), -0.5],
+         [0.985 * outer, -0.4], [outer, -0.2], [0.978 * outer, -0.18], [0.978 * outer, -0.1],
+         [outer, -0.08]]
+    )  # fmt: skip
+    hollow = np.array(
+        [[rim + 0.1 * (outer - rim), 0.34], [rim + 0.7 * (outer - rim), 0.4], [outer * 0.94, 0.3]]
+    )
+    mirror = np.array([1.0, -1.0])
+    parts = (outside, outside[::-1] * mirror, hollow, hollow[::-1] * mirror, outside[:1])
+    profile = np.concatenate(parts)
     rubber = np.array([0.035, 0.035, 0.038]) * rng.uniform(0.8, 1.6)
     shape = lathe(profile * [1, width], 44, rubber)
     lean = rng.choice([0.0, 0.3, 1.25, np.pi / 2], p=[0.45, 0.2, 0.15, 0.2])

@@ -251,7 +251,8 @@ class Site:
     def _near_loop(self, aside: Points) -> Points:
         """(N, 2) points beside the loop anywhere along it, (N,) metres to its left."""
         point, tangent = self.loop.at(self.rng.uniform(0, self.loop.length_m, len(aside)))
-        return point + aside[:, None] * np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
+        left = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
+        return np.asarray(point + aside[:, None] * left)
 
     def _on_axis(self, along: float, across: float) -> Points:
         c, s = np.cos(self.heading_rad), np.sin(self.heading_rad)

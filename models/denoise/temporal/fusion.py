@@ -196,7 +196,7 @@ class Usual:
         middles = (np.arange(_LEVELS) + 0.5) / _LEVELS
         sigma = np.interp(middles, middles[known], self._sum[known] / self._pixels[known])
         pixels = np.interp(middles, middles[known], self._pixels[known])
-        window = [1, 2, 3, 2, 1]
+        window = np.array([1.0, 2, 3, 2, 1])
         power: Floats = np.convolve(np.pad(sigma**2 * pixels, 2, mode="edge"), window, "valid")
         power = power / np.convolve(np.pad(pixels, 2, mode="edge"), window, "valid")
         fine = np.interp(np.linspace(0, 1, 256), middles, np.sqrt(power))

@@ -275,20 +275,6 @@ def test_zstd_without_its_plugin_names_file_and_cure(tmp_path: Path) -> None:
         np.testing.assert_array_equal(pairs[3]["noisy"], PAIRS[3].noisy)
 
 
-def test_a_damage_that_makes_hdf5_hang_is_refused_in_time(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The heap that holds the attributes' texts, emptied: HDF5 walks it for ever."""
-    monkeypatch.setattr("simnfnd.factory.dataset.read.reader._LIMIT_S", 2.0)
-    path = folder / "train/shard-00000.h5"
-    content = bytearray(path.read_bytes())
-    start = content.index(b"GCOL") + 16
-    content[start : start + 200] = bytes(200)
-    path.write_bytes(content)
-    with pytest.raises(FactoryError, match=r"shard-00000\.h5: (not read within 2 s|damaged)"):
-        PairDataset(folder)
-
-
 # --- index.h5
 
 
@@ -313,14 +299,6 @@ def test_h5py_alone_reads_the_index_of_a_moved_dataset(
         np.testing.assert_array_equal(index["train/meta"][()], pairs.meta())
         assert index.attrs["schema"] == "simnfnd/1"
         np.testing.assert_array_equal(pairs[6]["noisy"], index["train/noisy"][6])
-
-
-def test_the_index_of_the_same_shards_has_the_same_bytes(folder: Path) -> None:
-    manifest = load_manifest(folder)
-    assert manifest is not None
-    first = (folder / "index.h5").read_bytes()
-    backwards = replace(manifest, shards=dict(reversed(list(manifest.shards.items()))))
-    assert write_index(folder, backwards).read_bytes() == first
 
 
 def test_a_run_leaves_an_index_of_all_its_shards(tmp_path: Path) -> None:

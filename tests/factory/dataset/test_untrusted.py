@@ -173,7 +173,7 @@ def test_numbers_in_place_of_axes_kill_nobody(folder: Path, verb: str) -> None:
     assert f"{SHARD}: the axes of /noisy are damaged" in done.stdout
 
 
-@pytest.mark.parametrize("verb", ["export", "inspect", "preview", "shard paths"])
+@pytest.mark.parametrize("verb", ["read", "export", "inspect", "preview", "shard paths"])
 def test_files_are_opened_in_another_process_first(
     folder: Path, verb: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,11 +9,10 @@ import pytest
 
 from simnfnd.factory.compiled import compiled
 from simnfnd.factory.elementary import log10
-from simnfnd.factory.imaging.coherent import kernels
-from simnfnd.factory.imaging.coherent.cells import cell_loops
+from simnfnd.factory.imaging.coherent import cell_kernels, kernels
+from simnfnd.factory.imaging.coherent.beams import vertical_table
 from simnfnd.factory.imaging.coherent.scatterers import beam_table, scatterers
 from simnfnd.factory.imaging.coherent.signal import gaussian_table
-from simnfnd.factory.imaging.coherent.tables import vertical_table
 from simnfnd.factory.pairs import fitted_window
 from simnfnd.factory.sonar.window_fit import conical
 from tests.constant_field import config
@@ -80,7 +79,7 @@ def test_scattered_amplitudes_are_those_of_numpy() -> None:
     names = rng.integers(0, 300, points).astype(np.uint32) * np.uint32(40503)
     share = rng.random(points, dtype=np.float32)
     table, bins = gaussian_table(), np.zeros((90, 2), np.float32)
-    cell_loops.scatter(bin_of, power, names, share, key, table, bins)
+    cell_kernels.scatter(bin_of, power, names, share, key, table, bins)
 
     word = names ^ np.uint32(key)
     for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35)):

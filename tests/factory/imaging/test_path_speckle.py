@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.errors import FrameError
-from simnfnd.factory.imaging.coherent.cells.path_cells import edge_m, path_cells
+from simnfnd.factory.imaging.coherent.path_cells import edge_m, path_cells
 from simnfnd.factory.imaging.coherent.signal import Signal, beamform, beamform_power
 from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.pairs import make_pair, observe

@@ -10,9 +10,9 @@ import pytest
 
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
+from simnfnd.factory.imaging.coherent.beams import vertical_table
 from simnfnd.factory.imaging.coherent.received import received
 from simnfnd.factory.imaging.coherent.signal import Ping, Signal
-from simnfnd.factory.imaging.coherent.tables import vertical_table
 from simnfnd.factory.noise.draws import Draws, StreamNames, draw
 from simnfnd.factory.noise.field.beam_gain import beam_gain
 from simnfnd.factory.noise.field.crosstalk import crosstalk

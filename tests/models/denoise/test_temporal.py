@@ -120,6 +120,21 @@ def test_another_scene_drops_out() -> None:
     assert motion_between(small, view(scene())) is None
 
 
+def test_a_shuffled_folder_falls_back_frame_by_frame() -> None:
+    frames = [noisy(view(scene(seed=number)), number) for number in range(9)]
+
+    def halving(gray: Grey, geometry: FanGeometry | None = None) -> Grey:
+        return gray / 2
+
+    tally = Tally()
+    stream: InTime[int] = InTime(halving, tally=tally)
+    found = [one for n, frame in enumerate(frames) for one in stream.push(Shot(n, frame))]
+    for number, picture in [*found, *stream.finish()]:
+        np.testing.assert_allclose(picture, frames[number] / 2, atol=1e-6)
+    assert tally.alone == len(frames)
+    assert next(tally.lines(7)).endswith("9 of 9 pictures fit no other")
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 7])
 def test_the_network_of_lesser_and_greater_gives_medians(count: int) -> None:
     planes = np.random.default_rng(0).random((count, 6, 5), np.float32)
@@ -230,7 +245,7 @@ def test_the_recording_chooses_the_strength() -> None:
     perfect, spoiling = chosen(truth), chosen(np.zeros_like(truth))
     assert perfect.measured >= 2
     assert perfect.whole[2:5, 1].min() > 0.8
-    assert np.abs(spoiling.whole[2:5, 1]).max() < 0.1
+    assert np.abs(spoiling.whole[2:5, 1]).max() < 0.2
 
 
 def test_total_variation_removes_noise_and_keeps_edges() -> None:

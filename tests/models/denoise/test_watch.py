@@ -14,6 +14,7 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.models.denoise import command
 from simnfnd.models.denoise.inputs import Item
 from simnfnd.models.denoise.watch import Watched, watch
+from tests.models.adapt.scenes import noisy, scene, write
 from tests.models.denoise.halving import Halving, main
 from tests.models.recordings.recording_files import pings, write_aris, write_oculus
 
@@ -143,3 +144,25 @@ def test_the_command_denoises_what_comes_until_it_is_stopped(
 def test_words_that_do_not_go_together(tmp_path: Path, words: list[str], why: str) -> None:
     with pytest.raises(FactoryError, match=why):
         main([*words, "--out", str(tmp_path / "out")])
+
+
+def test_pictures_that_come_are_fused_with_those_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "asked_denoiser", lambda *given, **named: Halving())
+    folder, out = tmp_path / "in", tmp_path / "out"
+    folder.mkdir()
+    come = iter(range(5))
+
+    def sleep(seconds: float) -> None:
+        number = next(come, None)
+        if number is None:
+            raise KeyboardInterrupt
+        if number < 3:
+            write(folder / f"f{number}.png", noisy(scene(0), number))
+
+    monkeypatch.setattr("simnfnd.models.denoise.watch.watch.__defaults__", (sleep,))
+    words = ["--watch", str(folder), "--out", str(out), "--geometry", "none", "--causal"]
+    assert command.main(words) == 0
+    assert sorted(path.name for path in out.iterdir()) == ["f0.png", "f1.png", "f2.png"]
+    assert "in time: " in capsys.readouterr().out

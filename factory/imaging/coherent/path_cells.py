@@ -13,11 +13,11 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from ....errors import FrameError
-from ....sonar import array
-from ...contract import Floats
-from ..scatterers import BEAM_STEPS, beam_table, directions
-from ..signal import Ping
+from ...errors import FrameError
+from ...sonar import array
+from ..contract import Floats
+from .scatterers import BEAM_STEPS, beam_table, directions
+from .signal import Ping
 
 MOST_POINTS = 1 << 25
 # Where a beam is to be at least a cell wide, as a part of the farthest range.
@@ -50,14 +50,14 @@ def path_cells(ping: Ping, cell_m: float) -> PathCells:
 
     Raises FrameError when they are too many.
     """
-    from . import path_loops
+    from . import cell_kernels
 
     scene, sonar, window = ping.scatterers, ping.sonar, ping.window
     across, down = directions(scene.frame)
     pose = np.ascontiguousarray(scene.world_from_camera[:3])
     given = (scene.pixels, scene.parts, scene.powers, scene.frame.depth_m, across, down, pose)
     nothing = np.empty(0, np.uint32), np.empty(0, np.float32), np.empty((0, 3), np.int32)
-    points = path_loops.gather(*given, cell_m, *nothing)
+    points = cell_kernels.gather(*given, cell_m, *nothing)
     if points > MOST_POINTS:
         raise FrameError(
             f"{scene.frame.ref.name}: {points} points for cells of {1000 * cell_m:.2g} mm; set "
@@ -66,13 +66,13 @@ def path_cells(ping: Ping, cell_m: float) -> PathCells:
     slots = 1 << int(points).bit_length()
     names, powers = np.zeros(slots, np.uint32), np.zeros(slots, np.float32)
     places = np.empty((slots, 3), np.int32)
-    path_loops.gather(*given, cell_m, names, powers, places)
+    cell_kernels.gather(*given, cell_m, names, powers, places)
     cells = int(np.count_nonzero(names))
     edges, first_beam = beam_table(sonar)
     bins, roots = np.empty(cells, np.int32), np.empty(cells, np.float32)
     kept, phases = np.empty(cells, np.uint32), np.empty(cells, np.uint16)
     waves_per_m = 2000 * sonar.frequency_khz / ping.water.sound_speed_m_s()
-    count = path_loops.locate(
+    count = cell_kernels.locate(
         names, powers, places, cell_m, _sonar_from_world(ping),
         window.projection == "top_view", window.range_min_m,
         sonar.range_bins / window.range_span_m, edges, first_beam,
