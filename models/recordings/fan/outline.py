@@ -8,12 +8,12 @@ or MPEG, text) cost little each.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy import optimize
 
 Numbers = npt.NDArray[np.float64]
 
@@ -179,11 +179,8 @@ class _Objective:
             return self.cost(np.concatenate([values, outline[free:]]))
 
         simplex = np.vstack([outline[:free], outline[:free] + steps])
-        options = {"initial_simplex": simplex, "maxfev": 40 * free, "xatol": 0.05, "fatol": 1.0}
-        best = optimize.minimize(
-            cost, outline[:free], method="Nelder-Mead", options={**options, "adaptive": True}
-        )
-        return np.concatenate([best.x, outline[free:]])
+        best = _lowest(cost, simplex, most=40 * free)
+        return np.concatenate([best, outline[free:]])
 
     def polish(self, outline: Numbers) -> Numbers:
         """Each end of an edge and each arc moved by itself to where it fits best."""
@@ -198,3 +195,61 @@ class _Objective:
                 # The middle of the places that are as good as the best.
                 outline = tried[costs <= costs.min() + 1e-6].mean(axis=0)
         return outline
+
+
+def _lowest(cost: Callable[[Numbers], float], simplex: Numbers, most: int) -> Numbers:
+    """Where the cost is lowest near a simplex (N + 1, N), by at most `most` looks at it.
+
+    Nelder and Mead 1965 with the parameters of Gao and Han 2012; it stops where no corner is more
+    than .05 away and 1 above.  SciPy has it, too, and takes a third of a second to import.
+    """
+    size = simplex.shape[1]
+    expand, contract, shrink = 1 + 2 / size, 0.75 - 1 / (2 * size), 1 - 1 / size
+    corners = simplex.copy()
+    costs = np.full(len(corners), np.inf)
+    looks = 0
+
+    def look(at: Numbers) -> float:
+        nonlocal looks
+        if looks >= most:
+            raise StopIteration
+        looks += 1
+        return cost(at)
+
+    def order() -> None:
+        by = np.argsort(costs)
+        corners[:], costs[:] = corners[by], costs[by]
+
+    try:
+        for number, corner in enumerate(corners):
+            costs[number] = look(corner)
+        order()
+        while True:
+            wide = np.abs(corners[1:] - corners[0]).max() > 0.05
+            if not wide and np.abs(costs[1:] - costs[0]).max() <= 1.0:
+                break
+            middle, worst = corners[:-1].mean(axis=0), corners[-1]
+            tried = 2 * middle - worst
+            found = look(tried)
+            if found < costs[0]:
+                further = (1 + expand) * middle - expand * worst
+                there = look(further)
+                if there < found:
+                    tried, found = further, there
+            elif found >= costs[-2]:
+                outside = found < costs[-1]
+                limit = found if outside else costs[-1]
+                part = contract if outside else -contract
+                tried = (1 + part) * middle - part * worst
+                found = look(tried)
+                if found > limit or (not outside and found == limit):
+                    for number in range(1, len(corners)):
+                        corners[number] = corners[0] + shrink * (corners[number] - corners[0])
+                        costs[number] = look(corners[number])
+                    order()
+                    continue
+            corners[-1], costs[-1] = tried, found
+            order()
+    except StopIteration:
+        order()
+    return np.asarray(corners[0])
