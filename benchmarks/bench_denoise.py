@@ -51,7 +51,8 @@ def measure(options: Options) -> Section:
 
 
 def _frames(count: int) -> list[np.ndarray]:
-    video, found = cv2.VideoCapture(str(LAMPREY)), []
+    video = cv2.VideoCapture(str(LAMPREY))
+    found: list[np.ndarray] = []
     while len(found) < count and (read := video.read())[0]:
         found.append(cv2.resize(read[1], (SIDE_PX, SIDE_PX), interpolation=cv2.INTER_AREA))
     return (found * (count // len(found) + 1))[:count]

@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -92,7 +93,10 @@ def _loader(root: Path, workers: int, epochs: int) -> float:
     from torch.utils.data import DataLoader
 
     with PairDataset(root, "train") as pairs:
-        loader = DataLoader(pairs, 8, shuffle=True, num_workers=workers, persistent_workers=True)
+        dataset: Any = pairs
+        loader: Any = DataLoader(
+            dataset, 8, shuffle=True, num_workers=workers, persistent_workers=True
+        )
         best = 0.0
         for epoch in range(epochs):
             start = time.perf_counter()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -66,7 +67,7 @@ def _dimmest(reference: Gray) -> tuple[int, int]:
     return _highest(np.where(lit > 0.97 * lit[:-SIDE, :-SIDE].max(), 1 - level, -1))
 
 
-def _highest(score: Gray) -> tuple[int, int]:
+def _highest(score: npt.NDArray[Any]) -> tuple[int, int]:
     inner = score[: -SIDE - 1, : -SIDE - 1]
     top, left = np.unravel_index(int(np.argmax(inner)), inner.shape)
     return int(top), int(left)
@@ -77,8 +78,8 @@ def _line(name: str, parts: list[Gray]) -> npt.NDArray[np.uint8]:
     for part in parts:
         grey = np.rint(np.clip(part, 0, 1) * 255).astype(np.uint8)
         large = cv2.resize(grey, None, fx=ZOOM, fy=ZOOM, interpolation=cv2.INTER_NEAREST)
-        shown.append(cv2.copyMakeBorder(large, 0, GAP, 0, GAP, cv2.BORDER_CONSTANT, value=24))
-    line = np.concatenate(shown, axis=1)
+        shown.append(cv2.copyMakeBorder(large, 0, GAP, 0, GAP, cv2.BORDER_CONSTANT, value=[24]))
+    line: npt.NDArray[np.uint8] = np.concatenate(shown, axis=1)
     _write(line, name, 6, 20)
     return line
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -124,7 +125,8 @@ def variation_of(picture: Gray, weight: float) -> Gray:
     """With less total variation (Chambolle 2004, scikit-image)."""
     from skimage.restoration import denoise_tv_chambolle  # slow to import
 
-    return np.asarray(denoise_tv_chambolle(picture, weight=weight), np.float32)
+    smooth: Any = denoise_tv_chambolle
+    return np.asarray(smooth(picture, weight=weight), np.float32)
 
 
 def _in_time(frames: Gray, network: Network | None) -> list[Gray]:

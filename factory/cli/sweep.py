@@ -161,7 +161,9 @@ def contact_sheet(points: Sequence[tuple[str, str]], out: Path) -> Path | None:
             [(names[0], "clean"), *((n, "noisy") for n in names)]
         ):
             split, number = found[name]
-            with PairDataset(folder, split=split, trusted=True) as pairs:
+            with PairDataset(
+                folder, split="test" if split == "test" else "train", trusted=True
+            ) as pairs:
                 picture = np.asarray(pairs[number][what])
                 white = pairs.value_range[1]
             image = Image.fromarray((picture * (255 / white)).clip(0, 255).astype(np.uint8))

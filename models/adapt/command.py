@@ -89,7 +89,8 @@ def _parsed(arguments: Sequence[str]) -> Any:
         raise FactoryError(f"--out {chosen.out}: must end in .safetensors")
     for name, (is_good, wrong) in _BOUNDS.items():
         value = getattr(chosen, name)
-        if value is not None and not is_good(value):
+        good: Any = is_good
+        if value is not None and not good(value):
             raise FactoryError(f"--{name.replace('_', '-')} {value:g}: {wrong}")
     return chosen
 

@@ -117,7 +117,7 @@ def open_stacks(
             still = bool(
                 find_groups(list(frames[:2]), [sector] * 2, least=2, alike=_ALIKE, furthest_px=1.0)
             )
-            found.append(Stack(np.uint8(np.rint(frames * 255)), geometry, still))
+            found.append(Stack(np.rint(frames * 255).astype(np.uint8), geometry, still))
     if paths and not found:
         raise FactoryError(
             f"{key}: no recording there has frames of {least_side} pixels or more with a fan that "

@@ -233,7 +233,7 @@ class SonarNet(Network):
             films = [film(told)[:, :, None, None] for film in self.films]
         if levels is not None:
             found = [film(level) for film, level in zip(self.frames, levels, strict=True)]
-            films = [sum(both) for both in zip(films, found, strict=True)] if films else found
+            films = [one + more for one, more in zip(films, found, strict=True)] if films else found
         return [_after(*both) for both in zip(films, steps, strict=True)] if films else steps
 
 

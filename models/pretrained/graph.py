@@ -44,8 +44,10 @@ class Graph(nn.Module):
         self.network, self.layout = network, layout
         maps = MAPS if layout != "none" else ()
         told = ("remove",) if "remove" in network.extras else ()
-        self.inputs = ("noisy", *maps, *told)
-        self.outputs = ("denoised", "weight") if network.has_heads else ("denoised",)
+        self.inputs: tuple[str, ...] = ("noisy", *maps, *told)
+        self.outputs: tuple[str, ...] = (
+            ("denoised", "weight") if network.has_heads else ("denoised",)
+        )
         if hasattr(network, "fan"):
             setattr(network, "fan", layout == "fan")  # noqa: B010  (of sonarnet alone)
         # Without gradients and choices of training, as tracing keeps both.

@@ -71,7 +71,7 @@ class RuntimeGraph(Graph):
         remove = given.get("remove")
         if remove is None:
             remove = torch.from_numpy(vector(DEFAULT))[None]
-        planes = maps.split(1, dim=1)
+        planes = torch.split(maps, 1, dim=1)
         return network.core(remove, given.get("frames"), lines, noisy, *planes)
 
     def example(self, height: int, width: int, count: int = 1, seed: int = 0) -> Inputs:
@@ -101,7 +101,8 @@ class RuntimeGraph(Graph):
     def core_stride(self) -> int:
         """What sizes are padded to."""
         assert isinstance(self.network, SonarNet)
-        return self.network.core_stride
+        stride: int = self.network.core_stride
+        return stride
 
 
 def write_runtime(weights: Path, out: Path) -> float:

@@ -236,7 +236,10 @@ def layout_of(fields: str, size: int | None = None) -> np.dtype:
         return np.dtype([(name, *one) for name, one in zip(names, formats, strict=True)])
     offsets = [int(word) for word in words[1::3]]
     made = {"names": names, "formats": [one[0] for one in formats]}
-    return np.dtype({**made, "offsets": offsets, "itemsize": size})  # type: ignore[call-overload]
+    layout: np.dtype[Any] = np.dtype(
+        {**made, "offsets": offsets, "itemsize": size}  # type: ignore[call-overload]
+    )
+    return layout
 
 
 def pose_of(header: np.void, names: str) -> Pose:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import IO
@@ -92,7 +91,7 @@ def decoded(content: bytes, what: str) -> Samples:
 
 
 def _opened(
-    file: IO[bytes], what: str, kind: str, formats: Sequence[str] | None = None
+    file: IO[bytes], what: str, kind: str, formats: tuple[str, ...] | None = None
 ) -> Image.Image:
     """A picture whose pixels are not read yet.  Raises FrameError."""
     with explained(f"{what}: not a readable {kind}"):

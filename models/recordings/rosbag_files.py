@@ -64,8 +64,9 @@ def messages(path: Path, reader: Reader, connections: Sequence[Connection]) -> I
     Raises FrameError at damage, and at the first message beyond what a bag may unpack to.
     """
     storage = getattr(reader, "storage", None)
-    packed = storage is not None and storage.metadata.compression_mode == "message"
-    if packed:  # the library would unpack them without bound
+    packed = False
+    if storage is not None and storage.metadata.compression_mode == "message":
+        packed = True  # the library would unpack them without bound
         storage.metadata = storage.metadata._replace(compression_mode=None)
     with explained(f"{path}: {_DAMAGED}", reason=True):
         most, total = budget.most_streamed(size_of(path)), 0

@@ -56,7 +56,7 @@ def seen_sector_deg(directory: Path) -> tuple[float, float]:
 
 def lit_share(directory: Path, most: int = 64) -> float:
     """Share of the pixels of (at most `most`) clean pictures that show an echo, 0 to 1."""
-    found = []
+    found: list[float] = []
     for shard in _shards(directory):
         found += [float((picture > 0).mean()) for picture in shard["clean"][: most - len(found)]]
         if len(found) >= most:

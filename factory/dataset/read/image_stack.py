@@ -74,10 +74,7 @@ class ImageStack:
         unpacker: Any
         failure: type[Exception]
         if codec == "gzip":
-            try:  # two thirds of zlib's time; readers may have numpy and h5py alone
-                from isal import isal_zlib as deflate
-            except ImportError:
-                import zlib as deflate
+            deflate = _deflate()
             unpacker, failure = deflate.decompressobj(), deflate.error
         else:
             if sys.version_info >= (3, 14):
@@ -93,6 +90,17 @@ class ImageStack:
         if len(pixels) != self._bytes or not unpacker.eof or unpacker.unused_data:
             raise ValueError(f"it does not hold the {self._bytes} bytes of a picture")
         return pixels
+
+
+def _deflate() -> Any:
+    """The zlib to use: readers may have numpy and h5py alone."""
+    try:
+        from isal import isal_zlib  # two thirds of zlib's time
+    except ImportError:
+        import zlib
+
+        return zlib
+    return isal_zlib
 
 
 def lzf_length(content: bytes, most: int) -> int:

@@ -136,7 +136,9 @@ def test_several_frames_are_judged_by_the_others(tmp_path: Path) -> None:
     (one,) = judged(0, group(tmp_path, values), [1], 7)
     assert one.several is not None
     picture, mean = RealPicture(one), Method("mean of 7", "", {}, given="mean")
-    np.testing.assert_array_equal(picture.given(mean), one.several.mean)
+    given = picture.given(mean)
+    assert given is not None
+    np.testing.assert_array_equal(given, one.several.mean)
     # Levels make the even pictures equal to their references.
     figures = picture.measure(one.several.reference, mean)
     assert figures["psnr_db"] == 100

@@ -127,8 +127,8 @@ def written_again(path: Path, out: Path, settings: DatasetSettings) -> ShardInfo
                 place = tuple(file["echoes/place"][row].tolist())
                 echoes = lists.setdefault(place, read_echoes(file, row))
             stored = {name: file[name][row] for name in ("noisy", "clean", "shadow", *names)}
-            core = (stored.pop(name) for name in ("noisy", "clean", "shadow"))
-            pairs.append(Pair(*core, {**record, **texts}, stored, echoes))
+            noisy, clean, shadow = (stored.pop(name) for name in ("noisy", "clean", "shadow"))
+            pairs.append(Pair(noisy, clean, shadow, {**record, **texts}, stored, echoes))
         config, hash_, generator, split = (
             str(file.attrs[name]) for name in ("config", "config_hash", "generator", "split")
         )

@@ -104,7 +104,7 @@ def test_what_no_frame_can_survive_ends_the_run_in_one_line(
 ) -> None:
     monkeypatch.setattr("simnfnd.factory.scheduler.loop._MAX_BARREN_DEATHS", 3)
     with pytest.raises(FactoryError, match=message) as caught:
-        make(tmp_path / "dataset", **changes)  # type: ignore[arg-type]
+        make(tmp_path / "dataset", **changes)
     assert "\n" not in str(caught.value)
     assert not workers_of(os.getpid())
 

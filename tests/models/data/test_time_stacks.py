@@ -22,7 +22,7 @@ def scene() -> np.ndarray:
 
 def stack(count: int, still: bool = True) -> Stack:
     noise = np.random.default_rng(0).normal(0, 0.05, (count, *SHAPE))
-    grey = np.uint8(np.clip(scene() + noise, 0, 1) * 255)
+    grey = (np.clip(scene() + noise, 0, 1) * 255).astype(np.uint8)
     return Stack(grey, POLAR, still)
 
 

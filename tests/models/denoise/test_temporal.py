@@ -5,6 +5,7 @@ from __future__ import annotations
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -36,15 +37,16 @@ def scene(side: int = SIDE + 2 * MARGIN, seed: int = 3) -> Grey:
 def view(wide: Grey, right: float = 0, down: float = 0, turn_deg: float = 0) -> Grey:
     """A window of a scene, moved right and down by as much, and turned around its middle."""
     middle = MARGIN + (SIDE - 1) / 2
-    matrix = cv2.getRotationMatrix2D((middle, middle), turn_deg, 1.0)
+    matrix: Any = cv2.getRotationMatrix2D((middle, middle), turn_deg, 1.0)
     matrix[:, 2] += right - MARGIN, down - MARGIN
-    moved = cv2.warpAffine(wide, matrix, (SIDE, SIDE), flags=cv2.INTER_CUBIC)
-    return np.clip(moved, 0, 1).astype(np.float32)
+    moved: Any = cv2.warpAffine(wide, matrix, (SIDE, SIDE), flags=cv2.INTER_CUBIC)
+    return np.array(np.clip(moved, 0, 1), dtype=np.float32)
 
 
 def noisy(picture: Grey, seed: int) -> Grey:
     noise = np.random.default_rng(seed).normal(0, NOISE, picture.shape)
-    return np.clip(picture + noise, 0, 1).astype(np.float32)
+    seen: Grey = np.clip(picture + noise, 0, 1).astype(np.float32)
+    return seen
 
 
 def error(picture: Grey, truth: Grey, edge: int = 12) -> float:

@@ -17,7 +17,8 @@ from simnfnd.models.networks import NETWORKS, build_network
 from simnfnd.models.networks.cost import count_macs
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.restormer import ChannelAttention
-from simnfnd.models.networks.weights import FORMAT, load_weights, save_weights
+from simnfnd.models.networks.weights import load_weights, save_weights
+from simnfnd.models.networks.weights_file import FORMAT
 from tests.models.networks.tiny_networks import TINY, stirred, tiny
 from tests.project_files import ROOT
 
