@@ -180,8 +180,7 @@ def _grey_bytes(picture: npt.NDArray[Any]) -> Bytes:
 def _inside(sector: Numbers, height: int, width: int) -> Bytes:
     from . import loops
 
-    top, bottom = np.empty(width), np.empty(width)
-    loops.column_limits(sector, np.arange(width, dtype=np.float64), top, bottom)
+    top, bottom = loops.column_limits(sector, np.arange(width, dtype=np.float64))
     row = np.arange(height)[:, None]
     return ((row >= top) & (row <= bottom)).astype(np.uint8)
 
