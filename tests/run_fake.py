@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.format.schema import config_hash as hash_of
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.scheduler.job import Job
 from simnfnd.factory.scheduler.plan import plan_shards
@@ -18,6 +19,8 @@ from tests.fake_source import FakeConfig, FakeSource, refs, rerun
 
 IDENTITY = {"seed": 0, "noise": {"background": {"density": {"uniform": [0.1, 0.5]}}}}
 
+HASH = hash_of(IDENTITY)
+
 
 def make(directory: Path, *given: Any, **changes: Any) -> RunReport:
     """`job` made."""
@@ -28,7 +31,7 @@ def job(
     directory: Path,
     config: FakeConfig = FakeConfig(),  # noqa: B008
     *,
-    config_hash: str = "c0ffee0123456789",
+    config_hash: str = HASH,
     workers: int = 2,
     retries: int = 1,
     frame_timeout_s: float = 60.0,

@@ -50,7 +50,13 @@ class Parser(argparse.ArgumentParser):
 
     def parse_args(self, *words: Any, **more: Any) -> Any:
         """As argparse has it; a URL where a path is asked for is an error of its own."""
-        given = super().parse_args(*words, **more)
+        return self._of_this_machine(super().parse_args(*words, **more))
+
+    def parse_intermixed_args(self, *words: Any, **more: Any) -> Any:
+        """Likewise, with options between places."""
+        return self._of_this_machine(super().parse_intermixed_args(*words, **more))
+
+    def _of_this_machine(self, given: argparse.Namespace) -> argparse.Namespace:
         for value in vars(given).values():
             for path in value if isinstance(value, list) else [value]:
                 if isinstance(path, Path) and _URL.match(str(path)):

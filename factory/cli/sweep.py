@@ -81,12 +81,18 @@ class SweepTable(Callback):
 
         `run_app` stops them and writes the table: after an error Hydra calls nobody back.
         """
+        from omegaconf import OmegaConf
+
         from ..scheduler.workers.kept import keep_workers
         from .compose import sweep_points
 
         keep_workers()
-        words = list(config.hydra.overrides.task)
-        points = sweep_points(words, dict(config.hydra.sweeper.params or {}))
+        # As they were given: what names a job's number is known in the job alone.
+        words = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
+        params = OmegaConf.to_container(config.hydra.sweeper, resolve=False)
+        assert isinstance(words, list)
+        assert isinstance(params, dict)
+        points = sweep_points(words, dict(params.get("params") or {}))
         _open[:] = [(Path(config.hydra.sweep.dir), points)]
 
 

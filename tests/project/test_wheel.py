@@ -40,6 +40,9 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for path in files():
         (source / path).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(ROOT / path, source / path)
+    for link in (ROOT / "simnfnd").iterdir():
+        if link.is_symlink():  # to the rooms
+            (source / "simnfnd" / link.name).symlink_to(link.readlink())
     target = tmp_path_factory.mktemp("wheel")
     checked(
         [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(target), "."],

@@ -9,6 +9,9 @@ from .fields import TILE, Floats, tiles
 
 MOST_LOST = 0.42  # share of the pixels
 
+# Stereo matching reaches no further, however clear the water.
+_FURTHEST_M = 20.0
+
 
 def measured(
     rng: np.random.Generator, depth_m: Floats, range_m: Floats, clear_m: float
@@ -46,7 +49,7 @@ def measured(
         doubt += np.float32(2.4 / clear_m) * np.minimum(range_m, np.float32(clear_m))
         keep &= doubt <= np.quantile(doubt[keep], 1 - min(missing / keep.mean(), 1))
     whole = keep.repeat(2, axis=0).repeat(2, axis=1)[: depth_m.shape[0], : depth_m.shape[1]]
-    return np.asarray(whole & np.isfinite(depth_m))
+    return np.asarray(whole & (depth_m < _FURTHEST_M))
 
 
 def _least_around(values: Floats, reach: int) -> Floats:

@@ -238,7 +238,8 @@ class _Child:
         """What the task returns, or raises.  TimeoutError or WorkerDied: the process is gone."""
         limit_s, begun = _START_S, False
         try:
-            with self._limited(limit_s):
+            # What is larger than the pipe's buffer waits for the process to read it.
+            with self._limited(limit_s, template.STOPPED_S):
                 self._connection.send_bytes(task.request)
             while True:
                 kind, value = self._received(limit_s, begun)
@@ -276,17 +277,24 @@ class _Child:
             return kind, value
 
     @contextmanager
-    def _limited(self, seconds: float) -> Iterator[None]:
-        """Kill the process when the block takes longer, which ends every wait for it."""
-        late = threading.Event()
+    def _limited(self, seconds: float, stopped_s: float | None = None) -> Iterator[None]:
+        """Kill the process when the block takes longer, which ends every wait for it.
 
-        def kill() -> None:
-            late.set()
-            self.kill()
+        stopped_s: kill it, too, when it is stopped (SIGSTOP) for so long.
+        """
+        late, done = threading.Event(), threading.Event()
 
-        timer = threading.Timer(seconds, kill)
-        timer.daemon = True
-        timer.start()
+        def watch() -> None:
+            end, stopped = time.monotonic() + seconds, 0.0
+            step = seconds if stopped_s is None else _LOOK_S
+            while not done.wait(step):
+                stopped = stopped + step if template.is_stopped(self._pid) else 0.0
+                if time.monotonic() >= end or stopped > (stopped_s or seconds):
+                    late.set()
+                    self.kill()
+                    return
+
+        threading.Thread(target=watch, daemon=True).start()
         try:
             yield
         except (EOFError, OSError):
@@ -294,7 +302,7 @@ class _Child:
                 raise TimeoutError from None
             raise
         finally:
-            timer.cancel()
+            done.set()
 
     def end(self, *, at_once: bool = False) -> int | None:
         """Let the process end; its exit code, None when even a kill did not end it."""

@@ -61,7 +61,7 @@ def test_from_command_line_to_pack_and_back(
     stated = capfd.readouterr().out
     assert "last run: finished; 4 of 4 pairs" in stated
     assert "4 rendered, 0 from the cache" in stated
-    assert run(monkeypatch, "failed", str(out)) == 0
+    assert run(monkeypatch, "status", str(out), "--failed") == 0
 
     # A bit flips in one entry: verify says so, and a run renders that frame anew.
     path = sorted((tmp_path / "cache").glob("*/*.view"))[1]
@@ -130,12 +130,12 @@ def test_failed_frames_are_told_and_can_be_tried_again(
     ]
     assert run(monkeypatch, *words) == 1
     capfd.readouterr()
-    assert run(monkeypatch, "failed", str(out)) == 1
+    assert run(monkeypatch, "status", str(out), "--failed") == 1
     stated = capfd.readouterr().out
     assert "list/bad" in stated
     assert "frames.only=[list/bad]" in stated
     cv2.imwrite(str(folder / "bad_d.png"), depth)
-    assert run(monkeypatch, "failed", str(out), "--rerun") == 0
+    assert run(monkeypatch, "status", str(out), "--rerun") == 0
     assert "1 of 1 frames work now" in capfd.readouterr().out
     assert run(monkeypatch, *words) == 0
-    assert run(monkeypatch, "failed", str(out)) == 0
+    assert run(monkeypatch, "status", str(out), "--failed") == 0

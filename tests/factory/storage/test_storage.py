@@ -28,6 +28,7 @@ from simnfnd.factory.storage import copies
 from simnfnd.factory.storage.copies import folder_of, forget_copy, local_folder, url_of
 from simnfnd.factory.storage.publish import StoreLock, publishing
 from simnfnd.factory.storage.store import Store
+from simnfnd.verbs import VERBS
 from tests import run_fake
 from tests.cloud_storage import contents, manifest_of, s3_server, shards_of
 from tests.fake_source import FakeConfig, FakePreparer, GentleSource
@@ -282,7 +283,8 @@ def test_the_table_of_a_url_is_that_of_a_folder(bucket: str, local: Path) -> Non
 
 @pytest.mark.parametrize("verb", ["status", "merge", "view"])
 def test_verbs_that_need_files_say_so(verb: str) -> None:
-    main = importlib.import_module(f"simnfnd.factory.commands.{verb}").main
+    module, name = VERBS[verb].target.split(":")
+    main = getattr(importlib.import_module(module), name)
     more = ["--out", "x"] if verb == "merge" else []
     with pytest.raises(FactoryError, match="works on files of this machine"):
         main(["s3://sonar/data", *more])

@@ -168,6 +168,6 @@ def test_fans_of_mdd_hold_its_echoes() -> None:
 
 def test_every_kind_of_data_has_a_configuration() -> None:
     for kind in DATA:
-        folder = [] if kind in ("pairs", "renders") else ["data.folder=x"]
+        folder = ["data.folder=x"] if kind == "olddata" else []
         settings, _ = composed(f"data={kind}", *folder)
         assert settings.data.kind == kind

@@ -44,7 +44,7 @@ def test_recordings_give_single_frames_and_means_towards_the_mean_of_others() ->
         even = sample.frames == sample.frames.max()
         left = float((sample.noisy - scene())[even].std())
         assert left < 1.3 * 0.05 / 2 ** float(sample.frames.max())
-    assert len(numbers) > 3
+    assert len(numbers) >= 3
 
 
 def test_a_recording_that_moves_is_taught_alone() -> None:
