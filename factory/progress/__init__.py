@@ -17,6 +17,10 @@ from tqdm import tqdm
 
 _LINE_EVERY_S = 30.0
 
+# Each process writes its own lines.  The lock that tqdm makes by itself is a semaphore of the
+# system, which a worker that is killed leaves behind.
+tqdm.set_lock(threading.RLock())
+
 
 def stage(text: str) -> None:
     """Say what begins now."""
