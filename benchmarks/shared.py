@@ -94,11 +94,6 @@ def cpu_seconds(action: Callable[[], Any], repeats: int) -> float:
     return statistics.median(spent)
 
 
-def peak_memory_mb() -> float:
-    """Largest resident memory of this process so far, in MB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
-
-
 def in_own_process(function: Callable[..., T], *arguments: object) -> T:
     """Call an importable function in a fresh process: no memory, cache or thread of another."""
     spawn = multiprocessing.get_context("spawn")

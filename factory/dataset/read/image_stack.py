@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from ..format.checksums import crc32, picture_sums
+from ..format.checksums import DEFLATE, crc32, picture_sums
 from ..format.layout import chain_of
 
 Image = npt.NDArray[Any]
@@ -74,8 +74,7 @@ class ImageStack:
         unpacker: Any
         failure: type[Exception]
         if codec == "gzip":
-            deflate = _deflate()
-            unpacker, failure = deflate.decompressobj(), deflate.error
+            unpacker, failure = DEFLATE.decompressobj(), DEFLATE.error
         else:
             if sys.version_info >= (3, 14):
                 from compression import zstd
@@ -90,17 +89,6 @@ class ImageStack:
         if len(pixels) != self._bytes or not unpacker.eof or unpacker.unused_data:
             raise ValueError(f"it does not hold the {self._bytes} bytes of a picture")
         return pixels
-
-
-def _deflate() -> Any:
-    """The zlib to use: readers may have numpy and h5py alone."""
-    try:
-        from isal import isal_zlib  # two thirds of zlib's time
-    except ImportError:
-        import zlib
-
-        return zlib
-    return isal_zlib
 
 
 def lzf_length(content: bytes, most: int) -> int:
