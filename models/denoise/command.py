@@ -32,7 +32,6 @@ from .geometries import FIND, Geometries
 from .inputs import Item, find_items, sequences
 from .pictures import Denoising, check_frames
 from .resume import Finished, stopped_by_sigterm
-from .runtime import EXACT, PRECISIONS
 from .shards import denoise_shard, made_of_points, opened_shard
 from .temporal.stream import FRAMES
 from .watch import Watched, watch
@@ -110,12 +109,6 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--device", choices=("auto", "cpu", "gpu"), default="auto")
     parser.add_argument(
-        "--precision",
-        choices=PRECISIONS,
-        default=EXACT,
-        help=f"arithmetic; auto: bf16-mixed, faster, where the device has it ({EXACT})",
-    )
-    parser.add_argument(
         "--watch", metavar="FOLDER", help="denoise what comes into a folder, until Ctrl-C"
     )
     parser.add_argument(
@@ -146,7 +139,6 @@ def main(arguments: Sequence[str]) -> int:
         "tile": chosen.tile,
         "overlap": chosen.overlap,
         "strength": chosen.strength,
-        "precision": chosen.precision,
     }
     denoise = asked_denoiser(chosen.weights, remove=remove, noise=chosen.noise, **how)
     points = None

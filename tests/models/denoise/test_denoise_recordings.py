@@ -185,8 +185,8 @@ def test_fans_are_found_unless_told_not_to(
     arguments = [str(folder), "--out", str(tmp_path / "out")]
     assert main(arguments) == 0
     said = capsys.readouterr().out
-    assert f"geometry: fan found in 2 of 3 pictures ({folder})" in said
-    assert f"geometry: fan found in 1 of 1 pictures ({folder / 'deep'})" in said
+    assert f"geometry: fan found in 2 of 3 pictures searched ({folder})" in said
+    assert f"geometry: fan found in 1 of 1 pictures searched ({folder / 'deep'})" in said
     found = [told for told in halving.told if told is not None]
     assert len(found) == 3
     assert found[0].apex_y_px == pytest.approx(true.apex_y_px, abs=2)
