@@ -12,8 +12,8 @@ from pathlib import Path
 
 from .progress import stage_if_slow
 
-PICTURES = ("elementary", "render.albedo", "render.shading", "sonar.echo_loops",
-            "sonar.picture_loops", "render.cloud.joints")  # fmt: skip
+PICTURES = ("elementary", "render.albedo", "render.shading", "sonar.kernels",
+            "render.cloud.joints")  # fmt: skip
 SURFACES = ("render.cloud.planes", "render.traced")
 SEABED = ("scenes.seabed.kernels",)
 FIELD = ("imaging.coherent.cell_kernels", "imaging.coherent.kernels", "imaging.coherent.pixel_rows",

@@ -30,10 +30,8 @@ from simnfnd.factory.settings import build
 from simnfnd.factory.sonar import polar, surface, transfer
 from simnfnd.factory.sonar.echoes import Echoes, from_xyz, join
 from simnfnd.factory.sonar.fan import fan_table
-from simnfnd.factory.sonar.quantile import quantiles
 from simnfnd.factory.sonar.settings import SonarSettings, TransferSettings
-from simnfnd.factory.sonar.window import Window
-from simnfnd.factory.sonar.window_fit import fit_window
+from simnfnd.factory.sonar.window import Window, fit_window
 from tests.clouds import camera_scene, window
 from tests.frames import ground_and_post, plain_render
 from tests.project_files import ROOT
@@ -251,7 +249,9 @@ def test_quantiles_are_those_of_numpy(
 ) -> None:
     skip = min(skip, len(values) - 1)
     expected = np.quantile(np.sort(values.astype(np.float64))[skip:], [fraction, 0.5])
-    np.testing.assert_allclose(quantiles(values, (fraction, 0.5), skip=skip), expected, rtol=1e-6)
+    np.testing.assert_allclose(
+        transfer.quantiles(values, (fraction, 0.5), skip=skip), expected, rtol=1e-6
+    )
 
 
 def test_full_scale_is_a_percentile_of_the_echoing_bins() -> None:
