@@ -25,7 +25,7 @@ from .imaging.contract import Floats, Scene
 from .imaging.registry import FORMATIONS
 from .loops import compile_needed
 from .noise.draws import StreamNames, draw
-from .render.cache.views import CachedViews, Views, open_views
+from .render.views import CachedViews, Views, open_views
 from .sample_table.camera import Camera
 from .sample_table.record import columns, image_axes, record, requested, requested_row
 from .sonar import polar, surface, transfer

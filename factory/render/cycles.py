@@ -15,7 +15,7 @@ import numpy.typing as npt
 from ..frame import Frame
 from . import blender
 from .base import Rendered, RenderSettings
-from .cloud.mesh import SHADOW_BIAS, surface_mesh
+from .mesh import SHADOW_BIAS, surface_mesh
 from .mount import Mount
 from .surface import Surface, pixels_of
 

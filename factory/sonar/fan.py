@@ -133,13 +133,15 @@ def rasterised(
     found = grey
     if image.layout == "fan":
         factor = max(min(image.enlarged, _LARGEST_PX / max(height, width)), 1.0)
-        size = {"height_px": round(height * factor), "width_px": round(width * factor)}
-        table = fan_table(replace(sonar, image=replace(image, **size)), window.near_fraction)
+        rows, columns = round(height * factor), round(width * factor)
+        large = replace(sonar, image=replace(image, height_px=rows, width_px=columns))
+        table = fan_table(large, window.near_fraction)
         found = table.nearest(grey) if image.sampling == "nearest" else table.bilinear(grey)
     if found.shape != (height, width):
         import cv2  # not in a core installation
 
-        found = cv2.resize(found, (width, height), interpolation=cv2.INTER_AREA)
+        shrunk = cv2.resize(found, (width, height), interpolation=cv2.INTER_AREA)
+        found = np.asarray(shrunk, np.float32)
     eight = np.rint(np.clip(found, 0, 1) * 255).astype(np.uint8)
     if noisy and image.jpeg_quality is not None:
         import cv2

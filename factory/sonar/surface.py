@@ -110,19 +110,18 @@ def mount_weight(frame: Frame, mount: Mount, exponent: float) -> npt.NDArray[np.
     r_c^2 dO / cos_c with the camera's, and backscatter by cos_s^n leaves cos_s^n / r_s^4 of it:
     cos_s^(n - 1) / cos_c (r_c / r_s)^2.
     """
-    from ..render.cloud import directions
-
     # Both load numba.
-    from ..render.cloud.joints import joints
-    from ..render.shading import facing
+    from ..render import kernels
+    from ..render.surface import directions
 
     depth_m = np.ascontiguousarray(frame.depth_m, np.float32)
-    across, down = directions(frame.intrinsics, *depth_m.shape)
     sonar_m = mount.position_camera_m().astype(np.float32)
-    cosine_camera, cosine, nearer = (np.empty(depth_m.shape, np.float32) for _ in range(3))
+    filled = tuple(np.empty(depth_m.shape, np.float32) for _ in range(3))
     # Frames of a cache have lost what was no surface, so every neighbour here may be joined.
-    bits = joints(depth_m, _EDGE_RATIO)
-    facing(depth_m, bits, across, down, sonar_m, cosine_camera, cosine, nearer)
+    joints = kernels.joints(depth_m, _EDGE_RATIO)
+    grid = (depth_m, joints, *directions(frame.intrinsics, *depth_m.shape))
+    kernels.facing(grid, sonar_m, filled)
+    cosine_camera, cosine, nearer = filled
     cosine_camera = np.maximum(cosine_camera, np.float32(_GRAZING_COSINE))
     cosine = np.maximum(cosine, np.float32(_GRAZING_COSINE))
     power = np.float32(exponent - 1)

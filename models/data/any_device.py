@@ -18,7 +18,7 @@ from ...factory.frame import FrameRef
 from ...factory.imaging.contract import ARTEFACTS
 from ...factory.noise.draws import StreamNames, draw
 from ...factory.pairs import ObservedFrame, observe_by
-from ...factory.render.cache.views import Views, open_views
+from ...factory.render.views import Views, open_views
 from ...factory.seeds import stream
 from ...factory.sonar.fan import rasterised
 from ...factory.sonar.geometry import FanGeometry

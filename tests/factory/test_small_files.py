@@ -24,7 +24,7 @@ from simnfnd.factory.dataset.read.source import dataset_settings
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.render import view as views
-from simnfnd.factory.render.cache.cache import Cache
+from simnfnd.factory.render.cache import Cache
 from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.pack import PackViews, read_contents, write_pack
 from simnfnd.factory.scheduler.lock import Lock, owner_of

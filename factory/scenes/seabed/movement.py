@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ...errors import FactoryError
-from ..poses import numbered_lines
+from ..base import numbered_lines
 
 COLUMNS = ("time_s", "surge_m", "sway_m", "heave_m", "roll_deg", "pitch_deg", "yaw_deg")
 _MOST_FRAMES = 10_000

@@ -15,8 +15,7 @@ from ...errors import FrameError
 from ...frame import Frame, FrameRef, checked
 from ...labels import ObjectName
 from ...settings import STRICT
-from ..base import Discovery, SceneSettings
-from ..roots import Root
+from ..base import Discovery, Root, SceneSettings
 from .biomes import PLACE_NAMES, PlaceName
 from .movement import Movement, movements
 from .optics import HFOV_DEG

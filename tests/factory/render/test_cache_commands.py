@@ -12,7 +12,7 @@ import pytest
 
 from simnfnd.command import main
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.render.cache.key import FrameKeys
+from simnfnd.factory.render.views import FrameKeys
 from tests.factory.scheduler.run_files import shard_bytes
 
 WORDS = [

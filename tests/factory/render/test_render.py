@@ -10,10 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simnfnd.factory.frame import Intrinsics
-from simnfnd.factory.render import Rendered
-from simnfnd.factory.render.cloud import back_project, normals, surface_mask
-from simnfnd.factory.render.cloud.mesh import surface_mesh
+from simnfnd.factory.render import Rendered, RenderSettings
+from simnfnd.factory.render.mesh import surface_mesh
 from simnfnd.factory.render.mount import Mount
+from simnfnd.factory.render.surface import pixels_of
+from simnfnd.factory.settings import build
 from tests.factory.render.renderers import (
     ABOVE,
     HERE,
@@ -211,13 +212,14 @@ def test_mesh_covers_every_surface_pixel_and_bridges_nothing(seed: int, edge_rat
     depth_m = plane_depth(24, 30, camera, (0.3, 0.2, 1.0), 3.0).astype(np.float32)
     depth_m *= rng.choice([1.0, 1.0, 1.0, 1.3, 2.0], (3, 3)).repeat(8, 0).repeat(10, 1)
     depth_m[rng.random(depth_m.shape) < 0.15] = 0
-    points_m = back_project(depth_m.astype(np.float32), camera)
-    mesh = surface_mesh(points_m, normals(points_m, edge_ratio), camera, edge_ratio)
+    keys: RenderSettings = build(RenderSettings, {"edge_ratio": edge_ratio})
+    surface = pixels_of(frame_of(depth_m, camera), keys).surface()
+    mesh = surface_mesh(surface.points_m, surface.normals, camera, edge_ratio)
 
     depths_m = mesh.vertices_m[mesh.triangles][..., 2]
     spread = depths_m.max(axis=1) / depths_m.min(axis=1)
     assert spread.max() < (1 + edge_ratio) * (1 + edge_ratio / 4) + 1e-5
-    mask = surface_mask(depth_m, edge_ratio)
+    mask = surface.mask
     np.testing.assert_array_equal(mesh.pixel[: mask.sum()], np.flatnonzero(mask))
 
     scene = open3d.t.geometry.RaycastingScene(nthreads=1)

@@ -15,7 +15,7 @@ from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.cli.generate import job_of
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.scenes import frames_of, open_reader
-from simnfnd.factory.scenes.poses import redwood_poses
+from simnfnd.factory.scenes.redwood import redwood_poses
 from tests.factory.scenes.scene_files import (
     DEPTH,
     PINHOLE,

@@ -22,7 +22,8 @@ from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Intrinsics
 from simnfnd.factory.scenes.calibration import read_kalibr, scaled, undistorted, z_from_range
 from simnfnd.factory.scenes.images import read_depth, read_rgb
-from simnfnd.factory.scenes.poses import pose_at, redwood_poses
+from simnfnd.factory.scenes.redwood import redwood_poses
+from simnfnd.factory.scenes.tum import pose_at
 from tests.factory.scenes.scene_files import KALIBR_IMUCAM
 from tests.project_files import ROOT
 

@@ -1,4 +1,4 @@
-"""Shading as in `analytic`, and true shadows by ray casting with Embree (through Open3D)."""
+"""Light in closed form, with true shadows from rays by Embree (through Open3D) where asked for."""
 
 from __future__ import annotations
 
@@ -8,22 +8,44 @@ import numpy as np
 import numpy.typing as npt
 
 from ..frame import Frame
-from .base import Rendered, RenderSettings
-from .cloud.mesh import SHADOW_BIAS, surface_mesh
-from .libraries import missing
+from .base import Rendered, RenderSettings, missing
+from .mesh import SHADOW_BIAS, surface_mesh
 from .mount import Mount
 from .surface import Surface, pixels_of
 
 
+class AnalyticRenderer:
+    """Shades the normals of the pixel grid; no ray is traced, so nothing casts a shadow.
+
+    Exact when the sonar is at the camera, where all that the camera sees is insonified; with any
+    other mount it lights what the sonar cannot see (`casts_shadows` is False, for callers to refuse
+    that).
+    """
+
+    casts_shadows = False
+
+    def __init__(self, settings: RenderSettings) -> None:
+        self._settings = settings
+
+    def render(self, frame: Frame, mount: Mount) -> Rendered:
+        """Render one frame; see `simnfnd.factory.render.base.Renderer`."""
+        pixels = pixels_of(frame, self._settings)
+        return Rendered(pixels.radiance(mount.position_camera_m()), pixels.mask)
+
+
 class EmbreeRenderer:
-    """Casts one ray from each traced surface pixel to the sonar."""
+    """The same, and one ray from each traced surface pixel to the sonar."""
 
     casts_shadows = True
 
     def __init__(self, settings: RenderSettings) -> None:
-        """Raises FactoryError when Open3D is not there."""
+        """Raises FactoryError when Open3D is not there: half a second and 100 MB to import."""
         self._settings = settings
-        self._open3d = _import_open3d()
+        try:
+            import open3d
+        except (ImportError, OSError) as error:
+            raise missing("embree", error) from error
+        self._open3d: Any = open3d
 
     def render(self, frame: Frame, mount: Mount) -> Rendered:
         """Render one frame; see `simnfnd.factory.render.base.Renderer`."""
@@ -56,12 +78,3 @@ class EmbreeRenderer:
         shadow = np.zeros(surface.mask.shape, np.bool_)
         shadow[surface.mask] = hidden.numpy()
         return shadow
-
-
-def _import_open3d() -> Any:
-    """Open3D takes half a second and 100 MB to import, and only workers that cast rays need it."""
-    try:
-        import open3d
-    except (ImportError, OSError) as error:
-        raise missing("embree", error) from error
-    return open3d
