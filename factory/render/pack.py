@@ -6,7 +6,6 @@ A zip archive: `pack.json` says what is in it, and each frame is a member in the
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import zipfile
@@ -14,7 +13,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 from .. import __version__
 from ..errors import FactoryError, NotRendered
@@ -26,8 +24,6 @@ from .view import View, decode, encode, mount_of
 
 _SCHEMA = "simnfnd-pack 2"
 _CONTENTS = "pack.json"
-# Some hundred thousand frames.
-_MOST_DIRECTORY_BYTES = 1 << 24
 _MOST_MEMBER_BYTES = 1 << 27
 _NO_PACK = (
     *(zipfile.BadZipFile, ValueError, KeyError, TypeError, AttributeError, NotImplementedError),
@@ -107,37 +103,10 @@ def read_contents(path: Path) -> Contents:
         ) from error
 
 
-class _Bounded(io.RawIOBase):
-    """A file of which no more than `most` bytes are read at once."""
-
-    def __init__(self, file: BinaryIO, most: int) -> None:
-        self._file, self.most = file, most
-
-    def read(self, size: int = -1) -> bytes:
-        left = os.fstat(self._file.fileno()).st_size - self._file.tell()
-        size = left if size < 0 else min(size, left)
-        if size > self.most:
-            raise zipfile.BadZipFile(f"{size} bytes in one piece; {self.most} at most go")
-        return self._file.read(max(size, 0))
-
-    def seek(self, place: int, whence: int = 0) -> int:
-        return self._file.seek(place, whence)
-
-    def tell(self) -> int:
-        return self._file.tell()
-
-    def seekable(self) -> bool:
-        return True
-
-
 @contextmanager
 def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
-    """A pack, of which no part can take more memory than a sound one's."""
-    with open_regular(path) as file:
-        bounded = _Bounded(file, _MOST_DIRECTORY_BYTES)
-        with zipfile.ZipFile(bounded) as archive:
-            bounded.most = _MOST_MEMBER_BYTES
-            yield archive
+    with open_regular(path) as file, zipfile.ZipFile(file) as archive:
+        yield archive
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> bytes:
