@@ -1,4 +1,4 @@
-"""Kinds of places: the ranges that a location's ground, objects and water are drawn from."""
+"""Kinds of places: the ranges that a location's ground, objects, colours and water come from."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from .fields import waves
+from .fields import Floats, waves
+from .meshes import Colour
 from .terrain import Banks, Ripples, Terrain
 
 Range = tuple[float, float]
@@ -202,6 +203,88 @@ PLACES: dict[PlaceName, Place] = {
 def draw(rng: np.random.Generator, span: Range) -> float:
     """A uniform number in (low, high)."""
     return float(rng.uniform(*span))
+
+
+_SANDS: tuple[Colour, ...] = (
+    (0.60, 0.54, 0.43),
+    (0.50, 0.47, 0.40),
+    (0.64, 0.59, 0.50),
+    (0.40, 0.34, 0.26),
+    (0.30, 0.28, 0.25),
+    (0.22, 0.20, 0.18),
+)
+_ROCKS: tuple[Colour, ...] = ((0.33, 0.30, 0.25), (0.24, 0.23, 0.22), (0.40, 0.34, 0.27))
+_ALGAE: tuple[Colour, ...] = ((0.12, 0.14, 0.06), (0.17, 0.13, 0.06), (0.10, 0.15, 0.09))
+_CRUSTS: tuple[Colour, ...] = ((0.42, 0.20, 0.26), (0.50, 0.28, 0.12), (0.40, 0.38, 0.16))
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """Ranges of a kind of water; fade is relative to that of green."""
+
+    haze: Colour
+    fade: Colour
+    sun: tuple[float, float]
+    sky: Colour
+    clear_m: tuple[float, float]
+
+
+_KINDS: dict[str, _Kind] = {
+    "clear": _Kind((0.03, 0.24, 0.41), (3.2, 1.0, 0.75), (0.6, 1.0), (0.26, 0.60, 0.70), (10, 17)),
+    "cyan": _Kind((0.07, 0.42, 0.48), (2.7, 1.0, 0.95), (0.6, 1.0), (0.34, 0.68, 0.70), (9, 15)),
+    "deep": _Kind((0.01, 0.075, 0.19), (3.6, 1.0, 0.65), (0.2, 0.4), (0.13, 0.36, 0.52), (9, 15)),
+    "green": _Kind((0.04, 0.15, 0.105), (2.0, 1.0, 1.35), (0.4, 0.8), (0.30, 0.52, 0.40), (8, 12)),
+    "lake": _Kind((0.07, 0.085, 0.035), (1.25, 1.0, 1.9), (0.3, 0.6), (0.42, 0.44, 0.26),
+                  (7.5, 11)),
+    "dark": _Kind((0.012, 0.04, 0.045), (2.4, 1.0, 1.1), (0.08, 0.2), (0.24, 0.30, 0.30),
+                  (7.5, 11)),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """Colours, water and light of a location.
+
+    palette: (5, 3) float32 albedo of sand, gravel, rock, algae and crust, red, green, blue.
+    turf: how much of the rock is overgrown, 0 to 1.
+    water: (4, 3) float32 attenuation per metre, colour of open water, light from the sun's
+    direction and from all above.  sun_direction: unit, from the ground to the sun.
+    clear_m: beyond this range nothing has a depth.
+    """
+
+    palette: Floats
+    turf: float
+    water: Floats
+    sun_direction: tuple[float, float, float]
+    clear_m: float
+
+
+def draw_look(rng: np.random.Generator, place: Place) -> Look:
+    """The look of a location of this kind."""
+    kind = _KINDS[place.waters[int(rng.integers(len(place.waters)))]]
+    clear = draw(rng, kind.clear_m)
+    height, turn = rng.uniform(0.72, 0.92), rng.uniform(0, 2 * np.pi)
+    flat = np.sqrt(1 - height**2)
+    sun = draw(rng, kind.sun)
+    fade = [1.15 / clear * share for share in kind.fade]
+    haze = [value * rng.uniform(0.85, 1.15) for value in kind.haze]
+    water = (fade, haze, [sun * share for share in (0.62, 1.0, 0.92)], kind.sky)
+
+    def one(colours: tuple[Colour, ...]) -> Colour:
+        chosen = colours[int(rng.integers(len(colours)))]
+        shade = float(rng.uniform(0.85, 1.15))
+        return tuple(part * shade for part in chosen)
+
+    rock = one(_ROCKS)
+    gravel = (rock[0] * 1.15, rock[1] * 1.12, rock[2] * 1.08)
+    palette = (one(_SANDS), gravel, rock, one(_ALGAE), one(_CRUSTS))
+    return Look(
+        palette=np.array(palette, np.float32),
+        turf=rng.uniform(0.2, 0.8),
+        water=np.array(water, np.float32),
+        sun_direction=(float(flat * np.cos(turn)), float(flat * np.sin(turn)), float(height)),
+        clear_m=clear,
+    )
 
 
 def draw_terrain(rng: np.random.Generator, place: Place, heading_rad: float) -> Terrain:

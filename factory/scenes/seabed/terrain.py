@@ -133,7 +133,7 @@ class Terrain:
         )
         noise, attributes = tiles(), np.empty_like(points)
         relieve(
-            points, grid_normals(points), rock, gravel, crest, noise.rock, noise.sand,
+            points, grid_normals(points), (rock, gravel, crest), (noise.rock, noise.sand),
             np.array(self.offset_m, dtype=np.float32), np.array(heights, dtype=np.float32),
             attributes,
         )  # fmt: skip

@@ -10,9 +10,8 @@ import pytest
 from scipy import ndimage
 
 from simnfnd.factory.scenes.seabed import terrain
-from simnfnd.factory.scenes.seabed.depth_dropout import _least_around, measured
 from simnfnd.factory.scenes.seabed.fields import Floats, tiles
-from simnfnd.factory.scenes.seabed.meshes import tube
+from simnfnd.factory.scenes.seabed.view import least_around, measured
 from simnfnd.factory.seeds import stream
 
 
@@ -35,7 +34,7 @@ def between(tile: npt.NDArray[Any], u: Floats, v: Floats, period_m: float) -> Fl
 def test_least_around_is_that_of_scipy(reach: int) -> None:
     values = np.random.default_rng(reach).random((31, 47), dtype=np.float32)
     expected = ndimage.minimum_filter(values, 2 * reach + 1, mode="constant", cval=np.inf)
-    np.testing.assert_array_equal(_least_around(values, reach), expected)
+    np.testing.assert_array_equal(least_around(values, reach), expected)
 
 
 def test_depth_is_lost_far_away_and_behind_edges_in_the_share_drawn() -> None:
@@ -74,7 +73,7 @@ def test_relief_is_that_of_numpy() -> None:
     points, attributes, noise = flat.copy(), np.empty_like(flat), tiles()
     offset, metres = np.array([3, 4], np.float32), np.array([0.1, 0.01, 0.03], np.float32)
     relieve(
-        points, normals, rock, gravel, crest, noise.rock, noise.sand, offset, metres, attributes
+        points, normals, (rock, gravel, crest), (noise.rock, noise.sand), offset, metres, attributes
     )
     x, y, z = flat.reshape(-1, 3).T
     shares = (normals.reshape(-1, 3) ** 4).T / (normals.reshape(-1, 3) ** 4).sum(axis=1)
@@ -93,31 +92,3 @@ def test_relief_is_that_of_numpy() -> None:
     np.testing.assert_allclose(points, flat + normals * relief[..., None], atol=1e-4)
     tone = rock * stone + (1 - rock) * (0.4 * sand + 0.8 * crest + 0.5 * gravel * pebbles)
     np.testing.assert_allclose(attributes, np.dstack([rock, gravel, tone]), atol=1e-2)
-
-
-@pytest.mark.parametrize("closed", [False, True])
-def test_tubes_are_those_of_numpy(closed: bool) -> None:
-    rng = np.random.default_rng(8)
-    path, radii = rng.normal(0, 1, (7, 3)).cumsum(axis=0), rng.uniform(0.1, 0.3, 7)
-    colours = rng.random((7, 3), dtype=np.float32)
-    shape = tube(path, radii, 5, closed=closed, colour=colours)
-    points = path
-    if closed:
-        tangents = np.roll(path, -1, axis=0) - np.roll(path, 1, axis=0)
-    else:
-        ends = [0, 0, *range(7), -1, -1]
-        tangents = np.gradient(path, axis=0)[ends]
-        points, radii, colours = points[ends], radii[ends], colours[ends]
-        radii[[0, -1]] = 0
-    rings = shape.vertices.reshape(-1, 5, 3)
-    away = rings - points[:, None]
-    np.testing.assert_allclose(
-        np.linalg.norm(away, axis=2), radii[:, None] + 0 * away[..., 0], atol=1e-5
-    )
-    across = np.einsum("rsi,ri->rs", away, tangents)
-    np.testing.assert_allclose(across, 0, atol=1e-5)
-    np.testing.assert_array_equal(shape.colours.reshape(-1, 5, 3), np.stack([colours] * 5, axis=1))
-    # Neighbours on a ring are a fifth of a turn apart.
-    step = np.linalg.norm(np.roll(rings, -1, axis=1) - rings, axis=2)
-    expected = 2 * np.sin(np.pi / 5) * radii[:, None]
-    np.testing.assert_allclose(step, np.broadcast_to(expected, step.shape), atol=1e-5)
