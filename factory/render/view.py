@@ -119,7 +119,8 @@ def encode(view: View) -> bytes:
         planes += [view.segmentation.tobytes(), view.instance.astype("<u2").tobytes()]
     # Level 1 is twice as fast as 3 and, on such planes, no larger.  Differences are noise: what
     # repeats is near, so the least table of places (2^6) is faster, and its output smaller.
-    options = {_ZSTD.compression_level: 1, _ZSTD.hash_log: 6, _ZSTD.checksum_flag: 1}
+    options: dict[int, int] = {_ZSTD.compression_level: 1, _ZSTD.hash_log: 6}
+    options[_ZSTD.checksum_flag] = 1
     parts = [zstd.compress(plane, options=options) for plane in planes]
     pose = view.world_from_camera
     head = {

@@ -111,9 +111,9 @@ class Found:
             yield
         except UnreadableError as error:
             self.closed.setdefault(str(error), error)
-        except OSError as cause:
-            error = UnreadableError(folder, cause)
-            self.closed.setdefault(str(error), error)
+        except OSError as error:
+            closed = UnreadableError(folder, error)
+            self.closed.setdefault(str(closed), closed)
 
     def discovery(self, nothing: str) -> Discovery:
         """All of it, sorted.  Without frames, raises the first error, or FactoryError(nothing)."""

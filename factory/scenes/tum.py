@@ -85,7 +85,7 @@ class TumReader(FolderReader):
         self._camera(name)  # report an unknown camera now, not at every frame
         images, depths = _listed(folder / "rgb.txt"), _listed(folder / "depth.txt")
         stamps = [[float(stamp) for stamp in listed] for listed in (images, depths)]
-        pairs = associated(*stamps, self.settings.max_time_difference_s)
+        pairs = associated(stamps[0], stamps[1], self.settings.max_time_difference_s)
         pose = (str(trajectory),) if trajectory.is_file() else ()
         image_items, depth_files = list(images.items()), list(depths.values())
         for i, d in pairs:

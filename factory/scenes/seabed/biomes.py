@@ -53,151 +53,61 @@ class Place:
     structure: Literal["pier", "quay"] | None = None
 
 
-_DEBRIS = {
-    "Bottle": (16, 26),
-    "Can": (16, 26),
-    "Drink-carton": (12, 20),
-    "Hook": (9, 15),
-    "Propeller": (5, 9),
-    "Shampoo-bottle": (12, 20),
-    "Standing-bottle": (12, 20),
-    "Tire": (6, 10),
-    "Valve": (8, 13),
-    "Chain": (3, 5),
-    "Barrel": (1, 4),
-}
+_DEBRIS = {"Bottle": (16, 26), "Can": (16, 26), "Drink-carton": (12, 20), "Hook": (9, 15),
+    "Propeller": (5, 9), "Shampoo-bottle": (12, 20), "Standing-bottle": (12, 20), "Tire": (6, 10),
+    "Valve": (8, 13), "Chain": (3, 5), "Barrel": (1, 4)}  # fmt: skip
 _SOME_DEBRIS = {name: (low * 0.2, high * 0.3) for name, (low, high) in _DEBRIS.items()}
 
+# fmt: off
 PLACES: dict[PlaceName, Place] = {
     "debris": Place(
-        loop_m=((8, 11), (5, 8)),
-        waters=("clear", "green", "lake", "dark"),
-        scatter={
-            **_DEBRIS,
-            "Boulder": (10, 22),
-            "Block": (3, 7),
-            "Plant": (0, 16),
-            "Anchor": (1, 2),
-        },
-        altitude_m=(0.75, 1.3),
+        loop_m=((8, 11), (5, 8)), waters=("clear", "green", "lake", "dark"), altitude_m=(0.75, 1.3),
         spread_m=1.2,
-    ),
+        scatter={**_DEBRIS, "Boulder": (10, 22), "Block": (3, 7), "Plant": (0, 16),
+                 "Anchor": (1, 2)}),
     "canyon": Place(
-        loop_m=((13, 16), (0.2, 0.45)),
-        waters=("cyan", "clear", "green"),
-        scatter={"Boulder": (60, 110), "Coral": (16, 36), "Chain": (0, 2), "Anchor": (0, 1)},
-        pitch_deg=(9, 18),
-        pebbles=(200, 420),
-        outcrop_cover=(0.05, 0.25),
-        ripples=0.8,
+        loop_m=((13, 16), (0.2, 0.45)), waters=("cyan", "clear", "green"), pitch_deg=(9, 18),
+        spread_m=0.9, pebbles=(200, 420), outcrop_cover=(0.05, 0.25), ripples=0.8,
         banks=((1.7, 2.7), (2.6, 5.5)),
-        spread_m=0.9,
-    ),
+        scatter={"Boulder": (60, 110), "Coral": (16, 36), "Chain": (0, 2), "Anchor": (0, 1)}),
     "reef": Place(
-        loop_m=((8, 12), (6, 9)),
-        waters=("deep", "clear", "green"),
-        scatter={
-            "Frame": (13, 20),
-            "Block": (18, 32),
-            "Tire": (8, 14),
-            "Coral": (20, 40),
-            "Boulder": (8, 16),
-            "Chain": (1, 3),
-            "Barrel": (1, 3),
-        },
-        altitude_m=(0.9, 2.0),
-        spread_m=1.8,
-    ),
+        loop_m=((8, 12), (6, 9)), waters=("deep", "clear", "green"), altitude_m=(0.9, 2.0),
+        scatter={"Frame": (13, 20), "Block": (18, 32), "Tire": (8, 14), "Coral": (20, 40),
+                 "Boulder": (8, 16), "Chain": (1, 3), "Barrel": (1, 3)}),
     "pier": Place(
-        loop_m=((12, 15), (0.8, 1.1)),
-        waters=("green", "dark", "clear", "lake"),
-        scatter={
-            **_SOME_DEBRIS,
-            "Tire": (4, 8),
-            "Block": (5, 10),
-            "Boulder": (14, 26),
-            "Anchor": (0, 2),
-            "Pipe": (1, 2),
-        },
-        pitch_deg=(11, 20),
-        structure="pier",
-        spread_m=1.5,
-    ),
+        loop_m=((12, 15), (0.8, 1.1)), waters=("green", "dark", "clear", "lake"),
+        pitch_deg=(11, 20), spread_m=1.5, structure="pier",
+        scatter={**_SOME_DEBRIS, "Tire": (4, 8), "Block": (5, 10), "Boulder": (14, 26),
+                 "Anchor": (0, 2), "Pipe": (1, 2)}),
     "pipeline": Place(
-        loop_m=((9, 13), (4, 7)),
-        waters=("deep", "green", "clear"),
-        scatter={
-            "Pipe": (4, 6),
-            "Valve": (8, 14),
-            "Block": (7, 13),
-            "Boulder": (10, 22),
-            "Anchor": (1, 2),
-            "Chain": (2, 4),
-            "Hook": (2, 5),
-            "Plant": (0, 14),
-        },
-        spread_m=2.0,
-    ),
+        loop_m=((9, 13), (4, 7)), waters=("deep", "green", "clear"), spread_m=2.0,
+        scatter={"Pipe": (4, 6), "Valve": (8, 14), "Block": (7, 13), "Boulder": (10, 22),
+                 "Anchor": (1, 2), "Chain": (2, 4), "Hook": (2, 5), "Plant": (0, 14)}),
     "rubble": Place(
-        loop_m=((8, 11), (6, 8)),
-        waters=("cyan", "clear", "green"),
-        scatter={"Boulder": (95, 150), "Coral": (8, 20), "Tire": (1, 3), "Anchor": (0, 2)},
-        pebbles=(350, 600),
-        slope_deg=(3, 14),
-        outcrop_cover=(0.1, 0.35),
-        gravel_cover=(0.3, 0.8),
+        loop_m=((8, 11), (6, 8)), waters=("cyan", "clear", "green"), spread_m=2.6,
+        pebbles=(350, 600), slope_deg=(3, 14), outcrop_cover=(0.1, 0.35), gravel_cover=(0.3, 0.8),
         ripples=0.3,
-        spread_m=2.6,
-    ),
+        scatter={"Boulder": (95, 150), "Coral": (8, 20), "Tire": (1, 3), "Anchor": (0, 2)}),
     "quay": Place(
-        loop_m=((12, 15), (0.7, 1.2)),
-        waters=("lake", "dark", "clear", "green"),
-        scatter={**_SOME_DEBRIS, "Boulder": (14, 30), "Block": (4, 9), "Barrel": (1, 3)},
-        structure="quay",
-        look_across=0.5,
-        spread_m=1.5,
-    ),
+        loop_m=((12, 15), (0.7, 1.2)), waters=("lake", "dark", "clear", "green"), spread_m=1.5,
+        look_across=0.5, structure="quay",
+        scatter={**_SOME_DEBRIS, "Barrel": (1, 3), "Boulder": (14, 30), "Block": (4, 9)}),
     "sand": Place(
-        loop_m=((9, 12), (6, 9)),
-        waters=("clear", "cyan", "deep"),
-        scatter={
-            **_SOME_DEBRIS,
-            "Boulder": (6, 14),
-            "Plant": (20, 60),
-            "Anchor": (1, 3),
-            "Tire": (3, 6),
-            "Wall": (0, 2),
-        },
-        swell_m=(0.12, 0.4),
-        gravel_cover=(0.0, 0.15),
-        ripples=1.0,
-        ripple_cover=(0.8, 1.0),
-    ),
+        loop_m=((9, 12), (6, 9)), waters=("clear", "cyan", "deep"), swell_m=(0.12, 0.4),
+        gravel_cover=(0.0, 0.15), ripples=1.0, ripple_cover=(0.8, 1.0),
+        scatter={**_SOME_DEBRIS, "Tire": (3, 6), "Boulder": (6, 14), "Plant": (20, 60),
+                 "Anchor": (1, 3), "Wall": (0, 2)}),
     "garden": Place(
-        loop_m=((8, 11), (6, 8)),
-        waters=("clear", "cyan", "deep"),
-        scatter={"Coral": (90, 140), "Boulder": (30, 50), "Plant": (10, 40), "Block": (0, 4)},
+        loop_m=((8, 11), (6, 8)), waters=("clear", "cyan", "deep"), spread_m=2.4,
         outcrop_cover=(0.15, 0.45),
-        spread_m=2.4,
-    ),
+        scatter={"Coral": (90, 140), "Boulder": (30, 50), "Plant": (10, 40), "Block": (0, 4)}),
     "wall": Place(
-        loop_m=((12, 15), (0.8, 1.3)),
-        waters=("deep", "cyan", "clear"),
-        scatter={
-            "Boulder": (40, 70),
-            "Coral": (20, 40),
-            "Chain": (1, 3),
-            "Anchor": (0, 2),
-            "Frame": (1, 3),
-            "Tire": (0, 3),
-        },
-        slope_deg=(2, 12),
-        outcrop_cover=(0.05, 0.3),
-        banks=((2.2, 3.2), (3.5, 6.5)),
-        sides=(1,),
-        look_across=0.5,
-    ),
+        loop_m=((12, 15), (0.8, 1.3)), waters=("deep", "cyan", "clear"), slope_deg=(2, 12),
+        outcrop_cover=(0.05, 0.3), banks=((2.2, 3.2), (3.5, 6.5)), sides=(1,), look_across=0.5,
+        scatter={"Boulder": (40, 70), "Coral": (20, 40), "Chain": (1, 3), "Anchor": (0, 2),
+                 "Frame": (1, 3), "Tire": (0, 3)}),
 }
+# fmt: on
 
 
 def draw(rng: np.random.Generator, span: Range) -> float:
@@ -205,14 +115,8 @@ def draw(rng: np.random.Generator, span: Range) -> float:
     return float(rng.uniform(*span))
 
 
-_SANDS: tuple[Colour, ...] = (
-    (0.60, 0.54, 0.43),
-    (0.50, 0.47, 0.40),
-    (0.64, 0.59, 0.50),
-    (0.40, 0.34, 0.26),
-    (0.30, 0.28, 0.25),
-    (0.22, 0.20, 0.18),
-)
+_SANDS: tuple[Colour, ...] = ((0.60, 0.54, 0.43), (0.50, 0.47, 0.40), (0.64, 0.59, 0.50),
+    (0.40, 0.34, 0.26), (0.30, 0.28, 0.25), (0.22, 0.20, 0.18))  # fmt: skip
 _ROCKS: tuple[Colour, ...] = ((0.33, 0.30, 0.25), (0.24, 0.23, 0.22), (0.40, 0.34, 0.27))
 _ALGAE: tuple[Colour, ...] = ((0.12, 0.14, 0.06), (0.17, 0.13, 0.06), (0.10, 0.15, 0.09))
 _CRUSTS: tuple[Colour, ...] = ((0.42, 0.20, 0.26), (0.50, 0.28, 0.12), (0.40, 0.38, 0.16))
