@@ -18,11 +18,8 @@ class AnalyticRenderer:
     """Shades the normals of the pixel grid; no ray is traced, so nothing casts a shadow.
 
     Exact when the sonar is at the camera, where all that the camera sees is insonified; with any
-    other mount it lights what the sonar cannot see (`casts_shadows` is False, for callers to refuse
-    that).
+    other mount it lights what the sonar cannot see.
     """
-
-    casts_shadows = False
 
     def __init__(self, settings: RenderSettings) -> None:
         self._settings = settings
@@ -35,8 +32,6 @@ class AnalyticRenderer:
 
 class EmbreeRenderer:
     """The same, and one ray from each traced surface pixel to the sonar."""
-
-    casts_shadows = True
 
     def __init__(self, settings: RenderSettings) -> None:
         """Raises FactoryError when Open3D is not there: half a second and 100 MB to import."""

@@ -28,8 +28,6 @@ class CyclesRenderer:
     whole shadows nor one that sound bounces off.
     """
 
-    casts_shadows = True
-
     def __init__(self, settings: RenderSettings) -> None:
         """Raises FactoryError when bpy is not there."""
         self._settings = settings
