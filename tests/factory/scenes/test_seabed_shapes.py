@@ -29,7 +29,7 @@ from simnfnd.factory.scenes.seabed.viewpoint import choose_pose
 from simnfnd.factory.scenes.seabed.world import build_world
 
 
-@pytest.mark.parametrize("location", [1, 3])
+@pytest.mark.parametrize("location", [3])
 def test_the_path_keeps_clear_of_everything(location: int) -> None:
     open3d: Any = pytest.importorskip("open3d")
     world = build_world(location, PLACE_NAMES, 1.0, None)
@@ -148,7 +148,7 @@ def _ring(count: int) -> npt.NDArray[np.float64]:
     return np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)])
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.integers(0, 2**31))
 def test_rocks_are_solid_and_of_about_unit_size(seed: int) -> None:
     stone = rock(np.random.default_rng(seed), 3)
@@ -158,7 +158,7 @@ def test_rocks_are_solid_and_of_about_unit_size(seed: int) -> None:
     assert 1 < volume(stone) < 6.5
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.integers(0, 2**31))
 def test_waves_have_unit_variance(seed: int) -> None:
     rng = np.random.default_rng(seed)
