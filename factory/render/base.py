@@ -93,31 +93,26 @@ class Renderer(Protocol):
         """Render one frame with the light at the sonar.  Same input, same bytes."""
 
 
-_MODULE = {"cycles": "bpy", "embree": "open3d"}
-
-_INSTALL = {
-    "cycles": 'pip install "simnfnd[blender]" (Python 3.11)',
-    "embree": 'pip install "simnfnd[open3d]"',
-}
-_OTHERS = {
-    "cycles": "render=analytic or render=embree",
-    "embree": "render=analytic or render=cycles",
+# kind -> module, how to install it, what to take instead.
+_LIBRARIES = {
+    "cycles": ("bpy", 'pip install "simnfnd[blender]" (Python 3.11)', "render=embree"),
+    "embree": ("open3d", 'pip install "simnfnd[open3d]"', "render=cycles"),
 }
 
 
 def missing(kind: str, reason: object) -> FactoryError:
     """The error for a renderer whose module cannot be imported, with the way out of it."""
     what = str(reason).splitlines()[0] if str(reason) else "not installed"
-    # The module is there, but a shared library of the operating system is not.
-    remedy = "make setup installs what it needs" if ".so" in what else _INSTALL[kind]
+    module, remedy, other = _LIBRARIES[kind]
+    if ".so" in what:  # the module is there, but a shared library of the operating system is not
+        remedy = "make setup installs what it needs"
     return FactoryError(
-        f"render.kind={kind} needs the module {_MODULE[kind]} ({what}): "
-        f"{remedy}, or choose {_OTHERS[kind]}"
+        f"render.kind={kind} needs the module {module} ({what}): {remedy}, or choose "
+        f"render=analytic or {other}"
     )
 
 
 def check_installed(kind: str) -> None:
     """Raise FactoryError when the renderer's module is not installed.  Imports nothing."""
-    module = _MODULE.get(kind)
-    if module is not None and find_spec(module) is None:
+    if kind in _LIBRARIES and find_spec(_LIBRARIES[kind][0]) is None:
         raise missing(kind, "not installed")

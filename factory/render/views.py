@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import cache, lru_cache
 from importlib import metadata
 from pathlib import Path
@@ -30,9 +30,15 @@ from .mount import Mount
 from .view import View, view_of
 
 # Which frames are chosen changes none of them.
-_NOT_PIXELS = (
-    *("root", "file", "path", "locations", "first_location", "frames_per_location", "scenes"),
-)
+_NOT_PIXELS = {
+    "root",
+    "file",
+    "path",
+    "locations",
+    "first_location",
+    "frames_per_location",
+    "scenes",
+}
 # All code between the files of a recording and the rendered pixels.
 _CODE = ("compiled.py", "elementary.py", "frame.py", "labels.py", "render", "scenes")
 _LIBRARY = {"cycles": "bpy", "embree": "open3d-cpu", "analytic": "numpy"}
@@ -58,7 +64,8 @@ class FrameKeys:
 
         The content of its files counts and not where they lie, so a recording may be moved.
         """
-        contents = [_content(path) for path in ref.paths]
+        states = [(path, os.stat(path)) for path in ref.paths]
+        contents = [_digest(path, one.st_size, one.st_mtime_ns) for path, one in states]
         text = json.dumps([self._common, ref.location, ref.scene, ref.frame, contents])
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
@@ -68,24 +75,14 @@ def code_version(kind: str) -> str:
     """Stands for the source files and the library that a renderer consists of."""
     root = Path(__file__).parents[1]
     digest = hashlib.blake2b(digest_size=8)
-    for path in _sources(root):
-        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    for place in (root / name for name in _CODE):
+        for path in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
+            digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
     try:
         library = metadata.version(_LIBRARY[kind])
     except metadata.PackageNotFoundError:
         library = "another build"
     return f"{digest.hexdigest()} {_LIBRARY[kind]} {library}"
-
-
-def _sources(root: Path) -> Iterable[Path]:
-    for name in _CODE:
-        path = root / name
-        yield from sorted(path.rglob("*.py")) if path.is_dir() else [path]
-
-
-def _content(path: str) -> str:
-    status = os.stat(path)
-    return _digest(path, status.st_size, status.st_mtime_ns)
 
 
 @lru_cache(maxsize=64)

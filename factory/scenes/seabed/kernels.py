@@ -89,34 +89,6 @@ def point_normals(points: Any, triangles: Any, normals: Any) -> None:
         normals[k, 0], normals[k, 1], normals[k, 2] = x * scale, y * scale, z * scale
 
 
-@compiled()
-def _row_of_normals(here: Any, above: Any, below: Any, columns: int, normals: Any) -> None:
-    for column in range(columns):
-        left, right = 3 * max(column - 1, 0), 3 * min(column + 1, columns - 1)
-        at = 3 * column
-        dx, rx = below[at] - above[at], here[right] - here[left]
-        dy, ry = below[at + 1] - above[at + 1], here[right + 1] - here[left + 1]
-        dz, rz = below[at + 2] - above[at + 2], here[right + 2] - here[left + 2]
-        x, y, z = ry * dz - rz * dy, rz * dx - rx * dz, rx * dy - ry * dx
-        up = -_ONE if z < 0 else _ONE
-        x, y, z = x * up, y * up, z * up
-        length = max(np.sqrt(x * x + y * y + z * z), _F(1e-20))
-        normals[at], normals[at + 1], normals[at + 2] = x / length, y / length, z / length
-
-
-@compiled(f"void({_VECTORS}, {_VECTORS})")
-def normals_of_grid(points: Any, normals: Any) -> None:
-    """(R, C, 3) unit normals of a grid of points, turned upward, by central differences."""
-    rows, columns = points.shape[:2]
-    for row in range(rows):
-        # Flat, so that the compiler knows the steps from point to point.
-        above, below = points[max(row - 1, 0)], points[min(row + 1, rows - 1)]
-        _row_of_normals(
-            points[row].reshape(-1), above.reshape(-1), below.reshape(-1), columns,
-            normals[row].reshape(-1),
-        )  # fmt: skip
-
-
 @compiled(
     f"void({_VECTORS}, {_VECTORS}, UniTuple({_PLANE}, 3), UniTuple({_ROWS}, 2), float32[::1], "
     f"float32[::1], {_VECTORS})"

@@ -122,12 +122,6 @@ class Site:
             if spot is not None:
                 self._fix(wall, kind, np.array([*spot, self._ground(*spot)]), reach)
             return
-        if kind == "Pillar":
-            spot = self._spot(0.4, 5.0)
-            if spot is not None:
-                pile = things.pile(rng, rng.uniform(1.0, 6.0), rng.uniform(0.12, 0.35))
-                self._fix(pile, kind, np.array([*spot, self._ground(*spot)]), 0.5)
-            return
         length = rng.uniform(2.0, 4.5) if kind == "Chain" else rng.uniform(5.0, 14.0)
         aside = rng.choice([-1, 1]) * rng.uniform(0.3, 0.7 * self.place.spread_m + 0.5)
         near = self._near_loop(np.array([aside]))[0]
