@@ -58,77 +58,55 @@ _PRECISION = {"depth_step": DEPTH.step, "radiance_step": RADIANCE.step, "block":
 class View:
     """What the camera and an ideal sonar at `mount` know of each pixel.
 
-    depth_m: (H, W) float32, 0 where there is no surface.
+    seen: the frame, black, for its colour has done its part in the albedo; depth 0 where there is
+        no surface.
     radiance: (H, W) float32, see `simnfnd.factory.render.base.Rendered`; 0 in the sonar's shadow.
-    segmentation, instance: labels of the pixels, see `frame.Frame`; None without labels.
-    world_from_camera: (4, 4) float64 pose of the camera; None where the recording has none.
-    time_s, altitude_m: see `frame.Frame`.
     """
 
-    depth_m: npt.NDArray[np.float32]
+    seen: Frame
     radiance: npt.NDArray[np.float32]
-    intrinsics: Intrinsics
     mount: Mount
-    segmentation: npt.NDArray[np.uint8] | None = None
-    instance: npt.NDArray[np.uint16] | None = None
-    world_from_camera: npt.NDArray[np.float64] | None = None
-    time_s: float | None = None
-    altitude_m: float | None = None
 
     def frame(self, ref: FrameRef) -> Frame:
-        """The frame as noise needs it: black, for its colour has done its part in the albedo."""
-        black = np.broadcast_to(np.uint8(0), (*self.depth_m.shape, 3))
-        return Frame(
-            ref,
-            black,
-            self.depth_m,
-            self.intrinsics,
-            self.world_from_camera,
-            self.segmentation,
-            self.instance,
-            self.time_s,
-            self.altitude_m,
-        )
+        """The frame as noise needs it."""
+        return replace(self.seen, ref=ref)
 
     def rendered(self) -> Rendered:
         """Radiance and surface."""
-        return Rendered(self.radiance, self.depth_m > 0)
+        return Rendered(self.radiance, self.seen.valid)
 
 
 def view_of(frame: Frame, rendered: Rendered, mount: Mount) -> View:
     """The view of a frame that was just rendered, rounded as the cache keeps it."""
     depth_m = np.where(rendered.surface, frame.depth_m, np.float32(0))
-    return View(
-        _table(DEPTH)[codes_of(depth_m, DEPTH)],
-        _table(RADIANCE)[codes_of(rendered.radiance, RADIANCE)],
-        frame.intrinsics,
-        mount,
-        frame.segmentation,
-        frame.instance,
-        frame.world_from_camera,
-        frame.time_s,
-        frame.altitude_m,
-    )
+    depth_m = _table(DEPTH)[codes_of(depth_m, DEPTH)]
+    seen = replace(frame, rgb=_black(depth_m.shape), depth_m=depth_m)
+    return View(seen, _table(RADIANCE)[codes_of(rendered.radiance, RADIANCE)], mount)
+
+
+def _black(shape: tuple[int, ...]) -> npt.NDArray[np.uint8]:
+    return np.broadcast_to(np.uint8(0), (*shape, 3))
 
 
 def encode(view: View) -> bytes:
     """The view as bytes; `decode(encode(view))` is the view itself when it was rounded alike."""
-    planes = [fold(codes_of(view.depth_m, DEPTH)), fold(codes_of(view.radiance, RADIANCE))]
-    labelled = view.segmentation is not None and view.instance is not None
-    if view.segmentation is not None and view.instance is not None:
-        planes += [view.segmentation.tobytes(), view.instance.astype("<u2").tobytes()]
+    seen, labelled = view.seen, False
+    planes = [fold(codes_of(seen.depth_m, DEPTH)), fold(codes_of(view.radiance, RADIANCE))]
+    if seen.segmentation is not None and seen.instance is not None:
+        labelled = True
+        planes += [seen.segmentation.tobytes(), seen.instance.astype("<u2").tobytes()]
     # Level 1 is twice as fast as 3 and, on such planes, no larger.  Differences are noise: what
     # repeats is near, so the least table of places (2^6) is faster, and its output smaller.
     options: dict[int, int] = {_ZSTD.compression_level: 1, _ZSTD.hash_log: 6}
     options[_ZSTD.checksum_flag] = 1
     parts = [zstd.compress(plane, options=options) for plane in planes]
-    pose = view.world_from_camera
+    pose = seen.world_from_camera
     head = {
-        "shape": view.depth_m.shape,
-        "intrinsics": asdict(view.intrinsics),
+        "shape": seen.depth_m.shape,
+        "intrinsics": asdict(seen.intrinsics),
         "mount": asdict(view.mount),
         "world_from_camera": None if pose is None else pose.tolist(),
-        **{name: getattr(view, name) for name in _NUMBERS if getattr(view, name) is not None},
+        **{name: getattr(seen, name) for name in _NUMBERS if getattr(seen, name) is not None},
         "precision": _PRECISION,
         "labelled": labelled,
         "parts": [len(part) for part in parts],
@@ -164,18 +142,14 @@ def decode(content: bytes) -> View:
         more: dict[str, Any] = {name: _finite(head.get(name)) for name in _NUMBERS}
         if head["world_from_camera"] is not None:
             more["world_from_camera"] = np.array(head["world_from_camera"], float).reshape(4, 4)
-        view = View(
-            _table(DEPTH)[unfold(parts[0], shape)],
-            _table(RADIANCE)[unfold(parts[1], shape)],
-            _camera(head["intrinsics"]),
-            mount_of(head["mount"]),
-            **more,
-        )
-        if not head["labelled"]:
-            return view
-        segmentation = np.frombuffer(parts[-2], np.uint8).reshape(height, width)
-        instance = np.frombuffer(parts[-1], "<u2").astype(np.uint16).reshape(height, width)
-        return replace(view, segmentation=segmentation, instance=instance)
+        if head["labelled"]:
+            more["segmentation"] = np.frombuffer(parts[2], np.uint8).reshape(shape)
+            more["instance"] = np.frombuffer(parts[3], "<u2").astype(np.uint16).reshape(shape)
+        depth_m = _table(DEPTH)[unfold(parts[0], shape)]
+        nameless, camera = FrameRef("", "", ""), _camera(head["intrinsics"])
+        seen = Frame(nameless, _black(shape), depth_m, camera, **more)
+        radiance = _table(RADIANCE)[unfold(parts[1], shape)]
+        return View(seen, radiance, mount_of(head["mount"]))
     except (KeyError, TypeError, zstd.ZstdError, struct.error) as error:
         raise ValueError(f"damaged ({error})") from error
 

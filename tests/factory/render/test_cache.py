@@ -72,7 +72,7 @@ def test_files_of_prepared_frames_are_read_once(
 
     monkeypatch.setattr(FrameKeys, "of", gone)
     assert views.holds(ref)
-    assert views.view(ref).depth_m.any()
+    assert views.view(ref).seen.valid.any()
     views.expect({})
     assert not views.holds(ref)
     with pytest.raises(NotRendered):

@@ -34,12 +34,12 @@ def test_what_is_stored_is_what_pictures_are_made_of() -> None:
     frame = ground_and_post()
     rendered = plain_render(frame)
     surface = rendered.surface
-    depth_error = np.abs(view.depth_m[surface] / frame.depth_m[surface] - 1)
+    depth_error = np.abs(view.seen.depth_m[surface] / frame.depth_m[surface] - 1)
     assert 0 < depth_error.max() < 1.01 * DEPTH.step / 2
     lit = surface & (rendered.radiance > 0)
     radiance_error = np.abs(view.radiance[lit] / rendered.radiance[lit] - 1)
     assert 0 < radiance_error.max() < 1.01 * RADIANCE.step / 2
-    assert not view.depth_m[~surface].any()
+    assert not view.seen.depth_m[~surface].any()
     assert not view.radiance[surface & ~lit].any()
 
 
@@ -67,13 +67,13 @@ def test_any_view_comes_back(seed: int, height: int, width: int, empty: bool) ->
     view = view_of(frame, Rendered(radiance, surface), mount)
     again = decode(encode(view))
     assert same(again, view)
-    assert view.world_from_camera is frame.world_from_camera
-    assert again.segmentation is not None
-    assert again.instance is not None
+    assert view.seen.world_from_camera is frame.world_from_camera
+    assert again.seen.segmentation is not None
+    assert again.seen.instance is not None
     assert frame.segmentation is not None
     assert frame.instance is not None
-    np.testing.assert_array_equal(again.segmentation, frame.segmentation)
-    np.testing.assert_array_equal(again.instance, frame.instance)
+    np.testing.assert_array_equal(again.seen.segmentation, frame.segmentation)
+    np.testing.assert_array_equal(again.seen.instance, frame.instance)
 
 
 @given(cut=st.integers(0, 4000), content=st.binary(max_size=60))
@@ -114,8 +114,10 @@ def test_a_flipped_bit_never_changes_a_picture(place: float, bit: int) -> None:
 
 
 def test_intrinsics_keep_their_distortion() -> None:
-    view = replace(some_view(), intrinsics=Intrinsics(1.5, 2.5, 3.5, 4.5, (0.1, 0.2, 0.3, 0.4)))
-    assert decode(encode(view)).intrinsics == view.intrinsics
+    lens = Intrinsics(1.5, 2.5, 3.5, 4.5, (0.1, 0.2, 0.3, 0.4))
+    view = some_view()
+    view = replace(view, seen=replace(view.seen, intrinsics=lens))
+    assert decode(encode(view)).seen.intrinsics == lens
 
 
 def test_an_entry_of_the_cache_is_the_same_made_again_of_what_was_read() -> None:
