@@ -25,13 +25,12 @@ from .imaging.contract import Floats, Scene
 from .imaging.registry import FORMATIONS
 from .loops import compile_needed
 from .noise.draws import StreamNames, draw
-from .render.cache.views import CachedViews, Views, open_views
+from .render.views import CachedViews, Views, open_views
 from .sample_table.camera import Camera
 from .sample_table.record import columns, image_axes, record, requested, requested_row
 from .sonar import polar, surface, transfer
-from .sonar.fan import lay_out, lay_out_nearest
-from .sonar.window import Window
-from .sonar.window_fit import conical, fit_window, set_window
+from .sonar.fan import lay_out, lay_out_nearest, rasterised
+from .sonar.window import Window, conical, fit_window, set_window
 from .sonar_randomization import draw as devices
 
 if TYPE_CHECKING:
@@ -221,13 +220,13 @@ def make_pair(
     names = StreamNames.of(observed.ref, variant, observed.has_pose)
     draws = draw(config.noise, config.seed, names)
     sample = observed.scene.sample(variant, draws.effects, config)
-    raster = devices.fixed_raster(config.sonar.image) if device is None else device.raster
+    plain = device is None and config.sonar.image.plain
 
     def picture(grey: Floats, noisy: bool = True) -> npt.NDArray[np.generic]:
-        if raster is None:
+        if plain:
             laid_out = lay_out(grey, observed.window, config.sonar)
         else:
-            laid_out = raster.picture(grey, observed.window, config.sonar, noisy=noisy)
+            laid_out = rasterised(grey, observed.window, config.sonar, noisy=noisy)
         return transfer.quantise(laid_out, config.dataset.dtype)
 
     layers = dict(observed.layers)

@@ -15,7 +15,7 @@ from ...factory.errors import FrameError
 from ...factory.frame import Frame, FrameRef, Intrinsics, checked
 from ...factory.pairs import PairMaker
 from ...factory.render import open_renderer
-from ...factory.render.cache.views import OneView
+from ...factory.render.views import OneView
 from ...factory.render.view import view_of
 from ...factory.seeds import stream
 from ...factory.sonar.geometry import FanGeometry

@@ -23,7 +23,7 @@ from ...factory.errors import FactoryError, FrameError
 from ...factory.frame import FrameRef
 from ...factory.noise.registry import NoiseSettings
 from ...factory.pairs import PairMaker
-from ...factory.render.cache.views import open_views
+from ...factory.render.views import open_views
 from ...factory.scenes import frames_of, open_reader
 from ...factory.seeds import stream
 from ...factory.selection import choose_frames, split_frames

@@ -15,7 +15,7 @@ from ...compiled import compiled
 Floats = npt.NDArray[np.float32]
 
 _8, _GOLDEN = np.uint32(8), np.uint32(0x9E3779B9)
-# When neighbours are one surface, as in `cloud.joined`: parts of the depth, and of a step.
+# When neighbours are one surface, as in `render.kernels.joints`: parts of the depth, and of a step.
 _SMALL_STEP, _LARGE_STEP, _SLOPE_CHANGE = np.float32(0.02), np.float32(0.1), np.float32(3)
 
 

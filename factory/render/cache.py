@@ -16,15 +16,15 @@ from typing import Annotated
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from ...files import (
+from ..files import (
     check_writable,
     explain_os_errors,
     remove_stale_temporaries,
     write_atomically,
 )
-from ...settings import STRICT
-from ...small_files import read_regular
-from ..view import View, decode, encode
+from ..settings import STRICT
+from ..small_files import read_regular
+from .view import View, decode, encode
 
 _SUFFIX = ".view"
 _MOST_BYTES = 1 << 27

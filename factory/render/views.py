@@ -1,27 +1,101 @@
 """Where the clean renders come from: made by one kind of worker, read by another.
 
 `ViewMaker` loads and renders frames and needs Blender or Open3D; `open_views` gives what it made to
-those that add noise, which need neither.
+those that add noise, which need neither.  A render is kept under a hash of all that decides its
+pixels.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
+import os
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Protocol
+from functools import cache, lru_cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Protocol
 
-from ...dataset.format.schema import Prepared
-from ...errors import FrameError, NotRendered
-from ...frame import FrameRef
-from ...loops import compile_needed
-from ..view import View, view_of
-from .cache import Cache
-from .key import FrameKeys
+from pydantic import TypeAdapter
 
-if TYPE_CHECKING:
-    from ...scenes import Scenes
-    from ..base import Renderer, RenderSettings
-    from ..mount import Mount
-    from .cache import CacheSettings
+from ..dataset.format.schema import Prepared
+from ..errors import FrameError, NotRendered
+from ..frame import FrameRef
+from ..loops import compile_needed
+from ..scenes import Scenes, open_reader
+from ..scenes.seabed import GENERATOR
+from .base import Renderer, RenderSettings
+from .cache import Cache, CacheSettings
+from .mount import Mount
+from .view import View, view_of
+
+# Which frames are chosen changes none of them.
+_NOT_PIXELS = {
+    "root",
+    "file",
+    "path",
+    "locations",
+    "first_location",
+    "frames_per_location",
+    "scenes",
+}
+# All code between the files of a recording and the rendered pixels.
+_CODE = ("compiled.py", "elementary.py", "frame.py", "labels.py", "render", "scenes")
+_LIBRARY = {"cycles": "bpy", "embree": "open3d-cpu", "analytic": "numpy"}
+
+
+class FrameKeys:
+    """Keys of the frames of one configuration."""
+
+    def __init__(self, scenes: Scenes, render: RenderSettings, mount: Mount) -> None:
+        self._common = json.dumps(
+            [
+                {k: v for k, v in _plain(Scenes, scenes).items() if k not in _NOT_PIXELS},
+                _plain(RenderSettings, render),
+                _plain(Mount, mount),
+                code_version(render.kind),
+                GENERATOR if scenes.kind == "seabed" else None,
+            ],
+            sort_keys=True,
+        )
+
+    def of(self, ref: FrameRef) -> str:
+        """32 hexadecimal digits.  Raises OSError when a file of the frame cannot be read.
+
+        The content of its files counts and not where they lie, so a recording may be moved.
+        """
+        states = [(path, os.stat(path)) for path in ref.paths]
+        contents = [_digest(path, one.st_size, one.st_mtime_ns) for path, one in states]
+        text = json.dumps([self._common, ref.location, ref.scene, ref.frame, contents])
+        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+@cache
+def code_version(kind: str) -> str:
+    """Stands for the source files and the library that a renderer consists of."""
+    root = Path(__file__).parents[1]
+    digest = hashlib.blake2b(digest_size=8)
+    for place in (root / name for name in _CODE):
+        for path in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
+            digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    try:
+        library = metadata.version(_LIBRARY[kind])
+    except metadata.PackageNotFoundError:
+        library = "another build"
+    return f"{digest.hexdigest()} {_LIBRARY[kind]} {library}"
+
+
+@lru_cache(maxsize=64)
+def _digest(path: str, size: int, modified_ns: int) -> str:
+    # Calibrations and trajectories come with every frame of a recording: read them once.
+    # SHA-256, for which processors have instructions: half the time of BLAKE2b.
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:32]
+
+
+def _plain(kind: Any, value: object) -> dict[str, Any]:
+    values: dict[str, Any] = TypeAdapter(kind).dump_python(value, mode="json")
+    return values
 
 
 class Mounted(Protocol):
@@ -65,7 +139,7 @@ class Views(Protocol):
 def open_views(config: RenderNeeds) -> Views:
     """The renders that the configuration means: of the cache, or of a pack."""
     if config.scenes.kind == "pack":
-        from ..pack import PackViews
+        from .pack import PackViews
 
         return PackViews(config.scenes.root, config.sonar.mount)
     return CachedViews(config)
@@ -124,8 +198,6 @@ class ViewMaker:
     """Renders frames into the cache; a `simnfnd.factory.dataset.format.schema.Preparer`."""
 
     def __init__(self, config: RenderNeeds) -> None:
-        from ...scenes import open_reader
-
         self.config = config
         self.reader = open_reader(config.scenes)
         self.views = CachedViews(config)
@@ -147,9 +219,9 @@ class ViewMaker:
         """Load and render one frame."""
         if self._renderer is None:
             # Not before it is needed: with all renders at hand nobody has to load Blender.
-            from .. import open_renderer
+            from . import open_renderer
 
-            compile_needed(scenes=self.config.scenes.kind, render=self.config.render.kind)
+            compile_needed(scenes=self.config.scenes.kind)
             self._renderer = open_renderer(self.config.render)
         frame = self.reader.load(ref)
         mount = self.config.sonar.mount
@@ -161,7 +233,7 @@ def check_views(config: RenderNeeds, *, touch: bool = True) -> None:
 
     touch: try to write into the cache.
     """
-    from .. import check_renderer
+    from . import check_renderer
 
     if config.scenes.kind == "pack":
         return

@@ -1,4 +1,4 @@
-"""Shading as in `analytic`, and true shadows by ray casting with Embree (through Open3D)."""
+"""Light in closed form, with true shadows from rays by Embree (through Open3D) where asked for."""
 
 from __future__ import annotations
 
@@ -8,22 +8,39 @@ import numpy as np
 import numpy.typing as npt
 
 from ..frame import Frame
-from .base import Rendered, RenderSettings
-from .cloud.mesh import SHADOW_BIAS, surface_mesh
-from .libraries import missing
+from .base import Rendered, RenderSettings, missing
+from .mesh import SHADOW_BIAS, surface_mesh
 from .mount import Mount
 from .surface import Surface, pixels_of
 
 
-class EmbreeRenderer:
-    """Casts one ray from each traced surface pixel to the sonar."""
+class AnalyticRenderer:
+    """Shades the normals of the pixel grid; no ray is traced, so nothing casts a shadow.
 
-    casts_shadows = True
+    Exact when the sonar is at the camera, where all that the camera sees is insonified; with any
+    other mount it lights what the sonar cannot see.
+    """
 
     def __init__(self, settings: RenderSettings) -> None:
-        """Raises FactoryError when Open3D is not there."""
         self._settings = settings
-        self._open3d = _import_open3d()
+
+    def render(self, frame: Frame, mount: Mount) -> Rendered:
+        """Render one frame; see `simnfnd.factory.render.base.Renderer`."""
+        pixels = pixels_of(frame, self._settings)
+        return Rendered(pixels.radiance(mount.position_camera_m()), pixels.mask)
+
+
+class EmbreeRenderer:
+    """The same, and one ray from each traced surface pixel to the sonar."""
+
+    def __init__(self, settings: RenderSettings) -> None:
+        """Raises FactoryError when Open3D is not there: half a second and 100 MB to import."""
+        self._settings = settings
+        try:
+            import open3d
+        except (ImportError, OSError) as error:
+            raise missing("embree", error) from error
+        self._open3d: Any = open3d
 
     def render(self, frame: Frame, mount: Mount) -> Rendered:
         """Render one frame; see `simnfnd.factory.render.base.Renderer`."""
@@ -56,12 +73,3 @@ class EmbreeRenderer:
         shadow = np.zeros(surface.mask.shape, np.bool_)
         shadow[surface.mask] = hidden.numpy()
         return shadow
-
-
-def _import_open3d() -> Any:
-    """Open3D takes half a second and 100 MB to import, and only workers that cast rays need it."""
-    try:
-        import open3d
-    except (ImportError, OSError) as error:
-        raise missing("embree", error) from error
-    return open3d
