@@ -16,8 +16,7 @@ PICTURES = ("elementary", "render.albedo", "render.shading", "sonar.echo_loops",
             "sonar.picture_loops", "render.cloud.joints")  # fmt: skip
 SURFACES = ("render.cloud.planes", "render.traced")
 SEABED = ("scenes.seabed.kernels",)
-FIELD = ("imaging.coherent.cell_kernels", "imaging.coherent.kernels", "imaging.coherent.pixel_rows",
-         "imaging.coherent.placing")  # fmt: skip
+FIELD = ("imaging.coherent.kernels",)
 LOOPS = PICTURES + SURFACES + SEABED + FIELD
 
 

@@ -14,9 +14,9 @@ from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.errors import NotRendered
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.imaging.registry import FORMATIONS
 from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.noise.registry import POINT_EFFECTS
+from simnfnd.factory.pairs import FORMATIONS
 from simnfnd.factory.render.view import View, view_of
 from tests.frames import ground_and_post, plain_render
 from tests.project_files import ROOT

@@ -17,7 +17,6 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.imaging.coherent import beams as matrices
 from simnfnd.factory.imaging.coherent.scatterers import scatterers
 from simnfnd.factory.imaging.coherent.signal import beamform, beamform_power
-from simnfnd.factory.imaging.coherent.targets import backscatter
 from simnfnd.factory.pairs import make_pair, observe
 from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.settings import build
@@ -26,7 +25,7 @@ from simnfnd.factory.sonar.acoustics import WaterSettings
 from simnfnd.factory.sonar.array import ArraySettings, Taper
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.factory.sonar.window import Window
-from tests.constant_field import FAR_M, NEAR_M, config, constant_field, observed, ping_of, scene_of
+from tests.constant_field import config, constant_field, observed, ping_of
 from tests.project_files import ROOT
 
 CONF = ROOT / "conf"
@@ -270,22 +269,6 @@ def test_a_target_has_its_cross_section() -> None:
     absorption = acoustics.absorption_db_per_m(100, 10, 35, 5, 8)
     golden = 10 ** (-25 / 10) * 0.04 / 4**4 * 10 ** (-2 * absorption * 4 / 10)
     assert power == pytest.approx(golden, rel=0.02)
-
-
-def test_backscatter_has_no_losses_left() -> None:
-    """Per plan area it is the same near and far, whatever the water absorbs."""
-    flat = []
-    for frequency_khz in (200, 3000):
-        settings_ = config(sonar={"frequency_khz": frequency_khz})
-        frame, rendered = constant_field()
-        made = scene_of(observe(frame, rendered, settings_))
-        flat.append(backscatter(made.surface, settings_))
-    np.testing.assert_allclose(flat[0], flat[1], rtol=1e-3)
-    # Equal power per bin over source level: sigma grows as r^4, area as r.
-    rows = flat[0].mean(axis=1)
-    range_m = np.linspace(NEAR_M, FAR_M, len(rows))
-    slope = np.polyfit(np.log10(range_m[5:-5]), np.log10(rows[5:-5]), 1)[0]
-    assert slope == pytest.approx(3, abs=0.1)
 
 
 def test_the_exponent_of_backscatter_is_that_of_the_cosine() -> None:

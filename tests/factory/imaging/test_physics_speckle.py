@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from simnfnd.factory.imaging.coherent import cell_kernels
-from simnfnd.factory.imaging.coherent.received import received
+from simnfnd.factory.imaging.coherent import kernels
 from simnfnd.factory.imaging.coherent.scatterers import Scatterers, shares
+from simnfnd.factory.imaging.coherent.scene import received
 from simnfnd.factory.imaging.coherent.signal import beamform_power, gaussian_table, white_noise
 from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.noise.field.texture import gamma_of_normal
@@ -66,7 +66,7 @@ def test_texture_makes_it_k_distributed(shape, golden_si, golden_enl):
     rng = np.random.default_rng(3)
     normal = np.empty(size, np.float32)
     points = rng.random((3, size), dtype=np.float32)
-    cell_kernels.lattice(points, 1000 * np.eye(3, 4), 7, gaussian_table(), normal)
+    kernels.lattice(points, 1000 * np.eye(3, 4), 7, gaussian_table(), normal)
     field = white_noise(rng, 1, (1, size))[0, :, 0]
     intensity = (field.astype(np.float64) ** 2).sum(axis=0) * gamma_of_normal(normal, shape)
     assert intensity.mean() == pytest.approx(1, rel=0.01)

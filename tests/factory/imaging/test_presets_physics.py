@@ -12,8 +12,8 @@ import pytest
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.frame import Frame
-from simnfnd.factory.imaging.coherent.received import received
 from simnfnd.factory.imaging.coherent.scatterers import scatterers
+from simnfnd.factory.imaging.coherent.scene import received
 from simnfnd.factory.imaging.coherent.signal import Ping, Signal, beamform_power
 from simnfnd.factory.noise.draws import DrawnEffect
 from simnfnd.factory.noise.field.receiver import receiver
