@@ -136,8 +136,8 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
     level_db = np.float32(10) * np.log10(np.maximum(total / np.float32(full_scale), _FAINTEST))
     shifts_db = _texture_shifts_db(state.shape, _power(settings))
     kernels.displayed(
-        *(plane.ravel() for plane in (level_db, total, state.steady, state.textured)),
-        state.looks, shifts_db, _table(settings), _lowest_db(settings), _STEPS_PER_DB,
+        level_db.ravel(), total.ravel(), state.steady.ravel(), state.textured.ravel(), state.looks,
+        shifts_db, _table(settings), _lowest_db(settings), _STEPS_PER_DB,
         grey.ravel(),
     )  # fmt: skip
     return grey
