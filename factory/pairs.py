@@ -21,8 +21,9 @@ from .dataset.format.schema import Axis, Column, Pair
 from .errors import FrameError
 from .frame import Frame, FrameRef
 from .imaging import layers as truth
-from .imaging.contract import Floats, Scene
-from .imaging.registry import FORMATIONS
+from .imaging import pointwise
+from .imaging.coherent import scene as coherent
+from .imaging.contract import Floats, Formation, Scene
 from .loops import compile_needed
 from .noise.draws import StreamNames, draw
 from .render.views import CachedViews, Views, open_views
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
     from .noise.registry import NoiseSettings
     from .render.base import Rendered
 
+FORMATIONS: Mapping[str, Formation] = {"points": pointwise.observe, "field": coherent.observe}
+"""By the values of `acoustics.formation`."""
 _DRAWS = 40
 """Devices that may be drawn for a picture until one sees some of the frame."""
 
