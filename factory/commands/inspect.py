@@ -50,8 +50,6 @@ def report(found: DatasetSummary, name: str) -> Iterator[str]:
     if camera := [name for name in source.layers if name in CAMERA_LAYERS]:
         high, wide = source.sizes[camera[0]][:2]
         yield f"camera       {high} x {wide} pixels ({', '.join(camera)})"
-    if found.echoes:
-        yield f"echoes       {found.echoes / len(found.splits):.0f} a sample (/echoes)"
     yield (
         f"size         {found.stored_bytes / 1e6:.2f} MB on disk, {found.image_bytes / 1e6:.2f} MB "
         f"of pictures ({found.image_bytes / max(found.stored_bytes, 1):.1f} : 1)"

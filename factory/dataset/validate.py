@@ -1,7 +1,7 @@
 """Is a dataset what its manifest says: whole, consistent, and fair to those who test on it.
 
 HDF5 is a large C library, and a damaged file can make it crash, hang or ask for all memory there
-is.  `shard_facts` and `index_problems` therefore run in a process that may die of it.
+is.  `shard_facts` therefore runs in a process that may die of it, and index.h5 is not opened.
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ import numpy.typing as npt
 from ..errors import FactoryError
 from ..files import is_temporary, sha256_of
 from ..isolated import IsolatedProcess
-from .format.axes import image_axes, object_inside
-from .format.echoes import echo_names, echo_problem, read_echoes
+from .format.axes import echo_names, image_axes
 from .format.layout import inside, optional_layers
 from .format.manifest import INDEX_NAME, MANIFEST_NAME, Manifest, damage, load_manifest
 from .format.schema import (
@@ -30,7 +29,6 @@ from .format.schema import (
     SPLITS,
     VALUE_RANGES,
     Layer,
-    config_hash,
     layers,
     stores_grey,
 )
@@ -48,8 +46,6 @@ _INDEX_REMEDY = (
     "remove it and run the command that made the dataset again, which writes it anew and makes "
     "nothing else that is whole"
 )
-# What HDF5 reports damage of its own tables as.
-_DAMAGE = (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError)
 
 
 @dataclass(frozen=True)
@@ -130,22 +126,16 @@ def validate_with(process: IsolatedProcess, directory: Path, deep: bool) -> Repo
         path: _facts_of(process, directory, manifest, path, deep)
         for path in sorted(manifest.shards)
     }
-    findings = [*_config_findings(manifest)]
+    findings: list[Finding] = []
     for path, found in facts.items():
         findings += [Finding("error", path, problem) for problem in found.problems]
         findings += [Finding("note", path, note) for note in found.notes]
-    findings += _index_findings(process, directory, manifest)
+    findings += _index_findings(directory, manifest)
     findings += _strays(directory, manifest)
     findings += _disagreements(facts)
     findings += _doubles(facts)
     findings += _leaks(facts)
     return Report(tuple(findings), manifest.samples(), len(manifest.shards))
-
-
-def _config_findings(manifest: Manifest) -> Iterator[Finding]:
-    if config_hash(manifest.config) != manifest.config_hash:
-        text = f"its config does not give its config_hash {manifest.config_hash[:40]!r}; damaged"
-        yield Finding("error", MANIFEST_NAME, text)
 
 
 def _facts_of(
@@ -171,9 +161,7 @@ def _facts_of(
     return replace(facts, problems=problems)
 
 
-def _index_findings(
-    process: IsolatedProcess, directory: Path, manifest: Manifest
-) -> Iterator[Finding]:
+def _index_findings(directory: Path, manifest: Manifest) -> Iterator[Finding]:
     path = directory / INDEX_NAME
     if not os.path.lexists(path):
         yield Finding("note", INDEX_NAME, "absent; the command that made the dataset writes it")
@@ -187,17 +175,6 @@ def _index_findings(
     elif sha256_of(path) != manifest.index_sha256:
         text = f"its SHA-256 is not that of the manifest; {_INDEX_REMEDY}"
         yield Finding("error", INDEX_NAME, text)
-        return
-    expected = {
-        split: [(p, s.samples) for p, s in sorted(manifest.shards.items()) if s.split == split]
-        for split in SPLITS
-    }
-    try:
-        problems = process.call(index_problems, path, expected, limit_s=_LIMIT_S)
-    except FactoryError as error:
-        problems = (str(error),)
-    for problem in problems:
-        yield Finding("error", INDEX_NAME, f"{problem}; {_INDEX_REMEDY}")
 
 
 def _strays(directory: Path, manifest: Manifest) -> Iterator[Finding]:
@@ -278,7 +255,7 @@ def shard_facts(path: Path, deep: bool) -> ShardFacts:
 
 
 def _facts(file: h5py.File, deep: bool) -> ShardFacts:
-    noisy, listed = file["noisy"], echo_names(file)
+    noisy = file["noisy"]
     known = layers(str(noisy.dtype), optional_layers(file))
     sizes = [f"{layer.name} {file[layer.name].shape[1:]}" for layer in known if layer.of_camera]
     table = file["meta"][()]
@@ -305,8 +282,6 @@ def _facts(file: h5py.File, deep: bool) -> ShardFacts:
                 content = hashlib.blake2b(picture.tobytes(), digest_size=_DIGEST_BYTES).digest()
                 digests[layer.name][row] = np.frombuffer(content, np.uint8)
                 empty["pictures"] += not picture.any()
-        if listed and (problem := _echo_problem(file, row)):
-            problems.append(f"sample {row}: /echoes: {problem}")
         if len(problems) >= _MOST_PROBLEMS:
             break
     return ShardFacts(
@@ -314,7 +289,7 @@ def _facts(file: h5py.File, deep: bool) -> ShardFacts:
         config_hash=str(file.attrs["config_hash"])[:200],
         split=str(file.attrs["split"]),
         form=f"{' '.join((str(noisy.shape[1:]), *sizes))} {noisy.dtype}, "
-        f"layers {', '.join((*(layer.name for layer in known), *listed))}, "
+        f"layers {', '.join((*(layer.name for layer in known), *echo_names(file)))}, "
         f"axes {axes}, columns {', '.join(table.dtype.names)}"[:4000],
         samples=table[list(REQUIRED_COLUMNS)],
         digests=digests if deep and not problems else {},
@@ -322,13 +297,6 @@ def _facts(file: h5py.File, deep: bool) -> ShardFacts:
         if empty["pictures"]
         else [],
     )
-
-
-def _echo_problem(file: h5py.File, row: int) -> str | None:
-    try:
-        return echo_problem(read_echoes(file, row))
-    except (OSError, RuntimeError, ValueError) as error:
-        return f"is damaged ({_short(error)})"
 
 
 def _picture_problem(picture: npt.NDArray[np.generic], layer: Layer) -> str | None:
@@ -348,65 +316,6 @@ def _picture_problem(picture: npt.NDArray[np.generic], layer: Layer) -> str | No
     if known.size and not (known.min() >= low and known.max() <= high and np.isfinite(known).all()):
         return f"has values outside {low:g}..{high:g}{', or NaN' if grey else ''}"
     return None
-
-
-def index_problems(
-    path: Path, expected: Mapping[str, Sequence[tuple[str, int]]]
-) -> tuple[str, ...]:
-    """What is wrong with index.h5; its virtual datasets are never read.
-
-    expected: split -> (path, samples) of its shards, in order.
-    """
-    try:
-        with h5py.File(path, "r") as file:
-            return tuple(_index_problems(file, expected))
-    except FactoryError as error:
-        return (str(error),)
-    except _DAMAGE as error:
-        return (f"damaged ({type(error).__name__}: {_short(error)})",)
-
-
-def _index_problems(
-    file: h5py.File, expected: Mapping[str, Sequence[tuple[str, int]]]
-) -> Iterator[str]:
-    wanted = {split for split in SPLITS if expected.get(split)}
-    for name in sorted(set(file) ^ (wanted | {"axes"})):
-        yield f"/{name[:60]} should not be there, or is absent"
-    for split in sorted(wanted & set(file)):
-        group = object_inside(file, split)
-        if not isinstance(group, h5py.Group):
-            raise FactoryError("a split is no group")
-        names = {"noisy", "clean", "shadow", "meta", *group} - {"layers"}
-        if "layers" in group:
-            names |= {f"layers/{name}" for name in object_inside(file, f"{split}/layers")}
-        for name in sorted(names):
-            found = object_inside(file, f"{split}/{name}")
-            if not isinstance(found, h5py.Dataset) or not found.is_virtual:
-                yield f"/{split}/{name} is no virtual dataset"
-            elif _mapped(found) != [(*shard, name) for shard in expected[split]]:
-                yield (
-                    f"/{split}/{name} does not show the shards of the manifest, all of them, in "
-                    "order and from inside the folder"
-                )
-
-
-def _mapped(dataset: h5py.Dataset) -> list[tuple[str, int, str]]:
-    """(file, rows, dataset) of every source, one after another; -1 rows for any other piece."""
-    found: list[tuple[str, int, str]] = []
-    next_row, per_row = 0, int(np.prod(dataset.shape[1:], dtype=np.int64))
-    for source in dataset.virtual_sources():
-        (first, *low), (last, *high) = source.vspace.get_select_bounds()
-        rows = last - first + 1
-        whole = (
-            first == next_row
-            and not any(low)
-            and high == [size - 1 for size in dataset.shape[1:]]
-            and source.vspace.get_select_npoints() == rows * per_row
-            and source.src_space.get_select_type() == h5py.h5s.SEL_ALL
-        )
-        found.append((source.file_name, rows if whole else -1, source.dset_name))
-        next_row = last + 1
-    return found if next_row == dataset.shape[0] else []
 
 
 def _short(error: Exception) -> str:

@@ -20,8 +20,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from ...errors import FactoryError
-from .contract import Pool, WorkerSettings
-from .start import Hear, heard_by
+from .contract import Hear, Pool, WorkerSettings, heard_by
 from .template import THREAD_VARIABLES
 
 T = TypeVar("T")
@@ -294,7 +293,7 @@ def _start_cluster(distributed: Any, settings: WorkerSettings) -> Any:
             "memory_limit": 0,
             "death_timeout": _START_S,
             "resources": {name: 1 for name in restricted if pool.takes(name)},
-            "preload": ["simnfnd.factory.scheduler.workers.dask_preload"],
+            "preload": ["simnfnd.factory.scheduler.workers.contract"],
             "dashboard": False,
         }
         return {"cls": distributed.Nanny, "options": options}

@@ -10,6 +10,7 @@ died), workers are spawned.
 from __future__ import annotations
 
 import atexit
+import math
 import multiprocessing
 import os
 import signal
@@ -92,7 +93,8 @@ def started(
             break
         process = multiprocessing.get_context("forkserver").Process(target=target, args=arguments)
         # It may die meanwhile, or there is no room for a process at all.
-        with suppress(EOFError, OSError), _killed_if_stopped(within_s):
+        pid = vars(forkserver)["_forkserver"]._forkserver_pid
+        with suppress(EOFError, OSError), limited(pid, kill, within_s, STOPPED_S):
             process.start()
             return process
         start(_template.modules, int(os.environ.get(THREAD_VARIABLES[0], 1)))
@@ -102,23 +104,34 @@ def started(
 
 
 @contextmanager
-def _killed_if_stopped(within_s: float) -> Iterator[None]:
-    """Within the block, kill a template that stands still for seconds, or answers too late."""
-    server: Any = vars(forkserver)["_forkserver"]
-    ended = threading.Event()
+def limited(
+    pid: int | None, kill: Callable[[], None], within_s: float, stopped_s: float = math.inf
+) -> Iterator[None]:
+    """Call `kill` when the block takes longer, which ends every wait for that process.
+
+    stopped_s: also when the process `pid` stands still (SIGSTOP) for so long.
+    Raises TimeoutError where the block then fails with EOFError or OSError.
+    """
+    ended, late = threading.Event(), threading.Event()
 
     def watch() -> None:
-        begun, running = time.monotonic(), time.monotonic()
-        while not ended.wait(1.0):
+        running = time.monotonic()
+        end = running + within_s
+        while not ended.wait(min(1.0, within_s)):
             now = time.monotonic()
-            running = running if is_stopped(server._forkserver_pid) else now
-            if now - running > STOPPED_S or now - begun > within_s:
+            running = running if is_stopped(pid) else now
+            if now >= end or now - running > stopped_s:
+                late.set()
                 kill()
                 return
 
     threading.Thread(target=watch, daemon=True).start()
     try:
         yield
+    except (EOFError, OSError):
+        if late.is_set():
+            raise TimeoutError from None
+        raise
     finally:
         ended.set()
 

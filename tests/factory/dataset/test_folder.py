@@ -22,6 +22,7 @@ from hypothesis import strategies as st
 
 from simnfnd.factory.dataset.describe.card import write_card
 from simnfnd.factory.dataset.describe.preview import preview, spread
+from simnfnd.factory.dataset.format.schema import config_hash
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.read.source import SampleName
 from simnfnd.factory.dataset.write.failures import (
@@ -166,11 +167,8 @@ def test_a_folder_of_the_same_dataset_is_taken_up(tmp_path: Path) -> None:
 
 def test_another_configuration_is_refused_with_the_keys_that_differ(tmp_path: Path) -> None:
     dataset(tmp_path)
-    other = replace(
-        PROVENANCE,
-        config_hash="deadbeef",
-        config={"seed": 7, "sonar": {"hfov_deg": 45.0}, "noise": {"density": 0.3}},
-    )
+    changed = {"seed": 7, "sonar": {"hfov_deg": 45.0}, "noise": {"density": 0.3}}
+    other = replace(PROVENANCE, config_hash=config_hash(changed), config=changed)
     with pytest.raises(FactoryError) as caught:
         open_folder(tmp_path, {}, other)
     message = str(caught.value)
@@ -219,7 +217,7 @@ def test_the_card_says_what_is_there_and_its_code_runs(
         "8 train and 4 test",
         "| train | reef | beta | 4 |",
         "| test | reef | gamma | 4 |",
-        "c0ffee0123456789",
+        PROVENANCE.config_hash,
         "hfov_deg: 30.0",
         "    uniform: [0.1, 0.5]",
         "images left out: 3, no depth",

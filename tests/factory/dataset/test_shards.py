@@ -58,7 +58,7 @@ def test_h5py_alone_reads_back_what_was_written(tmp_path: Path) -> None:
         assert file.attrs["schema"] == "simnfnd/1"
         assert file.attrs["split"] == "train"
         assert file.attrs["generator"] == "simnfnd 0.1.0"
-        assert file.attrs["config_hash"] == "c0ffee0123456789"
+        assert file.attrs["config_hash"] == PROVENANCE.config_hash
         assert json.loads(file.attrs["config"]) == PROVENANCE.config
         assert list(file.attrs["value_range"]) == [0, 255]
     assert info.samples == 3

@@ -145,7 +145,7 @@ def test_overwrite_makes_another_dataset_in_the_folder(
     tmp_path: Path, expected: dict[str, bytes]
 ) -> None:
     directory = tmp_path / "dataset"
-    make(directory, FakeConfig(shape=(30, 20)), scheduler=SERIAL, config_hash="0ther")
+    make(directory, FakeConfig(shape=(30, 20)), scheduler=SERIAL, identity={"seed": 1})
     with pytest.raises(FactoryError, match="another configuration"):
         make(directory, scheduler=SERIAL)
     (directory / "notes.txt").write_text("mine")

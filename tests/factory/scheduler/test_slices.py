@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from simnfnd.factory.dataset.format.manifest import load_manifest
-from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.format.schema import Provenance, config_hash
 from simnfnd.factory.dataset.write.failures import load_failures
 from simnfnd.factory.dataset.write.folder import open_folder
 from simnfnd.factory.errors import FactoryError
@@ -19,7 +19,7 @@ from tests.factory.scheduler.run_files import shard_bytes
 from tests.factory.scheduler.staged import staged
 from tests.fake_source import FakeConfig
 
-PROVENANCE = Provenance({"seed": 0}, "c0ffee0123456789", "simnfnd test")
+PROVENANCE = Provenance({"seed": 0}, config_hash({"seed": 0}), "simnfnd test")
 SLICES, FOLDERS = 4, 20
 SERIAL = {"backend": "serial"}
 
