@@ -28,7 +28,7 @@ def job(
     directory: Path,
     config: FakeConfig = FakeConfig(),  # noqa: B008
     *,
-    identity: dict[str, Any] = IDENTITY,  # noqa: B006
+    identity: dict[str, Any] = IDENTITY,
     workers: int = 2,
     retries: int = 1,
     frame_timeout_s: float = 60.0,

@@ -8,8 +8,6 @@ import sys
 import time
 from itertools import pairwise
 
-import pytest
-
 from simnfnd.factory import progress
 from tests.factory.scheduler.staged import staged
 from tests.fake_source import FakeConfig

@@ -31,7 +31,7 @@ from tests.small_dataset import write_dataset
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """24 pairs that train, in shards, with manifest and index."""
     from simnfnd.factory.dataset.format.manifest import Manifest, ShardInfo, save_manifest
-from simnfnd.factory.dataset.format.schema import config_hash
+    from simnfnd.factory.dataset.format.schema import config_hash
     from simnfnd.factory.dataset.write.index import write_index
     from simnfnd.factory.files import sha256_of
 

@@ -86,11 +86,17 @@ class Windows:
 
     def _ahead(self, here: int) -> Iterator[Path]:
         """Shards of this window and the next, as many as there is room for."""
-        room = most_bytes()
-        for path in (path for group in self._groups[here : here + 2] for path in group):
-            room -= self._sizes.get(path, 0)
+        groups = self._groups[here : here + 2]
+        room = most_bytes() - self._bytes(groups[0])
+        if room >= 0:
+            yield from groups[0]
+        for path in groups[1] if len(groups) > 1 else ():
+            room -= self._bytes([path])
             if room >= 0:
                 yield path
+
+    def _bytes(self, group: Sequence[Path]) -> int:
+        return sum(self._sizes.get(path, 0) for path in group)
 
 
 def _bring(path: Path) -> None:

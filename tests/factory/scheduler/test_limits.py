@@ -14,7 +14,7 @@ import yaml
 
 from simnfnd.factory.cli import guard
 from simnfnd.factory.scheduler.settings import Crew, SchedulerSettings
-from simnfnd.factory.scheduler.workers import limits
+from simnfnd.factory.scheduler.workers import machine
 from tests.project_files import ROOT
 
 CODE = """
@@ -80,10 +80,10 @@ def test_a_limit_on_memory_counts(monkeypatch: pytest.MonkeyPatch) -> None:
         return (space, space) if which == resource.RLIMIT_AS else (-1, -1)
 
     monkeypatch.setattr(resource, "getrlimit", limit)
-    fitting, words = limits.workers_that_fit(48)
+    fitting, words = machine.workers_that_fit(48)
     assert 4 < fitting < 30
     assert words == f"ulimit -v is {space // 1024}"
-    assert limits.workers_that_fit(0) == (0, "")
+    assert machine.workers_that_fit(0) == (0, "")
 
 
 @pytest.mark.parametrize("which", ["n", "v"])

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.scheduler.attempt import AttemptState
-from simnfnd.factory.scheduler.pending import PendingShard
+from simnfnd.factory.scheduler.pending import AttemptState, PendingShard
 from simnfnd.factory.scheduler.plan import plan_shards
 from simnfnd.factory.scheduler.settings import MAX_AUTO_WORKERS, Crew, SchedulerSettings
 from simnfnd.factory.settings import build
