@@ -1,8 +1,7 @@
-"""What is in a dataset or in one of its files: for `simnfnd inspect`, in words and as a figure."""
+"""What is in a dataset or in one of its files: for `simnfnd inspect`."""
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,15 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ...errors import FactoryError
-from ...files import write_atomically
 from ..format.manifest import INDEX_NAME
 from ..read.image_stack import ImageStack
 from ..read.reader import check_in_isolation, reading
 from ..read.source import Source, open_shards, open_source, read_image
-from .preview import AMBER, BACKGROUND, BLUE, FAINT, LINE, PANEL, TEXT
 from .quality import psnr_db, ssim
-
-_WIDE, _DPI = 4, 120
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,43 +116,3 @@ def _quality(source: Source, pairs: int) -> tuple[npt.NDArray[Any], npt.NDArray[
                 similarity.append(ssim(clean, noisy))
         first += samples
     return np.asarray(psnr), np.asarray(similarity)
-
-
-def draw(found: DatasetSummary, path: Path) -> Path:
-    """Write a PNG of histograms: PSNR, SSIM, then every column whose values vary."""
-    # A second to import, and only needed here.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import MaxNLocator
-
-    panels = {"PSNR, dB": found.psnr_db, "SSIM": found.ssim}
-    for column in found.source.columns:
-        if np.dtype(column.dtype).kind == "S":
-            continue
-        values = found.numbers(column.name)
-        if values.size and np.ptp(values) > 0:
-            unit = "" if column.units in ("", "1") else f", {column.units}"
-            panels[f"{column.name}{unit}"] = values
-    tall = -(-len(panels) // _WIDE)
-    figure = Figure(figsize=(3.1 * _WIDE, 1.9 * tall + 0.6), facecolor=BACKGROUND)
-    FigureCanvasAgg(figure)
-    counts = ", ".join(f"{count} {split}" for split, count in found.source.splits.items())
-    title = f"{counts} pairs   config {found.source.config_hash[:8]}"
-    figure.suptitle(title, x=0.01, ha="left", color=TEXT, fontsize=12, weight="bold")
-    for number, (name, values) in enumerate(panels.items(), start=1):
-        axes = figure.add_subplot(tall, _WIDE, number, facecolor=PANEL)
-        axes.set_title(name, color=TEXT, fontsize=8, loc="left", pad=3)
-        values = values[np.isfinite(values)]
-        if values.size:
-            colour = AMBER if number <= 2 else BLUE
-            axes.hist(values, bins="auto" if values.size < 1000 else 30, color=colour, rwidth=0.92)
-            axes.axvline(float(values.mean()), color=TEXT, linewidth=0.8, linestyle=":")
-        axes.yaxis.set_major_locator(MaxNLocator(4, integer=True))
-        axes.tick_params(colors=FAINT, labelsize=6.5, length=2)
-        for spine in axes.spines.values():
-            spine.set_color(LINE)
-    figure.tight_layout(pad=0.7, rect=(0, 0, 1, 0.985))
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
-    write_atomically(path, buffer.getvalue())
-    return path
