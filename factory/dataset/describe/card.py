@@ -10,11 +10,9 @@ from pathlib import Path
 import yaml
 
 from ...files import write_atomically
-from ..format.layout import optional_layers
 from ..format.manifest import Manifest
 from ..format.schema import SCHEMA, SPLITS, Provenance, plain_values
 from ..format.settings import DatasetSettings
-from ..read.reader import reading
 from ..read.source import Source, manifest_source
 from ..write.failures import FAILURES_NAME, Failure
 from ..write.folder import CARD_NAME, PREVIEW_NAME
@@ -77,10 +75,6 @@ simulated.
 ## What is in it
 
 {table(("split", "location", "scene", "pairs"), scenes, "l")}
-
-## Pictures
-
-{_pictures(source.shards[0][1])}
 
 ## Settings
 
@@ -153,17 +147,6 @@ def _facts(
         *([f"frames that failed: {len(failures)}, reasons in {FAILURES_NAME}"] if failures else []),
     ]
     return "".join(f"- {line}\n" for line in lines)
-
-
-def _pictures(shard: Path) -> str:
-    """The stacks of a shard, as it describes them itself."""
-    rows: list[tuple[str, ...]] = []
-    with reading(shard) as file:
-        for name in ("noisy", "clean", "shadow", *optional_layers(file)):
-            units, meaning = (str(file[name].attrs[key]) for key in ("units", "description"))
-            kind = str(file[name].dtype)
-            rows.append((f"`/{name}`", kind, "" if units == "1" else units, meaning))
-    return table(("name", "type", "unit", "what it is"), rows, "l")
 
 
 def _reading(source: Source) -> str:

@@ -21,7 +21,6 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from typing import Any, TypeVar
@@ -165,7 +164,8 @@ class _Slot:
         return not self._thread.is_alive()
 
     def _serve(self) -> None:
-        _hold_interrupts()
+        # Only the main thread answers Ctrl-C, and no process that this one starts.
+        template.hold_interrupts()
         while (task := self._tasks.get()) is not None:
             try:
                 if self._stopped:
@@ -294,17 +294,6 @@ _children: weakref.WeakSet[_Child] = weakref.WeakSet()
 def _kill_children() -> None:
     for child in list(_children):
         child.kill()
-
-
-def _hold_interrupts() -> None:
-    """Keep Ctrl-C from this thread and the processes that it starts: only the main one answers it.
-
-    It goes to the whole process group of a terminal.
-    """
-    if hasattr(signal, "pthread_sigmask"):
-        # Its start would lift the hold, so it has to run before.
-        resource_tracker.ensure_running()
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 
 def _work(connection: Connection, environment: dict[str, str]) -> None:

@@ -63,18 +63,22 @@ def start(modules: tuple[str, ...], threads: int = 1) -> None:
     """
     if not modules or not sys.platform.startswith("linux"):
         return
-    with _template.lock, thread_variables(threads), _interrupts_held():
+    with _template.lock:
         if runs():
             return
+        saved, held = tell(threads), hold_interrupts()
         forkserver.set_forkserver_preload(list(modules))
         # Its socket lies there: it removes the folder when we were killed and cannot.
         os.environ[FOLDER_VARIABLE] = util.get_temp_dir()
-        # In a process that is itself a fork, it is another's.
-        with suppress(ChildProcessError):
+        try:
             forkserver.ensure_running()
             _template.owner, _template.threads = os.getpid(), _threads_told()
             _template.modules = modules
-        del os.environ[FOLDER_VARIABLE]
+        except ChildProcessError:
+            pass  # in a process that is itself a fork, it is another's
+        finally:
+            restore({**saved, FOLDER_VARIABLE: None})
+            signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
 
 def started(
@@ -163,16 +167,6 @@ def kill() -> None:
         server._stop()
 
 
-@contextmanager
-def thread_variables(threads: int) -> Iterator[None]:
-    """Within the block, libraries of processes that are started use so many threads."""
-    saved = tell(threads)
-    try:
-        yield
-    finally:
-        restore(saved)
-
-
 def tell(threads: int) -> dict[str, str | None]:
     """Let libraries of processes started from now on use so many threads; what `restore` takes."""
     saved = _threads_told()
@@ -193,13 +187,11 @@ def _threads_told() -> dict[str, str | None]:
     return {name: os.environ.get(name) for name in THREAD_VARIABLES}
 
 
-@contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Ctrl-C goes to the whole process group of a terminal; only the main process answers it."""
+def hold_interrupts() -> set[int]:
+    """Keep Ctrl-C, which goes to the whole process group of a terminal, from this thread.
+
+    And from what it starts.  Returns the signals that were held before.
+    """
     # Its start would lift the hold, so it has to run before.
     resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return set(signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}))
