@@ -81,7 +81,9 @@ class DaskBackend:
             if address is None:
                 self._cluster = _start_cluster(distributed, settings, self._restricted)
                 address = self._cluster.scheduler_address
-            self._client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
+            self._client = self._distributed.Client(
+                address, timeout=_CONNECT_S, set_as_default=False
+            )
             self._client.subscribe_topic(self._topic, self._heard)
             if self._cluster is not None:
                 self._client.wait_for_workers(settings.total, timeout=_START_S)
