@@ -22,9 +22,7 @@ from simnfnd.factory.dataset.read import reader
 from simnfnd.factory.dataset.read.image_stack import ImageStack
 from simnfnd.factory.dataset.read.reader import check_readable
 from simnfnd.factory.dataset.write.writer import (
-    deflate,
     fletcher32,
-    write_gzip_chunk,
     write_shard,
 )
 from simnfnd.factory.errors import FactoryError
@@ -157,14 +155,6 @@ def test_a_hash_is_compared_when_it_is_asked_for(
             action(pairs)
 
 
-def test_without_a_manifest_there_is_no_hash(folder: Path) -> None:
-    (folder / "manifest.json").unlink()
-    with pytest.raises(FactoryError, match=r"verify='hash' needs manifest\.json"):
-        PairDataset(folder, verify="hash")
-    with pytest.raises(FactoryError, match="verify='all': checksums or hash"):
-        PairDataset(folder, verify="all")  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize("compression", ["gzip", "lzf", "zstd", "none"])
 def test_pictures_that_no_filter_makes_smaller(tmp_path: Path, compression: str) -> None:
     """LZF then leaves a chunk as it is and says so in its filter mask."""
@@ -292,21 +282,6 @@ def test_a_chunk_that_is_too_short_is_no_picture(tmp_path: Path, size: int, chec
             images[1]
 
 
-@pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_pictures_are_those_that_h5py_reads(tmp_path: Path, compression: str) -> None:
-    if compression == "zstd":
-        pytest.importorskip("hdf5plugin")
-    with h5py.File(shard(tmp_path, compression)) as file:
-        for name in STACKS:
-            stack = ImageStack(file[name])
-            for row in (0, -1, np.int64(2)):
-                np.testing.assert_array_equal(stack[row], file[name][row])  # type: ignore[index]
-                assert stack[row].dtype == file[name].dtype  # type: ignore[index]
-                assert stack[row].flags.writeable  # type: ignore[index]
-            with pytest.raises(IndexError):
-                stack[4]
-
-
 def chunked(file: h5py.File, name: str) -> None:
     values = file[name][()]
     attributes = dict(file[name].attrs)
@@ -322,55 +297,3 @@ def test_a_table_in_chunks_is_refused(tmp_path: Path) -> None:
             chunked(file, name)
             with pytest.raises(FactoryError, match=f"/{name}: the schema keeps it in one piece"):
                 check_shard(file)
-
-
-@pytest.mark.parametrize("level", [0, 1, 9])
-@pytest.mark.parametrize("dtype", ["uint8", "float32"])
-def test_hdf5_reads_what_it_did_not_compress_and_sees_damage(
-    tmp_path: Path, level: int, dtype: str
-) -> None:
-    rng = np.random.default_rng(level)
-    images = (rng.random((3, 37, 53)) * 9 > 4).astype(dtype)
-    images[1] = 0
-    path = tmp_path / "stack.h5"
-
-    def make(chunked: bool) -> None:
-        with h5py.File(path, "w") as file:
-            stack = file.create_dataset(
-                "noisy",
-                shape=images.shape,
-                dtype=dtype,
-                chunks=(1, 37, 53),
-                compression="gzip",
-                compression_opts=level,
-                fletcher32=True,
-            )
-            for number, image in enumerate(images):
-                if chunked:
-                    write_gzip_chunk(stack, number, image, level)
-                else:
-                    stack[number] = image
-
-    make(chunked=False)
-    with h5py.File(path) as file:
-        size = file["noisy"].id.get_storage_size()
-    make(chunked=True)
-    with h5py.File(path) as file:
-        stack = file["noisy"]
-        np.testing.assert_array_equal(stack[()], images)
-        assert stack.id.get_storage_size() < 1.1 * size + 100
-        start = stack.id.get_chunk_info(2).byte_offset
-    content = bytearray(path.read_bytes())
-    content[start + 20] ^= 8
-    path.write_bytes(content)
-    with h5py.File(path) as file, pytest.raises(OSError, match="filter"):
-        file["noisy"][2]
-
-
-def test_deflated_bytes_are_the_same_every_time_and_small() -> None:
-    rng = np.random.default_rng(0)
-    picture = (rng.random((256, 256)) ** 8 * 255).astype(np.uint8)
-    first = deflate(picture, 1)
-    assert first == deflate(picture.copy(), 1)
-    assert zlib.decompress(first) == picture.tobytes()
-    assert len(first) < 1.05 * len(zlib.compress(picture.tobytes(), 1))

@@ -6,7 +6,6 @@ import hashlib
 import json
 import shutil
 import tarfile
-from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -16,7 +15,7 @@ from simnfnd.command import main
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.format.axes import echo_names, image_axes
 from simnfnd.factory.dataset.format.layout import optional_layers
-from simnfnd.factory.dataset.format.manifest import ShardInfo, load_manifest, save_manifest
+from simnfnd.factory.dataset.format.manifest import ShardInfo, load_manifest
 from simnfnd.factory.dataset.format.schema import Column, Pair, Provenance
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.read.reader import Split, reading
@@ -151,17 +150,3 @@ def test_verbs_take_it(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture
     for to, word in (("png", "4 samples"), ("coco", "4 pictures"), ("webdataset", "4 samples")):
         main(["export", str(folder), "--to", to, "--out", str(tmp_path / to)])
         assert word in capsys.readouterr().out.replace("2 train samples and 2 test", "4")
-
-
-def test_its_halves_merge_to_the_same_shards(made: Path, tmp_path: Path) -> None:
-    manifest = load_manifest(made / "points")
-    assert manifest is not None
-    for split in ("train", "test"):
-        half = Path(shutil.copytree(made / "points", tmp_path / split))
-        shards = {path: s for path, s in manifest.shards.items() if s.split == split}
-        save_manifest(half, replace(manifest, shards=shards))
-    out = tmp_path / "merged"
-    main(["merge", str(tmp_path / "train"), str(tmp_path / "test"), "--out", str(out)])
-    for split, expected in POINTS.items():
-        assert digests(out, split, list(expected)) == expected  # type: ignore[arg-type]
-    assert validate(out, deep=True).errors == ()

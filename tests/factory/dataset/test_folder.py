@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import resource
 import subprocess
@@ -27,7 +26,6 @@ from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.read.source import SampleName
 from simnfnd.factory.dataset.write.failures import (
     Failure,
-    save_failures,
 )
 from simnfnd.factory.dataset.write.folder import open_folder
 from simnfnd.factory.errors import FactoryError
@@ -39,10 +37,9 @@ from simnfnd.factory.files import (
     whole_folder,
     write_atomically,
 )
-from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.ownership import space
 from tests.factory.dataset.some_shards import PROVENANCE, dataset, write
-from tests.fake_source import refs, rerun
+from tests.fake_source import refs
 
 # --- files and disks --------------------------------------------------------------------------
 
@@ -136,21 +133,6 @@ def test_a_folder_is_whole_or_absent(tmp_path: Path) -> None:
 
 
 # --- failures, folder -------------------------------------------------------------------------
-
-
-def test_failures_tell_frame_reason_and_command_in_order(tmp_path: Path) -> None:
-    failures = [
-        Failure(
-            FrameRef("reef", "beta", "2"), "crash", "reef/beta/2: died", "train/shard-00001.h5"
-        ),
-        Failure(FrameRef("reef", "beta", "1"), "frame", "reef/beta/1: NaN", "train/shard-00001.h5"),
-        Failure(FrameRef("", "alpha", "9"), "timeout", "alpha/9: slow", "train/shard-00000.h5"),
-    ]
-    save_failures(tmp_path, failures, rerun)
-    lines = [json.loads(line) for line in (tmp_path / "failed.jsonl").read_text().splitlines()]
-    assert [line["frame"] for line in lines] == ["alpha/9", "reef/beta/1", "reef/beta/2"]
-    assert lines[1]["reason"] == "reef/beta/1: NaN"
-    assert lines[1]["command"] == "simnfnd make frames.only=[reef/beta/1]"
 
 
 def test_a_folder_of_the_same_dataset_is_taken_up(tmp_path: Path) -> None:
@@ -262,14 +244,6 @@ def test_the_contact_sheet_shows_the_pixels_of_the_shards(tmp_path: Path) -> Non
     amber = (image[..., 0] > image[..., 2] + 60).mean()
     assert 0.005 < blue < 0.2
     assert 0.05 < amber < 0.6
-
-
-def test_a_preview_of_nothing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FactoryError, match=r"no manifest\.json"):
-        preview(tmp_path)
-    open_folder(tmp_path / "empty", {}, PROVENANCE)
-    with pytest.raises(FactoryError, match="no samples"):
-        preview(tmp_path / "empty")
 
 
 @given(sizes=st.lists(st.integers(1, 9), min_size=1, max_size=12), count=st.integers(1, 20))

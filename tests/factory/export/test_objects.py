@@ -84,21 +84,6 @@ def test_coco_is_what_pycocotools_reads(labelled: Path, tmp_path: Path) -> None:
                 assert one["area"] == mask.sum()
 
 
-def test_pycocotools_scores_the_truth_as_perfect(labelled: Path, tmp_path: Path) -> None:
-    from pycocotools.coco import COCO
-    from pycocotools.cocoeval import COCOeval
-
-    export(labelled, "coco", tmp_path / "out", "train")
-    coco = COCO(str(tmp_path / "out/annotations/instances_train.json"))
-    found = [{**one, "score": 1.0} for one in coco.dataset["annotations"]]
-    for kind in ("bbox", "segm"):
-        score = COCOeval(coco, coco.loadRes(found), kind)
-        score.evaluate()
-        score.accumulate()
-        score.summarize()
-        assert score.stats[0] == pytest.approx(1.0)
-
-
 def test_yolo_lines_are_the_objects(labelled: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     export(labelled, "yolo", out)
@@ -135,12 +120,6 @@ def covered(corners: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     return np.asarray(tool.decode(coded)[..., 0], bool)
 
 
-def test_a_single_split_both_trains_and_validates(labelled: Path, tmp_path: Path) -> None:
-    export(labelled, "yolo", tmp_path / "out", "test")
-    data = yaml.safe_load((tmp_path / "out/data.yaml").read_text())
-    assert data["train"] == data["val"] == "images/test"
-
-
 @pytest.mark.parametrize("density", [0.1, 0.5, 0.9])
 def test_run_lengths_and_outlines_lose_no_pixel(density: float) -> None:
     from pycocotools import mask as tool
@@ -156,13 +135,6 @@ def test_run_lengths_and_outlines_lose_no_pixel(density: float) -> None:
         filled = np.logical_or.reduce(rings, initial=False)
         holes_filled = ndimage.binary_fill_holes(mask)
         np.testing.assert_array_equal(np.broadcast_to(filled, mask.shape), holes_filled)
-
-
-def test_straight_edges_need_their_ends_alone() -> None:
-    mask = np.zeros((9, 9), bool)
-    mask[2:5, 3:8] = True
-    (ring,) = outlines(mask)
-    assert sorted(map(tuple, ring.tolist())) == [(3, 2), (3, 5), (8, 2), (8, 5)]
 
 
 def test_labels_that_name_no_class_are_refused(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import threading
@@ -13,7 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from simnfnd.factory.dataset import PairDataset
@@ -25,7 +23,7 @@ from simnfnd.factory.dataset.read.stream import Windows
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.storage.copies import fetched, local_folder
+from simnfnd.factory.storage.copies import local_folder
 from simnfnd.factory.storage.store import Store
 from tests.factory.dataset.hostile import PROVENANCE
 from tests.fake_source import FakeConfig, FakeSource, refs
@@ -193,22 +191,6 @@ def test_the_first_window_of_a_training_is_fetched_ahead(
     assert places[again] in brought, "of the new round, and not of the one before"
 
 
-def test_a_round_that_goes_on_in_the_middle_is_fetched_ahead(
-    url: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    brought: list[Path] = []
-    monkeypatch.setattr(stream, "bring", lambda path, wait: brought.append(path))
-    with PairDataset(url) as pairs:
-        places = [pairs.place(index)[0] for index in range(len(pairs))]
-    windows = Windows(places, WINDOW)
-    order = windows.order(np.random.default_rng(5))
-    middle = 3 * WINDOW * PAIRS + 1
-    windows.reach(middle)
-    finish(windows)
-    following = order[3 * WINDOW * PAIRS : 5 * WINDOW * PAIRS]
-    assert set(brought) == {places[index] for index in following}
-
-
 def test_threads_that_want_one_shard_fetch_it_once(url: str, asked: Asked) -> None:
     path = local_folder(url) / "train/shard-00007.h5"
     threads = [threading.Thread(target=bring, args=(path,)) for _ in range(8)]
@@ -252,11 +234,3 @@ def test_a_limit_that_is_no_number_is_one_line(url: str, monkeypatch: pytest.Mon
         pytest.raises(FactoryError, match="SIMNFND_CLOUD_CACHE_BYTES=10 GB: must be a whole"),
     ):
         pairs[0]
-
-
-def test_a_shard_that_waited_for_its_look_is_not_the_first_to_go(url: str) -> None:
-    folder = local_folder(url)
-    first, second = (folder / f"train/shard-{number:05d}.h5" for number in range(2))
-    bring(first)
-    fetched(second, look=lambda aside: os.utime(aside, ns=(0, aside.stat().st_mtime_ns)))
-    assert first.stat().st_atime_ns < second.stat().st_atime_ns

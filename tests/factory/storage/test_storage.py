@@ -270,15 +270,6 @@ def test_shuffled_samples_come_once_by_windows_of_shards(bucket: str, local: Pat
     assert found == orders[0]
 
 
-def test_the_table_of_a_url_is_that_of_a_folder(bucket: str, local: Path) -> None:
-    url = f"{bucket}/table"
-    make(folder_of(url))
-    shutil.rmtree(folder_of(url))
-    with PairDataset(url) as distant, PairDataset(local) as near:
-        np.testing.assert_array_equal(distant.meta(), near.meta())
-        assert len(list(distant.folder.glob("train/*.h5"))) == len(distant.paths) > 1
-
-
 @pytest.mark.parametrize("verb", ["status", "merge", "view"])
 def test_verbs_that_need_files_say_so(verb: str) -> None:
     module, name = VERBS[verb].target.split(":")

@@ -114,23 +114,6 @@ def test_a_worker_that_dies_idle_or_cannot_send_its_answer_is_no_end() -> None:
         workers.stop()
 
 
-def test_tasks_may_be_added_between_results() -> None:
-    waiting, done = deque(["a"]), []
-    with TaskPool(1) as pool:
-        for name, outcome in pool.run(task, waiting, lambda _: 60.0):
-            assert outcome == (name, os.getpid()), "one worker is this process"
-            done.append(name)
-            if name == "a":
-                waiting.append("b")
-    assert done == ["a", "b"]
-
-
-def test_what_a_task_raises_is_raised_here_and_the_workers_stop() -> None:
-    with pytest.raises(ZeroDivisionError), TaskPool(2) as pool:
-        list(pool.run(task, deque(["fail"]), lambda _: 60.0))
-    assert not children()
-
-
 @pytest.mark.parametrize("backend", ["local", "dask"])
 def test_a_pool_that_takes_others_tasks_prefers_its_own(backend: BackendName) -> None:
     with workers_of(WorkerSettings((HEAVY, LIGHT), backend)) as workers:
