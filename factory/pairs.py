@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from .dataset.format.echoes import EchoList
 from .dataset.format.schema import Axis, Column, Pair
 from .errors import FrameError
 from .frame import Frame, FrameRef
@@ -51,8 +50,7 @@ class ObservedFrame:
 
     window: range and azimuth limits of the picture.  has_pose: whether the frame's is known.
     shadow: (H, W) bool picture.  layers: (H, W) pictures of what lies behind each pixel, by the
-    names of `dataset.layers`.  columns: what `dataset.columns` asks for.  echoes: all of them,
-    where they are asked for.
+    names of `dataset.layers`.  columns: what `dataset.columns` asks for.
     """
 
     ref: FrameRef
@@ -62,7 +60,6 @@ class ObservedFrame:
     shadow: npt.NDArray[np.bool_]
     layers: Mapping[str, npt.NDArray[np.generic]]
     columns: Mapping[str, float]
-    echoes: EchoList | None = None
 
 
 class PairMaker:
@@ -151,9 +148,6 @@ def observe(
         lay_out_nearest(shadow, window, sonar),
         {name: lay_out_nearest(picture, window, sonar) for name, picture in behind.items()},
         requested_row(frame, config),
-        EchoList((sonar.range_bins, sonar.beams), truth.every_echo(lit))
-        if "echoes" in config.dataset.layers
-        else None,
     )
 
 
@@ -253,5 +247,4 @@ def make_pair(
         | ({} if device is None else device.row())
         | dict(observed.columns),
         layers=layers,
-        echoes=observed.echoes,
     )

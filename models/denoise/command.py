@@ -16,7 +16,7 @@ from ...factory.errors import FactoryError, FrameError
 from ...factory.files import check_writable
 from ...factory.imaging.contract import ARTEFACTS
 from ...factory.progress import progress_bar
-from ...factory.scheduler.workers.memory import keep_freed_memory
+from ...factory.scheduler.workers.machine import keep_freed_memory
 from ..pretrained import POINTS, REMOVAL
 from ..recordings import Levels, open_recording
 from ..removal import DEFAULT

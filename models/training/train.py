@@ -32,7 +32,7 @@ from ..data.recordings import WithRecordings, digest_of, frames_with_geometry
 from ..data.sources import Data, open_data
 from ..networks.weights import load_weights
 from ..pretrained import find_weights
-from ..settings import DataSettings, ModelsSettings, RendersData
+from ..settings import ModelsSettings, RendersData
 from .beginning import build_module
 from .loop import Loop
 from .module import DenoisingModule, Row
@@ -217,7 +217,7 @@ def _loaders(
         chosen.steps // chosen.check_every,
         chosen.check_every,
         settings.seed,
-        windows_of(data.learning, _unread(kind, workers)),
+        windows_of(data.learning),
     )
     return (
         DataLoader(crops, batch_sampler=visits, collate_fn=concatenate, **shared),
@@ -230,12 +230,6 @@ def _loaders(
 def _leave_ctrl_c(_: int) -> None:
     """A reading process goes on until the training has kept its checkpoint."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _unread(kind: DataSettings, workers: int) -> int:
-    """Visits that loading processes may have before them: two batches each, as torch has it."""
-    batch = max(kind.batch, *(stage.batch for stage in kind.stages), kind.crops)
-    return 2 * workers * batch // kind.crops
 
 
 def _drawn_extras(module: DenoisingModule) -> tuple[str, ...]:

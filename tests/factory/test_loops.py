@@ -24,7 +24,7 @@ from simnfnd.factory.frame import Frame
 from simnfnd.factory.imaging import resample
 from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.render.kernels import box_mean
-from simnfnd.factory.scheduler.workers.memory import keep_freed_memory
+from simnfnd.factory.scheduler.workers.machine import keep_freed_memory
 from simnfnd.factory.settings import build
 from simnfnd.factory.sonar import polar, surface, transfer
 from simnfnd.factory.sonar.echoes import Echoes, from_xyz, join

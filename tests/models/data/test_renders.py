@@ -222,7 +222,7 @@ def test_renders_that_are_not_there(rendered: tuple[Path, Path], tmp_path: Path)
     source, _ = renders(rendered, factory=("noise.background.density=0.5",))
     assert source.config.noise.background.density.values == (0.5,)
     # What needs more than the renders, and is no part of a pair.
-    source, _ = renders(rendered, factory=("dataset.layers=[range,rgb,depth,echoes]",))
+    source, _ = renders(rendered, factory=("dataset.layers=[range,rgb,depth]",))
     assert source.config.dataset.layers == ()
     (dataset / "config.yaml").rename(tmp_path / "config.yaml")
     try:
