@@ -282,8 +282,6 @@ def _is_half(precision: str, device: str) -> bool:
     """Whether to compute in bfloat16."""
     if precision == EXACT:
         return False
-    from ..training.precision import cpu_has_bf16, gpu_has_bf16
+    from ..training.precision import has_bf16
 
-    if precision == "auto":
-        return cpu_has_bf16() if device == "cpu" else gpu_has_bf16()
-    return True
+    return precision != "auto" or has_bf16(device)

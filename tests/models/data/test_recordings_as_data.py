@@ -12,7 +12,6 @@ from simnfnd.evaluation.real.shots import open_input
 from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.models.data.images import list_images, read_sample, smallest_side
 from simnfnd.models.data.olddata import OldDataSource
-from simnfnd.models.data.recordings import digest_of
 from simnfnd.models.data.sources import open_data
 from tests.models.data.data_settings import composed
 from tests.models.recordings.array_files import write_array
@@ -44,7 +43,6 @@ def test_an_array_is_named(tmp_path: Path) -> None:
     assert [sample.frame for sample in found] == [f"a.npz::frames#{n}" for n in range(9)]
     picture, _ = read_sample(found[5])
     np.testing.assert_allclose(picture, pictures[5] / 255, atol=1e-6)
-    assert digest_of(found) == digest_of(list_images(f"{path}::other"))  # that of the file
     words = ("data=olddata", f"data.folder='{path}::frames'", "data.patch=16")
     assert len(open_data(composed(*words)[0]).validation) > 0
     stretches, _ = open_input(f"{path}::frames", 100)
