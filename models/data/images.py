@@ -18,7 +18,6 @@ from ..recordings import (
     kind_of,
     open_recording,
 )
-from ..recordings.arrays import file_of
 from ..recordings.fan.finder import find_geometry
 from ..recordings.fan.pings import frame_picture
 from ..recordings.pictures import read_grey, read_picture
@@ -98,6 +97,6 @@ def frame_of(ref: SampleRef) -> Sample:
 
 def digest_of(samples: Sequence[SampleRef]) -> str:
     """Changes with the names and the content of image files, not with where they lie."""
-    hashes = {path: sha256_of(file_of(path)) for path in {sample.path for sample in samples}}
+    hashes = {path: sha256_of(path) for path in {sample.path for sample in samples}}
     found = [(sample.scene, sample.frame, hashes[sample.path]) for sample in samples]
     return hashlib.blake2b(repr(found).encode(), digest_size=8).hexdigest()
