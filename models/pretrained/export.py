@@ -135,7 +135,7 @@ def export(weights: str | Path, out: Path, figures: str = "", limits: str = "") 
     """
     import torch  # slow; mistakes on the command line are reported before
 
-    from ..networks.cost import count_macs
+    from ..networks.network import count_macs
     from ..networks.weights import load_weights, save_weights
 
     trained = load_weights(weights)

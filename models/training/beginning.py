@@ -10,8 +10,7 @@ from ...factory.errors import FactoryError
 from ..losses import build_loss
 from ..networks import build_network
 from ..networks.lines import LineContext
-from ..networks.network import Network
-from ..networks.unet import ResidualBlock
+from ..networks.network import Network, ResidualBlock
 from ..networks.weights import load_weights
 from ..pretrained import find_weights
 from ..settings import ModelsSettings
