@@ -45,8 +45,7 @@ def main(arguments: Sequence[str]) -> int:
         "inputs",
         nargs="*",
         metavar="IN",
-        help="image, folder, shard, video, .aris, .ddf, .raw, bag, array (.npy; of .npz, .mat and "
-        "HDF5 also FILE::NAME)",
+        help="image, folder, shard, video, .aris, .ddf, .raw, bag or array (.npy, .npz, .mat)",
     )
     parser.add_argument("--out", required=True, help="folder for the results; names are kept")
     parser.add_argument(
