@@ -12,7 +12,7 @@ import yaml
 from ...factory.config import plain
 from ...factory.files import explain_os_errors, write_atomically
 from ..realism.report import number, times
-from ..report.text import as_markdown, as_table
+from ..report.tables import as_markdown, as_table
 from .search import Result, score
 from .settings import FitSettings
 

@@ -15,10 +15,9 @@ from ...factory.errors import FactoryError
 from ...factory.files import explain_os_errors
 from ...factory.progress import progress_bar
 from ...factory.seeds import spawn_key
-from ..realism.compare import Comparison, compare, overall
-from ..realism.distances import STATISTICS, Statistic
+from ..realism.compare import STATISTICS, Comparison, Statistic, compare, overall
 from ..realism.measure import Measured, measure
-from ..realism.real import open_real
+from ..realism.pictures import open_real
 from .settings import FitSettings, Parameter
 from .simulate import Simulation
 
@@ -158,8 +157,6 @@ def _study(settings: FitSettings) -> optuna.Study:
     values = TypeAdapter(FitSettings).dump_python(settings, mode="json")
     # More trials continue the same search, wherever it is kept.
     identity = {k: v for k, v in values.items() if k not in ("trials", "out", "name", "debug")}
-    if settings.method == "tpe":
-        identity.pop("method")  # as before there was another
     text = json.dumps(identity, sort_keys=True)
     digest = hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
     with explain_os_errors(folder, "out"):
@@ -182,10 +179,6 @@ def _sampler(settings: FitSettings, number: int) -> optuna.samplers.BaseSampler:
     import optuna
 
     seed = spawn_key(settings.seed, "fit", number)[0]
-    if settings.method == "climb":
-        from .climb import Climb  # loads optuna
-
-        return Climb(seed)
     if number < settings.startup:
         return optuna.samplers.RandomSampler(seed=seed)
     return optuna.samplers.TPESampler(

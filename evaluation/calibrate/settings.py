@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import field
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from ...factory.settings import STRICT
-from ..realism.polar import Grid
+from ..settings import Grid
 
 # What decides the renders, the frames or where things lie: not for a search over noise.
 _FIXED = (
@@ -82,7 +82,6 @@ class FitSettings:
     grid: Grid = field(default_factory=Grid)
     trials: Annotated[int, Field(ge=1)] = 200
     startup: Annotated[int, Field(ge=1)] = 40
-    method: Literal["tpe", "climb"] = "tpe"
     resamples: Annotated[int, Field(ge=2)] = 12
     statistics: tuple[str, ...] | None = None
     seed: Annotated[int, Field(ge=0)] = 0

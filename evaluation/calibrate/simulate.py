@@ -17,7 +17,8 @@ from ...factory.render.cache.views import open_views
 from ...factory.render.view import View
 from ...factory.sonar.geometry import FanGeometry
 from ..realism.measure import Measured, joined, measure_picture
-from ..realism.polar import Grid, to_polar
+from ..realism.pictures import to_polar
+from ..settings import Grid
 
 
 class Simulation:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import itertools
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -70,17 +69,6 @@ class Baseline:
     def uses_geometry(self) -> bool:
         """Whether it can use where range and bearing are."""
         return "geometry" in self._arguments()
-
-    def program(self) -> str:
-        """The source of the method: of its module and of those here that it takes things from."""
-        own = sys.modules[self.function.__module__]
-        package = __name__.rpartition(".")[0]
-        names = {getattr(thing, "__module__", None) or "" for thing in vars(own).values()}
-        others = sorted(name for name in names if name.startswith(f"{package}."))
-        return "".join(
-            inspect.getsource(sys.modules[name])
-            for name in [own.__name__, *(name for name in others if name != own.__name__)]
-        )
 
     def points(self) -> list[Parameters]:
         """Every combination of the grid, completed by the defaults."""

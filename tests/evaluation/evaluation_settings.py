@@ -27,7 +27,6 @@ _DEFAULTS: dict[str, Any] = {
     "device": "cpu",
     "texture": False,
     "robustness": [],
-    "real": [],
     "page": {"examples": 2, "methods": 4},
     "debug": False,
 }

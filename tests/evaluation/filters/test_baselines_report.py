@@ -18,15 +18,14 @@ from simnfnd.command import main
 from simnfnd.evaluation import tuning
 from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.filters.base import Baseline
-from simnfnd.evaluation.methods.method import baselines_of, methods_of
+from simnfnd.evaluation.methods import baselines_of, methods_of
 from simnfnd.evaluation.metrics.fidelity import gmsd, psnr
-from simnfnd.evaluation.metrics.levels import fit_levels
+from simnfnd.evaluation.metrics.measure import fit_levels
 from simnfnd.evaluation.metrics.statistics import estimate, paired
 from simnfnd.evaluation.pairs import items_of, picture
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.report.content import Row
-from simnfnd.evaluation.report.measure import measured_rows
-from simnfnd.evaluation.runner import FigureStore
+from simnfnd.evaluation.report.measure import Row, measured_rows
+from simnfnd.evaluation.store import FigureStore
 from simnfnd.factory.dataset.format.schema import Pair
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
