@@ -166,8 +166,6 @@ def _entry(baseline: Baseline, points: list[Point]) -> dict[str, Any]:
         "default": asdict(points[0]),
         "tuned": asdict(plain),
         "tuned_levels": asdict(level),
-        "at_edge": baseline.edges(plain.parameters),
-        "at_edge_levels": baseline.edges(level.parameters),
         "points": [asdict(point) for point in points],
     }
 
@@ -199,11 +197,8 @@ def _line(name: str, known: dict[str, Any], lost: dict[str, str]) -> str:
         return f"{name}: lost ({lost[name]})"
     entry = known[name]
     best, levels = entry["tuned"], entry["tuned_levels"]
-    text = (
+    return (
         f"{name}: {entry['default']['psnr']:.2f} dB by default, {best['psnr']:.2f} tuned"
         f"{shown(best['parameters'])}, {levels['psnr_levels']:.2f} with levels"
         f"{shown(levels['parameters'])}"
     )
-    edges = sorted({*entry["at_edge"], *entry["at_edge_levels"]})
-    warning = f"; warning: the optimum is at the edge of the grid in {', '.join(edges)}"
-    return text + (warning if edges else "")

@@ -23,17 +23,6 @@ Number = int | float
 Parameters = dict[str, Number]
 
 
-_NOTHING_BEYOND: dict[str, tuple[Number, ...]] = {
-    "size": (2, 3),  # a window of one pixel is no filter
-    "iterations": (1,),
-    "levels": (1, 8),  # the eighth averages 256 pixels, a whole picture
-    "memory": (1.0,),
-    "sigma_px": (0.2,),  # a Gaussian so narrow is a single pixel
-    "strength": (1000.0,),  # nothing is above such a threshold
-    "sigma_gray": (100.0,),  # all grey values count alike: the Gaussian blur
-}
-
-
 class BaselineError(FactoryError, ValueError):
     """A method gave something that is no picture, or got parameters that it does not have."""
 
@@ -74,19 +63,6 @@ class Baseline:
         """Every combination of the grid, completed by the defaults."""
         combinations = itertools.product(*self.grid.values())
         return [{**self.default, **dict(zip(self.grid, c, strict=True))} for c in combinations]
-
-    def edges(self, point: Mapping[str, Number]) -> list[str]:
-        """Names of the parameters that stand at an open end of their axis of the grid.
-
-        An end beyond which there is nothing (see `_NOTHING_BEYOND`) is not open.
-        """
-        return [
-            name
-            for name, axis in self.grid.items()
-            if len(axis) > 1
-            and point[name] in (axis[0], axis[-1])
-            and point[name] not in _NOTHING_BEYOND.get(name, ())
-        ]
 
     def __call__(
         self,

@@ -10,7 +10,6 @@ from typing import Any
 from ...factory.files import check_writable
 from ...factory.scheduler.workers.tasks import TaskPool
 from ...models.recordings.fan.pings import close_last
-from ..filters import REGISTRY
 from ..methods import shown
 from ..report.page import as_data_uri, as_json, own_file, render, write_files
 from ..report.tables import Metric, as_markdown, as_table, interval, plain, written
@@ -170,7 +169,6 @@ def _line(row: RealRow, outcome: Outcome) -> dict[str, Any]:
         "label": row.label,
         "network": row.kind == "network",
         "parameters": [method.parameters for method in row.methods],
-        "at_edge": _at_edge(row),
         "lost": lost,
         "unchanged": None if found is None or row.kind == "noisy" else found.unchanged,
         "measured": 0 if found is None else found.pictures,
@@ -190,20 +188,12 @@ def _line(row: RealRow, outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _at_edge(row: RealRow) -> list[str]:
-    """Parameters that tuning left at an open end of their grid: beyond it there may be better."""
-    found = [REGISTRY[m.name].edges(m.parameters) for m in row.methods if m.form == TUNED]
-    return sorted({name for names in found for name in names})
-
-
 def _words(line: Mapping[str, Any]) -> list[str]:
     """The label, the parameters of each fold, and what came back unchanged."""
     found = [line["label"]]
     chosen = list(dict.fromkeys(shown(one) for one in line["parameters"] if one))
     if chosen:
         found.append(" (" + " | ".join(one.strip(" ()") for one in chosen) + ")")
-    if line["at_edge"]:
-        found.append(f" (at the end of its grid: {', '.join(line['at_edge'])})")
     if line["unchanged"]:
         every = line["unchanged"] == line["measured"]
         found.append(

@@ -16,6 +16,7 @@ from simnfnd.evaluation.calibrate import files as fit_files
 from simnfnd.evaluation.calibrate import search as fit_search
 from simnfnd.evaluation.calibrate.settings import FitSettings, flattened
 from simnfnd.evaluation.calibrate.simulate import Simulation
+from simnfnd.evaluation.realism.compare import overall
 from simnfnd.evaluation.settings import Grid
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.cli.generate import run as generate
@@ -89,11 +90,11 @@ def test_the_density_that_made_the_pictures_is_found_again(real: Path, tmp_path:
     density = result.values["noise.background.density"]
     assert TRUE_DENSITY / 2 < density < TRUE_DENSITY * 2
     before, after = (
-        fit_search.score(part)["geometric_mean_ratio"] for part in (result.before, result.after)
+        overall(part, "sim")["geometric_mean_ratio"] for part in (result.before, result.after)
     )
     assert after < 0.6 * before
     assert result.held_out is not None
-    assert fit_search.score(result.held_out[1])["geometric_mean_ratio"] < 0.7 * before
+    assert overall(result.held_out[1], "sim")["geometric_mean_ratio"] < 0.7 * before
     # The files are a configuration that the factory takes as it stands.
     noise, recipe = fit_files.write(settings, result)
     content = yaml.safe_load(noise.read_text())

@@ -135,16 +135,6 @@ def test_tuning_never_opens_the_test_split(tmp_path: Path) -> None:
     tune(dataset, tmp_path / "t.json", "median")
 
 
-def test_an_optimum_at_the_edge_is_said(
-    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    gaussian = REGISTRY["gaussian"]
-    narrow = Baseline("gaussian", gaussian.function, gaussian.default, {"sigma_px": (0.3, 0.4)}, "")
-    monkeypatch.setitem(REGISTRY, "gaussian", narrow)
-    lines = tune(dataset, tmp_path / "t.json", "gaussian")
-    assert "warning: the optimum is at the edge of the grid in sigma_px" in lines[0]
-
-
 def break_a_method(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(image: Any) -> Any:
         if image.mean() > 0:
