@@ -232,7 +232,7 @@ def figures_hash(path: Path) -> str:
     """Hash of a report's figures of every pair and method, without its times."""
     table = pd.read_csv(path, float_precision="round_trip", low_memory=False)
     digest = hashlib.sha256()
-    for name in sorted(table):
+    for name in sorted(map(str, table)):
         if "ms" in name.split("_") or "time" in name or name == "shard":
             continue
         digest.update(name.encode() + b"\0" + "\n".join(map(repr, table[name].tolist())).encode())

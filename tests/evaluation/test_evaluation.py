@@ -8,6 +8,7 @@ import json
 import math
 import os
 import signal
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import h5py
 import numpy as np
 import pytest
 
+from simnfnd.command import main
 from simnfnd.evaluation import runner
 from simnfnd.evaluation.image_files import read_gray
 from simnfnd.evaluation.methods import NOISY, Method, baselines_of, methods_of
@@ -30,7 +32,7 @@ from simnfnd.evaluation.store import STORE_NAME, FigureStore
 from simnfnd.factory.dataset.format.schema import Pair
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
-from tests.evaluation.evaluation_settings import evaluation, settings_for
+from tests.evaluation.evaluation_settings import settings_for
 from tests.small_dataset import add_shard, fan_images, write_dataset
 
 FILES = {
@@ -51,14 +53,17 @@ def measured(dataset: Path, methods: list[Method], out: Path, **changes: Any) ->
         return measured_rows(settings, items, methods, store, pool)
 
 
-def test_one_command_writes_the_whole_report(tmp_path: Path) -> None:
+def test_one_command_writes_the_whole_report(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     dataset = write_dataset(tmp_path / "data", train=16, test=6, size=48)
     out = tmp_path / "report"
     words = (f"dataset={dataset}", f"out={out}", "baselines=[median]", "tuning.pairs=2",
              "workers=1", "models=[]", f"tuning.file={tmp_path / 'tuned.json'}")  # fmt: skip
-    done = evaluation(*words, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "+ levels (size=" in done.stdout, "the best form of the median"
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["evaluation"])
+    assert main(["evaluate", *words]) == 0
+    assert "+ levels (size=" in capsys.readouterr().out, "the best form of the median"
     assert {path.name for path in out.iterdir()} == FILES
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"data", "report", "tuned.json"}, "Hydra left litter"
@@ -202,24 +207,6 @@ def test_what_was_drawn_is_found_for_every_pair(tmp_path: Path) -> None:
     drawn = drawn_of(items_of(dataset, "test"))
     assert drawn["variant"].tolist() == [0, 1, 0, 1, 0, 1]
     assert drawn["scene"].tolist() == ["test-0"] * 6
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ((), "dataset: give the folder"),
-        (("dataset=nowhere",), "no such folder"),
-        (("dataset=nowhere", "speed=1"), "speed: no such key; did you mean seed?"),
-        (("dataset=nowhere", "workers=0"), "workers: "),
-        (("dataset=nowhere", "split=valid"), "split: Input should be 'train', 'test' or 'all'"),
-    ],
-)
-def test_bad_input_is_one_line(arguments: tuple[str, ...], words: str, tmp_path: Path) -> None:
-    done = evaluation(*arguments, cwd=tmp_path)
-    assert done.returncode == 2
-    assert words in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert not list(tmp_path.iterdir())
 
 
 def test_out_that_cannot_be_written(tmp_path: Path) -> None:

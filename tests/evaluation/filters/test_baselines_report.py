@@ -29,7 +29,7 @@ from simnfnd.evaluation.store import FigureStore
 from simnfnd.factory.dataset.format.schema import Pair
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
-from tests.evaluation.evaluation_settings import evaluation, settings_for
+from tests.evaluation.evaluation_settings import settings_for
 from tests.project_files import ROOT
 from tests.small_dataset import add_shard, fan_images, write_dataset
 
@@ -249,11 +249,17 @@ def test_several_looks_need_several_variants(tmp_path: Path) -> None:
     assert math.isnan(row.milliseconds)
 
 
-def test_the_tune_command(dataset: Path, tmp_path: Path) -> None:
+def test_the_tune_command(
+    dataset: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     words = ("baselines=[median,gaussian]", f"tuning.file={tmp_path / 't.json'}")
-    done = evaluation("tune", f"dataset={dataset}", *words, "tuning.pairs=2", "workers=1")
-    assert done.returncode == 0, done.stderr
-    assert "gaussian: " in done.stdout
+    monkeypatch.setattr(sys, "argv", ["evaluation"])
+    given = [f"dataset={dataset}", *words, "tuning.pairs=2", "workers=1"]
+    assert main(["evaluate", "tune", *given]) == 0
+    assert "gaussian: " in capsys.readouterr().out
     assert (tmp_path / "t.json").is_file()
 
 
@@ -261,6 +267,10 @@ def test_the_tune_command(dataset: Path, tmp_path: Path) -> None:
     ("arguments", "words"),
     [
         (("tune",), "dataset: give the folder"),
+        (("dataset=nowhere",), "no such folder"),
+        (("dataset=nowhere", "speed=1"), "speed: no such key; did you mean seed?"),
+        (("dataset=nowhere", "workers=0"), "workers: "),
+        (("dataset=nowhere", "split=valid"), "split: Input should be 'train', 'test' or 'all'"),
         (("baselines=[wiener]", "dataset=."), "baselines: no 'wiener'"),
         (("models=[nothing]", "dataset=."), "models: weights=nothing: no such file"),
         (("tune", "dataset=.", "tuning.pairs=0"), "tuning.pairs: "),
@@ -280,6 +290,7 @@ def test_bad_settings_are_one_line(
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
 
 
 def test_bad_files_are_named(dataset: Path, tmp_path: Path) -> None:
