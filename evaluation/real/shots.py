@@ -15,7 +15,7 @@ from ...factory.sonar.geometry import FanGeometry
 from ...models.recordings import kind_of, open_recording
 from ...models.recordings.fan.pings import frame_picture
 from ..filters.base import Gray
-from ..realism.real import GEOMETRY_FILE, open_real
+from ..realism.pictures import GEOMETRY_FILE, open_real
 
 Mask = npt.NDArray[np.bool_]
 
