@@ -89,9 +89,9 @@ def test_anything_else_is_no_view(cut: int, content: bytes) -> None:
 def test_planes_are_folded_and_unfolded(codes: np.ndarray[Any, Any]) -> None:
     content = fold(codes)
     assert len(content) == 2 * codes.size
-    np.testing.assert_array_equal(unfold(content, codes.shape), codes)
+    np.testing.assert_array_equal(unfold(content, (codes.shape[0], codes.shape[1])), codes)
     with pytest.raises(ValueError, match="reshape"):
-        unfold(content[:-1], codes.shape)
+        unfold(content[:-1], (codes.shape[0], codes.shape[1]))
 
 
 def test_folded_planes_keep_their_bytes() -> None:

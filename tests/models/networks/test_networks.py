@@ -233,7 +233,7 @@ def test_configs_are_those_of_the_registry() -> None:
     assert found == set(KINDS)
     for kind, config in SHIPPED.items():
         assert config["kind"] == kind
-        module, name = NETWORKS[kind]
-        module = import_module(f"simnfnd.models.networks.{module}")
+        place, name = NETWORKS[kind]
+        module = import_module(f"simnfnd.models.networks.{place}")
         fields = getattr(module, f"{name}Settings").__dataclass_fields__
         assert set(config) == set(fields)
