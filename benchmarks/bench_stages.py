@@ -18,7 +18,7 @@ from benchmarks.shared import Options, Section, Table, cpu_seconds, frame_words
 from simnfnd.factory import pairs, seeds
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.imaging import resample
-from simnfnd.factory.imaging.clouds import effect_clouds, noisy_cloud
+from simnfnd.factory.imaging.pointwise import effect_clouds, noisy_cloud
 from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.render import open_renderer
 from simnfnd.factory.render.view import decode, encode, view_of

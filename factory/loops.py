@@ -14,8 +14,7 @@ from .progress import stage_if_slow
 
 PICTURES = ("elementary", "render.kernels", "sonar.kernels")
 SEABED = ("scenes.seabed.kernels",)
-FIELD = ("imaging.coherent.cell_kernels", "imaging.coherent.kernels", "imaging.coherent.pixel_rows",
-         "imaging.coherent.placing")  # fmt: skip
+FIELD = ("imaging.coherent.kernels",)
 LOOPS = PICTURES + SEABED + FIELD
 
 

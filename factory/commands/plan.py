@@ -104,7 +104,7 @@ def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
     from ..pairs import pair_maker
     from ..render.view import encode
     from ..render.views import ViewMaker
-    from ..scheduler.workers.memory import keep_freed_memory
+    from ..scheduler.workers.machine import keep_freed_memory
 
     keep_freed_memory()  # as the workers do whose time is to be foretold
     chosen = [frames[k * len(frames) // _PROBED] for k in range(min(_PROBED, len(frames)))]

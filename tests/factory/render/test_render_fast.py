@@ -36,7 +36,7 @@ def test_traced_pixels_are_pixels_of_the_frame(stride: int) -> None:
     np.testing.assert_array_equal(surface.albedo, whole.albedo[at])
     np.testing.assert_array_equal(lit, whole.mask[at])
     # A camera of these pixels alone puts them where they are.
-    alone = frame.depth_m[at][..., None] * rays(*lit.shape, surface.intrinsics)
+    alone = frame.depth_m[at][..., None] * rays(len(lit), lit.shape[1], surface.intrinsics)
     np.testing.assert_allclose(alone[lit], surface.points_m[lit], rtol=1e-5, atol=1e-6)
 
 

@@ -31,7 +31,7 @@ def joints_of(depth_m: Array, edge_ratio: float = 0.1) -> npt.NDArray[np.uint8]:
 
 
 def joined(depth_m: Array, bit: int, edge_ratio: float = 0.1) -> npt.NDArray[np.bool_]:
-    return joints_of(depth_m, edge_ratio) & bit != 0
+    return np.asarray(joints_of(depth_m, edge_ratio) & bit != 0)
 
 
 def triangles_of(depth_m: Array, edge_ratio: float = 0.1) -> npt.NDArray[np.int64]:

@@ -147,7 +147,7 @@ def test_rasters_show_samples_as_they_are_or_between() -> None:
     enlarged = picture(sampling="nearest", enlarged=1.7)
     assert enlarged.shape == nearest.shape
     assert np.abs(enlarged - nearest).mean() < 0.1
-    jpeg = {"sampling": "nearest", "jpeg_quality": 75}
+    jpeg: dict[str, Any] = {"sampling": "nearest", "jpeg_quality": 75}
     np.testing.assert_array_equal(picture(noisy=False, **jpeg), nearest)
     assert 0.001 < np.abs(picture(**jpeg) - nearest).mean() < 0.1
 

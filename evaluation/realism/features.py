@@ -11,10 +11,11 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ....factory.seeds import stream
+from ...factory.seeds import stream
 
 Gray = npt.NDArray[np.float32]
 
@@ -33,8 +34,6 @@ def describe(polar: Gray) -> npt.NDArray[np.float64]:
     quarter as fine; mean and standard deviation over the picture.  Mean and standard deviation of
     the grey values of each band come with it.
     """
-    import cv2
-
     first, second, wiring = _filters()
     maps = [np.abs(cv2.filter2D(polar, cv2.CV_32F, kernel)) for kernel in first]
     bands = [np.array_split(one, _BANDS, axis=0) for one in [polar, *maps]]

@@ -1,4 +1,4 @@
-"""Stretches in which the scene stands still: frames, and for each what it would be without noise.
+"""Stretches of recordings in which the scene stands still, and what each frame would be noiseless.
 
 The target of a frame is the mean of the *other* frames of its stretch, laid over it below a pixel
 (after Lehtinen et al., Noise2Noise, ICML 2018; the mean of several has less noise left than one).
@@ -7,32 +7,158 @@ The target of a frame is the mean of the *other* frames of its stretch, laid ove
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
+from pathlib import Path
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ...factory.errors import FactoryError, FrameError
 from ...factory.sonar.geometry import FanGeometry
 from ..data.pairs import Image
-from ..recordings.static import (
-    StaticGroup,
-    aligned,
-    find_groups,
-    moving,
-    references,
-    shifted,
-)
-from .clips import RUN, Clip, Shot
+from ..denoise.geometries import Geometries
+from ..denoise.inputs import Item, find_items, sequences
+from ..recordings import open_recording
+from ..recordings.fan.pings import grey_of, polar_geometry
+from ..recordings.palettes import grey_of_colours
+from ..recordings.pictures import read_grey
+from ..recordings.presentation import presentation_of
+from ..recordings.static import StaticGroup, aligned, find_groups, moving, references, shifted
 
+RUN = 16
+"""So many frames that follow each other are read together where not all can be."""
+MOST_FRAMES = 256
+"""Of all recordings together; of more, runs that are evenly spread are read."""
 LEAST = 4
 """Fewer frames make no stretch: too little is known of what stands still."""
 _ALIKE = 0.75  # of pictures in any order
 _FOLLOWS = 0.3  # of frames that follow each other: raw pings of one scene have .3 to .5
 _LEAST_ALIGNED = 3
 _LEAST_KNOWN = 0.1  # of the sector that must stand still
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One frame: (H, W) float32 in 0..1, and where range and bearing are, if that is known."""
+
+    grey: Image
+    geometry: FanGeometry | None = None
+
+    @property
+    def sector(self) -> npt.NDArray[np.bool_]:
+        """(H, W) bool: what the sonar measured; all where that is not known."""
+        shape = self.grey.shape
+        if self.geometry is None:
+            return np.ones(shape, bool)
+        return self.geometry.maps(0, 0, *shape)["sector"] > 0
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """Frames in the order of time.  shuffled: as far as their names tell; they may be anything."""
+
+    name: str
+    shots: list[Shot]
+    shuffled: bool = False
+
+
+@dataclass
+class Found:
+    """What was read.  frames: how many there were.  skipped: a line for each that was not read."""
+
+    clips: list[Clip] = field(default_factory=list)
+    frames: int = 0
+    skipped: list[str] = field(default_factory=list)
+
+
+def read_clips(
+    paths: Sequence[Path], out: Path, geometries: Geometries, most: int = MOST_FRAMES
+) -> Found:
+    """The frames of files, and of all files below folders but those below `out`.
+
+    most: about so many frames are read, of more in runs that follow each other, evenly spread.
+    Raises FactoryError when there are none.
+    """
+    items = find_items(paths, out)
+    if shard := next((item for item in items if item.kind == "shard"), None):
+        raise FactoryError(
+            f"{shard.source}: belongs to a dataset; `simnfnd train` learns from these, and "
+            "`simnfnd adapt` from recordings, videos and pictures"
+        )
+    found = Found()
+    sources = sequences(items)
+    counts = [_count(source, found) for source in sources]
+    found.frames = sum(counts)
+    share = min(1.0, most / max(found.frames, 1))
+    for source, count in zip(sources, counts, strict=True):
+        if shots := list(_shots(source, runs(count, share), geometries, found)):
+            name = source[0].source.name
+            found.clips.append(Clip(name, presented(shots), source[0].kind == "image"))
+    if not found.clips:
+        more = f" ({found.skipped[0]})" if found.skipped else ""
+        raise FactoryError(f"{paths[0]}: no frame can be read{more}")
+    return found
+
+
+def presented(shots: list[Shot]) -> list[Shot]:
+    """Frames of a clip as denoisers show them to the weights, all with one gain."""
+    found = [presentation_of(shot.grey, shot.geometry) for shot in shots]
+    gain = min(one.gain for one in found)
+    ways = [replace(one, gain=gain) for one in found]
+    return [Shot(way.shown(shot.grey), way.geometry) for way, shot in zip(ways, shots, strict=True)]
+
+
+def runs(count: int, share: float) -> list[int]:
+    """Numbers of about `share` of `count` frames: whole runs of `RUN`, evenly spread."""
+    if share >= 1 or not count:
+        return list(range(count))
+    total = -(-count // RUN)
+    kept = max(1, int(share * total))
+    first = [number * total // kept for number in range(kept)]
+    return [frame for run in first for frame in range(run * RUN, min(run * RUN + RUN, count))]
+
+
+def _count(source: list[Item], found: Found) -> int:
+    """Number of frames; notes a recording that cannot be opened."""
+    if source[0].kind == "image":
+        return len(source)
+    try:
+        with open_recording(source[0].source) as recording:
+            return len(recording)
+    except FactoryError as error:
+        found.skipped.append(str(error))
+        return 0
+
+
+def _shots(
+    source: list[Item], numbers: list[int], geometries: Geometries, found: Found
+) -> Iterator[Shot]:
+    """Frames by their numbers; notes damaged pictures, and where a recording is damaged."""
+    if source[0].kind == "image":
+        for number in numbers:
+            try:
+                grey = read_grey(source[number].source)
+            except FactoryError as error:
+                found.skipped.append(str(error))
+                continue
+            yield Shot(grey, geometries.of(source[number], grey))
+    elif numbers:
+        with open_recording(source[0].source) as recording:
+            try:
+                for number in numbers:
+                    frame = recording[number]
+                    if frame.beams is not None:
+                        geometry = polar_geometry(frame.beams, len(frame.samples))
+                        yield Shot(grey_of(frame), geometry)
+                        continue
+                    is_grey = frame.samples.ndim == 2
+                    grey = grey_of(frame) if is_grey else grey_of_colours(frame.samples)
+                    yield Shot(grey, geometries.of(source[0], grey))
+            except FrameError as error:
+                found.skipped.append(str(error))
 
 
 @dataclass(frozen=True, eq=False)
