@@ -76,19 +76,14 @@ def _settings(words: Sequence[str]) -> dict[str, str]:
 
 
 class SweepTable(Callback):
-    """Hydra callback: the points of a sweep share workers, and one table tells of all."""
+    """Hydra callback: one table tells of all points of a sweep."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Points that this process makes one after another need not start workers each.
-
-        `run_app` stops them and writes the table: after an error Hydra calls nobody back.
-        """
+        """`run_app` writes the table: after an error Hydra calls nobody back."""
         from omegaconf import OmegaConf
 
-        from ..scheduler.workers.kept import keep_workers
         from .compose import sweep_points
 
-        keep_workers()
         # As they were given: what names a job's number is known in the job alone.
         words = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
         params = OmegaConf.to_container(config.hydra.sweeper, resolve=False)

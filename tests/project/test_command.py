@@ -160,7 +160,6 @@ RECORDING = (*ANALYTIC, "scenes=csv_list", "scenes.root={in}/list.csv",
     [
         (("make", "dataset.dir={out}"), "bpy", "blender"),
         (("make", "render=embree", "dataset.dir={out}"), "open3d", "open3d"),
-        (("inspect", "{in}", "--png", "{out}"), "matplotlib", "figures"),
         ((*RECORDING, "resample=voxel"), "open3d", "open3d"),
         ((*RECORDING, "scheduler=dask"), "distributed", "cluster"),
         ((*RECORDING, "dataset.compression=zstd"), "hdf5plugin", "zstd"),

@@ -102,7 +102,7 @@ def add_white(key: int, table: Floats, along: Floats, across: Floats, planes: Fl
 
 # A pixel at grazing incidence is at most so many scatterers.
 _MOST_PARTS = 32
-# When neighbours are one surface, as in `cloud.joined`: parts of the depth, and of a step.
+# When neighbours are one surface, as in `render.kernels.joints`: parts of the depth, and of a step.
 _SMALL_STEP, _LARGE_STEP, _SLOPE_CHANGE = np.float32(0.02), np.float32(0.1), np.float32(3)
 
 

@@ -12,7 +12,7 @@ from simnfnd.factory.imaging.coherent.beams import vertical_table
 from simnfnd.factory.imaging.coherent.scatterers import beam_table, scatterers
 from simnfnd.factory.imaging.coherent.signal import gaussian_table
 from simnfnd.factory.pairs import fitted_window
-from simnfnd.factory.sonar.window_fit import conical
+from simnfnd.factory.sonar.window import conical
 from tests.constant_field import config
 from tests.frames import ground_and_post, plain_render
 

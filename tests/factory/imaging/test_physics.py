@@ -37,14 +37,14 @@ FRESH = {750: 0.1460, 1200: 0.3737, 1800: 0.8408, 3000: 2.3355}
 
 @pytest.mark.parametrize(("frequency_khz", "golden"), SEA.items())
 def test_absorption_of_the_sea(frequency_khz, golden):
-    assert acoustics.absorption_db_per_m(frequency_khz, 10, 35, 5, 8) == pytest.approx(
+    assert WaterSettings(10, 35, 5, 8).absorption_db_per_m(frequency_khz) == pytest.approx(
         golden, abs=1e-3
     )
 
 
 @pytest.mark.parametrize(("frequency_khz", "golden"), FRESH.items())
 def test_absorption_of_fresh_water(frequency_khz, golden):
-    assert acoustics.absorption_db_per_m(frequency_khz, 15, 0, 5, 8) == pytest.approx(
+    assert WaterSettings(15, 0, 5, 8).absorption_db_per_m(frequency_khz) == pytest.approx(
         golden, abs=1e-3
     )
 
@@ -81,7 +81,7 @@ def test_absorption_at_the_frequency_of_every_preset(water):
 )
 @settings(max_examples=60, deadline=None)
 def test_absorption_is_positive_and_grows_with_frequency(f, t, s, d, ph):
-    low, high = (acoustics.absorption_db_per_m(x, t, s, d, ph) for x in (f, 1.1 * f))
+    low, high = (WaterSettings(t, s, d, ph).absorption_db_per_m(x) for x in (f, 1.1 * f))
     assert 0 < low < high
 
 
@@ -245,7 +245,7 @@ def test_a_small_target_loses_40_log_r_and_twice_the_absorption(frequency_khz):
     """The two-way loss of the sonar equation, not counting the area twice."""
     depths_m = np.array([2.0, 3.0, 5.0, 8.0])
     level_db = 10 * np.log10(_powers(depths_m, 0.2, frequency_khz))
-    absorption = acoustics.absorption_db_per_m(frequency_khz, 10, 35, 5, 8)
+    absorption = WaterSettings(10, 35, 5, 8).absorption_db_per_m(frequency_khz)
     expected_db = -40 * np.log10(depths_m) - 2 * absorption * depths_m
     np.testing.assert_allclose(np.diff(level_db), np.diff(expected_db), atol=0.15)
 
@@ -253,7 +253,7 @@ def test_a_small_target_loses_40_log_r_and_twice_the_absorption(frequency_khz):
 def test_a_target_has_its_cross_section() -> None:
     """mu * area / r^4 for a plate seen face on: 10 log of it is the target strength minus 2 TL."""
     (power,) = _powers(np.array([4.0]), 0.2, 100)
-    absorption = acoustics.absorption_db_per_m(100, 10, 35, 5, 8)
+    absorption = WaterSettings(10, 35, 5, 8).absorption_db_per_m(100)
     golden = 10 ** (-25 / 10) * 0.04 / 4**4 * 10 ** (-2 * absorption * 4 / 10)
     assert power == pytest.approx(golden, rel=0.02)
 
