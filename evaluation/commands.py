@@ -128,27 +128,27 @@ def _tune(config: DictConfig) -> None:
     settings = settings_of(config)
     from ..factory.scheduler.workers.tasks import TaskPool
     from . import tuning
-    from .methods.method import baselines_of
+    from .methods import baselines_of
 
     with TaskPool(settings.workers) as pool:
         print("\n".join(tuning.tune(settings, baselines_of(settings.baselines), pool)))
 
 
 def _real(config: DictConfig) -> None:
-    from .real.settings import RealSettings
+    from .settings import RealSettings
 
     values = _values(config)
     if not values["real"]:
         raise FactoryError("real: give pictures or a recording: simnfnd evaluate real IN")
     settings: RealSettings = build(RealSettings, values)
     require(_needs("models=", settings.models))
-    from .real.judging import evaluate
+    from .real.report import evaluate
 
     evaluate(settings)
 
 
 def _realism(config: DictConfig) -> None:
-    from .realism.settings import RealismSettings
+    from .settings import RealismSettings
 
     values = _values(config)
     usage = "give both folders: simnfnd evaluate realism REAL SIM"

@@ -18,9 +18,9 @@ from ..factory.cli import Parser
 from ..factory.errors import FactoryError
 from ..factory.files import check_writable, write_atomically
 from .metrics.statistics import Paired, holm, paired
-from .report import text as texts
+from .report import tables as texts
 from .report.page import read_results
-from .report.text import (
+from .report.tables import (
     METRIC_NAMES,
     as_table,
     interval,

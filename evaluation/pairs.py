@@ -27,14 +27,12 @@ from ..factory.errors import FactoryError
 from ..factory.files import sha256_of
 from . import image_files
 from .filters.base import Gray
-from .metrics.checks import MetricError
-from .metrics.fidelity import finite_psnr
-from .metrics.measure import Figures, Scene
-from .metrics.picture import Picture, sector_of
+from .metrics.fidelity import MetricError, finite_psnr
+from .metrics.measure import Figures, Picture, Scene, sector_of
 
 if TYPE_CHECKING:
     from ..factory.sonar.geometry import FanGeometry
-    from .methods.method import Method
+    from .methods import Method
 
 Place = tuple[str, int]
 """Shard file and row, or a noisy image file and image_files.ROW."""
@@ -74,20 +72,10 @@ def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
     Raises FactoryError when it is neither.
     """
     if image_files.is_folder_of_pairs(root):
+        files = enumerate(image_files.noisy_files(root))
         return [
-            Item(
-                noisy.name,
-                (str(noisy), image_files.ROW),
-                "",
-                number,
-                key,
-                "",
-                root.name,
-                noisy.stem,
-                0,
-                (),
-            )
-            for number, (noisy, key) in enumerate(image_files.noisy_files(root))
+            Item(f.name, (str(f), image_files.ROW), "", n, key, "", root.name, f.stem, 0, ())
+            for n, (f, key) in files
         ][:limit]
     manifest = load_manifest(root) if root.is_dir() else None
     rows: list[tuple[str, Place, str, tuple[str, str, str, int]]] = []
@@ -127,20 +115,20 @@ def drawn_of(items: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
     for path in dict.fromkeys(item.place[0] for item in items if item.place[1] >= 0):
         with open_shard(Path(path)) as file:
             tables[path] = file["meta"][:]
-    names = dict.fromkeys(name for t in tables.values() for name in t.dtype.names or ())
     columns = {}
-    for name in names:
-        values = []
-        for item in items:
-            table = tables.get(item.place[0])
-            known = table is not None and name in (table.dtype.names or ())
-            values.append(table[item.place[1]][name] if table is not None and known else np.nan)
-        text = any(isinstance(value, bytes) for value in values)
-        columns[name] = np.array(
-            [value.decode() if isinstance(value, bytes) else "" for value in values]
-            if text
-            else [float(value) for value in values]
-        )
+    for name in dict.fromkeys(name for t in tables.values() for name in t.dtype.names or ()):
+        values = [
+            table[item.place[1]][name]
+            if (table := tables.get(item.place[0])) is not None
+            and name in (table.dtype.names or ())
+            else np.nan
+            for item in items
+        ]
+        if any(isinstance(value, bytes) for value in values):
+            values = [value.decode() if isinstance(value, bytes) else "" for value in values]
+            columns[name] = np.array(values)
+        else:
+            columns[name] = np.array(values, float)
     return columns
 
 
@@ -218,9 +206,7 @@ class Pair:
 
     def given(self, method: Method) -> Gray:
         """The picture that another program made of it."""
-        from .given import read_given
-
-        return read_given(method.given, self.item)
+        return image_files.read_given(method.given, self.item, picture(self.item.place).noisy.shape)
 
     def measure(self, image: Gray, method: Method) -> Figures:
         """All metrics; identical images count as the PSNR of `finite_psnr`."""

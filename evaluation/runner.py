@@ -8,34 +8,28 @@ computed from the table.
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from ..factory.errors import FactoryError
-from ..factory.files import explain_os_errors
 from ..factory.scheduler.workers.tasks import TaskLost, TaskPool
 from .filters import REGISTRY
 from .filters.base import Gray
-from .fingerprint import network_digest, program_digest
-from .methods.method import Method, reason
-from .methods.networks import network
+from .methods import Method, denoised_by, network, reason
 from .metrics.measure import Figures
+from .store import FigureStore, program_digest
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from ..factory.sonar.geometry import FanGeometry
 
-STORE_NAME = "measured.jsonl"
 SECONDS = "cpu_s"
 """Column of the seconds of a method on a picture: of the CPU, elapsed ones where a GPU works."""
 
@@ -145,16 +139,44 @@ def run(
     FactoryError for a picture that cannot be read.
     """
     found = Measured({method.label: {} for method in methods})
+    keys = {} if store is None else {m.label: f"{m.key}-{program_digest(device)}" for m in methods}
     for batch in batches:
-        bench = _Bench(found, methods, device, store, tick)
-        waiting = deque(bench.tasks(batch, chunk, keep))
+        every = list(batch.items())
+        waiting: deque[Task] = deque()
+        for first in range(0, len(every), chunk):
+            some = dict(every[first : first + chunk])
+            todo = []
+            for method in methods:
+                if method.label in found.lost:
+                    continue
+                known = {} if store is None else _known(store, keys[method.label], method, some)
+                if len(known) == len(some):
+                    found.figures[method.label] |= known
+                else:
+                    todo.append(method)
+            if todo:
+                waiting.append(Task(tuple(todo), some, device, frozenset(filter(keep, some))))
         for task, results in pool.run(
-            measure_task, waiting, lambda task: timeout_s * len(task.subjects) * _outputs(task)
+            measure_task,
+            waiting,
+            lambda task: timeout_s * len(task.subjects) * len({m.output for m in task.methods}),
         ):
             if isinstance(results, TaskLost):
-                waiting.extendleft(bench.died(task, results.reason))
-                continue
-            bench.take(task, results)
+                if again := _again(task):
+                    waiting.extendleft(again)
+                    continue
+                results = [Result(lost=results.reason)] * len(task.methods)
+            for method, result in zip(task.methods, results, strict=True):
+                tick(len(task.subjects))
+                if result.lost is not None:
+                    found.lost.setdefault(method.label, result.lost)
+                if method.label in found.lost:
+                    continue
+                found.figures[method.label] |= result.figures
+                found.images |= {(method.label, n): one for n, one in result.images.items()}
+                if store is not None and result.figures:
+                    pictures = [task.subjects[number].key(method) for number in result.figures]
+                    store.add(keys[method.label], pictures, list(result.figures.values()))
             if found.lost:
                 alive = [
                     replace(one, methods=left)
@@ -164,6 +186,25 @@ def run(
                 waiting.clear()
                 waiting.extend(alive)
     return found
+
+
+def _known(
+    store: FigureStore, key: str, method: Method, some: Mapping[int, Subject]
+) -> dict[int, Figures]:
+    """What the store has of a method on these pictures."""
+    known = {number: store.get(key, subject.key(method)) for number, subject in some.items()}
+    return {number: figures for number, figures in known.items() if figures is not None}
+
+
+def _again(task: Task) -> list[Task]:
+    """What to try again after a worker died with this task: nothing where it was tried enough."""
+    groups: dict[str, list[Method]] = {}
+    for method in task.methods:
+        groups.setdefault(method.output, []).append(method)
+    if len(groups) > 1:
+        # Which method was it?  Each alone.
+        return [replace(task, methods=tuple(group), tries=1) for group in groups.values()]
+    return [replace(task, tries=task.tries + 1)] if task.tries + 1 < _TRIES else []
 
 
 def measure_task(task: Task) -> list[Result]:
@@ -198,7 +239,7 @@ def denoised(method: Method, subject: Subject, device: str) -> tuple[Gray | None
     None where there is no picture of it.  Raises MethodFailed, and FactoryError for a damaged
     subject.
     """
-    if not method.is_function:
+    if method.given:
         try:
             return subject.given(method), math.nan
         except FactoryError as error:
@@ -222,10 +263,10 @@ def _timed(
         result = REGISTRY[method.name](image, method.parameters, geometry)
         return result, clock() - start
     loaded = network(method.weights, device)  # before the clock runs
-    if loaded.on_gpu:
+    if loaded.runtime.on_gpu:
         clock = time.perf_counter  # a processor that waits for a GPU seems idle
     start = clock()
-    result = loaded(image, geometry)
+    result = denoised_by(loaded, image, geometry)
     seconds = clock() - start
     if result.shape != image.shape or not np.isfinite(result).all():
         raise ValueError(f"gave {result.shape} or NaN for a picture of {image.shape}")
@@ -244,138 +285,3 @@ def _applied(method: Method, task: Task) -> tuple[dict[int, Gray], dict[int, flo
         if image is not None:
             images[number], seconds[number] = image, took
     return images, seconds
-
-
-def _outputs(task: Task) -> int:
-    return len({method.output for method in task.methods})
-
-
-@dataclass(eq=False)
-class _Bench:
-    """A batch: what is known of it, and what its tasks bring."""
-
-    found: Measured
-    methods: Sequence[Method]
-    device: str
-    store: FigureStore | None
-    tick: Callable[[int], object]
-
-    def tasks(
-        self, batch: Mapping[int, Subject], chunk: int, keep: Callable[[int], bool]
-    ) -> Iterator[Task]:
-        """The work that the store does not save."""
-        every = list(batch.items())
-        for first in range(0, len(every), chunk):
-            some = dict(every[first : first + chunk])
-            todo = tuple(
-                method
-                for method in self.methods
-                if method.label not in self.found.lost and not self._known(method, some)
-            )
-            if todo:
-                kept = frozenset(number for number in some if keep(number))
-                yield Task(todo, some, self.device, kept)
-
-    def take(self, task: Task, results: Sequence[Result]) -> None:
-        """Take over what a worker measured."""
-        for method, result in zip(task.methods, results, strict=True):
-            self.tick(len(task.subjects))
-            if method.label in self.found.lost:
-                continue
-            if result.lost is not None:
-                self.found.lost[method.label] = result.lost
-                continue
-            self.found.figures[method.label] |= result.figures
-            for number, image in result.images.items():
-                self.found.images[method.label, number] = image
-            if self.store is not None and result.figures:
-                keys = [task.subjects[number].key(method) for number in result.figures]
-                key = self._key(method)
-                self.store.add(key, keys, list(result.figures.values()))
-
-    def died(self, task: Task, why: str) -> list[Task]:
-        """What to try again after a worker died with this task."""
-        groups: dict[str, list[Method]] = {}
-        for method in task.methods:
-            groups.setdefault(method.output, []).append(method)
-        if len(groups) > 1:
-            # Which method was it?  Each alone.
-            return [replace(task, methods=tuple(group), tries=1) for group in groups.values()]
-        if task.tries + 1 < _TRIES:
-            return [replace(task, tries=task.tries + 1)]
-        for method in task.methods:
-            self.found.lost.setdefault(method.label, why)
-        return []
-
-    def _known(self, method: Method, some: Mapping[int, Subject]) -> bool:
-        """Whether the store has a method on all of these pictures; takes them over."""
-        if self.store is None:
-            return False
-        key = self._key(method)
-        known = {n: self.store.get(key, subject.key(method)) for n, subject in some.items()}
-        whole = {number: figures for number, figures in known.items() if figures is not None}
-        if len(whole) < len(some):
-            return False
-        self.found.figures[method.label] |= whole
-        return True
-
-    def _key(self, method: Method) -> str:
-        key = f"{method.key}-{program_digest()}"
-        return f"{key}-{self._network_digest}" if method.weights else key
-
-    @cached_property
-    def _network_digest(self) -> str:
-        return network_digest(self.device)
-
-
-class FigureStore:
-    """Figures by (method key, picture key), appended line by line to a file as they are measured.
-
-    The keys cover everything that decides the figures (see `fingerprint`), so figures of other
-    code, another picture or other parameters are never found.  A line that a crash cut off is
-    measured again.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        """Open, or begin, the file in a folder; FactoryError for a folder that is no use."""
-        self._known: dict[tuple[str, str], Figures] = {}
-        self._path = folder / STORE_NAME
-        with explain_os_errors(folder, "out"):
-            folder.mkdir(parents=True, exist_ok=True)
-            # Opened now, so that a folder that cannot be written to ends the run before its work.
-            self._file = self._path.open("a+b")
-        self._file.seek(0)
-        content = self._file.read()
-        if content and not content.endswith(b"\n"):
-            self._file.write(b"\n")
-        for line in content.splitlines():
-            try:
-                self._keep(json.loads(line))
-            except (ValueError, KeyError, TypeError):
-                continue  # cut off, or not ours
-
-    def get(self, method: str, picture: str) -> Figures | None:
-        """The figures of a method on a picture, None when they have not been measured."""
-        return self._known.get((method, picture))
-
-    def add(self, method: str, pictures: Sequence[str], figures: Sequence[Figures]) -> None:
-        """Keep the figures of a method on these pictures; written at once."""
-        names = list(figures[0])
-        line = {
-            "method": method,
-            "pictures": list(pictures),
-            "names": names,
-            "figures": [[one[name] for name in names] for one in figures],
-        }
-        with explain_os_errors(self._path, "out"):
-            self._file.write(json.dumps(line).encode() + b"\n")
-            self._file.flush()
-        self._keep(line)
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-
-    def _keep(self, line: dict[str, Any]) -> None:
-        for picture, values in zip(line["pictures"], line["figures"], strict=True):
-            self._known[line["method"], picture] = dict(zip(line["names"], values, strict=True))

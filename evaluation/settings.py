@@ -1,7 +1,8 @@
-"""The keys of conf/evaluation.yaml, checked; the comments there explain them."""
+"""The keys of conf/evaluation.yaml, real.yaml and realism.yaml, checked; see the comments there."""
 
 from __future__ import annotations
 
+from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -75,7 +76,6 @@ class EvaluationSettings:
     device: Literal["auto", "cpu", "gpu"]
     texture: bool
     robustness: list[str]
-    real: list[str]
     page: PageSettings
     tuning: TuningSettings
     debug: bool
@@ -95,3 +95,63 @@ class EvaluationSettings:
         """Where the tuned parameters are kept."""
         default = Path("outputs", "evaluation", f"{self.name}-tuned.json")
         return Path(self.tuning.file) if self.tuning.file is not None else default
+
+
+@dataclass(frozen=True, config=STRICT)
+class RealSettings:
+    """All keys of conf/real.yaml."""
+
+    real: Annotated[str, Field(min_length=1)]
+    baselines: list[str]
+    models: list[str]
+    groups: Literal["auto"] | bool
+    search: Count
+    limit: Count | None
+    frames: Annotated[int, Field(ge=2)]
+    in_time: Annotated[int, Field(ge=0)]
+    examples: Annotated[int, Field(ge=0)]
+    workers: Literal["auto"] | Count
+    device: Literal["auto", "cpu", "gpu"]
+    image_timeout_s: Annotated[float, Field(gt=0)]
+    seed: Annotated[int, Field(ge=0)]
+    bootstrap: Annotated[int, Field(ge=100)]
+    out: str | None
+    debug: bool
+
+    @property
+    def name(self) -> str:
+        """Of what is judged."""
+        return Path(self.real).expanduser().resolve().name
+
+    @property
+    def folder(self) -> Path:
+        """Where the report goes."""
+        return Path(self.out or Path("outputs", "evaluation", f"{self.name}-real"))
+
+
+@dataclass(frozen=True, config=STRICT)
+class Grid:
+    """The common polar grid of `realism` and `fit`: bins over the range, beams over the sector.
+
+    All widths along range and bearing are in cells of this grid: both sides must be on the same.
+    """
+
+    range_bins: Annotated[int, Field(ge=64, le=4096)] = 440
+    beams: Annotated[int, Field(ge=32, le=2048)] = 128
+
+
+@dataclass(frozen=True, config=STRICT)
+class RealismSettings:
+    """All keys of conf/realism.yaml."""
+
+    real: Annotated[str, Field(min_length=1)]
+    sim: Annotated[tuple[str, ...], Field(min_length=1)]
+    sim_split: Literal["train", "test", "all"] = "all"
+    layer: Literal["noisy", "clean"] = "noisy"
+    limit: Annotated[int, Field(ge=4)] | None = None
+    grid: Grid = field(default_factory=Grid)
+    resamples: Annotated[int, Field(ge=2, le=10000)] = 200
+    halves: Literal["random", "blocks"] = "random"
+    seed: Annotated[int, Field(ge=0)] = 0
+    out: str | None = None
+    debug: bool = False

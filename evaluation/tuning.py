@@ -22,12 +22,13 @@ from ..factory.progress import progress_bar
 from ..factory.scheduler.workers.tasks import TaskLost, TaskPool
 from .filters import REGISTRY
 from .filters.base import Baseline, Gray, Parameters
-from .methods.method import Method, shown
+from .methods import Method, shown
 from .metrics.fidelity import finite_psnr, psnr
-from .metrics.levels import Levels, fit_levels
+from .metrics.measure import Levels, fit_levels
 from .pairs import Item, Pair, items_of, picture
 from .runner import MethodFailed, denoised
 from .settings import EvaluationSettings
+from .store import sources_digest
 
 SCHEMA = "simnfnd-tuned/1"
 
@@ -59,33 +60,37 @@ def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: Task
     items = validation_items(settings)
     path = settings.tuned_file
     known = load_tuned(path)
-    keys = {baseline.name: _key(baseline, items) for baseline in baselines}
-    todo = [b for b in baselines if known.get(b.name, {}).get("key") != keys[b.name]]
-    usable = any(len(item.looks) > 1 for item in items)
-    lost = {b.name: "needs several noise variants a frame" for b in todo if b.looks and not usable}
-    todo = [b for b in todo if b.name not in lost]
-    wanted = {b.name: _with_default(b) for b in todo}
-    points: dict[str, dict[int, Point]] = {b.name: {} for b in todo}
+    lost: dict[str, str] = {}
+    todo: dict[str, tuple[str, list[Parameters], dict[int, Point]]] = {}
+    for baseline in baselines:
+        key = _key(baseline, items)
+        if known.get(baseline.name, {}).get("key") == key:
+            continue
+        if baseline.looks and all(len(item.looks) < 2 for item in items):
+            lost[baseline.name] = "needs several noise variants a frame"
+            continue
+        default = dict(baseline.default)
+        grid = [default, *(point for point in baseline.points() if point != default)]
+        todo[baseline.name] = key, grid, {}
     waiting = deque(
-        _Task(b.name, n, p, tuple(items)) for b in todo for n, p in enumerate(wanted[b.name])
+        _Task(name, number, point, tuple(items))
+        for name, (_, grid, _) in todo.items()
+        for number, point in enumerate(grid)
     )
-    by_name = {baseline.name: baseline for baseline in todo}
-
-    def timeout_s(_: _Task) -> float:
-        return settings.image_timeout_s * len(items)
-
+    limit_s = settings.image_timeout_s * len(items)
     with progress_bar(total=len(waiting), unit="point", desc="tuning") as bar:
-        for task, found in pool.run(_measure_point, waiting, timeout_s):
+        for task, found in pool.run(_measure_point, waiting, lambda _: limit_s):
             bar.update()
             name = task.baseline
             if not isinstance(found, Point):
                 lost.setdefault(name, found.reason if isinstance(found, TaskLost) else found)
                 continue
-            points[name][task.number] = found
-            if len(points[name]) == len(wanted[name]) and name not in lost:
+            key, grid, points = todo[name]
+            points[task.number] = found
+            if len(points) == len(grid) and name not in lost:
                 # In the order of the grid, whichever came first.
-                whole = [point for _, point in sorted(points[name].items())]
-                known[name] = {"key": keys[name], **_entry(by_name[name], whole)}
+                whole = [point for _, point in sorted(points.items())]
+                known[name] = {"key": key, **_entry(REGISTRY[name], whole)}
                 _save(path, known, items)
     return [_line(b.name, known, lost) for b in baselines] + [f"tuned: {path}"]
 
@@ -122,12 +127,6 @@ def load_tuned(path: Path) -> dict[str, Any]:
         raise FactoryError(
             f"tuning.file={path}: not a file that `evaluation tune` wrote; remove it"
         ) from error
-
-
-def _with_default(baseline: Baseline) -> list[Parameters]:
-    """The default first, then the grid."""
-    default = dict(baseline.default)
-    return [default, *(point for point in baseline.points() if point != default)]
 
 
 def _measure_point(task: _Task) -> Point | str:
@@ -167,8 +166,6 @@ def _entry(baseline: Baseline, points: list[Point]) -> dict[str, Any]:
         "default": asdict(points[0]),
         "tuned": asdict(plain),
         "tuned_levels": asdict(level),
-        "at_edge": baseline.edges(plain.parameters),
-        "at_edge_levels": baseline.edges(level.parameters),
         "points": [asdict(point) for point in points],
     }
 
@@ -178,7 +175,7 @@ def _key(baseline: Baseline, items: list[Item]) -> str:
     pairs = [[item.shard, item.place[1], item.group, item.variant] for item in items]
     files = sorted({item.place[0] for item in items})
     sizes = [Path(file).stat().st_size for file in files]
-    program = baseline.program()
+    program = sources_digest(Path(__file__).parent / "filters")
     parts = [baseline.name, dict(baseline.default), dict(baseline.grid), program, pairs, sizes]
     return hashlib.blake2b(json.dumps(parts).encode(), digest_size=12).hexdigest()
 
@@ -200,11 +197,8 @@ def _line(name: str, known: dict[str, Any], lost: dict[str, str]) -> str:
         return f"{name}: lost ({lost[name]})"
     entry = known[name]
     best, levels = entry["tuned"], entry["tuned_levels"]
-    text = (
+    return (
         f"{name}: {entry['default']['psnr']:.2f} dB by default, {best['psnr']:.2f} tuned"
         f"{shown(best['parameters'])}, {levels['psnr_levels']:.2f} with levels"
         f"{shown(levels['parameters'])}"
     )
-    edges = sorted({*entry["at_edge"], *entry["at_edge_levels"]})
-    warning = f"; warning: the optimum is at the edge of the grid in {', '.join(edges)}"
-    return text + (warning if edges else "")

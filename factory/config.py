@@ -20,7 +20,7 @@ from .imaging.coherent.settings import AcousticsSettings
 from .imaging.resample import ResampleSettings
 from .noise.registry import EFFECTS, NoiseSettings, blocks
 from .render.base import RenderSettings
-from .render.cache.cache import CacheSettings
+from .render.cache import CacheSettings
 from .scenes import Scenes
 from .scenes.base import INTEGERS_PER_M
 from .scenes.seabed.reader import SeabedSettings, seeing

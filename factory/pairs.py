@@ -20,17 +20,17 @@ from .dataset.format.schema import Axis, Column, Pair
 from .errors import FrameError
 from .frame import Frame, FrameRef
 from .imaging import layers as truth
-from .imaging.contract import Floats, Scene
-from .imaging.registry import FORMATIONS
+from .imaging import pointwise
+from .imaging.coherent import scene as coherent
+from .imaging.contract import Floats, Formation, Scene
 from .loops import compile_needed
 from .noise.draws import StreamNames, draw
-from .render.cache.views import CachedViews, Views, open_views
+from .render.views import CachedViews, Views, open_views
 from .sample_table.camera import Camera
 from .sample_table.record import columns, image_axes, record, requested, requested_row
 from .sonar import polar, surface, transfer
-from .sonar.fan import lay_out, lay_out_nearest
-from .sonar.window import Window
-from .sonar.window_fit import conical, fit_window, set_window
+from .sonar.fan import lay_out, lay_out_nearest, rasterised
+from .sonar.window import Window, conical, fit_window, set_window
 from .sonar_randomization import draw as devices
 
 if TYPE_CHECKING:
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from .noise.registry import NoiseSettings
     from .render.base import Rendered
 
+FORMATIONS: Mapping[str, Formation] = {"points": pointwise.observe, "field": coherent.observe}
+"""By the values of `acoustics.formation`."""
 _DRAWS = 40
 """Devices that may be drawn for a picture until one sees some of the frame."""
 
@@ -215,13 +217,13 @@ def make_pair(
     names = StreamNames.of(observed.ref, variant, observed.has_pose)
     draws = draw(config.noise, config.seed, names)
     sample = observed.scene.sample(variant, draws.effects, config)
-    raster = devices.fixed_raster(config.sonar.image) if device is None else device.raster
+    plain = device is None and config.sonar.image.plain
 
     def picture(grey: Floats, noisy: bool = True) -> npt.NDArray[np.generic]:
-        if raster is None:
+        if plain:
             laid_out = lay_out(grey, observed.window, config.sonar)
         else:
-            laid_out = raster.picture(grey, observed.window, config.sonar, noisy=noisy)
+            laid_out = rasterised(grey, observed.window, config.sonar, noisy=noisy)
         return transfer.quantise(laid_out, config.dataset.dtype)
 
     layers = dict(observed.layers)

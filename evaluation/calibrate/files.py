@@ -10,10 +10,11 @@ from typing import Any
 import yaml
 
 from ...factory.config import plain
-from ...factory.files import explain_os_errors, write_atomically
+from ..realism.compare import overall
 from ..realism.report import number, times
-from ..report.text import as_markdown, as_table
-from .search import Result, score
+from ..report.page import write_files
+from ..report.tables import as_markdown, as_table
+from .search import Result
 from .settings import FitSettings
 
 # What the recipe's renders, frames and files are is not part of a profile.
@@ -57,7 +58,7 @@ def summary(result: Result) -> list[str]:
         parts.append((f"{held_out} real pictures kept from it", *result.held_out))
     lines = []
     for what, before, after in parts:
-        old, new = score(before), score(after)
+        old, new = overall(before, "sim"), overall(after, "sim")
         lines.append(
             f"{what}: mean ratio to the real-real baseline {old['geometric_mean_ratio']:.2f} "
             f"before, {new['geometric_mean_ratio']:.2f} after; within 2 times for "
@@ -84,7 +85,11 @@ def write(settings: FitSettings, result: Result) -> list[Path]:
     groups that form the picture.  Raises FactoryError when they cannot be written.
     """
     values = plain(result.config)
-    command = _command(settings)
+    command = (
+        f"simnfnd evaluate fit {shlex.quote(Path(settings.real).name)} name={settings.name} "
+        f"trials={settings.trials} frames={settings.frames} seed={settings.seed} -- "
+        + shlex.join(settings.recipe)
+    )
     story = [
         f"Fitted to {Path(settings.real).resolve().name}: {result.trials} trials (best: number "
         f"{result.best}), {result.simulated} simulated pictures.",
@@ -96,18 +101,12 @@ def write(settings: FitSettings, result: Result) -> list[Path]:
     chosen = {key: _whole(values[key]) for key in _PROFILE if key in values}
     head = f"# @package _global_\n# simnfnd make {usage(settings)}\n#\n"
     defaults = f"defaults:\n  - override /noise: {settings.name}\n"
-    with explain_os_errors(settings.folder, "out"):
-        noise.parent.mkdir(parents=True, exist_ok=True)
-        recipe.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(
-        noise, (_comment(story) + _yaml(values["noise"])).encode(), durable=False, key="out"
-    )
-    write_atomically(
-        recipe,
-        (head + _comment(story) + defaults + _yaml(chosen)).encode(),
-        durable=False,
-        key="out",
-    )
+    texts = {
+        noise: _comment(story) + _yaml(values["noise"]),
+        recipe: head + _comment(story) + defaults + _yaml(chosen),
+    }
+    for path, text in texts.items():
+        write_files(path.parent, {path.name: text})
     return [noise, recipe]
 
 
@@ -118,17 +117,6 @@ def _whole(node: Any) -> Any:
     if node and set(node) <= set(_FORMS):
         return {**dict.fromkeys(_FORMS), **node}
     return {key: _whole(value) for key, value in node.items()}
-
-
-def _command(settings: FitSettings) -> str:
-    words = [
-        "simnfnd evaluate fit",
-        shlex.quote(Path(settings.real).name),
-        f"name={settings.name} trials={settings.trials} frames={settings.frames}",
-        f"seed={settings.seed} --",
-        *map(shlex.quote, settings.recipe),
-    ]
-    return " ".join(words)
 
 
 def _comment(lines: list[str]) -> str:

@@ -15,10 +15,9 @@ from ...factory.errors import FactoryError
 from ...factory.files import explain_os_errors
 from ...factory.progress import progress_bar
 from ...factory.seeds import spawn_key
-from ..realism.compare import Comparison, compare, overall
-from ..realism.distances import STATISTICS, Statistic
+from ..realism.compare import STATISTICS, Comparison, Statistic, compare
 from ..realism.measure import Measured, measure
-from ..realism.real import open_real
+from ..realism.pictures import open_real
 from .settings import FitSettings, Parameter
 from .simulate import Simulation
 
@@ -67,8 +66,9 @@ def search(settings: FitSettings) -> Result:
     simulation = Simulation(settings.recipe, settings.frames, settings.grid)
     for key, parameter in settings.parameters.items():
         simulation.current(key)
-        simulation.configured({key: written(parameter, *_middle(parameter))})
-    searched, held = _parts(open_real(settings.real), settings)
+        middle = parameter.choices[0] if parameter.choices else sum(parameter.limits) / 2
+        simulation.configured({key: written(parameter, middle, parameter.spreads[1])})
+    searched, held = _parts(measure(open_real(settings.real), settings.grid), settings.hold_out)
     study = _study(settings)
     base = simulation.measured({})
 
@@ -121,33 +121,24 @@ def _score(comparisons: list[Comparison]) -> float:
     return float(np.exp(np.log(np.clip(np.nan_to_num(ratios, nan=_BAD), 1, _BAD)).mean()))
 
 
-def score(comparisons: list[Comparison]) -> dict[str, float]:
-    """The table in three numbers."""
-    return overall(comparisons, "sim")
-
-
 def _chosen(names: tuple[str, ...] | None) -> Sequence[Statistic]:
-    if names is None:
-        return STATISTICS
     known = {statistic.name: statistic for statistic in STATISTICS}
-    for name in names:
-        if name not in known:
-            raise FactoryError(f"statistics: no {name}; there are {', '.join(known)}")
-    return [known[name] for name in names]
+    unknown = [name for name in names or () if name not in known]
+    if unknown:
+        raise FactoryError(f"statistics: no {unknown[0]}; there are {', '.join(known)}")
+    return STATISTICS if names is None else [known[name] for name in names]
 
 
-def _parts(real: Any, settings: FitSettings) -> tuple[Measured, Measured | None]:
+def _parts(every: Measured, hold_out: bool) -> tuple[Measured, Measured | None]:
     """The real pictures of the search and those held out: alternate blocks of neighbours."""
-    every = measure(real, settings.grid)
-    if not settings.hold_out:
+    if not hold_out:
         return every, None
     block = np.arange(len(every)) * _BLOCKS // len(every)
-    return _rows(every, block % 2 == 0), _rows(every, block % 2 == 1)
-
-
-def _rows(measured: Measured, chosen: np.ndarray[Any, Any]) -> Measured:
-    names = Measured.__dataclass_fields__
-    return Measured(**{name: getattr(measured, name)[chosen] for name in names})
+    searched, held = (
+        Measured(**{name: values[block % 2 == odd] for name, values in vars(every).items()})
+        for odd in (0, 1)
+    )
+    return searched, held
 
 
 def _study(settings: FitSettings) -> optuna.Study:
@@ -158,8 +149,6 @@ def _study(settings: FitSettings) -> optuna.Study:
     values = TypeAdapter(FitSettings).dump_python(settings, mode="json")
     # More trials continue the same search, wherever it is kept.
     identity = {k: v for k, v in values.items() if k not in ("trials", "out", "name", "debug")}
-    if settings.method == "tpe":
-        identity.pop("method")  # as before there was another
     text = json.dumps(identity, sort_keys=True)
     digest = hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
     with explain_os_errors(folder, "out"):
@@ -182,10 +171,6 @@ def _sampler(settings: FitSettings, number: int) -> optuna.samplers.BaseSampler:
     import optuna
 
     seed = spawn_key(settings.seed, "fit", number)[0]
-    if settings.method == "climb":
-        from .climb import Climb  # loads optuna
-
-        return Climb(seed)
     if number < settings.startup:
         return optuna.samplers.RandomSampler(seed=seed)
     return optuna.samplers.TPESampler(
@@ -200,9 +185,7 @@ def _values(parameters: Mapping[str, Parameter], trial: Any) -> dict[str, Any]:
         if parameter.choices is not None:
             values[key] = trial.suggest_categorical(key, list(parameter.choices))
             continue
-        assert parameter.low is not None
-        assert parameter.high is not None
-        value = trial.suggest_float(key, parameter.low, parameter.high, log=parameter.log)
+        value = trial.suggest_float(key, *parameter.limits, log=parameter.log)
         low, high = parameter.spreads
         spread = trial.suggest_float(key + _SPREAD, low, high) if high > low else low
         values[key] = written(parameter, value, spread)
@@ -218,41 +201,28 @@ def _start(parameters: Mapping[str, Parameter], simulation: Simulation) -> dict[
             kind, numbers = next(iter(current.items()))
             current = numbers[0] if kind == "normal" else (min(numbers) + max(numbers)) / 2
         if parameter.choices is not None:
-            if current in parameter.choices:
-                start[key] = current
-            continue
-        assert parameter.low is not None
-        assert parameter.high is not None
-        if isinstance(current, int | float) and not isinstance(current, bool):
-            start[key] = min(max(float(current), parameter.low), parameter.high)
+            start |= {key: current} if current in parameter.choices else {}
+        elif isinstance(current, int | float) and not isinstance(current, bool):
+            low, high = parameter.limits
+            start[key] = min(max(float(current), low), high)
             low, high = parameter.spreads
-            if high > low:
-                start[key + _SPREAD] = low
+            start |= {key + _SPREAD: low} if high > low else {}
     return start
-
-
-def _middle(parameter: Parameter) -> tuple[Any, float]:
-    if parameter.choices is not None:
-        return parameter.choices[0], 0.0
-    assert parameter.low is not None
-    assert parameter.high is not None
-    return (parameter.low + parameter.high) / 2, parameter.spreads[1]
 
 
 def written(parameter: Parameter, value: Any, spread: float = 0.0) -> Any:
     """A value and its spread as a config writes them, four digits."""
     if parameter.choices is not None:
         return value
-    assert parameter.low is not None
-    assert parameter.high is not None
     if spread <= 0:
         return _short(value)
+    least, most = parameter.limits
     if parameter.log:
         low, high = value / (1 + spread), value * (1 + spread)
     else:
-        width = spread * (parameter.high - parameter.low)
+        width = spread * (most - least)
         low, high = value - width, value + width
-    return {"uniform": [_short(max(low, parameter.low)), _short(min(high, parameter.high))]}
+    return {"uniform": [_short(max(low, least)), _short(min(high, most))]}
 
 
 def _short(value: float) -> float:

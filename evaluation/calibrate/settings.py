@@ -2,30 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import field
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from ...factory.settings import STRICT
-from ..realism.polar import Grid
+from ..settings import Grid
 
 # What decides the renders, the frames or where things lie: not for a search over noise.
 _FIXED = (
-    "scenes",
-    "render",
-    "sonar.mount",
-    "frames",
-    "split",
-    "seed",
-    "dataset",
-    "scheduler",
-    "cache",
-    "shard",
-    "debug",
-)
+    "scenes", "render", "sonar.mount", "frames", "split", "seed", "dataset", "scheduler", "cache",
+    "shard", "debug",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -47,14 +39,13 @@ class Parameter:
     @model_validator(mode="after")
     def _whole(self) -> Self:
         if self.choices is not None:
-            if self.low is not None or self.high is not None or self.spread != 0:
-                raise ValueError("choices stand alone: no low, high or spread")
-            if not self.choices:
-                raise ValueError("choices must not be empty")
+            if self.low is not None or self.high is not None or self.spread or not self.choices:
+                raise ValueError("choices: at least one, and neither low, high nor spread beside")
             return self
-        if self.low is None or self.high is None or self.low >= self.high:
+        low, high = self.limits
+        if not low < high:
             raise ValueError("give low and high, low < high, or choices")
-        if self.log and self.low <= 0:
+        if self.log and low <= 0:
             raise ValueError("log needs low > 0")
         low, high = self.spreads
         if not 0 <= low <= high:
@@ -62,11 +53,17 @@ class Parameter:
         return self
 
     @property
+    def limits(self) -> tuple[float, float]:
+        """Of the value; NaN where there are none."""
+        return (
+            math.nan if self.low is None else self.low,
+            math.nan if self.high is None else self.high,
+        )
+
+    @property
     def spreads(self) -> tuple[float, float]:
         """Limits of the spread; equal ones when it is not searched."""
-        if isinstance(self.spread, tuple):
-            return self.spread
-        return self.spread, self.spread
+        return self.spread if isinstance(self.spread, tuple) else (self.spread, self.spread)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -82,7 +79,6 @@ class FitSettings:
     grid: Grid = field(default_factory=Grid)
     trials: Annotated[int, Field(ge=1)] = 200
     startup: Annotated[int, Field(ge=1)] = 40
-    method: Literal["tpe", "climb"] = "tpe"
     resamples: Annotated[int, Field(ge=2)] = 12
     statistics: tuple[str, ...] | None = None
     seed: Annotated[int, Field(ge=0)] = 0
@@ -94,7 +90,7 @@ class FitSettings:
         if not self.parameters:
             raise ValueError("parameters: name at least one key to search")
         for key in self.parameters:
-            if any(key == fixed or key.startswith(f"{fixed}.") for fixed in _FIXED):
+            if f"{key}.".startswith(tuple(f"{fixed}." for fixed in _FIXED)):
                 raise ValueError(
                     f"parameters.{key}: it decides what is rendered or where it goes, and cannot "
                     "be searched; set it in recipe"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,11 +14,12 @@ from ...factory.dataset.format.schema import Pair
 from ...factory.errors import FactoryError, FrameError
 from ...factory.frame import FrameRef
 from ...factory.pairs import PairMaker
-from ...factory.render.cache.views import open_views
 from ...factory.render.view import View
+from ...factory.render.views import open_views
 from ...factory.sonar.geometry import FanGeometry
 from ..realism.measure import Measured, joined, measure_picture
-from ..realism.polar import Grid, to_polar
+from ..realism.pictures import to_polar
+from ..settings import Grid
 
 
 class Simulation:
@@ -49,19 +51,16 @@ class Simulation:
 
     def configured(self, values: Mapping[str, Any]) -> FactoryConfig:
         """The recipe's configuration with some keys set.  Raises FactoryError for a bad key."""
-        tree = _copied(self._plain)
+        tree = copy.deepcopy(self._plain)
         for key, value in values.items():
-            _set(tree, key, value)
+            node, last = _holder(tree, key)
+            node[last] = value
         return from_mapping(tree)
 
     def current(self, key: str) -> Any:
         """What the recipe says of a key.  Raises FactoryError when there is no such key."""
-        node: Any = self._plain
-        for part in key.split("."):
-            if not isinstance(node, dict) or part not in node:
-                raise FactoryError(f"parameters.{key}: the factory has no such key")
-            node = node[part]
-        return node
+        node, last = _holder(self._plain, key)
+        return node[last]
 
     def measured(self, values: Mapping[str, Any]) -> Measured:
         """The numbers of the pictures that these values make."""
@@ -88,7 +87,7 @@ def _usable(maker: PairMaker, ref: FrameRef) -> bool:
 
 
 class _Kept:
-    """Renders in memory; a `simnfnd.factory.render.cache.views.Views`."""
+    """Renders in memory; a `simnfnd.factory.render.views.Views`."""
 
     def __init__(self, views: dict[FrameRef, View]) -> None:
         self._views = views
@@ -100,17 +99,12 @@ class _Kept:
         return self._views[ref]
 
 
-def _copied(tree: dict[str, Any]) -> dict[str, Any]:
-    return {k: _copied(v) if isinstance(v, dict) else v for k, v in tree.items()}
-
-
-def _set(tree: dict[str, Any], key: str, value: Any) -> None:
+def _holder(tree: dict[str, Any], key: str) -> tuple[dict[str, Any], str]:
+    """The mapping that holds a dotted key, and the key's last part.  Raises FactoryError."""
     *parents, last = key.split(".")
-    node = tree
+    node: Any = tree
     for part in parents:
-        if not isinstance(node.get(part), dict):
-            raise FactoryError(f"parameters.{key}: the factory has no such key")
-        node = node[part]
-    if last not in node:
+        node = node.get(part) if isinstance(node, dict) else None
+    if not isinstance(node, dict) or last not in node:
         raise FactoryError(f"parameters.{key}: the factory has no such key")
-    node[last] = value
+    return node, last

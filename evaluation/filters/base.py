@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import itertools
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -22,17 +21,6 @@ Gray = npt.NDArray[np.float32]
 
 Number = int | float
 Parameters = dict[str, Number]
-
-
-_NOTHING_BEYOND: dict[str, tuple[Number, ...]] = {
-    "size": (2, 3),  # a window of one pixel is no filter
-    "iterations": (1,),
-    "levels": (1, 8),  # the eighth averages 256 pixels, a whole picture
-    "memory": (1.0,),
-    "sigma_px": (0.2,),  # a Gaussian so narrow is a single pixel
-    "strength": (1000.0,),  # nothing is above such a threshold
-    "sigma_gray": (100.0,),  # all grey values count alike: the Gaussian blur
-}
 
 
 class BaselineError(FactoryError, ValueError):
@@ -71,34 +59,10 @@ class Baseline:
         """Whether it can use where range and bearing are."""
         return "geometry" in self._arguments()
 
-    def program(self) -> str:
-        """The source of the method: of its module and of those here that it takes things from."""
-        own = sys.modules[self.function.__module__]
-        package = __name__.rpartition(".")[0]
-        names = {getattr(thing, "__module__", None) or "" for thing in vars(own).values()}
-        others = sorted(name for name in names if name.startswith(f"{package}."))
-        return "".join(
-            inspect.getsource(sys.modules[name])
-            for name in [own.__name__, *(name for name in others if name != own.__name__)]
-        )
-
     def points(self) -> list[Parameters]:
         """Every combination of the grid, completed by the defaults."""
         combinations = itertools.product(*self.grid.values())
         return [{**self.default, **dict(zip(self.grid, c, strict=True))} for c in combinations]
-
-    def edges(self, point: Mapping[str, Number]) -> list[str]:
-        """Names of the parameters that stand at an open end of their axis of the grid.
-
-        An end beyond which there is nothing (see `_NOTHING_BEYOND`) is not open.
-        """
-        return [
-            name
-            for name, axis in self.grid.items()
-            if len(axis) > 1
-            and point[name] in (axis[0], axis[-1])
-            and point[name] not in _NOTHING_BEYOND.get(name, ())
-        ]
 
     def __call__(
         self,

@@ -7,9 +7,12 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from .checks import Image, Mask, MetricError, checked_mask, checked_pair
+from .fidelity import Image, Mask
 
 Values = npt.NDArray[np.float64]
+
+SIDE = 16
+"""Of an even zone, pixels."""
 
 _DARK = 0.01  # of full scale: below, a ratio says nothing
 _LEVELS = 16  # gray levels of the co-occurrence matrix
@@ -17,43 +20,41 @@ _CLOSENESS = 1 / (1 + np.square(np.subtract.outer(np.arange(_LEVELS), np.arange(
 
 
 def homogeneous_zones(
-    image: Image, *, data_range: float, sector: Mask, side: int = 16, share: float = 0.1
+    image: Image, *, data_range: float, sector: Mask, share: float = 0.1
 ) -> npt.NDArray[np.int64]:
     """(N, 2) top-left corners of the image's most even blocks, the evenest first.
 
-    Blocks of `side` pixels on a grid without overlap, wholly inside `sector` and with a mean above
+    Blocks of 16x16 pixels on a grid without overlap, wholly inside `sector` and with a mean above
     5 % of full scale (shadow is even, too, but has no speckle); of these the `share` (at least one)
     with the least std/mean.  Choose them on the clean image where there is one, so that all methods
     are measured in the same places.  Empty when no block qualifies.
     """
-    gray, _ = checked_pair(image, image, data_range, smallest=side)
-    inside = checked_mask(sector, gray)
-    rows, columns = (size // side for size in gray.shape)
+    rows, columns = (size // SIDE for size in image.shape)
 
     def blocks(array: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
-        cut = array[: rows * side, : columns * side].reshape(rows, side, columns, side)
-        return cut.transpose(0, 2, 1, 3).reshape(rows * columns, side * side)
+        cut = array[: rows * SIDE, : columns * SIDE].reshape(rows, SIDE, columns, SIDE)
+        return cut.transpose(0, 2, 1, 3).reshape(rows * columns, SIDE * SIDE)
 
-    values = blocks(gray)
+    values = blocks(image.astype(np.float64))
     mean, deviation = values.mean(axis=1), values.std(axis=1)
-    (usable,) = np.nonzero(blocks(inside).all(axis=1) & (mean > 0.05 * data_range))
+    (usable,) = np.nonzero(blocks(sector).all(axis=1) & (mean > 0.05 * data_range))
     if not usable.size:
         return np.empty((0, 2), dtype=np.int64)
     count = max(1, round(share * usable.size))
     order = np.argsort(deviation[usable] / mean[usable], kind="stable")[:count]
     chosen = usable[order]
-    corners = np.stack([chosen // columns * side, chosen % columns * side], axis=1)
+    corners = np.stack([chosen // columns * SIDE, chosen % columns * SIDE], axis=1)
     return np.asarray(corners, dtype=np.int64)
 
 
-def zone_enl(image: Image, zones: npt.NDArray[np.int64], *, side: int = 16) -> Values:
+def zone_enl(image: Image, zones: npt.NDArray[np.int64]) -> Values:
     """(N,) equivalent number of looks of each zone, mean^2 / variance; inf where all is equal."""
-    return _looks(_blocks(np.asarray(image), zones, side).astype(np.float64))
+    return _looks(_blocks(image, zones).astype(np.float64))
 
 
-def enl(image: Image, zones: npt.NDArray[np.int64], *, side: int = 16) -> float:
+def enl(image: Image, zones: npt.NDArray[np.int64]) -> float:
     """Median ENL over the zones (NaN without any).  Blur alone raises it: never read it alone."""
-    return float(np.median(zone_enl(image, zones, side=side))) if len(zones) else math.nan
+    return float(np.median(zone_enl(image, zones))) if len(zones) else math.nan
 
 
 def contrast_to_noise(image: Image, bright: Mask, dark: Mask) -> float:
@@ -63,9 +64,6 @@ def contrast_to_noise(image: Image, bright: Mask, dark: Mask) -> float:
     inf when both are constant and differ.
     """
     gray = np.asarray(image, dtype=np.float64)
-    for mask in (bright, dark):
-        if mask.shape != gray.shape:
-            raise MetricError(f"mask is {mask.shape} but the image is {gray.shape}")
     one, other = gray[bright], gray[dark]
     if not one.size or not other.size:
         return math.nan
@@ -76,29 +74,19 @@ def contrast_to_noise(image: Image, bright: Mask, dark: Mask) -> float:
     return difference / noise
 
 
-def ratio_image(noisy: Image, denoised: Image, *, data_range: float) -> Values:
+def ratio_image(noisy: Image, denoised: Image, data_range: float = 1.0) -> Values:
     """(H, W) noisy / denoised: pure speckle of mean 1 if the filter took nothing but noise.
 
     NaN where the denoised image is below 1 % of full scale.
     """
-    above, below = checked_pair(noisy, denoised, data_range, smallest=1)
-    return ratio_of(above, below, data_range)
-
-
-def ratio_of(noisy: Values, denoised: Values, data_range: float) -> Values:
-    """`ratio_image` of images (H, W) float64 that were checked already."""
-    result = np.full(denoised.shape, np.nan)
-    np.divide(noisy, denoised, out=result, where=denoised >= _DARK * data_range)
+    above, below = noisy.astype(np.float64), denoised.astype(np.float64)
+    result = np.full(below.shape, np.nan)
+    np.divide(above, below, out=result, where=below >= _DARK * data_range)
     return result
 
 
-def ratio_mean(noisy: Image, denoised: Image, *, data_range: float) -> float:
-    """Mean of the ratio image, 1 = the mean is preserved; NaN when the denoised image is black."""
-    return mean_ratio(ratio_image(noisy, denoised, data_range=data_range))
-
-
 def mean_ratio(ratio: Values) -> float:
-    """The mean of what is known of a ratio image, NaN where that is nothing."""
+    """Mean of a ratio image, 1 = the mean is preserved; NaN where nothing of it is known."""
     values = ratio[np.isfinite(ratio)]
     return float(values.mean()) if values.size else math.nan
 
@@ -130,16 +118,10 @@ def structure(ratio: Values) -> float:
     return 100 * abs(before - _shuffled_homogeneity(ranks)) / before
 
 
-def m_index(
-    noisy: Image,
-    denoised: Image,
-    zones: npt.NDArray[np.int64],
-    *,
-    data_range: float,
-    side: int = 16,
-) -> float:
+def m_index(ratio: Values, before: Values, zones: npt.NDArray[np.int64]) -> float:
     """M of Gomez, Ospina and Frery (Remote Sensing 9(4), 389, 2017): 0 = an ideal speckle filter.
 
+    ratio: the `ratio_image`.  before: (N,) ENL of the noisy image's zones.
     M = r + delta h.  r is half the mean over the homogeneous zones of |ENL_noisy - ENL_ratio| /
     ENL_noisy + |1 - mean ratio|: a perfect filter leaves all of the speckle, with mean 1, in the
     ratio image.  Mean and not sum over zones, so that it does not grow with their number.  delta h
@@ -147,15 +129,7 @@ def m_index(
     that does nothing gets 0.5 (a ratio of 1 everywhere has no structure), so M ranks filters that
     do something, beside PSNR.  NaN without zones.
     """
-    ratio = ratio_image(noisy, denoised, data_range=data_range)
-    return m_index_of(ratio, zone_enl(noisy, zones, side=side), zones, side=side)
-
-
-def m_index_of(
-    ratio: Values, before: Values, zones: npt.NDArray[np.int64], *, side: int = 16
-) -> float:
-    """`m_index` of a ratio image (H, W); before: (N,) ENL of the noisy image's zones."""
-    blocks = _blocks(ratio, zones, side)
+    blocks = _blocks(ratio, zones)
     usable = np.isfinite(blocks).any(axis=1) & np.isfinite(before) & (before != 0)
     if not usable.any():
         return math.nan
@@ -166,15 +140,12 @@ def m_index_of(
     return float(residuals.mean()) + structure(ratio)
 
 
-def _blocks(
-    image: npt.NDArray[np.floating], zones: npt.NDArray[np.int64], side: int
-) -> npt.NDArray[np.floating]:
-    """(N, side * side) pixels of the zones."""
-    offsets = np.arange(side)
-    rows = zones[:, :1] + offsets
-    columns = zones[:, 1:] + offsets
+def _blocks(image: Image, zones: npt.NDArray[np.int64]) -> Image:
+    """(N, SIDE * SIDE) pixels of the zones."""
+    offsets = np.arange(SIDE)
+    rows, columns = zones[:, :1] + offsets, zones[:, 1:] + offsets
     blocks = image[rows[:, :, None], columns[:, None, :]]
-    return np.asarray(blocks.reshape(len(zones), side * side))
+    return np.asarray(blocks.reshape(len(zones), SIDE * SIDE))
 
 
 def _looks(blocks: Values) -> Values:

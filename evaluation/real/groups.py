@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import overload
+from typing import Any
 
 import cv2
 import numpy as np
@@ -48,20 +48,22 @@ class Group:
         """The group by places instead of shots."""
         return StaticGroup(tuple(range(len(self.shots))), self.shifts_px)
 
+    @property
+    def largest_px(self) -> float:
+        """How far a frame lies from the first, at most."""
+        return float(np.hypot(*self.shifts_px.T).max())
+
 
 @dataclass(frozen=True, eq=False)
 class Several:
     """What several frames give without any method, with a reference of none of them.
 
-    mean, median: (H, W) of `count` frames; reference: (H, W), the mean of all other frames.
-    frames: (count, H, W), these frames in their order, but the one that is judged last.
+    mean, median: (H, W) of some frames; reference: (H, W), the mean of all other frames.
     """
 
-    count: int
     mean: Gray
     median: Gray
     reference: Gray
-    frames: Gray
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,8 +183,7 @@ def _several(laid: dict[int, Gray], place: int, count: int) -> Several | None:
         return None
     stack = [laid[number] for number in sorted(chosen)]
     middle = np.median(stack, axis=0)
-    looks = np.stack([laid[number] for number in sorted(chosen - {place})] + [laid[place]])
-    return Several(count, mean_of(stack), np.asarray(middle, np.float32), mean_of(rest), looks)
+    return Several(mean_of(stack), np.asarray(middle, np.float32), mean_of(rest))
 
 
 def _group(
@@ -224,11 +225,5 @@ class _Pictures(Sequence[Gray]):
     def __len__(self) -> int:
         return len(self._shots)
 
-    @overload
-    def __getitem__(self, number: int) -> Gray: ...
-    @overload
-    def __getitem__(self, number: slice) -> Sequence[Gray]: ...
-    def __getitem__(self, number: int | slice) -> Gray | Sequence[Gray]:
-        if isinstance(number, slice):
-            return [shot.read()[0] for shot in self._shots[number]]
+    def __getitem__(self, number: Any) -> Any:
         return self._shots[number].read()[0]

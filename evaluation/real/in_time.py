@@ -12,16 +12,26 @@ swimmer  the frames as they are, and over them a bright speckled thing that swim
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ...factory.progress import progress_bar
+from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
 from ...models.denoise.temporal.stream import InTime, Network, Shot
+from ..filters import REGISTRY
+from ..methods import Method, network
 from ..metrics.fidelity import psnr, ssim_map
+from ..settings import RealSettings
+from .groups import Group, nearest
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Gray = npt.NDArray[np.float32]
 Mask = npt.NDArray[np.bool_]
@@ -32,6 +42,10 @@ LEAST_FRAMES = 12
 WEIGHTS = (0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06)
 """Of the total variation that is tuned."""
 ROWS = ("one frame", "fused", "fused and denoised", "mean of 7", "mean of 7, tuned TV")
+
+_OF_NETWORK = ("one frame", "fused and denoised")
+"""Of `ROWS`, those that the network makes; the others are there once."""
+_LIMIT_S = 3600.0  # for a recording and a network
 
 _LIT = 8 / 255
 _MOVED_SHARE = 0.05  # of the scene, the part that changes most in time, is left out
@@ -90,7 +104,7 @@ def kinds_of(frames: Gray, seed: int = 0) -> Iterator[Judged]:
 
 def rows_of(judged: Judged, network: Network, weight: float) -> dict[str, Callable[[int], Gray]]:
     """Row -> what it makes of a frame.  weight: of the total variation."""
-    fused, denoised = _in_time(judged.frames, None), _in_time(judged.frames, network)
+    fused, denoised = (_in_time(judged.frames, one) for one in (None, network))
 
     def mean(number: int) -> Gray:
         window = judged.frames[max(0, number - AWAY) : number + AWAY + 1]
@@ -122,11 +136,8 @@ def tuned_weight(others: Sequence[Judged], step: int = 8) -> float:
 
 
 def variation_of(picture: Gray, weight: float) -> Gray:
-    """With less total variation (Chambolle 2004, scikit-image)."""
-    from skimage.restoration import denoise_tv_chambolle  # slow to import
-
-    smooth: Any = denoise_tv_chambolle
-    return np.asarray(smooth(picture, weight=weight), np.float32)
+    """With less total variation."""
+    return REGISTRY["tv"](picture, {"weight": weight})
 
 
 def _in_time(frames: Gray, network: Network | None) -> list[Gray]:
@@ -200,3 +211,118 @@ def _swimmer(still: Judged, rng: np.random.Generator) -> Judged:
         masks[number] = cv2.dilate((body > 0.1).astype(np.uint8), wake) > 0
     frames = np.rint(frames * 255) / np.float32(255)
     return Judged("swimmer", frames, references, masks, levels=False)
+
+
+@dataclass(frozen=True)
+class TimeRow:
+    """A row on one kind of input of one recording: means over the judged frames."""
+
+    recording: str
+    kind: str
+    row: str
+    frames: int
+    psnr_db: float
+    ssim: float
+
+
+@dataclass(frozen=True, eq=False)
+class TimeRows:
+    """What was judged in time.  notes: what was tuned on what, and what was left out."""
+
+    rows: tuple[TimeRow, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def table(self) -> pd.DataFrame:
+        """A row a method, and of each kind of input the mean PSNR and SSIM over recordings."""
+        import pandas as pd
+
+        table = pd.DataFrame(map(asdict, self.rows))
+        means = table.groupby(["row", "kind"], sort=False)[["psnr_db", "ssim"]].mean()
+        text = means["psnr_db"].map("{:.2f}".format) + " / " + means["ssim"].map("{:.3f}".format)
+        kinds = list(dict.fromkeys(table["kind"]))
+        wide = text.unstack("kind").loc[list(dict.fromkeys(table["row"])), kinds]
+        wide.columns = [f"{kind}, dB / SSIM" for kind in kinds]
+        return wide.rename_axis("row").reset_index()
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    number: int
+    group: Group
+    others: tuple[Group, ...]
+    weights: str
+    label: str
+    device: str
+    most: int
+
+
+def judged_in_time(
+    settings: RealSettings, groups: Sequence[Group], networks: Sequence[Method], pool: TaskPool
+) -> TimeRows:
+    """The rows of every recording that stands still, by each network; nothing without either."""
+    recordings = [group for group in groups if _is_recording(group)]
+    if not (recordings and networks and settings.in_time):
+        return TimeRows()
+    waiting = deque(
+        _Task(
+            number,
+            group,
+            tuple(one for one in recordings if one is not group),
+            method.weights or "",
+            method.label,
+            settings.device,
+            settings.in_time,
+        )
+        for number, group in enumerate(recordings)
+        for method in networks
+    )
+    found: dict[tuple[int, str, str], TimeRow] = {}
+    notes: dict[str, None] = {}
+    with progress_bar(total=len(waiting), unit="recording", desc="in time") as bar:
+        for task, result in pool.run(_judged, waiting, lambda _: _LIMIT_S):
+            bar.update()
+            if isinstance(result, TaskLost):
+                notes[f"{task.group.name}, {task.label}: not judged in time ({result.reason})"] = (
+                    None
+                )
+                continue
+            rows, note = result
+            notes[note] = None
+            for row in rows:
+                found.setdefault((task.number, row.kind, row.row), row)
+    return TimeRows(tuple(found.values()), tuple(notes))
+
+
+def _judged(task: _Task) -> tuple[list[TimeRow], str]:
+    frames = _frames(task.group, task.most)
+    others = [next(kinds_of(_frames(one, task.most))) for one in task.others]
+    tuned_on = ", ".join(one.name for one in task.others)
+    if not others:
+        # Of a single recording the half that comes first, and the whole is judged: said so.
+        half = frames[: max(len(frames) // 2, LEAST_FRAMES)]
+        others, tuned_on = [next(kinds_of(half))], f"the first {len(half)} frames of itself"
+    weight = tuned_weight(others)
+    denoiser = network(task.weights, task.device)
+    rows = []
+    for kind in kinds_of(frames):
+        for name, make in rows_of(kind, denoiser, weight).items():
+            scores = [kind.score(number, make(number)) for number in kind.numbers()]
+            label = f"{task.label}: {name}" if name in _OF_NETWORK else name
+            psnr_db, ssim = (
+                float(np.mean([one[key] for one in scores])) for key in ("psnr_db", "ssim")
+            )
+            rows.append(TimeRow(task.group.name, kind.name, label, len(scores), psnr_db, ssim))
+    return rows, f"{task.group.name}: tuned TV has weight {weight:g}, tuned on {tuned_on}"
+
+
+def _is_recording(group: Group) -> bool:
+    """Whether its frames follow each other in one file, and are enough."""
+    one_file = len({shot.path for shot in group.shots}) == 1
+    return one_file and len(group.shots) >= LEAST_FRAMES
+
+
+def _frames(group: Group, most: int) -> Gray:
+    """(N, H, W) frames of a recording in their order, those in its middle."""
+    shots = sorted(group.shots, key=lambda shot: shot.number)
+    chosen = nearest(len(shots), len(shots) // 2, max(most, LEAST_FRAMES))
+    return np.stack([shots[number].read()[0] for number in chosen])

@@ -12,13 +12,21 @@ import numpy.typing as npt
 
 from ...factory.errors import FactoryError
 from ..filters.base import Gray
-from ..methods.method import Method
-from ..metrics.edges import edge_preservation
-from ..metrics.measure import Figures
-from ..metrics.speckle import contrast_to_noise, enl, homogeneous_zones, m_index, ratio_mean
+from ..methods import Method
+from ..metrics.fidelity import decibels, edge_preservation, finite_psnr, psnr, ssim
+from ..metrics.measure import Figures, fit_levels
+from ..metrics.speckle import (
+    SIDE,
+    contrast_to_noise,
+    enl,
+    homogeneous_zones,
+    m_index,
+    mean_ratio,
+    ratio_image,
+    zone_enl,
+)
 from ..runner import MethodFailed
 from .groups import Judged
-from .score import Score, score
 
 if TYPE_CHECKING:
     from ...factory.sonar.geometry import FanGeometry
@@ -27,13 +35,27 @@ Mask = npt.NDArray[np.bool_]
 
 UNCHANGED = 0.5 / 255
 """A picture that differs nowhere by more is the same in 8 bits."""
-MEAN, MEDIAN = "mean", "median"
-"""What is given of several frames, without any method."""
 
-_SIDE = 16  # of an even zone, pixels
 _CALM = 15  # of the median that decides what is dark, pixels
 _DARKEST, _BRIGHTER = 0.1, 0.5  # shares of the sector
 _RING = 15  # around an object, pixels
+
+
+def score(picture: Gray, reference: Gray, where: Mask) -> tuple[float, float]:
+    """PSNR in dB and SSIM of a picture against its reference, after one gain and offset."""
+    fitted = fit_levels([(picture[where], reference[where])])(picture)
+    return (
+        finite_psnr(psnr(reference, fitted, data_range=1.0, mask=where)),
+        ssim(reference, fitted, data_range=1.0, mask=where),
+    )
+
+
+def psnr_of(picture: Gray, reference: Gray, where: Mask) -> float:
+    """The PSNR of `score` alone, dB; several times as fast."""
+    near, far = picture[where], reference[where]
+    fitted = fit_levels([(near, far)])(near)
+    squared = float(np.mean(np.square(fitted - far, dtype=np.float64)))
+    return finite_psnr(decibels(squared, 1.0))
 
 
 @dataclass(frozen=True)
@@ -59,8 +81,8 @@ def scene_of(noisy: Gray, sector: Mask, classes: npt.NDArray[np.uint8] | None, n
     sector: (H, W) bool.  classes: (H, W) class indices, 0 = background.
     Raises FactoryError, which names it, when it is too small or black.
     """
-    if min(noisy.shape) < _SIDE or not sector.any() or not noisy[sector].any():
-        raise FactoryError(f"{name}: black, or smaller than {_SIDE} pixels; take it out")
+    if min(noisy.shape) < SIDE or not sector.any() or not noisy[sector].any():
+        raise FactoryError(f"{name}: black, or smaller than {SIDE} pixels; take it out")
     calm = cv2.medianBlur(np.rint(np.clip(noisy, 0, 1) * 255).astype(np.uint8), _CALM)
     # Near the edge of the sector the median sees black that is no shadow.
     inner = cv2.erode(sector.astype(np.uint8), np.ones((_CALM, _CALM), np.uint8)).astype(bool)
@@ -76,7 +98,7 @@ def scene_of(noisy: Gray, sector: Mask, classes: npt.NDArray[np.uint8] | None, n
         sector,
         inner & (calm <= low),
         inner & (calm > max(low, high)),
-        homogeneous_zones(noisy, data_range=1.0, sector=sector, side=_SIDE),
+        homogeneous_zones(noisy, data_range=1.0, sector=sector),
         objects,
         around,
     )
@@ -85,13 +107,14 @@ def scene_of(noisy: Gray, sector: Mask, classes: npt.NDArray[np.uint8] | None, n
 def figures_of(image: Gray, shared: Scene) -> Figures:
     """The figures without a truth of (H, W) in 0..1; NaN where one does not exist."""
     dark, bright = (float(np.mean(image[part])) for part in (shared.dark, shared.bright))
+    ratio = ratio_image(shared.noisy, image)
     found = {
-        "enl": enl(image, shared.zones, side=_SIDE),
+        "enl": enl(image, shared.zones),
         "cnr": contrast_to_noise(image, shared.bright, shared.dark),
         "shadow_level": dark / bright if bright > 0 else float("nan"),
         "edges_kept": edge_preservation(shared.noisy, image, data_range=1.0, mask=shared.sector),
-        "ratio_mean": ratio_mean(shared.noisy, image, data_range=1.0),
-        "m_index": m_index(shared.noisy, image, shared.zones, data_range=1.0, side=_SIDE),
+        "ratio_mean": mean_ratio(ratio),
+        "m_index": m_index(ratio, zone_enl(shared.noisy, shared.zones), shared.zones),
     }
     if shared.objects is not None and shared.around is not None:
         found["object_cnr"] = contrast_to_noise(image, shared.objects, shared.around)
@@ -130,17 +153,17 @@ class RealPicture:
         """
         judged = self.judged
         figures: Figures = {"unchanged": float(np.abs(image - judged.noisy).max() < UNCHANGED)}
-        reference, before = judged.reference, self._before
-        if method.given:
-            assert judged.several is not None
-            reference, before = judged.several.reference, self._before_several
-        if reference is not None and before is not None:
-            near = score(image, reference, judged.where)
+        reference = (
+            judged.several.reference if method.given and judged.several else judged.reference
+        )
+        if reference is not None:
+            psnr_db, similarity = score(image, reference, judged.where)
+            before = self._before_several if method.given else self._before
             figures |= {
-                "psnr_db": near.psnr_db,
-                "ssim": near.ssim,
-                "gain_db": near.psnr_db - before.psnr_db,
-                "gain_ssim": near.ssim - before.ssim,
+                "psnr_db": psnr_db,
+                "ssim": similarity,
+                "gain_db": psnr_db - before[0],
+                "gain_ssim": similarity - before[1],
             }
         return figures | figures_of(image, self._scene)
 
@@ -151,13 +174,12 @@ class RealPicture:
         return scene_of(self.judged.noisy, self.judged.where, classes, str(shot.path))
 
     @cached_property
-    def _before(self) -> Score | None:
+    def _before(self) -> tuple[float, float]:
         """How near the picture is to its reference as it is."""
-        judged = self.judged
-        known = judged.reference is not None
-        return score(judged.noisy, judged.reference, judged.where) if known else None  # type: ignore[arg-type]
+        assert self.judged.reference is not None
+        return score(self.judged.noisy, self.judged.reference, self.judged.where)
 
     @cached_property
-    def _before_several(self) -> Score:
+    def _before_several(self) -> tuple[float, float]:
         assert self.judged.several is not None
         return score(self.judged.noisy, self.judged.several.reference, self.judged.where)

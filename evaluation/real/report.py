@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ...factory.files import write_atomically
-from ..filters import REGISTRY
-from ..methods.method import shown
-from ..report.measure import as_data_uri
-from ..report.page import own_file, render
-from ..report.text import Metric, as_markdown, as_table, interval, plain, written
+from ...factory.files import check_writable
+from ...factory.scheduler.workers.tasks import TaskPool
+from ...models.recordings.fan.pings import close_last
+from ..methods import shown
+from ..report.page import as_data_uri, as_json, own_file, render, write_files
+from ..report.tables import Metric, as_markdown, as_table, interval, plain, written
 from ..runner import SECONDS
+from ..settings import RealSettings
 from .groups import LEAST_LEFT, MOST_OTHERS
-from .judging import TUNED, Outcome, RealRow
-from .summary import MARGINS
+from .judge import MARGINS, TUNED, Outcome, RealRow, judge
+from .shots import open_input
 
 COLUMNS = {
     "psnr_db": Metric("PSNR, dB", 2, 1),
@@ -70,26 +71,40 @@ RULES = (
 )
 
 
-def write(out: Path, facts: Mapping[str, Any], outcome: Outcome) -> None:
-    """Write the three files.  FactoryError when the folder cannot be written to."""
+def evaluate(settings: RealSettings) -> None:
+    """Measure, print the table and write the report.  Raises FactoryError."""
+    stretches, notes = open_input(settings.real, settings.search)
+    out = settings.folder
+    check_writable(out, "out")
+    with TaskPool(settings.workers) as pool:
+        outcome = judge(settings, stretches, pool)
+    close_last()
+    print(write(out, settings.name, [*notes, *outcome.notes], outcome))
+    print(f"report: {out / 'real.html'}")
+
+
+def write(out: Path, name: str, notes: Sequence[str], outcome: Outcome) -> str:
+    """Write the three files; returns what the terminal shows: the notes, table and verdicts.
+
+    FactoryError when the folder cannot be written to.
+    """
     lines = [_line(row, outcome) for row in outcome.rows]
     rules = (*TRUTH, *RULES) if outcome.groups else RULES
-    content = {**facts, "rows": lines, "rules": rules}
+    about = "; ".join([f"{len(outcome.files)} pictures judged", *notes]) + "."
     in_time = outcome.in_time.table() if outcome.in_time.rows else None
-    text = json.dumps(content, indent=1, allow_nan=False) + "\n"
-    write_atomically(out / "real.json", text.encode(), durable=False, key="out")
     verdicts = _verdicts(lines, outcome)
+    names = _names(lines)
     page = render(
         "real.html",
         css=own_file("page.css"),
-        title=f"Real sonar: {facts['name']}",
-        about=_about(facts),
+        title=f"Real sonar: {name}",
+        about=about,
         verdicts=[text.replace("`", "") for text in verdicts],
         truth=bool(outcome.groups),
         lines=lines,
-        names=_names(lines),
+        names=names,
         columns=COLUMNS,
-        cells={line["label"]: _cells(line, _names(lines)) for line in lines},
+        cells={line["label"]: _cells(line, names) for line in lines},
         notes={line["label"]: " ".join(_words(line)[1:]).strip() for line in lines},
         by_group=_by_group(lines, outcome),
         in_time=None if in_time is None else [list(in_time), *in_time.to_numpy().tolist()],
@@ -97,20 +112,37 @@ def write(out: Path, facts: Mapping[str, Any], outcome: Outcome) -> None:
         rules=rules,
         strips=_strips(outcome),
     )
-    parts = [f"# Real sonar: {facts['name']}", _about(facts), markdown_table(lines), *verdicts]
+    said = [about, markdown_table(lines), *verdicts]
+    parts = [f"# Real sonar: {name}", *said]
     if outcome.groups:
         parts += ["## PSNR by group, dB", as_markdown(as_table(*_by_group(lines, outcome)))]
     if in_time is not None:
         parts += ["## In time", as_markdown(in_time), IN_TIME]
-    text = "\n\n".join([*parts, "## How to read them", *rules, ""])
-    write_atomically(out / "real.md", text.encode(), durable=False, key="out")
-    write_atomically(out / "real.html", page.encode(), durable=False, key="out")
-
-
-def terminal(out: Path) -> str:
-    """What the terminal shows of a written report: the notes, the table and the verdicts."""
-    parts = (out / "real.md").read_text(encoding="utf-8").split("\n\n##")[0]
-    return parts.split("\n\n", 1)[1]
+    facts = {
+        "schema": "simnfnd-real/2",
+        "name": name,
+        "files": outcome.files,
+        "groups": [
+            {
+                "name": group.name,
+                "frames": [shot.name for shot in group.shots],
+                "judged": [group.shots[place].name for place in part.judged],
+                "fold": part.fold,
+                "largest_shift_px": group.largest_px,
+                "judged_share_of_sector": group.still,
+                "geometry": "unknown" if group.geometry is None else group.geometry.layout,
+            }
+            for group, part in zip(outcome.groups, outcome.parts, strict=True)
+        ],
+        "best_filter": outcome.best,
+        "in_time": [asdict(row) for row in outcome.in_time.rows],
+        "notes": notes,
+        "rows": lines,
+        "rules": rules,
+    }
+    markdown = "\n\n".join([*parts, "## How to read them", *rules, ""])
+    write_files(out, {"real.json": as_json(facts), "real.md": markdown, "real.html": page})
+    return "\n\n".join(said)
 
 
 def markdown_table(lines: Sequence[Mapping[str, Any]]) -> str:
@@ -135,11 +167,10 @@ def _line(row: RealRow, outcome: Outcome) -> dict[str, Any]:
     groups = {} if found is None or not outcome.groups else found.groups
     return {
         "label": row.label,
-        "network": row.is_network,
+        "network": row.kind == "network",
         "parameters": [method.parameters for method in row.methods],
-        "at_edge": _at_edge(row),
         "lost": lost,
-        "unchanged": None if found is None or row.is_noisy else found.unchanged,
+        "unchanged": None if found is None or row.kind == "noisy" else found.unchanged,
         "measured": 0 if found is None else found.pictures,
         "means": means,
         "intervals": {} if found is None else {k: list(v) for k, v in found.intervals.items()},
@@ -157,22 +188,12 @@ def _line(row: RealRow, outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _at_edge(row: RealRow) -> list[str]:
-    """Parameters that tuning left at an open end of their grid: beyond it there may be better."""
-    if len(row.methods) < 1 or row.methods[0].form != TUNED:
-        return []
-    found = [REGISTRY[one.name].edges(one.parameters) for one in row.methods]
-    return sorted({name for names in found for name in names})
-
-
 def _words(line: Mapping[str, Any]) -> list[str]:
     """The label, the parameters of each fold, and what came back unchanged."""
     found = [line["label"]]
     chosen = list(dict.fromkeys(shown(one) for one in line["parameters"] if one))
     if chosen:
         found.append(" (" + " | ".join(one.strip(" ()") for one in chosen) + ")")
-    if line["at_edge"]:
-        found.append(f" (at the end of its grid: {', '.join(line['at_edge'])})")
     if line["unchanged"]:
         every = line["unchanged"] == line["measured"]
         found.append(
@@ -198,10 +219,6 @@ def _cells(line: Mapping[str, Any], names: Sequence[str]) -> list[str]:
 
 def _names(lines: Sequence[Mapping[str, Any]]) -> list[str]:
     return [name for name in COLUMNS if any(line["means"][name] is not None for line in lines)]
-
-
-def _about(facts: Mapping[str, Any]) -> str:
-    return "; ".join([f"{len(facts['files'])} pictures judged", *facts["notes"]]) + "."
 
 
 def _verdicts(lines: Sequence[Mapping[str, Any]], outcome: Outcome) -> list[str]:
@@ -259,7 +276,7 @@ def _strips(outcome: Outcome) -> list[tuple[str, bool, list[tuple[str, str]]]]:
 def _caption(row: RealRow, number: int, outcome: Outcome) -> str:
     figures = outcome.measured.figures[row.label].get(number, {})
     text = row.label
-    if figures.get("unchanged") and not row.is_noisy:
+    if figures.get("unchanged") and row.kind != "noisy":
         text += ": unchanged"
     if "psnr_db" in figures:
         text += f", {figures['psnr_db']:.2f} dB"

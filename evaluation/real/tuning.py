@@ -18,9 +18,9 @@ import numpy as np
 
 from ..filters import REGISTRY
 from ..filters.base import Baseline, Parameters
-from ..methods.method import reason
+from ..methods import reason
 from .groups import Group, Judged
-from .score import psnr_of
+from .measure import psnr_of
 
 FOLDS = 2
 FRAMES_OF_A_GROUP = 2
@@ -56,15 +56,6 @@ class Task:
     frames: tuple[Judged, ...]
 
 
-@dataclass(frozen=True)
-class Tuned:
-    """parameters: the best ones.  psnr_db: mean over the frames.  tried: how many points."""
-
-    parameters: Parameters
-    psnr_db: float
-    tried: int
-
-
 def parts_of(groups: Sequence[Group]) -> list[Part]:
     """What is tuned on and what is judged: every other group; of a single one its two halves."""
     if len(groups) == 1:
@@ -86,7 +77,7 @@ def parts_of(groups: Sequence[Group]) -> list[Part]:
     return found
 
 
-def tuned(task: Task) -> Tuned | str:
+def tuned(task: Task) -> Parameters | str:
     """The best parameters of a filter on some frames, or why it failed."""
     baseline = REGISTRY[task.baseline]
     if baseline.looks:
@@ -100,21 +91,16 @@ def tuned(task: Task) -> Tuned | str:
             _psnr(baseline, dict(baseline.default), frames[:1])
         if time.process_time() - start > _SLOW_S:
             frames, middles = frames[::_SLOWER], middles[::_SLOWER]
-        found, points = line_search(baseline, lambda point: _psnr(baseline, point, middles))
-        whole = {n: _psnr(baseline, point, frames) for n, point in enumerate(points[:_BEST])}
-        best = max(whole, key=lambda number: whole[number])
-        return Tuned(points[best], whole[best], found.tried)
+        points = line_search(baseline, lambda point: _psnr(baseline, point, middles))
+        return max(points[:_BEST], key=lambda point: _psnr(baseline, point, frames))
     except Exception as error:  # a method's own defect must not take the others along
         return reason(error)
 
 
-def line_search(
-    baseline: Baseline, measured: Callable[[Parameters], float]
-) -> tuple[Tuned, list[Parameters]]:
-    """The best point of a filter's grid, searched along one parameter after the other.
+def line_search(baseline: Baseline, measured: Callable[[Parameters], float]) -> list[Parameters]:
+    """The points of a filter's grid that were tried, one parameter after the other; best first.
 
-    measured: the score of a point, high is good.  Also returns all points that were tried, the
-    best first.
+    measured: the score of a point, high is good.
     """
     points: dict[tuple[float, ...], Parameters] = {}
     known: dict[tuple[float, ...], float] = {}
@@ -137,8 +123,7 @@ def line_search(
     # Of equal ones the first, which is nearer to the default.
     ranked = sorted(points, key=lambda key: -known[key])
     first = tuple(best[name] for name in sorted(best))
-    order = [first, *(key for key in ranked if key != first)]
-    return Tuned(best, value(best), len(known)), [points[key] for key in order]
+    return [points[key] for key in [first, *(key for key in ranked if key != first)]]
 
 
 def _along(
@@ -166,10 +151,7 @@ def _along(
 
 
 def _finer(
-    start: Parameters,
-    name: str,
-    axis: Sequence[float],
-    value: Callable[[Parameters], float],
+    start: Parameters, name: str, axis: Sequence[float], value: Callable[[Parameters], float]
 ) -> Parameters:
     """The best of the present value and those half way, in ratio, to its neighbours on the grid."""
     if not all(isinstance(one, float) for one in axis) or start[name] not in axis:
@@ -194,9 +176,8 @@ def _psnr(baseline: Baseline, point: Parameters, frames: Sequence[Judged]) -> fl
 
 def _middle(frame: Judged) -> Judged:
     """The middle of what is judged of a frame, half as high and half as wide."""
-    rows, columns = np.nonzero(frame.where)
     cut = []
-    for places, size in zip((rows, columns), frame.where.shape, strict=True):
+    for places, size in zip(np.nonzero(frame.where), frame.where.shape, strict=True):
         side = min(max(size // 2, _LEAST_SIDE), size)
         first = min(max(int(places.mean()) - side // 2, 0), size - side)
         cut.append(slice(first, first + side))
@@ -204,8 +185,9 @@ def _middle(frame: Judged) -> Judged:
     assert frame.reference is not None
     if not frame.where[part].any():
         return frame
-    arrays = (frame.noisy[part], frame.reference[part], frame.where[part])
-    noisy, reference, where = (np.ascontiguousarray(array) for array in arrays)
+    noisy, reference, where = (
+        np.ascontiguousarray(one[part]) for one in (frame.noisy, frame.reference, frame.where)
+    )
     return replace(frame, noisy=noisy, reference=reference, where=where)
 
 

@@ -1,8 +1,8 @@
-"""Real against simulated, and real against real, with intervals."""
+"""How far two sets of pictures are apart: real against simulated, and real against real."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,12 +11,204 @@ import numpy.typing as npt
 from ...factory.errors import FactoryError
 from ...factory.progress import progress_bar
 from ...factory.seeds import stream
-from .distances import STATISTICS, Rows, Statistic, prepare
 from .measure import Measured
+
+Values = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.intp]
 
 _BLOCKS = 12
 SMALLEST = 8
 """Pictures that each side needs: fewer leave no half to compare."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Two sets of measured pictures, prepared for distances between any of their rows.
+
+    first, second: the sets (the second may be the first itself).  described: their descriptions,
+    scaled by mean and standard deviation of the first and bounded.  gram: cubic kernel of all.
+    """
+
+    first: Measured
+    second: Measured
+    described: tuple[Values, Values]
+    gram: Values
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """One line of the table.
+
+    label, unit: for readers.  what: one sentence that says what is compared.
+    function: (samples, rows of the first set, rows of the second, name of the numbers) -> distance,
+    NaN where undefined.  of: that name, where there are several.
+    """
+
+    name: str
+    label: str
+    unit: str
+    what: str
+    function: Callable[[Samples, Rows, Rows, str], float]
+    of: str = ""
+
+    def distance(self, samples: Samples, a: Rows, b: Rows) -> float:
+        """Between rows of the two sets; NaN where undefined."""
+        return self.function(samples, a, b, self.of)
+
+
+def prepare(first: Measured, second: Measured) -> Samples:
+    """The two sets side by side."""
+    centre, scale = first.description.mean(axis=0), first.description.std(axis=0)
+    one, other = (
+        _bounded((part.description - centre) / np.maximum(scale, 1e-6)) for part in (first, second)
+    )
+    both = np.concatenate([one, other])
+    # The kernel of KID: Binkowski et al., "Demystifying MMD GANs", ICLR 2018.
+    gram = (both @ both.T / both.shape[1] + 1) ** 3
+    return Samples(first, second, (one, other), gram)
+
+
+def _bounded(values: Values) -> Values:
+    """Nearly the same up to two standard deviations, at most four: a black picture is far enough.
+
+    The cubic kernel would make one such picture the whole of the distance.
+    """
+    return np.asarray(values / np.sqrt(1 + (values / 4) ** 2))
+
+
+def _histograms(s: Samples, a: Rows, b: Rows, name: str) -> tuple[Values, Values]:
+    return getattr(s.first, name)[a].mean(axis=0), getattr(s.second, name)[b].mean(axis=0)
+
+
+def kolmogorov_smirnov(s: Samples, a: Rows, b: Rows, name: str) -> float:
+    """Largest difference of the cumulative distributions, 0 to 1."""
+    p, q = _histograms(s, a, b, name)
+    return float(np.abs(np.cumsum(p - q)).max())
+
+
+def earth_mover(s: Samples, a: Rows, b: Rows, name: str) -> float:
+    """Earth mover's distance in bins."""
+    p, q = _histograms(s, a, b, name)
+    return float(np.abs(np.cumsum(p - q)).sum())
+
+
+def jensen_shannon(s: Samples, a: Rows, b: Rows, name: str) -> float:
+    """Jensen-Shannon distance, 0 to 1: the root of the divergence in bits, which is a metric."""
+    from scipy.spatial.distance import jensenshannon
+
+    # NaN where rounding makes the divergence of two equal histograms negative.
+    return float(np.nan_to_num(jensenshannon(*_histograms(s, a, b, name), base=2)))
+
+
+def wasserstein(s: Samples, a: Rows, b: Rows, name: str) -> float:
+    """Earth mover's distance of the pictures' values of one number, in its unit."""
+    from scipy.stats import wasserstein_distance
+
+    one, other = s.first.scalar(name)[a], s.second.scalar(name)[b]
+    one, other = one[np.isfinite(one)], other[np.isfinite(other)]
+    if not (one.size and other.size):
+        return float("nan")
+    return float(wasserstein_distance(one, other))
+
+
+def spectrum(s: Samples, a: Rows, b: Rows, name: str) -> float:
+    """Root mean square difference of the mean spectra, dB."""
+    p, q = _histograms(s, a, b, name)
+    return float(np.sqrt(((p - q) ** 2).mean()))
+
+
+def families(s: Samples, a: Rows, b: Rows, _: str = "") -> float:
+    """Mean difference of the families' mean AIC per pixel."""
+    one, other = s.first.families[a], s.second.families[b]
+    one, other = (x[np.isfinite(x).all(axis=1)] for x in (one, other))
+    if not (len(one) and len(other)):
+        return float("nan")
+    return float(np.abs(one.mean(axis=0) - other.mean(axis=0)).mean())
+
+
+def kernel_inception(s: Samples, a: Rows, b: Rows, _: str = "") -> float:
+    """Root of KID, the unbiased squared maximum mean discrepancy of the descriptions.
+
+    Where KID is negative, as half of the estimates between equal sets are, it is 0.
+    """
+    shifted = b + len(s.first)
+
+    def within(rows: Rows) -> float:
+        block = s.gram[np.ix_(rows, rows)]
+        return float((block.sum() - np.trace(block)) / (len(rows) * (len(rows) - 1)))
+
+    between = float(s.gram[np.ix_(a, shifted)].mean())
+    return float(np.sqrt(max(within(a) + within(shifted) - 2 * between, 0.0)))
+
+
+def classifier(s: Samples, a: Rows, b: Rows, _: str = "") -> float:
+    """How much better than chance a ridge classifier tells the two sets apart, 0 to 0.5.
+
+    Of the descriptions, five-fold: accuracy on the fold left out less 0.5 (Lopez-Paz & Oquab,
+    ICLR 2017, with a linear classifier).
+    """
+    x = np.concatenate([s.described[0][a], s.described[1][b]])
+    y = np.concatenate([np.ones(len(a)), -np.ones(len(b))])
+    # Every fifth of each set; rows come in random order.
+    fold = np.concatenate([np.arange(len(a)), np.arange(len(b))]) % 5
+    right = 0.0
+    for left_out in range(5):
+        train, test = fold != left_out, fold == left_out
+        centre = x[train].mean(axis=0)
+        known, asked = x[train] - centre, x[test] - centre
+        kernel = known @ known.T
+        ridge = kernel + 0.1 * np.trace(kernel) / len(kernel) * np.eye(len(kernel))
+        weight = np.linalg.solve(ridge, y[train] - y[train].mean())
+        right += float((np.sign(asked @ known.T @ weight) == y[test]).sum())
+    return max(right / len(y) - 0.5, 0.0)
+
+
+_EVEN, _ACF = "in even windows", "half-width of the autocorrelation"
+_SPECTRA = "mean power spectra"
+STATISTICS = tuple(
+    Statistic(*line)
+    for line in (
+        ("amplitude_ks", "amplitude, KS", "",
+         "largest difference of the cumulative grey value distributions",
+         kolmogorov_smirnov, "amplitude"),
+        ("amplitude_emd", "amplitude, EMD", "grey",
+         "earth mover's distance of the grey value distributions, of 255",
+         earth_mover, "amplitude"),
+        ("amplitude_js", "amplitude, JS", "",
+         "Jensen-Shannon distance of the grey value distributions", jensen_shannon, "amplitude"),
+        ("enl", "ENL", "looks", f"equivalent number of looks {_EVEN}", wasserstein, "enl"),
+        ("si", "scintillation index", "", f"scintillation index {_EVEN}", wasserstein, "si"),
+        ("cv", "CV", "", f"standard deviation over mean {_EVEN}", wasserstein, "cv"),
+        ("families", "families, AIC", "per px",
+         f"AIC of Rayleigh, Weibull, gamma, log-normal and K {_EVEN}, against the best",
+         families),
+        ("acf_range", "grain along range", "cells", _ACF, wasserstein, "acf_range"),
+        ("acf_bearing", "grain along bearing", "cells", _ACF, wasserstein, "acf_bearing"),
+        ("spectrum_radial", "spectrum, radial", "dB", _SPECTRA, spectrum, "radial"),
+        ("spectrum_range", "spectrum, range", "dB", _SPECTRA, spectrum, "along"),
+        ("spectrum_bearing", "spectrum, bearing", "dB", _SPECTRA, spectrum, "across"),
+        ("spoke", "spoke index", "", "variance of the beams' means over the picture's",
+         wasserstein, "spoke"),
+        ("arc", "arc index", "", "variance of the range rows' means over the picture's",
+         wasserstein, "arc"),
+        ("slope", "range slope", "dB/window", "level from near to far", wasserstein, "slope"),
+        ("slope_per_m", "range slope", "dB/m", "level along range", wasserstein, "slope_per_m"),
+        ("highlight", "highlight contrast", "dB", "99.5th percentile over the median",
+         wasserstein, "highlight"),
+        ("shadow", "shadow contrast", "dB", "median over the 1st percentile",
+         wasserstein, "shadow"),
+        ("gradient_js", "gradient, JS", "",
+         "Jensen-Shannon distance of the gradients' magnitudes", jensen_shannon, "gradient"),
+        ("lbp_js", "local patterns, JS", "",
+         "Jensen-Shannon distance of local binary patterns", jensen_shannon, "pattern"),
+        ("kid", "KID, root", "", "kernel distance of fixed random features",
+         kernel_inception),
+        ("classifier", "classifier", "over chance",
+         "accuracy of a linear classifier on the same features, less one half",
+         classifier),
+    )
+)  # fmt: skip
+"""The lines of the table."""
 
 
 @dataclass(frozen=True)
@@ -37,15 +229,14 @@ class Comparison:
     distance: Mapping[str, Interval]
 
     def ratio(self, name: str) -> float:
-        """Distance over baseline: 1 is what a perfect simulation would reach."""
-        return ratio(self.distance[name].mean, self.baseline.mean)
+        """Distance over baseline: 1 is what a perfect simulation would reach.
 
-
-def ratio(distance: float, baseline: float) -> float:
-    """Distance over baseline; a baseline of 0 counts as the smallest number there is above it."""
-    if not (np.isfinite(distance) and np.isfinite(baseline)):
-        return float("nan")
-    return distance / max(baseline, 1e-9)
+        A baseline of 0 counts as the smallest number there is above it.
+        """
+        distance, baseline = self.distance[name].mean, self.baseline.mean
+        if not (np.isfinite(distance) and np.isfinite(baseline)):
+            return float("nan")
+        return distance / max(baseline, 1e-9)
 
 
 def compare(

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ...factory.progress import progress_bar
-from .polar import Gray, Grid
-from .sources import Collection
-from .statistics import artefacts, features, texture, windows
+from ..settings import Grid
+from . import features, statistics
+from .pictures import Collection, Gray
 
 Values = npt.NDArray[np.float64]
 
@@ -37,7 +37,7 @@ class Measured:
 
     amplitude (N, 256), gradient (N, 64), pattern (N, 10): histograms, each row sums to 1.
     scalars (N, 11): as named in `SCALARS`, NaN where a picture has none.
-    families (N, 5): see `windows.family_costs`.
+    families (N, 5): see `statistics.family_costs`.
     radial, along, across (N, 24): spectra in dB.  description (N, D): `features.describe`.
     """
 
@@ -64,29 +64,29 @@ def measure_picture(polar: Gray, span_m: float | None = None) -> Measured:
 
     span_m: length of its range window in metres; without it there is no slope per metre.
     """
-    even = windows.even_windows(polar)
+    even = statistics.even_windows(polar)
     level = np.clip(np.rint(polar * (LEVELS - 1)), 0, LEVELS - 1).astype(np.intp)
-    slope_db = artefacts.range_slope_db(polar)
+    slope_db = statistics.range_slope_db(polar)
     scalars = [
-        *windows.speckle(even),
-        *texture.half_widths(polar),
-        artefacts.spoke_index(polar),
-        artefacts.arc_index(polar),
+        *statistics.speckle(even),
+        *statistics.half_widths(polar),
+        statistics.spoke_index(polar),
+        statistics.arc_index(polar),
         slope_db,
-        *artefacts.contrasts_db(polar),
+        *statistics.contrasts_db(polar),
         slope_db / span_m if span_m else np.nan,
     ]
-    radial, along, across = texture.spectra(polar)
+    radial, along, across = statistics.spectra(polar)
 
     def shares(counts: Values) -> Values:
         return np.asarray(counts / counts.sum())[None]
 
     return Measured(
         amplitude=shares(np.bincount(level.ravel(), minlength=LEVELS).astype(np.float64)),
-        gradient=shares(texture.gradients(polar)),
-        pattern=shares(texture.patterns(polar)),
+        gradient=shares(statistics.gradients(polar)),
+        pattern=shares(statistics.patterns(polar)),
         scalars=np.asarray(scalars)[None],
-        families=windows.family_costs(even)[None],
+        families=statistics.family_costs(even)[None],
         radial=radial[None],
         along=along[None],
         across=across[None],

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ...factory.files import explain_os_errors, write_atomically
-from ..report.measure import as_data_uri
-from ..report.page import own_file, render
-from ..report.text import as_markdown, as_table, plain
+from ..report.page import as_data_uri, as_json, own_file, render, write_files
+from ..report.tables import as_markdown, as_table, plain
+from ..settings import RealismSettings
 from .compare import Comparison, Interval, compare, overall
 from .measure import Measured, measure
+from .pictures import GEOMETRY_FILE, Collection, open_dataset, open_real
 from .plots import distributions, ratios
-from .real import open_real
-from .settings import RealismSettings
-from .sources import Collection, open_dataset
 
 _OVERALL = {
     "geometric_mean_ratio": "mean ratio",
@@ -52,7 +49,7 @@ def _simulations(settings: RealismSettings) -> dict[str, Collection]:
     found: dict[str, Collection] = {}
     for folder in settings.sim:
         path = Path(folder).expanduser()
-        pictures = (path / "geometry.csv").is_file() or (path / "Images").is_dir()
+        pictures = (path / GEOMETRY_FILE).is_file() or (path / "Images").is_dir()
         opened = (
             open_real(path) if pictures else open_dataset(path, settings.sim_split, settings.layer)
         )
@@ -95,15 +92,12 @@ def write(
         distributions=distributions(measured),
         pictures=pictures,
     )
-    files = {
-        "realism.json": json.dumps(facts, indent=2, allow_nan=False) + "\n",
-        "realism.md": _markdown(facts, comparisons),
-        "realism.html": page,
-    }
-    with explain_os_errors(out, "out"):
-        out.mkdir(parents=True, exist_ok=True)
-    for name, text in files.items():
-        write_atomically(out / name, text.encode(), durable=False, key="out")
+    markdown = (
+        f"# Simulated against real: {facts['real']}\n\n"
+        + "".join(f"- {note}\n" for note in facts["notes"])
+        + f"\n{table(comparisons)}\n\n{_explanation(facts)}\n"
+    )
+    write_files(out, {"realism.json": as_json(facts), "realism.md": markdown, "realism.html": page})
 
 
 def _facts(
@@ -116,7 +110,7 @@ def _facts(
         "real": collections["real"].name,
         "pictures": {name: len(item.sources) for name, item in collections.items()},
         "notes": [note for item in collections.values() for note in item.notes],
-        "grid": {"range_bins": settings.grid.range_bins, "beams": settings.grid.beams},
+        "grid": asdict(settings.grid),
         "layer": settings.layer,
         "halves": settings.halves,
         "half": min(len(item.sources) for item in collections.values()) // 2,
@@ -140,7 +134,7 @@ def _facts(
 
 
 def _interval(interval: Interval) -> dict[str, float | None]:
-    return {key: plain(getattr(interval, key)) for key in ("mean", "low", "high")}
+    return {key: plain(value) for key, value in asdict(interval).items()}
 
 
 def _explanation(facts: Mapping[str, Any]) -> str:
@@ -152,14 +146,6 @@ def _explanation(facts: Mapping[str, Any]) -> str:
         f"({halves} halves), which a perfect simulation would reach; a ratio is a distance over "
         f"it. All sets in a comparison have one size ({facts['half']}). Figures are means of "
         f"{resamples} half samples, intervals their 2.5 and 97.5 percentiles."
-    )
-
-
-def _markdown(facts: Mapping[str, Any], comparisons: Sequence[Comparison]) -> str:
-    notes = "".join(f"- {note}\n" for note in facts["notes"])
-    return (
-        f"# Simulated against real: {facts['real']}\n\n{notes}\n{table(comparisons)}\n\n"
-        f"{_explanation(facts)}\n"
     )
 
 

@@ -13,17 +13,15 @@ from ...factory.files import check_writable
 from ...factory.scheduler.workers.tasks import TaskPool
 from .. import tuning
 from ..filters.base import Baseline
-from ..given import given_methods
-from ..methods.method import baselines_of, methods_of
-from ..methods.networks import costs_of, networks_of
+from ..image_files import given_methods
+from ..methods import baselines_of, costs_of, methods_of, networks_of
 from ..pairs import Item, drawn_of, items_of, picture
-from ..runner import FigureStore
 from ..settings import EvaluationSettings
+from ..store import FigureStore
 from . import page
-from .breakdown import breakdown_of
-from .content import Row, content_of, facts_of, shown_rows, verdict
-from .measure import examples_of, measured_rows, real_examples
-from .robustness import flat_config, robustness_of
+from .content import content_of, facts_of, shown_rows, verdict
+from .measure import Row, examples_of, measured_rows
+from .sections import breakdown_of, flat_config, robustness_of
 
 
 def build(settings: EvaluationSettings) -> dict[str, Any]:
@@ -56,13 +54,11 @@ def build(settings: EvaluationSettings) -> dict[str, Any]:
         shown = [by_label[label] for label in labels if label != "noisy"]
         examples = examples_of(settings, items, rows[0], shown, pool)
         page.write(out, content, examples)
-        real = real_examples(settings, shown, pool)
-        pictures = page.write_pictures(out, content, examples, real)
     said = (*page.folded(content["rows"]), content["facts"]["few_frames"], verdict(content))
     print("", *filter(None, said), sep="\n\n")
     for line in [*content["ordering"], *content["ordering_3"]]:
         print(line)
-    print(f"report: {out / page.PAGE_NAME} (and {', '.join(pictures)})")
+    print(f"report: {out / page.PAGE_NAME}")
     return content
 
 

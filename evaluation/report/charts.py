@@ -1,4 +1,4 @@
-"""Charts and sheets of pictures, by matplotlib: SVG inside the page, PNG beside it."""
+"""Charts, by matplotlib: SVG inside the page, PNG beside it."""
 
 from __future__ import annotations
 
@@ -12,13 +12,11 @@ from typing import TYPE_CHECKING, Any
 from markupsafe import Markup
 
 from .content import shown_rows
-from .robustness import curve_of
-from .text import METRIC_NAMES, written
+from .sections import curve_of
+from .tables import METRIC_NAMES, written
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from .measure import Example
 
 Content = Mapping[str, Any]
 
@@ -199,35 +197,9 @@ def leaderboard(content: Content) -> bytes:
         f"{facts['frames']} frames, {facts['image']}; best form of each method",
         fontsize=10,
     )
-    return _png(figure)
-
-
-def sheet(examples: Sequence[Example], labels: Sequence[str] | None = None) -> bytes:
-    """PNG: a row an example, a column a method, with the PSNR where it is known."""
-    from matplotlib.figure import Figure
-
-    every = list(dict.fromkeys(label for one in examples for label in one.images))
-    columns = [label for label in every if labels is None or label in labels]
-    ratio = max(one.images["noisy"].shape[0] / one.images["noisy"].shape[1] for one in examples)
-    size = (1.7 * len(columns), (1.7 * ratio + 0.32) * len(examples) + 0.25)
-    figure = Figure(figsize=size, layout="constrained", facecolor="white")
-    axes = figure.subplots(len(examples), len(columns), squeeze=False)
-    for line, one in zip(axes, examples, strict=True):
-        for axis, label in zip(line, columns, strict=True):
-            axis.set_axis_off()
-            if label not in one.images:
-                continue
-            axis.imshow(one.images[label], cmap="gray", vmin=0, vmax=1)
-            known = one.psnr.get(label)
-            title = label.replace(" + levels", "\n+ levels")
-            axis.set_title(title + (f"\n{known:.2f} dB" if known else ""), fontsize=7)
-    return _png(figure)
-
-
-def _png(figure: Any) -> bytes:
-    content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=150)
-    return content.getvalue()
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=150)
+    return buffer.getvalue()
 
 
 def page_colour(number: int) -> str:

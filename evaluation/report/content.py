@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ..filters import REGISTRY
-from ..methods.method import Method
 from ..metrics.fidelity import PSNR_CAP_DB
 from ..metrics.statistics import (
     Estimate,
@@ -23,43 +20,14 @@ from ..metrics.statistics import (
 )
 from ..settings import EvaluationSettings
 from . import paper
-from .text import METRIC_NAMES, interval, percent, plain, written_p
+from .measure import Row
+from .tables import METRIC_NAMES, interval, percent, plain, written_p
 
 if TYPE_CHECKING:
     from ..pairs import Item
-    from ..runner import Measured
 
 SCHEMA = "simnfnd-report/1"
 _COMPARED = ("psnr", "ssim", "gmsd", "psnr_fan", "ssim_fan", "gmsd_fan", "shadow_iou")
-
-
-@dataclass(frozen=True)
-class Row:
-    """A measured method.  lost: why there are no figures.
-
-    values: metric -> (N,) figures in the order of the pairs, NaN where it does not exist.
-    """
-
-    method: Method
-    values: dict[str, npt.NDArray[np.float64]] = field(default_factory=dict)
-    milliseconds: float = math.nan
-    lost: str | None = None
-
-
-def rows_of(measured: Measured, methods: Sequence[Method]) -> list[Row]:
-    """What the engine measured, a row a method, in their order."""
-    from ..runner import SECONDS
-
-    found = []
-    for method in methods:
-        if method.label in measured.lost:
-            found.append(Row(method, lost=measured.lost[method.label]))
-            continue
-        figures = [one for _, one in sorted(measured.figures[method.label].items())]
-        values = {name: np.array([one[name] for one in figures], float) for name in figures[0]}
-        seconds = values.pop(SECONDS)
-        found.append(Row(method, values, 1000 * float(np.median(seconds))))
-    return found
 
 
 def content_of(
@@ -258,7 +226,7 @@ def _row(
         "lost": row.lost,
         "metrics": metrics,
         "against_noisy": {}
-        if row.lost or method.is_noisy
+        if row.lost or method.kind == "noisy"
         else _compared(row, noisy, groups, settings),
         "against_best": {},
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -10,17 +11,18 @@ from importlib.resources import files as resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
+import numpy as np
 import numpy.typing as npt
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from ...factory.errors import FactoryError
-from ...factory.files import write_atomically
-from . import charts, tables, text
-from .content import SCHEMA, Row, best_forms, verdict
-from .measure import Example, as_data_uri
-from .paper import TABLE_METRICS
-from .text import METRIC_NAMES, as_markdown
+from ...factory.files import explain_os_errors, write_atomically
+from . import charts, tables
+from .content import best_forms, verdict
+from .measure import Example, Row
+from .tables import METRIC_NAMES, TABLE_METRICS, as_markdown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -77,11 +79,8 @@ def read_results(folder: Path) -> pd.DataFrame:
         table = pd.read_csv(
             path, float_precision="round_trip", dtype=dict.fromkeys(words, str), low_memory=False
         )
-        lacking = {"method", "pair", "location", "scene", "frame", "psnr"} - set(table.columns)
-        if lacking or table.empty:
-            raise ValueError(f"lacks {', '.join(sorted(lacking)) or 'rows'}")
-        table["psnr"].astype(float)
-    except (OSError, ValueError) as error:
+        table[[*words, "psnr"]].astype({"psnr": float})
+    except (OSError, ValueError, KeyError) as error:
         reason = " ".join(str(error).split())[:80]
         raise FactoryError(
             f"{path}: damaged or of another version ({reason}); make it again"
@@ -89,55 +88,45 @@ def read_results(folder: Path) -> pd.DataFrame:
     return table.fillna(dict.fromkeys(words, ""))
 
 
-def read_content(folder: Path) -> dict[str, Any]:
-    """The content of a report's report.json.  FactoryError when there is none."""
-    path = folder / REPORT_NAME
-    try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if content["schema"] != SCHEMA:
-            raise ValueError(f"schema {content['schema']!r}")
-        return content
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise FactoryError(f"{path}: absent or damaged; make the report again") from error
-
-
 def write(out: Path, content: Content, examples: Sequence[Example]) -> None:
-    """report.json, report.md, report.html, leaderboard.md, .tex and .csv.
+    """report.json, report.md, report.html, leaderboard.md, .tex, .csv and .png.
 
     Raises FactoryError when the folder cannot be written to.
     """
     rows = content["rows"]
-    files = {
-        REPORT_NAME: json.dumps(content, indent=1, allow_nan=False) + "\n",
-        PAGE_NAME: html(content, examples),
-        "report.md": markdown(content),
-        "leaderboard.md": as_markdown(tables.leaderboard(rows)) + "\n",
-        "leaderboard.tex": tables.as_latex(rows),
-        "leaderboard.csv": tables.as_csv(rows),
-    }
-    for name, written in files.items():
-        write_atomically(out / name, written.encode(), key="out")
+    write_files(
+        out,
+        {
+            REPORT_NAME: as_json(content),
+            PAGE_NAME: html(content, examples),
+            "report.md": markdown(content),
+            "leaderboard.md": as_markdown(tables.leaderboard(rows)) + "\n",
+            "leaderboard.tex": tables.as_latex(rows),
+            "leaderboard.csv": tables.as_csv(rows),
+            "leaderboard.png": charts.leaderboard(content),
+        },
+    )
 
 
-def write_pictures(
-    out: Path, content: Content, examples: Sequence[Example], real: Sequence[Example]
-) -> list[str]:
-    """leaderboard.png, figure16.png and, of real images, figure15.png and figure17.png.
+def write_files(out: Path, files: Mapping[str, str | bytes]) -> None:
+    """Name -> content, each whole or not at all.  FactoryError where the folder cannot be made."""
+    with explain_os_errors(out, "out"):
+        out.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        data = content.encode() if isinstance(content, str) else content
+        write_atomically(out / name, data, key="out")
 
-    Figures 15 and 16 of the paper show the methods on real and on simulated pictures; 17 shows the
-    networks alone (the ablation) on the real ones.  Returns the names of the files.
-    """
-    pictures = {"leaderboard.png": charts.leaderboard(content)}
-    if examples:
-        pictures["figure16.png"] = charts.sheet(examples)
-    networks = [row["label"] for row in content["rows"] if row["kind"] == "network"]
-    if real:
-        pictures["figure15.png"] = charts.sheet(real)
-        if any(label in one.images for one in real for label in networks):
-            pictures["figure17.png"] = charts.sheet(real, ["noisy", *networks])
-    for name, picture in pictures.items():
-        write_atomically(out / name, picture, key="out")
-    return list(pictures)
+
+def as_json(content: Content) -> str:
+    """JSON as reports write it."""
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+def as_data_uri(image: npt.NDArray[np.float32]) -> str:
+    """The picture, (H, W) in 0..1, in 8 bits as a lossless data: URI."""
+    pixels = np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
+    _, content = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    return "data:image/png;base64," + base64.b64encode(content.tobytes()).decode("ascii")
 
 
 def markdown(content: Content) -> str:
@@ -257,7 +246,7 @@ def _environment() -> Environment:
     environment.globals |= {"METRICS": METRIC_NAMES, "own_file": own_file}
     environment.tests["finite"] = math.isfinite
     names = ("chosen", "interval", "percent", "written", "written_p")
-    environment.filters |= {name: getattr(text, name) for name in names}
+    environment.filters |= {name: getattr(tables, name) for name in names}
     environment.filters["differences"] = lambda differs: ", ".join(
         f"{key} = {value}" for key, value in differs.items()
     )[:80]

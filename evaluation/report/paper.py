@@ -6,7 +6,8 @@ import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-TABLE_METRICS = ("psnr", "ssim", "gmsd")
+from .tables import TABLE_METRICS
+
 _BETTER = {"psnr": 1, "ssim": 1, "gmsd": -1}
 
 OURS = "simnfnd_newloss"

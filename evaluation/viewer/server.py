@@ -87,9 +87,8 @@ class _Handler(BaseHTTPRequestHandler):
         if path == "/":
             return "text/html; charset=utf-8", _PAGE.read_bytes()
         if path == "/about.json":
-            about = {"title": shown.title, "count": len(shown), "layers": shown.layers}
-            chosen_by = {"scenes": shown.filters.scenes, "ranges": shown.filters.ranges}
-            return _json(about | chosen_by)
+            about = {name: getattr(shown, name) for name in ("title", "layers", "scenes", "ranges")}
+            return _json(about | {"count": len(shown)})
         if path == "/found.json":
             return _json(shown.found(*_wanted(query)))
         if found := _PICTURE.fullmatch(path):

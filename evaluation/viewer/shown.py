@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import colorsys
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
@@ -29,17 +28,6 @@ Ranges = Mapping[str, tuple[float, float]]
 """Column -> least and largest value."""
 
 
-@dataclass(frozen=True)
-class Filters:
-    """What pictures may be chosen by.
-
-    scenes: their names.  ranges: columns of numbers that differ, with their least and largest.
-    """
-
-    scenes: tuple[str, ...] = ()
-    ranges: Ranges = field(default_factory=dict)
-
-
 _HUES = 180
 # (hues, 3) blue, green and red.
 _COLOURS = np.rint(
@@ -55,11 +43,13 @@ class Shown(Protocol):
     """Pictures by number, each in several layers of one size, and what is known of each.
 
     layers: their names, at least one; the page begins with the first before the second.
+    scenes, ranges: what may be chosen by: names of scenes, and columns of numbers that differ.
     """
 
     title: str
     layers: tuple[str, ...]
-    filters: Filters
+    scenes: tuple[str, ...]
+    ranges: Ranges
 
     def __len__(self) -> int:
         """How many there are."""
@@ -76,7 +66,7 @@ class Shown(Protocol):
     def found(self, scene: str | None, ranges: Ranges) -> list[int]:
         """Numbers of those of a scene (None: any) whose values lie in all ranges, ends included.
 
-        Raises LookupError for a scene or column that `filters` does not have.
+        Raises LookupError for a scene or column that there is not.
         """
         ...
 
@@ -97,13 +87,14 @@ class ShownDataset:
         self._numbers = {
             name: values
             for name in self._table.dtype.names or ()
-            if (values := self._table[name]).dtype.kind in "iuf" and len(_values(values)) > 1
+            if (values := self._table[name]).dtype.kind in "iuf"
+            and len(np.unique(values[np.isfinite(values)])) > 1
         }
-        ranges = {name: _values(values)[[0, -1]] for name, values in self._numbers.items()}
-        self.filters = Filters(
-            tuple(sorted(set(self._scenes))),
-            {name: (float(least), float(most)) for name, (least, most) in ranges.items()},
-        )
+        self.scenes: tuple[str, ...] = tuple(sorted(set(self._scenes)))
+        self.ranges: Ranges = {
+            name: (float(np.nanmin(values)), float(np.nanmax(values)))
+            for name, values in self._numbers.items()
+        }
 
     def __len__(self) -> int:
         return len(self._pairs)
@@ -129,11 +120,9 @@ class ShownDataset:
 
     def found(self, scene: str | None, ranges: Ranges) -> list[int]:
         """See `Shown`; a value that was not drawn lies in no range."""
-        if scene is not None and scene not in self.filters.scenes:
+        if scene not in (None, *self.scenes):
             raise LookupError(scene)
-        fits = np.ones(len(self), bool)
-        if scene is not None:
-            fits &= np.array([name == scene for name in self._scenes])
+        fits = np.array([scene in (None, name) for name in self._scenes])
         for name, (least, most) in ranges.items():
             fits &= (self._numbers[name] >= least) & (self._numbers[name] <= most)
         return [int(number) for number in np.flatnonzero(fits)]
@@ -142,12 +131,12 @@ class ShownDataset:
 class ShownRecording:
     """The frames of a recording, and of the same one denoised; a `Shown`."""
 
-    filters = Filters()
-
     def __init__(self, path: Path, after: Path | None = None) -> None:
         """Raises FactoryError when one cannot be read."""
         self.title = path.resolve().name
         self.layers: tuple[str, ...] = ("before", "after") if after else ("recorded",)
+        self.scenes: tuple[str, ...] = ()  # nothing to choose by
+        self.ranges: Ranges = {}
         self._recordings = [_opened(one) for one in (path, after) if one is not None]
 
     def __len__(self) -> int:
@@ -194,11 +183,6 @@ def _scenes(table: npt.NDArray[np.void]) -> list[str]:
         if name in (table.dtype.names or ()) and table[name].dtype.kind == "S"
     ]
     return ["/".join(filter(None, words)) for words in zip(*columns, strict=True)]
-
-
-def _values(column: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
-    """Its different finite values, ascending."""
-    return np.asarray(np.unique(column[np.isfinite(column)]))
 
 
 def _opened(path: Path) -> Recording:

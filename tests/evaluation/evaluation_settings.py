@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 from simnfnd.evaluation.settings import EvaluationSettings
 from simnfnd.factory.settings import build
-from tests.project_files import ROOT
 
 _DEFAULTS: dict[str, Any] = {
     "split": "test",
@@ -27,7 +23,6 @@ _DEFAULTS: dict[str, Any] = {
     "device": "cpu",
     "texture": False,
     "robustness": [],
-    "real": [],
     "page": {"examples": 2, "methods": 4},
     "debug": False,
 }
@@ -46,16 +41,3 @@ def settings_for(dataset: Path, **changes: Any) -> EvaluationSettings:
     values = {"dataset": {"dir": str(dataset)}, **_DEFAULTS, **out, "tuning": tuning, **changes}
     settings: EvaluationSettings = build(EvaluationSettings, values)
     return settings
-
-
-def evaluation(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
-    """`simnfnd evaluate ARGUMENTS` in a folder."""
-    return subprocess.run(
-        [sys.executable, "-m", "simnfnd.evaluation", *arguments],
-        cwd=cwd,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )

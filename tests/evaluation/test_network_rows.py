@@ -8,13 +8,14 @@ from typing import Any
 
 import pytest
 
-from simnfnd.evaluation import fingerprint, runner
-from simnfnd.evaluation.methods.method import Method
-from simnfnd.evaluation.methods.networks import costs_of, networks_of
+from simnfnd.evaluation import runner
+from simnfnd.evaluation import store as store_module
+from simnfnd.evaluation.methods import costs_of, networks_of
 from simnfnd.evaluation.metrics.fidelity import psnr
 from simnfnd.evaluation.pairs import items_of, picture
 from simnfnd.evaluation.report.measure import measured_rows
-from simnfnd.evaluation.runner import FigureStore, Task, measure_task
+from simnfnd.evaluation.runner import Task, measure_task
+from simnfnd.evaluation.store import FigureStore
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from tests.evaluation.evaluation_settings import settings_for
@@ -82,15 +83,12 @@ def test_a_file_that_is_no_network_loses_its_row(tmp_path: Path) -> None:
     assert "not a safetensors file" in (row.lost or "")
 
 
-def test_known_figures_are_those_of_this_code_this_torch_and_this_device(
+def test_known_figures_are_those_of_this_code_these_libraries_and_this_device(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What changes how a network computes must not find the figures of before."""
-    path = weights(tmp_path / "small.safetensors", 1)
+    """What changes how figures come about must not find the figures of before."""
     dataset = write_dataset(tmp_path / "data", train=0, test=2, size=48)
-    settings = settings_for(dataset, models=[str(path)])
-    median = Method("median", "", {"size": 3})
-    methods = [median, *networks_of(settings)]
+    settings = settings_for(dataset)
     measured: list[str] = []
 
     def counting(task: Task) -> Any:
@@ -101,51 +99,27 @@ def test_known_figures_are_those_of_this_code_this_torch_and_this_device(
 
     def again() -> set[str]:
         measured.clear()
+        store_module.program_digest.cache_clear()
         with closing(FigureStore(tmp_path / "out")) as store, TaskPool(1) as pool:
-            measured_rows(settings, items_of(dataset, "test"), methods, store, pool)
+            measured_rows(settings, items_of(dataset, "test"), [], store, pool)
         return set(measured)
 
-    everything = {"identity", "median", "small"}
-    assert again() == everything
+    assert again() == {"identity"}
     assert again() == set(), "all is known"
-    version, sources = fingerprint._version, fingerprint.sources_digest
-
-    def edited(package: str) -> Any:
-        return lambda *names: sources(*names) + "x" * (package in names)
-
-    changes: list[tuple[str, Any, set[str]]] = [
-        ("_version", lambda name: "9.9" if name == "torch" else version(name), {"small"}),
-        ("_device_kind", lambda device: "some GPU", {"small"}),
-        ("sources_digest", edited("simnfnd.models"), {"small"}),
-        ("sources_digest", edited("simnfnd.evaluation.pairs"), everything),
-        ("_version", lambda name: "9.9" if name == "numpy" else version(name), everything),
-    ]
-    for name, changed, expected in changes:
+    for name in ("_version", "_device_kind", "sources_digest"):
         with monkeypatch.context() as patch:
-            patch.setattr(fingerprint, name, changed)
-            assert again() == expected
-            assert again() == set()
+            patch.setattr(store_module, name, lambda *_: "another")
+            assert again() == {"identity"}
     assert again() == set(), "what was known before still is"
 
 
-def test_a_digest_of_sources_sees_every_file_of_a_package(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    package = tmp_path / "some_package"
-    (package / "inner").mkdir(parents=True)
-    for name in ("__init__.py", "inner/__init__.py", "inner/deep.py"):
-        (package / name).write_text("", encoding="utf-8")
-    monkeypatch.syspath_prepend(tmp_path)
-
-    def digest() -> str:
-        fingerprint.sources_digest.cache_clear()
-        return fingerprint.sources_digest("some_package")
-
-    found = [digest()]
-    (package / "inner" / "deep.py").write_text("x = 1\n", encoding="utf-8")
-    found.append(digest())
-    (package / "inner" / "deep.py").rename(package / "inner" / "renamed.py")
-    found.append(digest())
+def test_a_digest_of_sources_sees_every_file(tmp_path: Path) -> None:
+    deep = tmp_path / "inner" / "deep.py"
+    deep.parent.mkdir()
+    deep.write_text("", encoding="utf-8")
+    found = [store_module.sources_digest(tmp_path)]
+    deep.write_text("x = 1\n", encoding="utf-8")
+    found.append(store_module.sources_digest(tmp_path))
+    deep.rename(deep.with_name("renamed.py"))
+    found.append(store_module.sources_digest(tmp_path))
     assert len(set(found)) == 3
-    with pytest.raises(ModuleNotFoundError):
-        fingerprint.sources_digest("some_package.nowhere")

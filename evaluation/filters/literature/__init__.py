@@ -9,7 +9,7 @@ from __future__ import annotations
 from ..base import Baseline
 from .convolutional import convolutional
 from .dtcwt_map import dtcwt_map
-from .laplacian_pyramid import lpmsde, lpmsde_contrast
+from .laplacian_pyramid import lpmsde
 from .recursive import recursive_least_squares
 from .ridgelet import ridgelet
 from .structural import structural
@@ -52,17 +52,6 @@ LITERATURE = (
         {"strength": 1.0, "levels": 3},
         {"strength": (0.25, 1.0, 4.0, 16.0, 64.0, 256.0, 1000.0), "levels": (1, 2, 3, 4, 5)},
         "IEEE Access 2023, 3335372, after the abstract, not reproduced",
-    ),
-    Baseline(
-        "lpmsde_contrast",
-        lpmsde_contrast,
-        {"strength": 1.0, "levels": 3, "clip_limit": 2.0},
-        {
-            "strength": (0.25, 1.0, 4.0, 16.0, 64.0, 256.0),
-            "levels": (1, 3, 5),
-            "clip_limit": (2.0,),
-        },
-        "the same with its contrast step, not reproduced",
     ),
     Baseline(
         "recursive",

@@ -1,8 +1,8 @@
-"""LPMsDE: denoising and enhancement in a Laplacian pyramid, after the abstract.
+"""LPMsDE: denoising in a Laplacian pyramid, after the abstract.
 
 Only the abstract (IEEE Access 2023, 3335372) is public, so this is what it names and no more: a
 Laplacian pyramid, the noise variance estimated from it, an adaptive filter of Lee's kind on every
-level, contrast-limited adaptive histogram equalisation at the end.
+level.  Its last step, an equalisation of contrast, is left out.
 """
 
 from __future__ import annotations
@@ -21,20 +21,12 @@ _GAUSSIAN_MAD = 0.6745  # median of |N(0, 1)|
 
 
 def lpmsde(image: Gray, strength: float, levels: int) -> Gray:
-    """The denoising alone.  strength: multiple of the estimated noise variance."""
+    """(H, W) in 0..1 denoised.  strength: multiple of the estimated noise variance."""
     bands, rest = _pyramid(image, levels)
     kept = [_lee_band(band, strength * _noise_variance(band)) for band in bands]
     for band in reversed(kept):
         rest = _enlarged(rest, band) + band
     return np.clip(rest, 0, 1)
-
-
-def lpmsde_contrast(image: Gray, strength: float, levels: int, clip_limit: float) -> Gray:
-    """The same and then the contrast step: CLAHE on 8x8 tiles (8 bits)."""
-    whole = np.rint(lpmsde(image, strength, levels) * 255).astype(np.uint8)
-    even = cv2.createCLAHE(clipLimit=clip_limit, tileGridSize=(8, 8)).apply(whole)
-    # Equalisation lifts pure black, which would light the picture outside of the fan.
-    return np.where(whole == 0, np.float32(0), np.asarray(even, dtype=np.float32) / 255)
 
 
 def _pyramid(image: Gray, levels: int) -> tuple[list[Floats], Floats]:

@@ -16,7 +16,8 @@ from simnfnd.evaluation.calibrate import files as fit_files
 from simnfnd.evaluation.calibrate import search as fit_search
 from simnfnd.evaluation.calibrate.settings import FitSettings, flattened
 from simnfnd.evaluation.calibrate.simulate import Simulation
-from simnfnd.evaluation.realism.polar import Grid
+from simnfnd.evaluation.realism.compare import overall
+from simnfnd.evaluation.settings import Grid
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.cli.generate import run as generate
 from simnfnd.factory.config import from_mapping, plain
@@ -89,11 +90,11 @@ def test_the_density_that_made_the_pictures_is_found_again(real: Path, tmp_path:
     density = result.values["noise.background.density"]
     assert TRUE_DENSITY / 2 < density < TRUE_DENSITY * 2
     before, after = (
-        fit_search.score(part)["geometric_mean_ratio"] for part in (result.before, result.after)
+        overall(part, "sim")["geometric_mean_ratio"] for part in (result.before, result.after)
     )
     assert after < 0.6 * before
     assert result.held_out is not None
-    assert fit_search.score(result.held_out[1])["geometric_mean_ratio"] < 0.7 * before
+    assert overall(result.held_out[1], "sim")["geometric_mean_ratio"] < 0.7 * before
     # The files are a configuration that the factory takes as it stands.
     noise, recipe = fit_files.write(settings, result)
     content = yaml.safe_load(noise.read_text())
@@ -142,25 +143,6 @@ def test_an_interrupted_search_goes_on_as_if_nothing_had_happened(
     assert [item.distance for item in resumed.after] == [item.distance for item in whole.after]
     with pytest.raises(FactoryError, match="holds a search with other settings"):
         fit_search.search(settings_for(real, tmp_path / "parts", frames=8))
-
-
-def test_climbing_finds_it_too_and_goes_on_after_an_interruption(
-    real: Path, tmp_path: Path
-) -> None:
-    parameters = {
-        "noise.background.density": {"low": 0.005, "high": 5, "log": True},
-        "noise.background.strength": {"low": 0.1, "high": 1, "spread": (0, 0.2)},
-        "sonar.tvg_db_per_decade": {"choices": (40.0, 38.0)},
-    }
-    chosen = {"method": "climb", "parameters": parameters}
-    whole = fit_search.search(settings_for(real, tmp_path / "whole", trials=14, **chosen))
-    before, after = (
-        fit_search.score(part)["geometric_mean_ratio"] for part in (whole.before, whole.after)
-    )
-    assert after < 0.7 * before
-    fit_search.search(settings_for(real, tmp_path / "parts", trials=5, **chosen))
-    resumed = fit_search.search(settings_for(real, tmp_path / "parts", trials=14, **chosen))
-    assert resumed.values == whole.values
 
 
 def test_what_cannot_be_searched_is_refused(real: Path, tmp_path: Path) -> None:

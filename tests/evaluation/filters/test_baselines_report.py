@@ -18,19 +18,18 @@ from simnfnd.command import main
 from simnfnd.evaluation import tuning
 from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.filters.base import Baseline
-from simnfnd.evaluation.methods.method import baselines_of, methods_of
+from simnfnd.evaluation.methods import baselines_of, methods_of
 from simnfnd.evaluation.metrics.fidelity import gmsd, psnr
-from simnfnd.evaluation.metrics.levels import fit_levels
+from simnfnd.evaluation.metrics.measure import fit_levels
 from simnfnd.evaluation.metrics.statistics import estimate, paired
 from simnfnd.evaluation.pairs import items_of, picture
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.report.content import Row
-from simnfnd.evaluation.report.measure import measured_rows
-from simnfnd.evaluation.runner import FigureStore
+from simnfnd.evaluation.report.measure import Row, measured_rows
+from simnfnd.evaluation.store import FigureStore
 from simnfnd.factory.dataset.format.schema import Pair
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
-from tests.evaluation.evaluation_settings import evaluation, settings_for
+from tests.evaluation.evaluation_settings import settings_for
 from tests.project_files import ROOT
 from tests.small_dataset import add_shard, fan_images, write_dataset
 
@@ -134,16 +133,6 @@ def test_tuning_never_opens_the_test_split(tmp_path: Path) -> None:
     for path in (dataset / "test").glob("*.h5"):
         path.write_bytes(b"nothing to read here")
     tune(dataset, tmp_path / "t.json", "median")
-
-
-def test_an_optimum_at_the_edge_is_said(
-    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    gaussian = REGISTRY["gaussian"]
-    narrow = Baseline("gaussian", gaussian.function, gaussian.default, {"sigma_px": (0.3, 0.4)}, "")
-    monkeypatch.setitem(REGISTRY, "gaussian", narrow)
-    lines = tune(dataset, tmp_path / "t.json", "gaussian")
-    assert "warning: the optimum is at the edge of the grid in sigma_px" in lines[0]
 
 
 def break_a_method(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -260,11 +249,17 @@ def test_several_looks_need_several_variants(tmp_path: Path) -> None:
     assert math.isnan(row.milliseconds)
 
 
-def test_the_tune_command(dataset: Path, tmp_path: Path) -> None:
+def test_the_tune_command(
+    dataset: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     words = ("baselines=[median,gaussian]", f"tuning.file={tmp_path / 't.json'}")
-    done = evaluation("tune", f"dataset={dataset}", *words, "tuning.pairs=2", "workers=1")
-    assert done.returncode == 0, done.stderr
-    assert "gaussian: " in done.stdout
+    monkeypatch.setattr(sys, "argv", ["evaluation"])
+    given = [f"dataset={dataset}", *words, "tuning.pairs=2", "workers=1"]
+    assert main(["evaluate", "tune", *given]) == 0
+    assert "gaussian: " in capsys.readouterr().out
     assert (tmp_path / "t.json").is_file()
 
 
@@ -272,6 +267,10 @@ def test_the_tune_command(dataset: Path, tmp_path: Path) -> None:
     ("arguments", "words"),
     [
         (("tune",), "dataset: give the folder"),
+        (("dataset=nowhere",), "no such folder"),
+        (("dataset=nowhere", "speed=1"), "speed: no such key; did you mean seed?"),
+        (("dataset=nowhere", "workers=0"), "workers: "),
+        (("dataset=nowhere", "split=valid"), "split: Input should be 'train', 'test' or 'all'"),
         (("baselines=[wiener]", "dataset=."), "baselines: no 'wiener'"),
         (("models=[nothing]", "dataset=."), "models: weights=nothing: no such file"),
         (("tune", "dataset=.", "tuning.pairs=0"), "tuning.pairs: "),
@@ -291,6 +290,7 @@ def test_bad_settings_are_one_line(
     error = capsys.readouterr().err
     assert words in error
     assert error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
 
 
 def test_bad_files_are_named(dataset: Path, tmp_path: Path) -> None:

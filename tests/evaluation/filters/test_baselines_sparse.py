@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.filters.literature import dual_tree as dualtree
-from simnfnd.evaluation.methods.method import Method
+from simnfnd.evaluation.methods import Method
 from simnfnd.evaluation.pairs import Pair as Pair_
 from simnfnd.evaluation.pairs import geometry_of, items_of, picture
 from simnfnd.evaluation.runner import denoised
@@ -140,10 +140,3 @@ def test_the_report_tells_methods_where_range_is(tmp_path: Path) -> None:
     np.testing.assert_array_equal(shown, baseline(noisy, method.parameters, known))
     unknown = baseline(noisy, method.parameters)
     assert np.abs(shown - unknown).max() > 0.05
-
-
-def test_a_methods_program_holds_what_it_is_made_of() -> None:
-    """What was measured is measured again when a part of the method in another file changes."""
-    assert "def forward(" in REGISTRY["dtcwt_map"].program()
-    assert "def _alike(" in REGISTRY["structural"].program()
-    assert "def forward(" not in REGISTRY["median"].program()

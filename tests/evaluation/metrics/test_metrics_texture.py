@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -12,18 +11,21 @@ import pytest
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy import ndimage
 
-from simnfnd.evaluation.metrics.edges import edge_preservation
-from simnfnd.evaluation.metrics.fidelity import MS_SSIM_SMALLEST, MetricError, gmsd, ms_ssim
-from simnfnd.evaluation.metrics.measure import Scene
-from simnfnd.evaluation.metrics.picture import Picture, sector_of
-from simnfnd.evaluation.metrics.reference import Compared
+from simnfnd.evaluation.metrics.fidelity import (
+    MS_SSIM_SMALLEST,
+    MetricError,
+    edge_preservation,
+    gmsd,
+    ms_ssim,
+)
+from simnfnd.evaluation.metrics.measure import Picture, Scene, sector_of
 from simnfnd.evaluation.metrics.speckle import (
     contrast_to_noise,
     enl,
     homogeneous_zones,
     m_index,
+    mean_ratio,
     ratio_image,
-    ratio_mean,
     structure,
     zone_enl,
 )
@@ -152,8 +154,6 @@ def test_zones_are_even_bright_and_inside() -> None:
         == zones[0].tolist()
     )
     assert not len(homogeneous_zones(np.zeros((32, 32)), data_range=1, sector=sector[40:72, :32]))
-    with pytest.raises(MetricError, match="too small"):
-        homogeneous_zones(np.zeros((9, 40)), data_range=1, sector=np.ones((9, 40), bool))
 
 
 def test_contrast_to_noise_is_the_formula() -> None:
@@ -165,17 +165,14 @@ def test_contrast_to_noise_is_the_formula() -> None:
     assert math.isnan(contrast_to_noise(image, bright, np.zeros_like(dark)))
     assert contrast_to_noise(np.where(bright, 1.0, 0.0), bright, dark) == math.inf
     assert contrast_to_noise(np.zeros((2, 2)), bright, dark) == 0
-    with pytest.raises(MetricError, match="mask is"):
-        contrast_to_noise(image, bright[:1], dark)
 
 
 def test_ratio_image_and_its_mean() -> None:
     noisy, denoised = np.array([[0.2, 0.6, 0.5]]), np.array([[0.4, 0.3, 0.0]])
-    ratio = ratio_image(noisy, denoised, data_range=1)
+    ratio = ratio_image(noisy, denoised)
     np.testing.assert_allclose(ratio, [[0.5, 2.0, np.nan]])
-    assert ratio_mean(noisy, denoised, data_range=1) == pytest.approx(1.25)
-    assert ratio_mean(noisy, noisy, data_range=1) == 1
-    assert math.isnan(ratio_mean(noisy, np.zeros_like(noisy), data_range=1))
+    assert mean_ratio(ratio) == pytest.approx(1.25)
+    assert math.isnan(mean_ratio(ratio_image(noisy, np.zeros_like(noisy))))
 
 
 def test_structure_against_scikit_image_and_probability() -> None:
@@ -226,15 +223,16 @@ def test_m_index_ranks_filters() -> None:
     level = 0.1 + 0.1 * (np.arange(192) // 32 % 2) * np.ones((192, 1))
     noisy = np.clip(speckled(level, 8), 0, 1)
     zones = homogeneous_zones(level, data_range=1, sector=np.ones(level.shape, bool), share=1.0)
+    before = zone_enl(noisy, zones)
     ideal, blurred, wrong = (
-        m_index(noisy, image, zones, data_range=1)
+        m_index(ratio_image(noisy, image), before, zones)
         for image in (level, ndimage.gaussian_filter(noisy, 4), np.full_like(level, 0.15))
     )
     assert ideal < 1
     assert ideal < blurred
     assert ideal < wrong
-    assert m_index(noisy, noisy, zones, data_range=1) == pytest.approx(0.5)
-    assert math.isnan(m_index(noisy, level, zones[:0], data_range=1))
+    assert m_index(ratio_image(noisy, noisy), before, zones) == pytest.approx(0.5)
+    assert math.isnan(m_index(ratio_image(noisy, level), before[:0], zones[:0]))
 
 
 def test_what_methods_share_on_a_pair_changes_no_figure() -> None:
@@ -249,14 +247,15 @@ def test_what_methods_share_on_a_pair_changes_no_figure() -> None:
     zones = homogeneous_zones(clean, data_range=1, sector=sector)
     assert len(zones) > 1
     for image in (noisy, ndimage.gaussian_filter(noisy, 2), rng.random(clean.shape, np.float32)):
-        found = scene.texture(Compared(scene.reference, image.astype(np.float64)))
+        found = scene.figures(image, shadow_threshold=0.02, texture=True)
+        ratio = ratio_image(noisy, image)
         alone = {
             "gmsd_unpooled": gmsd(clean, image, data_range=1, pooled=False),
             "ms_ssim": ms_ssim(clean, image, data_range=1),
             "edge_preservation": edge_preservation(clean, image, data_range=1, mask=sector),
             "enl": enl(image, zones),
             "cnr": contrast_to_noise(image, sector & ~shadow & (clean > 0), shadow),
-            "ratio_mean": ratio_mean(noisy, image, data_range=1),
-            "m_index": m_index(noisy, image, zones, data_range=1),
+            "ratio_mean": mean_ratio(ratio),
+            "m_index": m_index(ratio, zone_enl(noisy, zones), zones),
         }
-        assert asdict(found) == pytest.approx(alone, abs=1e-9)
+        assert {name: found[name] for name in alone} == pytest.approx(alone, abs=1e-9)

@@ -15,7 +15,7 @@ import pytest
 from simnfnd.command import main
 from simnfnd.evaluation.real.measure import Scene, figures_of, scene_of
 from simnfnd.evaluation.real.shots import Shot, open_input, sector_of
-from simnfnd.evaluation.realism.real import MDD_GEOMETRIES, MDD_SHAPE
+from simnfnd.evaluation.realism.pictures import MDD_GEOMETRIES, MDD_SHAPE
 from tests.project_files import ROOT
 
 Array = npt.NDArray[Any]
@@ -138,7 +138,6 @@ def test_any_gray_pictures_will_do(tmp_path: Path) -> None:
         (("{root}/none",), "no such folder or recording"),
         (("{root}/empty",), "holds no pictures and no recordings"),
         (("{root}/black",), "0.png: black, or smaller than 16 pixels"),
-        (("{root}/plain", "tuned={root}/none.json"), "tuned={root}/none.json: no such file"),
         (("{root}/plain", "frames=0"), "frames"),
         (("{root}/plain", "baselines=[wiener]"), "baselines: no 'wiener'"),
         (("{root}/plain", "models=[{root}/none]"), "models: "),

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from simnfnd.evaluation.real.score import score
+from simnfnd.evaluation.real.measure import score
 from simnfnd.models.recordings.static import (
     aligned,
     find_groups,
@@ -84,7 +84,7 @@ def test_the_mean_of_the_others_rewards_denoising_and_not_blurring() -> None:
     reference = references(frames, group)
     blurs = [np.asarray(cv2.GaussianBlur(one, (0, 0), 6.0), np.float32) for one in frames]
     noisy, clean, blurred = (
-        np.mean([score(one, ref, inner).psnr_db for one, ref in zip(ones, reference, strict=True)])
+        np.mean([score(one, ref, inner)[0] for one, ref in zip(ones, reference, strict=True)])
         for ones in (frames, truth, blurs)
     )
     # The noise of the frame and an eleventh of it in the reference, less what the gain takes away.
@@ -96,8 +96,8 @@ def test_the_mean_of_the_others_rewards_denoising_and_not_blurring() -> None:
 def test_brightness_and_contrast_do_not_count() -> None:
     rng = np.random.default_rng(5)
     one = frame(scene(0), (0.0, 0.0), rng, 0.0)
-    assert score(0.5 * one + 0.1, one, SECTOR).psnr_db > 60
-    assert score(0.5 * one + 0.1, one, SECTOR).ssim > 0.999
+    assert score(0.5 * one + 0.1, one, SECTOR)[0] > 60
+    assert score(0.5 * one + 0.1, one, SECTOR)[1] > 0.999
 
 
 def test_what_moves_is_found() -> None:

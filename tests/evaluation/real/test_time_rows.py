@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from simnfnd.evaluation.methods.method import Method
-from simnfnd.evaluation.real import time_rows
+from simnfnd.evaluation.methods import Method
+from simnfnd.evaluation.real import in_time
 from simnfnd.evaluation.real.groups import Group
 from simnfnd.evaluation.real.shots import Shot
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
@@ -33,15 +33,14 @@ def blurred(gray: Any, geometry: object = None, **more: object) -> Any:
     return cv2.GaussianBlur(gray, (0, 0), 1.0)
 
 
-def judged(groups: list[Group], networks: list[Method], most: int = 20) -> time_rows.InTime:
+def judged(groups: list[Group], networks: list[Method], most: int = 20) -> in_time.TimeRows:
     settings: Any = SimpleNamespace(in_time=most, device="cpu")
     with TaskPool(1) as pool:
-        return time_rows.judged_in_time(settings, groups, networks, pool)
+        return in_time.judged_in_time(settings, groups, networks, pool)
 
 
 def test_rows_of_networks_and_of_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    network = SimpleNamespace(denoiser=blurred)
-    monkeypatch.setattr(time_rows, "network", lambda weights, device: network)
+    monkeypatch.setattr(in_time, "network", lambda weights, device: blurred)
     one = Method("one", "", {}, weights="one")
     groups = [recording(tmp_path / f"{seed}.avi", seed, 14) for seed in (0, 1)]
     found = judged(groups, [one])

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simnfnd.evaluation.report.measure import as_data_uri
-from simnfnd.evaluation.report.page import own_file, render
+from simnfnd.evaluation.report.page import as_data_uri, own_file, render
 from tests.evaluation.report import browser
 
 

@@ -12,9 +12,11 @@ import pytest
 from PIL import Image
 
 from simnfnd.command import main
-from simnfnd.evaluation.realism import compare, real
+from simnfnd.evaluation.realism import compare
+from simnfnd.evaluation.realism import pictures as real
 from simnfnd.evaluation.realism.measure import Measured, joined, measure_picture
-from simnfnd.evaluation.realism.polar import Grid, to_polar
+from simnfnd.evaluation.realism.pictures import to_polar
+from simnfnd.evaluation.settings import Grid
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.fan import fan_table
 from simnfnd.factory.sonar.geometry import FanGeometry
@@ -99,11 +101,11 @@ def test_geometry_files_are_checked(tmp_path: Path) -> None:
     good = table.read_text()
     assert len(real.open_real(folder).sources) == 4
     for text, said in (
-        ("file,layout,hfov_deg,widht\n*,polar,30,2\n", "unknown column 'widht'"),
+        ("file,layout,hfov_deg,widht\n*,polar,30,2\n", "line 2.widht: unknown key"),
         ("layout,hfov_deg\npolar,30\n", "no column 'file'"),
         ("file,layout,hfov_deg\n*,round,30\n", "layout must be fan or polar"),
-        ("file,layout,hfov_deg\n*,polar,wide\n", "hfov_deg is no number"),
-        ("file,layout,hfov_deg\n*,fan,30\n", "apex_x_px is missing"),
+        ("file,layout,hfov_deg\n*,polar,wide\n", "hfov_deg: Input should be a valid number"),
+        ("file,layout,hfov_deg\n*,fan,30\n", "apex_x_px: a value is required"),
         ("file,layout,hfov_deg\n000.png,polar,30\n", "no line for 001.png"),
         (good + "999.png,polar,30,,\n", "999.png is listed"),
         ("file,layout,hfov_deg,range_min_m,range_max_m\n*,polar,30,5,1\n", "range_max_m"),

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from simnfnd.evaluation.realism import distances
+from simnfnd.evaluation.realism import compare as distances
+from simnfnd.evaluation.realism import features, statistics
 from simnfnd.evaluation.realism.measure import Measured, joined, measure_picture
-from simnfnd.evaluation.realism.statistics import artefacts, features, texture, windows
 from tests.evaluation.realism.realism_pictures import sonar_picture, speckle
 
 
@@ -23,7 +23,7 @@ def pictures() -> Measured:
 def test_rayleigh_speckle_has_the_textbook_numbers() -> None:
     rng = np.random.default_rng(0)
     amplitude = 0.2 * speckle(rng, (1024, 256))
-    enl, index, cv = windows.speckle(windows.even_windows(amplitude))
+    enl, index, cv = statistics.speckle(statistics.even_windows(amplitude))
     assert enl == pytest.approx(3.66, rel=0.05)
     assert index == pytest.approx(1.0, rel=0.08)
     assert cv == pytest.approx(0.5227, rel=0.03)
@@ -35,7 +35,7 @@ def test_even_windows_avoid_objects_and_black_but_not_strong_speckle() -> None:
     picture[:32] = 0.4 + 0.02 * rng.standard_normal((32, 64))
     picture[:32, :32] += np.linspace(0, 0.5, 32)  # a slope across, with weak speckle
     picture[:16, 32:48] = 0.4 * speckle(rng, (16, 16))  # even, with the strongest speckle
-    found = windows.even_windows(picture)
+    found = statistics.even_windows(picture)
     assert len(found) == 2  # a fifth of the eight windows that are not black
     assert found.min() > 0
     assert all(window.max() - np.median(window) < 1 for window in found)
@@ -57,7 +57,7 @@ def test_even_windows_avoid_objects_and_black_but_not_strong_speckle() -> None:
 def test_the_family_that_made_the_values_has_the_least_aic(name: str, draw) -> None:
     rng = np.random.default_rng(2)
     costs = dict(
-        zip(windows.FAMILIES, windows.family_costs(draw(rng, (64, 256)) * 0.2), strict=True)
+        zip(statistics.FAMILIES, statistics.family_costs(draw(rng, (64, 256)) * 0.2), strict=True)
     )
     # Rayleigh is a Weibull and (nearly) a K: those may tie within what one parameter costs.
     assert costs[name] <= 2e-3, costs
@@ -71,35 +71,35 @@ def test_half_widths_are_those_of_the_point_spread(grain: tuple[float, float]) -
     noise = ndimage.gaussian_filter(rng.standard_normal((512, 512)), grain, mode="wrap")
     picture = (0.5 + 0.1 * noise / noise.std()).astype(np.float32)
     expected = [2 * s * np.sqrt(np.log(2)) for s in grain]
-    assert texture.half_widths(picture) == pytest.approx(expected, rel=0.08)
+    assert statistics.half_widths(picture) == pytest.approx(expected, rel=0.08)
 
 
 def test_white_noise_has_flat_spectra_and_its_own_patterns() -> None:
     rng = np.random.default_rng(4)
     picture = rng.random((512, 256)).astype(np.float32)
-    for spectrum in texture.spectra(picture):
+    for spectrum in statistics.spectra(picture):
         assert np.ptp(spectrum[1:]) < 1.5
-    assert texture.patterns(picture).sum() == picture.size
-    assert texture.gradients(picture).sum() == picture.size
+    assert statistics.patterns(picture).sum() == picture.size
+    assert statistics.gradients(picture).sum() == picture.size
     flat = np.full((64, 64), 0.5, np.float32)
-    assert texture.gradients(flat)[0] == flat.size
-    assert np.isnan(texture.half_widths(flat)).all()
+    assert statistics.gradients(flat)[0] == flat.size
+    assert np.isnan(statistics.half_widths(flat)).all()
 
 
 def test_spokes_arcs_slope_and_contrasts_of_made_up_pictures() -> None:
     rng = np.random.default_rng(6)
     spokes = np.broadcast_to(rng.random(64), (200, 64)).astype(np.float32)
-    assert artefacts.spoke_index(spokes) == pytest.approx(1)
-    assert artefacts.arc_index(spokes) == pytest.approx(0, abs=1e-6)
-    assert artefacts.arc_index(spokes.T.copy()) == pytest.approx(1)
-    assert np.isnan(artefacts.spoke_index(np.ones((8, 8), np.float32)))
+    assert statistics.spoke_index(spokes) == pytest.approx(1)
+    assert statistics.arc_index(spokes) == pytest.approx(0, abs=1e-6)
+    assert statistics.arc_index(spokes.T.copy()) == pytest.approx(1)
+    assert np.isnan(statistics.spoke_index(np.ones((8, 8), np.float32)))
     position = (np.arange(200) + 0.5) / 200
     ramp = np.broadcast_to((0.5 * 10 ** (-12 * position / 20))[:, None], (200, 64))
-    assert artefacts.range_slope_db(ramp.astype(np.float32)) == pytest.approx(-12, abs=0.05)
+    assert statistics.range_slope_db(ramp.astype(np.float32)) == pytest.approx(-12, abs=0.05)
     picture = np.full((200, 64), 0.2, np.float32)
     picture[20:40, 10:30] = 0.8
     picture[100:140, 10:30] = 0.05
-    highlight, shadow = artefacts.contrasts_db(picture)
+    highlight, shadow = statistics.contrasts_db(picture)
     assert highlight == pytest.approx(20 * np.log10(4), abs=0.3)
     assert shadow == pytest.approx(20 * np.log10(4), abs=0.3)
 

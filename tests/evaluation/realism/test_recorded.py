@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simnfnd.evaluation.realism.real import open_real
+from simnfnd.evaluation.realism.pictures import open_real
 from simnfnd.factory.errors import FactoryError
 from tests.project_files import ROOT
 

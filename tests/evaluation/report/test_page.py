@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.report import measure, page
+from simnfnd.evaluation.report import page
 from tests.evaluation.evaluation_settings import settings_for
 from tests.evaluation.report import browser
 from tests.small_dataset import write_dataset
@@ -43,7 +43,7 @@ def test_pictures_inside_are_lossless() -> None:
     import cv2
 
     image = np.linspace(0, 1, 256, dtype=np.float32).reshape(16, 16)
-    head, content = measure.as_data_uri(image).split(",", 1)
+    head, content = page.as_data_uri(image).split(",", 1)
     assert head == "data:image/png;base64"
     pixels = cv2.imdecode(np.frombuffer(base64.b64decode(content), np.uint8), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(pixels, np.arange(256).reshape(16, 16))

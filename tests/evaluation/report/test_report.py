@@ -14,13 +14,15 @@ from scipy import stats
 
 from simnfnd.command import main
 from simnfnd.evaluation import compare
-from simnfnd.evaluation.methods.method import Method
+from simnfnd.evaluation.methods import Method
 from simnfnd.evaluation.metrics import statistics
 from simnfnd.evaluation.pairs import Item
-from simnfnd.evaluation.report import breakdown, charts, paper, robustness
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.report.content import Row, best_classical, content_of
+from simnfnd.evaluation.report import charts, paper, sections
+from simnfnd.evaluation.report.content import best_classical, content_of
+from simnfnd.evaluation.report.measure import Row
 from simnfnd.evaluation.report.page import read_results
+from simnfnd.evaluation.report.tables import TABLE_METRICS
 from tests.evaluation.evaluation_settings import settings_for
 from tests.small_dataset import write_dataset
 
@@ -137,7 +139,7 @@ def table(**psnr: float) -> list[dict[str, Any]]:
     """Rows of Table 2 with our PSNR, all else as in the paper."""
     found = []
     for name, (title, figures) in paper.TABLE_2.items():
-        there = dict(zip(paper.TABLE_METRICS, figures, strict=True))
+        there = dict(zip(TABLE_METRICS, figures, strict=True))
         ours = {**there, "psnr": psnr[name]} if name in psnr else None
         found.append({"title": title, "paper": there, "ours": ours, "row": name})
     return found
@@ -176,7 +178,7 @@ def test_breakdowns_find_where_a_method_is_good(tmp_path: Path) -> None:
         "noise.fixed": np.full(count, 2.0),
         "full_scale": np.linspace(0, 1, count),
     }
-    found = breakdown.breakdown_of(
+    found = sections.breakdown_of(
         rows, items(count), drawn, ["noisy", "median"], settings_for(tmp_path / "data")
     )
     by_name = {entry["factor"]: entry for entry in found}
@@ -195,12 +197,12 @@ def test_breakdowns_find_where_a_method_is_good(tmp_path: Path) -> None:
 def test_datasets_that_differ_in_one_number_make_a_curve() -> None:
     own = {"noise.a": 0.5, "noise.b": 1}
     other = {"noise.a": 0.7, "noise.b": 1}
-    assert robustness.difference(own, other) == {"noise.a": 0.7}
+    assert sections.difference(own, other) == {"noise.a": 0.7}
     entries = [{"differs": {"noise.a": value}} for value in (0.1, 0.9)]
-    assert robustness.curve_of(entries, own) == ("noise.a", [0.1, 0.9])
-    assert robustness.curve_of([*entries, {"differs": {"noise.b": 2}}], own) is None
-    assert robustness.curve_of([{"differs": {"noise.a": True, "noise.b": 2}}], own) is None
-    assert robustness.curve_of([], own) is None
+    assert sections.curve_of(entries, own) == ("noise.a", [0.1, 0.9])
+    assert sections.curve_of([*entries, {"differs": {"noise.b": 2}}], own) is None
+    assert sections.curve_of([{"differs": {"noise.a": True, "noise.b": 2}}], own) is None
+    assert sections.curve_of([], own) is None
 
 
 def test_charts_show_every_point_and_escape_names() -> None:
@@ -231,7 +233,7 @@ def reports(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]
     a, b, c = (root / name for name in "abc")
     page = {"examples": 1, "methods": 2}
     builder.build(settings_for(dataset, out=str(a), baselines=["grey_opening"], page=page))
-    robust = {"robustness": [str(other)], "real": []}
+    robust = {"robustness": [str(other)]}
     builder.build(settings_for(dataset, out=str(b), baselines=["gaussian"], page=page, **robust))
     builder.build(settings_for(other, out=str(c), baselines=[], page={"examples": 0, "methods": 1}))
     return a, b, c

@@ -23,7 +23,7 @@ from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.pairs import pair_maker
-from simnfnd.factory.render.cache.views import ViewMaker
+from simnfnd.factory.render.views import ViewMaker
 from simnfnd.factory.scenes import open_reader
 from tests.fake_source import FakeConfig, FakeSource, refs
 from tests.frames import ground_and_post

@@ -17,9 +17,9 @@ from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.pairs import PairMaker
-from simnfnd.factory.render.cache.views import OneView
 from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.view import view_of
+from simnfnd.factory.render.views import OneView
 from simnfnd.factory.sample_table import pose
 from tests.frames import HEIGHT_M, PITCH_RAD, POST_M, ground_and_post, plain_render
 from tests.project_files import ROOT

@@ -1,0 +1,228 @@
+"""The rows of a report before they are measured: baselines in their forms, and networks."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..factory.errors import FactoryError
+from ..factory.files import sha256_of
+from ..models import WEIGHTS_NAME
+from .filters import REGISTRY, chosen
+from .filters.base import Baseline, Gray, Parameters
+from .metrics.measure import Levels
+from .settings import EvaluationSettings
+
+if TYPE_CHECKING:
+    from ..factory.sonar.geometry import FanGeometry
+    from ..models.denoise.denoiser import Denoiser
+
+FAST = ("median", "gaussian", "bilateral", "nlm", "grey_opening")
+GROUPS = {"fast": FAST, "paper": (*FAST, "bm3d")}
+"""Names that stand for several baselines: those of the paper's Table 2, and grey opening."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A row before it is measured.
+
+    name: of the baseline in the registry, or of a network.
+    form: '', 'tuned', '+ levels' or 'tuned + levels'.
+    weights: of a network, else None.
+    given: what gives its pictures, where it is no function: the folder of another program's, or
+        what a subject knows by this word.  content: changes with those pictures.
+    ablation: which row of the paper's Table 3 a network is, or ''.
+    """
+
+    name: str
+    form: str
+    parameters: Parameters
+    levels: Levels | None = None
+    weights: str | None = None
+    ablation: str = ""
+    given: str = ""
+    content: str = ""
+
+    @property
+    def label(self) -> str:
+        """The name of the row."""
+        name = "noisy" if self.name == "identity" else self.name
+        return f"{name} {self.form}".strip()
+
+    @property
+    def kind(self) -> str:
+        """What made it: noisy (nothing), baseline, network, or pictures (of another program)."""
+        if self.name == "identity" and not self.form:
+            return "noisy"
+        if self.given:
+            return "pictures"
+        return "baseline" if self.weights is None else "network"
+
+    @property
+    def looks(self) -> bool:
+        """Whether it sees several pictures of a scene at once."""
+        known = REGISTRY.get(self.name) if self.kind == "baseline" else None
+        return known is not None and known.looks
+
+    @property
+    def uses_geometry(self) -> bool:
+        """Whether it may ask where range and bearing are."""
+        return self.kind == "network" or REGISTRY[self.name].uses_geometry
+
+    @property
+    def output(self) -> str:
+        """Equal for rows that differ in their levels alone, so that they share the filtering."""
+        source = self.given or self.weights or self.name
+        return f"{source} {sorted(self.parameters.items())}"
+
+    @property
+    def key(self) -> str:
+        """Changes with everything that decides the row's figures, but the pictures and programs."""
+        content = self.content if self.weights is None else weights_digest(self.weights)
+        levels = None if self.levels is None else [self.levels.gain, self.levels.offset]
+        parts = [self.name, sorted(self.parameters.items()), levels, content]
+        return hashlib.blake2b(json.dumps(parts).encode(), digest_size=12).hexdigest()
+
+
+NOISY = Method("identity", "", {})
+
+
+def baselines_of(names: Sequence[str]) -> list[Baseline]:
+    """The baselines of `baselines=[...]`, groups of names spelt out."""
+    return chosen([one for name in names for one in GROUPS.get(name, (name,))])
+
+
+def methods_of(baselines: Sequence[Baseline], tuned: Mapping[str, Any]) -> list[Method]:
+    """The rows of the baselines: by default, and in the forms that the tuned file has."""
+    methods = [NOISY]
+    for baseline in baselines:
+        methods.append(Method(baseline.name, "", dict(baseline.default)))
+        if baseline.name not in tuned:
+            continue
+        forms = [("+ levels", "default")]
+        if baseline.grid:
+            forms += [("tuned", "tuned"), ("tuned + levels", "tuned_levels")]
+        for form, key in forms:
+            point = tuned[baseline.name][key]
+            levels = Levels(**point["levels"]) if form.endswith("levels") else None
+            methods.append(Method(baseline.name, form, point["parameters"], levels))
+    return list({method.label: method for method in methods}.values())
+
+
+def networks_of(settings: EvaluationSettings) -> list[Method]:
+    """The rows of `models` and `ablation`, each named by its file or folder.
+
+    Raises FactoryError for a path without weights.
+    """
+    auto = settings.models == "auto"
+    models = shipped_for(Path(settings.dataset.dir)) if auto else settings.models
+    return networks_at(models, vars(settings.ablation))
+
+
+def shipped_for(dataset: Path) -> list[str]:
+    """Name of the weights that `simnfnd denoise` takes here; [] where nothing runs them."""
+    if not all(map(find_spec, ("onnxruntime", "safetensors"))):
+        return []
+    from ..models.denoise.inputs import Item
+    from ..models.denoise.shards import made_of_points
+    from ..models.pretrained import DEFAULT, POINTS
+
+    shard = next(dataset.glob("*/shard-*.h5"), None)
+    points = shard is not None and made_of_points(Item(shard, Path(shard.name)))
+    return [POINTS if points else DEFAULT]
+
+
+def networks_at(models: Sequence[str], ablation: Mapping[str, str | None]) -> list[Method]:
+    """The same of these weights; `ablation`: row of the paper's Table 3 -> weights or None."""
+    given = [(path, "", "models") for path in models]
+    given += [(path, row, f"ablation.{row}") for row, path in ablation.items() if path]
+    found: dict[Path, Method] = {}
+    for text, row, key in given:
+        path = _weights(Path(text).expanduser(), key)
+        name = path.parent.name if path.name == WEIGHTS_NAME else path.stem
+        taken = {method.name for method in found.values()}
+        if path in found:
+            name = found[path].name
+        elif name in taken:
+            name = next(f"{name}-{n}" for n in range(2, 1000) if f"{name}-{n}" not in taken)
+        found[path] = Method(name, "", {}, weights=str(path), ablation=row)
+    return list(found.values())
+
+
+@lru_cache(maxsize=2)
+def network(weights: str, device: str) -> Denoiser:
+    """The network of a weights file, kept between pictures.
+
+    Raises FactoryError for a file that holds no weights of a network.
+    """
+    from ..models.denoise.denoiser import load_denoiser
+
+    return load_denoiser(weights, device)
+
+
+def denoised_by(denoiser: Denoiser, image: Gray, geometry: FanGeometry | None) -> Gray:
+    """(H, W) float32 in 0..1 -> the same, as `simnfnd denoise` makes it."""
+    return denoiser(image, geometry if denoiser.runtime.extras else None)
+
+
+def costs_of(networks: Sequence[Method]) -> dict[str, dict[str, float]]:
+    """Label -> gmac (for 256x256 pixels) and parameters of each network, as docs/models.md.
+
+    Nothing without torch, which counts them.
+    """
+    if not networks or find_spec("torch") is None:
+        return {}
+    from ..models.networks.network import count_macs
+    from ..models.networks.weights import load_weights
+
+    found = {}
+    for method in networks:
+        loaded = load_weights(method.weights or "").network
+        found[method.label] = {
+            "gmac": count_macs(loaded, 256) / 1e9,
+            "parameters": float(sum(weights.numel() for weights in loaded.parameters())),
+        }
+    return found
+
+
+@lru_cache(maxsize=64)
+def weights_digest(path: str) -> str:
+    """Changes with the weights."""
+    return sha256_of(Path(path))[:24]
+
+
+def reason(error: Exception) -> str:
+    """Why a method failed, in one line."""
+    text = " ".join(str(error).split())
+    return text if isinstance(error, FactoryError) else f"{type(error).__name__}: {text}"
+
+
+def shown(parameters: Parameters) -> str:
+    """Parameters in brackets, nothing for none."""
+    parts = [f"{name}={value:.3g}" for name, value in parameters.items()]
+    return f" ({', '.join(parts)})" if parts else ""
+
+
+def _weights(path: Path, key: str) -> Path:
+    """The weights file that is meant: in a folder of a training, a file, or one that ships."""
+    from ..models.pretrained import find_weights, shipped
+
+    if path.is_dir() and str(path) not in shipped():  # a folder may have the name of weights
+        inside = sorted(path.glob("*.safetensors"))
+        best = path / WEIGHTS_NAME
+        if best not in inside and len(inside) != 1:
+            raise FactoryError(
+                f"{key}: {path} holds {len(inside)} weights files and no {WEIGHTS_NAME}; name a "
+                "file"
+            )
+        path = best if best in inside else inside[0]
+    try:
+        return find_weights(path).resolve()
+    except FactoryError as error:
+        raise FactoryError(f"{key}: {error}") from error

@@ -1,1 +1,0 @@
-"""What is measured: baselines in their forms (default, tuned, with levels) and trained networks."""

@@ -1,0 +1,275 @@
+"""What is measured on a polar picture: speckle, texture, and what lies along beams and rows."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from scipy import fft, special
+
+Gray = npt.NDArray[np.float32]
+Values = npt.NDArray[np.float64]
+
+SIDE = 16
+"""Edge of a window in cells of the polar grid."""
+_PART = 4
+_SHARE = 0.2
+_DARKEST = 0.02
+FAMILIES = ("rayleigh", "weibull", "gamma", "lognormal", "k")
+_PARAMETERS = {"rayleigh": 1, "weibull": 2, "gamma": 2, "lognormal": 2, "k": 2}
+# Grey values are steps of 1/255: zero stands for anything below half a step.
+_SMALLEST = 0.5 / 255
+
+SPECTRUM_BINS = 24
+"""Bins of every spectrum, equal steps from 0 to 0.5 cycles a cell (0 itself is left out)."""
+GRADIENT_BINS = 64
+PATTERNS = 10
+_SMOOTH = 31
+_LAGS = 24
+
+# One grey step of 8 bits: where a level in dB is needed, black counts as this.
+_STEP = 1 / 255
+
+
+def even_windows(polar: npt.NDArray[np.floating]) -> Values:
+    """(N, SIDE * SIDE) grey values of the evenest fifth of the windows; (0, ...) if all is black.
+
+    Windows lie on a grid without overlap; those with a mean below 2 % of full scale (clipped to
+    black) do not count, nor do constant ones.  A window is even when the means of its 4x4 parts
+    differ little for the scatter within the parts: that asks for a flat bottom, and not for weak
+    speckle, as the lowest std/mean would.
+    """
+    rows, columns = (size // SIDE for size in polar.shape)
+    cut = np.asarray(polar[: rows * SIDE, : columns * SIDE], dtype=np.float64)
+    blocks = cut.reshape(rows, SIDE, columns, SIDE).transpose(0, 2, 1, 3).reshape(-1, SIDE, SIDE)
+    parts = blocks.reshape(-1, SIDE // _PART, _PART, SIDE // _PART, _PART).mean(axis=(2, 4))
+    mean = blocks.mean(axis=(1, 2))
+    between = parts.var(axis=(1, 2))
+    within = blocks.var(axis=(1, 2)) - between
+    usable = np.flatnonzero((mean >= _DARKEST) & (within > 1e-9))
+    unevenness = between[usable] / within[usable]
+    count = max(1, round(_SHARE * usable.size)) if usable.size else 0
+    chosen = usable[np.argsort(unevenness, kind="stable")[:count]]
+    return np.asarray(blocks[chosen].reshape(count, SIDE * SIDE))
+
+
+def speckle(windows: Values) -> tuple[float, float, float]:
+    """Medians over the windows of ENL, scintillation index and CV; NaN without windows.
+
+    Grey values g are taken as amplitude: CV = std(g) / mean(g), ENL = 1 / CV^2 and
+    SI = <g^4> / <g^2>^2 - 1.  Rayleigh amplitude has ENL 3.66, SI 1 and CV 0.523; what a display
+    makes of it (compression) has other values, the same on both sides of the comparison.
+    """
+    if not len(windows):
+        return float("nan"), float("nan"), float("nan")
+    cv = windows.std(axis=1) / windows.mean(axis=1)
+    power = windows**2
+    index = (power**2).mean(axis=1) / power.mean(axis=1) ** 2 - 1
+    median_cv = float(np.median(cv))
+    enl = float(np.median(1 / np.maximum(cv, 1e-6) ** 2))
+    return enl, float(np.median(index)), median_cv
+
+
+def family_costs(windows: Values) -> Values:
+    """(5,) AIC per pixel of each of `FAMILIES`, less the least; NaN without windows.
+
+    Fitted to grey values over their window's mean, pooled: Rayleigh, Weibull, gamma and log-normal
+    by maximum likelihood, K by the method of moments on the intensity (SI = 1 + 2 / nu).  0 marks
+    the best family; d means its likelihood is exp(d / 2) times that of the other, for each pixel.
+    """
+    if not len(windows):
+        return np.full(len(FAMILIES), np.nan)
+    scaled = np.maximum(windows, _SMALLEST) / windows.mean(axis=1, keepdims=True)
+    x = scaled.ravel()
+    costs = [2 * _PARAMETERS[name] / x.size - 2 * _mean_log_density(name, x) for name in FAMILIES]
+    return np.asarray(np.asarray(costs) - min(costs))
+
+
+def _mean_log_density(name: str, x: Values) -> float:
+    log = np.log(x)
+    if name == "rayleigh":
+        power = float((x**2).mean()) / 2
+        return float((log - np.log(power) - x**2 / (2 * power)).mean())
+    if name == "weibull":
+        k = _weibull_shape(x, log)
+        scale = float((x**k).mean()) ** (1 / k)
+        z = x / scale
+        return float((np.log(k / scale) + (k - 1) * np.log(z) - z**k).mean())
+    if name == "gamma":
+        k = _gamma_shape(float(np.log(x.mean()) - log.mean()))
+        scale = float(x.mean()) / k
+        logs = (k - 1) * log - x / scale - k * np.log(scale) - special.gammaln(k)
+        return float(logs.mean())
+    if name == "lognormal":
+        variance = max(float(log.var()), 1e-12)
+        return float(-(log.mean() + 0.5 * np.log(2 * np.pi * variance) + 0.5))
+    return float(_log_k(x, log).mean())
+
+
+def _weibull_shape(x: Values, log: Values) -> float:
+    """Newton's method on the likelihood equation, from the log-moments' start."""
+    k = 1.2 / max(float(log.std()), 1e-3)
+    for _ in range(30):
+        power = x**k
+        total = power.sum()
+        first, second = (power * log).sum() / total, (power * log**2).sum() / total
+        value = first - 1 / k - log.mean()
+        step = value / (second - first**2 + 1 / k**2)
+        k = max(k - step, k / 2)
+        if abs(step) < 1e-6 * k:
+            break
+    return float(k)
+
+
+def _gamma_shape(s: float) -> float:
+    """Minka's generalised Newton steps; s = log of the mean - mean of the log."""
+    s = max(s, 1e-9)
+    k = (3 - s + np.sqrt((s - 3) ** 2 + 24 * s)) / (12 * s)
+    for _ in range(5):
+        slope = 1 / k - special.polygamma(1, k)
+        k = 1 / (1 / k + (np.log(k) - special.digamma(k) - s) / (k**2 * slope))
+    return float(k)
+
+
+def _log_k(x: Values, log: Values) -> Values:
+    """Log density of the K distribution of an amplitude.
+
+    With intensity mean m: p(x) = 4 / Gamma(nu) (nu / m)^((nu + 1) / 2) x^nu K_{nu-1}(2 x
+    sqrt(nu / m)) (Abraham & Lyons 2002).  Where the intensity scatters less than Rayleigh's, nu
+    is at its limit and K is Rayleigh.
+    """
+    power = x**2
+    m = float(power.mean())
+    excess = float((power**2).mean()) / m**2 - 2
+    nu = float(np.clip(2 / excess, 0.1, 60)) if excess > 2 / 60 else 60.0
+    z = 2 * x * np.sqrt(nu / m)
+    bessel = np.log(np.maximum(special.kve(nu - 1, z), 1e-300)) - z
+    head = np.log(4) - special.gammaln(nu) + (nu + 1) / 2 * np.log(nu / m)
+    return np.asarray(head + nu * log + bessel)
+
+
+def half_widths(polar: Gray) -> tuple[float, float]:
+    """Lags along range and bearing, in cells, where the speckle's autocorrelation is one half.
+
+    What is larger than 31 cells is taken out first: the local mean is subtracted and the local
+    standard deviation divides.  NaN for a picture without any variation.
+    """
+    mean = cv2.blur(polar, (_SMOOTH, _SMOOTH))
+    residual = polar - mean
+    spread = np.sqrt(np.maximum(cv2.blur(residual**2, (_SMOOTH, _SMOOTH)), 0))
+    grain = np.where(spread > 1e-3, residual / np.maximum(spread, 1e-3), 0)
+    correlation = [_correlation(grain, axis) for axis in (0, 1)]
+    first, second = (_half(values) for values in correlation)
+    return first, second
+
+
+def _correlation(grain: Gray, axis: int) -> Values:
+    """Autocorrelation at lags 0, 1, ... along an axis, each over the pairs that exist."""
+    size = grain.shape[axis]
+    power = np.abs(fft.rfft(grain, 2 * size, axis=axis)) ** 2
+    raw = fft.irfft(power.sum(axis=1 - axis), 2 * size)[: min(_LAGS, size - 1)]
+    return np.asarray(raw / (size - np.arange(len(raw))), dtype=np.float64)
+
+
+def _half(correlation: Values) -> float:
+    if correlation[0] <= 0:
+        return float("nan")
+    values = correlation / correlation[0]
+    below = np.flatnonzero(values < 0.5)
+    if not below.size:
+        return float(len(values))
+    lag = int(below[0])
+    return float(lag - 1 + (values[lag - 1] - 0.5) / (values[lag - 1] - values[lag]))
+
+
+def spectra(polar: Gray) -> tuple[Values, Values, Values]:
+    """Power spectra, radial, along range and along bearing: (SPECTRUM_BINS,) each, in dB.
+
+    Of the picture less its mean, under a Hann window; each is relative to its own total power, so
+    brightness does not count.
+    """
+    rows, columns = polar.shape
+    taper = np.hanning(rows)[:, None] * np.hanning(columns)[None, :]
+    power = np.abs(fft.rfft2((polar - polar.mean()) * taper)) ** 2
+    # Every frequency but 0 and the highest along the last axis stands for its mirror image, too.
+    power[:, 1 : (columns + 1) // 2] *= 2
+    along = np.abs(fft.fftfreq(rows))[:, None]
+    across = fft.rfftfreq(columns)[None, :]
+    radius = np.hypot(along, across)
+    along, across = np.broadcast_to(along, power.shape), np.broadcast_to(across, power.shape)
+    radial, by_range, by_bearing = (_binned(power, f) for f in (radius, along, across))
+    return radial, by_range, by_bearing
+
+
+def _binned(power: Values, frequency: Values) -> Values:
+    place = np.floor(frequency * (2 * SPECTRUM_BINS)).astype(np.intp)
+    inside = (place < SPECTRUM_BINS) & (frequency > 0)
+    sums = np.bincount(place[inside], weights=power[inside], minlength=SPECTRUM_BINS)
+    counts = np.bincount(place[inside], minlength=SPECTRUM_BINS)
+    # Means, for a bin may hold one frequency more than its neighbour.
+    density = sums / np.maximum(counts, 1)
+    share = density / max(float(density.sum()), 1e-30)
+    return np.asarray(10 * np.log10(np.maximum(share, 1e-8)))
+
+
+def gradients(polar: Gray) -> Values:
+    """(GRADIENT_BINS,) histogram (counts) of the Sobel gradient's magnitude, 0 to 0.5 a cell."""
+    along = cv2.Sobel(polar, cv2.CV_32F, 0, 1, scale=1 / 8)
+    across = cv2.Sobel(polar, cv2.CV_32F, 1, 0, scale=1 / 8)
+    place = np.minimum(np.hypot(along, across) * (2 * GRADIENT_BINS), GRADIENT_BINS - 1)
+    return np.bincount(place.astype(np.intp).ravel(), minlength=GRADIENT_BINS).astype(np.float64)
+
+
+def patterns(polar: Gray) -> Values:
+    """(PATTERNS,) histogram (counts) of local binary patterns, 8 neighbours, rotation invariant.
+
+    Ojala, Pietikainen and Maenpaa 2002, "uniform" patterns: 0 to 8 brighter neighbours in one arc,
+    the last bin for all others.
+    """
+    from skimage.feature import local_binary_pattern as pattern
+
+    # Of grey steps: equal grey values count as brighter, which rounding must not decide.
+    grey = np.rint(polar * 255).astype(np.uint8)
+    codes = np.asarray(pattern(grey, 8, 1, method="uniform"))  # type: ignore[no-untyped-call]
+    return np.bincount(codes.astype(np.intp).ravel(), minlength=PATTERNS).astype(np.float64)
+
+
+def spoke_index(polar: Gray) -> float:
+    """Variance of the beams' means over the variance of the picture; NaN when all is equal."""
+    return _index(polar, 0)
+
+
+def arc_index(polar: Gray) -> float:
+    """Variance of the range rows' means over the variance of the picture; NaN when all is equal."""
+    return _index(polar, 1)
+
+
+def _index(polar: Gray, axis: int) -> float:
+    values = polar.astype(np.float64)
+    total = float(values.var())
+    return float(values.mean(axis=axis).var()) / total if total > 1e-12 else float("nan")
+
+
+def range_slope_db(polar: Gray) -> float:
+    """Slope of the level along range: dB from the near to the far end of the window.
+
+    Least squares on 20 log10 of the mean grey value of each range row.  For dB/m divide by the
+    length of the window.
+    """
+    level_db = 20 * np.log10(np.maximum(polar.mean(axis=1, dtype=np.float64), _STEP))
+    position = (np.arange(len(level_db)) + 0.5) / len(level_db)
+    return float(np.polyfit(position, level_db, 1)[0])
+
+
+def contrasts_db(polar: Gray) -> tuple[float, float]:
+    """Highlight over background and background over shadow, dB.
+
+    Of means of 5x5 cells, so that speckle counts for less: the 99.5th percentile over the median,
+    and the median over the 1st percentile.
+    """
+    low, middle, high = np.percentile(cv2.blur(polar, (5, 5)), [1, 50, 99.5])
+    background = max(float(middle), _STEP)
+    return (
+        20 * float(np.log10(max(float(high), _STEP) / background)),
+        20 * float(np.log10(background / max(float(low), _STEP))),
+    )

@@ -1,1 +1,0 @@
-"""What is measured on one polar picture: speckle, grain and texture, artefacts, fixed features."""
