@@ -61,7 +61,7 @@ def test_odd_settings_are_refused(
 
 
 def test_a_step_of_one_image_takes_it_whole(dataset: Path, tmp_path: Path) -> None:
-    words = ("data.patch=64", "data.batch=1", "data.crops=1")
+    words = ("data.patch=64", "data.batch=1", "data.crops=1", "train.steps=2")
     row = train_small(dataset, tmp_path / "whole", *words)
     assert np.isfinite(row["loss"])
     with pytest.raises(FactoryError, match=r"patch=64 is larger than .*or data\.batch=data\.crops"):
