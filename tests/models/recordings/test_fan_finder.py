@@ -134,7 +134,7 @@ def test_fans_whose_far_range_is_not_on_top(name: str, turns: int) -> None:
     assert of_spot is None or of_spot.geometry.quarter_turns == 0
 
 
-@pytest.mark.parametrize("ground", [(0, 0, 0), (45, 45, 45), (80, 30, 10), (240, 240, 240)])
+@pytest.mark.parametrize("ground", [(0, 0, 0), (80, 30, 10), (240, 240, 240)])
 @pytest.mark.parametrize("turns", [0, 1])
 def test_a_fan_on_a_screen(ground: tuple[int, int, int], turns: int) -> None:
     grey, true = fan(preset("didson_hf", 300, 400), 0.3, holes=False)
@@ -155,7 +155,7 @@ def test_a_fan_on_a_screen(ground: tuple[int, int, int], turns: int) -> None:
         assert upright.apex_y_px == pytest.approx(true.apex_y_px + TOP, abs=close)
 
 
-@pytest.mark.parametrize("quality", [95, 80])
+@pytest.mark.parametrize("quality", [80])
 def test_a_fan_on_a_screen_that_was_compressed(quality: int) -> None:
     grey, true = fan(preset("didson_hf", 300, 400), 0.3, holes=False)
     shown = screen(grey, true.sector_mask(*grey.shape), (45, 45, 45))
