@@ -18,10 +18,9 @@ from benchmarks.shared import Options, Section, Table, cpu_seconds, frame_words
 from simnfnd.factory import pairs, seeds
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.imaging import resample
-from simnfnd.factory.imaging.clouds import effect_clouds, noisy_cloud
+from simnfnd.factory.imaging.pointwise import effect_clouds, noisy_cloud
 from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.render import open_renderer
-from simnfnd.factory.render.cloud import back_project
 from simnfnd.factory.render.view import decode, encode, view_of
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.sonar import polar, transfer
@@ -63,7 +62,6 @@ def _table(options: Options) -> Table:
     stages: dict[str, Callable[[], Any]] = {
         "load the frame (decode, or build the scene)": lambda: reader.load(ref),
         "render, embree": lambda: renderer.render(frame, sonar.mount),
-        "back-project": lambda: back_project(frame.depth_m, frame.intrinsics),
         "cached render: encode": lambda: encode(view),
         "cached render: decode": lambda: decode(packed),
         "observe: pixels to echoes, window, shadow": lambda: pairs.observe(frame, rendered, config),

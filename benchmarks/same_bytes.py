@@ -27,7 +27,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-import pandas as pd
+import pandas
 
 SMALL = ("scenes.locations=2", "scenes.frames_per_location=1", "scenes.width=320",
          "scenes.height=200", "scheduler=serial")  # fmt: skip
@@ -42,8 +42,8 @@ DATASETS: dict[str, tuple[str, ...]] = {
     "physical": ("experiment=physical", "render=analytic", *SMALL, LAYERS, "frames.variants=2"),
     "physical_geometry": ("experiment=physical", "render=analytic", *SMALL,
                           "acoustics.target=geometry", "sonar=oculus_m1200d_hf"),
-    "physical_radiometric": ("experiment=physical", "render=analytic", *SMALL,
-                             "acoustics.target=radiometric", "noise.background.enabled=true"),
+    "physical_background": ("experiment=physical", "render=analytic", *SMALL,
+                            "noise.background.enabled=true"),
     "aris_mdd": ("experiment=aris_mdd", "render=analytic", *SMALL, "scenes.kinds=null"),
 }  # fmt: skip
 
@@ -230,12 +230,12 @@ def weights_hash(path: Path) -> str:
 
 def figures_hash(path: Path) -> str:
     """Hash of a report's figures of every pair and method, without its times."""
-    table = pd.read_csv(path, float_precision="round_trip", low_memory=False)
+    table = pandas.read_csv(path)
     digest = hashlib.sha256()
-    for name in sorted(map(str, table)):
+    for name in sorted(table.columns):
         if "ms" in name.split("_") or "time" in name or name == "shard":
             continue
-        digest.update(name.encode() + b"\0" + "\n".join(map(repr, table[name].tolist())).encode())
+        digest.update(name.encode() + b"\0" + "\n".join(map(repr, table[name])).encode())
     return digest.hexdigest()
 
 

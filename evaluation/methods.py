@@ -178,7 +178,7 @@ def costs_of(networks: Sequence[Method]) -> dict[str, dict[str, float]]:
     """
     if not networks or find_spec("torch") is None:
         return {}
-    from ..models.networks.cost import count_macs
+    from ..models.networks.network import count_macs
     from ..models.networks.weights import load_weights
 
     found = {}

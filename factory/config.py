@@ -20,7 +20,7 @@ from .imaging.coherent.settings import AcousticsSettings
 from .imaging.resample import ResampleSettings
 from .noise.registry import EFFECTS, NoiseSettings, blocks
 from .render.base import RenderSettings
-from .render.cache.cache import CacheSettings
+from .render.cache import CacheSettings
 from .scenes import Scenes
 from .scenes.base import INTEGERS_PER_M
 from .scenes.seabed.reader import SeabedSettings, seeing
@@ -159,11 +159,6 @@ def check_received(config: FactoryConfig) -> None:
     """Raise ValueError when layers or columns are asked for that the formation does not have."""
     dataset = config.dataset
     asked: list[str] = [name for name in _RECEIVED if name in dataset.layers]
-    if config.devices is not None and "echoes" in dataset.layers:
-        raise ValueError(
-            "dataset.layers: echoes are of the bins of one device; leave them out or set "
-            "devices=fixed"
-        )
     if config.devices is not None and (asked or dataset.columns):
         raise ValueError(
             "dataset.layers: intensity_db, field and dataset.columns need one device; leave them "

@@ -1,4 +1,4 @@
-"""Elementary functions for compiled loops, and the two loops over numbers that several rooms share.
+"""Elementary functions for compiled loops, and a loop over numbers that several rooms share.
 
 Written out, because a loop must run several numbers at a time, and because the bytes of a dataset
 may not depend on the C library: atan of Abramowitz and Stegun (1964) 4.4.49, within 2e-8 before
@@ -24,39 +24,6 @@ _C8, _C10, _C12 = _F(1 / 40320), _F(-1 / 3628800), _F(1 / 479001600)
 
 _L3, _L5, _L7, _L9 = _F(1 / 3), _F(1 / 5), _F(1 / 7), _F(1 / 9)
 _LN2, _ROOT2 = _F(np.log(2)), _F(np.sqrt(2))
-
-# Of `log10`: 1 / c and ln c at sixteen c of 0.7 to 1.4, a polynomial of ln(1 + r), and parts of
-# 1 / ln 10 and log10 2.
-_LOG_TABLE = (
-    ("0x1.661ec79f8f3bep+0", "-0x1.57bf7808caadep-2"),
-    ("0x1.571ed4aaf883dp+0", "-0x1.2bef0a7c06ddbp-2"),
-    ("0x1.49539f0f010bp+0", "-0x1.01eae7f513a67p-2"),
-    ("0x1.3c995b0b80385p+0", "-0x1.b31d8a68224e9p-3"),
-    ("0x1.30d190c8864a5p+0", "-0x1.6574f0ac07758p-3"),
-    ("0x1.25e227b0b8eap+0", "-0x1.1aa2bc79c81p-3"),
-    ("0x1.1bb4a4a1a343fp+0", "-0x1.a4e76ce8c0e5ep-4"),
-    ("0x1.12358f08ae5bap+0", "-0x1.1973c5a611cccp-4"),
-    ("0x1.0953f419900a7p+0", "-0x1.252f438e10c1ep-5"),
-    ("0x1p+0", "0x0p+0"),
-    ("0x1.e608cfd9a47acp-1", "0x1.aa5aa5df25984p-5"),
-    ("0x1.ca4b31f026aap-1", "0x1.c5e53aa362eb4p-4"),
-    ("0x1.b2036576afce6p-1", "0x1.526e57720db08p-3"),
-    ("0x1.9c2d163a1aa2dp-1", "0x1.bc2860d22477p-3"),
-    ("0x1.886e6037841edp-1", "0x1.1058bc8a07ee1p-2"),
-    ("0x1.767dcf5534862p-1", "0x1.4043057b6ee09p-2"),
-)
-_INVERSE = np.array([float.fromhex(one) for one, _ in _LOG_TABLE])
-_LN = np.array([float.fromhex(other) for _, other in _LOG_TABLE])
-_P2, _P3, _P4 = (
-    float.fromhex(one)
-    for one in ("-0x1.ffffef20a4123p-2", "0x1.5575b0be00b6ap-2", "-0x1.00ea348b88334p-2")
-)
-_LN2_DOUBLE = float.fromhex("0x1.62e42fefa39efp-1")
-_PER_LN10, _LOG10_2, _LOG10_2_REST = (
-    _F(4.3429449201e-01),
-    _F(3.0102920532e-01),
-    _F(7.9034151668e-07),
-)
 
 _TURN = 2 * np.pi
 _S1, _S3, _S5 = (_F(v) for v in (_TURN, -(_TURN**3) / 6, _TURN**5 / 120))
@@ -115,40 +82,6 @@ def exponential(x: Any) -> Any:
     return mantissa * np.int32(bits).view(np.float32)
 
 
-@compiled(f"void({FLOATS}, int64[::1], {_OUT})")
-def ranked(values: Any, ranks: Any, found: Any) -> None:
-    """The values of the given ranks (0 = smallest); `values` are not negative.
-
-    The bits of such numbers are ordered as they are: count the upper halves, then, among the equal
-    ones, the lower.
-    """
-    bits = values.view(np.uint32)
-    # Neighbours are often equal; counting them in turns saves waiting for the same cell.
-    turns = np.zeros((4, 1 << 16), np.int64)
-    for at in range(len(bits)):
-        turns[at & 3, bits[at] >> 16] += 1
-    upper = turns[0] + turns[1] + turns[2] + turns[3]
-    lower = np.zeros(1 << 16, np.int64)
-    counted = -1
-    for number in range(len(ranks)):
-        left, half = ranks[number], 0
-        while left >= upper[half]:
-            left -= upper[half]
-            half += 1
-        if half != counted:
-            counted, lower[:] = half, 0
-            for at in range(len(bits)):
-                if bits[at] >> 16 == half:
-                    lower[bits[at] & 0xFFFF] += 1
-        rest = 0
-        while left >= lower[rest]:
-            left -= lower[rest]
-            rest += 1
-        one = np.empty(1, np.uint32)
-        one[0] = (half << 16) | rest
-        found[number] = one.view(np.float32)[0]
-
-
 @compiled()
 def log(value: Any) -> Any:
     """Natural logarithm of a positive, not subnormal number, float32.
@@ -162,30 +95,6 @@ def log(value: Any) -> Any:
     u = s * s
     series = _L3 + u * (_L5 + u * (_L7 + u * _L9))
     return _F(exponent) * _LN2 + (s + s) * (_ONE + u * series)
-
-
-@compiled()
-def log10(value: Any) -> Any:
-    """Logarithm to base 10 of a positive, not subnormal number, float32, off by 2 last digits.
-
-    The bits are those of the GNU C library 2.36: log10f of Sun's fdlibm upon logf of Arm's
-    optimized routines (MIT).  Written out, several numbers are computed at a time, and with other
-    C libraries the bits are the same.
-    """
-    bits = _F(value).view(np.int32)
-    power = (bits >> np.int32(23)) - np.int32(127)
-    below = np.int32(1) if power < 0 else np.int32(0)
-    # The number without its power of two, 1 to 2 (from 1 on) or 0.5 to 1.
-    mantissa = np.int32((bits & np.int32(0x7FFFFF)) | ((np.int32(127) - below) << np.int32(23)))
-    away = np.int32(mantissa - np.int32(0x3F330000))
-    at, twos = np.uint32(np.uint32(away) >> np.uint32(19)) & np.uint32(15), away >> np.int32(23)
-    near_one = np.int32(mantissa - np.int32(twos << np.int32(23))).view(np.float32)
-    r = np.float64(near_one) * _INVERSE[at] - 1.0
-    r2 = r * r
-    series = _P4 * r2 + (_P3 * r + _P2)
-    ln = _F(series * r2 + ((_LN[at] + np.float64(twos) * _LN2_DOUBLE) + r))
-    whole = _F(power + below)
-    return (whole * _LOG10_2_REST + _PER_LN10 * ln) + whole * _LOG10_2
 
 
 @compiled(f"void({FLOATS}, {_OUT})")

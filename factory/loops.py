@@ -12,27 +12,21 @@ from pathlib import Path
 
 from .progress import stage_if_slow
 
-PICTURES = ("elementary", "render.albedo", "render.shading", "sonar.echo_loops",
-            "sonar.picture_loops", "render.cloud.joints")  # fmt: skip
-SURFACES = ("render.cloud.planes", "render.traced")
+PICTURES = ("elementary", "render.kernels", "sonar.kernels")
 SEABED = ("scenes.seabed.kernels",)
-FIELD = ("imaging.coherent.cell_kernels", "imaging.coherent.kernels", "imaging.coherent.pixel_rows",
-         "imaging.coherent.placing")  # fmt: skip
-LOOPS = PICTURES + SURFACES + SEABED + FIELD
+FIELD = ("imaging.coherent.kernels",)
+LOOPS = PICTURES + SEABED + FIELD
 
 
-def compile_needed(*, scenes: str = "", render: str = "", field: bool = False) -> None:
+def compile_needed(*, scenes: str = "", field: bool = False) -> None:
     """Load the loops that a task needs, compiling what is not on disk yet.
 
-    scenes, render: the kinds whose frames it makes and renders.  field: whether it forms pictures
-    by the complex field.
+    scenes: the kind whose frames it makes.  field: whether it forms pictures by the complex field.
     One process of a machine at a time does it: many workers would compile the same loops at once.
     """
     names: tuple[str, ...] = PICTURES
     if scenes == "seabed":
         names += SEABED
-    if render in ("cycles", "embree"):
-        names += SURFACES
     if field:
         names += FIELD
     if all(_module(name) in sys.modules for name in names):

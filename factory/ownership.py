@@ -85,11 +85,15 @@ class Fence:
         """Raise FactoryError when the lock is another's, or gone."""
         owner = read_owner(self.lock)
         if owner.get("token") != self.token:
-            taken = f"by process {owner['pid']} on {owner['host']}" if "pid" in owner else "away"
-            raise FactoryError(
-                f"{self.lock.parent}: was taken {taken} while this run stood still; nothing more "
-                "is written here"
-            )
+            raise taken(self.lock.parent, owner)
+
+
+def taken(place: Path | str, owner: Mapping[str, Any]) -> FactoryError:
+    """The error of a run that has lost its folder or URL to another."""
+    by = f"by process {owner['pid']} on {owner.get('host')}" if "pid" in owner else "away"
+    return FactoryError(
+        f"{place}: was taken {by} while this run stood still; nothing more is written here"
+    )
 
 
 # Of this process.

@@ -16,22 +16,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from .dataset.format.echoes import EchoList
 from .dataset.format.schema import Axis, Column, Pair
 from .errors import FrameError
 from .frame import Frame, FrameRef
 from .imaging import layers as truth
-from .imaging.contract import Floats, Scene
-from .imaging.registry import FORMATIONS
+from .imaging import pointwise
+from .imaging.coherent import scene as coherent
+from .imaging.contract import Floats, Formation, Scene
 from .loops import compile_needed
 from .noise.draws import StreamNames, draw
-from .render.cache.views import CachedViews, Views, open_views
+from .render.views import CachedViews, Views, open_views
 from .sample_table.camera import Camera
 from .sample_table.record import columns, image_axes, record, requested, requested_row
 from .sonar import polar, surface, transfer
-from .sonar.fan import lay_out, lay_out_nearest
-from .sonar.window import Window
-from .sonar.window_fit import conical, fit_window, set_window
+from .sonar.fan import lay_out, lay_out_nearest, rasterised
+from .sonar.window import Window, conical, fit_window, set_window
 from .sonar_randomization import draw as devices
 
 if TYPE_CHECKING:
@@ -39,6 +38,8 @@ if TYPE_CHECKING:
     from .noise.registry import NoiseSettings
     from .render.base import Rendered
 
+FORMATIONS: Mapping[str, Formation] = {"points": pointwise.observe, "field": coherent.observe}
+"""By the values of `acoustics.formation`."""
 _DRAWS = 40
 """Devices that may be drawn for a picture until one sees some of the frame."""
 
@@ -49,8 +50,7 @@ class ObservedFrame:
 
     window: range and azimuth limits of the picture.  has_pose: whether the frame's is known.
     shadow: (H, W) bool picture.  layers: (H, W) pictures of what lies behind each pixel, by the
-    names of `dataset.layers`.  columns: what `dataset.columns` asks for.  echoes: all of them,
-    where they are asked for.
+    names of `dataset.layers`.  columns: what `dataset.columns` asks for.
     """
 
     ref: FrameRef
@@ -60,7 +60,6 @@ class ObservedFrame:
     shadow: npt.NDArray[np.bool_]
     layers: Mapping[str, npt.NDArray[np.generic]]
     columns: Mapping[str, float]
-    echoes: EchoList | None = None
 
 
 class PairMaker:
@@ -149,9 +148,6 @@ def observe(
         lay_out_nearest(shadow, window, sonar),
         {name: lay_out_nearest(picture, window, sonar) for name, picture in behind.items()},
         requested_row(frame, config),
-        EchoList((sonar.range_bins, sonar.beams), truth.every_echo(lit))
-        if "echoes" in config.dataset.layers
-        else None,
     )
 
 
@@ -221,13 +217,13 @@ def make_pair(
     names = StreamNames.of(observed.ref, variant, observed.has_pose)
     draws = draw(config.noise, config.seed, names)
     sample = observed.scene.sample(variant, draws.effects, config)
-    raster = devices.fixed_raster(config.sonar.image) if device is None else device.raster
+    plain = device is None and config.sonar.image.plain
 
     def picture(grey: Floats, noisy: bool = True) -> npt.NDArray[np.generic]:
-        if raster is None:
+        if plain:
             laid_out = lay_out(grey, observed.window, config.sonar)
         else:
-            laid_out = raster.picture(grey, observed.window, config.sonar, noisy=noisy)
+            laid_out = rasterised(grey, observed.window, config.sonar, noisy=noisy)
         return transfer.quantise(laid_out, config.dataset.dtype)
 
     layers = dict(observed.layers)
@@ -251,5 +247,4 @@ def make_pair(
         | ({} if device is None else device.row())
         | dict(observed.columns),
         layers=layers,
-        echoes=observed.echoes,
     )

@@ -27,15 +27,6 @@ class DatasetFolder:
     dir: str | None
 
 
-@dataclass(frozen=True, config=STRICT)
-class Stage:
-    """One entry of `data.stages`.  share: of all steps; then patch and batch as in `data`."""
-
-    share: Fraction
-    patch: Patch
-    batch: Count
-
-
 @dataclass(frozen=True, config=STRICT, kw_only=True)
 class DataSettings:
     """Keys of `data` that every kind has: what the network gets to see."""
@@ -44,7 +35,6 @@ class DataSettings:
     patch: Patch
     batch: Count
     crops: Count
-    stages: tuple[Stage, ...]
     flip: bool
     weaker: Share
     validation: Fraction
@@ -57,18 +47,14 @@ class DataSettings:
 
         Crops of several images have one shape; of a single one that of the image will do.
         """
-        steps = [(self.patch, self.batch), *((one.patch, one.batch) for one in self.stages)]
-        return max((patch for patch, batch in steps if batch > self.crops), default=1)
+        return self.patch if self.batch > self.crops else 1
 
     def __post_init__(self) -> None:
-        for name, batch in [("batch", self.batch), *(("stages", s.batch) for s in self.stages)]:
-            if batch % self.crops:
-                raise ValueError(
-                    f"{name}: {batch} crops a step must be a multiple of crops {self.crops}, "
-                    "the number that each image gives"
-                )
-        if sum(stage.share for stage in self.stages) >= 1:
-            raise ValueError("stages: their shares must leave some steps for patch and batch")
+        if self.batch % self.crops:
+            raise ValueError(
+                f"batch: {self.batch} crops a step must be a multiple of crops {self.crops}, "
+                "the number that each image gives"
+            )
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -160,8 +146,6 @@ class TrainSettings:
     precision: Literal["auto", "32-true", "bf16-mixed", "16-mixed"]
     teacher: str | None = None
     teacher_share: Share = 0.8
-    teacher_recordings: tuple[str, ...] = ()
-    teacher_recordings_share: Share = 0.3
 
     def __post_init__(self) -> None:
         """A training that is shorter than the interval is checked at its end."""
@@ -186,7 +170,6 @@ class ModelsSettings:
     start: str | None
     seed: Annotated[int, Field(ge=0)]
     device: Literal["auto", "cpu", "gpu"]
-    devices: Count
     tensorboard: bool
     pictures: Annotated[int, Field(ge=0, le=16)]
     debug: bool

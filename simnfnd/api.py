@@ -134,7 +134,7 @@ def make_pair(
     from .factory.cli.extras import needs_of, require
     from .factory.frame import Frame, FrameRef, Intrinsics, checked
     from .factory.pairs import PairMaker
-    from .factory.render.cache.views import OneView
+    from .factory.render.views import OneView
     from .factory.render.view import view_of
 
     settings = _config((*config, *(() if seed is None else (f"seed={seed}",))))

@@ -6,8 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from simnfnd.factory.dataset.format.schema import Provenance
-from simnfnd.factory.dataset.format.schema import config_hash as hash_of
+from simnfnd.factory.dataset.format.schema import Provenance, config_hash
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.scheduler.job import Job
 from simnfnd.factory.scheduler.plan import plan_shards
@@ -19,8 +18,6 @@ from tests.fake_source import FakeConfig, FakeSource, refs, rerun
 
 IDENTITY = {"seed": 0, "noise": {"background": {"density": {"uniform": [0.1, 0.5]}}}}
 
-HASH = hash_of(IDENTITY)
-
 
 def make(directory: Path, *given: Any, **changes: Any) -> RunReport:
     """`job` made."""
@@ -31,7 +28,7 @@ def job(
     directory: Path,
     config: FakeConfig = FakeConfig(),  # noqa: B008
     *,
-    config_hash: str = HASH,
+    identity: dict[str, Any] = IDENTITY,
     workers: int = 2,
     retries: int = 1,
     frame_timeout_s: float = 60.0,
@@ -58,8 +55,8 @@ def job(
         "tasks": plan_shards(frames, variants=2, shard_size=8),
         "source": FakeSource,
         "config": config,
-        "provenance": Provenance(IDENTITY, config_hash, "simnfnd test"),
-        "config_values": {**IDENTITY, "scheduler": {"workers": workers}},
+        "provenance": Provenance(identity, config_hash(identity), "simnfnd test"),
+        "config_values": {**identity, "scheduler": {"workers": workers}},
         "dataset": DatasetSettings(preview_pairs=0),
         "scheduler": settings,
         "rerun_command": rerun,

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from simnfnd.factory.dataset.format.manifest import Manifest, save_manifest
-from simnfnd.factory.dataset.format.schema import Axis, Column, Pair, Provenance
+from simnfnd.factory.dataset.format.schema import Axis, Column, Pair, Provenance, config_hash
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.writer import write_shard
 
@@ -91,7 +91,7 @@ def write_manifest(root: Path, *relative: str) -> None:
     from simnfnd.factory.dataset.format.manifest import ShardInfo
     from simnfnd.factory.files import sha256_of
 
-    manifest = Manifest("0123abcd", "tests")
+    manifest = Manifest(config_hash({}), "tests")
     for path in relative:
         file = root / path
         split = path.split("/")[0]

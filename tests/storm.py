@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from simnfnd.factory.dataset.format.schema import Provenance
+from simnfnd.factory.dataset.format.schema import Provenance, config_hash
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.failures import load_failures
 from simnfnd.factory.scheduler.job import Job
@@ -53,7 +53,7 @@ def make(directory: Path, backend: str, config: FakeConfig, shards: int) -> None
         source=GentleSource,
         preparer=FakePreparer,
         config=config,
-        provenance=Provenance({"seed": 0}, "5707145707145707", "simnfnd storm"),
+        provenance=Provenance({"seed": 0}, config_hash({"seed": 0}), "simnfnd storm"),
         config_values={},
         dataset=DatasetSettings(preview_pairs=0),
         scheduler=SchedulerSettings(

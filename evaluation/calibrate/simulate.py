@@ -14,8 +14,8 @@ from ...factory.dataset.format.schema import Pair
 from ...factory.errors import FactoryError, FrameError
 from ...factory.frame import FrameRef
 from ...factory.pairs import PairMaker
-from ...factory.render.cache.views import open_views
 from ...factory.render.view import View
+from ...factory.render.views import open_views
 from ...factory.sonar.geometry import FanGeometry
 from ..realism.measure import Measured, joined, measure_picture
 from ..realism.pictures import to_polar
@@ -87,7 +87,7 @@ def _usable(maker: PairMaker, ref: FrameRef) -> bool:
 
 
 class _Kept:
-    """Renders in memory; a `simnfnd.factory.render.cache.views.Views`."""
+    """Renders in memory; a `simnfnd.factory.render.views.Views`."""
 
     def __init__(self, views: dict[FrameRef, View]) -> None:
         self._views = views

@@ -13,7 +13,6 @@ import numpy.typing as npt
 from ...factory.errors import FactoryError
 from ...factory.sonar.geometry import FanGeometry
 from ...models.recordings import kind_of, open_recording
-from ...models.recordings.arrays import file_of
 from ...models.recordings.fan.pings import frame_picture
 from ..filters.base import Gray
 from ..realism.pictures import GEOMETRY_FILE, open_real
@@ -75,7 +74,7 @@ def open_input(given: str, search: int) -> tuple[list[Stretch], tuple[str, ...]]
     Raises FactoryError when there is nothing, or a recording cannot be opened.
     """
     root = Path(given).expanduser()
-    if not file_of(root).exists():
+    if not root.exists():
         raise FactoryError(f"real={root}: no such folder or recording")
     notes: tuple[str, ...] = ()
     if root.is_dir() and ((root / IMAGES).is_dir() or (root / GEOMETRY_FILE).is_file()):
@@ -116,7 +115,7 @@ def spread(shots: Sequence[Shot], limit: int | None) -> list[Shot]:
 
 
 def _below(root: Path) -> list[Stretch]:
-    if file_of(root).is_file():
+    if root.is_file():
         return [_recording(root, root.name)]
     found = []
     folders = [root, *(path for path in sorted(root.rglob("*")) if path.is_dir())]

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
 
 import numpy as np
 
 from ...factory.cli import Parser
-from ...factory.dataset.describe.contact_sheet import Shown, draw
-from ...factory.dataset.describe.preview import preview
+from ...factory.dataset.describe.preview import Shown, draw, preview
 from ...factory.errors import FactoryError
 from ...factory.files import write_atomically
 from ...models.recordings import is_recording, open_recording
@@ -43,9 +41,7 @@ def _of_recording(source: Path, out: Path | None, frames: int) -> Path:
         count = len(recording)
         numbers = sorted({k * count // min(frames, count) for k in range(min(frames, count))})
         shown = [_shown(recording[number], number) for number in numbers]
-    buffer = io.BytesIO()
-    draw(shown, source.name, f"{count} frames").save(buffer, "PNG", compress_level=1)
-    write_atomically(out, buffer.getvalue(), key="--out")
+    write_atomically(out, draw(shown, source.name, f"{count} frames"), key="--out")
     return out
 
 
@@ -57,4 +53,4 @@ def _shown(frame: Frame, number: int) -> Shown:
         grey = np.asarray(grey[..., :3].mean(axis=-1), np.float32)
     height, width = grey.shape
     extent = (0.0, float(width), float(height), 0.0)
-    return Shown(f"frame {number}", {"picture": grey}, 1.0, ("row", "column"), extent, True)
+    return Shown(f"frame {number}", {"picture": grey}, 1.0, ("row", "column"), extent)

@@ -119,8 +119,6 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
             ) from error
         finally:
             # Of a sweep; only where one was begun is the module there.
-            if kept := sys.modules.get("simnfnd.factory.scheduler.workers.kept"):
-                kept.release_workers()
             if sweep := sys.modules.get("simnfnd.factory.cli.sweep"):
                 sweep.write_table()
         return max(codes, default=0)

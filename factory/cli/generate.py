@@ -25,8 +25,8 @@ from ..errors import FactoryError
 from ..frame import FrameRef
 from ..pairs import pair_maker
 from ..progress import stage_if_slow
-from ..render.cache.cache import Limit
-from ..render.cache.views import ViewMaker, check_views
+from ..render.cache import Limit
+from ..render.views import ViewMaker, check_views
 from ..scheduler.workers import template
 from ..selection import choose_frames, frames_digest, split_frames, split_warnings
 from ..storage.copies import shown
@@ -105,7 +105,6 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
         # what that does not find.
         compile_needed(
             scenes=config.scenes.kind,
-            render=config.render.kind,
             field=config.acoustics.formation == "field" or config.devices is not None,
         )
     job = job_of(config, arguments)

@@ -20,7 +20,7 @@ gc.disable()
 with suppress(Exception):
     from .. import pairs  # noqa: F401
     from ..loops import load_compiled
-    from ..render.cache import views  # noqa: F401
+    from ..render import views  # noqa: F401
     from ..scheduler import worker  # noqa: F401
 
     load_compiled()

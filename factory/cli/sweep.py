@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from ..scheduler.results import RunReport
 
 _RESULT = "result.json"
-_ALWAYS = ("state", "pairs", "failed", "noisy_psnr_db", "exit_code", "dataset", "reason")
+# Of noisy against clean: mean and spread over the pairs.
+_FIGURES = ("psnr_db", "psnr_db_std", "ssim", "ssim_std", "gmsd", "gmsd_std")
+_ALWAYS = ("pairs", "failed", *_FIGURES, "state", "exit_code", "dataset", "reason")
 _COLUMNS = 4
 _GAP_PX, _LABEL_PX, _PICTURE_PX = 6, 16, 192
 # Folder and points (the words of each) of the sweep of this process, until its table is written.
@@ -34,14 +36,14 @@ _open: list[tuple[Path, list[list[str]]]] = []
 
 def note_result(directory: Path, config: FactoryConfig, report: RunReport, exit_code: int) -> None:
     """Within a sweep, leave the row of a point that was made; else do nothing."""
-    from ..dataset.describe.quality import mean_psnr_db
+    from ..dataset.describe.quality import noisiness
 
     if _is_sweep():
         _note(
             state="made",
             pairs=report.samples,
             failed=len(report.failures),
-            noisy_psnr_db=round(mean_psnr_db(directory), 2),
+            **{name: round(value, 4) for name, value in noisiness(directory).items()},
             exit_code=exit_code,
             dataset=str(directory),
         )
@@ -74,19 +76,14 @@ def _settings(words: Sequence[str]) -> dict[str, str]:
 
 
 class SweepTable(Callback):
-    """Hydra callback: the points of a sweep share workers, and one table tells of all."""
+    """Hydra callback: one table tells of all points of a sweep."""
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Points that this process makes one after another need not start workers each.
-
-        `run_app` stops them and writes the table: after an error Hydra calls nobody back.
-        """
+        """`run_app` writes the table: after an error Hydra calls nobody back."""
         from omegaconf import OmegaConf
 
-        from ..scheduler.workers.kept import keep_workers
         from .compose import sweep_points
 
-        keep_workers()
         # As they were given: what names a job's number is known in the job alone.
         words = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
         params = OmegaConf.to_container(config.hydra.sweeper, resolve=False)
@@ -110,8 +107,7 @@ def write_table() -> None:
     names = list(dict.fromkeys([*(key for row in rows for key in row if key not in _ALWAYS)]))
     # Settings that all points have in common say nothing in a table of differences.
     names = [n for n in names if len({str(row.get(n)) for row in rows}) > 1 or len(rows) == 1]
-    ends = ("pairs", "failed", "noisy_psnr_db", "state", "exit_code", "dataset", "reason")
-    shown = [*names, *(name for name in ends if any(name in row for row in rows))]
+    shown = [*names, *(name for name in _ALWAYS if any(name in row for row in rows))]
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "sweep.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, shown, extrasaction="ignore")

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..cli import Parser
 from ..cli.compose import compose_config
 from ..errors import FactoryError
-from ..render.cache.cache import Cache
+from ..render.cache import Cache
 
 _EPILOG = (
     "KEY=VALUE words are those of `simnfnd make`; cache.dir is the one that matters to stats, "
@@ -27,14 +27,11 @@ def main(words: list[str]) -> int:
     )
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE")
     parser.add_argument("--out", type=Path, help="pack: file to write, for example views.pack")
-    parser.add_argument(
-        "--small", action="store_true", help="pack: a fifth of the size, 4x4 pixels of one radiance"
-    )
     given = parser.parse_intermixed_args(words)
     if given.action == "pack":
-        return _pack(given.overrides, given.out, given.small)
-    if given.small or given.out:
-        raise FactoryError(f"cache {given.action}: --out and --small are for cache pack")
+        return _pack(given.overrides, given.out)
+    if given.out:
+        raise FactoryError(f"cache {given.action}: --out is for cache pack")
     cache = Cache(compose_config(given.overrides).cache.folder)
     if given.action == "clear":
         print(f"cache: {cache.clear()} renders removed from {cache.folder}")
@@ -62,10 +59,9 @@ def _verify(cache: Cache) -> int:
     return 1 if damaged else 0
 
 
-def _pack(overrides: list[str], out: Path | None, small: bool) -> int:
-    from ..render.cache.views import CachedViews
+def _pack(overrides: list[str], out: Path | None) -> int:
     from ..render.pack import write_pack
-    from ..render.view import FINE, SMALL
+    from ..render.views import CachedViews
     from ..scenes import frames_of, open_reader
     from ..selection import choose_frames
 
@@ -83,8 +79,7 @@ def _pack(overrides: list[str], out: Path | None, small: bool) -> int:
             f"cache pack: none of the {len(refs)} frames is rendered in {config.cache.folder}; "
             f"run `simnfnd make {' '.join(overrides)}` first"
         )
-    precision = SMALL if small else FINE
-    size = write_pack(out, there, views.view, config.sonar.mount, config.render.kind, precision)
+    size = write_pack(out, there, views.view, config.sonar.mount, config.render.kind)
     print(f"pack: {out}: {len(there)} frames, {size / len(there) / 1e3:.0f} kB each")
     if missing:
         print(f"pack: {missing} frames are not rendered yet and left out")

@@ -24,7 +24,7 @@ _NEEDS = {
 def main(words: list[str]) -> None:
     """Write the export that `words` ask for."""
     parser = Parser(prog="simnfnd export")
-    parser.add_argument("dir", help="folder or URL of a dataset (or of MDD, to coco and yolo)")
+    parser.add_argument("dir", help="folder or URL of a dataset")
     parser.add_argument("--to", required=True, choices=FORMATS, help="format")
     parser.add_argument("--out", required=True, type=Path, help="new or empty folder to fill")
     parser.add_argument("--split", choices=(*SPLITS, "all"), default="all", help="default: all")

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from ..cli import Parser
-from ..cli.extras import Need, require
-from ..dataset.describe.summary import DatasetSummary, draw, summarize
+from ..dataset.describe.summary import DatasetSummary, summarize
 from ..dataset.format.schema import CAMERA_LAYERS
 from ..dataset.read.source import dataset_settings
 from ..storage.copies import local_folder
@@ -20,18 +18,13 @@ _BINS = 10
 
 
 def main(words: list[str]) -> None:
-    """Print (and draw) what `words` ask for."""
+    """Print what `words` ask for."""
     parser = Parser(prog="simnfnd inspect")
     parser.add_argument("path", help="folder or URL of a dataset, index.h5 or a shard")
     parser.add_argument("--pairs", type=int, default=200, help="most pairs to measure (200)")
-    parser.add_argument("--png", type=Path, help="draw the histograms into this file, too")
     given = parser.parse_args(words)
-    if given.png is not None:
-        require([Need("inspect --png", "matplotlib", "inspect without it")])
     found = summarize(local_folder(given.path), given.pairs)
     print("\n".join(report(found, str(given.path))))
-    if given.png is not None:
-        print(f"\nfigure: {draw(found, given.png)}")
 
 
 def report(found: DatasetSummary, name: str) -> Iterator[str]:
@@ -50,8 +43,6 @@ def report(found: DatasetSummary, name: str) -> Iterator[str]:
     if camera := [name for name in source.layers if name in CAMERA_LAYERS]:
         high, wide = source.sizes[camera[0]][:2]
         yield f"camera       {high} x {wide} pixels ({', '.join(camera)})"
-    if found.echoes:
-        yield f"echoes       {found.echoes / len(found.splits):.0f} a sample (/echoes)"
     yield (
         f"size         {found.stored_bytes / 1e6:.2f} MB on disk, {found.image_bytes / 1e6:.2f} MB "
         f"of pictures ({found.image_bytes / max(found.stored_bytes, 1):.1f} : 1)"

@@ -16,7 +16,6 @@ import numpy as np
 
 from ..cli import Parser
 from ..dataset.describe.card import write_card
-from ..dataset.describe.croissant import write_croissant
 from ..dataset.describe.preview import preview
 from ..dataset.format.manifest import (
     MANIFEST_NAME,
@@ -84,10 +83,6 @@ def _whole(directory: Path) -> Manifest:
     manifest = load_manifest(directory)
     if manifest is None:
         raise FactoryError(f"{directory}: no {MANIFEST_NAME}; give the folder of a dataset")
-    if config_hash(manifest.config) != manifest.config_hash:
-        raise FactoryError(
-            f"{directory / MANIFEST_NAME}: its config does not give its config_hash; damaged"
-        )
     for info in manifest.shards.values():
         if wrong := damage(directory, info):
             raise FactoryError(
@@ -215,5 +210,4 @@ def _fill(
         preview(folder, pairs=settings.preview_pairs, trusted=True)
     write_index(folder, merged)
     write_card(folder, merged, provenance, settings)
-    write_croissant(folder, merged, settings)
     return merged

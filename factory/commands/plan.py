@@ -79,7 +79,7 @@ def main(words: list[str]) -> int:
 
 
 def _planned(config: FactoryConfig) -> tuple[tuple[FrameRef, ...], tuple[ShardTask, ...]]:
-    from ..render.cache.views import check_views
+    from ..render.views import check_views
     from ..scenes import frames_of, open_reader
     from ..selection import choose_frames, split_frames, split_warnings
 
@@ -102,9 +102,9 @@ def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
     from ..dataset.format.schema import Provenance
     from ..dataset.write.writer import write_shard
     from ..pairs import pair_maker
-    from ..render.cache.views import ViewMaker
     from ..render.view import encode
-    from ..scheduler.workers.memory import keep_freed_memory
+    from ..render.views import ViewMaker
+    from ..scheduler.workers.machine import keep_freed_memory
 
     keep_freed_memory()  # as the workers do whose time is to be foretold
     chosen = [frames[k * len(frames) // _PROBED] for k in range(min(_PROBED, len(frames)))]
@@ -147,7 +147,7 @@ def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
 
 def _kept(config: FactoryConfig, frames: Sequence[FrameRef]) -> int:
     """Frames whose render is at hand."""
-    from ..render.cache.views import open_views
+    from ..render.views import open_views
 
     if not config.cache.enabled and config.scenes.kind != "pack":
         return 0

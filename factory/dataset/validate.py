@@ -1,16 +1,15 @@
 """Is a dataset what its manifest says: whole, consistent, and fair to those who test on it.
 
 HDF5 is a large C library, and a damaged file can make it crash, hang or ask for all memory there
-is.  `shard_facts` and `index_problems` therefore run in a process that may die of it.
+is.  `shard_facts` therefore runs in a process that may die of it, and index.h5 is not opened.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
-from collections import Counter
-from collections.abc import Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Hashable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,19 +20,10 @@ import numpy.typing as npt
 from ..errors import FactoryError
 from ..files import is_temporary, sha256_of
 from ..isolated import IsolatedProcess
-from .format.axes import image_axes, object_inside
-from .format.echoes import echo_names, echo_problem, read_echoes
+from .format.axes import echo_names, image_axes
 from .format.layout import inside, optional_layers
 from .format.manifest import INDEX_NAME, MANIFEST_NAME, Manifest, damage, load_manifest
-from .format.schema import (
-    REQUIRED_COLUMNS,
-    SPLITS,
-    VALUE_RANGES,
-    Layer,
-    config_hash,
-    layers,
-    stores_grey,
-)
+from .format.schema import REQUIRED_COLUMNS, SPLITS, VALUE_RANGES, Layer, layers, stores_grey
 from .read.image_stack import ImageStack
 from .read.reader import read_attributes, reading
 
@@ -43,13 +33,6 @@ _BYTES_PER_S = 1e6
 _SHOWN = 3
 # A table that is wrong in every row is reported a few times, not a thousand times.
 _MOST_PROBLEMS = 8
-_DIGEST_BYTES = 16
-_INDEX_REMEDY = (
-    "remove it and run the command that made the dataset again, which writes it anew and makes "
-    "nothing else that is whole"
-)
-# What HDF5 reports damage of its own tables as.
-_DAMAGE = (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError)
 
 
 @dataclass(frozen=True)
@@ -81,31 +64,21 @@ class Report:
         return tuple(finding for finding in self.findings if finding.kind == "error")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class ShardFacts:
     """What a shard says of itself.
 
-    form: what all shards of a dataset share, as text.  samples: (N,) the columns location, scene,
-    frame and variant of /meta.  noisy, clean: (N, 16) uint8 digests of the pictures, when they
-    were read.
+    form: what all shards of a dataset share, as text.  samples: location, scene, frame and variant
+    of each.  digests: of the noisy and clean pictures, in hexadecimal, when they were read.
     """
 
-    problems: Sequence[str]
+    problems: list[str]
     config_hash: str = ""
     split: str = ""
     form: str = ""
-    samples: npt.NDArray[np.void] | None = None
-    digests: Mapping[str, npt.NDArray[np.uint8]] = field(default_factory=dict)
-    notes: Sequence[str] = ()
-
-    @property
-    def names(self) -> list[tuple[bytes, bytes, bytes, int]]:
-        """Location, scene, frame and variant of each sample."""
-        return [] if self.samples is None else self.samples.tolist()
-
-    def pictures(self, layer: str) -> list[bytes]:
-        """The digest of each picture."""
-        return [row.tobytes() for row in self.digests.get(layer, ())]
+    samples: list[list[Any]] = field(default_factory=list)
+    digests: dict[str, list[str]] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
 
 def validate(directory: Path, deep: bool = False) -> Report:
@@ -130,11 +103,11 @@ def validate_with(process: IsolatedProcess, directory: Path, deep: bool) -> Repo
         path: _facts_of(process, directory, manifest, path, deep)
         for path in sorted(manifest.shards)
     }
-    findings = [*_config_findings(manifest)]
+    findings: list[Finding] = []
     for path, found in facts.items():
         findings += [Finding("error", path, problem) for problem in found.problems]
         findings += [Finding("note", path, note) for note in found.notes]
-    findings += _index_findings(process, directory, manifest)
+    findings += _index_findings(directory, manifest)
     findings += _strays(directory, manifest)
     findings += _disagreements(facts)
     findings += _doubles(facts)
@@ -142,68 +115,51 @@ def validate_with(process: IsolatedProcess, directory: Path, deep: bool) -> Repo
     return Report(tuple(findings), manifest.samples(), len(manifest.shards))
 
 
-def _config_findings(manifest: Manifest) -> Iterator[Finding]:
-    if config_hash(manifest.config) != manifest.config_hash:
-        text = f"its config does not give its config_hash {manifest.config_hash[:40]!r}; damaged"
-        yield Finding("error", MANIFEST_NAME, text)
-
-
 def _facts_of(
     process: IsolatedProcess, directory: Path, manifest: Manifest, path: str, deep: bool
 ) -> ShardFacts:
     info = manifest.shards[path]
     if os.path.lexists(directory / path) and not inside(directory, directory / path):
-        return ShardFacts(("no regular file, or leads out of the dataset's folder; not read",))
+        return ShardFacts(["no regular file, or leads out of the dataset's folder; not read"])
     if wrong := damage(directory, info):
-        return ShardFacts((f"{wrong}; run the command that made the dataset again",))
+        return ShardFacts([f"{wrong}; run the command that made the dataset again"])
     limit_s = _LIMIT_S + info.bytes / _BYTES_PER_S
     try:
         facts = ShardFacts(**process.call(_told, directory / path, deep, limit_s=limit_s))
     except FactoryError as error:
-        return ShardFacts((str(error),))
-    problems = list(facts.problems)
-    if not problems and len(facts.names) != info.samples:
-        problems.append(f"{len(facts.names)} samples, the manifest says {info.samples}")
-    if not problems and facts.split != info.split:
+        return ShardFacts([str(error)])
+    if facts.problems:
+        return facts
+    problems = []
+    if len(facts.samples) != info.samples:
+        problems.append(f"{len(facts.samples)} samples, the manifest says {info.samples}")
+    if facts.split != info.split:
         problems.append(f"says that its split is {facts.split!r}")
-    if not problems and facts.config_hash not in manifest.config_hashes:
+    if facts.config_hash not in manifest.config_hashes:
         problems.append(f"is of another configuration ({facts.config_hash[:40]!r})")
     return replace(facts, problems=problems)
 
 
-def _index_findings(
-    process: IsolatedProcess, directory: Path, manifest: Manifest
-) -> Iterator[Finding]:
+def _index_findings(directory: Path, manifest: Manifest) -> Iterator[Finding]:
     path = directory / INDEX_NAME
     if not os.path.lexists(path):
         yield Finding("note", INDEX_NAME, "absent; the command that made the dataset writes it")
-        return
-    if not inside(directory, path):
+    elif not inside(directory, path):
         yield Finding("error", INDEX_NAME, "no regular file inside the dataset's folder; not read")
-        return
-    if not manifest.index_sha256:
+    elif not manifest.index_sha256:
         text = "manifest.json has no SHA-256 of it (0.3 wrote none), so damage may not show"
         yield Finding("note", INDEX_NAME, text)
     elif sha256_of(path) != manifest.index_sha256:
-        text = f"its SHA-256 is not that of the manifest; {_INDEX_REMEDY}"
+        text = (
+            "its SHA-256 is not that of the manifest; remove it and run the command that made the "
+            "dataset again, which writes it anew and makes nothing else that is whole"
+        )
         yield Finding("error", INDEX_NAME, text)
-        return
-    expected = {
-        split: [(p, s.samples) for p, s in sorted(manifest.shards.items()) if s.split == split]
-        for split in SPLITS
-    }
-    try:
-        problems = process.call(index_problems, path, expected, limit_s=_LIMIT_S)
-    except FactoryError as error:
-        problems = (str(error),)
-    for problem in problems:
-        yield Finding("error", INDEX_NAME, f"{problem}; {_INDEX_REMEDY}")
 
 
 def _strays(directory: Path, manifest: Manifest) -> Iterator[Finding]:
     for split in SPLITS:
-        folder = directory / split
-        for entry in sorted(folder.iterdir()) if folder.is_dir() else []:
+        for entry in sorted((directory / split).glob("*")):
             relative = f"{split}/{entry.name}"
             if relative not in manifest.shards and not is_temporary(entry.name):
                 yield Finding("note", relative, "not in the manifest, so no reader uses it")
@@ -211,9 +167,9 @@ def _strays(directory: Path, manifest: Manifest) -> Iterator[Finding]:
 
 def _disagreements(facts: Mapping[str, ShardFacts]) -> Iterator[Finding]:
     forms = {path: found.form for path, found in facts.items() if found.form}
-    first = next(iter(forms), None)
+    first = next(iter(forms), "")
     for path, form in forms.items():
-        if first is not None and form != forms[first]:
+        if form != forms[first]:
             yield Finding("error", path, f"has another form than {first}: {form[:300]}")
 
 
@@ -221,12 +177,12 @@ def _doubles(facts: Mapping[str, ShardFacts]) -> Iterator[Finding]:
     """Samples of the same name, and (when pictures were read) of the same noisy picture."""
     places: dict[Hashable, str] = {}
     for path, found in facts.items():
-        for row, key in enumerate(found.names):
+        for row, key in enumerate(map(tuple, found.samples)):
             if key in places:
-                text = f"sample {row} is {_sample_name(key)} again, as {places[key]}"
-                yield Finding("error", path, text)
+                name = f"{'/'.join(filter(None, key[:3]))} variant {key[3]}"
+                yield Finding("error", path, f"sample {row} is {name} again, as {places[key]}")
             places.setdefault(key, f"{path} sample {row}")
-        for row, digest in enumerate(found.pictures("noisy")):
+        for row, digest in enumerate(found.digests.get("noisy", ())):
             if digest in places:
                 text = f"sample {row} has the same noisy picture as {places[digest]}"
                 yield Finding("error", path, text)
@@ -237,35 +193,28 @@ def _leaks(facts: Mapping[str, ShardFacts]) -> Iterator[Finding]:
     """What a test would know from training: scenes, and clean pictures; a location is a note."""
     sides = [[one for path, one in facts.items() if path.startswith(split)] for split in SPLITS]
 
-    def shared(values: Any) -> list[Any]:
+    def shared(values: Any) -> list[str]:
         train, test = ({value for one in side for value in values(one)} for side in sides)
         return sorted(train & test)
 
-    scenes = shared(lambda one: [key[:2] for key in one.names])
-    if scenes:
-        shown = ", ".join(b"/".join(scene).decode(errors="replace") for scene in scenes[:_SHOWN])
-        text = f"{len(scenes)} scene(s) both train and test: {shown}"
+    if scenes := shared(lambda one: ["/".join(key[:2]) for key in one.samples]):
+        text = f"{len(scenes)} scene(s) both train and test: {', '.join(scenes[:_SHOWN])}"
         yield Finding("error", MANIFEST_NAME, text)
-    if clean := shared(lambda one: one.pictures("clean")):
+    if clean := shared(lambda one: one.digests.get("clean", ())):
         text = f"{len(clean)} clean picture(s) are in train and in test"
         yield Finding("error", MANIFEST_NAME, text)
-    places = shared(lambda one: [key[0] for key in one.names if key[0]])
+    places = shared(lambda one: [key[0] for key in one.samples if key[0]])
     if places and not scenes:
-        shown = ", ".join(place.decode(errors="replace") for place in places[:_SHOWN])
+        shown = ", ".join(places[:_SHOWN])
         text = f"location(s) with scenes on both sides, none of them the same: {shown}"
         yield Finding("note", MANIFEST_NAME, text)
-
-
-def _sample_name(key: tuple[bytes, bytes, bytes, int]) -> str:
-    name = b"/".join(part for part in key[:3] if part).decode(errors="replace")
-    return f"{name} variant {key[3]}"
 
 
 # --- in the isolated process
 
 
 def _told(path: Path, deep: bool) -> dict[str, Any]:
-    return vars(shard_facts(path, deep))
+    return asdict(shard_facts(path, deep))
 
 
 def shard_facts(path: Path, deep: bool) -> ShardFacts:
@@ -274,11 +223,11 @@ def shard_facts(path: Path, deep: bool) -> ShardFacts:
         with reading(path) as file:
             return _facts(file, deep)
     except FactoryError as error:
-        return ShardFacts((str(error).removeprefix(f"{path}: "),))
+        return ShardFacts([str(error).removeprefix(f"{path}: ")])
 
 
 def _facts(file: h5py.File, deep: bool) -> ShardFacts:
-    noisy, listed = file["noisy"], echo_names(file)
+    noisy = file["noisy"]
     known = layers(str(noisy.dtype), optional_layers(file))
     sizes = [f"{layer.name} {file[layer.name].shape[1:]}" for layer in known if layer.of_camera]
     table = file["meta"][()]
@@ -289,46 +238,39 @@ def _facts(file: h5py.File, deep: bool) -> ShardFacts:
         for name in table.dtype.names
         if table.dtype[name].kind == "f" and np.isinf(table[name]).any()
     ]
-    digests = {name: np.zeros((len(table), _DIGEST_BYTES), np.uint8) for name in ("noisy", "clean")}
-    empty: Counter[str] = Counter()
+    digests: dict[str, list[str]] = {"noisy": [], "clean": []}
+    empty = 0
     stacks = {layer: ImageStack(file[layer.name]) for layer in known}
     for row in range(len(table)) if deep else ():
         for layer, stack in stacks.items():
             try:
                 picture = stack[row]
             except (OSError, RuntimeError, ValueError) as error:
-                problems.append(f"sample {row}: /{layer.name} is damaged ({_short(error)})")
+                reason = " ".join(str(error).split())[:160]
+                problems.append(f"sample {row}: /{layer.name} is damaged ({reason})")
                 continue
             if problem := _picture_problem(picture, layer):
                 problems.append(f"sample {row}: /{layer.name} {problem}")
             if layer.name in digests:
-                content = hashlib.blake2b(picture.tobytes(), digest_size=_DIGEST_BYTES).digest()
-                digests[layer.name][row] = np.frombuffer(content, np.uint8)
-                empty["pictures"] += not picture.any()
-        if listed and (problem := _echo_problem(file, row)):
-            problems.append(f"sample {row}: /echoes: {problem}")
+                content = hashlib.blake2b(picture.tobytes(), digest_size=16)
+                digests[layer.name].append(content.hexdigest())
+                empty += not picture.any()
         if len(problems) >= _MOST_PROBLEMS:
             break
+    names = [*(layer.name for layer in known), *echo_names(file)]
+    form = f"{' '.join((str(noisy.shape[1:]), *sizes))} {noisy.dtype}, layers {', '.join(names)}, "
     return ShardFacts(
-        problems=tuple(problems[:_MOST_PROBLEMS]),
-        config_hash=str(file.attrs["config_hash"])[:200],
-        split=str(file.attrs["split"]),
-        form=f"{' '.join((str(noisy.shape[1:]), *sizes))} {noisy.dtype}, "
-        f"layers {', '.join((*(layer.name for layer in known), *listed))}, "
-        f"axes {axes}, columns {', '.join(table.dtype.names)}"[:4000],
-        samples=table[list(REQUIRED_COLUMNS)],
-        digests=digests if deep and not problems else {},
-        notes=[f"{count} noisy or clean {what} without any echo" for what, count in empty.items()]
-        if empty["pictures"]
-        else [],
+        problems[:_MOST_PROBLEMS],
+        str(file.attrs["config_hash"])[:200],
+        str(file.attrs["split"]),
+        f"{form}axes {axes}, columns {', '.join(table.dtype.names)}"[:4000],
+        [
+            [*(row[name].decode() for name in REQUIRED_COLUMNS[:3]), int(row["variant"])]
+            for row in table
+        ],
+        {} if problems else digests,
+        [f"{empty} noisy or clean pictures without any echo"] if empty else [],
     )
-
-
-def _echo_problem(file: h5py.File, row: int) -> str | None:
-    try:
-        return echo_problem(read_echoes(file, row))
-    except (OSError, RuntimeError, ValueError) as error:
-        return f"is damaged ({_short(error)})"
 
 
 def _picture_problem(picture: npt.NDArray[np.generic], layer: Layer) -> str | None:
@@ -348,66 +290,3 @@ def _picture_problem(picture: npt.NDArray[np.generic], layer: Layer) -> str | No
     if known.size and not (known.min() >= low and known.max() <= high and np.isfinite(known).all()):
         return f"has values outside {low:g}..{high:g}{', or NaN' if grey else ''}"
     return None
-
-
-def index_problems(
-    path: Path, expected: Mapping[str, Sequence[tuple[str, int]]]
-) -> tuple[str, ...]:
-    """What is wrong with index.h5; its virtual datasets are never read.
-
-    expected: split -> (path, samples) of its shards, in order.
-    """
-    try:
-        with h5py.File(path, "r") as file:
-            return tuple(_index_problems(file, expected))
-    except FactoryError as error:
-        return (str(error),)
-    except _DAMAGE as error:
-        return (f"damaged ({type(error).__name__}: {_short(error)})",)
-
-
-def _index_problems(
-    file: h5py.File, expected: Mapping[str, Sequence[tuple[str, int]]]
-) -> Iterator[str]:
-    wanted = {split for split in SPLITS if expected.get(split)}
-    for name in sorted(set(file) ^ (wanted | {"axes"})):
-        yield f"/{name[:60]} should not be there, or is absent"
-    for split in sorted(wanted & set(file)):
-        group = object_inside(file, split)
-        if not isinstance(group, h5py.Group):
-            raise FactoryError("a split is no group")
-        names = {"noisy", "clean", "shadow", "meta", *group} - {"layers"}
-        if "layers" in group:
-            names |= {f"layers/{name}" for name in object_inside(file, f"{split}/layers")}
-        for name in sorted(names):
-            found = object_inside(file, f"{split}/{name}")
-            if not isinstance(found, h5py.Dataset) or not found.is_virtual:
-                yield f"/{split}/{name} is no virtual dataset"
-            elif _mapped(found) != [(*shard, name) for shard in expected[split]]:
-                yield (
-                    f"/{split}/{name} does not show the shards of the manifest, all of them, in "
-                    "order and from inside the folder"
-                )
-
-
-def _mapped(dataset: h5py.Dataset) -> list[tuple[str, int, str]]:
-    """(file, rows, dataset) of every source, one after another; -1 rows for any other piece."""
-    found: list[tuple[str, int, str]] = []
-    next_row, per_row = 0, int(np.prod(dataset.shape[1:], dtype=np.int64))
-    for source in dataset.virtual_sources():
-        (first, *low), (last, *high) = source.vspace.get_select_bounds()
-        rows = last - first + 1
-        whole = (
-            first == next_row
-            and not any(low)
-            and high == [size - 1 for size in dataset.shape[1:]]
-            and source.vspace.get_select_npoints() == rows * per_row
-            and source.src_space.get_select_type() == h5py.h5s.SEL_ALL
-        )
-        found.append((source.file_name, rows if whole else -1, source.dset_name))
-        next_row = last + 1
-    return found if next_row == dataset.shape[0] else []
-
-
-def _short(error: Exception) -> str:
-    return " ".join(str(error).split())[:160]

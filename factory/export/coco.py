@@ -14,40 +14,30 @@ import numpy as np
 import numpy.typing as npt
 
 from ..dataset.read.source import Source
-from .objects import (
-    LEAST_PX,
-    Labelled,
-    LabelledSet,
-    Shown,
-    labelled_dataset,
-    summary,
-    write_pictures,
-)
+from ..labels import CLASSES
+from .objects import LEAST_PX, Objects, Shown
+from .pictures import write_notes
 
 
 def write(source: Source, folder: Path) -> str:
     """Fill `folder`.  Raises FactoryError for a dataset without labels."""
-    return write_labelled(labelled_dataset(source, "coco"), folder)
-
-
-def write_labelled(pictures: LabelledSet, folder: Path) -> str:
-    """Fill `folder` with all pictures and their objects."""
+    objects = Objects(source, "coco", folder)
+    height, width = source.shape
     (folder / "annotations").mkdir()
     categories = [
         {"id": label, "name": name, "supercategory": "object"}
-        for label, name in enumerate(pictures.classes)
+        for label, name in enumerate(CLASSES)
         if label
     ]
-    pictures_in_all = objects_in_all = left_out = 0
-    for split in pictures.splits:
+    for split in source.splits:
         images: list[dict[str, Any]] = []
         annotations: list[dict[str, Any]] = []
-        for one in pictures.pictures(split):
-            write_pictures(one, split, folder)
-            images.append(_image(one, len(images) + 1))
-            for shown in one.objects:
-                annotations.append(_annotation(shown, len(annotations) + 1, len(images)))
-            left_out += one.left_out
+        for key, found in objects.of(split):
+            number = len(images) + 1
+            size = {"width": width, "height": height}
+            images.append({"id": number, "file_name": f"{key}.png", **size})
+            for shown in found:
+                annotations.append(_annotation(shown, len(annotations) + 1, number))
         document = {
             "info": {"description": f"SimNFND, {split}", "version": "1.0"},
             "images": images,
@@ -56,15 +46,8 @@ def write_labelled(pictures: LabelledSet, folder: Path) -> str:
         }
         text = json.dumps(document, separators=(",", ":"))
         (folder / "annotations" / f"instances_{split}.json").write_text(text + "\n")
-        pictures_in_all += len(images)
-        objects_in_all += len(annotations)
-    pictures.note(folder, _NOTES)
-    return summary(pictures_in_all, objects_in_all, left_out)
-
-
-def _image(one: Labelled, number: int) -> dict[str, Any]:
-    height, width = one.noisy.shape
-    return {"id": number, "file_name": f"{one.key}.png", "width": width, "height": height}
+    write_notes(source, folder, _NOTES)
+    return objects.summary()
 
 
 def _annotation(shown: Shown, number: int, image: int) -> dict[str, Any]:
@@ -90,8 +73,8 @@ def run_lengths(mask: npt.NDArray[np.bool_]) -> dict[str, list[int]]:
 _NOTES = f"""\
 `annotations/instances_SPLIT.json` holds, in the format of COCO, the objects in the pictures of
 `images/SPLIT`: box, area in pixels, and the mask as run lengths, which pycocotools reads
-(`annToMask`). Objects that show in fewer than {LEAST_PX} pixels are left out. `clean/SPLIT`, if
-there, has the same pictures without noise.
+(`annToMask`). Objects that show in fewer than {LEAST_PX} pixels are left out. `clean/SPLIT`
+has the same pictures without noise.
 
 ```python
 from pycocotools.coco import COCO

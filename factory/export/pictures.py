@@ -58,14 +58,7 @@ def write_notes(source: Source, folder: Path, reading: str) -> None:
         f"{source.layout} layout.\n\n{counts}"
     )
     terms = f"{licence}. The terms of the source images hold for what is derived from them."
-    write_text(folder, name, text, reading, terms)
-
-
-def write_text(folder: Path, name: str, about: str, reading: str, terms: str) -> None:
-    """Write README.md of these parts."""
-    text = (
-        f"# {name}\n\n{about.rstrip()}\n\n"
-        f"## What the files are\n\n{reading}\n"
-        f"## Licence\n\n{terms}\n"
+    (folder / "README.md").write_text(
+        f"# {name}\n\n{text}\n## What the files are\n\n{reading}\n## Licence\n\n{terms}\n",
+        encoding="utf-8",
     )
-    (folder / "README.md").write_text(text, encoding="utf-8")

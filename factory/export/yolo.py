@@ -16,44 +16,30 @@ import numpy.typing as npt
 import yaml
 
 from ..dataset.read.source import Source
-from .objects import (
-    LEAST_PX,
-    LabelledSet,
-    Shown,
-    labelled_dataset,
-    summary,
-    write_pictures,
-)
+from ..labels import CLASSES
+from .objects import LEAST_PX, Objects, Shown
+from .pictures import write_notes
 
 
 def write(source: Source, folder: Path) -> str:
     """Fill `folder`.  Raises FactoryError for a dataset without labels."""
-    return write_labelled(labelled_dataset(source, "yolo"), folder)
-
-
-def write_labelled(pictures: LabelledSet, folder: Path) -> str:
-    """Fill `folder` with all pictures and their objects."""
-    images = objects = left_out = 0
-    for split in pictures.splits:
+    objects = Objects(source, "yolo", folder)
+    splits = tuple(source.splits)
+    for split in splits:
         (folder / "labels" / split).mkdir(parents=True)
-        for one in pictures.pictures(split):
-            write_pictures(one, split, folder)
-            lines = [line for shown in one.objects for line in _lines(shown)]
-            (folder / "labels" / split / f"{one.key}.txt").write_text("".join(lines))
-            images += 1
-            objects += len(one.objects)
-            left_out += one.left_out
+        for key, found in objects.of(split):
+            lines = [line for shown in found for line in _lines(shown)]
+            (folder / "labels" / split / f"{key}.txt").write_text("".join(lines))
     # Without `path`, places are those beside data.yaml.  Both keys must be there.
-    only = pictures.splits[0]
     places = {
-        key: f"images/{split if split in pictures.splits else only}"
+        key: f"images/{split if split in splits else splits[0]}"
         for key, split in (("train", "train"), ("val", "test"))
     }
-    names = dict(enumerate(pictures.classes[1:]))
+    names = dict(enumerate(CLASSES[1:]))
     text = yaml.safe_dump({**places, "names": names}, sort_keys=False)
     (folder / "data.yaml").write_text(text)
-    pictures.note(folder, _NOTES)
-    return summary(images, objects, left_out)
+    write_notes(source, folder, _NOTES)
+    return objects.summary()
 
 
 def _lines(shown: Shown) -> list[str]:
@@ -88,7 +74,7 @@ _NOTES = f"""\
 `data.yaml`), then the corners of a polygon along the edges of its pixels, as fractions of width and
 height. An object in parts that do not touch has a line for each part; holes are filled. Objects
 that show in fewer than {LEAST_PX} pixels are left out. `data.yaml` takes the test split to
-validate, or the only one that was exported. `clean/SPLIT`, if there, has the same pictures without
+validate, or the only one that was exported. `clean/SPLIT` has the same pictures without
 noise.
 
 ```sh

@@ -61,33 +61,6 @@ def pictures(requested: Sequence[str], surface: LitSurface) -> dict[str, Picture
     return made
 
 
-def every_echo(surface: LitSurface) -> dict[str, Picture]:
-    """(N,) fields of all insonified points, by the names of `ECHO_FIELDS`.
-
-    In the order of their bins, and within a bin of their pixels; at full density, before any
-    resampling.  Labels only where the frame has them.
-    """
-    frame, sonar = surface.frame, surface.sonar
-    echoes, pixel, _ = surface.insonified
-    bins = polar.bin_index(echoes, surface.window, sonar)
-    order = np.argsort(bins, kind="stable")
-    # What lies in no bin comes last.
-    order = order[: np.searchsorted(bins[order], sonar.range_bins * sonar.beams)]
-    values = {
-        "bin": bins,
-        "range": echoes.range_m,
-        "azimuth": _azimuth_rad(surface),
-        "elevation": echoes.elevation_rad,
-        "strength": echoes.strength,
-        "pixel": pixel,
-    }
-    made: dict[str, Picture] = {name: value[order] for name, value in values.items()}
-    if frame.segmentation is not None and frame.instance is not None:
-        made["segmentation"] = frame.segmentation.ravel()[pixel[order]]
-        made["instance"] = frame.instance.ravel()[pixel[order]]
-    return made
-
-
 def _azimuth_rad(surface: LitSurface) -> npt.NDArray[np.float32]:
     echoes = surface.insonified.echoes
     if not surface.conical:

@@ -39,13 +39,7 @@ def random_subset(echoes: Echoes, rate: float, rng: np.random.Generator) -> Echo
     """Each echo kept with probability `rate`."""
     if rate >= 1:
         return echoes
-    from ..sonar import echo_loops  # loads numba
-
-    lot = rng.random(len(echoes), dtype=np.float32)
-    given = [np.ascontiguousarray(values) for values in vars(echoes).values()]
-    kept = [np.empty(len(echoes) + 1, np.float32) for _ in given]
-    count = echo_loops.thin(*(*given, lot, np.float32(rate), *kept))
-    return Echoes(*(values[:count] for values in kept))
+    return echoes.select(rng.random(len(echoes), dtype=np.float32) < np.float32(rate))
 
 
 def voxel_size_m(echoes: Echoes, rate: float) -> float:

@@ -16,8 +16,15 @@ from pydantic.dataclasses import dataclass
 
 from ..settings import STRICT
 from .effect import Effect, EffectSettings
-from .field.beam_gain import BEAM_GAIN, BeamGainSettings
 from .field.crosstalk import CROSSTALK, CrosstalkSettings
+from .field.gains import (
+    BEAM_GAIN,
+    SECTOR_EDGES,
+    TVG_ERROR,
+    BeamGainSettings,
+    SectorEdgesSettings,
+    TvgErrorSettings,
+)
 from .field.image_source import (
     BOTTOM_MULTIPATH,
     SURFACE_MULTIPATH,
@@ -34,12 +41,10 @@ from .field.path_speckle import PATH_SPECKLE, PathSpeckleSettings
 from .field.receiver import RECEIVER, ReceiverSettings
 from .field.saturation import SATURATION, SaturationSettings
 from .field.scintillation import SCINTILLATION, ScintillationSettings
-from .field.sector_edges import SECTOR_EDGES, SectorEdgesSettings
 from .field.sidelobe_arcs import SIDELOBE_ARCS, SidelobeArcsSettings
 from .field.speckle import SPECKLE, SpeckleSettings
 from .field.spokes import SPOKES, SpokesSettings
 from .field.texture import TEXTURE, TextureSettings
-from .field.tvg_error import TVG_ERROR, TvgErrorSettings
 from .field.volume import VOLUME, VolumeSettings
 from .points.azimuth import AZIMUTH, AzimuthSettings
 from .points.background import BACKGROUND, BackgroundSettings

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from ..errors import FactoryError
-from .base import Rendered, Renderer, RenderSettings
-from .libraries import check_installed
+from .base import Rendered, Renderer, RenderSettings, check_installed
 
 __all__ = ["RenderSettings", "Rendered", "Renderer", "check_renderer", "open_renderer"]
 
@@ -38,10 +37,6 @@ def open_renderer(settings: RenderSettings) -> Renderer:
         from .cycles import CyclesRenderer
 
         return CyclesRenderer(settings)
-    if settings.kind == "embree":
-        from .embree import EmbreeRenderer
+    from .closed_form import AnalyticRenderer, EmbreeRenderer
 
-        return EmbreeRenderer(settings)
-    from .analytic import AnalyticRenderer
-
-    return AnalyticRenderer(settings)
+    return (EmbreeRenderer if settings.kind == "embree" else AnalyticRenderer)(settings)

@@ -1,8 +1,9 @@
-"""What every renderer returns: the ideal, noise-free echo strength of each camera pixel."""
+"""What all renderers share: their settings, what they return, and the libraries they need."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass as plain_dataclass
+from importlib.util import find_spec
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy.typing as npt
 from pydantic import BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
+from ..errors import FactoryError
 from ..frame import Frame
 from ..settings import STRICT
 from .mount import Mount
@@ -89,3 +91,28 @@ class Renderer(Protocol):
 
     def render(self, frame: Frame, mount: Mount) -> Rendered:
         """Render one frame with the light at the sonar.  Same input, same bytes."""
+
+
+# kind -> module, how to install it, what to take instead.
+_LIBRARIES = {
+    "cycles": ("bpy", 'pip install "simnfnd[blender]" (Python 3.11)', "render=embree"),
+    "embree": ("open3d", 'pip install "simnfnd[open3d]"', "render=cycles"),
+}
+
+
+def missing(kind: str, reason: object) -> FactoryError:
+    """The error for a renderer whose module cannot be imported, with the way out of it."""
+    what = str(reason).splitlines()[0] if str(reason) else "not installed"
+    module, remedy, other = _LIBRARIES[kind]
+    if ".so" in what:  # the module is there, but a shared library of the operating system is not
+        remedy = "make setup installs what it needs"
+    return FactoryError(
+        f"render.kind={kind} needs the module {module} ({what}): {remedy}, or choose "
+        f"render=analytic or {other}"
+    )
+
+
+def check_installed(kind: str) -> None:
+    """Raise FactoryError when the renderer's module is not installed.  Imports nothing."""
+    if kind in _LIBRARIES and find_spec(_LIBRARIES[kind][0]) is None:
+        raise missing(kind, "not installed")

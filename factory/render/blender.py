@@ -7,19 +7,16 @@ nothing else in that Blender is touched.
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ..frame import Intrinsics
-from .base import RenderSettings
-from .libraries import missing
+from .base import RenderSettings, missing
 
 _SENSOR_WIDTH_MM = 36.0
 
@@ -90,11 +87,6 @@ def make_stage(bpy: Any, settings: RenderSettings) -> Stage:
     render.film_transparent = True  # alpha becomes the mask of what the camera's rays hit
     render.threads_mode, render.threads = "FIXED", 1
     render.use_compositing = render.use_sequencer = False
-    render.image_settings.file_format = "OPEN_EXR"
-    render.image_settings.color_mode = "RGBA"
-    render.image_settings.color_depth = "32"
-    render.image_settings.exr_codec = "NONE"
-    render.use_file_extension = False
 
     cycles.device = "CPU"
     cycles.samples = settings.samples
@@ -143,61 +135,31 @@ def aim(stage: Stage, intrinsics: Intrinsics, height: int, width: int) -> None:
 def render_pixels(stage: Stage) -> npt.NDArray[np.float32]:
     """(H, W, 4) float32 linear RGBA of the stage, premultiplied, top row first.
 
-    Read from Blender's memory, by a way that its manual does not promise; from an EXR file, with
-    the same bits, where that way is closed.
+    Taken as soon as Cycles has it: later on, without a window, it cannot be read.
     """
-    pixels = _render_to_memory(stage)
-    return pixels if pixels is not None else render_to_file(stage)
+    from cycles import CyclesRender
 
-
-def _render_to_memory(stage: Stage) -> npt.NDArray[np.float32] | None:
-    """The result, taken as soon as Cycles has it: later on, without a window, it cannot be read."""
-    try:
-        from cycles import CyclesRender
-    except ImportError:
-        return None
     taken: list[npt.NDArray[np.float32]] = []
     original: Callable[..., None] = CyclesRender.render
 
     def render_and_take(self: Any, depsgraph: Any) -> None:
         original(self, depsgraph)
-        try:
-            result = self.get_result()
-            pixels = np.empty((result.resolution_y, result.resolution_x, 4), np.float32)
-            result.layers[0].passes["Combined"].rect.foreach_get(pixels.ravel())
-            taken.append(pixels[::-1])
-        except (AttributeError, KeyError, IndexError, TypeError, RuntimeError):
-            # Closed in this Blender: nothing is taken, and the caller goes through a file.
-            taken.clear()
+        result = self.get_result()
+        pixels = np.empty((result.resolution_y, result.resolution_x, 4), np.float32)
+        result.layers[0].passes["Combined"].rect.foreach_get(pixels.ravel())
+        taken.append(pixels[::-1])
 
     CyclesRender.render = render_and_take
     try:
         stage.bpy.ops.render.render(scene=stage.scene.name)
     finally:
         CyclesRender.render = original
-    return taken[0] if taken else None
-
-
-def render_to_file(stage: Stage) -> npt.NDArray[np.float32]:
-    """As `render_pixels`, through an EXR file in memory-backed storage where there is any."""
-    render = stage.scene.render
-    memory = Path("/dev/shm")
-    with tempfile.TemporaryDirectory(dir=memory if os.access(memory, os.W_OK) else None) as folder:
-        render.filepath = str(Path(folder) / "render.exr")
-        with _silent_stdout():
-            stage.bpy.ops.render.render(scene=stage.scene.name, write_still=True)
-        image = stage.bpy.data.images.load(render.filepath)
-        try:
-            pixels = np.empty((render.resolution_y, render.resolution_x, 4), np.float32)
-            image.pixels.foreach_get(pixels.ravel())
-        finally:
-            stage.bpy.data.images.remove(image)
-    return pixels[::-1]
+    return taken[0]
 
 
 @contextmanager
 def _silent_stdout() -> Iterator[None]:
-    """Blender reports files that it saves on the C level, past sys.stdout."""
+    """Blender greets the world on the C level, past sys.stdout."""
     keep = os.dup(1)
     try:
         with open(os.devnull, "w") as nowhere:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from ..frame import Frame
 from . import blender
 from .base import Rendered, RenderSettings
-from .cloud.mesh import SHADOW_BIAS, surface_mesh
+from .mesh import SHADOW_BIAS, surface_mesh
 from .mount import Mount
 from .surface import Surface, pixels_of
 
@@ -27,8 +27,6 @@ class CyclesRenderer:
     pixel, shaded likewise; right with the sonar at the camera, but neither a surface that casts
     whole shadows nor one that sound bounces off.
     """
-
-    casts_shadows = True
 
     def __init__(self, settings: RenderSettings) -> None:
         """Raises FactoryError when bpy is not there."""

@@ -6,16 +6,13 @@ A zip archive: `pack.json` says what is in it, and each frame is a member in the
 
 from __future__ import annotations
 
-import io
 import json
 import os
-import struct
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 from .. import __version__
 from ..errors import FactoryError, NotRendered
@@ -23,16 +20,14 @@ from ..files import explain_os_errors
 from ..frame import FrameRef
 from ..small_files import open_regular, parse_json
 from .mount import Mount
-from .view import FINE, Precision, View, decode, encode
+from .view import View, decode, encode, mount_of
 
 _SCHEMA = "simnfnd-pack 2"
 _CONTENTS = "pack.json"
-# Some hundred thousand frames.
-_MOST_DIRECTORY_BYTES = 1 << 24
 _MOST_MEMBER_BYTES = 1 << 27
 _NO_PACK = (
     *(zipfile.BadZipFile, ValueError, KeyError, TypeError, AttributeError, NotImplementedError),
-    *(RuntimeError, EOFError, struct.error),
+    *(RuntimeError, EOFError),
 )
 # Equal packs of equal renders, whenever they are made.
 _TIME = (1980, 1, 1, 0, 0, 0)
@@ -42,14 +37,12 @@ _TIME = (1980, 1, 1, 0, 0, 0)
 class Contents:
     """What a pack holds.
 
-    members: frame -> name in the archive, in the order of the frames.  exact: pairs made of it are
-    those that the renders themselves give, to the byte.
+    members: frame -> name in the archive, in the order of the frames.
     """
 
     members: Mapping[FrameRef, str]
     mount: Mount
     render: str
-    exact: bool
 
 
 def write_pack(
@@ -58,7 +51,6 @@ def write_pack(
     view: Callable[[FrameRef], View],
     mount: Mount,
     render: str,
-    precision: Precision = FINE,
 ) -> int:
     """Write the views of `refs` to `path`, whole or not at all; returns its bytes."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -69,7 +61,7 @@ def write_pack(
             with zipfile.ZipFile(temporary, "w") as archive:
                 for number, ref in enumerate(refs):
                     member = f"{number:06d}.view"
-                    _add(archive, member, encode(view(ref), precision))
+                    _add(archive, member, encode(view(ref)))
                     names = {"location": ref.location, "scene": ref.scene, "frame": ref.frame}
                     frames.append({**names, "member": member})
                 head = {
@@ -77,7 +69,6 @@ def write_pack(
                     "generator": f"simnfnd {__version__}",
                     "render": render,
                     "mount": asdict(mount),
-                    "precision": asdict(precision),
                     "frames": frames,
                 }
                 _add(archive, _CONTENTS, json.dumps(head, indent=1).encode())
@@ -99,17 +90,10 @@ def read_contents(path: Path) -> Contents:
             head = parse_json(_member(archive, _CONTENTS))
         if head["schema"] != _SCHEMA:
             raise ValueError(f"schema is {head['schema']!r}, expected {_SCHEMA!r}")
-        mount = {**head["mount"], "translation_m": tuple(head["mount"]["translation_m"])}
         if not isinstance(head["frames"], list):
             raise ValueError("frames is no list")
         members = {_ref(item): str(item["member"]) for item in head["frames"]}
-        precision = Precision(**head["precision"])
-        exact = (precision.depth_step, precision.radiance_step, precision.block) == (
-            FINE.depth_step,
-            FINE.radiance_step,
-            FINE.block,
-        )
-        return Contents(members, Mount(**mount), str(head["render"]), exact)
+        return Contents(members, mount_of(head["mount"]), str(head["render"]))
     except OSError as error:
         raise FactoryError(f"scenes.root={path}: cannot be read ({error.strerror})") from error
     except _NO_PACK as error:
@@ -119,37 +103,10 @@ def read_contents(path: Path) -> Contents:
         ) from error
 
 
-class _Bounded(io.RawIOBase):
-    """A file of which no more than `most` bytes are read at once."""
-
-    def __init__(self, file: BinaryIO, most: int) -> None:
-        self._file, self.most = file, most
-
-    def read(self, size: int = -1) -> bytes:
-        left = os.fstat(self._file.fileno()).st_size - self._file.tell()
-        size = left if size < 0 else min(size, left)
-        if size > self.most:
-            raise zipfile.BadZipFile(f"{size} bytes in one piece; {self.most} at most go")
-        return self._file.read(max(size, 0))
-
-    def seek(self, place: int, whence: int = 0) -> int:
-        return self._file.seek(place, whence)
-
-    def tell(self) -> int:
-        return self._file.tell()
-
-    def seekable(self) -> bool:
-        return True
-
-
 @contextmanager
 def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
-    """A pack, of which no part can take more memory than a sound one's."""
-    with open_regular(path) as file:
-        bounded = _Bounded(file, _MOST_DIRECTORY_BYTES)
-        with zipfile.ZipFile(bounded) as archive:
-            bounded.most = _MOST_MEMBER_BYTES
-            yield archive
+    with open_regular(path) as file, zipfile.ZipFile(file) as archive:
+        yield archive
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> bytes:
@@ -171,7 +128,7 @@ def _ref(item: Mapping[str, object]) -> FrameRef:
 
 
 class PackViews:
-    """Renders in a pack; a `simnfnd.factory.render.cache.views.Views`."""
+    """Renders in a pack; a `simnfnd.factory.render.views.Views`."""
 
     def __init__(self, root: str, mount: Mount) -> None:
         """Raises FactoryError when the pack was made for another mount of the sonar."""
@@ -184,11 +141,11 @@ class PackViews:
             )
 
     def holds(self, ref: FrameRef) -> bool:
-        """See `simnfnd.factory.render.cache.views.Views`."""
+        """See `simnfnd.factory.render.views.Views`."""
         return ref in self._contents.members
 
     def view(self, ref: FrameRef) -> View:
-        """See `simnfnd.factory.render.cache.views.Views`."""
+        """See `simnfnd.factory.render.views.Views`."""
         if ref not in self._contents.members:
             raise NotRendered(ref.name)
         try:

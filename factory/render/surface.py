@@ -1,23 +1,36 @@
-"""A frame made ready for rendering, and the shading law that all renderers share."""
+"""A frame made ready for rendering: its surface pixels, their albedo, and light in closed form."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ..frame import Frame, Intrinsics
-from . import shading
-from . import traced as traced_light
+from . import kernels
 from .albedo import albedo
 from .base import RenderSettings
-from .cloud import directions
-from .cloud import joints as edges
+from .mesh import cut_quads
 
 # Traced and closed-form light differ by rounding; a ratio of anything fainter tells nothing.
 _FAINTEST = 1e-12
+
+
+@lru_cache(maxsize=8)
+def directions(
+    intrinsics: Intrinsics, height: int, width: int
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """(W,) and (H,): what depth is multiplied by to give x in each column and y in each row.
+
+    P = z K^-1 (u, v, 1)^T (Yang et al. 2024, Eq. 2).  Pixel (u, v) stands for its centre, so the
+    top left pixel's centre is (0, 0); lens distortion is not looked at.
+    """
+    across = (np.arange(width) - intrinsics.cx) / intrinsics.fx
+    down = (np.arange(height) - intrinsics.cy) / intrinsics.fy
+    return across, down
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +53,7 @@ class Surface:
 class Pixels:
     """A frame at full resolution: which pixels are surface, and how strongly each scatters.
 
-    depth_m, albedo: (H, W) float32.  mask: (H, W) bool.  joints: (H, W) uint8, see
-    `simnfnd.factory.render.cloud.joints`.
+    depth_m, albedo: (H, W) float32.  mask: (H, W) bool.  joints: (H, W) uint8, see `kernels`.
     edge_ratio: see `RenderSettings`.  stride: every how-manieth row and column is traced.
     """
 
@@ -63,25 +75,24 @@ class Pixels:
         """`edge_ratio` between traced pixels: on the same slope their steps are larger."""
         return min(1.0, self.edge_ratio * self.stride)
 
+    @property
+    def _grid(self) -> tuple[npt.NDArray[Any], ...]:
+        return self.depth_m, self.joints, *directions(self.intrinsics, *self.depth_m.shape)
+
     def surface(self) -> Surface:
         """Points and normals of the traced pixels; the normals are those of full resolution."""
-        first = (self.stride - 1) // 2
-        chosen = self.albedo[self.traced, self.traced]
-        points_m = np.empty((*chosen.shape, 3), np.float32)
+        first, at, camera = self.traced.start, (self.traced, self.traced), self.intrinsics
+        mask = np.ascontiguousarray(self.mask[at])
+        points_m = np.empty((*mask.shape, 3), np.float32)
         normals = np.empty_like(points_m)
-        across, down = directions(self.intrinsics, *self.depth_m.shape)
-        shading.orient(
-            self.depth_m, self.joints, across, down, first, self.stride, points_m, normals
-        )
-        mask = np.ascontiguousarray(self.mask[self.traced, self.traced])
+        kernels.orient(self._grid, first, self.stride, points_m, normals)
         if self.stride > 1:
             # At this distance what hangs loose could join a surface that it is no part of.
             points_m[~mask] = 0
-        camera = self.intrinsics
         return Surface(
             points_m,
             normals,
-            np.ascontiguousarray(chosen),
+            np.ascontiguousarray(self.albedo[at]),
             mask,
             Intrinsics(
                 camera.fx / self.stride,
@@ -92,12 +103,9 @@ class Pixels:
         )
 
     def radiance(self, sonar_m: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float32]:
-        """(H, W) float32 of `shade` at full resolution, in compiled loops: no shadows."""
-        across, down = directions(self.intrinsics, *self.depth_m.shape)
-        x, y, z = np.asarray(sonar_m, np.float32)
-        return shading.shade(
-            self.depth_m, self.joints, self.mask, self.albedo, across, down, x, y, z
-        )
+        """(H, W) float32 light of a sonar at (3,) metres in camera axes, without shadows."""
+        light = kernels.shade(self._grid, self.mask, self.albedo, np.asarray(sonar_m, np.float32))
+        return np.asarray(light)
 
     def apply(
         self,
@@ -114,36 +122,15 @@ class Pixels:
         coarse = radiance[self.traced, self.traced]
         known = known & (coarse > _FAINTEST)
         ratio = np.where(known, traced / np.where(known, coarse, 1), 0).astype(np.float32)
-        first, limit = (self.stride - 1) // 2, np.float32(self.traced_edge_ratio)
-        return traced_light.apply_traced(
-            radiance, self.depth_m, known, ratio, first, self.stride, limit
-        )
+        limit = np.float32(self.traced_edge_ratio)
+        places = self.traced.start, self.stride, limit
+        return np.asarray(kernels.apply_traced(radiance, self.depth_m, known, ratio, *places))
 
 
 def pixels_of(frame: Frame, settings: RenderSettings, stride: int = 1) -> Pixels:
     """Albedo and surface pixels of a frame of which every `stride`-th row and column is traced."""
     depth_m = np.ascontiguousarray(frame.depth_m, np.float32)
-    joined = edges.joints(depth_m, settings.edge_ratio)
-    return Pixels(
-        depth_m,
-        frame.intrinsics,
-        albedo(frame.rgb, frame.valid, settings.albedo),
-        joined,
-        edges.surface_mask(joined),
-        settings.edge_ratio,
-        stride,
-    )
-
-
-def shade(surface: Surface, sonar_m: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float32]:
-    """Lambert's and the inverse-square law: albedo * max(cos(incidence), 0) / range^2, no shadows.
-
-    sonar_m: (3,) position of the sonar in camera axes.  Returns (h, w) float32, 0 off the surface.
-    """
-    to_sonar_m = np.asarray(sonar_m, np.float32) - surface.points_m
-    square_m2 = np.einsum("hwc,hwc->hw", to_sonar_m, to_sonar_m)
-    facing_m = np.maximum(np.einsum("hwc,hwc->hw", surface.normals, to_sonar_m), np.float32(0))
-    lit = surface.mask & (square_m2 > 0)
-    square_m2 = np.where(lit, square_m2, np.float32(1))
-    radiance = surface.albedo * facing_m / (square_m2 * np.sqrt(square_m2))
-    return np.where(lit, radiance, np.float32(0))
+    joints = kernels.joints(depth_m, settings.edge_ratio)
+    shade = albedo(frame.rgb, frame.valid, settings.albedo)
+    mask = cut_quads(joints).mask()
+    return Pixels(depth_m, frame.intrinsics, shade, joints, mask, settings.edge_ratio, stride)

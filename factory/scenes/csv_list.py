@@ -23,12 +23,9 @@ from pydantic.dataclasses import dataclass
 from ..errors import FactoryError
 from ..frame import Frame, FrameRef, Intrinsics
 from ..settings import STRICT
-from .base import Discovery, SceneSettings
-from .calibration import Pinhole
+from .base import Discovery, Found, Root, SceneSettings, check_some_exist, numbered_lines
+from .calibration import Pinhole, finished_frame
 from .images import read_depth, read_rgb
-from .poses import numbered_lines
-from .rgbd import finished_frame
-from .roots import Root, is_there
 
 _EXPECTED = "a CSV file of rgb,depth lines"
 
@@ -96,17 +93,13 @@ class CsvListReader:
                 f"{self.settings.given}: {fault}; give scenes.file={_EXPECTED}, and no scenes.root"
             )
         rows = _rows(path)
-        frames = _named(path.parent, rows)
-        if not frames:
-            raise FactoryError(f"{self.settings.given}: no line lists a frame; give {_EXPECTED}")
-        if not any(is_there(name) for ref in frames for name in ref.paths):
-            raise FactoryError(
-                f"{self.settings.given}: none of the {len(frames)} listed frames "
-                f"exists, the first is {frames[0].paths[0]}; paths are relative to the CSV file"
-            )
-        twice = len(rows) - len(frames)
-        frames.sort(key=lambda ref: (ref.location, ref.scene, ref.frame))
-        return Discovery(tuple(frames), {"listed twice": twice} if twice else {})
+        found = Found(_named(path.parent, rows))
+        found.skipped["listed twice"] = len(rows) - len(found.frames)
+        nothing = f"{self.settings.given}: no line lists a frame; give {_EXPECTED}"
+        discovery = found.discovery(nothing)
+        remedy = "paths are relative to the CSV file"
+        check_some_exist(discovery.frames, self.settings.given, remedy)
+        return discovery
 
     def load(self, ref: FrameRef) -> Frame:
         """See `simnfnd.factory.scenes.base.Reader`."""

@@ -11,22 +11,17 @@ the depth <timestamp>_abs_depth.tif; both are read.  The set has no camera poses
 from __future__ import annotations
 
 import os
-from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 from pydantic.dataclasses import dataclass
 
-from ..errors import FactoryError
 from ..frame import Frame, FrameRef, Intrinsics
 from ..settings import STRICT
-from .base import Discovery, SceneSettings
-from .calibration import read_kalibr, scaled
+from .base import Discovery, Found, Root, SceneSettings, root_folder, visible_files
+from .calibration import finished_frame, read_kalibr, scaled
 from .images import read_depth, read_rgb
-from .rgbd import finished_frame
-from .roots import LeftOut, Root, root_folder, visible_files
 
 # Scene -> location, all twelve.
 SCENES = {
@@ -102,44 +97,35 @@ class FlseaReader:
 
     def discover(self) -> Discovery:
         """See `simnfnd.factory.scenes.base.Reader`."""
-        root = root_folder(self.settings.root, _EXPECTED)
-        wanted = self.settings.scenes or tuple(SCENES)
-        left_out = LeftOut()
+        given = f"scenes.root={self.settings.root}"
+        root, found = root_folder(self.settings.root, _EXPECTED), Found()
         folders: dict[str, Path] = {}
-        frames: list[FrameRef] = []
-        skipped: Counter[str] = Counter()
+        absent: list[str] = []
         calibrations: dict[str, Path | None] = {}
-        readable: list[str] = []
-        for scene in sorted(set(wanted), key=lambda scene: (SCENES[scene], scene)):
-            with left_out.unreadable(root):
-                if (folder := _scene_folder(root, scene)) is not None:
-                    calibration = _calibration_file(folder, SCENES[scene])
-                    frames += _scene_frames(folder, scene, calibration, skipped)
-                    calibrations.setdefault(SCENES[scene], calibration)
-                    folders[scene] = folder
-                readable.append(scene)
-        if not frames:
-            left_out.check()
-        if not folders:
-            raise FactoryError(
-                f"scenes.root={self.settings.root}: no {_asked(self.settings)} here, looked for "
-                f"<location>/<scene>/imgs such as canyons/u_canyon/imgs; set scenes.root to "
-                f"{_EXPECTED}"
-            )
-        if not frames:
-            raise FactoryError(
-                f"scenes.root={self.settings.root}: no frame in {', '.join(folders)} "
-                f"({_counts(skipped)}); expected imgs/<timestamp>.tiff and "
-                f"depth/<timestamp>{_DEPTH_ENDINGS[0]}"
-            )
+        for scene in (one for one in SCENES if one in (self.settings.scenes or SCENES)):
+            with found.unreadable(root):
+                if (folder := _scene_folder(root, scene)) is None:
+                    absent.append(scene)
+                    continue
+                calibration = _calibration_file(folder, SCENES[scene])
+                _scan(folder, scene, calibration, found)
+                calibrations.setdefault(SCENES[scene], calibration)
+                folders[scene] = folder
         notes = [f"FLSea: {len(folders)} of {len(SCENES)} scenes"]
-        absent = [scene for scene in SCENES if scene in readable and scene not in folders]
         if absent:
             notes.append(f"FLSea scenes not found here, left out: {', '.join(absent)}")
         notes += [self._calibration_note(*item) for item in calibrations.items()]
-        skipped.update(left_out.skipped)
-        return Discovery(
-            tuple(frames), dict(sorted(skipped.items())), tuple(notes), left_out.warnings
+        found.notes = notes
+        if folders:
+            counts = [f"{n} x {reason}" for reason, n in sorted(found.skipped.items()) if n]
+            return found.discovery(
+                f"{given}: no frame in {', '.join(folders)} ({', '.join(counts) or 'empty'}); "
+                f"expected imgs/<timestamp>.tiff and depth/<timestamp>{_DEPTH_ENDINGS[0]}"
+            )
+        asked = " or ".join(("FLSea scene", *(self.settings.scenes or ()))).replace(" or ", " ", 1)
+        return found.discovery(
+            f"{given}: no {asked} here, looked for <location>/<scene>/imgs such as "
+            f"canyons/u_canyon/imgs; set scenes.root to {_EXPECTED}"
         )
 
     def load(self, ref: FrameRef) -> Frame:
@@ -177,52 +163,29 @@ def _scene_folder(root: Path, scene: str) -> Path | None:
 def _calibration_file(folder: Path, location: str) -> Path | None:
     """The Kalibr result of the location that a scene folder lies in, by name the first of many."""
     for parent in Path(os.path.abspath(folder)).parents[:2]:
-        if parent.name == location:
-            return min(_kalibr_files(parent / "calibration"), default=None)
+        if parent.name == location and (parent / "calibration").is_dir():
+            os.listdir(parent / "calibration")  # glob would pass over a closed folder
+            found = (parent / "calibration").rglob("*kalibr-results-imucam.txt")
+            return min(filter(Path.is_file, found), default=None)
     return None
 
 
-def _kalibr_files(folder: Path) -> Iterator[Path]:
-    """Kalibr results in `folder`, at any depth.  Raises OSError when a folder cannot be read."""
-    for path, _, names in os.walk(folder, onerror=_unless_missing):
-        for name in names:
-            if name.endswith("kalibr-results-imucam.txt") and (file := Path(path, name)).is_file():
-                yield file
-
-
-def _unless_missing(error: OSError) -> None:
-    if not isinstance(error, FileNotFoundError | NotADirectoryError):
-        raise error
-
-
-def _scene_frames(
-    folder: Path, scene: str, calibration: Path | None, skipped: Counter[str]
-) -> list[FrameRef]:
-    """The scene's images that have a depth map, by time stamp; the others are counted."""
+def _scan(folder: Path, scene: str, calibration: Path | None, found: Found) -> None:
+    """Add the scene's images that have a depth map, by time stamp; the others are counted."""
     depths = set(visible_files(folder / "depth"))
     images: dict[str, str] = {}
     for name in visible_files(folder / "imgs"):
         stem, suffix = os.path.splitext(name)
         if suffix.lower() in _IMAGE_SUFFIXES:
             images.setdefault(stem, name)
-    frames = []
     for stem in sorted(images):
         depth = next((stem + end for end in _DEPTH_ENDINGS if stem + end in depths), None)
         if depth is None:
-            skipped["image without a depth map"] += 1
+            found.skipped["image without a depth map"] += 1
             continue
         depths.remove(depth)
         paths = [folder / "imgs" / images[stem], folder / "depth" / depth]
         paths += [calibration] if calibration else []
-        frames.append(FrameRef(SCENES[scene], scene, stem, tuple(map(str, paths))))
-    if lonely := sum(name.endswith(_DEPTH_ENDINGS) for name in depths):
-        skipped["depth map without an image"] += lonely
-    return frames
-
-
-def _asked(settings: FlseaSettings) -> str:
-    return f"FLSea scene {' or '.join(settings.scenes)}" if settings.scenes else "FLSea scene"
-
-
-def _counts(skipped: Counter[str]) -> str:
-    return ", ".join(f"{count} x {reason}" for reason, count in sorted(skipped.items())) or "empty"
+        found.frames.append(FrameRef(SCENES[scene], scene, stem, tuple(map(str, paths))))
+    lonely = sum(name.endswith(_DEPTH_ENDINGS) for name in depths)
+    found.skipped["depth map without an image"] += lonely

@@ -47,7 +47,11 @@ def read_depth(
         integers_per_m, and floating-point numbers are metres already.
     Raises FrameError when the file is missing, damaged or not a single-channel depth map.
     """
-    stored = _load_array(path) if path.suffix.lower() == ".npy" else np.asarray(_decoded(path))
+    if path.suffix.lower() == ".npy":
+        with _readable(path):
+            stored = np.load(path, allow_pickle=False)
+    else:
+        stored = np.asarray(_decoded(path))
     if stored.ndim != 2:
         raise FrameError(f"{path}: depth must be one channel (H, W), got shape {stored.shape}")
     if stored.dtype.kind == "f":
@@ -68,38 +72,30 @@ def _decoded(path: Path) -> Any:
     """A Pillow image with all its pixels in memory."""
     from PIL import Image
 
-    _check_regular(path)
+    with _readable(path), Image.open(path) as image:
+        image.load()
+        return image
+
+
+@contextlib.contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Raise FrameError for what cannot be read, and for a pipe, which may make wait for ever.
+
+    Decoders are silenced: libtiff writes straight to the process's stderr what the exception says.
+    """
     try:
-        with _silent(), Image.open(path) as image:
-            image.load()
-            return image
-    except FileNotFoundError as error:
-        raise FrameError(f"{path}: no such file") from error
-    except MemoryError:
-        raise
-    except Exception as error:  # a damaged file makes decoders raise nearly anything
-        raise FrameError(f"{path}: {_damage(error)}; copy or download the file again") from error
-
-
-def _load_array(path: Path) -> npt.NDArray[Any]:
-    _check_regular(path)
-    try:
-        array: npt.NDArray[Any] = np.load(path, allow_pickle=False)
-        return array
-    except FileNotFoundError as error:
-        raise FrameError(f"{path}: no such file") from error
-    except MemoryError:
-        raise
-    except Exception as error:  # see _decoded
-        raise FrameError(f"{path}: {_damage(error)}; copy or download the file again") from error
-
-
-def _check_regular(path: Path) -> None:
-    """Raise FrameError for a pipe, which may wait for a writer for ever, or an endless device."""
-    with contextlib.suppress(OSError):  # opening says it better
         mode = path.stat().st_mode
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
             raise FrameError(f"{path}: no regular file; copy or download the file again")
+        with quiet_stderr(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except FileNotFoundError as error:
+        raise FrameError(f"{path}: no such file") from error
+    except (MemoryError, FrameError):
+        raise
+    except Exception as error:  # a damaged file makes decoders raise nearly anything
+        raise FrameError(f"{path}: {_damage(error)}; copy or download the file again") from error
 
 
 def _damage(error: Exception) -> str:
@@ -107,14 +103,3 @@ def _damage(error: Exception) -> str:
         return f"cannot be read ({error.strerror})"
     text = " ".join(str(error).split()) or type(error).__name__
     return f"truncated or damaged file ({text[:120]})"
-
-
-@contextlib.contextmanager
-def _silent() -> Iterator[None]:
-    """Drop what libtiff writes straight to the process's stderr, and Pillow's warnings.
-
-    The exception says the same in one line.
-    """
-    with quiet_stderr(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield

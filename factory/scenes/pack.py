@@ -10,8 +10,7 @@ from pydantic.dataclasses import dataclass
 from ..errors import FactoryError, FrameError
 from ..frame import Frame, FrameRef
 from ..settings import STRICT
-from .base import Discovery, SceneSettings
-from .roots import Root
+from .base import Discovery, Root, SceneSettings
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -36,8 +35,7 @@ class PackReader:
         contents = read_contents(Path(self.settings.root).expanduser())
         if not contents.members:
             raise FactoryError(f"scenes.root={self.settings.root}: the pack is empty; pack again")
-        loss = "" if contents.exact else ", radiance of 4x4 pixels together"
-        note = f"pack: {len(contents.members)} frames of render.kind={contents.render}{loss}"
+        note = f"pack: {len(contents.members)} frames of render.kind={contents.render}"
         return Discovery(tuple(contents.members), {}, (note,))
 
     def load(self, ref: FrameRef) -> Frame:

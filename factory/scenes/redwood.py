@@ -10,33 +10,31 @@ Colour and depth belong together when the number their names start with is the s
 from __future__ import annotations
 
 import re
-from collections import Counter
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
+import numpy.typing as npt
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from ..errors import FactoryError
 from ..frame import Frame, FrameRef, Intrinsics
 from ..settings import STRICT
-from .base import Discovery, SceneSettings
-from .calibration import Pinhole
-from .images import read_depth, read_rgb
-from .poses import redwood_poses
-from .rgbd import finished_frame
-from .roots import (
-    LeftOut,
+from .base import (
+    FolderReader,
+    Found,
     Root,
+    SceneSettings,
     folder_name,
-    recordings,
-    root_folder,
+    numbered_lines,
     visible_files,
 )
+from .calibration import Pinhole, finished_frame
+from .images import read_depth, read_rgb
 
-_COLOUR_FOLDERS = ("color", "rgb", "image")
-_COLOUR_SUFFIXES = (".jpg", ".jpeg", ".png")
-_EXPECTED = "a recording (a folder with color/ and depth/) or to a folder of recordings"
+Pose = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -56,37 +54,34 @@ class RedwoodSettings(SceneSettings):
     depth_scale: Annotated[float, Field(gt=0)] | None = None
 
 
-class RedwoodReader:
+class RedwoodReader(FolderReader):
     """Pairs colour and depth by frame number and reads the frames."""
 
-    def __init__(self, settings: RedwoodSettings) -> None:
-        self.settings = settings
+    expected = "a recording (a folder with color/ and depth/) or to a folder of recordings"
 
-    def discover(self) -> Discovery:
-        """See `simnfnd.factory.scenes.base.Reader`."""
-        root = root_folder(self.settings.root, _EXPECTED)
-        frames: list[FrameRef] = []
-        skipped: Counter[str] = Counter()
-        notes: list[str] = []
-        left_out = LeftOut()
-        for folder in recordings(root, lambda one: _colour_folder(one) is not None, left_out):
-            with left_out.unreadable(folder):
-                trajectory = folder / "trajectory.log"
-                if has_poses := trajectory.is_file():
-                    redwood_poses(trajectory)  # report a damaged file now, not at every frame
-                frames += _recording_frames(folder, skipped)
-                if not has_poses:
-                    notes.append(f"{folder_name(folder)}: no trajectory.log, frames have no pose")
-        if not frames:
-            left_out.check()
-            raise FactoryError(
-                f"scenes.root={self.settings.root}: no frame found; set scenes.root to {_EXPECTED}"
-            )
-        frames.sort(key=lambda ref: (ref.location, ref.scene, ref.frame))
-        skipped.update(left_out.skipped)
-        return Discovery(
-            tuple(frames), dict(sorted(skipped.items())), tuple(notes), left_out.warnings
-        )
+    def __init__(self, settings: RedwoodSettings) -> None:
+        self.settings, self.root = settings, settings.root
+
+    def is_recording(self, folder: Path) -> bool:
+        """See `FolderReader`."""
+        return (folder / "depth").is_dir() and any(map(Path.is_dir, _colour_folders(folder)))
+
+    def scan(self, folder: Path, found: Found) -> None:
+        """See `FolderReader`."""
+        name, trajectory = folder_name(folder), folder / "trajectory.log"
+        colour = next(filter(Path.is_dir, _colour_folders(folder)))
+        images = _by_number(colour, (".jpg", ".jpeg", ".png"))
+        depths = _by_number(folder / "depth", (".png",))
+        pose = (str(trajectory),) if trajectory.is_file() else ()
+        if pose:
+            redwood_poses(trajectory)  # report a damaged file now, not at every frame
+        else:
+            found.notes.append(f"{name}: no trajectory.log, frames have no pose")
+        for number in sorted(images.keys() & depths.keys()):
+            paths = (str(colour / images[number]), str(folder / "depth" / depths[number]), *pose)
+            found.frames.append(FrameRef("", name, Path(images[number]).stem, paths))
+        found.skipped["image without a depth map"] += len(images.keys() - depths.keys())
+        found.skipped["depth map without an image"] += len(depths.keys() - images.keys())
 
     def load(self, ref: FrameRef) -> Frame:
         """See `simnfnd.factory.scenes.base.Reader`."""
@@ -102,32 +97,8 @@ class RedwoodReader:
         )
 
 
-def _colour_folder(folder: Path) -> Path | None:
-    if not (folder / "depth").is_dir():
-        return None
-    return next((folder / name for name in _COLOUR_FOLDERS if (folder / name).is_dir()), None)
-
-
-def _recording_frames(folder: Path, skipped: Counter[str]) -> list[FrameRef]:
-    colour = _colour_folder(folder)
-    assert colour is not None
-    images = _by_number(colour, _COLOUR_SUFFIXES)
-    depths = _by_number(folder / "depth", (".png",))
-    trajectory = folder / "trajectory.log"
-    pose = (str(trajectory),) if trajectory.is_file() else ()
-    if alone := len(images.keys() - depths.keys()):
-        skipped["image without a depth map"] += alone
-    if alone := len(depths.keys() - images.keys()):
-        skipped["depth map without an image"] += alone
-    return [
-        FrameRef(
-            "",
-            folder_name(folder),
-            Path(images[number]).stem,
-            (str(colour / images[number]), str(folder / "depth" / depths[number]), *pose),
-        )
-        for number in sorted(images.keys() & depths.keys())
-    ]
+def _colour_folders(folder: Path) -> list[Path]:
+    return [folder / name for name in ("color", "rgb", "image")]
 
 
 def _by_number(folder: Path, suffixes: tuple[str, ...]) -> dict[int, str]:
@@ -143,3 +114,27 @@ def _number(name: str) -> int:
     """The whole number that a file name starts with."""
     digits = re.match(r"\d+", name)
     return int(digits.group()) if digits else -1
+
+
+@lru_cache(maxsize=4)
+def redwood_poses(path: Path) -> dict[int, Pose]:
+    """Frame number -> (4, 4) world-from-camera pose.
+
+    A record is five lines: three whole numbers, the first of which is the frame's, and the four
+    rows of the matrix.
+    """
+    lines = list(numbered_lines(path))
+    poses: dict[int, Pose] = {}
+    for start in range(0, len(lines), 5):
+        record = [line.split() for _, line in lines[start : start + 5]]
+        try:
+            pose = np.array(record[1:], dtype=np.float64).reshape(4, 4)
+            if not np.isfinite(pose).all():
+                raise ValueError
+            poses[int(record[0][0])] = pose
+        except (ValueError, IndexError) as error:
+            raise FactoryError(
+                f"{path}:{lines[start][0]}: expected a frame number line and four rows of a 4x4 "
+                "pose; repair the file, or remove it to go without poses"
+            ) from error
+    return poses

@@ -11,30 +11,33 @@ with the factory's model, so undistorting it again would move it off the colour 
 from __future__ import annotations
 
 import math
-from collections import Counter
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from ..errors import FactoryError
 from ..frame import Frame, FrameRef, Intrinsics
 from ..settings import STRICT
-from .base import INTEGERS_PER_M, Discovery, SceneSettings
-from .calibration import Pinhole, scaled
-from .images import read_depth, read_rgb
-from .poses import numbered_lines, pose_at
-from .rgbd import finished_frame
-from .roots import (
-    LeftOut,
+from .base import (
+    INTEGERS_PER_M,
+    Discovery,
+    FolderReader,
+    Found,
     Root,
+    SceneSettings,
+    check_some_exist,
     folder_name,
-    is_there,
-    recordings,
-    root_folder,
+    numbered_lines,
 )
+from .calibration import Pinhole, finished_frame, scaled
+from .images import read_depth, read_rgb
+
+Pose = npt.NDArray[np.float64]
 
 # Colour cameras of the three Kinects as the set publishes them.
 FREIBURG = {
@@ -43,8 +46,6 @@ FREIBURG = {
     3: Intrinsics(535.4, 539.2, 320.1, 247.6),
 }
 CALIBRATED_SIZE = (640, 480)  # width, height
-
-_EXPECTED = "a recording (a folder with rgb.txt and depth.txt) or to a folder of recordings"
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -66,43 +67,42 @@ class TumSettings(SceneSettings):
     max_time_difference_s: Annotated[float, Field(ge=0)] = 0.02
 
 
-class TumReader:
+class TumReader(FolderReader):
     """Associates colour, depth and ground truth by time and reads the frames."""
 
+    expected = "a recording (a folder with rgb.txt and depth.txt) or to a folder of recordings"
+
     def __init__(self, settings: TumSettings) -> None:
-        self.settings = settings
+        self.settings, self.root = settings, settings.root
+
+    def is_recording(self, folder: Path) -> bool:
+        """See `FolderReader`."""
+        return (folder / "rgb.txt").is_file() and (folder / "depth.txt").is_file()
+
+    def scan(self, folder: Path, found: Found) -> None:
+        """See `FolderReader`."""
+        name, trajectory = folder_name(folder), folder / "groundtruth.txt"
+        self._camera(name)  # report an unknown camera now, not at every frame
+        images, depths = _listed(folder / "rgb.txt"), _listed(folder / "depth.txt")
+        stamps = [[float(stamp) for stamp in listed] for listed in (images, depths)]
+        pairs = associated(stamps[0], stamps[1], self.settings.max_time_difference_s)
+        pose = (str(trajectory),) if trajectory.is_file() else ()
+        image_items, depth_files = list(images.items()), list(depths.values())
+        for i, d in pairs:
+            stamp, image = image_items[i]
+            paths = (str(folder / image), str(folder / depth_files[d]), *pose)
+            found.frames.append(FrameRef("", name, stamp, paths))
+        found.skipped["image without a depth map close in time"] += len(images) - len(pairs)
+        found.skipped["depth map without an image close in time"] += len(depths) - len(pairs)
+        if not pose:
+            found.notes.append(f"{name}: no groundtruth.txt, frames have no pose")
 
     def discover(self) -> Discovery:
         """See `simnfnd.factory.scenes.base.Reader`."""
-        root = root_folder(self.settings.root, _EXPECTED)
-        frames: list[FrameRef] = []
-        skipped: Counter[str] = Counter()
-        notes: list[str] = []
-        left_out = LeftOut()
-        for folder in recordings(root, _is_recording, left_out):
-            self._camera(folder_name(folder))  # report an unknown camera now, not at every frame
-            with left_out.unreadable(folder):
-                found, images, depths = self._associated(folder)
-                frames += found
-                skipped["image without a depth map close in time"] += images - len(found)
-                skipped["depth map without an image close in time"] += depths - len(found)
-                if not (folder / "groundtruth.txt").is_file():
-                    notes.append(f"{folder_name(folder)}: no groundtruth.txt, frames have no pose")
-        if not frames:
-            left_out.check()
-            raise FactoryError(
-                f"scenes.root={self.settings.root}: no frame found; set scenes.root to {_EXPECTED}"
-            )
-        if not any(is_there(path) for ref in frames for path in ref.paths[:2]):
-            raise FactoryError(
-                f"scenes.root={self.settings.root}: none of the {len(frames)} frames listed in "
-                f"rgb.txt and depth.txt exists, the first is {frames[0].paths[0]}; unpack the "
-                "images beside the lists"
-            )
-        frames.sort(key=lambda ref: (ref.location, ref.scene, ref.frame))
-        skipped.update(left_out.skipped)
-        counts = {reason: count for reason, count in sorted(skipped.items()) if count}
-        return Discovery(tuple(frames), counts, tuple(notes), left_out.warnings)
+        discovery = super().discover()
+        remedy = "unpack the images beside rgb.txt and depth.txt"
+        check_some_exist(discovery.frames, f"scenes.root={self.root}", remedy)
+        return discovery
 
     def load(self, ref: FrameRef) -> Frame:
         """See `simnfnd.factory.scenes.base.Reader`."""
@@ -127,32 +127,6 @@ class TumReader:
             f"scenes.root={self.settings.root}: the folder name {recording!r} tells no camera "
             "(freiburg1, 2, 3 or fr1, 2, 3); set scenes.intrinsics=[fx,fy,cx,cy]"
         )
-
-    def _associated(self, folder: Path) -> tuple[list[FrameRef], int, int]:
-        """Frames of one recording and how many colour and depth images it lists."""
-        images, depths = _listed(folder / "rgb.txt"), _listed(folder / "depth.txt")
-        image_times, depth_times = list(images), list(depths)
-        pairs = associated(
-            [float(time) for time in image_times],
-            [float(time) for time in depth_times],
-            self.settings.max_time_difference_s,
-        )
-        trajectory = folder / "groundtruth.txt"
-        pose = (str(trajectory),) if trajectory.is_file() else ()
-        frames = [
-            FrameRef(
-                "",
-                folder_name(folder),
-                image_times[i],
-                (
-                    str(folder / images[image_times[i]]),
-                    str(folder / depths[depth_times[d]]),
-                    *pose,
-                ),
-            )
-            for i, d in pairs
-        ]
-        return frames, len(images), len(depths)
 
 
 def associated(
@@ -182,10 +156,6 @@ def associated(
     return sorted(pairs)
 
 
-def _is_recording(folder: Path) -> bool:
-    return (folder / "rgb.txt").is_file() and (folder / "depth.txt").is_file()
-
-
 def _listed(path: Path) -> dict[str, str]:
     """Time stamp as written -> file name, of a `time file` list."""
     files: dict[str, str] = {}
@@ -204,3 +174,47 @@ def _is_time(word: str) -> bool:
         return math.isfinite(float(word))
     except ValueError:
         return False
+
+
+def pose_at(path: Path, time_s: float, max_time_difference_s: float) -> Pose | None:
+    """(4, 4) world-from-camera pose nearest in time in a TUM trajectory, None when none is near."""
+    times, poses = _tum_trajectory(path)
+    if times.size == 0:
+        return None
+    nearest = int(np.argmin(np.abs(times - time_s)))
+    if abs(times[nearest] - time_s) > max_time_difference_s:
+        return None
+    return np.asarray(poses[nearest])
+
+
+@lru_cache(maxsize=4)
+def _tum_trajectory(path: Path) -> tuple[Pose, Pose]:
+    """Times (N,) in seconds and poses (N, 4, 4) from `time tx ty tz qx qy qz qw` lines."""
+    rows = []
+    for number, line in numbered_lines(path):
+        try:
+            row = [float(word) for word in line.replace(",", " ").split()]
+        except ValueError:
+            row = []
+        if len(row) != 8 or not np.isfinite(row).all() or not any(row[4:]):
+            raise FactoryError(
+                f"{path}:{number}: expected `time tx ty tz qx qy qz qw`, got {line[:60]!r}; "
+                "repair the line, or remove the file to go without poses"
+            )
+        rows.append(row)
+    table = np.array(rows, dtype=np.float64).reshape(-1, 8)
+    poses = np.tile(np.eye(4), (len(table), 1, 1))
+    poses[:, :3, :3] = _rotations(table[:, 4:])
+    poses[:, :3, 3] = table[:, 1:4]
+    return table[:, 0], poses
+
+
+def _rotations(quaternions_xyzw: Pose) -> Pose:
+    """(N, 4) quaternions of any length but 0 -> (N, 3, 3) rotation matrices."""
+    length = np.linalg.norm(quaternions_xyzw, axis=1, keepdims=True)
+    axis, w = np.split(quaternions_xyzw / length, [3], axis=1)
+    # R = (w^2 - a.a) I + 2 a a^T + 2 w [a]x  (Rodrigues' formula for the unit quaternion (a, w))
+    outer = axis[:, :, None] * axis[:, None, :]
+    cross = np.cross(axis[:, None, :], np.eye(3)[None], axisa=2, axisb=2)
+    square = (w**2 - np.sum(axis**2, axis=1, keepdims=True))[:, :, None]
+    return np.asarray(square * np.eye(3) + 2 * outer - 2 * w[:, :, None] * cross)

@@ -11,7 +11,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,15 +19,13 @@ from ..dataset.write.failures import FailureKind
 from ..errors import FactoryError
 from ..frame import FrameRef
 from ..storage.publish import Publication
-from .attempt import AttemptState, traceback_in
 from .job import Job
 from .lock import Lock
-from .pending import PendingFrame, PendingShard, backoff_s
+from .pending import AttemptState, PendingFrame, PendingShard, backoff_s, told_by
 from .plan import ShardTask
 from .progress import ProgressBar
 from .results import Results, Resumed
 from .settings import NOISE, RENDER
-from .shard_log import ShardLog
 from .worker import (
     FrameAttempt,
     FrameResult,
@@ -70,7 +67,6 @@ class Loop:
         self._lacking = resumed.lacking
         self._results, self._progress = results, progress
         self._backend = backend
-        self._log = ShardLog(self._recipe.directory)
         self._ready: deque[PendingShard] = deque()
         self._preparing: deque[PendingFrame] = deque()
         self._needed: dict[str, PendingFrame] = {}
@@ -103,12 +99,14 @@ class Loop:
             for future in done:
                 self._take_result(*self._running.pop(future), future)
             self._backend.poll()
-            shards = [
-                (state, work.begun)
-                for work, state, _ in self._running.values()
-                if isinstance(work, PendingShard)
-            ]
-            self._progress.show(shards, self._failed_frames)
+            self._progress.show(
+                [
+                    state
+                    for work, state, _ in self._running.values()
+                    if isinstance(work, PendingShard)
+                ],
+                self._failed_frames,
+            )
 
     def _submit_what_fits(self) -> None:
         now = time.monotonic()
@@ -136,7 +134,6 @@ class Loop:
         work: Pending,
         trace: Path,
     ) -> None:
-        work.begun = time.monotonic()
         state = AttemptState()
         # A worker ends itself when a frame takes too long, which leaves its traceback; one that
         # was stopped cannot, and is killed a little later.
@@ -153,9 +150,7 @@ class Loop:
         self, work: Pending, state: AttemptState, trace: Path, future: Future[Any]
     ) -> None:
         error = future.exception()
-        told = traceback_in(trace)
-        with suppress(OSError):
-            trace.unlink(missing_ok=True)
+        late, place = told_by(trace)
         if state.begun or error is None:
             self._barren_deaths = 0
         if error is None:
@@ -165,13 +160,11 @@ class Loop:
             elif result.missing:
                 self._need_again(work, result.missing)
             else:
-                seconds = time.monotonic() - work.begun
-                self._progress.estimate.pairs(seconds, state.samples)
                 self._settle(work, result)
             return
-        late = "Timeout (" in told or state.silent_s() >= self._scheduler.frame_timeout_s
+        late = late or state.silent_s() >= self._scheduler.frame_timeout_s
         kind, reason = self._cause(error, late)
-        self._log.death(work, reason, told)
+        reason += place
         if not state.begun:
             # Nothing of it was touched yet, so nothing of it is to blame.
             self._barren_deaths += 1
@@ -228,8 +221,7 @@ class Loop:
 
     def _prepared(self, frame: PendingFrame, result: FrameResult) -> None:
         del self._needed[frame.ref.name]
-        seconds = time.monotonic() - frame.begun
-        self._progress.prepared(result.hit, result.failure is not None, seconds)
+        self._progress.prepared(result.hit, result.failure is not None)
         self._job.on_prepared(result.bytes)
         for shard in frame.waiting:
             if result.failure is not None:
@@ -256,7 +248,6 @@ class Loop:
         self._progress.lost_samples += sum(
             len(variants) for ref, variants in shard.task.items if ref.name in gone
         )
-        self._log.finished(shard, result)
         self._results.settle(shard.task, result)
 
 

@@ -8,8 +8,7 @@ import shutil
 import socket
 import sys
 import time
-from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -19,62 +18,13 @@ from ..dataset.write.folder import STATUS_NAME
 from ..errors import FactoryError
 from ..files import write_atomically
 from ..progress import Lines, clock, stage
-from .attempt import AttemptState
 from .job import Job
+from .pending import AttemptState
 from .settings import Crew
 
 _EVERY_S = 1.0
-_WINDOW = 32
-# What a pair costs, in frames, while none was made yet.
+# What a pair costs, in frames that are rendered.
 _PAIR_SHARE = 0.1
-
-
-class Estimate:
-    """Seconds that are left, from what frames and pairs took so far, from the first one on.
-
-    render: workers that prepare frames; all: of both kinds.
-    """
-
-    def __init__(self, crew: Crew) -> None:
-        self._render, self._all = max(1, crew.render), max(1, crew.total)
-        self._frames_s: deque[float] = deque(maxlen=_WINDOW)
-        self._starts = self._render
-        self._pairs_s, self._pairs = 0.0, 0
-        self._running_s, self._running = 0.0, 0
-
-    def frame(self, seconds: float) -> None:
-        """A frame was prepared."""
-        if not self._starts:
-            # The first frame of a worker has its libraries to load; the next ones tell better.
-            self._frames_s.clear()
-        self._starts -= 1
-        self._frames_s.append(seconds)
-
-    def pairs(self, seconds: float, count: int) -> None:
-        """So many pairs were made of prepared frames, by one worker."""
-        if count:
-            self._pairs_s, self._pairs = self._pairs_s + seconds, self._pairs + count
-
-    def running(self, shards: Iterable[tuple[float, int]]) -> None:
-        """Seconds and pairs so far of each shard that is being made."""
-        begun = [(seconds, count) for seconds, count in shards if count]
-        self._running_s = sum(seconds for seconds, _ in begun)
-        self._running = sum(count for _, count in begun)
-
-    def costs_s(self) -> tuple[float, float]:
-        """Worker seconds of a frame and of a pair; 0 for what is not known at all."""
-        frame_s = sum(self._frames_s) / len(self._frames_s) if self._frames_s else 0.0
-        pairs, pairs_s = self._pairs + self._running, self._pairs_s + self._running_s
-        pair_s = pairs_s / pairs if pairs else _PAIR_SHARE * frame_s
-        return frame_s, pair_s
-
-    def left_s(self, frames: int, pairs: int) -> float | None:
-        """Until so many frames and pairs are made; None before anything was."""
-        frame_s, pair_s = self.costs_s()
-        if not frame_s and not pair_s:
-            return None
-        rendering_s = frames * frame_s
-        return max(rendering_s / self._render, (rendering_s + pairs * pair_s) / self._all)
 
 
 class ProgressBar:
@@ -89,39 +39,34 @@ class ProgressBar:
         self.settled_samples = settled
         self.lost_samples = 0
         self.frames_total = 0
-        self.estimate = Estimate(crew)
-        self._path = job.directory / _status_name(job.shard.part)
+        stem, _, suffix = STATUS_NAME.rpartition(".")
+        part = f".{job.shard.part}" if job.shard.part else ""
+        self._path = job.directory / f"{stem}{part}.{suffix}"
         self._total, self._first, self._pairs = total, settled, settled
         self._workers = {"render": crew.render, "noise": crew.noise}
         self._frames = {"rendered": 0, "from_cache": 0, "failed": 0}
         self._failed = 0
         self._begun, self._written = time.time(), 0.0
         self._lines, self._shown = Lines(), ""
-        tty = sys.stderr.isatty()
         self._bar: tqdm[Any] | None = None
-        if tty:
+        if sys.stderr.isatty():
             # A terminal that does not tell its size would get an empty line.
             columns, rows = shutil.get_terminal_size()
             form = "{percentage:3.0f}%|{bar:20}| {desc}"
             self._bar = tqdm(total=1.0, bar_format=form, ncols=columns, nrows=rows)
             self._draw()
 
-    def prepared(self, hit: bool, failed: bool, seconds: float = 0.0) -> None:
-        """Count one frame that a render worker is done with after so many seconds."""
+    def prepared(self, hit: bool, failed: bool) -> None:
+        """Count one frame that a render worker is done with."""
         self._frames["failed" if failed else "from_cache" if hit else "rendered"] += 1
-        if not failed:
-            self.estimate.frame(seconds)
 
-    def show(self, shards: Sequence[tuple[AttemptState, float]], failed: int) -> None:
+    def show(self, shards: Sequence[AttemptState], failed: int) -> None:
         """Show how far it is; cheap enough to be called several times a second.
 
-        shards: state of each that is being made, and when it was begun.
+        shards: state of each that is being made.
         """
-        states = [state for state, _ in shards]
-        now = time.monotonic()
-        self.estimate.running((now - begun, state.samples) for state, begun in shards)
-        self._pairs = self.settled_samples + sum(state.samples for state in states)
-        self._failed = failed + sum(state.failed for state in states)
+        self._pairs = self.settled_samples + sum(state.samples for state in shards)
+        self._failed = failed + sum(state.failed for state in shards)
         self._draw()
         if time.monotonic() - self._written > _EVERY_S:
             self._written = time.monotonic()
@@ -139,13 +84,7 @@ class ProgressBar:
         gone, left = time.time() - self._begun, None if last else self._left_s()
         text = f"{counts}; {clock(gone)} gone" + (f", {clock(left)} left" if left else "")
         if self._bar is not None:
-            frame_s, pair_s = self.estimate.costs_s()
-            frame_s, pair_s = (frame_s, pair_s) if pair_s else (1.0, _PAIR_SHARE)
-            frames, pairs = sum(self._frames.values()), self._pairs - self._first
-            work = self.frames_total * frame_s + (self._total - self._first) * pair_s
-            # Costs are learnt on the way, and a bar that goes back would say that work is lost.
-            done = (frames * frame_s + pairs * pair_s) / work if work else 1.0
-            self._bar.n = max(self._bar.n, min(done, 1.0))
+            self._bar.n = max(self._bar.n, self._share())  # work that is lost does not show
             self._bar.set_description_str(text)
             return
         begun = sum(self._frames.values()) or self._pairs > self._first or self._failed
@@ -165,15 +104,21 @@ class ProgressBar:
             parts.append(f"{self._failed} failed")
         return ", ".join(parts)
 
+    def _share(self) -> float:
+        """Of the work of this run, the part that is done: 0 to 1."""
+        whole = self.frames_total + _PAIR_SHARE * (self._total - self._first)
+        done = sum(self._frames.values()) + _PAIR_SHARE * (self._pairs - self._first)
+        return min(done / whole, 1.0) if whole else 1.0
+
     def _left_s(self) -> float | None:
-        frames = self.frames_total - sum(self._frames.values())
-        return self.estimate.left_s(max(0, frames), self._total - self._pairs)
+        """Seconds that are left at the rate so far; None before anything is done."""
+        share = self._share()
+        return (time.time() - self._begun) * (1 - share) / share if share else None
 
     def _write(self, state: str) -> None:
         seconds = time.time() - self._begun
-        made = self._pairs - self._first
         left = self._left_s()
-        rate = made / seconds if seconds > 0 else 0.0
+        rate = (self._pairs - self._first) / seconds if seconds > 0 else 0.0
         document = {
             "state": state,
             "host": socket.gethostname(),
@@ -191,8 +136,3 @@ class ProgressBar:
         with suppress(FactoryError, OSError):
             text = json.dumps(document, indent=1) + "\n"
             write_atomically(self._path, text.encode(), durable=False)
-
-
-def _status_name(part: str) -> str:
-    stem, _, suffix = STATUS_NAME.rpartition(".")
-    return f"{stem}.{part}.{suffix}" if part else STATUS_NAME

@@ -14,8 +14,15 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
-from ..dataset.format.manifest import Manifest, ShardInfo, damage, save_manifest
-from ..dataset.format.results import ShardOutcome, forget_outcomes, save_outcome
+from ..dataset.format.manifest import (
+    Manifest,
+    ShardInfo,
+    ShardOutcome,
+    damage,
+    forget_outcomes,
+    save_manifest,
+    save_outcome,
+)
 from ..dataset.format.schema import SPLITS
 from ..dataset.write.failures import Failure, failure_lines, save_failures
 from ..errors import FactoryError

@@ -6,7 +6,6 @@ import shutil
 from pathlib import Path
 
 from ..dataset.describe.card import write_card
-from ..dataset.describe.croissant import write_croissant
 from ..dataset.describe.preview import preview
 from ..dataset.format.manifest import MAX_SHARDS, Manifest, load_manifest
 from ..dataset.format.schema import SPLITS
@@ -23,7 +22,7 @@ from .loop import Loop
 from .progress import ProgressBar
 from .results import Results, RunReport, take_up
 from .settings import Crew
-from .workers.kept import leased
+from .workers.contract import workers_of
 from .workers.signals import Interrupted, stop_signals
 
 
@@ -72,8 +71,7 @@ def make_shards(
 ) -> RunReport:
     """Make every shard of the job that `manifest` does not hold whole already.
 
-    Raises as `make_dataset` does.  No worker process outlives the call, unless it ended well and
-    `keep_workers` was called before.
+    Raises as `make_dataset` does.  No worker process outlives the call.
     """
     tasks = job.own_tasks
     resumed = take_up(job, manifest)
@@ -99,7 +97,7 @@ def make_shards(
             largest = max(len(task.items) for task in todo)
             try:
                 settings = job.scheduler.worker_settings(crew, largest, job.preload)
-                with leased(settings) as backend:
+                with workers_of(settings) as backend:
                     Loop(job, resumed, results, progress, lock, backend, publication).run()
             finally:
                 _tidy(job)
@@ -137,7 +135,6 @@ def _describe(job: Job, report: RunReport) -> None:
         write_card(
             job.directory, finished, job.provenance, job.dataset, report.failures, job.skipped
         )
-        write_croissant(job.directory, finished, job.dataset)
 
 
 def _forget_slices(directory: Path) -> None:

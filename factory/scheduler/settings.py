@@ -10,8 +10,7 @@ from pydantic.dataclasses import dataclass
 
 from ..settings import STRICT
 from .workers.contract import BackendName, Pool, WorkerSettings
-from .workers.limits import workers_that_fit
-from .workers.machine import available_memory_bytes, usable_cores
+from .workers.machine import available_memory_bytes, usable_cores, workers_that_fit
 
 MAX_AUTO_WORKERS = 48
 # The rest is for the system's file cache and for other programs.

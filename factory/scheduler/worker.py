@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import faulthandler
+import multiprocessing
+import os
 import pickle
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,9 +22,10 @@ from ..files import outlet
 from ..frame import FrameRef
 from ..ownership import fenced
 from ..storage.publish import apart_copy
-from .attempt import DONE, FAILED, START, Watch, say, watch
 from .job import Recipe
+from .pending import DONE, FAILED, START
 from .plan import FrameVariants, ShardTask
+from .workers.contract import tell
 
 T = TypeVar("T")
 
@@ -80,6 +84,46 @@ class FrameResult:
     key: str = ""
 
 
+class Watch:
+    """The clock of one attempt, in its worker.
+
+    A C thread of the interpreter: it also ends native code that never returns.
+    """
+
+    def __init__(self, trace: int, frame_timeout_s: float) -> None:
+        self._trace, self._frame_timeout_s = trace, frame_timeout_s
+
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """End this process, traceback first, when the block outlasts the frame's time limit."""
+        # Only a process of its own may be ended from within.
+        if multiprocessing.parent_process() is None:
+            yield
+            return
+        faulthandler.dump_traceback_later(self._frame_timeout_s, exit=True, file=self._trace)
+        try:
+            yield
+        finally:
+            faulthandler.cancel_dump_traceback_later()
+
+
+@contextmanager
+def watch(trace: Path, frame_timeout_s: float) -> Iterator[Watch]:
+    """The watch of an attempt; `trace` gets the traceback of a crash, or of a frame that is late.
+
+    Where that file cannot be written there is no traceback, and nothing else is lost.
+    """
+    with open(os.devnull, "w") as nowhere, ExitStack() as files:
+        file = nowhere
+        with suppress(OSError):
+            trace.parent.mkdir(parents=True, exist_ok=True)
+            file = files.enter_context(trace.open("a"))
+        if multiprocessing.parent_process() is not None:
+            faulthandler.enable(file)
+            files.callback(faulthandler.disable)
+        yield Watch(file.fileno(), frame_timeout_s)
+
+
 # Built once a process: a preparer holds the renderer and its scene, which are slow to build.
 _built: dict[str, tuple[tuple[Any, ...], Any]] = {}
 
@@ -118,7 +162,7 @@ def prepare_frame(attempt: FrameAttempt) -> FrameResult:
     with watch(attempt.trace, recipe.frame_timeout_s) as clock:
         with clock.watched():
             preparer: Preparer = _build(recipe.preparer, recipe)
-        say(START, 0)
+        tell(START, 0)
         try:
             with clock.watched():
                 made = preparer.prepare(ref)
@@ -252,9 +296,9 @@ class _Frames:
             pairs, failure = self.attempt(index, item)
             if failure:
                 self.failures.append(failure)
-                say(FAILED, index)
+                tell(FAILED, index)
             else:
-                say(DONE, len(pairs))
+                tell(DONE, len(pairs))
             yield from pairs
 
     def attempt(self, index: int, item: FrameVariants) -> tuple[list[Pair], Failure | None]:
@@ -262,7 +306,7 @@ class _Frames:
         ref, variants = item
         if ref.name in self._given_up:
             return [], self._given_up[ref.name]
-        say(START, index)
+        tell(START, index)
         try:
             if self._preparer is not None:
                 with self._clock.watched():

@@ -24,58 +24,38 @@ class WaterSettings:
     depth_m: Annotated[float, Field(ge=0, le=11_000)] = 5.0
     ph: Annotated[float, Field(ge=6, le=9)] = 8.0
 
-    def absorption_db_per_m(self, frequency_khz: float) -> float:
-        """See the function of this name."""
-        return absorption_db_per_m(
-            frequency_khz, self.temperature_c, self.salinity_psu, self.depth_m, self.ph
-        )
-
     def sound_speed_m_s(self) -> float:
-        """See the function of this name."""
-        return sound_speed_m_s(self.temperature_c, self.salinity_psu, self.depth_m)
+        """Speed of sound, m/s: the linear formula of Francois & Garrison (1982)."""
+        return 1412 + 3.21 * self.temperature_c + 1.19 * self.salinity_psu + 0.0167 * self.depth_m
 
+    def absorption_db_per_m(self, frequency_khz: float) -> float:
+        """Absorption of sound, one way, dB/m.
 
-def sound_speed_m_s(temperature_c: float, salinity_psu: float, depth_m: float) -> float:
-    """Speed of sound, m/s: the linear formula of Francois & Garrison (1982)."""
-    return 1412 + 3.21 * temperature_c + 1.19 * salinity_psu + 0.0167 * depth_m
+        Francois & Garrison, J. Acoust. Soc. Am. 72 (1982), 896 and 1879: boric acid, magnesium
+        sulphate and the water itself, each a relaxation with a strength, a pressure factor and a
+        frequency.
+        """
+        t, s, d, f2 = self.temperature_c, self.salinity_psu, self.depth_m, frequency_khz**2
+        speed = self.sound_speed_m_s()
 
+        boric = 8.86 / speed * 10 ** (0.78 * self.ph - 5)
+        boric_khz = 2.8 * math.sqrt(s / 35) * 10 ** (4 - 1245 / (273 + t))
 
-def absorption_db_per_m(
-    frequency_khz: float,
-    temperature_c: float,
-    salinity_psu: float,
-    depth_m: float,
-    ph: float,
-) -> float:
-    """Absorption of sound, one way, dB/m.
+        sulphate = 21.44 * s / speed * (1 + 0.025 * t) * (1 - 1.37e-4 * d + 6.2e-9 * d**2)
+        sulphate_khz = 8.17 * 10 ** (8 - 1990 / (273 + t)) / (1 + 0.0018 * (s - 35))
 
-    Francois & Garrison, J. Acoust. Soc. Am. 72 (1982), 896 and 1879: boric acid, magnesium sulphate
-    and the water itself, each a relaxation with a strength, a pressure factor and a frequency.
+        if t <= 20:
+            pure = 4.937e-4 - 2.59e-5 * t + 9.11e-7 * t**2 - 1.50e-8 * t**3
+        else:
+            pure = 3.964e-4 - 1.146e-5 * t + 1.45e-7 * t**2 - 6.5e-10 * t**3
+        pure *= 1 - 3.83e-5 * d + 4.9e-10 * d**2
 
-    frequency_khz: kHz.  temperature_c: degrees Celsius.  salinity_psu: practical salinity.
-    depth_m: metres below the surface.  ph: acidity.
-    """
-    t, s, d, f2 = temperature_c, salinity_psu, depth_m, frequency_khz**2
-    speed = sound_speed_m_s(t, s, d)
-
-    boric = 8.86 / speed * 10 ** (0.78 * ph - 5)
-    boric_khz = 2.8 * math.sqrt(s / 35) * 10 ** (4 - 1245 / (273 + t))
-
-    sulphate = 21.44 * s / speed * (1 + 0.025 * t) * (1 - 1.37e-4 * d + 6.2e-9 * d**2)
-    sulphate_khz = 8.17 * 10 ** (8 - 1990 / (273 + t)) / (1 + 0.0018 * (s - 35))
-
-    if t <= 20:
-        pure = 4.937e-4 - 2.59e-5 * t + 9.11e-7 * t**2 - 1.50e-8 * t**3
-    else:
-        pure = 3.964e-4 - 1.146e-5 * t + 1.45e-7 * t**2 - 6.5e-10 * t**3
-    pure *= 1 - 3.83e-5 * d + 4.9e-10 * d**2
-
-    db_per_km = (
-        boric * boric_khz * f2 / (boric_khz**2 + f2)
-        + sulphate * sulphate_khz * f2 / (sulphate_khz**2 + f2)
-        + pure * f2
-    )
-    return db_per_km / 1000
+        db_per_km = (
+            boric * boric_khz * f2 / (boric_khz**2 + f2)
+            + sulphate * sulphate_khz * f2 / (sulphate_khz**2 + f2)
+            + pure * f2
+        )
+        return db_per_km / 1000
 
 
 def thermal_noise_db(frequency_khz: float, bandwidth_khz: float) -> float:

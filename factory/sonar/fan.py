@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TypeVar
 
@@ -11,6 +11,8 @@ import numpy.typing as npt
 
 from .settings import SonarSettings
 from .window import Window
+
+_LARGEST_PX = 1536  # of an enlarged picture
 
 AnyNumber = TypeVar("AnyNumber", bound=np.generic)
 
@@ -35,10 +37,10 @@ class FanTable:
 
     def bilinear(self, polar: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
         """(H, W) float32 fan picture of a (range_bins, beams) image; 0 outside the sector."""
-        from . import picture_loops  # loads numba
+        from . import kernels  # loads numba
 
         fan = np.zeros(self.inside.shape, np.float32)
-        picture_loops.bilinear(
+        kernels.bilinear(
             np.ascontiguousarray(polar, dtype=np.float32),
             self.pixel,
             self.corner,
@@ -118,6 +120,35 @@ def lay_out(
     if sonar.image.layout == "polar":
         return grey
     return fan_table(sonar, window.near_fraction).bilinear(grey)
+
+
+def rasterised(
+    grey: npt.NDArray[np.float32], window: Window, sonar: SonarSettings, *, noisy: bool
+) -> npt.NDArray[np.float32]:
+    """`lay_out` as makers' programs do it, by sampling, enlargement and JPEG of `sonar.image`.
+
+    Returns (H, W) float32 in 0..1, rounded to 8 bits.  noisy: whether JPEG leaves its traces.
+    """
+    image, (height, width) = sonar.image, sonar.shape()
+    found = grey
+    if image.layout == "fan":
+        factor = max(min(image.enlarged, _LARGEST_PX / max(height, width)), 1.0)
+        rows, columns = round(height * factor), round(width * factor)
+        large = replace(sonar, image=replace(image, height_px=rows, width_px=columns))
+        table = fan_table(large, window.near_fraction)
+        found = table.nearest(grey) if image.sampling == "nearest" else table.bilinear(grey)
+    if found.shape != (height, width):
+        import cv2  # not in a core installation
+
+        shrunk = cv2.resize(found, (width, height), interpolation=cv2.INTER_AREA)
+        found = np.asarray(shrunk, np.float32)
+    eight = np.rint(np.clip(found, 0, 1) * 255).astype(np.uint8)
+    if noisy and image.jpeg_quality is not None:
+        import cv2
+
+        _, content = cv2.imencode(".jpg", eight, [cv2.IMWRITE_JPEG_QUALITY, image.jpeg_quality])
+        eight = np.asarray(cv2.imdecode(content, cv2.IMREAD_GRAYSCALE), np.uint8)
+    return np.asarray(eight, np.float32) / np.float32(255)
 
 
 def lay_out_nearest(

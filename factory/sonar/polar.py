@@ -12,7 +12,7 @@ from .settings import SonarSettings
 from .window import Window
 
 Polar = npt.NDArray[np.float32]
-Grid = tuple[bool, np.float32, np.float32, int, np.float32, np.float32, int, Polar]
+Grid = tuple[tuple[bool, np.float32, np.float32, int, np.float32, np.float32, int], Polar]
 
 _HOW = {"sum": 0, "max": 1, "mean": 2}
 # Bins smaller than the pixel grid of the camera leave pinholes up to this far from an echo.
@@ -30,34 +30,19 @@ def bin_index(echoes: Echoes, window: Window, sonar: SonarSettings) -> npt.NDArr
 
 
 def grid(window: Window, sonar: SonarSettings) -> Grid:
-    """The bins of a picture as the compiled loops want them."""
+    """The bins of a picture, and the edges of tabled beams, as `kernels` want them."""
     half = np.float32(np.deg2rad(sonar.hfov_deg) / 2)
     edges = np.empty(0, np.float32)
     if sonar.beam_azimuths_deg is not None:
         centres = sonar.beam_centres_rad()
         edges = ((centres[1:] + centres[:-1]) / 2).astype(np.float32)
     beams_per_rad = np.float32(sonar.beams / (2 * half))
-    return _grid(window, sonar.range_bins, -half, beams_per_rad, sonar.beams, edges)
+    return (*_ranges(window), sonar.range_bins, -half, beams_per_rad, sonar.beams), edges
 
 
-def _grid(
-    window: Window,
-    rows: int,
-    left_rad: np.float32,
-    per_rad: np.float32,
-    columns: int,
-    edges_rad: npt.NDArray[np.float32],
-) -> Grid:
-    return (
-        window.projection == "top_view",
-        np.float32(window.range_min_m),
-        np.float32(window.range_span_m),
-        rows,
-        left_rad,
-        per_rad,
-        columns,
-        edges_rad,
-    )
+def _ranges(window: Window) -> tuple[bool, np.float32, np.float32]:
+    near_m, span_m = np.float32(window.range_min_m), np.float32(window.range_span_m)
+    return window.projection == "top_view", near_m, span_m
 
 
 def density(echoes: Echoes, window: Window, rows: int, columns: int) -> npt.NDArray[np.int32]:
@@ -65,22 +50,20 @@ def density(echoes: Echoes, window: Window, rows: int, columns: int) -> npt.NDAr
 
     The cells divide the range window and the sector that the camera saw evenly.
     """
-    from . import picture_loops  # loads numba
-
     left_rad = np.float32(window.azimuth_min_rad)
     per_rad = np.float32(columns / max(window.azimuth_span_rad, 1e-9))
-    cells = _cells(echoes, _grid(window, rows, left_rad, per_rad, columns, np.empty(0, np.float32)))
-    level, count = np.zeros(rows * columns + 1, np.float32), np.zeros(rows * columns + 1, np.int32)
-    picture_loops.gather(cells, np.ascontiguousarray(echoes.strength), _HOW["mean"], level, count)
-    return count[:-1].reshape(rows, columns)
+    bins = (*_ranges(window), rows, left_rad, per_rad, columns), np.empty(0, np.float32)
+    cells = _cells(echoes, bins)[echoes.strength > 0]
+    count = np.bincount(cells, minlength=rows * columns + 1)
+    return count[:-1].astype(np.int32).reshape(rows, columns)
 
 
 def _cells(echoes: Echoes, bins: Grid) -> npt.NDArray[np.int32]:
-    from . import picture_loops  # loads numba
+    from . import kernels  # loads numba
 
     cells = np.empty(len(echoes), np.int32)
     places = (echoes.range_m, echoes.azimuth_rad, echoes.elevation_rad)
-    picture_loops.bin_of_each(*(*map(np.ascontiguousarray, places), *bins, cells))
+    kernels.bin_of_each(tuple(map(np.ascontiguousarray, places)), *bins, cells)
     return cells
 
 
@@ -89,14 +72,14 @@ def accumulate(echoes: Echoes, window: Window, sonar: SonarSettings, *more: Echo
 
     more: further echoes of the same cloud, which then need not be joined.
     """
-    from . import picture_loops  # loads numba
+    from . import kernels  # loads numba
 
     size = sonar.range_bins * sonar.beams + 1
     level, how = np.zeros(size, np.float32), _HOW[sonar.accumulate]
     count = np.zeros(size if how == _HOW["mean"] else 1, np.int32)
     for part in (echoes, *more):
         bins, strength = bin_index(part, window, sonar), np.ascontiguousarray(part.strength)
-        picture_loops.gather(bins, strength, how, level, count)
+        kernels.gather(bins, strength, how, level, count)
     if how == _HOW["mean"]:
         level /= np.maximum(count, 1)
     return level[:-1].reshape(sonar.range_bins, sonar.beams)
@@ -104,11 +87,11 @@ def accumulate(echoes: Echoes, window: Window, sonar: SonarSettings, *more: Echo
 
 def spread_points(level: Polar, sonar: SonarSettings) -> Polar:
     """Blur by the device's point-spread; echo energy is kept except at the picture's border."""
-    from . import picture_loops  # loads numba
+    from . import kernels  # loads numba
 
     blurred = np.empty(level.shape, np.float32)
     down, across = gaussian(sonar.point_spread.range_bins), gaussian(sonar.point_spread.beams)
-    picture_loops.blur(np.ascontiguousarray(level, dtype=np.float32), down, across, blurred)
+    kernels.blur(np.ascontiguousarray(level, dtype=np.float32), down, across, blurred)
     return blurred
 
 
@@ -127,11 +110,17 @@ def covered(hit: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     hit: (range_bins, beams) bool, bins that hold an echo of the full-density cloud.  Bins smaller
     than the pixel grid of the camera leave pinholes that are no shadow: they are closed.
     """
-    from . import picture_loops  # loads numba
+    size = 2 * _PINHOLE_ROWS + 1, 2 * _PINHOLE_BEAMS + 1
+    border = [(side - 1, side - 1) for side in size]
+    # A dilation that reaches beyond the picture, and an erosion of all of that.
+    grown = np.logical_or.reduce(_shifted(np.pad(hit, border), *size))
+    return np.asarray(np.logical_and.reduce(_shifted(grown, *size)))
 
-    closed = np.empty(hit.shape, np.bool_)
-    picture_loops.close(np.ascontiguousarray(hit), _PINHOLE_ROWS, _PINHOLE_BEAMS, closed)
-    return closed
+
+def _shifted(mask: npt.NDArray[np.bool_], down: int, across: int) -> list[npt.NDArray[np.bool_]]:
+    """The mask from each place of a (down, across) box on, all of one size."""
+    height, width = mask.shape[0] - down + 1, mask.shape[1] - across + 1
+    return [mask[i : i + height, j : j + width] for i in range(down) for j in range(across)]
 
 
 def seen_beams(window: Window, sonar: SonarSettings) -> npt.NDArray[np.bool_]:

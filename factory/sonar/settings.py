@@ -80,6 +80,11 @@ class ImageSettings:
     enlarged: Annotated[float, Field(ge=1, le=4)] = 1.0
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
 
+    @property
+    def plain(self) -> bool:
+        """Whether a fan interpolates between samples, and no more is done to a picture."""
+        return (self.sampling, self.enlarged, self.jpeg_quality) == ("bilinear", 1, None)
+
 
 @dataclass(frozen=True, config=STRICT)
 class TransferSettings:

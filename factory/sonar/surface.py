@@ -18,26 +18,13 @@ from ..render.mount import Mount
 from . import polar
 from .echoes import Echoes
 from .settings import SonarSettings
-from .window import Window
+from .window import Extent, Window
 
 # Beyond this a surface is seen edge on and its area is not known.
 _GRAZING_COSINE = 0.05
 _EDGE_RATIO = 0.1
 
 Pixels = npt.NDArray[np.int32]
-
-
-@dataclass(frozen=True, eq=False)
-class Extent:
-    """Where the surface is that lies in the sonar's sector, beam and range limits.
-
-    lit_m: (N,) float32 distances of its lit pixels, as the sonar's projection measures them.
-    azimuth_min_rad, azimuth_max_rad: of its pixels, lit or not.
-    """
-
-    lit_m: npt.NDArray[np.float32]
-    azimuth_min_rad: float
-    azimuth_max_rad: float
 
 
 class Insonified(NamedTuple):
@@ -83,7 +70,7 @@ class LitSurface:
 
 def extent(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Extent:
     """What the window of a picture is fitted to."""
-    from . import echo_loops  # loads numba
+    from . import kernels  # loads numba
 
     lit_m = np.empty(frame.depth_m.size + 1, np.float32)
     sector = (
@@ -93,9 +80,7 @@ def extent(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Extent:
         np.float32(sonar.range.min_m),
         np.float32(sonar.range.max_m),
     )
-    lit, left_rad, right_rad = echo_loops.survey(
-        *(*_pixels(frame, rendered, sonar), *sector, lit_m)
-    )
+    lit, left_rad, right_rad = kernels.survey(_pixels(frame, rendered, sonar), *sector, lit_m)
     return Extent(lit_m[: int(lit)], left_rad, right_rad)
 
 
@@ -103,15 +88,16 @@ def insonified(
     frame: Frame, rendered: Rendered, window: Window, sonar: SonarSettings
 ) -> Insonified:
     """The lit surface inside the window, with time-varying gain."""
-    from . import echo_loops  # loads numba
+    from . import kernels  # loads numba
 
-    pixels = frame.depth_m.size + 1
-    made = [np.empty(pixels, np.float32) for _ in range(4)]
-    pixel = np.empty(pixels, np.int32)
+    size = frame.depth_m.size + 1
+    made = tuple(np.empty(size, np.float32) for _ in range(4))
+    pixel = np.empty(size, np.int32)
     hit = np.zeros(sonar.range_bins * sonar.beams + 1, np.bool_)
-    half_vfov_rad, gain_power = np.deg2rad(sonar.vfov_deg) / 2, sonar.tvg_db_per_decade / 10
-    placed = (np.float32(half_vfov_rad), *polar.grid(window, sonar), gain_power)
-    count = echo_loops.insonified(*(*_pixels(frame, rendered, sonar), *placed, *made, pixel, hit))
+    half_vfov_rad = np.float32(np.deg2rad(sonar.vfov_deg) / 2)
+    bins, gain_power = polar.grid(window, sonar), sonar.tvg_db_per_decade / 10
+    pixels = _pixels(frame, rendered, sonar)
+    count = kernels.insonified(pixels, half_vfov_rad, *bins, gain_power, made, pixel, hit)
     echoes = Echoes(*(values[:count] for values in made))
     in_bins = hit[:-1].reshape(sonar.range_bins, sonar.beams)
     return Insonified(echoes, pixel[:count], in_bins)
@@ -124,19 +110,18 @@ def mount_weight(frame: Frame, mount: Mount, exponent: float) -> npt.NDArray[np.
     r_c^2 dO / cos_c with the camera's, and backscatter by cos_s^n leaves cos_s^n / r_s^4 of it:
     cos_s^(n - 1) / cos_c (r_c / r_s)^2.
     """
-    from ..render.cloud import directions
-
     # Both load numba.
-    from ..render.cloud.joints import joints
-    from ..render.shading import facing
+    from ..render import kernels
+    from ..render.surface import directions
 
     depth_m = np.ascontiguousarray(frame.depth_m, np.float32)
-    across, down = directions(frame.intrinsics, *depth_m.shape)
     sonar_m = mount.position_camera_m().astype(np.float32)
-    cosine_camera, cosine, nearer = (np.empty(depth_m.shape, np.float32) for _ in range(3))
+    filled = tuple(np.empty(depth_m.shape, np.float32) for _ in range(3))
     # Frames of a cache have lost what was no surface, so every neighbour here may be joined.
-    bits = joints(depth_m, _EDGE_RATIO)
-    facing(depth_m, bits, across, down, sonar_m, cosine_camera, cosine, nearer)
+    joints = kernels.joints(depth_m, _EDGE_RATIO)
+    grid = (depth_m, joints, *directions(frame.intrinsics, *depth_m.shape))
+    kernels.facing(grid, sonar_m, filled)
+    cosine_camera, cosine, nearer = filled
     cosine_camera = np.maximum(cosine_camera, np.float32(_GRAZING_COSINE))
     cosine = np.maximum(cosine, np.float32(_GRAZING_COSINE))
     power = np.float32(exponent - 1)

@@ -2,17 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from .quantile import quantiles
 from .settings import TransferSettings
 
 # What a level is: decibels are 20 log10 of an amplitude, 10 log10 of an intensity.
 Quantity = Literal["amplitude", "intensity"]
 _DECIBELS = {"amplitude": 20, "intensity": 10}
+
+
+def quantiles(
+    values: npt.NDArray[np.float32], fractions: Sequence[float], *, skip: int = 0
+) -> list[float]:
+    """The quantiles of (N,) float32 numbers without NaN; N > skip.
+
+    Between the values of the two nearest ranks, linearly, in double precision.
+    skip: so many of the smallest do not count.
+    """
+    places = [skip + fraction * (len(values) - 1 - skip) for fraction in fractions]
+    ranks = [(int(place), min(int(place) + 1, len(values) - 1)) for place in places]
+    ordered = np.partition(values, sorted({rank for pair in ranks for rank in pair}))
+    found = [(float(ordered[low]), float(ordered[high])) for low, high in ranks]
+    return [
+        one + (other - one) * (place - int(place))
+        for (one, other), place in zip(found, places, strict=True)
+    ]
 
 
 def full_scale(

@@ -2,12 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from .. import seeds
+from ..errors import FrameError
+from ..frame import FrameRef
 from .echoes import Echoes
+from .settings import SonarSettings
+from .transfer import quantiles
+
+# Ends of the automatic window: a few stray points must not decide what everybody sees.
+_QUANTILES = (0.005, 0.99)
+# range_min is a multiple of this fraction of range_max, so that few scan tables serve all frames.
+_NEAR_STEPS = 16
+
+
+class Extent(NamedTuple):
+    """Where the surface is that lies in the sonar's sector, beam and range limits.
+
+    lit_m: (N,) float32 distances of its lit pixels, as the sonar's projection measures them.
+    azimuth_min_rad, azimuth_max_rad: of its pixels, lit or not.
+    """
+
+    lit_m: npt.NDArray[np.float32]
+    azimuth_min_rad: float
+    azimuth_max_rad: float
 
 
 @dataclass(frozen=True)
@@ -48,3 +72,53 @@ class Window:
     def range_fraction(self, echoes: Echoes) -> npt.NDArray[np.float32]:
         """(N,) position in the range window: 0 at range_min_m, 1 at range_max_m."""
         return np.asarray((self.range_of(echoes) - self.range_min_m) / self.range_span_m)
+
+
+def set_window(sonar: SonarSettings, seed: int, ref: FrameRef) -> SonarSettings:
+    """The sonar as it is set at the frame's place: with one of `sonar.range.windows_m`.
+
+    All frames and variants of a place have the same one, so that recordings keep their window.
+    """
+    windows_m = sonar.range.windows_m
+    if not windows_m:
+        return sonar
+    chosen = seeds.stream(seed, "window", ref.location, ref.scene).integers(len(windows_m))
+    near_m, far_m = windows_m[int(chosen)]
+    return replace(sonar, range=replace(sonar.range, min_m=near_m, max_m=far_m, windows_m=()))
+
+
+def fit_window(surface: Extent, sonar: SonarSettings) -> Window:
+    """The window for a frame whose measured surface is `surface`.
+
+    Raises FrameError when no insonified surface lies in the sonar's sector and range limits.
+    """
+    if not len(surface.lit_m):
+        raise FrameError(
+            "no echo inside the sonar's sector; check sonar.hfov_deg, sonar.vfov_deg, sonar.mount "
+            "and sonar.range"
+        )
+    near, far = sonar.range.min_m, sonar.range.max_m
+    if sonar.range.auto:
+        low, high = quantiles(surface.lit_m, _QUANTILES)
+        far = min(far, high * 1.05)
+        steps = math.floor(_NEAR_STEPS * 0.95 * low / far)
+        near = max(near, min(steps, _NEAR_STEPS - 1) / _NEAR_STEPS * far)
+    return Window(sonar.projection, near, far, surface.azimuth_min_rad, surface.azimuth_max_rad)
+
+
+def conical(window: Window, sonar: SonarSettings) -> Window:
+    """The same window for beams that are cones: bearings that the camera saw at all elevations.
+
+    An edge of the camera's view at azimuth a is at bearing arcsin(sin a cos e) for elevation e.  An
+    edge of the device's own sector stays, for the camera sees beyond it.
+    """
+    half_rad = math.radians(sonar.hfov_deg) / 2
+    narrower = math.cos(math.radians(sonar.vfov_deg) / 2)
+
+    def bearing(azimuth_rad: float) -> float:
+        if abs(azimuth_rad) >= 0.999 * half_rad:
+            return azimuth_rad
+        return math.asin(math.sin(azimuth_rad) * narrower)
+
+    edges = bearing(window.azimuth_min_rad), bearing(window.azimuth_max_rad)
+    return replace(window, azimuth_min_rad=edges[0], azimuth_max_rad=edges[1])

@@ -15,14 +15,8 @@ from ..imaging.contract import Scene
 from ..imaging.resample import ResampleSettings
 from ..noise.registry import EFFECTS, NoiseSettings, blocks
 from ..sonar.fan import fan_size
-from ..sonar.settings import (
-    ImageSettings,
-    RangeSettings,
-    SonarSettings,
-    TransferSettings,
-)
+from ..sonar.settings import RangeSettings, SonarSettings, TransferSettings
 from ..sonar.window import Window
-from .raster import Raster
 from .settings import DeviceSettings, distributions
 
 if TYPE_CHECKING:
@@ -59,23 +53,6 @@ class Device:
     def row(self) -> dict[str, float]:
         """The values of `columns`."""
         return {f"device.{name}": value for name, value in self.values.items()}
-
-    @property
-    def raster(self) -> Raster:
-        """How the picture becomes pixels."""
-        drawn = self.values
-        return Raster(
-            nearest=bool(drawn["nearest_share"]) and self.formation == "field",
-            enlarged=drawn["enlarged"] if drawn["enlarged_share"] else 1.0,
-            jpeg_quality=round(drawn["jpeg_quality"]) if drawn["jpeg_share"] else None,
-        )
-
-
-def fixed_raster(image: ImageSettings) -> Raster | None:
-    """How the one device of a configuration makes pixels; None where it interpolates, no more."""
-    if image.sampling == "bilinear" and image.enlarged == 1 and image.jpeg_quality is None:
-        return None
-    return Raster(image.sampling == "nearest", image.enlarged, image.jpeg_quality)
 
 
 def draw(settings: DeviceSettings, seed: int, *stream_names: str | int) -> Device:
@@ -114,6 +91,12 @@ def configured(config: FactoryConfig, device: Device, *, any_size: bool) -> Fact
     image = replace(sonar.image, height_px=height) if any_size else sonar.image
     if any_size and drawn["polar_share"] and not points:
         image = replace(image, layout="polar")
+    image = replace(
+        image,
+        sampling="nearest" if drawn["nearest_share"] and not points else "bilinear",
+        enlarged=drawn["enlarged"] if drawn["enlarged_share"] else 1.0,
+        jpeg_quality=round(drawn["jpeg_quality"]) if drawn["jpeg_share"] else None,
+    )
     fixed = not points and not drawn["auto_range_share"]
     near_far = (drawn["range_min_m"], drawn["range_max_m"]) if fixed else (0.2, 30.0)
     sonar = replace(

@@ -10,12 +10,10 @@ import hashlib
 import os
 import re
 import secrets
-import shutil
 import time
 import zlib
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from functools import lru_cache
 from pathlib import Path
 
 from ..errors import FactoryError
@@ -23,12 +21,12 @@ from ..files import explain_os_errors
 from ..small_files import read_regular
 from .store import Store, is_url
 
-ORIGIN_NAME = ".origin"
+_ORIGIN = ".origin"
 _SHARD = re.compile(r"(train|test)/[A-Za-z0-9_-]+\.h5")
 # What lies beside the shards and is a reader's business.
 _SMALL = re.compile(
-    r"(README\.md|config\.yaml|croissant\.json|index\.h5|preview\.png|failed\.jsonl|manifest\.json"
-    r"|(train|test)/shard-\d+\.json)"
+    r"README\.md|config\.yaml|index\.h5|preview\.png|failed\.jsonl|manifest\.json"
+    r"|(train|test)/shard-\d+\.json"
 )
 _MOST_SMALL_BYTES = 1 << 28
 _KEPT_BYTES = 10_000_000_000
@@ -56,7 +54,7 @@ def folder_of(url: str, part: str = "") -> Path:
     folder = copies_folder() / f"{name}-{digest}"
     with explain_os_errors(folder, "SIMNFND_CLOUD_CACHE"):
         folder.mkdir(parents=True, exist_ok=True)
-        _write(folder / ORIGIN_NAME, store.url.encode())
+        _write(folder / _ORIGIN, store.url.encode())
     return folder
 
 
@@ -66,15 +64,10 @@ def url_of(folder: Path) -> str | None:
     Only of our own place for copies: a stranger's dataset cannot send us anywhere.
     """
     where = Path(os.path.abspath(folder))
-    try:
-        return _told(where) if where.parent == copies_folder() else None
-    except (OSError, ValueError):
-        return None
-
-
-@lru_cache(maxsize=256)
-def _told(folder: Path) -> str:
-    return read_regular(folder / ORIGIN_NAME, 1 << 12).decode()
+    if where.parent == copies_folder():
+        with suppress(OSError, ValueError):
+            return read_regular(where / _ORIGIN, 1 << 12).decode()
+    return None
 
 
 def local_folder(dataset: str | Path, *, fresh: bool = False) -> Path:
@@ -103,9 +96,9 @@ def take_copy(folder: Path, sizes: Mapping[str, int], *, fresh: bool) -> None:
     with explain_os_errors(folder, "SIMNFND_CLOUD_CACHE"):
         for path in [*folder.glob("*.*"), *folder.glob("t*/*")]:
             name = path.relative_to(folder).as_posix()
-            gone = _SMALL.fullmatch(name) and name not in sizes
-            if gone or (
-                _SHARD.fullmatch(name) and (fresh or sizes.get(name) != path.stat().st_size)
+            differs = fresh or sizes.get(name) != path.stat().st_size
+            if (_SMALL.fullmatch(name) and name not in sizes) or (
+                _SHARD.fullmatch(name) and differs
             ):
                 path.unlink(missing_ok=True)
         for name, size in sizes.items():
@@ -119,13 +112,13 @@ def take_copy(folder: Path, sizes: Mapping[str, int], *, fresh: bool) -> None:
                 _write(folder / name, content)
 
 
-def shard_names(sizes: Mapping[str, int]) -> list[str]:
+def shard_names(names: Mapping[str, int]) -> list[str]:
     """Those of the names that are shards."""
-    return [name for name in sorted(sizes) if _SHARD.fullmatch(name)]
+    return [name for name in sorted(names) if _SHARD.fullmatch(name)]
 
 
-def fetched(path: Path, look: Callable[[Path], None] | None = None, *, wait: bool = True) -> bool:
-    """Fetch the shard of a copy that is not here; returns whether it was fetched.
+def fetched(path: Path, look: Callable[[Path], None] | None = None, *, wait: bool = True) -> None:
+    """Fetch the shard of a copy that is not here.
 
     wait: for another that fetches it now (two minutes at most), or leave it to that.
     look: called with the file before it gets its name; what it raises leaves nothing behind.
@@ -133,8 +126,8 @@ def fetched(path: Path, look: Callable[[Path], None] | None = None, *, wait: boo
     """
     url = url_of(path.parent.parent)
     name = f"{path.parent.name}/{path.name}"
-    if url is None or not _SHARD.fullmatch(name) or touch(path):
-        return False
+    if url is None or not _SHARD.fullmatch(name) or _touch(path):
+        return
     from filelock import FileLock, Timeout
 
     with explain_os_errors(path, "SIMNFND_CLOUD_CACHE"):
@@ -145,44 +138,22 @@ def fetched(path: Path, look: Callable[[Path], None] | None = None, *, wait: boo
             alone.acquire(timeout=_LONGEST_S if wait else 0, poll_interval=0.005)
         try:
             # Another has fetched it meanwhile, or does so now.
-            if touch(path) or not (wait or alone.is_locked):
-                return False
-            content = Store(url).get(name)
-            if content is None:
-                return False
-            _write(path, content, look)
-            make_room(spare=path)
+            if not _touch(path) and (wait or alone.is_locked):
+                content = Store(url).get(name)
+                if content is not None:
+                    _write(path, content, look)
+                    make_room(spare=path)
         finally:
             alone.release()
-    return True
 
 
-def forget_copy(folder: Path) -> None:
-    """Remove a copy from this machine."""
-    if url_of(folder) is not None:
-        shutil.rmtree(folder, ignore_errors=True)
-        _told.cache_clear()
-
-
-def sure_bytes() -> int:
+def most_bytes() -> int:
     """What all copies together may take.  Raises FactoryError when the variable is no number."""
     told = os.environ.get(_LIMIT, str(_KEPT_BYTES))
     try:
         return int(told)
     except ValueError as error:
         raise FactoryError(f"{_LIMIT}={told}: must be a whole number of bytes") from error
-
-
-def touch(path: Path) -> bool:
-    """Note that a shard is in use, so that others go first; returns whether it is there.
-
-    By its time of access alone: the time of change tells whether it is the file that it was.
-    """
-    try:
-        os.utime(path, ns=(time.time_ns(), path.stat().st_mtime_ns))
-    except OSError:
-        return path.exists()
-    return True
 
 
 def make_room(spare: Path) -> None:
@@ -195,13 +166,23 @@ def make_room(spare: Path) -> None:
         with suppress(OSError):
             state = path.stat()
             found.append((state.st_atime_ns, state.st_size, path))
-    total, most = sum(size for _, size, _ in found), sure_bytes()
+    total, most = sum(size for _, size, _ in found), most_bytes()
     for _, size, path in sorted(found):
-        if total <= most:
-            return
-        if path != spare:
+        if total > most and path != spare:
             path.unlink(missing_ok=True)
             total -= size
+
+
+def _touch(path: Path) -> bool:
+    """Note that a shard is in use, so that others go first; returns whether it is there.
+
+    By its time of access alone: the time of change tells whether it is the file that it was.
+    """
+    try:
+        os.utime(path, ns=(time.time_ns(), path.stat().st_mtime_ns))
+    except OSError:
+        return path.exists()
+    return True
 
 
 def _write(path: Path, content: bytes, look: Callable[[Path], None] | None = None) -> None:
@@ -210,7 +191,7 @@ def _write(path: Path, content: bytes, look: Callable[[Path], None] | None = Non
         aside.write_bytes(content)
         if look:
             look(aside)
-        touch(aside)  # it may have waited for the look, and is not the oldest for that
+        _touch(aside)  # it may have waited for the look, and is not the oldest for that
         os.replace(aside, path)
     finally:
         aside.unlink(missing_ok=True)

@@ -14,7 +14,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,12 +22,11 @@ from typing import Any
 
 from ..errors import FactoryError
 from ..files import outlet
-from ..ownership import is_alive, myself
+from ..ownership import is_alive, myself, taken
 from ..small_files import parse_json
 from .copies import make_room, shard_names, take_copy, url_of
 from .store import Store
 
-_OURS = ("config.yaml", "manifest.json")
 LOCK_NAME = ".lock"
 _BEAT_S = 20.0
 _SILENT_S = 600.0
@@ -45,27 +44,33 @@ class StoreLock:
         self.name = f"{LOCK_NAME}.{part}" if part else LOCK_NAME
         self.token = secrets.token_hex(16)
         self._ended = threading.Event()
-        self._heart = threading.Thread(target=self._beat, daemon=True)
 
     def __enter__(self) -> StoreLock:
         self._take()
         try:
-            self._refuse_overlap()
+            # The whole and a slice of it must not run at once.
+            for name in self.store.sizes():
+                whole = LOCK_NAME in (name, self.name)
+                if name.startswith(LOCK_NAME) and name != self.name and whole:
+                    self._refuse_if_held(name)
         except FactoryError:
             self.__exit__()
             raise
-        self._heart.start()
+        threading.Thread(target=self._beat, daemon=True).start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()
         # Never another's; what cannot be removed is found dead later.
         with suppress(FactoryError):
-            if read_lock(self.store, self.name).get("token") == self.token:
+            if self._is_ours():
                 self.store.remove(self.name)
 
     def _text(self) -> bytes:
         return json.dumps({"token": self.token, **myself(), "beat": time.time()}).encode()
+
+    def _is_ours(self) -> bool:
+        return read_lock(self.store, self.name).get("token") == self.token
 
     def _take(self) -> None:
         for _ in range(_TRIES):
@@ -78,9 +83,7 @@ class StoreLock:
                         "it"
                     )
                 return
-            owner = read_lock(self.store, self.name)
-            if self._holds(owner, self.name):
-                raise self._refused(owner)
+            owner = self._refuse_if_held(self.name)
             if read_lock(self.store, self.name) == owner:
                 self.store.remove(self.name)
         raise FactoryError(f"{self.store.url}: others take its lock again and again; try later")
@@ -88,18 +91,18 @@ class StoreLock:
     def _beat(self) -> None:
         while not self._ended.wait(_BEAT_S):
             with suppress(FactoryError):
-                if read_lock(self.store, self.name).get("token") == self.token:
+                if self._is_ours():
                     self.store.put(self.name, self._text())
 
-    def _refuse_overlap(self) -> None:
-        """The whole and a slice of it must not run at once."""
-        whole = self.name == LOCK_NAME
-        for name in self.store.sizes():
-            other = name == LOCK_NAME or name.startswith(f"{LOCK_NAME}.")
-            if other and name != self.name and (whole or name == LOCK_NAME):
-                owner = read_lock(self.store, name)
-                if self._holds(owner, name):
-                    raise self._refused(owner)
+    def _refuse_if_held(self, name: str) -> dict[str, Any]:
+        """What a lock says that nobody holds any more; raises FactoryError for any other."""
+        owner = read_lock(self.store, name)
+        if self._holds(owner, name):
+            raise FactoryError(
+                f"dataset.dir: {self.store.url} is being written by process {owner['pid']} on "
+                f"{owner['host']}; wait for it, or give another place with dataset.dir="
+            )
+        return owner
 
     def _holds(self, owner: Mapping[str, Any], name: str) -> bool:
         if type(owner.get("pid")) is not int or not isinstance(owner.get("host"), str):
@@ -113,18 +116,11 @@ class StoreLock:
         when = changed if changed.tzinfo else changed.replace(tzinfo=UTC)
         return abs((datetime.now(UTC) - when).total_seconds()) < _SILENT_S
 
-    def _refused(self, owner: Mapping[str, Any]) -> FactoryError:
-        return FactoryError(
-            f"dataset.dir: {self.store.url} is being written by process {owner.get('pid')} on "
-            f"{owner.get('host')}; wait for it, or give another place with dataset.dir="
-        )
-
 
 def read_lock(store: Store, name: str) -> dict[str, Any]:
     """What a lock says; empty when it is absent or says nothing."""
-    content = store.get(name)
     try:
-        owner = parse_json(content or b"")
+        owner = parse_json(store.get(name) or b"")
     except ValueError:
         return {}
     return owner if isinstance(owner, dict) else {}
@@ -146,16 +142,14 @@ class Publication:
 
     def put(self, path: Path, content: bytes) -> None:
         """As `Outlet` says; shards stay in the copy as long as there is room."""
-        name = self._name(path)
-        self._check()
-        Store(self.url).put(name, content)
+        store, name = self._owned(), self._name(path)
+        store.put(name, content)
         if shard_names({name: 0}) and not self.apart:
             make_room(spare=path)
 
     def remove(self, path: Path) -> None:
         """As `Outlet` says."""
-        self._check()
-        Store(self.url).remove(self._name(path))
+        self._owned().remove(self._name(path))
 
     def names(self) -> list[str]:
         """The shards at the URL."""
@@ -164,14 +158,12 @@ class Publication:
     def _name(self, path: Path) -> str:
         return Path(os.path.abspath(path)).relative_to(self.folder).as_posix()
 
-    def _check(self) -> None:
-        owner = read_lock(Store(self.url), self.lock)
+    def _owned(self) -> Store:
+        store = Store(self.url)
+        owner = read_lock(store, self.lock)
         if owner.get("token") != self.token:
-            taken = f"by process {owner['pid']} on {owner['host']}" if "pid" in owner else "away"
-            raise FactoryError(
-                f"{self.url}: was taken {taken} while this run stood still; nothing more is "
-                "written here"
-            )
+            raise taken(self.url, owner)
+        return store
 
 
 @contextmanager
@@ -189,22 +181,19 @@ def publishing(
         yield None
         return
     store = Store(url)
-    with ExitStack() as held:
-        lock = held.enter_context(StoreLock(store, part))
+    with StoreLock(store, part) as lock:
         sizes = store.sizes()
-        if not any(name in sizes for name in _OURS):
-            # Slices begin side by side.
-            foreign = [name for name in sizes if not name.startswith(LOCK_NAME)]
-            if foreign:
-                listed = ", ".join(sorted(foreign)[:3]) + (", ..." if len(foreign) > 3 else "")
-                raise FactoryError(
-                    f"dataset.dir: {url} holds other files ({listed}) and no dataset; "
-                    "give an empty or new place with dataset.dir="
-                )
+        # Slices begin side by side.
+        foreign = sorted(name for name in sizes if not name.startswith(LOCK_NAME))
+        if foreign and not {"config.yaml", "manifest.json"} & set(foreign):
+            raise FactoryError(
+                f"dataset.dir: {url} holds other files ({', '.join(foreign[:3])}) and no dataset; "
+                "give an empty or new place with dataset.dir="
+            )
         take_copy(folder, sizes, fresh=True)
         one = Publication(Path(os.path.abspath(folder)), url, lock.name, lock.token, apart)
-        held.enter_context(outlet(one))
-        yield one
+        with outlet(one):
+            yield one
 
 
 @contextmanager

@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
-from functools import cached_property
 from typing import Any
 
 from ..errors import FactoryError
 
 _URL = re.compile(r"([a-z][a-z0-9+.-]*)://(.+)")
-# What pip has to bring for a protocol.
-_PACKAGES = {
-    "s3": "simnfnd[cloud]",
-    "gs": "gcsfs",
-    "gcs": "gcsfs",
-    "ssh": "paramiko",
-    "sftp": "paramiko",
-}
+# What pip has to bring for a protocol; for any other the extra `cloud`.
+_PACKAGES = {"gs": "gcsfs", "gcs": "gcsfs", "ssh": "paramiko", "sftp": "paramiko"}
 
 
 def is_url(name: object) -> bool:
@@ -45,67 +38,43 @@ class Store:
             raise FactoryError(f"{self.url}: no URL of a storage, such as s3://bucket/folder")
         object.__setattr__(self, "url", self.url.rstrip("/"))
 
-    # Asked for anew in every process and thread that uses it: fsspec keeps one for each.
-    @property
-    def _place(self) -> tuple[Any, str]:
-        protocol = self.url.partition(":")[0]
-        try:
-            import fsspec
-
-            system, root = fsspec.core.url_to_fs(self.url)
-        except ImportError as error:
-            package = _PACKAGES.get(protocol, "simnfnd[cloud]")
-            raise FactoryError(
-                f"{self.url}: {protocol} needs another package: pip install '{package}'"
-            ) from error
-        except ValueError as error:
-            raise FactoryError(f"{self.url}: fsspec knows no {protocol}://") from error
-        return system, str(root).rstrip("/")
-
     def sizes(self) -> dict[str, int]:
         """Name -> bytes of every object."""
-        with self._explained("read"):
-            system, root = self._place
+        with self._place("read") as (system, root):
             system.invalidate_cache()
-            found = system.find(root, detail=True)
             return {
                 name[len(root) :].lstrip("/"): int(entry["size"] or 0)
-                for name, entry in found.items()
+                for name, entry in system.find(root, detail=True).items()
             }
 
-    def get(self, name: str, start: int | None = None, end: int | None = None) -> bytes | None:
-        """The content of an object, or of its bytes from start to end; None when there is none."""
-        with self._explained("read", name):
-            system, root = self._place
-            try:
-                return bytes(system.cat_file(f"{root}/{name}", start=start, end=end))
-            except FileNotFoundError:
-                return None
+    def get(self, name: str) -> bytes | None:
+        """The content of an object; None when there is none."""
+        with self._place("read", name) as (system, root), suppress(FileNotFoundError):
+            return bytes(system.cat_file(f"{root}/{name}"))
+        return None
 
     def put(self, name: str, content: bytes) -> None:
         """Write an object; readers see the old one or the new one, and never a part."""
-        with self._explained("written", name):
-            system, root = self._place
-            if self._whole:
-                system.pipe_file(f"{root}/{name}", content)
+        with self._place("written", name) as (system, root):
+            path = f"{root}/{name}"
+            if not self._has_folders:
+                system.pipe_file(path, content)
                 return
             # A file system: written aside and moved.
-            path = f"{root}/{name}"
-            aside = f"{path.rpartition('/')[0]}/.{name.rpartition('/')[2]}.part"
-            system.makedirs(path.rpartition("/")[0], exist_ok=True)
-            system.pipe_file(aside, content)
-            system.mv(aside, path)
+            folder, _, last = path.rpartition("/")
+            system.makedirs(folder, exist_ok=True)
+            system.pipe_file(f"{folder}/.{last}.part", content)
+            system.mv(f"{folder}/.{last}.part", path)
 
     def create(self, name: str, content: bytes) -> bool:
         """Write an object that is not there yet; returns whether it was not.
 
         Of two that try at once one succeeds.  Raises FactoryError where the storage cannot tell.
         """
-        with self._explained("written", name):
-            system, root = self._place
-            if not self._whole:
-                system.makedirs(f"{root}/{name}".rpartition("/")[0], exist_ok=True)
+        with self._place("written", name) as (system, root):
             try:
+                if self._has_folders:
+                    system.makedirs(f"{root}/{name}".rpartition("/")[0], exist_ok=True)
                 system.pipe_file(f"{root}/{name}", content, mode="create")
             except FileExistsError:
                 return False
@@ -118,35 +87,37 @@ class Store:
 
     def remove(self, name: str) -> None:
         """Remove an object, which may be absent."""
-        with self._explained("removed", name):
-            system, root = self._place
-            try:
-                system.rm_file(f"{root}/{name}")
-            except FileNotFoundError:
-                return
+        with self._place("removed", name) as (system, root), suppress(FileNotFoundError):
+            system.rm_file(f"{root}/{name}")
 
     def changed(self, name: str) -> datetime | None:
         """When an object was written, by the clock of the storage; None when there is none."""
-        with self._explained("read", name):
-            system, root = self._place
+        with self._place("read", name) as (system, root), suppress(FileNotFoundError):
             system.invalidate_cache()
-            try:
-                when: datetime = system.modified(f"{root}/{name}")
-            except FileNotFoundError:
-                return None
+            when: datetime = system.modified(f"{root}/{name}")
             return when
+        return None
 
-    @cached_property
-    def _whole(self) -> bool:
-        """Whether an object appears only when all of it has arrived."""
-        return self.url.partition(":")[0] not in ("file", "local", "ssh", "sftp")
+    @property
+    def _has_folders(self) -> bool:
+        return self.url.partition(":")[0] in ("file", "local", "ssh", "sftp")
 
     @contextmanager
-    def _explained(self, done: str, name: str = "") -> Iterator[None]:
+    def _place(self, done: str, name: str = "") -> Iterator[tuple[Any, str]]:
+        """File system, of which fsspec keeps one for each process and thread, and root."""
         try:
-            yield
+            import fsspec
+
+            system, root = fsspec.core.url_to_fs(self.url)
+            yield system, str(root).rstrip("/")
         except FactoryError:
             raise
+        except ImportError as error:
+            protocol = self.url.partition(":")[0]
+            package = _PACKAGES.get(protocol, "simnfnd[cloud]")
+            raise FactoryError(
+                f"{self.url}: {protocol} needs another package: pip install '{package}'"
+            ) from error
         # Each storage's library has errors of its own.
         except Exception as error:
             where = f"{self.url}/{name}" if name else self.url

@@ -15,12 +15,10 @@ from ..denoise.geometries import FIND, Geometries
 from ..pretrained import find_weights
 
 if TYPE_CHECKING:
-    from .clips import Found
-    from .still import Lessons
+    from .stretches import Found, Lessons
 
-_RATE = 1e-3
+_RATE = 2e-4
 _BOUNDS = {
-    "keep": (lambda x: 0 <= x < 1, "must be 0 or more and less than 1"),
     "steps": (lambda x: x >= 1, "must be 1 or more"),
     "minutes": (lambda x: 0 < x <= 1e4, "must be more than 0, and 10000 at most"),
     "learning_rate": (lambda x: 0 < x <= 1, "must lie between 0 and 1"),
@@ -39,7 +37,7 @@ def main(arguments: Sequence[str]) -> int:
     check_writable(out.parent, "--out")
     geometries = Geometries(chosen.geometry)
 
-    from .clips import read_clips
+    from .stretches import read_clips
 
     found = read_clips([Path(name).expanduser() for name in chosen.recordings], out, geometries)
     for line in found.skipped[:3]:
@@ -65,13 +63,10 @@ def _parsed(arguments: Sequence[str]) -> Any:
     length.add_argument("--minutes", type=float, default=5.0, help="about how long it may take (5)")
     length.add_argument("--steps", type=int, help="how many steps instead; repeatable to the bit")
     parser.add_argument(
-        "--keep",
-        type=float,
-        default=0.5,
-        help="weight of simulated pictures, so that nothing is forgotten, 0 to below 1 (0.5)",
-    )
-    parser.add_argument(
-        "--pairs", metavar="DATASET", help="folder of `simnfnd make` to take these pictures from"
+        "--pairs",
+        metavar="DATASET",
+        help="folder of `simnfnd make` whose pairs are learned beside, so that they are not "
+        "forgotten",
     )
     parser.add_argument(
         "--geometry",
@@ -97,7 +92,7 @@ def _parsed(arguments: Sequence[str]) -> Any:
 
 def _lessons(found: Found) -> Lessons:
     """What stands still in the recordings; FactoryError where nothing does."""
-    from .still import find_lessons
+    from .stretches import find_lessons
 
     read = sum(len(clip.shots) for clip in found.clips)
     if read < 2:
@@ -131,7 +126,6 @@ def _adapt(chosen: Any, lessons: Lessons, start: Path, out: Path) -> int:
     from ..networks.weights import load_weights, save_weights
     from ..settings import TrainSettings
     from .module import CHECKS, AdaptModule, Lesson, steps_within, tune
-    from .simulated import of_dataset, of_reliefs
 
     if chosen.device == "gpu" and not torch.cuda.is_available():
         raise FactoryError("--device gpu: no usable GPU here; use --device cpu")
@@ -139,16 +133,9 @@ def _adapt(chosen: Any, lessons: Lessons, start: Path, out: Path) -> int:
     fabric = Fabric(accelerator=chosen.device, devices=1)
     trained = load_weights(start)
     network = trained.network.to(fabric.device)
-    lesson, kept = Lesson(lessons, chosen.seed, "frames" in network.extras), {}
-    if chosen.keep:
-        simulated = (
-            of_dataset(chosen.pairs, chosen.seed) if chosen.pairs else of_reliefs(chosen.seed)
-        )
-        if lesson.keep(simulated, network):
-            kept = {"kept": simulated.name, "kept.pictures": len(lesson.kept)}
-            remembered = lesson.kept_figure(network)
-        else:
-            print("simulated pictures: the weights improve none of them, so there is none to keep")
+    pairs = Path(chosen.pairs).expanduser() if chosen.pairs else None
+    lesson = Lesson(lessons, chosen.seed, "frames" in network.extras, pairs)
+    remembered = lesson.kept_figure(network) if pairs else 0.0
 
     def module_of(steps: int) -> AdaptModule:
         checks = next(count for count in range(CHECKS, 0, -1) if steps % count == 0)
@@ -166,7 +153,6 @@ def _adapt(chosen: Any, lessons: Lessons, start: Path, out: Path) -> int:
                 precision="32-true",
             ),
             chosen.seed,
-            chosen.keep,
         )
 
     steps = chosen.steps or steps_within(chosen.minutes, module_of(1), lesson, fabric)
@@ -178,9 +164,9 @@ def _adapt(chosen: Any, lessons: Lessons, start: Path, out: Path) -> int:
     )
     if best.after < noisy:
         print("that is less than the frames as they are; more --minutes may help")
-    if kept:
+    if pairs:
         print(
-            f"simulated pictures held out, PSNR: before {remembered:.2f}, "
+            f"pairs held out, PSNR: before {remembered:.2f}, "
             f"after {lesson.kept_figure(network):.2f} dB"
         )
     if not best.after > best.before:
@@ -190,11 +176,10 @@ def _adapt(chosen: Any, lessons: Lessons, start: Path, out: Path) -> int:
         "adapted.by": "mean of the other frames",
         "adapted.frames": sum(len(one.frames) for one in lessons.learning),
         "adapted.stretches": len(lessons.learning),
-        **kept,
+        **({"pairs": len(lesson.kept)} if pairs else {}),
         "start": sha256_of(start)[:16],
         "start.training": dict(trained.training),
         "steps": steps,
-        "keep": chosen.keep,
         "learning_rate": chosen.learning_rate,
         "seed": chosen.seed,
         "validation": {"step": best.step, "before": best.before, "after": best.after},

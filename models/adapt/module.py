@@ -1,11 +1,12 @@
-"""What weights are fitted to: frames towards the mean of the others, beside simulated pictures."""
+"""What weights are fitted to: frames towards the mean of the others, and pairs of a dataset."""
 
 from __future__ import annotations
 
 import copy
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -16,7 +17,7 @@ from torch import Tensor
 
 from ...factory.seeds import stream
 from ..data.crops import concatenate, crop, whole_image_batch
-from ..data.pairs import Batch, Image, Sample
+from ..data.pairs import Batch, Image, PairSource, Sample, hold_out, read_table
 from ..losses import L1
 from ..networks.network import Network, known_extras
 from ..removal import averaged
@@ -24,16 +25,17 @@ from ..settings import TrainSettings
 from ..training.loop import Loop
 from ..training.module import DenoisingModule, Row
 from ..training.samples import denoise_batch
-from .simulated import Simulated
-from .still import Lessons, Still
+from .stretches import Lessons, Still
 
 BATCH = 2
-"""Crops of a step from recordings, and as many from simulated pictures."""
+"""Crops of a step from recordings, and as many from pairs."""
 PATCH = 192
 """Crops have as many pixels as a square of this side, where pictures are large enough."""
 CHECKS = 5
 """Times that the weights are measured on the way; the best are kept."""
 
+_KEEP = 0.5  # weight of pairs in the loss, where there are any
+_MOST_PAIRS, _HELD_PAIRS = 64, 8
 _MOST_MEASURED = 4
 _TIMED = 3  # steps whose pace says how many fit into the minutes
 _TRIES = 6
@@ -61,17 +63,15 @@ class AdaptModule(DenoisingModule):
     After Lehtinen et al., Noise2Noise, ICML 2018.
     """
 
-    def __init__(self, network: Network, settings: TrainSettings, seed: int, keep: float) -> None:
-        """keep: weight of the simulated pictures, 0 to below 1."""
+    def __init__(self, network: Network, settings: TrainSettings, seed: int) -> None:
         super().__init__(network, L1(kind="l1"), settings, seed)
-        self.keep = keep
 
     def forward(self, batch: Any) -> Tensor:
-        """The loss of the crops of a step: `still`, one batch, and `kept`, several."""
+        """The loss of the crops of a step: `still`, one batch, and `kept`, of pairs, several."""
         loss = self._squares(batch["still"])
         if batch["kept"]:
             kept = torch.stack([self._squares(part) for part in batch["kept"]]).mean()
-            loss = (1 - self.keep) * loss + self.keep * kept
+            loss = (1 - _KEEP) * loss + _KEEP * kept
         return loss
 
     def _squares(self, batch: Batch) -> Tensor:
@@ -86,11 +86,16 @@ class AdaptModule(DenoisingModule):
 class Lesson:
     """Crops of the steps, which depend on the seed and the step alone; and the frames held out."""
 
-    def __init__(self, found: Lessons, seed: int, knows_frames: bool = False) -> None:
-        """knows_frames: whether the weights know how many frames were averaged."""
+    def __init__(
+        self, found: Lessons, seed: int, knows_frames: bool = False, dataset: Path | None = None
+    ) -> None:
+        """knows_frames: whether the weights know how many frames were averaged.
+
+        dataset: whose pairs are learned beside, every other one without its geometry, as pictures
+        often come.  Raises FactoryError when it holds none.
+        """
         self.stills, self.seed, self.knows_frames = found.learning, seed, knows_frames
-        self.kept: list[Sample] = []
-        self.simulated: list[Sample] = []
+        self.kept, self.kept_held = _pairs(dataset, seed) if dataset else ([], [])
         self._odds = odds_of(found.learning)
         held = [
             (Sample(frame, target, None, still.geometry))
@@ -101,24 +106,6 @@ class Lesson:
         if knows_frames:
             means = [mean_of(still, 0, _most(still)) for still in found.held if _most(still) > 1]
             self.held += _spread(means)
-
-    def keep(self, found: Simulated, start: Network) -> bool:
-        """Mix simulated pictures in, every other one without its geometry, as pictures often come.
-
-        start: the weights that are fitted, in evaluation mode.  Where it is not known what
-        simulated pictures are in the eyes of the weights, they keep what they make of those that
-        they improve; what they are bad at may change.  False where that leaves none.
-        """
-        for number, one in enumerate(found.learning):
-            sample = Sample(one.noisy, one.clean, None, one.geometry if number % 2 == 0 else None)
-            if not found.known:
-                made = _denoised(start, sample)
-                if _psnr(made, one) <= _psnr(one.noisy, one):
-                    continue
-                sample = Sample(one.noisy, made, None, sample.geometry)
-            self.kept.append(sample)
-        self.simulated = found.held
-        return bool(self.kept)
 
     def crops(self, step: int, extras: Sequence[str]) -> dict[str, Any]:
         """What `AdaptModule` learns from in a step."""
@@ -152,8 +139,21 @@ class Lesson:
         return float(np.mean([psnr_after_levels(a, b) for a, b in pairs if b is not None]))
 
     def kept_figure(self, network: Network) -> float:
-        """Mean PSNR in dB of the simulated pictures held out, against the clean ones."""
-        return float(np.mean([_psnr(_denoised(network, one), one) for one in self.simulated]))
+        """Mean PSNR in dB of the pairs held out."""
+        return float(np.mean([_psnr(_denoised(network, one), one) for one in self.kept_held]))
+
+
+def _pairs(dataset: Path, seed: int) -> tuple[list[Sample], list[Sample]]:
+    """Pairs of a dataset's train split to learn from, and others of other scenes."""
+    table = read_table(dataset, "train")
+    parts: list[list[Sample]] = []
+    learning, held = hold_out(table.samples, 0.2, seed)
+    for samples, limit in ((learning, _MOST_PAIRS), (held, _HELD_PAIRS)):
+        order = stream(seed, "adapt", "pairs", len(parts)).permutation(len(samples))[:limit]
+        source = PairSource([samples[i] for i in sorted(order.tolist())], table.sonar)
+        parts.append([source.sample(index, None) for index in range(len(source))])
+    told = [replace(one, geometry=None) if i % 2 else one for i, one in enumerate(parts[0])]
+    return told, parts[1]
 
 
 def steps_within(minutes: float, module: AdaptModule, lesson: Lesson, fabric: Fabric) -> int:

@@ -18,8 +18,9 @@ from ...factory.frame import FrameRef
 from ...factory.imaging.contract import ARTEFACTS
 from ...factory.noise.draws import StreamNames, draw
 from ...factory.pairs import ObservedFrame, observe_by
-from ...factory.render.cache.views import Views, open_views
+from ...factory.render.views import Views, open_views
 from ...factory.seeds import stream
+from ...factory.sonar.fan import rasterised
 from ...factory.sonar.geometry import FanGeometry
 from ...factory.sonar_randomization import draw as devices
 from ..removal import DEFAULT, vector
@@ -95,9 +96,8 @@ class DeviceSource:
         # Points are thinned by a variant's stream: any number that no other picture has.
         variant = int(stream(self.seed, "variant", *names).integers(2**31))
         sample = observed.scene.sample(variant, draws.effects, config)
-        raster = device.raster
         noisy, clean = (
-            raster.picture(grey, observed.window, config.sonar, noisy=noisy)
+            rasterised(grey, observed.window, config.sonar, noisy=noisy)
             for grey, noisy in (
                 (sample.noisy(draws.names), True),
                 (sample.without(removed), False),

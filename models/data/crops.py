@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import distributed
 from torch.utils.data import Dataset, Sampler
 
 from ...factory.dataset.read.stream import Windows
@@ -154,26 +153,18 @@ def concatenate(batches: Sequence[Batch]) -> Batch:
 class VisitSampler(Sampler[list[Visit]]):
     """The visits of each step of one check interval; a batch sampler.
 
-    All images are visited once, in random order, before any is visited again.  `data.stages` holds
-    for whole intervals.  Several devices share every step.
+    All images are visited once, in random order, before any is visited again.
     """
 
     def __init__(
-        self,
-        images: int,
-        data: DataSettings,
-        intervals: int,
-        steps: int,
-        seed: int,
-        windows: Windows | None = None,
-    ):
+        self, images: int, data: DataSettings, steps: int, seed: int, windows: Windows | None = None
+    ) -> None:
         """images: how many there are.  steps: of one interval.
 
         windows: of images whose shards are fetched; their order then is not wholly random.
         """
         self._windows = windows
-        self.images, self.steps, self.crops, self.seed = images, steps, data.crops, seed
-        self.sizes = interval_sizes(data, intervals)
+        self.images, self.data, self.steps, self.seed = images, data, steps, seed
         self.reuse = data.reuse if isinstance(data, RendersData) else 1
         self._orders: dict[int, npt.NDArray[np.int64]] = {}
         self._interval = self._done = 0
@@ -195,20 +186,18 @@ class VisitSampler(Sampler[list[Visit]]):
         return self._orders[round_]
 
     def __iter__(self) -> Iterator[list[Visit]]:
-        before = sum(batch for _, batch in self.sizes[: self._interval])
-        patch, batch = self.sizes[self._interval]
-        number = (before * self.steps + self._done * batch) // self.crops
-        rank, ranks = _rank()
+        each = self.data.batch // self.data.crops
+        number = (self._interval * self.steps + self._done) * each
         for _ in range(self.steps - self._done):
             visits = []
-            for _ in range(batch // self.crops):
+            for _ in range(each):
                 round_, place = divmod(drawn(number, self.reuse, self.seed), self.images)
                 index = int(self._order(round_)[place])
                 if self._windows:
                     self._windows.reach(place)  # of the order of this round
-                visits.append(Visit(number, index, round_, patch))
+                visits.append(Visit(number, index, round_, self.data.patch))
                 number += 1
-            yield visits[rank::ranks]
+            yield visits
 
 
 def drawn(number: int, reuse: int, seed: int) -> int:
@@ -246,20 +235,3 @@ class KeptSource:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(name)
         return self._kept[name]
-
-
-def interval_sizes(data: DataSettings, intervals: int) -> list[tuple[int, int]]:
-    """(patch, batch) of every check interval."""
-    sizes: list[tuple[int, int]] = []
-    done = 0.0
-    for stage in data.stages:
-        done += stage.share
-        sizes += [(stage.patch, stage.batch)] * (round(done * intervals) - len(sizes))
-    return sizes + [(data.patch, data.batch)] * (intervals - len(sizes))
-
-
-def _rank() -> tuple[int, int]:
-    """(index of this process, number of processes) of a training on several devices."""
-    if distributed.is_available() and distributed.is_initialized():
-        return distributed.get_rank(), distributed.get_world_size()
-    return 0, 1

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
+
 from ...factory.errors import FactoryError
+from ...factory.files import sha256_of
 from ...factory.sonar.geometry import FanGeometry
 from ..recordings import (
     PICTURE_SUFFIXES,
@@ -12,9 +18,14 @@ from ..recordings import (
     kind_of,
     open_recording,
 )
+from ..recordings.fan.finder import find_geometry
 from ..recordings.fan.pings import frame_picture
 from ..recordings.pictures import read_grey, read_picture
-from .pairs import Image, SampleRef
+from ..recordings.presentation import presentation_of
+from .pairs import Image, Sample, SampleRef
+
+_KEPT = 64
+"""Frames in memory; one of 700x500 pixels takes 2 MB."""
 
 
 def list_images(folder: str | Path, key: str = "data.folder") -> tuple[SampleRef, ...]:
@@ -72,3 +83,20 @@ def _shape(sample: SampleRef) -> tuple[int, ...]:
     if is_recording(sample.path):
         return read_sample(sample)[0].shape
     return read_picture(sample.path).shape[:2]
+
+
+@lru_cache(maxsize=_KEPT)
+def frame_of(ref: SampleRef) -> Sample:
+    """A frame as networks are shown it; nobody has its clean picture, which is NaN."""
+    grey, geometry = read_sample(ref)
+    if geometry is None:
+        given = presentation_of(grey, find_geometry(grey))
+        grey, geometry = given.shown(grey), given.geometry
+    return Sample(grey, np.full_like(grey, np.nan), np.zeros_like(grey), geometry)
+
+
+def digest_of(samples: Sequence[SampleRef]) -> str:
+    """Changes with the names and the content of image files, not with where they lie."""
+    hashes = {path: sha256_of(path) for path in {sample.path for sample in samples}}
+    found = [(sample.scene, sample.frame, hashes[sample.path]) for sample in samples]
+    return hashlib.blake2b(repr(found).encode(), digest_size=8).hexdigest()

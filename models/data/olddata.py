@@ -12,7 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from ...factory.errors import FactoryError
-from ...factory.imaging.clouds import effect_clouds, noisy_cloud
+from ...factory.imaging.pointwise import effect_clouds, noisy_cloud
 from ...factory.noise.draws import Draws, StreamNames, draw
 from ...factory.noise.registry import NoiseSettings
 from ...factory.sonar.echoes import Echoes, in_plane

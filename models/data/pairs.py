@@ -188,11 +188,10 @@ class PairReader:
         return in_unit_range(noisy), in_unit_range(clean), shadow.astype(np.float32)
 
 
-def windows_of(source: Source, unread: int = 0) -> Windows | None:
+def windows_of(source: Source) -> Windows | None:
     """The windows in which the pairs of a dataset at a URL are visited; None for any other source.
 
     From a disk any picture can be read at any time, so that all of them are mixed.
-    unread: how many visits may have been asked for of other processes and not been made.
     """
     if not isinstance(source, PairSource):
         return None
@@ -202,7 +201,7 @@ def windows_of(source: Source, unread: int = 0) -> Windows | None:
     manifest = load_manifest(folder)
     listed = manifest.shards if manifest else {}
     sizes = {folder / name: info.bytes for name, info in listed.items()}
-    return Windows([sample.path for sample in source.samples], sizes=sizes, unread=unread)
+    return Windows([sample.path for sample in source.samples], sizes=sizes)
 
 
 class PairSource:

@@ -23,14 +23,14 @@ from ...factory.errors import FactoryError, FrameError
 from ...factory.frame import FrameRef
 from ...factory.noise.registry import NoiseSettings
 from ...factory.pairs import PairMaker
-from ...factory.render.cache.views import open_views
+from ...factory.render.views import open_views
 from ...factory.scenes import frames_of, open_reader
 from ...factory.seeds import stream
 from ...factory.selection import choose_frames, split_frames
 from ...factory.sonar.geometry import FanGeometry
 from ...factory.sonar.settings import SonarSettings
 from ..settings import MixedData, RendersData, Scale
-from .images import list_images
+from .images import digest_of, list_images
 from .pairs import PairTable, Sample, SampleRef, Source, spread, weakened
 
 _DECIDE = ("devices", "noise", "acoustics", "sonar", "water")
@@ -155,15 +155,14 @@ def resized(sonar: SonarSettings, scale: Scale) -> SonarSettings:
 class Renders:
     """source: what trains.  facts: what it is, for the recipe.  said: a line to show.
 
-    validation, labels: pictures to validate on, and what they show; None where the dataset's own
-    pairs serve, which is so but for drawn devices.
+    validation: pictures to validate on; None where the dataset's own pairs serve, which is so but
+    for drawn devices.
     """
 
     source: Source
     facts: dict[str, Any]
     said: str
     validation: Source | None = None
-    labels: tuple[str, ...] = ()
 
 
 def open_renders(
@@ -215,7 +214,6 @@ def open_renders(
 
 def _mixed(data: MixedData, devices: Renders, points: Source, seed: int) -> Renders:
     from .mixed import MixedSource
-    from .recordings import digest_of
     from .time_stacks import open_stacks
 
     stacks = open_stacks(data.recordings, data.least_side)
@@ -271,7 +269,6 @@ def _by_any_device(
         {**facts, "renders.devices": drawn_as},
         said,
         DeviceSource(noisy, shown, weaker=0.0, choices=0.0, **common),
-        tuple(ref.name for ref in shown),
     )
 
 

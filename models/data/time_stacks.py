@@ -18,9 +18,8 @@ from ...factory.errors import FactoryError
 from ...factory.sonar.geometry import FanGeometry
 from ..recordings.static import find_groups
 from ..removal import averaged
-from .images import list_images
+from .images import frame_of, list_images
 from .pairs import Image, Sample
-from .recordings import frame_of
 
 _ALIKE = 0.75
 """Likeness of two frames in a row from which on a recording stands still."""

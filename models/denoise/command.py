@@ -16,7 +16,7 @@ from ...factory.errors import FactoryError, FrameError
 from ...factory.files import check_writable
 from ...factory.imaging.contract import ARTEFACTS
 from ...factory.progress import progress_bar
-from ...factory.scheduler.workers.memory import keep_freed_memory
+from ...factory.scheduler.workers.machine import keep_freed_memory
 from ..pretrained import POINTS, REMOVAL
 from ..recordings import Levels, open_recording
 from ..removal import DEFAULT
@@ -32,7 +32,6 @@ from .geometries import FIND, Geometries
 from .inputs import Item, find_items, sequences
 from .pictures import Denoising, check_frames
 from .resume import Finished, stopped_by_sigterm
-from .runtime import EXACT, PRECISIONS
 from .shards import denoise_shard, made_of_points, opened_shard
 from .temporal.stream import FRAMES
 from .watch import Watched, watch
@@ -46,8 +45,7 @@ def main(arguments: Sequence[str]) -> int:
         "inputs",
         nargs="*",
         metavar="IN",
-        help="image, folder, shard, video, .aris, .ddf, .raw, bag, array (.npy; of .npz, .mat and "
-        "HDF5 also FILE::NAME)",
+        help="image, folder, shard, video, .aris, .ddf, .raw, bag or array (.npy, .npz, .mat)",
     )
     parser.add_argument("--out", required=True, help="folder for the results; names are kept")
     parser.add_argument(
@@ -110,12 +108,6 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--device", choices=("auto", "cpu", "gpu"), default="auto")
     parser.add_argument(
-        "--precision",
-        choices=PRECISIONS,
-        default=EXACT,
-        help=f"arithmetic; auto: bf16-mixed, faster, where the device has it ({EXACT})",
-    )
-    parser.add_argument(
         "--watch", metavar="FOLDER", help="denoise what comes into a folder, until Ctrl-C"
     )
     parser.add_argument(
@@ -146,7 +138,6 @@ def main(arguments: Sequence[str]) -> int:
         "tile": chosen.tile,
         "overlap": chosen.overlap,
         "strength": chosen.strength,
-        "precision": chosen.precision,
     }
     denoise = asked_denoiser(chosen.weights, remove=remove, noise=chosen.noise, **how)
     points = None

@@ -14,7 +14,7 @@ from ...factory.sonar.geometry import FanGeometry
 from ..recordings.presentation import presentation_of
 from ..removal import DEFAULT, averaged, vector
 from .pictures import Gray
-from .runtime import EXACT, open_runtime
+from .runtime import open_runtime
 from .sizes import Maps, by_scales, tiled
 
 TILE, OVERLAP = 1024, 96
@@ -39,16 +39,14 @@ class Denoiser:
         overlap: int,
         remove: Sequence[str] | None = None,
         strength: float = 1.0,
-        precision: str = EXACT,
     ) -> None:
         """remove: artefacts of `formation.contract.ARTEFACTS`; None: the usual ones.
 
         strength: part of the change that a picture gets, 0 to 1.
-        precision: one of PRECISIONS; auto is bf16-mixed where the device has instructions for it.
         Raises FactoryError for a file that holds no weights, for a GPU that is not there, and for
         artefacts that there are not or that the network cannot be asked for.
         """
-        self.runtime = open_runtime(weights, device, precision)
+        self.runtime = open_runtime(weights, device)
         self.digest = hashlib.sha256(weights.read_bytes()).hexdigest()
         self.tile, self.overlap, self.strength = tile, overlap, np.float32(strength)
         self._told = _told(self.runtime.extras, remove)
@@ -64,33 +62,24 @@ class Denoiser:
         geometry: FanGeometry | None = None,
         *,
         layout: str | None = None,
-        looks: Sequence[Gray] = (),
         frames: float | Gray | None = None,
     ) -> Gray:
         """(H, W) float32 in 0..1 -> the same, denoised.
 
         geometry: where range and bearing are, if that is known; or layout `polar`: rows are ranges,
-        near range first, and the columns span 30 degrees.  looks: an odd number of pictures of the
-        same scene, itself in the middle, for weights that see several (`looks`).  frames: how many
-        were averaged in the picture, 1 or more, or (H, W) float32 of how many in each pixel: one
-        over the sum of the squared weights, where these add up to 1; None: a single frame.
+        near range first, and the columns span 30 degrees.  frames: how many were averaged in the
+        picture, 1 or more, or (H, W) float32 of how many in each pixel: one over the sum of the
+        squared weights, where these add up to 1; None: a single frame.
         The weights get the picture by its `presentation_of`, and one of wide grain `by_scales`.
         """
         given = presentation_of(gray, known_geometry(geometry, layout, gray))
-        shown = [given.shown(look) for look in looks]
         told = None
         if frames is not None and self.knows_frames:
             told = np.broadcast_to(np.asarray(frames, np.float32), gray.shape)
             told = averaged(np.rot90(told, given.quarter_turns))
-        return given.undone(self._denoise(given.shown(gray), given.geometry, shown, told))
+        return given.undone(self._denoise(given.shown(gray), given.geometry, told))
 
-    def _denoise(
-        self,
-        gray: Gray,
-        geometry: FanGeometry | None,
-        looks: Sequence[Gray],
-        frames: Gray | None,
-    ) -> Gray:
+    def _denoise(self, gray: Gray, geometry: FanGeometry | None, frames: Gray | None) -> Gray:
         network = self.runtime
         maps: dict[str, Gray] = {}
         if geometry is not None and network.extras:
@@ -100,8 +89,6 @@ class Denoiser:
         if frames is not None:
             maps["frames"] = np.ascontiguousarray(frames, np.float32)
             widest = 1.0 if frames.mean() > averaged(_SEVERAL) else widest
-        if self.looks > 1 and looks:
-            maps["looks"] = np.stack(looks, axis=-1)  # tiles cut the first two axes
         outside = _surroundings(gray, maps)
         shown = gray if outside is None else np.where(outside, np.float32(0), gray)
         denoised = by_scales(shown, maps, self._denoise_whole, widest)
@@ -128,11 +115,6 @@ class Denoiser:
             # The head that weighs knows single frames; of means it takes too little.
             weight = np.float32(1)
         return np.asarray(np.clip(gray + weight * (denoised - gray), 0, 1), np.float32)
-
-    @property
-    def looks(self) -> int:
-        """How many pictures of a scene the weights see at once."""
-        return self.runtime.looks
 
 
 def _surroundings(gray: Gray, maps: Maps) -> npt.NDArray[np.bool_] | None:
@@ -175,14 +157,13 @@ def load_denoiser(
     overlap: int = OVERLAP,
     remove: Sequence[str] | None = None,
     strength: float = 1.0,
-    precision: str = EXACT,
 ) -> Denoiser:
     """A function that denoises one gray image.
 
     weights: a file that training wrote, the name of weights that ship, or None for the default of
-    these.  remove, strength, precision: see `Denoiser`.
+    these.  remove, strength: see `Denoiser`.
     Raises FactoryError when there are none, and as `Denoiser` does.
     """
     from ..pretrained import find_weights
 
-    return Denoiser(find_weights(weights), device, tile, overlap, remove, strength, precision)
+    return Denoiser(find_weights(weights), device, tile, overlap, remove, strength)

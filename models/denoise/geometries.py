@@ -54,4 +54,4 @@ class Geometries:
     def summary(self) -> Iterator[str]:
         """One line a folder, video or bag whose pictures were looked at."""
         for place, (with_fan, looked_at) in self._counts.items():
-            yield f"geometry: fan found in {with_fan} of {looked_at} pictures ({place})"
+            yield f"geometry: fan found in {with_fan} of {looked_at} pictures searched ({place})"

@@ -15,7 +15,7 @@ from ...factory.dataset.read.reader import shard_paths
 from ...factory.errors import FactoryError
 from ..recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, Levels, is_bag_folder, kind_of
 from ..recordings.arrays import SUFFIXES as ARRAY_SUFFIXES
-from ..recordings.arrays import file_of, is_table
+from ..recordings.arrays import is_table
 from ..recordings.base import ARRAY_SUFFIX, TIFF_SUFFIXES
 
 PING_KINDS = ("aris", "ddf", "oculus")
@@ -40,7 +40,6 @@ _NUMBER = re.compile(r"\d+")
 class Item:
     """One input file (or a folder that is a bag) and its name below the output folder.
 
-    source: of a file of arrays also FILE::NAME.
     checked: a shard that another process has opened without harm.
     levels: of arrays and TIFF files, what shows as black and white.
     whole_name: whether its sheet to compare by keeps its suffix, as another has its name without.
@@ -124,7 +123,7 @@ def place_in_time(item: Item) -> tuple[SequenceKey, int]:
 
 def _check_outputs(items: Sequence[Item], out: Path, *, compare: bool) -> None:
     """No file that is written is an input, or the same as another."""
-    sources = {file_of(item.source).resolve() for item in items}
+    sources = {item.source.resolve() for item in items}
     written: dict[Path, Item] = {}
     for item in items:
         results = [item.relative, *([item.compared] if compare else [])]
@@ -141,14 +140,13 @@ def _check_outputs(items: Sequence[Item], out: Path, *, compare: bool) -> None:
 
 
 def _of_input(path: Path, out: Path) -> Iterator[Item]:
-    file = file_of(path)
-    if file.is_file():
-        if file.suffix.lower() not in SUFFIXES:
+    if path.is_file():
+        if path.suffix.lower() not in SUFFIXES:
             raise FactoryError(
                 f"{path}: neither an image nor a shard nor a video or recording "
                 f"({', '.join(SUFFIXES)})"
             )
-        yield Item(path, _output_of(Path(file.name)))
+        yield Item(path, _output_of(Path(path.name)))
     elif not path.is_dir():
         raise FactoryError(f"{path}: no such file or folder")
     elif is_bag_folder(path):

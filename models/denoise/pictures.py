@@ -5,6 +5,7 @@ The command, `simnfnd.denoise` and evaluation denoise by it, a picture or a sequ
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -96,21 +97,23 @@ class Denoising:
         plain = picture if painted is None else painted.levels
         return Seen(key, picture, plain, painted, place, shift_px)
 
-    def stream(self, *, alone: bool = False) -> InTime[Seen[Key]]:
-        """What takes the frames of one sequence; alone: each by itself."""
+    def stream(self, *, alone: bool = False, at_once: int = 1) -> InTime[Seen[Key]]:
+        """What takes the frames of one sequence; alone: each by itself.  at_once: see `InTime`."""
         return InTime(
             self.network,
             frames=1 if alone else self.frames,
             causal=self._causal,
             calibrated=self._calibrated,
             tally=self.tally,
+            at_once=at_once,
         )
 
     def sequence(
         self, pictures: Iterable[Seen[Key]], *, alone: bool = False
     ) -> Iterator[tuple[Seen[Key], Picture]]:
         """Each picture of a sequence and what became of it, in order."""
-        stream: InTime[Seen[Key]] = self.stream(alone=alone)
+        cores = 1 if alone else len(os.sched_getaffinity(0))
+        stream: InTime[Seen[Key]] = self.stream(alone=alone, at_once=cores)
         for seen in pictures:
             yield from finished(stream.push(shot_of(seen)))
         yield from finished(stream.finish())

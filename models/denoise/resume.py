@@ -12,7 +12,6 @@ from pathlib import Path
 from types import FrameType
 
 from ...factory.files import write_atomically
-from ..recordings.arrays import file_of
 from .inputs import Item
 
 NAME = ".denoise-stopped.json"
@@ -84,7 +83,7 @@ def stopped_by_sigterm() -> Iterator[None]:
 
 def _state(item: Item) -> list[int]:
     try:
-        found = file_of(item.source).stat()
+        found = item.source.stat()
     except OSError:
         return []
     return [found.st_size, found.st_mtime_ns]

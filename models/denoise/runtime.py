@@ -24,11 +24,6 @@ from .polar_grid import PolarGrid
 Gray = npt.NDArray[np.float32]
 Maps = Mapping[str, Gray]
 
-EXACT = "32-true"
-PRECISIONS = ("auto", EXACT, "bf16-mixed")
-"""Arithmetic of a denoiser, in the words of `train.precision`."""
-
-
 _MOST = np.float32(80)
 """Of a logit, so that its exponential is a number."""
 
@@ -36,36 +31,32 @@ _MOST = np.float32(80)
 class Runtime(Protocol):
     """A network ready to denoise.
 
-    extras: names of its optional inputs (see `models.networks`).  looks: pictures that it sees at
-    once.  wide_grain: see `models.denoise.sizes`.  on_gpu: whether it runs on a GPU.
+    extras: names of its optional inputs (see `models.networks`).
+    wide_grain: see `models.denoise.sizes`.  on_gpu: whether it runs on a GPU.
     """
 
     extras: tuple[str, ...]
-    looks: int
     wide_grain: float
     on_gpu: bool
 
     def run(self, gray: Gray, maps: Maps, told: Gray | None) -> tuple[Gray, float]:
         """The picture (H, W) with its whole change, and the part of that it should get, 0 to 1.
 
-        gray: (H, W) in 0..1.  maps: (H, W) planes by the names of `extras`; `looks` (H, W, T).
+        gray: (H, W) in 0..1.  maps: (H, W) planes by the names of `extras`.
         told: (6,), what to remove; None where the network is not told.
         """
 
 
-def open_runtime(weights: Path, device: str, precision: str = EXACT) -> Runtime:
+def open_runtime(weights: Path, device: str) -> Runtime:
     """The network of a weights file.
 
     device: auto, cpu or gpu.  Raises FactoryError for a file that holds no network, a GPU that is
-    not there, an unknown precision, and packages that are not installed.
+    not there, and packages that are not installed.
     """
-    if precision not in PRECISIONS:
-        raise FactoryError(f"--precision {precision}: is none of {', '.join(PRECISIONS)}")
-    if precision != "bf16-mixed":
-        graph = _graph_of(weights)
-        if graph is not None:
-            return OnnxNetwork(weights, graph, device)
-    return TorchNetwork(weights, device, precision)
+    graph = _graph_of(weights)
+    if graph is not None:
+        return OnnxNetwork(weights, graph, device)
+    return TorchNetwork(weights, device)
 
 
 def structure(model: Mapping[str, Any]) -> dict[str, Any]:
@@ -89,8 +80,6 @@ def give_weights(options: Any, weights: Mapping[str, npt.NDArray[Any]]) -> list[
 
 class OnnxNetwork:
     """A network in onnxruntime, in 32 bits; a `Runtime`."""
-
-    looks = 1
 
     def __init__(self, path: Path, graph: Path, device: str) -> None:
         """See `open_runtime`.  graph: as `simnfnd export-weights --to runtime` wrote it."""
@@ -231,7 +220,7 @@ def _numbers(values: Gray, inside: npt.NDArray[np.bool_], count: int) -> npt.NDA
 class TorchNetwork:
     """A network in torch; a `Runtime`."""
 
-    def __init__(self, path: Path, device: str, precision: str = EXACT) -> None:
+    def __init__(self, path: Path, device: str) -> None:
         """See `open_runtime`."""
         require(Need(f"weights={path.name}", module) for module in ("torch", "safetensors"))
         import torch
@@ -245,9 +234,8 @@ class TorchNetwork:
         self.on_gpu = has_gpu and device != "cpu"
         self._device = "cuda" if self.on_gpu else "cpu"
         self._network = network.to(self._device)
-        self.extras, self.looks = network.extras, network.looks
+        self.extras = network.extras
         self.wide_grain = network.wide_grain
-        self._half = _is_half(precision, self._device)
 
     def run(self, gray: Gray, maps: Maps, told: Gray | None) -> tuple[Gray, float]:
         """See `Runtime`."""
@@ -256,34 +244,17 @@ class TorchNetwork:
         known = {
             name: torch.from_numpy(np.ascontiguousarray(plane))[None, None]
             for name, plane in maps.items()
-            if name in self.extras and name != "looks"
+            if name in self.extras
         }
-        if "looks" in maps:
-            looks = np.ascontiguousarray(np.moveaxis(maps["looks"], -1, 0))
-            known["looks"] = torch.from_numpy(looks)[None]
         if told is not None:
             known["remove"] = torch.from_numpy(told)[None]
         known = {name: plane.to(self._device) for name, plane in known.items()}
         noisy, weight = torch.from_numpy(np.ascontiguousarray(gray))[None, None], 1.0
         noisy = noisy.to(self._device)
-        with (
-            torch.inference_mode(),
-            torch.autocast(self._device, torch.bfloat16, enabled=self._half),
-        ):
+        with torch.inference_mode():
             if self._network.has_heads:
                 output = self._network.with_heads(noisy, **known)
                 image, weight = output.image, float(output.weight[0])
             else:
                 image = self._network(noisy, **known)
         return np.asarray(image[0, 0].float().cpu().numpy(), np.float32), weight
-
-
-def _is_half(precision: str, device: str) -> bool:
-    """Whether to compute in bfloat16."""
-    if precision == EXACT:
-        return False
-    from ..training.precision import cpu_has_bf16, gpu_has_bf16
-
-    if precision == "auto":
-        return cpu_has_bf16() if device == "cpu" else gpu_has_bf16()
-    return True

@@ -57,11 +57,11 @@ def correlation(grey: Grey) -> float:
     if np.count_nonzero(lit) < _LEAST_LIT:
         return 0.0
     grain = (grey - cv2.blur(grey, (_AROUND_PX, _AROUND_PX))) * lit
-    power = float(np.vdot(grain, grain))
+    power = float(np.einsum("ij,ij->", grain, grain))
     if power <= 0:
         return 0.0
-    down = float(np.vdot(grain[1:], grain[:-1]))
-    across = float(np.vdot(grain[:, 1:], grain[:, :-1]))
+    down = float(np.einsum("ij,ij->", grain[1:], grain[:-1]))
+    across = float(np.einsum("ij,ij->", grain[:, 1:], grain[:, :-1]))
     return min(down, across) / power
 
 

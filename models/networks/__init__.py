@@ -39,20 +39,17 @@ if TYPE_CHECKING:
     from .network import Network
 
 NETWORKS = {
-    "dae": ("simnfnd.models.networks.literature.dae", "DAESettings", "DAE"),
-    "dgp_srgan": ("simnfnd.models.networks.literature.dgp_srgan", "DGPSRGANSettings", "DGPSRGAN"),
-    "nafnet": ("simnfnd.models.networks.nafnet", "NAFNetSettings", "NAFNet"),
-    "restormer": ("simnfnd.models.networks.restormer", "RestormerSettings", "Restormer"),
-    "sid_tgan": ("simnfnd.models.networks.literature.sid_tgan", "SIDTGANSettings", "SIDTGAN"),
-    "sonarnet": ("simnfnd.models.networks.sonarnet", "SonarNetSettings", "SonarNet"),
-    "three_stage": (
-        "simnfnd.models.networks.literature.three_stage",
-        "ThreeStageSettings",
-        "ThreeStage",
-    ),
-    "unet": ("simnfnd.models.networks.unet", "UNetSettings", "UNet"),
+    "dae": ("literature.dae", "DAE"),
+    "dgp_srgan": ("literature.dgp_srgan", "DGPSRGAN"),
+    "nafnet": ("nafnet", "NAFNet"),
+    "restormer": ("restormer", "Restormer"),
+    "sid_tgan": ("literature.sid_tgan", "SIDTGAN"),
+    "sonarnet": ("sonarnet", "SonarNet"),
+    "three_stage": ("literature.three_stage", "ThreeStage"),
+    "unet": ("unet", "UNet"),
 }
-"""kind -> module, settings class, network class; torch is imported only when one is built."""
+"""kind -> module here and its network, beside which lie `<network>Settings`; torch is imported only
+when one is built."""
 
 
 def build_network(config: Mapping[str, Any]) -> Network:
@@ -63,8 +60,8 @@ def build_network(config: Mapping[str, Any]) -> Network:
     kind = config.get("kind")
     if not isinstance(kind, str) or kind not in NETWORKS:
         raise FactoryError(f"model.kind: {kind!r} is none of {', '.join(sorted(NETWORKS))}")
-    module_name, settings_name, network_name = NETWORKS[kind]
-    module = import_module(module_name)
-    settings: Any = build(getattr(module, settings_name), config, "model")
-    network: Network = getattr(module, network_name)(settings)
+    module_name, name = NETWORKS[kind]
+    module = import_module(f".{module_name}", __name__)
+    settings: Any = build(getattr(module, f"{name}Settings"), config, "model")
+    network: Network = getattr(module, name)(settings)
     return network

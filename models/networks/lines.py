@@ -7,8 +7,6 @@ at once which one it is.
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -46,35 +44,23 @@ class LineContext(nn.Module):
         return lines.add(x, beams, arcs, self.added)
 
 
-class Lines(Protocol):
-    """The beams and arcs of the cells of a feature map."""
+class GridLines:
+    """Columns are beams and rows are arcs: of a polar picture, or where nobody knows."""
 
     def beam_means(self, x: Tensor) -> Tensor:
         """(N, C, h, w) -> (N, C, beams) means along each beam."""
+        return x.float().mean(2)
 
     def arc_means(self, x: Tensor) -> Tensor:
         """(N, C, h, w) -> (N, C, arcs) means along each arc."""
+        return x.float().mean(3)
 
     def add(self, x: Tensor, beams: Tensor, arcs: Tensor, added: nn.Conv2d) -> Tensor:
         """The features and `added` of what the beam and the arc of each cell have.
 
-        x: (N, C, h, w).  beams: (N, D, beams).  arcs: (N, D, arcs).  added: 1x1, of 2 D channels.
+        x: (N, C, h, w).  beams: (N, D, beams).  arcs: (N, D, arcs).  added: 1x1, of 2 D channels;
+        each line is convolved once, and not each of its cells.
         """
-
-
-class GridLines:
-    """Columns are beams and rows are arcs: of a polar picture, or where nobody knows; a `Lines`."""
-
-    def beam_means(self, x: Tensor) -> Tensor:
-        """See `Lines`."""
-        return x.float().mean(2)
-
-    def arc_means(self, x: Tensor) -> Tensor:
-        """See `Lines`."""
-        return x.float().mean(3)
-
-    def add(self, x: Tensor, beams: Tensor, arcs: Tensor, added: nn.Conv2d) -> Tensor:
-        """See `Lines`; each line is convolved once, and not each of its cells."""
         weight, depth = added.weight[..., 0], beams.shape[1]
         along = functional.conv1d(beams, weight[:, :depth], added.bias)
         across = functional.conv1d(arcs, weight[:, depth:])
@@ -82,7 +68,7 @@ class GridLines:
 
 
 class MapLines:
-    """The beams and arcs of a fan; a `Lines`.
+    """The beams and arcs of a fan.
 
     beam, arc: (N, h * w) int64 numbers below `beams` and `arcs`.  weight: (N, 1, h * w), 0 outside
     the sector.
@@ -111,15 +97,15 @@ class MapLines:
         )
 
     def beam_means(self, x: Tensor) -> Tensor:
-        """See `Lines`."""
+        """See `GridLines`."""
         return self._means(x, self.beam, self.beams)
 
     def arc_means(self, x: Tensor) -> Tensor:
-        """See `Lines`."""
+        """See `GridLines`."""
         return self._means(x, self.arc, self.arcs)
 
     def add(self, x: Tensor, beams: Tensor, arcs: Tensor, added: nn.Conv2d) -> Tensor:
-        """See `Lines`."""
+        """See `GridLines`."""
         spread = [self._spread(beams, self.beam), self._spread(arcs, self.arc)]
         found: Tensor = x + added(torch.cat(spread, dim=1))
         return found
@@ -137,6 +123,10 @@ class MapLines:
         """(N, C, beams or arcs) -> (N, C, h, w): every cell gets what its line has."""
         index = numbers[:, None].expand(-1, along.shape[1], -1)
         return along.gather(2, index).reshape(*along.shape[:2], *self.shape)
+
+
+Lines = GridLines | MapLines
+"""The beams and arcs of the cells of a feature map."""
 
 
 def _numbers(values: Tensor, weight: Tensor, count: int) -> Tensor:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import pairwise
 from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+from torch.nn.attention import SDPBackend, sdpa_kernel
+from torch.utils.flop_counter import FlopCounterMode
 
 Step = Callable[[Tensor], Tensor]
 
@@ -136,6 +139,22 @@ def padded(x: Tensor, stride: int) -> Tensor:
     return functional.pad(x, pad, mode="replicate") if any(pad) else x
 
 
+def u_shape(
+    widths: Sequence[int], blocks: Sequence[int]
+) -> tuple[nn.ModuleList, nn.ModuleList, nn.ModuleList, nn.ModuleList]:
+    """Encoders, halvings, doublings and decoders between resolutions of these widths.
+
+    blocks: residual blocks at each resolution.  The coarsest has none here.
+    """
+    encoders, downs, ups, decoders = (nn.ModuleList() for _ in range(4))
+    for (fine, coarse), count in zip(pairwise(widths), blocks, strict=False):
+        encoders.append(residual_blocks(fine, count))
+        downs.append(nn.Conv2d(fine, coarse, 2, stride=2))
+        ups.insert(0, nn.ConvTranspose2d(coarse, fine, 2, stride=2))
+        decoders.insert(0, residual_blocks(fine, count))
+    return encoders, downs, ups, decoders
+
+
 def down_and_up(
     x: Tensor,
     encoders: Iterable[Step],
@@ -154,6 +173,31 @@ def down_and_up(
     for up, blocks in zip(ups, decoders, strict=True):
         x = blocks(up(x).add_(skips.pop()))
     return x
+
+
+class ResidualBlock(nn.Module):
+    """Two convolutions, added to what came in; it starts as the identity."""
+
+    def __init__(self, first: nn.Conv2d, second: nn.Conv2d) -> None:
+        super().__init__()
+        self.first, self.second = first, second
+        nn.init.zeros_(self.second.weight)
+        assert self.second.bias is not None
+        nn.init.zeros_(self.second.bias)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, C, H, W) -> the same shape."""
+        changed: Tensor = self.second(functional.relu(self.first(x), inplace=True))
+        return changed.add_(x)
+
+
+def residual_blocks(channels: int, count: int) -> nn.Sequential:
+    """So many of them of 3x3, one after another."""
+
+    def convolution() -> nn.Conv2d:
+        return nn.Conv2d(channels, channels, 3, padding=1)
+
+    return nn.Sequential(*(ResidualBlock(convolution(), convolution()) for _ in range(count)))
 
 
 class LayerNorm(nn.Module):
@@ -189,3 +233,23 @@ def halves(x: Tensor) -> tuple[Tensor, Tensor]:
     """The first and the second half of the channels, (N, 2C, H, W) -> 2 x (N, C, H, W)."""
     first, second = torch.chunk(x, 2, dim=1)
     return first, second
+
+
+def count_macs(network: Network, size_px: int) -> int:
+    """Multiply-accumulates of convolutions and matrix products for one square image.
+
+    Of the network in use, where that differs from training, and without its optional inputs.
+    Nothing is computed where the network is on torch's `meta` device.
+    """
+    image = torch.rand(1, 1, size_px, size_px, device=next(network.parameters()).device)
+    was_training = network.training
+    network.eval()
+    try:
+        # Attention as its two products, which are what torch counts.
+        counter = FlopCounterMode(display=False)
+        with counter, sdpa_kernel(SDPBackend.MATH), torch.inference_mode():
+            network(image)
+    finally:
+        network.train(was_training)
+    # torch counts two floating-point operations a multiply-accumulate.
+    return int(counter.get_total_flops()) // 2

@@ -35,9 +35,16 @@ from ...factory.settings import STRICT
 from ..removal import DEFAULT, vector
 from .blend_head import BlendHead
 from .lines import GridLines, LineContext, Lines, MapLines
-from .network import Network, NetworkOutput, Step, down_and_up, padded
+from .network import (
+    Network,
+    NetworkOutput,
+    Step,
+    down_and_up,
+    padded,
+    residual_blocks,
+    u_shape,
+)
 from .polar import polar_grid
-from .unet import residual_blocks
 
 _MAPS = ("range_fraction", "azimuth_rad", "sector")
 _TOLD = 32  # features of what is to be removed
@@ -114,13 +121,7 @@ class SonarNet(Network):
         if settings.frames:
             self.frames = nn.ModuleList(_frames_film(width) for width in widths)
         self.lines = LineContext(widths[0]) if settings.lines else None
-        self.encoders, self.downs = nn.ModuleList(), nn.ModuleList()
-        self.ups, self.decoders = nn.ModuleList(), nn.ModuleList()
-        for fine, coarse, count in zip(widths, widths[1:], blocks, strict=False):
-            self.encoders.append(residual_blocks(fine, count))
-            self.downs.append(nn.Conv2d(fine, coarse, 2, stride=2))
-            self.ups.insert(0, nn.ConvTranspose2d(coarse, fine, 2, stride=2))
-            self.decoders.insert(0, residual_blocks(fine, count))
+        self.encoders, self.downs, self.ups, self.decoders = u_shape(widths, blocks)
         self.middle = residual_blocks(widths[-1], blocks[-1])
         self.outro = nn.Conv2d(widths[0], 4 * 2, 3, padding=1)
         nn.init.zeros_(self.outro.weight)

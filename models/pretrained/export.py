@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import yaml
+from typing import Any
 
 from ...factory import __version__
 from ...factory.cli import Parser
 from ...factory.cli.extras import Need, require
 from ...factory.errors import FactoryError
-from ...factory.files import check_writable, write_atomically
+from ...factory.files import check_writable, sha256_of, write_atomically
 from . import find_weights
-
-if TYPE_CHECKING:
-    from ..networks.network import Network
-    from .graph import Layout
 
 LIMIT_MB = 8.0
 """What ships must be small enough to live in the repository."""
@@ -90,8 +83,9 @@ def main(arguments: Sequence[str]) -> int:
         "--to",
         choices=tuple(SUFFIXES),
         default="safetensors",
-        help="safetensors: 16 bits with a model card (default); runtime: the graph without "
-        "weights by which `simnfnd denoise` does without torch; others: see docs/deploy.md",
+        help="safetensors: 16 bits with a model card (default); onnx: for other programs, see "
+        "docs/deploy.md; runtime: the graph without weights by which `simnfnd denoise` does "
+        "without torch",
     )
     parser.add_argument(
         "--geometry",
@@ -99,101 +93,49 @@ def main(arguments: Sequence[str]) -> int:
         default="none",
         help="of the pictures that an onnx file gets with their range and bearing",
     )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="a setting of the network that may change after training, for example mirror=true",
-    )
     parser.add_argument("--figures", help="Markdown file with measured figures for the card")
     parser.add_argument("--limits", help="Markdown file that replaces the card's words on limits")
     chosen = parser.parse_args(list(arguments))
     out = Path(chosen.out).expanduser()
     if out.suffix != SUFFIXES[chosen.to]:
         raise FactoryError(f"--out {out}: must end in {SUFFIXES[chosen.to]} for --to {chosen.to}")
-    weights, changes = find_weights(chosen.weights), _changes(chosen.set)
-    if chosen.to == "runtime" and (changes or chosen.geometry != "none"):
-        raise FactoryError("--set, --geometry: are not for --to runtime, which takes any geometry")
-    if chosen.to != "safetensors":
-        if chosen.figures or chosen.limits:
-            raise FactoryError("--figures, --limits: are for the card, so for --to safetensors")
-        lines = (
-            export_runtime(weights, out)
-            if chosen.to == "runtime"
-            else export_graph(weights, out, chosen.geometry, changes)
-        )
-        for line in lines:
-            print(line)
-        return 0
-    if chosen.geometry != "none":
+    if chosen.geometry != "none" and chosen.to != "onnx":
         raise FactoryError(f"--geometry {chosen.geometry}: is for --to onnx")
-    figures, limits = (_text(path) for path in (chosen.figures, chosen.limits))
-    size_mb = export(weights, out, figures, limits, changes=changes)
-    print(f"weights: {out}, {size_mb:.2f} MB; card: {out.with_suffix('.md')}")
+    weights = find_weights(chosen.weights)
+    if chosen.to == "safetensors":
+        size_mb = export(weights, out, _text(chosen.figures), _text(chosen.limits))
+        print(f"weights: {out}, {size_mb:.2f} MB; card: {out.with_suffix('.md')}")
+        return 0
+    if chosen.figures or chosen.limits:
+        raise FactoryError("--figures, --limits: are for the card, so for --to safetensors")
+    require(Need(f"--to {chosen.to}", module) for module in ("onnx", "onnxruntime"))
+    from ..networks.weights import load_weights
+    from .onnx_graph import OPSET, Graph, write_onnx, write_runtime
+
+    if chosen.to == "runtime":
+        difference = write_runtime(weights, out)
+    else:
+        trained = load_weights(weights)
+        about = {
+            "model": json.dumps(dict(trained.model), sort_keys=True),
+            "weights_sha256": sha256_of(weights),
+        }
+        difference = write_onnx(Graph(trained.network, chosen.geometry), out, about)
+    size_mb = out.stat().st_size / 1e6
+    print(f"{out}: ONNX, opset {OPSET}, {size_mb:.2f} MB, within {difference:.1e} of torch")
     return 0
 
 
-def export_runtime(weights: Path, out: Path) -> Iterator[str]:
-    """Write the graph by which `simnfnd denoise` runs weights in onnxruntime; a line on it.
-
-    Raises FactoryError when the weights cannot be read, are of another network than `sonarnet`, or
-    onnxruntime would not compute what torch does.
-    """
-    require(Need("--to runtime", module) for module in ("onnx", "onnxruntime"))
-    from .runtime_graph import write_runtime
-
-    difference = write_runtime(weights, out)
-    yield f"{out}: {out.stat().st_size / 1e6:.2f} MB, within {difference:.1e} of torch"
-
-
-def export_graph(
-    weights: Path,
-    out: Path,
-    layout: Layout = "none",
-    changes: Mapping[str, Any] | None = None,
-) -> Iterator[str]:
-    """Write a network with its weights for other programs; lines on what was written.
-
-    layout, changes: of the geometry, and of the network's settings.
-    Raises FactoryError when the weights cannot be read or do not fit the changed network, the
-    network does not use a geometry, or the file would not compute what torch does.
-    """
-    require(Need("--to onnx", module) for module in ("onnx", "onnxruntime"))
-    from ..networks.weights import load_weights
-    from .graph import MAPS, Graph, described
-    from .traced import OPSET, write_onnx
-
-    trained = load_weights(weights)
-    model = {**trained.model, **(changes or {})}
-    graph = Graph(_changed(trained.network, model, changes), layout)
-    digest = hashlib.sha256(weights.read_bytes()).hexdigest()
-    about = {"model": json.dumps(model, sort_keys=True), "weights_sha256": digest}
-    difference = write_onnx(graph, out, about)
-    size_mb = out.stat().st_size / 1e6
-    yield f"{out}: ONNX, opset {OPSET}, {size_mb:.2f} MB, within {difference:.1e} of torch"
-    for name, line in described(graph).items():
-        yield f"  {'in ' if name in graph.inputs else 'out'} {name}: {line}"
-    if layout == "none" and set(MAPS) <= set(graph.network.extras):
-        yield "  with --geometry fan or polar it is told where range and bearing lie"
-
-
-def export(
-    weights: str | Path,
-    out: Path,
-    figures: str = "",
-    limits: str = "",
-    changes: Mapping[str, Any] | None = None,
-) -> float:
+def export(weights: str | Path, out: Path, figures: str = "", limits: str = "") -> float:
     """Write `out` and its card; returns the megabytes of the weights.
 
     figures, limits: Markdown for the card; empty: the validation of the training, and general
-    words.  changes: of the network's settings.  Raises FactoryError when the weights cannot be
-    read, hold what 16 bits cannot, are too large to ship, or do not fit the changed network.
+    words.  Raises FactoryError when the weights cannot be read, hold what 16 bits cannot, or are
+    too large to ship.
     """
     import torch  # slow; mistakes on the command line are reported before
 
-    from ..networks.cost import count_macs
+    from ..networks.network import count_macs
     from ..networks.weights import load_weights, save_weights
 
     trained = load_weights(weights)
@@ -207,16 +149,14 @@ def export(
             f"weights={weights}: {size_mb:.1f} MB in 16 bits are more than the {LIMIT_MB:g} MB "
             "that may ship; train a smaller network"
         )
-    model = {**trained.model, **(changes or {})}
-    _changed(trained.network, model, changes)
     check_writable(out.parent, "--out")
-    save_weights(out, trained.network, model, trained.training, half=True)
+    save_weights(out, trained.network, trained.model, trained.training, half=True)
     facts = dict(trained.training)
     validation = facts.pop("validation", {})
     card = _CARD.format(
         name=out.stem,
         version=__version__,
-        network=", ".join(f"{key} {value}" for key, value in model.items()),
+        network=", ".join(f"{key} {value}" for key, value in trained.model.items()),
         parameters=count,
         gmac=f"{count_macs(trained.network, 256) / 1e9:.2f}",
         size_mb=out.stat().st_size / 1e6,
@@ -235,33 +175,6 @@ def export(
     )
     write_atomically(out.with_suffix(".md"), card.encode(), key="--out")
     return out.stat().st_size / 1e6
-
-
-def _changed(
-    network: Network, model: Mapping[str, Any], changes: Mapping[str, Any] | None
-) -> Network:
-    """The network of the `model` group with these weights."""
-    from ..networks import build_network
-
-    changed = build_network(model)
-    try:
-        changed.load_state_dict(network.state_dict())
-    except RuntimeError as error:
-        raise FactoryError(
-            f"--set {', '.join(changes or {})}: the weights do not fit such a network; set only "
-            "what does not change its sizes"
-        ) from error
-    return changed
-
-
-def _changes(words: Sequence[str]) -> dict[str, Any]:
-    changes = {}
-    for word in words:
-        key, equals, text = word.partition("=")
-        if not equals:
-            raise FactoryError(f"--set {word}: is no KEY=VALUE")
-        changes[key] = yaml.safe_load(text)
-    return changes
 
 
 def _validation(row: Mapping[str, Any]) -> str:

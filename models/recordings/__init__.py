@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ...factory.errors import FactoryError
-from .arrays import SUFFIXES, file_of, kind_of_arrays, split_name
+from .arrays import SUFFIXES, kind_of_arrays
 from .base import (
     PICTURE_SUFFIXES,
     TIFF_SUFFIXES,
@@ -73,7 +73,6 @@ def kind_of(path: Path) -> str | None:
     picture); one that holds no pictures is of no kind.  A folder is `rosbag` when it holds a bag of
     ROS 2, and `pictures` otherwise.
     """
-    path, name = split_name(path)
     if path.is_dir():
         return "rosbag" if is_bag_folder(path) else "pictures"
     suffix = path.suffix.lower()
@@ -82,8 +81,6 @@ def kind_of(path: Path) -> str | None:
 
         if is_stack(path):
             return "stack"
-    if name is not None:
-        return "array"
     if suffix in SUFFIXES and path.is_file():
         return {"picture": "pictures", "several": "array", "other": None}[kind_of_arrays(path)]
     for kind, (_, suffixes) in READERS.items():
@@ -94,21 +91,19 @@ def kind_of(path: Path) -> str | None:
 
 def is_recording(path: Path) -> bool:
     """Whether a file or folder is one by its name: of a sonar, a bag or a video, not pictures."""
-    return file_of(path).exists() and kind_of(path) not in (None, "pictures")
+    return path.exists() and kind_of(path) not in (None, "pictures")
 
 
 def open_recording(path: str | Path, levels: Levels | None = None) -> Recording:
     """The recording in a file or folder.
 
-    path: of a file of arrays also FILE::NAME.  levels: of arrays and TIFF files, what shows as
-        black and white.
+    levels: of arrays and TIFF files, what shows as black and white.
     Raises FactoryError when there is none, it is of no known kind, or nothing of it can be read.
     """
     where = Path(path).expanduser()
-    file = file_of(where)
-    if not file.exists():
+    if not where.exists():
         raise FactoryError(f"{path}: no such file or folder")
-    kind, suffix = kind_of(where), file.suffix.lower()
+    kind, suffix = kind_of(where), where.suffix.lower()
     if levels is not None and suffix in TIFF_SUFFIXES:
         kind = "stack"
     elif suffix in SUFFIXES and (kind is None or levels is not None):

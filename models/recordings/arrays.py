@@ -1,27 +1,34 @@
 """Arrays as pictures and recordings: NumPy (.npy, .npz) and MATLAB up to version 7 (.mat).
 
-Where a file holds several arrays of pictures, `FILE::NAME` says which is meant.  Only .npy is
-written; arrays of the other formats are loaded as a whole, see `budget`.
+A file holds one array of pictures.  Only .npy is written; arrays of the other formats are loaded as
+a whole.
 """
 
 from __future__ import annotations
 
 import warnings
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
-from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile
+from zipfile import ZipFile
 
 import numpy as np
 import numpy.typing as npt
 
 from ...factory.errors import FactoryError, FrameError
 from ...factory.isolated import look_at
-from .base import ARRAY_SUFFIX, FileOfFrames, Frame, Samples, explained
-from .budget import ask_bytes, ask_pixels, most_at_once
+from .base import (
+    ARRAY_SUFFIX,
+    FileOfFrames,
+    Frame,
+    Samples,
+    ask_bytes,
+    ask_pixels,
+    explained,
+    most_at_once,
+)
 from .levels import Levels, as_samples, swapped
 
 SUFFIXES = (ARRAY_SUFFIX, ".npz", ".mat")
@@ -34,8 +41,6 @@ _MATLAB_CLASSES = {"double": "f8", "single": "f4"} | {
 """Class -> dtype; the others (logical, char, cell, struct, sparse) are no pictures."""
 _NAMED = 6
 """How many arrays an error names."""
-_SEPARATOR = "::"
-_STEP = 1 << 20
 _FORMAT: Any = np.lib.format  # whose functions are not typed
 
 Array = npt.NDArray[Any]
@@ -62,19 +67,6 @@ class Header:
     def __str__(self) -> str:
         shape = self.shape[1:] if self.single else self.shape
         return f"({', '.join(map(str, shape))}) {self.dtype}"
-
-
-def split_name(path: str | Path) -> tuple[Path, str | None]:
-    """The file and the name of the array in it, of FILE::NAME; None where no name is given."""
-    where = Path(path)
-    file, separator, name = str(path).partition(_SEPARATOR)
-    named = bool(separator and name) and Path(file).suffix.lower() in SUFFIXES
-    return (Path(file), name) if named and not where.exists() else (where, None)
-
-
-def file_of(path: str | Path) -> Path:
-    """The file of FILE or FILE::NAME."""
-    return split_name(path)[0]
 
 
 def kind_of_arrays(path: Path) -> Kind:
@@ -118,34 +110,28 @@ class ArrayFile(FileOfFrames):
     """
 
     def __init__(self, path: Path, levels: Levels | None = None) -> None:
-        """path: FILE or FILE::NAME.  levels: what shows as black and white; None: numbers as are.
+        """levels: what shows as black and white; None: numbers as they are.
 
-        Raises FactoryError when it holds no pictures, or several arrays of them and none is named.
+        Raises FactoryError when it holds no pictures, or several arrays of them.
         """
-        file, self._name = split_name(path)
         self.levels = levels
         self._array: Array | None = None
-        super().__init__(file)
+        super().__init__(path)
 
     def _open(self) -> None:
         headers = _headers(self.path, self.path.stat().st_mtime_ns)
-        name = self._name
-        if name is not None and name not in headers:
-            held = f"; it has {_named(headers)}" if headers else ""
-            raise FrameError(f"{self.path}: holds no pictures named {name}{held}")
         if not headers:
             number = "(H, W, N) or (H, W, 3, N)" if self._matlab else "(N, H, W) or (N, H, W, 3)"
             raise FrameError(
                 f"{self.path}: holds no pictures; expected (H, W), (H, W, 3) or, of several "
                 f"pictures, {number}, {LEAST_SIDE_PX} pixels or more on a side"
             )
-        if name is None and len(headers) > 1:
-            first = next(iter(headers))
+        if len(headers) > 1:
             raise FrameError(
-                f"{self.path}: holds several arrays of pictures: {_named(headers)}; name one, "
-                f"{self.path.name}::{first}"
+                f"{self.path}: holds several arrays of pictures: {_named(headers)}; save the one "
+                "that is meant as .npy"
             )
-        self.name = name or next(iter(headers))
+        (self.name,) = headers
         self.header = headers[self.name]
         ask_pixels(str(self.path), self.header.shape[2], self.header.shape[1])
         if self.path.suffix.lower() != ARRAY_SUFFIX:
@@ -260,9 +246,6 @@ def _npz_headers(archive: ZipFile) -> dict[str, Header]:
     for info in archive.infolist():
         if not info.filename.endswith(ARRAY_SUFFIX):
             continue
-        # What NumPy writes; a decompressor of LZMA takes as much memory as the file says.
-        if info.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
-            raise FrameError(f"{archive.filename}: is packed in a way that NumPy does not use")
         with archive.open(info) as stream:
             version = _FORMAT.read_magic(stream)
             if version in read:  # newer ones are of tables
@@ -280,7 +263,10 @@ def _matlab_headers(path: Path) -> dict[str, Header]:
         raise FrameError(
             f"{path}: reading MATLAB files needs scipy: pip install 'simnfnd[sonar]'"
         ) from error
-    _count_matlab(path)
+    with path.open("rb") as file:
+        head = file.read(20)
+    if b"MATLAB 7.3" in head or head.startswith(b"\x89HDF"):
+        raise FrameError(f"{path}: of MATLAB 7.3; save it with -v7, or as .npy")
     found = {}
     # SciPy may crash over a damaged file, so another process looks at it first.
     for name, shape, kind in look_at(path, list_matlab, str(path)):
@@ -299,34 +285,6 @@ def list_matlab(path: str) -> list[list[Any]]:
         for name, shape, kind in scipy.io.whosmat(path)
         if kind in _MATLAB_CLASSES
     ]
-
-
-def _count_matlab(path: Path) -> None:
-    """Raise FrameError for a file of version 7.3, and for one that unpacks to too much.
-
-    SciPy unpacks as much as an array's data say they are, whatever shape the array has.
-    """
-    with path.open("rb") as file:
-        head = file.read(128)
-        if b"MATLAB 7.3" in head[:20] or head.startswith(b"\x89HDF"):
-            raise FrameError(f"{path}: of MATLAB 7.3; save it with -v7, or as .npy")
-        size = path.stat().st_size
-        most, total = most_at_once(size), 0
-        order: Any = {b"IM": "little", b"MI": "big"}.get(head[126:128])
-        while order and len(tag := file.read(8)) == 8:
-            kind, count = (int.from_bytes(tag[at : at + 4], order) for at in (0, 4))
-            after = file.tell() + count
-            if kind == 15:  # compressed
-                stream = zlib.decompressobj()
-                while left := after - file.tell():
-                    packed = file.read(min(left, _STEP))
-                    if not packed:
-                        return
-                    while packed and not stream.eof:
-                        total += len(stream.decompress(packed, _STEP))
-                        packed = stream.unconsumed_tail
-                        ask_bytes(str(path), total, most)
-            file.seek(after)
 
 
 def _load_matlab(path: Path, name: str) -> Array:

@@ -30,6 +30,13 @@ FULL_SCALE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 """dtype -> grey value of full scale, of the pixels that are read and written."""
 Samples = npt.NDArray[Any]
 
+RATIO = 200
+"""Times its size that a stranger's file may unpack to; a small one to `ALWAYS_BYTES`, and none to
+more than `MOST_BYTES` at once.  Raw sonar pictures are mostly black and pack 5 to 50 times."""
+ALWAYS_BYTES = 1 << 28
+MOST_BYTES = 1 << 31
+MOST_PIXELS = 1 << 26
+"""Of a picture, whatever it is packed into."""
 MOST_RANGES, MOST_BEAMS = 8192, 4096
 MOST_RANGE_M = 2000.0
 
@@ -220,6 +227,37 @@ def explained(
     except Exception as error:
         told = " ".join(str(error).split())[:120] or type(error).__name__
         raise FrameError(f"{words} ({told})" if reason else words) from error
+
+
+def most_streamed(size: int) -> int:
+    """Bytes that a file of `size` bytes may give in all, read piece by piece."""
+    return ALWAYS_BYTES + RATIO * size
+
+
+def most_at_once(size: int) -> int:
+    """Bytes that a file of `size` bytes may unpack to in memory."""
+    return min(MOST_BYTES, most_streamed(size))
+
+
+def ask_bytes(what: str, needed: int, most: int) -> None:
+    """Raise FrameError unless `needed` bytes are at most `most`, of one of the above."""
+    if needed > most:
+        raise FrameError(
+            f"{what}: unpacks to {needed:,} bytes or more, at most {most:,} are read ({RATIO} "
+            f"times the file's size, {MOST_BYTES >> 30} GiB at once); if it is sound, save it "
+            "uncompressed or in parts"
+        )
+
+
+def ask_pixels(what: str, width: float, height: float) -> None:
+    """Raise FrameError for a picture of more than `MOST_PIXELS`."""
+    if width * height > MOST_PIXELS:
+        raise FrameError(f"{what}: {width:.0f} x {height:.0f} pixels are {too_large()}")
+
+
+def too_large() -> str:
+    """Words for a picture of more than `MOST_PIXELS`."""
+    return f"too large; up to {MOST_PIXELS:,} (such as 8192 x 8192) can be read, cut it into parts"
 
 
 def layout_of(fields: str, size: int | None = None) -> np.dtype:

@@ -21,9 +21,12 @@ from .base import (
     Frame,
     Recording,
     Samples,
+    ask_bytes,
+    ask_pixels,
     explained,
+    most_streamed,
+    too_large,
 )
-from .budget import ask_bytes, ask_pixels, most_streamed, too_large
 from .levels import Levels, swapped
 from .palettes import grey_of_colours
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ...factory.sonar.geometry import FanGeometry
-from .fan.page import border
+from .fan.finder import border
 
 Grey = npt.NDArray[np.float32]
 

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from ...factory.errors import FrameError
 from .base import (
     MOST_BEAMS,
+    MOST_PIXELS,
     MOST_RANGE_M,
     MOST_RANGES,
     Beams,
@@ -27,7 +28,6 @@ from .base import (
     Samples,
     known,
 )
-from .budget import MOST_PIXELS
 from .pictures import decoded
 
 if TYPE_CHECKING:

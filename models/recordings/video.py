@@ -15,8 +15,7 @@ import numpy as np
 
 from ...factory.errors import FrameError
 from ...factory.quiet import quiet_stderr
-from .base import FileOfFrames, Frame, Samples, explained
-from .budget import ask_pixels
+from .base import FileOfFrames, Frame, Samples, ask_pixels, explained
 
 _MOST_TINT = 6  # of 255: codecs tint grey pictures by a few levels, and by others in each frame
 _BOXES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot")

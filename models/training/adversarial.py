@@ -17,7 +17,6 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim import Optimizer
 
-from ...factory.errors import FactoryError
 from ...factory.seeds import stream
 from ..data.pairs import Batch
 from ..losses import Loss
@@ -56,15 +55,6 @@ class AdversarialModule(DenoisingModule):
     ) -> Tensor:
         """What the network learns by: the content term and what the discriminator has to say."""
         raise NotImplementedError
-
-    def check_device(self, devices: int) -> None:
-        """Raise FactoryError where the two turns of a step cannot be kept apart."""
-        if devices > 1:
-            raise FactoryError("devices: adversarial training runs on one device; use devices=1")
-        if self.settings.precision == "16-mixed":
-            raise FactoryError(
-                "train.precision=16-mixed: adversarial training needs 32-true or bf16-mixed"
-            )
 
     def make_optimizers(self) -> list[Optimizer]:
         """One AdamW each, of the network and of the discriminator."""

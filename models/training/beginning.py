@@ -10,13 +10,11 @@ from ...factory.errors import FactoryError
 from ..losses import build_loss
 from ..networks import build_network
 from ..networks.lines import LineContext
-from ..networks.network import Network
-from ..networks.unet import ResidualBlock
+from ..networks.network import Network, ResidualBlock
 from ..networks.weights import load_weights
 from ..pretrained import find_weights
 from ..settings import ModelsSettings
-from .module import DenoisingModule
-from .teacher import Teacher
+from .module import DenoisingModule, Teacher
 
 _GROWN = (ResidualBlock, LineContext)
 """Parts that a network can be grown by: they begin as the identity."""
@@ -37,6 +35,10 @@ def build_module(settings: ModelsSettings) -> DenoisingModule:
 
         penalised = settings.model["kind"] == "dgp_srgan"
         module = GradientPenaltyModule if penalised else SIDTGANModule
+        if settings.train.precision == "16-mixed":
+            raise FactoryError(
+                "train.precision=16-mixed: adversarial training needs 32-true or bf16-mixed"
+            )
         return module(network, loss, settings.train, settings.seed)
     return DenoisingModule(network, loss, settings.train, settings.seed, teacher)
 
@@ -44,10 +46,6 @@ def build_module(settings: ModelsSettings) -> DenoisingModule:
 def _teacher(network: Network, settings: ModelsSettings) -> Teacher | None:
     """The network to learn from, if any; FactoryError where there is nothing to compare with it."""
     if settings.train.teacher is None:
-        if settings.train.teacher_recordings:
-            raise FactoryError(
-                "train.teacher_recordings: nobody has their clean pictures; name a train.teacher"
-            )
         return None
     if network.adversarial or network.has_stages:
         raise FactoryError(

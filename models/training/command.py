@@ -62,17 +62,12 @@ def run(config: DictConfig) -> None:
     values = cast(dict[str, Any], container)
     settings: ModelsSettings = build(ModelsSettings, values)
     # torch and Lightning take seconds to import: only when there is something to train.
-    from .train import is_main_process, output_folder, train
+    from .train import output_folder, train
 
     best = train(settings, values)
-    if not is_main_process():
-        return
-    if "psnr" in best:
-        print(
-            f"validation: {best['psnr_noisy']:.2f} -> {best['psnr']:.2f} dB "
-            f"({best['gain_db']:+.2f}), SSIM {best['ssim_noisy']:.3f} -> {best['ssim']:.3f}, "
-            f"step {best['step']}"
-        )
-    else:
-        print(f"validation: loss {best['validation_loss']:.5f}, step {best['step']}")
+    print(
+        f"validation: {best['psnr_noisy']:.2f} -> {best['psnr']:.2f} dB "
+        f"({best['gain_db']:+.2f}), SSIM {best['ssim_noisy']:.3f} -> {best['ssim']:.3f}, "
+        f"step {best['step']}"
+    )
     print(f"weights: {output_folder(settings) / WEIGHTS_NAME}")

@@ -7,7 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, nullcontext
+from contextlib import closing
 from dataclasses import dataclass, field
 from types import FrameType
 from typing import Any
@@ -91,18 +91,12 @@ class Loop:
         Raises Stopped, FactoryError where the loss becomes no number, and what the calls raise.
         """
         done = self.progress
-        bar: Any = nullcontext()
-        if self.fabric.is_global_zero:
-            self.bar = progress_bar(
-                total=self.steps, initial=done.step, unit="step", desc=self.label
-            )
-            bar = closing(self.bar)
-        with self._asked, bar:
+        self.bar = progress_bar(total=self.steps, initial=done.step, unit="step", desc=self.label)
+        with self._asked, closing(self.bar):
             while len(done.rows) * self.check_every < self.steps and not is_done(done.rows):
                 self._steps(batches, len(done.rows))
-                loss: Any = torch.stack(done.losses).mean()
-                loss = self.fabric.all_reduce(loss, reduce_op="mean")
-                done.rows.append(check(done.step, float(loss)))
+                loss = float(torch.stack(done.losses).mean())
+                done.rows.append(check(done.step, loss))
                 done.losses, done.drawn = [], None
                 if self.save is not None:
                     self.save()
@@ -136,19 +130,15 @@ class Loop:
     def stop_if_asked(self) -> None:
         """Raise Stopped after Ctrl-C or SIGTERM, with what was done kept; also for long checks."""
         number = self._asked.number
-        if self.fabric.world_size > 1:
-            # All devices stop after the same step.
-            every: Any = self.fabric.all_reduce(torch.tensor(float(number)), reduce_op="sum")
-            number = int(every)
         if not number:
             return
         if self.save is None:
-            raise Stopped("interrupted; nothing was written", self._asked.number)
+            raise Stopped("interrupted; nothing was written", number)
         self.save()
         raise Stopped(
             f"interrupted after step {self.progress.step} of {self.steps}, which is kept; run "
             "again to go on",
-            self._asked.number or signal.SIGINT,
+            number,
         )
 
     def _steps(self, batches: Batches, interval: int) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import ClassVar
 
 import torch
@@ -16,12 +17,52 @@ from ...factory.errors import FactoryError
 from ..data.pairs import Batch
 from ..losses import Loss
 from ..networks.network import Network, known_extras
-from ..networks.weights import channels_last
+from ..networks.weights import channels_last, load_weights
 from ..settings import TrainSettings
 from .quality import psnr_db, shadow_iou, ssim
-from .teacher import Teacher
 
 Row = dict[str, float | int]
+
+
+class Teacher:
+    """Trained weights whose pictures a network learns to make (Hinton et al. 2015, for pictures).
+
+    What a small network cannot do shows as noise in the gradients when it learns from clean
+    pictures alone; the pictures of a larger one that learned from the same are nearer to what it
+    can do.  Heads are taught as well: the shadow that the teacher sees.
+    """
+
+    def __init__(self, weights: Path, share: float) -> None:
+        """weights: a file that training wrote.  share: of its pictures in the loss, 0 to 1.
+
+        Raises FactoryError for a file that holds no weights.
+        """
+        self.network = load_weights(weights).network.requires_grad_(False).eval()
+        self.share = share
+
+    @torch.no_grad()
+    def seen(self, batch: Batch) -> tuple[Tensor, Tensor | None]:
+        """(N, C, H, W) with the whole change, and shadow (N, 1, H, W) of a teacher with heads."""
+        noisy = batch["noisy"]
+        self.network.to(noisy.device)
+        known = known_extras(self.network, batch)
+        if not self.network.has_heads:
+            return self.network(noisy, **known), None
+        output = self.network.with_heads(noisy, **known)
+        return output.image, torch.sigmoid(output.shadow_logits.float())
+
+    def loss(self, loss: Loss, prediction: Tensor, batch: Batch) -> Tensor:
+        """Scalar tensor: the loss against clean pictures and teacher's, weighed by `share`.
+
+        prediction: (N, C, H, W).  batch: as losses get it, with the heads' output.
+        """
+        # How much of a change is right is measured against the truth, never against the teacher.
+        lesson = {name: batch[name] for name in batch if name not in ("weight", "shadow")}
+        image, shadow = self.seen(batch)
+        if shadow is not None:
+            lesson["shadow"] = shadow
+        taught = loss(prediction, image.to(prediction.dtype), lesson)
+        return self.share * taught + (1 - self.share) * loss(prediction, batch["clean"], batch)
 
 
 class DenoisingModule(nn.Module):
@@ -54,9 +95,6 @@ class DenoisingModule(nn.Module):
         self.step = 0
         # No module of torch's own: its weights are neither saved nor averaged.
         self.teacher = teacher
-
-    def check_device(self, devices: int) -> None:
-        """Raise FactoryError where this training cannot be shared among so many devices."""
 
     def make_optimizers(self) -> list[Optimizer]:
         """AdamW of all weights that learn."""
@@ -149,7 +187,7 @@ def completed(batch: Batch, prediction: Tensor, teacher: Teacher | None) -> Batc
     clean, taught = batch["clean"], batch["taught"]
     batch = dict(batch)
     if teacher is not None:
-        image = teacher.picture(batch).to(clean.dtype)
+        image = teacher.seen(batch)[0].to(clean.dtype)
         mixed = torch.where(clean.isnan(), image, torch.lerp(clean, image, taught))
         clean = torch.where(taught > 0, mixed, clean)
     batch["clean"] = torch.where(clean.isnan(), prediction.detach(), clean)

@@ -15,7 +15,6 @@ from ...factory.errors import FactoryError
 from ...factory.files import write_atomically
 from ..data.pairs import Batch
 from ..networks.network import Network
-from .quality import psnr_db
 
 _GAP = 4
 
@@ -69,32 +68,3 @@ def write_grey(path: Path, image: npt.NDArray[np.uint8]) -> None:
     if not done:
         raise FactoryError(f"{path}: cannot be encoded as a picture")
     write_atomically(path, content.tobytes(), durable=False, key="out")
-
-
-def write_samples(
-    path: Path, network: nn.Module, batches: Sequence[Batch], labels: Sequence[str]
-) -> None:
-    """A sheet of noisy | denoised | clean, one row a batch of one, with the PSNR of each."""
-    from matplotlib.figure import Figure  # slow to import, and needed at the very end only
-
-    figure = Figure(figsize=(9.6, 3.35 * len(batches)), layout="constrained", facecolor="white")
-    axes = figure.subplots(len(batches), 3, squeeze=False)
-    for row, batch, label in zip(axes, batches, labels, strict=True):
-        denoised = denoise_batch(network, batch)
-        noisy = batch["noisy"][0, 0].numpy()
-        panels = {"noisy": noisy, "denoised": denoised}
-        if "clean" in batch:
-            clean = batch["clean"]
-            panels = {f"{name}, {_psnr(x, clean):.2f} dB": x for name, x in panels.items()}
-            panels[f"clean - {label}"] = clean[0, 0].numpy()
-        else:
-            panels[f"what was taken away - {label}"] = np.abs(noisy - denoised)
-        for axis, (title, image) in zip(row, panels.items(), strict=True):
-            axis.imshow(image, cmap="gray", vmin=0, vmax=1)
-            axis.set_title(title, fontsize=9)
-            axis.set_axis_off()
-    figure.savefig(path, dpi=110)
-
-
-def _psnr(image: npt.NDArray[np.float32], clean: torch.Tensor) -> float:
-    return float(psnr_db(torch.from_numpy(image)[None, None], clean))

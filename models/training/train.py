@@ -28,17 +28,16 @@ from ..data.crops import (
     whole_image_batch,
 )
 from ..data.pairs import Batch, windows_of
-from ..data.recordings import WithRecordings, digest_of, frames_with_geometry
 from ..data.sources import Data, open_data
 from ..networks.weights import load_weights
 from ..pretrained import find_weights
-from ..settings import DataSettings, ModelsSettings, RendersData
+from ..settings import ModelsSettings, RendersData
 from .beginning import build_module
 from .loop import Loop
 from .module import DenoisingModule, Row
 from .precision import with_precision
 from .results import CHECKPOINT_NAME, Results, best_row, is_stopped, read_checkpoint
-from .samples import write_samples
+from .samples import contact_sheet, write_grey
 
 _SHOWN = 4
 
@@ -55,14 +54,13 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
     out = output_folder(settings)
     accelerator = _accelerator(settings)
     data = open_data(settings)
-    settings = with_precision(settings, accelerator, out)
+    settings = with_precision(settings, accelerator)
     # Everything that decides the weights, and nothing that does not.
     recipe = _recipe(settings, data)
     check_writable(out, "out")
     checkpoint = _checkpoint(out, recipe, settings)
     torch.manual_seed(settings.seed)
     module = build_module(settings)
-    module.check_device(settings.devices)
     extras = module.network.extras
     count = len(data.validation)
     shown_indices = [i * count // min(_SHOWN, count) for i in range(min(_SHOWN, count))]
@@ -84,15 +82,9 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
         text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
         write_atomically(out / "config.yaml", text.encode())
         rows = _fit(module, results, checkpoint, settings, accelerator, data)
-    if is_main_process():
-        network = load_weights(out / WEIGHTS_NAME).network
-        write_samples(out / "samples.png", network, shown, [data.labels[i] for i in shown_indices])
+    network = load_weights(out / WEIGHTS_NAME).network
+    write_grey(out / "samples.png", contact_sheet(network, shown))
     return best_row(rows)
-
-
-def is_main_process() -> bool:
-    """Whether this process prints and writes; Fabric starts one process a device."""
-    return os.environ.get("LOCAL_RANK", "0") == "0"
 
 
 def output_folder(settings: ModelsSettings) -> Path:
@@ -115,17 +107,10 @@ def _fit(
     with warnings.catch_warnings():
         # Lightning's advice on precision and worker counts does not apply here.
         warnings.filterwarnings("ignore", module=r"lightning\.")
-        fabric = Fabric(
-            accelerator=accelerator,
-            devices=settings.devices,
-            strategy="auto" if settings.devices == 1 else "ddp",
-            precision=chosen.precision,
-        )
-        fabric.launch()
+        fabric = Fabric(accelerator=accelerator, devices=1, precision=chosen.precision)
 
         def save() -> None:
-            if fabric.is_global_zero:
-                results.save(loop.state(), loop.progress.rows)
+            results.save(loop.state(), loop.progress.rows)
 
         loop = Loop(
             fabric,
@@ -145,10 +130,8 @@ def _fit(
 
         def check(step: int, loss: float) -> Row:
             row: Row = {"step": step, "loss": loss, **_measured(loop, module, validation)}
-            rows = loop.progress.rows
-            if fabric.is_global_zero:
-                row = results.add(rows, row, module, module.learning_rate(step))
-                loop.show(f"loss {loss:.4f}, psnr {row['psnr']:.2f} ({row['gain_db']:+.2f} dB)")
+            row = results.add(loop.progress.rows, row, module, module.learning_rate(step))
+            loop.show(f"loss {loss:.4f}, psnr {row['psnr']:.2f} ({row['gain_db']:+.2f} dB)")
             return row
 
         try:
@@ -196,14 +179,6 @@ def _loaders(
         shared["worker_init_fn"] = _leave_ctrl_c
     reuse = kind.reuse if isinstance(kind, RendersData) else 1
     learning = KeptSource(data.learning) if reuse > 1 else data.learning
-    if chosen.teacher_recordings:
-        learning = WithRecordings(
-            learning,
-            frames_with_geometry(chosen.teacher_recordings),
-            chosen.teacher_recordings_share,
-            kind.least_side,
-            settings.seed,
-        )
     crops = Crops(
         learning,
         crops=kind.crops,
@@ -212,12 +187,7 @@ def _loaders(
         extras=_drawn_extras(module),
     )
     visits = VisitSampler(
-        len(data.learning),
-        kind,
-        chosen.steps // chosen.check_every,
-        chosen.check_every,
-        settings.seed,
-        windows_of(data.learning, _unread(kind, workers)),
+        len(data.learning), kind, chosen.check_every, settings.seed, windows_of(data.learning)
     )
     return (
         DataLoader(crops, batch_sampler=visits, collate_fn=concatenate, **shared),
@@ -232,15 +202,9 @@ def _leave_ctrl_c(_: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _unread(kind: DataSettings, workers: int) -> int:
-    """Visits that loading processes may have before them: two batches each, as torch has it."""
-    batch = max(kind.batch, *(stage.batch for stage in kind.stages), kind.crops)
-    return 2 * workers * batch // kind.crops
-
-
 def _drawn_extras(module: DenoisingModule) -> tuple[str, ...]:
     """What crops have to hold: the optional inputs of the network and of its teacher."""
-    taught = module.teacher.extras if module.teacher else ()
+    taught = module.teacher.network.extras if module.teacher else ()
     return tuple(dict.fromkeys((*module.network.extras, *taught)))
 
 
@@ -288,12 +252,8 @@ def _recipe(settings: ModelsSettings, data: Data) -> dict[str, Any]:
     }
     # By content, where there is any.
     learned = settings.train
-    absent = "train.teacher_recordings" if learned.teacher else "train.teacher"
-    if not learned.teacher_recordings:
-        flat = {name: value for name, value in flat.items() if not name.startswith(absent)}
-    else:
-        frames = frames_with_geometry(learned.teacher_recordings)
-        flat["train.teacher_recordings"] = digest_of(frames)
+    if learned.teacher is None:
+        flat = {name: value for name, value in flat.items() if not name.startswith("train.teacher")}
     if learned.teacher is not None:
         flat["train.teacher"] = sha256_of(find_weights(learned.teacher))[:16]
     if settings.start is not None:
@@ -310,16 +270,6 @@ def _accelerator(settings: ModelsSettings) -> str:
     if settings.device == "gpu" and not has_gpu:
         raise FactoryError("device=gpu: no usable GPU here; train with device=cpu")
     device = ("gpu" if has_gpu else "cpu") if settings.device == "auto" else settings.device
-    if device == "gpu" and settings.devices > torch.cuda.device_count():
-        raise FactoryError(
-            f"devices={settings.devices}: there are {torch.cuda.device_count()} GPUs here"
-        )
-    for batch in (settings.data.batch, *(stage.batch for stage in settings.data.stages)):
-        if batch // settings.data.crops % settings.devices:
-            raise FactoryError(
-                f"devices={settings.devices}: must divide the images of a step, data.batch {batch} "
-                f"over data.crops {settings.data.crops}"
-            )
     return device
 
 

@@ -237,6 +237,8 @@ def test_a_sweep_makes_one_named_dataset_a_point_and_one_table(monkeypatch, tmp_
         line.split("|")[1].strip(): float(line.split("|")[5]) for line in table[2:] if "0.3" in line
     }
     assert noisy["0.1"] > noisy["0.5"]
+    names = [cell.strip() for cell in table[0].split("|")]
+    assert {"psnr_db", "psnr_db_std", "ssim", "ssim_std", "gmsd", "gmsd_std"} < {*names}
 
 
 def test_the_sweep_flag_may_stand_anywhere(monkeypatch, tmp_path, flsea):

@@ -22,21 +22,19 @@ from simnfnd.factory import seeds
 from simnfnd.factory.config import from_mapping
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.imaging import resample
-from simnfnd.factory.render.albedo import _box
 from simnfnd.factory.render.base import Rendered
-from simnfnd.factory.render.cloud import back_project
-from simnfnd.factory.scheduler.workers.memory import keep_freed_memory
+from simnfnd.factory.render.kernels import box_mean
+from simnfnd.factory.scheduler.workers.machine import keep_freed_memory
 from simnfnd.factory.settings import build
 from simnfnd.factory.sonar import polar, surface, transfer
 from simnfnd.factory.sonar.echoes import Echoes, from_xyz, join
 from simnfnd.factory.sonar.fan import fan_table
-from simnfnd.factory.sonar.quantile import quantiles
 from simnfnd.factory.sonar.settings import SonarSettings, TransferSettings
-from simnfnd.factory.sonar.window import Window
-from simnfnd.factory.sonar.window_fit import fit_window
+from simnfnd.factory.sonar.window import Window, fit_window
 from tests.clouds import camera_scene, window
 from tests.frames import ground_and_post, plain_render
 from tests.project_files import ROOT
+from tests.render_scenes import rays
 
 
 def sonar(**keys: Any) -> SonarSettings:
@@ -71,7 +69,9 @@ def plain_surface(
     frame: Frame, rendered: Rendered, device: SonarSettings
 ) -> tuple[Echoes, npt.NDArray[np.intp]]:
     """Every surface pixel in the vertical beam, in double precision."""
-    points_m = device.mount.to_sonar(back_project(frame.depth_m, frame.intrinsics))
+    points_m = device.mount.to_sonar(
+        frame.depth_m[..., None] * rays(*frame.depth_m.shape, frame.intrinsics)
+    )
     echoes = from_xyz(points_m[rendered.surface], rendered.radiance[rendered.surface])
     in_beam = np.abs(echoes.elevation_rad) <= np.deg2rad(device.vfov_deg) / 2
     return echoes.select(in_beam), np.flatnonzero(rendered.surface)[in_beam]
@@ -251,7 +251,9 @@ def test_quantiles_are_those_of_numpy(
 ) -> None:
     skip = min(skip, len(values) - 1)
     expected = np.quantile(np.sort(values.astype(np.float64))[skip:], [fraction, 0.5])
-    np.testing.assert_allclose(quantiles(values, (fraction, 0.5), skip=skip), expected, rtol=1e-6)
+    np.testing.assert_allclose(
+        transfer.quantiles(values, (fraction, 0.5), skip=skip), expected, rtol=1e-6
+    )
 
 
 def test_full_scale_is_a_percentile_of_the_echoing_bins() -> None:
@@ -378,4 +380,4 @@ def test_box_means_are_those_of_opencv_to_the_bit(shape: tuple[int, int], side: 
     values = (rng.random(shape) * 10.0 ** rng.integers(-6, 3, shape)).astype(np.float32)
     values[rng.random(shape) < 0.3] = 0
     expected = cv2.blur(values, (side, side), borderType=cv2.BORDER_CONSTANT)
-    np.testing.assert_array_equal(_box(values, side), expected)
+    np.testing.assert_array_equal(box_mean(values, side), expected)

@@ -8,11 +8,7 @@ import sys
 import time
 from itertools import pairwise
 
-import pytest
-
 from simnfnd.factory import progress
-from simnfnd.factory.scheduler.progress import Estimate
-from simnfnd.factory.scheduler.settings import Crew
 from tests.factory.scheduler.staged import staged
 from tests.fake_source import FakeConfig
 from tests.project_files import ROOT
@@ -41,23 +37,6 @@ def test_pairs_of_one_long_shard_are_foretold_before_it_lands(tmp_path, capfd, m
     first = int(lines[0].partition("/")[0].removeprefix("pairs "))
     assert 0 < first < 8  # of the 8 of the first shard
     assert "left" in lines[0]
-
-
-def test_the_time_left_is_that_of_both_stages():
-    estimate = Estimate(Crew(render=2, noise=2))
-    assert estimate.left_s(10, 100) is None
-    for _ in range(2):
-        estimate.frame(30.0)  # with Blender to load
-    assert estimate.left_s(10, 0) == pytest.approx(150)
-    for _ in range(4):
-        estimate.frame(4.0)
-    assert estimate.left_s(10, 0) == pytest.approx(20)  # two workers render
-    estimate.pairs(8.0, 8)
-    assert estimate.left_s(10, 100) == pytest.approx((40 + 100) / 4)
-    assert estimate.left_s(100, 100) == pytest.approx(200)
-    estimate.running([(3.0, 1), (9.0, 0)])
-    assert estimate.costs_s() == pytest.approx((4.0, 11 / 9))
-    assert estimate.left_s(0, 0) == 0
 
 
 def test_a_bar_in_a_file_is_a_few_whole_lines(capfd):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import lzma
 import os
 import signal
 import struct
@@ -24,7 +23,7 @@ from simnfnd.factory.dataset.read.source import dataset_settings
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.render import view as views
-from simnfnd.factory.render.cache.cache import Cache
+from simnfnd.factory.render.cache import Cache
 from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.pack import PackViews, read_contents, write_pack
 from simnfnd.factory.scheduler.lock import Lock, owner_of
@@ -178,17 +177,9 @@ def forged(content: bytes, **changes: Any) -> bytes:
 BOMB_BYTES = 1 << 27
 
 
-@pytest.mark.parametrize("codec", ["zstd", "lzma"])
-def test_a_plane_makes_no_more_than_its_picture(tmp_path: Path, codec: str) -> None:
-    zeros = bytes(BOMB_BYTES)
-    bomb = zstd.compress(zeros) if codec == "zstd" else lzma.compress(zeros, preset=0)
-    del zeros
-    content = forged(
-        views.encode(some_view()),
-        parts=[len(bomb)] * 2,
-        labelled=False,
-        precision={"depth_step": 2e-4, "radiance_step": 5e-4, "block": 1, "codec": codec},
-    )
+def test_a_plane_makes_no_more_than_its_picture(tmp_path: Path) -> None:
+    bomb = zstd.compress(bytes(BOMB_BYTES))
+    content = forged(views.encode(some_view()), parts=[len(bomb)] * 2, labelled=False)
     cache = Cache(tmp_path)
     path = tmp_path / "ab" / "abc.view"
     path.parent.mkdir()
@@ -209,10 +200,7 @@ def test_a_plane_makes_no_more_than_its_picture(tmp_path: Path, codec: str) -> N
         {"shape": "ab"},
         {"parts": [1 << 60, 1]},
         {"parts": []},
-        {"precision": {"depth_step": 1e-4, "radiance_step": 1e-4, "block": 0, "codec": "zstd"}},
-        {"precision": {"depth_step": 1e-4, "radiance_step": 1e-4, "block": 9**9, "codec": "zstd"}},
-        {"precision": {"depth_step": "a", "radiance_step": 1e-4, "block": 1, "codec": "zstd"}},
-        {"precision": {"depth_step": 1e-4, "radiance_step": 1e-4, "block": 1, "codec": "sh"}},
+        {"precision": {"depth_step": 2e-4, "radiance_step": 0.1, "block": 4, "codec": "lzma"}},
         {"intrinsics": {"fx": "a", "fy": 1, "cx": 1, "cy": 1, "distortion": []}},
         {"mount": {"translation_m": 7}},
         {"mount": [1]},
@@ -247,7 +235,6 @@ def test_packs_that_would_do_harm_are_refused(tmp_path: Path) -> None:
         b'"c"': b'"\\u0000"',
         b'"frames": [': b'"frames": {}, "other": [',
         b'"mount": {': b'"mount": 7, "other": {',
-        b'"precision": {': b'"precision": "fine", "other": {',
         b"{": b"[" * 9999,
     }.items():
         assert old in sound

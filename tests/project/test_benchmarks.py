@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import __main__ as benchmarks
-from benchmarks.shared import Options, shown
+from benchmarks.shared import Options
 from tests.project_files import ROOT
 
 GOOD = """
@@ -58,13 +58,6 @@ def test_all_run_and_the_failed_ones_are_named(
     assert document["sections"]["good"]["tables"][0]["rows"][0] == ["theirs", 1.0, 20.123456]
 
 
-def test_quick_warns_that_its_figures_mean_nothing(folder: Path) -> None:
-    assert benchmarks.main(["good", "--quick"]) == 0
-    text = (folder / "outputs/benchmarks/quick-good.md").read_text()
-    assert "too small for the figures to mean anything" in text
-    assert "quick: True" in text
-
-
 @pytest.mark.usefixtures("folder")
 @pytest.mark.parametrize("words", [["fast"], ["good", "--frame", "nowhere"]])
 def test_mistakes_are_one_line(words: list[str], capfd: pytest.CaptureFixture[str]) -> None:
@@ -73,14 +66,6 @@ def test_mistakes_are_one_line(words: list[str], capfd: pytest.CaptureFixture[st
     assert error.startswith("error: ")
     assert error.count("\n") == 1
     assert words[-1] in error
-
-
-@pytest.mark.parametrize(
-    ("cell", "text"), [(0.0, "0"), (0.00012345, "0.00012"), (1.2345, "1.23"), (1234.5, "1234"),
-                       (7, "7"), ("x", "x")]
-)  # fmt: skip
-def test_numbers_are_shown_with_three_digits(cell: float | str, text: str) -> None:
-    assert shown(cell) == text
 
 
 def test_the_projects_own_are_few() -> None:

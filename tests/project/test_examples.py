@@ -31,11 +31,12 @@ from tests.small_dataset import write_dataset
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """24 pairs that train, in shards, with manifest and index."""
     from simnfnd.factory.dataset.format.manifest import Manifest, ShardInfo, save_manifest
+    from simnfnd.factory.dataset.format.schema import config_hash
     from simnfnd.factory.dataset.write.index import write_index
     from simnfnd.factory.files import sha256_of
 
     root = write_dataset(tmp_path_factory.mktemp("examples") / "data", train=24, test=4, size=48)
-    manifest = Manifest("0123abcd", "tests")
+    manifest = Manifest(config_hash({}), "tests")
     for path in sorted(root.glob("*/*.h5")):
         relative = path.relative_to(root).as_posix()
         info = ShardInfo(relative, relative.split("/")[0], 4, path.stat().st_size, sha256_of(path))

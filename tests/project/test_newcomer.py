@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -65,12 +64,3 @@ def test_a_stale_index_has_a_remedy_that_works(
     (dataset / "index.h5").unlink()
     make(dataset, FakeConfig(), scheduler={"backend": "serial"})
     assert main(["validate", str(dataset)]) == 0
-
-
-def test_the_h5py_sample_prints_text(capsys: pytest.CaptureFixture[str]) -> None:
-    """`/meta` holds bytes, which print as b'...' until they are decoded."""
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    for sample in re.findall(r"```python\n(.*?)```", readme, re.DOTALL):
-        for line in sample.splitlines():
-            if "print" in line and '["scene"]' in line:
-                assert '["scene"].decode()' in line

@@ -10,15 +10,13 @@ from pathlib import Path
 import yaml
 
 from ...files import write_atomically
-from ..format.echoes import echo_names
-from ..format.layout import optional_layers
 from ..format.manifest import Manifest
 from ..format.schema import SCHEMA, SPLITS, Provenance, plain_values
 from ..format.settings import DatasetSettings
-from ..read.reader import reading
 from ..read.source import Source, manifest_source
 from ..write.failures import FAILURES_NAME, Failure
 from ..write.folder import CARD_NAME, PREVIEW_NAME
+from .markdown import table
 
 # Identifiers that the Hugging Face hub knows; anything else goes there as "other" with a name.
 _HUB_LICENCES = (
@@ -76,10 +74,8 @@ simulated.
 {_facts(provenance, manifest, failures, skipped or {})}
 ## What is in it
 
-{_table(("split", "location", "scene", "pairs"), scenes)}
-## Pictures
+{table(("split", "location", "scene", "pairs"), scenes, "l")}
 
-{_pictures(source.shards[0][1])}
 ## Settings
 
 ```yaml
@@ -141,7 +137,7 @@ def _facts(
         f"config hash: `{provenance.config_hash}` (BLAKE2b, 8 bytes, of what the shards hold as "
         "`config`; all settings are in config.yaml)",
         *([f"seed: {provenance.config['seed']}"] if "seed" in provenance.config else []),
-        f"{len(manifest.shards)} shards, checksums in manifest.json and croissant.json",
+        f"{len(manifest.shards)} shards, checksums in manifest.json",
         *(
             f"{how} a dataset of {part['samples']} pairs, config hash `{part['config_hash']}`"
             for key, how in (("merged", "merged from"), ("extends", "extends"))
@@ -151,17 +147,6 @@ def _facts(
         *([f"frames that failed: {len(failures)}, reasons in {FAILURES_NAME}"] if failures else []),
     ]
     return "".join(f"- {line}\n" for line in lines)
-
-
-def _pictures(shard: Path) -> str:
-    """The stacks of a shard, as it describes them itself."""
-    rows: list[tuple[str, ...]] = []
-    with reading(shard) as file:
-        for name in ("noisy", "clean", "shadow", *optional_layers(file), *echo_names(file)):
-            units, meaning = (str(file[name].attrs[key]) for key in ("units", "description"))
-            kind = str(file[name].dtype)
-            rows.append((f"`/{name}`", kind, "" if units == "1" else units, meaning))
-    return _table(("name", "type", "unit", "what it is"), rows)
 
 
 def _reading(source: Source) -> str:
@@ -189,9 +174,3 @@ HDF5 shows zeros for one that is not.
 `simnfnd validate` checks a copy, `simnfnd export` writes WebDataset, Hugging Face, PNG and other \
 formats.
 """
-
-
-def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
-    lines = [head, tuple("---" for _ in head), *rows]
-    cells = [[cell.replace("|", "\\|") for cell in line] for line in lines]
-    return "\n".join("| " + " | ".join(line) + " |" for line in cells) + "\n"

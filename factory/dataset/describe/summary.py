@@ -1,8 +1,7 @@
-"""What is in a dataset or in one of its files: for `simnfnd inspect`, in words and as a figure."""
+"""What is in a dataset or in one of its files: for `simnfnd inspect`."""
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,16 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ...errors import FactoryError
-from ...files import write_atomically
-from ..format.echoes import PLACE, echo_names
 from ..format.manifest import INDEX_NAME
 from ..read.image_stack import ImageStack
 from ..read.reader import check_in_isolation, reading
 from ..read.source import Source, open_shards, open_source, read_image
-from . import palette
 from .quality import psnr_db, ssim
-
-_WIDE, _DPI = 4, 120
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +26,6 @@ class DatasetSummary:
     table: (samples,) structured array, the rows of /meta of all shards.
     splits: (samples,) the split of each row.
     stored_bytes: of all files.  image_bytes: of the images without compression.
-    echoes: in the lists of all samples.
     psnr_db, ssim: noisy against clean, of `measured` samples spread evenly.
     """
 
@@ -44,7 +37,6 @@ class DatasetSummary:
     splits: npt.NDArray[np.str_]
     stored_bytes: int
     image_bytes: int
-    echoes: int
     psnr_db: npt.NDArray[np.float64]
     ssim: npt.NDArray[np.float64]
 
@@ -72,11 +64,6 @@ def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
     with reading(source.shards[0][1]) as file:
         schema, generator = str(file.attrs["schema"]), str(file.attrs["generator"])
         compression = compression_of(file["noisy"])
-        listed = bool(echo_names(file))
-    echoes = 0
-    for _, shard, _ in source.shards if listed else ():
-        with reading(shard) as file:
-            echoes += int(np.diff(file[PLACE][()], axis=1).sum())
     a_sample = sum(
         int(np.prod(source.sizes[name])) * dtype.itemsize for name, dtype in source.layers.items()
     )
@@ -90,7 +77,6 @@ def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
         np.concatenate([np.full(len(rows), split) for split, _, rows in tables]),
         sum(shard.stat().st_size for _, shard, _ in source.shards),
         a_sample * sum(source.splits.values()),
-        echoes,
         psnr,
         similarity,
     )
@@ -130,43 +116,3 @@ def _quality(source: Source, pairs: int) -> tuple[npt.NDArray[Any], npt.NDArray[
                 similarity.append(ssim(clean, noisy))
         first += samples
     return np.asarray(psnr), np.asarray(similarity)
-
-
-def draw(found: DatasetSummary, path: Path) -> Path:
-    """Write a PNG of histograms: PSNR, SSIM, then every column whose values vary."""
-    # A second to import, and only needed here.
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import MaxNLocator
-
-    panels = {"PSNR, dB": found.psnr_db, "SSIM": found.ssim}
-    for column in found.source.columns:
-        if np.dtype(column.dtype).kind == "S":
-            continue
-        values = found.numbers(column.name)
-        if values.size and np.ptp(values) > 0:
-            unit = "" if column.units in ("", "1") else f", {column.units}"
-            panels[f"{column.name}{unit}"] = values
-    tall = -(-len(panels) // _WIDE)
-    figure = Figure(figsize=(3.1 * _WIDE, 1.9 * tall + 0.6), facecolor=palette.BACKGROUND)
-    FigureCanvasAgg(figure)
-    counts = ", ".join(f"{count} {split}" for split, count in found.source.splits.items())
-    title = f"{counts} pairs   config {found.source.config_hash[:8]}"
-    figure.suptitle(title, x=0.01, ha="left", color=palette.TEXT, fontsize=12, weight="bold")
-    for number, (name, values) in enumerate(panels.items(), start=1):
-        axes = figure.add_subplot(tall, _WIDE, number, facecolor=palette.PANEL)
-        axes.set_title(name, color=palette.TEXT, fontsize=8, loc="left", pad=3)
-        values = values[np.isfinite(values)]
-        if values.size:
-            colour = palette.AMBER if number <= 2 else palette.BLUE
-            axes.hist(values, bins="auto" if values.size < 1000 else 30, color=colour, rwidth=0.92)
-            axes.axvline(float(values.mean()), color=palette.TEXT, linewidth=0.8, linestyle=":")
-        axes.yaxis.set_major_locator(MaxNLocator(4, integer=True))
-        axes.tick_params(colors=palette.FAINT, labelsize=6.5, length=2)
-        for spine in axes.spines.values():
-            spine.set_color(palette.LINE)
-    figure.tight_layout(pad=0.7, rect=(0, 0, 1, 0.985))
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
-    write_atomically(path, buffer.getvalue())
-    return path

@@ -12,7 +12,12 @@ import h5py
 import numpy as np
 
 from ...errors import FactoryError
-from .schema import CAMERA_LAYERS, ECHO_FOLDER, Axis
+from .schema import CAMERA_LAYERS, Axis
+
+ECHO_PLACE = "echoes/place"
+_ECHO_FIELDS = (
+    "bin", "range", "azimuth", "elevation", "strength", "pixel", "segmentation", "instance",
+)  # fmt: skip
 
 
 def image_axes(stack: h5py.Dataset) -> tuple[Axis, Axis]:
@@ -27,7 +32,7 @@ def axis_names(stack: h5py.Dataset) -> tuple[str, ...]:
     The pictures of the camera and the lists of echoes have none.
     """
     name = str(stack.name).lstrip("/")
-    if name in CAMERA_LAYERS or name.startswith(ECHO_FOLDER):
+    if name in CAMERA_LAYERS or name.startswith("echoes/"):
         return ()
     _check_scale_references(stack)
     return _name(_scale(stack, 1)), _name(_scale(stack, 2))
@@ -97,6 +102,18 @@ def dataset_inside(file: h5py.File, name: str, *, chunks: bool = False) -> h5py.
     if not chunks and claimed > file.id.get_filesize():
         raise FactoryError(f"/{name} claims more bytes than the file has")
     return found
+
+
+def echo_names(file: h5py.File) -> tuple[str, ...]:
+    """Lists of echoes that versions before 0.4 could write, for h5py alone to read; mostly none.
+
+    Raises FactoryError when one lies in another file.
+    """
+    if not exists(file, "echoes") or not isinstance(object_inside(file, "echoes"), h5py.Group):
+        return ()
+    dataset_inside(file, ECHO_PLACE)
+    names = [name for field in _ECHO_FIELDS if exists(file, name := f"echoes/{field}")]
+    return tuple(name for name in names if dataset_inside(file, name))
 
 
 def exists(file: h5py.File, name: str) -> bool:

@@ -23,8 +23,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ...errors import FactoryError
-from .axes import axis_names, exists, image_axes
-from .schema import CHECKSUMS, ECHO_FOLDER, ROOT_ATTRIBUTES, SEALS
+from .axes import ECHO_PLACE, axis_names, echo_names, exists, image_axes
+from .schema import CHECKSUMS, ROOT_ATTRIBUTES, SEALS
 
 _CONTENTS, _TEXTS = SEALS
 # Addresses in the file; what they lead to is in `_texts` by name.
@@ -117,12 +117,11 @@ def _digest(document: Any) -> str:
 
 
 def _contents(file: h5py.File, rows: npt.NDArray[Any]) -> list[Any]:
-    sums, place = file[CHECKSUMS][()], f"{ECHO_FOLDER}place"
-    listed = exists(file, ECHO_FOLDER.rstrip("/")) and exists(file, place)
+    sums = file[CHECKSUMS][()]
     return [
         [[name, _value(file.attrs.get(name))] for name in ROOT_ATTRIBUTES if name not in SEALS],
         [[axis.name, crc32(axis.values)] for axis in image_axes(file["noisy"])],
-        *([["echoes", crc32(file[place][()])]] if listed else []),
+        *([["echoes", crc32(file[ECHO_PLACE][()])]] if echo_names(file) else []),
         *([[[n, t.dtype[n].str] for n in t.dtype.names or ()], crc32(t)] for t in (rows, sums)),
     ]
 

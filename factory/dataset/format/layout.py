@@ -9,7 +9,6 @@ right one.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -19,9 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ...errors import FactoryError
-from .axes import dataset_inside, exists, object_inside
+from .axes import dataset_inside, echo_names, exists, object_inside
 from .checksums import check_contents, require_checksums
-from .echoes import check_echoes, echo_names
 from .schema import (
     CHANNELS,
     CHECKSUMS,
@@ -46,39 +44,13 @@ _TEXT_ATTRIBUTES = ("generator", "config", "config_hash", "split")
 
 _DEFLATE, _LZF, _ZSTD, _FLETCHER32 = 1, 32000, 32015, 3
 _CODECS = {_DEFLATE: "gzip", _LZF: "lzf", _ZSTD: "zstd"}
-# HDF5 notes the filters that a chunk was stored without by their place in the chain.
-_CODEC_LEFT_OUT = 1
 
 
-@dataclass(frozen=True)
-class Chain:
-    """How the chunks of a stack are stored: at most one compression, then Fletcher-32.
+def _filters(stack: h5py.Dataset) -> tuple[str, int]:
+    """Compression of an image stack (or none), and bytes of its Fletcher-32 checksum, 4 or 0.
 
-    codec: gzip, lzf, zstd or none.  ending: bytes of the Fletcher-32 checksum, 4 or 0.
-    """
-
-    codec: str
-    ending: int
-
-    def problem(self, mask: int, size: int, full: int) -> str:
-        """Why a chunk of that filter mask and size holds no picture of `full` bytes, or nothing.
-
-        No filter may be left out, but for LZF, which has no answer to what it cannot make smaller.
-        """
-        if mask:
-            left_out = mask == _CODEC_LEFT_OUT and self.codec == "lzf"
-            return "" if left_out and size == full + self.ending else "skips its filters"
-        # What cannot be made smaller grows by far less than that.
-        most = full + self.ending if self.codec == "none" else full + full // 16 + 4096
-        least = most if self.codec == "none" else self.ending + 1
-        return "" if least <= size <= most else f"has a chunk of {size} bytes for {full} of pixels"
-
-
-def chain_of(stack: h5py.Dataset) -> Chain:
-    """The filters of an image stack.
-
-    Raises FactoryError for any that the schema has not: it would be a library that HDF5 loads from
-    wherever HDF5_PLUGIN_PATH points, or let a chunk grow without bound.
+    Raises FactoryError for any filter that the schema has not: it would be a library that HDF5
+    loads from wherever HDF5_PLUGIN_PATH points, or let a chunk grow without bound.
     """
     plist = stack.id.get_create_plist()
     codes = [plist.get_filter(index)[0] for index in range(plist.get_nfilters())]
@@ -94,9 +66,7 @@ def chain_of(stack: h5py.Dataset) -> Chain:
                 "compressed with zstd, which needs the hdf5plugin package: "
                 "pip install 'simnfnd[zstd]'"
             ) from error
-    if not all(h5py.h5z.filter_avail(code) for code in codes):
-        raise FactoryError(f"{stack.name} uses filters {codes}, which this h5py lacks; renew h5py")
-    return Chain(_CODECS[codecs[0]] if codecs else "none", ending)
+    return _CODECS[codecs[0]] if codecs else "none", ending
 
 
 def check_shard(file: h5py.File) -> None:
@@ -124,7 +94,6 @@ def check_shard(file: h5py.File) -> None:
     for layer in known:
         _check_stack(dataset_inside(file, layer.name, chunks=True), layer, shape)
     _check_table(dataset_inside(file, "meta"), shape[0])
-    check_echoes(file, shape[0])
     require_checksums(file)
     _check_sums(file, [*(layer.name for layer in known), *echo_names(file)], shape[0])
     _check_attributes(file)
@@ -188,16 +157,23 @@ def _check_stack(stack: h5py.Dataset, layer: Layer, shape: tuple[int, ...]) -> N
     if stack.chunks != (1, *picture):
         raise FactoryError(f"{name} has chunks {stack.chunks}; expected one for each picture")
     # Their table has no checksum, and HDF5 aborts over sizes that cannot be.
-    chain, file_bytes, origin = chain_of(stack), stack.file.id.get_filesize(), (0,) * len(picture)
-    full = prod(picture) * stack.dtype.itemsize
-    found = 0
+    (codec, ending), file_bytes = _filters(stack), stack.file.id.get_filesize()
+    full = prod(picture) * stack.dtype.itemsize + ending
+    # What cannot be made smaller grows by far less than that.
+    most = full if codec == "none" else full + full // 16 + 4096
+    origin, found = (0,) * len(picture), 0
 
     def check_chunk(chunk: Any) -> None:
         nonlocal found
         if chunk.chunk_offset != (found, *origin) or found >= samples:
             raise FactoryError(f"{name}: its table of chunks is damaged; generate it again")
-        if problem := chain.problem(chunk.filter_mask, chunk.size, full):
-            raise FactoryError(f"{name} sample {found} {problem}; generate it again")
+        # LZF alone leaves a chunk as it is where it cannot make it smaller.
+        if chunk.filter_mask and (codec, chunk.filter_mask, chunk.size) != ("lzf", 1, full):
+            raise FactoryError(f"{name} sample {found} skips its filters; generate it again")
+        if not (full if codec == "none" else ending + 1) <= chunk.size <= most:
+            raise FactoryError(
+                f"{name} sample {found} has a chunk of {chunk.size} bytes; generate it again"
+            )
         if chunk.byte_offset is None or chunk.byte_offset + chunk.size > file_bytes:
             raise FactoryError(f"{name} sample {found} lies beyond the file; generate it again")
         found += 1

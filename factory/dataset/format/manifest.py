@@ -1,25 +1,22 @@
 """manifest.json: which shards make up the dataset, and how to tell that they are whole.
 
-While a run goes on, what it has settled lies beside the shards (`results`).
+While a run goes on, what became of a shard lies in a file beside it: train/shard-00000.json.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from ...errors import FactoryError
-from ...files import sha256_of, write_atomically
+from ...files import explain_os_errors, remove_file, sha256_of, write_atomically
 from ...small_files import one_line, parse_json, read_regular
 from ...storage.copies import fetched
-from .results import outcomes
-from .schema import SCHEMA, SPLITS
-from .shard_info import ShardInfo, shard_info
-
-__all__ = ["Manifest", "ShardInfo", "damage", "load_manifest", "save_manifest"]
+from .schema import SCHEMA, SPLITS, config_hash
 
 MANIFEST_NAME = "manifest.json"
 # All shards as one file, by virtual datasets.
@@ -28,10 +25,52 @@ INDEX_NAME = "index.h5"
 CONFIG_NAME = "config.yaml"
 # Keys of a configuration under which those of earlier datasets are kept.
 PARTS = ("merged", "extends")
+FAILURE_KEYS = ("frame", "shard", "kind", "reason", "command")
 
 # A shard takes some 400 bytes.
 MAX_SHARDS = 200_000
 _MAX_BYTES = 1 << 27
+_PATH = re.compile(rf"({'|'.join(SPLITS)})/[A-Za-z0-9_-]+\.h5")
+_OUTCOME = re.compile(r"shard-\d{5,}\.json")
+
+
+@dataclass(frozen=True)
+class ShardInfo:
+    """One finished shard.
+
+    path: below the dataset's folder, with forward slashes.
+    plan: digest of the frames and variants that the shard was meant to hold.
+    failed: names of the planned frames that it lacks.
+    config_hash: of the settings that it was made with; empty: those of the manifest.
+    """
+
+    path: str
+    split: str
+    samples: int
+    bytes: int
+    sha256: str
+    plan: str = ""
+    failed: tuple[str, ...] = ()
+    config_hash: str = ""
+
+    def __post_init__(self) -> None:
+        counts = (self.samples, self.bytes)
+        texts = (self.path, self.split, self.sha256, self.plan, self.config_hash, *self.failed)
+        if not all(type(count) is int and count >= 0 for count in counts):
+            raise ValueError(f"samples and bytes must be counts, got {counts}")
+        # Every sample takes some bytes: no count may be what no file can hold.
+        if self.samples > self.bytes:
+            raise ValueError(f"{self.samples} samples in {self.bytes} bytes")
+        if not all(isinstance(text, str) for text in texts):
+            raise ValueError("path, split, sha256, plan, failed and config_hash must be text")
+        # Nothing outside the dataset's folder may be named, whoever wrote the file.
+        if not _PATH.fullmatch(self.path) or self.path.split("/")[0] != self.split:
+            raise ValueError(f"{self.path!r} is no shard of split {self.split!r}")
+
+    @classmethod
+    def of(cls, item: Mapping[str, Any]) -> ShardInfo:
+        """The shard that plain values describe.  Raises ValueError, KeyError or TypeError."""
+        return cls(**{**item, "failed": tuple(item.get("failed", ()))})
 
 
 @dataclass(frozen=True)
@@ -52,6 +91,10 @@ class Manifest:
         """The manifest with `info` added, or put in place of the same path."""
         return replace(self, shards={**self.shards, info.path: info}, index_sha256="")
 
+    def of_split(self, split: str) -> list[ShardInfo]:
+        """The shards of a split, in the order of their paths."""
+        return [shard for _, shard in sorted(self.shards.items()) if shard.split == split]
+
     def samples(self, split: str | None = None) -> int:
         """Number of samples, in all or of one split."""
         return sum(s.samples for s in self.shards.values() if split in (None, s.split))
@@ -60,18 +103,21 @@ class Manifest:
     def config_hashes(self) -> frozenset[str]:
         """Hashes that its shards may state: its own, or those of datasets that went into it."""
         return frozenset(
-            {self.config_hash, *(str(part.get("config_hash")) for part in self.parts())}
+            {self.config_hash, *(str(part.get("config_hash")) for part in self._parts())}
         )
 
-    def parts(self) -> Iterator[Mapping[str, Any]]:
+    def _parts(self) -> Iterator[Mapping[str, Any]]:
         """The records of the datasets that were merged into this one, or that it extends."""
         waiting = [self.config]
         while waiting:
             config = waiting.pop()
             for key in PARTS:
                 listed = config.get(key)
-                listed = listed if isinstance(listed, list) else []
-                found = [part for part in listed if isinstance(part, dict)]
+                found = [
+                    part
+                    for part in (listed if isinstance(listed, list) else [])
+                    if isinstance(part, dict)
+                ]
                 yield from found
                 waiting += found
 
@@ -85,9 +131,9 @@ def save_manifest(directory: Path, manifest: Manifest) -> None:
     shards = [manifest.shards[path] for path in sorted(manifest.shards)]
     totals = {
         split: {
-            "samples": sum(s.samples for s in shards if s.split == split),
-            "shards": sum(s.split == split for s in shards),
-            "bytes": sum(s.bytes for s in shards if s.split == split),
+            "samples": manifest.samples(split),
+            "shards": len(manifest.of_split(split)),
+            "bytes": sum(s.bytes for s in manifest.of_split(split)),
         }
         for split in SPLITS
     }
@@ -107,15 +153,16 @@ def save_manifest(directory: Path, manifest: Manifest) -> None:
 def load_manifest(directory: Path) -> Manifest | None:
     """Read manifest.json, or None when there is none.
 
-    What runs have settled since is taken in.  Raises FactoryError when it is damaged.
+    What runs have settled since is included.  Raises FactoryError when it is damaged.
     """
     path = directory / MANIFEST_NAME
     try:
         document = parse_json(read_regular(path, _MAX_BYTES))
         if document["schema"] != SCHEMA:
             raise ValueError(f"schema is {document['schema']!r}, expected {SCHEMA!r}")
-        shards = [shard_info(item) for item in document["shards"]]
-        if len({shard.path for shard in shards}) != len(shards):
+        shards = [ShardInfo.of(item) for item in document["shards"]]
+        found = {shard.path: shard for shard in shards}
+        if len(found) != len(shards):
             raise ValueError("a shard is listed twice")
         hash_, generator = document["config_hash"], document["generator"]
         config, index = document["config"], document.get("index_sha256", "")
@@ -123,6 +170,8 @@ def load_manifest(directory: Path) -> Manifest | None:
             raise ValueError("config_hash, generator and index_sha256 must be text")
         if not isinstance(config, dict):
             raise ValueError("config must be an object")
+        if config_hash(config) != hash_:
+            raise ValueError(f"its config does not give its config_hash {hash_[:40]!r}")
     except FileNotFoundError:
         return None
     except OSError as error:
@@ -132,14 +181,13 @@ def load_manifest(directory: Path) -> Manifest | None:
         raise FactoryError(
             f"{path}: damaged ({reason}); delete it and run again, the shards are then made anew"
         ) from error
-    found = {shard.path: shard for shard in shards}
+    before = dict(found)
     for name, outcome in outcomes(directory, hash_).items():
         if outcome.info is None:
             found.pop(name, None)
         else:
             found[name] = outcome.info
-    still = len(found) == len(shards) and all(found.get(one.path) == one for one in shards)
-    return Manifest(hash_, generator, config, found, index if still else "")
+    return Manifest(hash_, generator, config, found, index if found == before else "")
 
 
 def damage(directory: Path, info: ShardInfo) -> str | None:
@@ -155,3 +203,73 @@ def damage(directory: Path, info: ShardInfo) -> str | None:
         return "absent"
     except OSError as error:
         return f"cannot be read ({error.strerror})"
+
+
+@dataclass(frozen=True)
+class ShardOutcome:
+    """What became of one shard.
+
+    config_hash: of the settings that it was made with.
+    info: the finished shard; None when no frame gave a sample.
+    failures: a line of failed.jsonl for each frame that gave none.
+    """
+
+    path: str
+    config_hash: str
+    info: ShardInfo | None
+    failures: Sequence[Mapping[str, str]]
+
+
+def save_outcome(directory: Path, outcome: ShardOutcome) -> None:
+    """Write it beside its shard, atomically.  Raises FactoryError when that is impossible."""
+    document = {
+        "schema": SCHEMA,
+        "config_hash": outcome.config_hash,
+        "path": outcome.path,
+        "shard": asdict(outcome.info) if outcome.info else None,
+        "failures": list(outcome.failures),
+    }
+    path = (directory / outcome.path).with_suffix(".json")
+    with explain_os_errors(path):
+        path.parent.mkdir(exist_ok=True)
+    write_atomically(path, json.dumps(document).encode())
+
+
+def outcomes(directory: Path, config_hash: str | None = None) -> dict[str, ShardOutcome]:
+    """Path of the shard -> its outcome, of all that lie in a dataset.
+
+    config_hash: of those that count; None: all.  A damaged one is passed over: its shard is made
+    again.
+    """
+    found = {}
+    for path in _outcome_files(directory):
+        try:
+            document = parse_json(read_regular(path))
+            if document["schema"] != SCHEMA:
+                continue
+            info = ShardInfo.of(document["shard"]) if document["shard"] else None
+            failures = [
+                {key: str(item[key]) for key in FAILURE_KEYS} for item in document["failures"]
+            ]
+            hash_, name = str(document["config_hash"]), str(document["path"])
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+        if name == f"{path.parent.name}/{path.stem}.h5" and config_hash in (None, hash_):
+            found[name] = ShardOutcome(name, hash_, info, failures)
+    return found
+
+
+def forget_outcomes(directory: Path) -> None:
+    """Remove them all: manifest.json and failed.jsonl hold them."""
+    for path in _outcome_files(directory):
+        with explain_os_errors(path):
+            remove_file(path)
+
+
+def _outcome_files(directory: Path) -> list[Path]:
+    return [
+        path
+        for split in SPLITS
+        for path in sorted((directory / split).glob("shard-*.json"))
+        if _OUTCOME.fullmatch(path.name)
+    ]

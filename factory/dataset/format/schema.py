@@ -1,6 +1,6 @@
 """The dataset format as data: names, shapes, dtypes, units and attributes of `simnfnd/1`.
 
-What a shard holds (layers, lists of echoes, axes, columns, root attributes) and what it is made of
+What a shard holds (layers, axes, columns, root attributes) and what it is made of
 (pairs and their sources).  The writer follows this file, and so do reader, validator and
 docs/dataset.md.
 """
@@ -13,7 +13,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import h5py
 import numpy as np
@@ -22,9 +22,6 @@ import numpy.typing as npt
 from ...errors import FactoryError, FrameError
 from ...frame import FrameRef
 from ...labels import CLASSES
-
-if TYPE_CHECKING:
-    from .echoes import EchoList
 
 SCHEMA = "simnfnd/1"
 SPLITS = ("train", "test")
@@ -129,30 +126,6 @@ OPTIONAL_LAYERS = (
 )
 CHANNELS = 3
 CAMERA_LAYERS = frozenset(layer.name for layer in OPTIONAL_LAYERS if layer.of_camera)
-# Of every echo behind a pair, where `dataset.layers` asks for `echoes`: flat lists, see `echoes`.
-ECHO_FOLDER = "echoes/"
-_MOST_INT32 = float(1 << 30)
-ECHO_FIELDS = (
-    Layer(
-        "bin",
-        "int32",
-        "range bin * beams + beam, ascending within a sample; attribute grid: range bins, beams",
-        most=_MOST_INT32,
-    ),
-    Layer("range", "float32", "slant range", "m", most=1e6),
-    Layer("azimuth", "float32", "azimuth, right is positive", "rad", least=-math.pi, most=math.pi),
-    _angle("elevation", "elevation, up is positive"),
-    Layer(
-        "strength",
-        "float32",
-        "linear echo intensity after time-varying gain, relative: radiance of the render times the "
-        "gain; the strongest of a bin is the one that /range and /elevation tell of",
-        most=3e38,
-    ),
-    Layer("pixel", "int32", "row * columns + column in the camera's frame", most=_MOST_INT32),
-    Layer("segmentation", "uint8", "class of the object that echoes", classes=CLASSES),
-    Layer("instance", "uint16", "number within its scene of that object, 0 = none", most=65535),
-)
 EFFECT_FOLDER = "layers/"
 _EFFECT = re.compile(rf"{EFFECT_FOLDER}[a-z][a-z0-9_]{{0,39}}")
 
@@ -214,7 +187,6 @@ class Pair:
     shadow: (H, W) bool, True inside the sonar's sector where no echo arrives in the ideal image.
     record: column name -> value, everything needed to make this very sample again.
     layers: name -> (H, W) optional picture (rgb: (H, W, 3)), as `OPTIONAL_LAYERS` describes them.
-    echoes: every echo behind the pair, where that was asked for.
     """
 
     noisy: npt.NDArray[np.generic]
@@ -222,7 +194,6 @@ class Pair:
     shadow: npt.NDArray[np.bool_]
     record: Mapping[str, float | int | str] = field(default_factory=dict)
     layers: Mapping[str, npt.NDArray[np.generic]] = field(default_factory=dict)
-    echoes: EchoList | None = None
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,6 @@ LayerName = Literal[
     "field",
     "rgb",
     "depth",
-    "echoes",
 ]
 ColumnName = Literal["pose", "intrinsics", "calibration"]
 
@@ -50,8 +49,7 @@ class DatasetSettings:
         for each), and what lies behind a pixel: range, azimuth, elevation, elevation_min,
         elevation_max, valid_azimuth, segmentation (of procedural scenes; brings instance); of
         acoustics.formation=field also what was received: intensity_db and field (complex); and
-        what the camera saw: rgb and depth, in the frame's own size.  echoes: no picture, but the
-        list of all echoes behind it, with the bin of each.
+        what the camera saw: rgb and depth, in the frame's own size.
     columns: more columns of /meta: pose (of camera and sonar, tilt, altitude, time), intrinsics
         (of the camera) and calibration (source level, absorption, time-varying gain; of
         acoustics.formation=field).

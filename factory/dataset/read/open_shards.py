@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import h5py
 
 from ...errors import FactoryError
 from ..format.checksums import all_picture_sums
-from ..format.echoes import EchoList, read_echoes
 from .image_stack import Image, ImageStack
 from .reader import open_shard
 
@@ -36,26 +34,6 @@ class OpenShards:
 
         Raises FactoryError when the shard cannot be opened or a chunk is damaged.
         """
-        with self._use(path, row) as stacks:
-            try:
-                return [stacks[name][row] for name in layers]
-            except KeyError as error:
-                absent = next(name for name in layers if name not in stacks.file)
-                raise FactoryError(
-                    f"{path}: has no layer {absent}; make the dataset with it in dataset.layers"
-                ) from error
-
-    def echoes(self, path: Path, row: int) -> EchoList:
-        """The list of one sample.  Raises FactoryError as `read` does, and where there is none."""
-        with self._use(path, row) as stacks:
-            try:
-                return read_echoes(stacks.file, row)
-            except FactoryError as error:
-                raise FactoryError(f"{path}: {error}") from error
-
-    @contextmanager
-    def _use(self, path: Path, row: int) -> Iterator[_Stacks]:
-        """A shard, opened if it is not; errors while it is read name the row."""
         if self._process != os.getpid():
             # After a fork: HDF5's state and a lock that another thread holds stay behind.
             self._forget()
@@ -65,7 +43,12 @@ class OpenShards:
                 stacks = self._opened(path)
             self._open[path] = stacks
             try:
-                yield stacks
+                return [stacks[name][row] for name in layers]
+            except KeyError as error:
+                absent = next(name for name in layers if name not in stacks.file)
+                raise FactoryError(
+                    f"{path}: has no layer {absent}; make the dataset with it in dataset.layers"
+                ) from error
             except (OSError, RuntimeError, ValueError) as error:
                 reason = " ".join(str(error).split())[:120]
                 raise FactoryError(
@@ -75,12 +58,11 @@ class OpenShards:
 
     def close(self) -> None:
         """Close every file; the next read opens what it needs."""
-        if self._process == os.getpid():
-            with self._lock:
-                while self._open:
-                    self._close_oldest()
-        else:
+        if self._process != os.getpid():
             self._forget()
+        with self._lock:
+            while self._open:
+                self._close_oldest()
 
     def _opened(self, path: Path) -> _Stacks:
         while len(self._open) >= _MOST_FILES:
@@ -95,8 +77,7 @@ class OpenShards:
         return _Stacks(file)
 
     def _close_oldest(self) -> None:
-        stacks = self._open.pop(next(iter(self._open)))
-        stacks.file.close()
+        self._open.pop(next(iter(self._open))).file.close()
 
     def _forget(self) -> None:
         self._open: dict[Path, _Stacks] = {}

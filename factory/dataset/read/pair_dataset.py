@@ -5,6 +5,7 @@ from __future__ import annotations
 import operator
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from itertools import accumulate
 from pathlib import Path
@@ -18,24 +19,12 @@ from ...errors import FactoryError
 from ...seeds import stream
 from ...storage.copies import local_folder
 from ..format.axes import image_axes
-from ..format.echoes import EchoList
-from ..format.manifest import (
-    INDEX_NAME,
-    MANIFEST_NAME,
-    load_manifest,
-)
+from ..format.manifest import INDEX_NAME, MANIFEST_NAME, load_manifest
 from ..format.schema import EFFECT_FOLDER, VALUE_RANGES, Axis, layers
 from .image_stack import Image
 from .open_shards import OpenShards
-from .reader import (
-    Expected,
-    Split,
-    check_in_isolation,
-    listed_shards,
-    reading,
-)
-from .stream import WINDOW, Windows
-from .tables import keep_rows, kept_rows, read_tables
+from .reader import Expected, Split, check_in_isolation, listed_shards, reading
+from .stream import THREADS, WINDOW, Windows
 
 Sample = dict[str, Image]
 Verify = Literal["checksums", "hash"]
@@ -82,7 +71,8 @@ class PairDataset:
     ) -> None:
         if verify not in get_args(Verify):
             raise FactoryError(f"verify={verify!r}: checksums or hash")
-        self.folder = _folder(local_folder(folder))
+        given = local_folder(folder)
+        self.folder = given.parent if given.name == INDEX_NAME else given
         self.split, self.layers, self.scaled = split, tuple(layers), scaled
         _check_names(self.layers)
         manifest = load_manifest(self.folder)
@@ -119,14 +109,6 @@ class PairDataset:
         return {
             name: self._scaled(name, image) for name, image in zip(self.layers, images, strict=True)
         }
-
-    def echoes(self, index: SupportsIndex) -> EchoList:
-        """Every echo behind a sample, of a dataset made with `echoes` in dataset.layers.
-
-        Raises FactoryError where there is no list, or it is damaged.
-        """
-        path, row = self.place(index)
-        return self._shards.echoes(path, row)
 
     def __iter__(self) -> Iterator[Sample]:
         """All samples in order."""
@@ -186,19 +168,19 @@ class PairDataset:
 
         Reads the tables of all shards, never their images.
         """
-        infos = self._expected.shards
-        rows = kept_rows(self.folder, self.paths, infos)
-        if rows is not None:
-            return rows
-        tables = list(read_tables(self.paths, infos, self._expected))
-        shapes = {table.shape for table in tables}
-        if len(shapes) > 1:
-            raise FactoryError(f"{self.folder}: images of several sizes ({sorted(shapes)})")
-        if len({table.rows.dtype for table in tables}) > 1:
+
+        def table(path: Path) -> tuple[tuple[int, int], npt.NDArray[np.void]]:
+            with self._reading(path) as file:
+                return file["noisy"].shape[1:], file["meta"][()]
+
+        # Those at a URL are fetched on the way.
+        with ThreadPoolExecutor(THREADS) as pool:
+            shapes, tables = zip(*pool.map(table, self.paths), strict=True)
+        if len(set(shapes)) > 1:
+            raise FactoryError(f"{self.folder}: images of several sizes ({sorted(set(shapes))})")
+        if len({rows.dtype for rows in tables}) > 1:
             raise FactoryError(f"{self.folder}: shards with different columns in /meta")
-        rows = np.concatenate([table.rows for table in tables])
-        keep_rows(self.folder, self.paths, infos, rows)
-        return rows
+        return np.concatenate(tables)
 
     def close(self) -> None:
         """Close the files that this process has open; reading again opens them again."""
@@ -256,10 +238,6 @@ def in_unit_range(grey: Image) -> npt.NDArray[np.float32]:
     if grey.dtype == np.uint8:
         return grey.astype(np.float32) * np.float32(1 / 255)
     return grey.astype(np.float32, copy=False)
-
-
-def _folder(given: Path) -> Path:
-    return given.parent if given.name == INDEX_NAME else given
 
 
 def _check_names(names: tuple[str, ...]) -> None:

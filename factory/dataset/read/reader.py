@@ -16,8 +16,8 @@ from ...errors import FactoryError
 from ...files import sha256_of
 from ...isolated import IsolatedProcess, look_at
 from ...storage.copies import fetched, url_of
+from ..format.axes import echo_names
 from ..format.checksums import check_texts
-from ..format.echoes import echo_names
 from ..format.layout import check_shard, inside, optional_layers
 from ..format.manifest import Manifest, ShardInfo, load_manifest
 from ..format.schema import SPLITS

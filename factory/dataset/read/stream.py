@@ -1,13 +1,13 @@
-"""Samples in random order where shards lie far away, each of which is fetched once.
+"""Samples in random order where shards lie far away, each of which is fetched once a round.
 
 Samples of all shards at random would fetch a whole shard for each.  So shards come in random order,
 some at a time (a window), and the samples of a window in random order; the next window's shards
-are fetched meanwhile, as many as there is room for.
+are fetched meanwhile, as many as copies have room for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ...errors import FactoryError
-from ...storage.copies import sure_bytes, touch, url_of
+from ...storage.copies import most_bytes, url_of
 from .reader import bring
 
 WINDOW = 16
@@ -26,14 +26,8 @@ THREADS = 4
 class Windows:
     """The order of one round over samples after another, and what to fetch while it goes on.
 
-    Nothing is fetched ahead that room for copies cannot hold beside the shards in use, for it would
-    be fetched again: each shard is fetched once a round by one process, whatever the room, as long
-    as a window's shards can all be open (`open_shards`), and by several processes as long as the
-    room holds the windows that they read in.
-
     places: the shard of each sample.  window: shards whose samples are mixed.  sizes: bytes of the
-    shards; any other takes none.  unread: how many samples before the one that is reached may not
-    be read yet, where other processes read them.
+    shards; any other takes none.
     """
 
     def __init__(
@@ -42,15 +36,13 @@ class Windows:
         window: int = WINDOW,
         *,
         sizes: Mapping[Path, int] | None = None,
-        unread: int = 0,
     ) -> None:
         if window < 1:
             raise FactoryError(f"window={window}: must be at least 1 shard")
         self._paths = list(dict.fromkeys(places))
         numbers = {path: number for number, path in enumerate(self._paths)}
         self._shard = np.array([numbers[path] for path in places], np.int64)
-        self._window, self._unread = window, unread
-        self._sizes = sizes or {}
+        self._window, self._sizes = window, sizes or {}
         self._distant = bool(self._paths) and url_of(self._paths[0].parent.parent) is not None
         self._groups: list[list[Path]] = []
         self._first: npt.NDArray[np.int64] = np.empty(0, np.int64)
@@ -78,22 +70,13 @@ class Windows:
         """Say that the sample at this position of the order is about to be read."""
         if not self._distant or position in self._now or not self._groups:
             return
-        here, since = self._at(position), self._at(max(0, position - self._unread))
+        here = int(np.searchsorted(self._first, position, side="right")) - 1
         self._now = range(int(self._first[here]), int(self._first[here + 1]))
         for future in self._waiting:
             future.cancel()  # whoever read it has fetched it
-        used = [path for group in self._groups[since : here + 1] for path in group]
-        # What is in use stays longer than what was.
-        absent = {path for path in used if not touch(path)}
-        room = sure_bytes() - self._bytes(used)
-        ahead = [path for path in self._groups[here] if path in absent and room >= 0]
-        for path in self._groups[here + 1] if here + 1 < len(self._groups) else ():
-            room -= self._bytes([path])
-            if room >= 0:
-                ahead.append(path)
         if self._threads is None:
             self._threads = ThreadPoolExecutor(THREADS, "fetch")
-        self._waiting = [self._threads.submit(_bring, path) for path in ahead]
+        self._waiting = [self._threads.submit(_bring, path) for path in self._ahead(here)]
 
     def close(self) -> None:
         """Fetch no more."""
@@ -101,9 +84,16 @@ class Windows:
             self._threads.shutdown(wait=False, cancel_futures=True)
             self._threads = None
 
-    def _at(self, position: int) -> int:
-        """The window of a position."""
-        return int(np.searchsorted(self._first, position, side="right")) - 1
+    def _ahead(self, here: int) -> Iterator[Path]:
+        """Shards of this window and the next, as many as there is room for."""
+        groups = self._groups[here : here + 2]
+        room = most_bytes() - self._bytes(groups[0])
+        if room >= 0:
+            yield from groups[0]
+        for path in groups[1] if len(groups) > 1 else ():
+            room -= self._bytes([path])
+            if room >= 0:
+                yield path
 
     def _bytes(self, group: Sequence[Path]) -> int:
         return sum(self._sizes.get(path, 0) for path in group)

@@ -12,7 +12,7 @@ from ...errors import FactoryError
 from ...files import write_atomically
 from ...frame import FrameRef
 from ...small_files import one_line, parse_json, read_regular
-from ..format.results import FAILURE_KEYS, outcomes
+from ..format.manifest import FAILURE_KEYS, outcomes
 
 FAILURES_NAME = "failed.jsonl"
 _MOST_BYTES = 1 << 27

@@ -25,10 +25,10 @@ from ..format.manifest import (
     MANIFEST_NAME,
     PARTS,
     Manifest,
+    forget_outcomes,
     load_manifest,
     save_manifest,
 )
-from ..format.results import forget_outcomes
 from ..format.schema import SCHEMA, SPLITS, Provenance, plain_values
 from .failures import FAILURES_NAME
 

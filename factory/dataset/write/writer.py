@@ -17,7 +17,6 @@ from isal import isal_zlib
 from ...errors import FactoryError, FrameError
 from ...files import explain_os_errors, write_atomically
 from ..format.checksums import crc32, write_checksums
-from ..format.echoes import EchoList, write_echoes
 from ..format.manifest import ShardInfo
 from ..format.schema import (
     LIBRARY_VERSIONS,
@@ -66,7 +65,6 @@ def write_shard(
     compression = compression_filter(settings)
     rows: list[tuple[Any, ...]] = []
     sums: dict[str, list[int]] = {}
-    lists: list[EchoList] = []
     dtype = table_dtype(columns)
     # The file is made in memory: it goes to disk in one write, its SHA-256 costs no second read,
     # and HDF5, which cannot close a file on a full disk, never touches the disk.
@@ -89,10 +87,6 @@ def write_shard(
             elif tuple(stacks) != wanted:
                 raise FrameError(f"{name}: has other layers than the samples before it")
             rows.append(row)
-            if pair.echoes is not None:
-                lists.append(pair.echoes)
-            if len(lists) not in (0, len(rows)):
-                raise FrameError(f"{name}: has echoes, or none, unlike the samples before it")
             for layer, stack in stacks.items():
                 stack.resize(len(rows), axis=0)
                 image = image_of(pair, layer.name)
@@ -110,8 +104,6 @@ def write_shard(
         _write_table(file, np.array(rows, dtype=dtype), columns)
         for key, value in root_attributes(provenance, split, settings.dtype).items():
             file.attrs[key] = value
-        if lists:
-            sums |= write_echoes(file, lists)
         write_checksums(file, sums)
         file.flush()
         content = file.id.get_file_image()

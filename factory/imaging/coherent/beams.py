@@ -1,4 +1,4 @@
-"""The device's beams as matrices that the compiled loops multiply by."""
+"""The device's beams as matrices, and fields after pulse compression and beamforming."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def mixing(sonar: SonarSettings) -> Floats:
 
 @lru_cache(maxsize=16)
 def halves(sonar: SonarSettings, power: bool) -> tuple[Floats, Floats]:
-    """The mixing of amplitudes or, squared, of intensities as the compiled loop wants it.
+    """The mixing of amplitudes or, squared, of intensities, in two parts.
 
     A device whose left is the mirror of its right mixes the sums of mirrored beams with one matrix
     and their differences with another, each of half the size: together half the work.  Returns both
@@ -98,6 +98,69 @@ def _squared_up(matrix: Matrix) -> Floats:
 
 def _filled_up(matrix: Matrix) -> Floats:
     return np.pad(matrix, ((0, -len(matrix) % 4), (0, 0))).astype(np.float32)
+
+
+def blurred(planes: Floats, kernel: Floats, sonar: SonarSettings, *, power: bool) -> Floats:
+    """Planes (..., range_bins, beams) after pulse compression and beamforming.
+
+    kernel: range response.  power: whether the planes are intensities, and not amplitudes.
+    """
+    factors = None if power else modes(sonar)
+    rows, beams = planes.shape[-2:]
+    out = np.empty_like(planes)
+    for plane, made in zip(
+        planes.reshape(-1, rows, beams), out.reshape(-1, rows, beams), strict=True
+    ):
+        if factors is None:
+            even, odd = halves(sonar, power)
+            pairs = beams // 2 if odd.size else 0
+            sums, differences = _fold(along_range(plane, kernel), pairs, len(even))
+            alike = _times(sums, even)
+            unlike = _times(differences, odd) if pairs else alike
+        else:
+            # There are fewer modes than beams, so the pulse goes between.
+            pairs = beams // 2
+            folded = _fold(plane, pairs, len(factors[0]))
+            alike, unlike = (
+                _times(along_range(_times(part, into), kernel), out_of)
+                for part, into, out_of in zip(folded, factors[:2], factors[2:], strict=True)
+            )
+        made[:, : beams - pairs] = alike[:rows, : beams - pairs]
+        made[:, :pairs] += unlike[:rows, :pairs]
+        made[:, beams - pairs :] = (alike[:rows, :pairs] - unlike[:rows, :pairs])[:, ::-1]
+    return out
+
+
+def along_range(plane: Floats, kernel: Floats) -> Floats:
+    """Rows of (rows, n) correlated with `kernel`; nothing comes from beyond the ends."""
+    if len(kernel) == 1:
+        return plane
+    rows, half = len(plane), len(kernel) // 2
+    out = np.zeros_like(plane)
+    for tap, weight in enumerate(kernel):
+        first, last = max(half - tap, 0), min(rows, rows + half - tap)
+        if first < last:
+            out[first:last] += weight * plane[first + tap - half : last + tap - half]
+    return out
+
+
+def _fold(plane: Floats, pairs: int, width: int) -> tuple[Floats, Floats]:
+    """Sums (the middle beam as it is) and differences of mirrored beams, filled up with zeros."""
+    rows, beams = plane.shape
+    sums, differences = (np.zeros((rows + -rows % 4, width), np.float32) for _ in range(2))
+    mirrored = plane[:, ::-1]
+    sums[:rows, : beams - pairs] = plane[:, : beams - pairs]
+    sums[:rows, :pairs] += mirrored[:, :pairs]
+    np.subtract(plane[:, :pairs], mirrored[:, :pairs], out=differences[:rows, :pairs])
+    return sums, differences
+
+
+def _times(rows: Floats, matrix: Floats) -> Floats:
+    from . import kernels  # loads numba
+
+    out = np.empty((len(rows), matrix.shape[1]), np.float32)
+    kernels.products(rows, matrix, out)
+    return out
 
 
 _PATTERN_STEPS = 4096

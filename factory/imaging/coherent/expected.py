@@ -13,7 +13,7 @@ ones, target restored has none of them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -27,6 +27,7 @@ from .signal import Ping
 # The table of expected grey values: levels over full scale, dB, and their fluctuation.
 _BEYOND_DB, _STEPS_PER_DB, _VARIANCES, _QUANTILES, _SHIFTS = 30.0, 2, 9, 512, 33
 _DARKEST_DB = -120.0
+_FAINTEST = np.float32(1e-37)  # far below every level that is shown, and no subnormal number
 
 
 @dataclass(eq=False)
@@ -56,9 +57,42 @@ class Expected:
         for plane in (self.echo, self.noise, self.steady, self.textured):
             plane *= factor
 
+    def averaged(self, kernel: Floats, samples: int) -> Expected:
+        """The expected intensities of range bins, from those of raw samples."""
+        if samples == 1:
+            return self
+        planes = (averaged(p, samples) for p in (self.echo, self.noise, self.steady, self.textured))
+        echo, noise, steady, textured = planes
+        more = self.looks * looks(kernel, samples)
+        return replace(self, echo=echo, noise=noise, steady=steady, textured=textured, looks=more)
+
     def total(self) -> Floats:
         """(range_bins, beams) expected intensity."""
         return self.echo + self.noise + self.steady
+
+
+def averaged(intensity: Floats, samples: int) -> Floats:
+    """(rows, beams) float32: the mean of each `samples` rows of (samples * rows, beams)."""
+    rows, beams = intensity.shape
+    mean = intensity.reshape(rows // samples, samples, beams).mean(axis=1, dtype=np.float32)
+    return np.ascontiguousarray(mean)
+
+
+def looks(kernel: Floats, samples: int) -> float:
+    """Independent looks that the average of neighbouring samples is worth.
+
+    A receiver samples faster than its picture shows, and averages intensities.  k samples whose
+    fields have the correlations rho are worth k^2 / sum |rho|^2 looks (Goodman, Speckle Phenomena
+    in Optics, ch. 4).
+
+    kernel: range response in raw samples, as `simnfnd.factory.sonar.array.range_kernel` gives it.
+    """
+    full = np.correlate(kernel.astype(np.float64), kernel.astype(np.float64), "full")
+    alike = (full / full.max()) ** 2
+    middle = len(kernel) - 1
+    lags = np.arange(1, min(samples, len(kernel)))
+    pairs = samples + 2 * float(((samples - lags) * alike[middle + lags]).sum())
+    return samples**2 / pairs
 
 
 def expected(
@@ -98,21 +132,22 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
     full_scale /= float(np.exp(_power(settings) * state.scintillation_nepers2 / 2))
     if not (state.echo.any() or state.noise.any()):
         return transfer.grey(np.sqrt(state.steady), float(np.sqrt(full_scale)), settings)
-    grey = np.empty_like(state.echo)
+    total, grey = state.total() + _FAINTEST, np.empty_like(state.echo)
+    level_db = np.float32(10) * np.log10(np.maximum(total / np.float32(full_scale), _FAINTEST))
+    shifts_db = _texture_shifts_db(state.shape, _power(settings))
     kernels.displayed(
-        state.echo,
-        state.noise,
-        state.steady,
-        state.textured,
-        state.looks,
-        full_scale,
-        _texture_shifts_db(state.shape, _power(settings)),
-        _table(settings),
-        _lowest_db(settings),
-        _STEPS_PER_DB,
-        grey,
-    )
+        level_db.ravel(), total.ravel(), state.steady.ravel(), state.textured.ravel(), state.looks,
+        shifts_db, _table(settings), _lowest_db(settings), _STEPS_PER_DB,
+        grey.ravel(),
+    )  # fmt: skip
     return grey
+
+
+def between(table: Floats, place: Floats) -> Floats:
+    """Values of a table at fractional places, linear in between."""
+    step = np.minimum(place.astype(np.intp), len(table) - 2)
+    low, high = np.take(table, step), np.take(table, step + 1)
+    return np.asarray(low + (place - step.astype(np.float32)) * (high - low), np.float32)
 
 
 def _power(settings: TransferSettings) -> float:

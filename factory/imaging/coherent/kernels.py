@@ -1,7 +1,7 @@
-"""Compiled loops over scatterers and over the bins of a polar field; see `factory.compiled`.
+"""Compiled loops of the complex field; see `simnfnd.factory.compiled`.
 
-A field is (looks, 2, range_bins, beams) float32: real and imaginary parts as planes of their own,
-so that whatever mixes beams or ranges treats them as plain numbers.
+Here are the steps that NumPy would take several times as long for, or add up in an order that
+depends on the processor.  All others are in NumPy, where they are used.
 """
 
 from __future__ import annotations
@@ -12,300 +12,653 @@ import numpy as np
 import numpy.typing as npt
 
 from ...compiled import compiled
-from ...elementary import log10
 
 Floats = npt.NDArray[np.float32]
+Doubles = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int32]
+Words = npt.NDArray[np.uint32]
 
 _A, _B = np.uint32(0x85EBCA6B), np.uint32(0xC2B2AE35)
-_13, _16 = np.uint32(13), np.uint32(16)
+_1, _2, _3, _8 = np.uint32(1), np.uint32(2), np.uint32(3), np.uint32(8)
+_9, _13, _16, _GOLDEN = (np.uint32(v) for v in (9, 13, 16, 0x9E3779B9))
+_STEPS_X, _STEPS_Y, _STEPS_Z = np.uint32(73856093), np.uint32(19349663), np.uint32(83492791)
+_SALT_X, _SALT_Y, _SALT_Z = np.uint32(0x68BC21EB), np.uint32(0x02E5BE93), np.uint32(0x967A889B)
+_ZERO, _ONE, _TWO, _FOUR = np.float32(0), np.float32(1), np.float32(2), np.float32(4)
+_TINY = np.float32(1e-6)
+
+_NOTHING, _HALF, _BLOCK = np.uint64(0), np.int32(1), 1024
+
+_TABLE = "Array(float32, 1, 'C', readonly=True)"
+_MATRIX = "Array(float32, 2, 'C', readonly=True)"
 
 
 @compiled()
 def mixed(word: Any) -> Any:
     """32 bits -> 32 bits that look random: the finaliser of MurmurHash3 (public domain)."""
-    word = np.uint32(word ^ (word >> _16))
-    word = np.uint32(word * _A)
-    word = np.uint32(word ^ (word >> _13))
-    word = np.uint32(word * _B)
+    word = np.uint32(np.uint32(word ^ (word >> _16)) * _A)
+    word = np.uint32(np.uint32(word ^ (word >> _13)) * _B)
     return np.uint32(word ^ (word >> _16))
 
 
-@compiled("void(float32[:, ::1], float32[::1], float32[:, ::1])")
-def along_range(planes: Floats, kernel: Floats, out: Floats) -> None:
-    """Correlate the rows of (rows, n) with `kernel`; nothing comes from beyond the ends."""
-    rows, width = planes.shape
-    half = kernel.shape[0] // 2
-    for row in range(rows):
-        for column in range(width):
-            out[row, column] = 0
-        for tap in range(kernel.shape[0]):
-            source = row + tap - half
-            if 0 <= source < rows:
-                weight = kernel[tap]
-                for column in range(width):
-                    out[row, column] += weight * planes[source, column]
-
-
 @compiled()
-def _products(four: Floats, matrix: Floats, out: Floats) -> None:
-    """(4, m) times (m, n), m a multiple of 4; the order of the sums is fixed.
+def _corner(x: Any, y: Any, z: Any) -> Any:
+    """32 bits for a cube of a lattice, given by three whole numbers of any sign; not yet mixed."""
+    first, second, third = np.uint32(np.int64(x)), np.uint32(np.int64(y)), np.uint32(np.int64(z))
+    return np.uint32(first * _STEPS_X + second * _STEPS_Y + third * _STEPS_Z)
+
+
+# --- beams ------------------------------------------------------------------------------------
+
+
+@compiled(f"void(float32[:, ::1], {_MATRIX}, float32[:, ::1])")
+def products(rows: Floats, matrix: Floats, out: Floats) -> None:
+    """(n, m) times (m, k), n and m multiples of 4; the order of the sums is fixed.
 
     Four rows by four sources at a time: each number that is loaded or stored serves four products.
     """
-    a, b, c, d = four[0], four[1], four[2], four[3]
-    first, second, third, fourth = out[0], out[1], out[2], out[3]
-    for at in range(matrix.shape[1]):
-        first[at] = second[at] = third[at] = fourth[at] = 0
-    for i in range(0, matrix.shape[0], 4):
-        m0, m1, m2, m3 = matrix[i], matrix[i + 1], matrix[i + 2], matrix[i + 3]
-        a0, a1, a2, a3 = a[i], a[i + 1], a[i + 2], a[i + 3]
-        b0, b1, b2, b3 = b[i], b[i + 1], b[i + 2], b[i + 3]
-        c0, c1, c2, c3 = c[i], c[i + 1], c[i + 2], c[i + 3]
-        d0, d1, d2, d3 = d[i], d[i + 1], d[i + 2], d[i + 3]
-        # Where nothing echoes, as in most bins of a frame, nothing is added.
-        if (
-            (a0 == 0 and a1 == 0 and a2 == 0 and a3 == 0)
-            and (b0 == 0 and b1 == 0 and b2 == 0 and b3 == 0)
-            and (c0 == 0 and c1 == 0 and c2 == 0 and c3 == 0)
-            and (d0 == 0 and d1 == 0 and d2 == 0 and d3 == 0)
-        ):
-            continue
+    for row in range(0, rows.shape[0], 4):
+        first, second, third, fourth = out[row], out[row + 1], out[row + 2], out[row + 3]
         for at in range(matrix.shape[1]):
-            w0, w1, w2, w3 = m0[at], m1[at], m2[at], m3[at]
-            first[at] += a0 * w0 + a1 * w1 + a2 * w2 + a3 * w3
-            second[at] += b0 * w0 + b1 * w1 + b2 * w2 + b3 * w3
-            third[at] += c0 * w0 + c1 * w1 + c2 * w2 + c3 * w3
-            fourth[at] += d0 * w0 + d1 * w1 + d2 * w2 + d3 * w3
+            first[at] = second[at] = third[at] = fourth[at] = 0
+        for i in range(0, matrix.shape[0], 4):
+            # Where nothing echoes, as in most bins of a frame, nothing is added.
+            silent = True
+            for line in range(row, row + 4):
+                four = rows[line, i : i + 4]
+                silent = silent and not (four[0] or four[1] or four[2] or four[3])
+            if silent:
+                continue
+            m0, m1, m2, m3 = matrix[i], matrix[i + 1], matrix[i + 2], matrix[i + 3]
+            a, b, c, d = rows[row], rows[row + 1], rows[row + 2], rows[row + 3]
+            a0, a1, a2, a3 = a[i], a[i + 1], a[i + 2], a[i + 3]
+            b0, b1, b2, b3 = b[i], b[i + 1], b[i + 2], b[i + 3]
+            c0, c1, c2, c3 = c[i], c[i + 1], c[i + 2], c[i + 3]
+            d0, d1, d2, d3 = d[i], d[i + 1], d[i + 2], d[i + 3]
+            for at in range(matrix.shape[1]):
+                w0, w1, w2, w3 = m0[at], m1[at], m2[at], m3[at]
+                first[at] += a0 * w0 + a1 * w1 + a2 * w2 + a3 * w3
+                second[at] += b0 * w0 + b1 * w1 + b2 * w2 + b3 * w3
+                third[at] += c0 * w0 + c1 * w1 + c2 * w2 + c3 * w3
+                fourth[at] += d0 * w0 + d1 * w1 + d2 * w2 + d3 * w3
 
 
-@compiled()
-def _copy(numbers: Floats, out: Floats) -> None:
-    # A slice on the left of an assignment is copied number by number, for it might overlap.
-    for at in range(numbers.shape[0]):
-        out[at] = numbers[at]
-
-
-@compiled()
-def _fold(planes: Floats, first: int, pairs: int, sums: Floats, differences: Floats) -> None:
-    """Sums and differences of mirrored beams of up to four rows, from `first` on."""
-    beams, last = planes.shape[1], np.uintp(planes.shape[1] - 1)
-    for line in range(min(4, planes.shape[0] - first)):
-        given = planes[first + line]
-        added, subtracted = sums[line], differences[line]
-        for beam in range(pairs):
-            mirrored = given[last - np.uintp(beam)]
-            added[beam] = given[beam] + mirrored
-            subtracted[beam] = given[beam] - mirrored
-        for beam in range(pairs, beams - pairs):
-            sums[line, beam] = given[beam]
-
-
-@compiled()
-def _unfold(alike: Floats, unlike: Floats, first: int, pairs: int, out: Floats) -> None:
-    """Up to four rows of beams, from `first` on, of what their sums and differences became."""
-    beams, last = out.shape[1], np.uintp(out.shape[1] - 1)
-    for line in range(min(4, out.shape[0] - first)):
-        made = out[first + line]
-        added, subtracted = alike[line], unlike[line]
-        for beam in range(pairs):
-            made[beam] = added[beam] + subtracted[beam]
-        for beam in range(pairs):
-            made[last - np.uintp(beam)] = added[beam] - subtracted[beam]
-        for beam in range(pairs, beams - pairs):
-            made[beam] = alike[line, beam]
-
-
-@compiled(
-    "void(float32[:, ::1], Array(float32, 2, 'C', readonly=True),"
-    " Array(float32, 2, 'C', readonly=True), float32[:, ::1])"
-)
-def across_beams(planes: Floats, even: Floats, odd: Floats, out: Floats) -> None:
-    """(n, beams) times the mixing of the beams, as `beams.halves` splits it."""
-    rows, beams = planes.shape
-    pairs = beams // 2 if odd.shape[0] else 0
-    sums = np.zeros((4, even.shape[0]), np.float32)
-    differences = np.zeros((4, odd.shape[0]), np.float32)
-    alike = np.empty((4, even.shape[1]), np.float32)
-    unlike = np.zeros((4, even.shape[1]), np.float32)
-    for row in range(0, rows, 4):
-        _fold(planes, row, pairs, sums, differences)
-        _products(sums, even, alike)
-        if pairs:
-            _products(differences, odd, unlike)
-        _unfold(alike, unlike, row, pairs, out)
-
-
-@compiled(
-    "void(float32[:, ::1], Array(float32, 2, 'C', readonly=True),"
-    " Array(float32, 2, 'C', readonly=True), float32[:, ::1])"
-)
-def into_modes(planes: Floats, even: Floats, odd: Floats, modes: Floats) -> None:
-    """(n, beams) into (n, even and odd modes): the first factors of `beams.modes`."""
-    rows, beams = planes.shape
-    pairs, middle = beams // 2, even.shape[1]
-    sums = np.zeros((4, even.shape[0]), np.float32)
-    differences = np.zeros((4, odd.shape[0]), np.float32)
-    alike = np.empty((4, even.shape[1]), np.float32)
-    unlike = np.empty((4, odd.shape[1]), np.float32)
-    for row in range(0, rows, 4):
-        _fold(planes, row, pairs, sums, differences)
-        _products(sums, even, alike)
-        _products(differences, odd, unlike)
-        for line in range(min(4, rows - row)):
-            _copy(alike[line], modes[row + line, :middle])
-            _copy(unlike[line], modes[row + line, middle:])
-
-
-@compiled(
-    "void(float32[:, ::1], Array(float32, 2, 'C', readonly=True),"
-    " Array(float32, 2, 'C', readonly=True), float32[:, ::1])"
-)
-def out_of_modes(modes: Floats, even: Floats, odd: Floats, out: Floats) -> None:
-    """(n, even and odd modes) into (n, beams): the second factors."""
-    rows, pairs, middle = out.shape[0], out.shape[1] // 2, even.shape[0]
-    sums = np.zeros((4, even.shape[0]), np.float32)
-    differences = np.zeros((4, odd.shape[0]), np.float32)
-    alike = np.empty((4, even.shape[1]), np.float32)
-    unlike = np.empty((4, even.shape[1]), np.float32)
-    for row in range(0, rows, 4):
-        for line in range(min(4, rows - row)):
-            _copy(modes[row + line, :middle], sums[line])
-            _copy(modes[row + line, middle:], differences[line])
-        _products(sums, even, alike)
-        _products(differences, odd, unlike)
-        _unfold(alike, unlike, row, pairs, out)
-
-
-@compiled("void(uint32, float32[:, ::1], float32[::1], float32[::1], float32[:, :, ::1])")
+@compiled(f"void(uint32, {_MATRIX}, float32[::1], float32[::1], float32[:, :, ::1])")
 def add_white(key: int, table: Floats, along: Floats, across: Floats, planes: Floats) -> None:
     """Add complex circular noise, a function of the key and the place.
 
     along, across: its amplitude is their product, (rows,) and (beams,).  planes: (2, rows, beams).
     """
     rows, beams = planes.shape[1:]
-    drawn = np.empty(beams, np.uint32)
     for row in range(rows):
-        first = np.uint32(row * beams)
         for beam in range(beams):
-            place = np.uint32(first + np.uint32(beam))
-            drawn[beam] = mixed(np.uint32(mixed(place) ^ key)) >> _16
-        real, imaginary, level = planes[0, row], planes[1, row], along[row]
-        for beam in range(beams):
-            amplitude = level * across[beam]
-            real[beam] += amplitude * table[drawn[beam], 0]
-            imaginary[beam] += amplitude * table[drawn[beam], 1]
+            place = np.uint32(row * beams + beam)
+            lot = mixed(np.uint32(mixed(place) ^ key)) >> _16
+            amplitude = along[row] * across[beam]
+            planes[0, row, beam] += amplitude * table[lot, 0]
+            planes[1, row, beam] += amplitude * table[lot, 1]
 
 
-@compiled("void(float32[:, :, :, ::1], float32[:, ::1])")
-def loudest(field: Floats, intensity: Floats) -> None:
-    """Largest intensity of each look and range; field: (looks, 2, rows, beams)."""
-    looks, _, rows, beams = field.shape
-    squares = np.empty(beams, np.float32)
-    for look in range(looks):
-        for row in range(rows):
-            real, imaginary = field[look, 0, row], field[look, 1, row]
-            for beam in range(beams):
-                squares[beam] = real[beam] * real[beam] + imaginary[beam] * imaginary[beam]
-            intensity[look, row] = squares.max()
+# --- from rendered pixels to scatterers -------------------------------------------------------
+
+# A pixel at grazing incidence is at most so many scatterers.
+_MOST_PARTS = 32
+# When neighbours are one surface, as in `render.kernels.joints`: parts of the depth, and of a step.
+_SMALL_STEP, _LARGE_STEP, _SLOPE_CHANGE = np.float32(0.02), np.float32(0.1), np.float32(3)
 
 
-@compiled("void(float32[:, :, :, ::1], int64, float32)")
-def beside(field: Floats, step: int, leak: float) -> None:
-    """Add to a field what leaks of it into beams `step` to the left and to the right."""
-    looks, parts, rows, beams = field.shape
-    wide = np.zeros(beams + 2 * step, np.float32)
-    # Slices from 0 on: the compiler then knows that no index is negative.
-    left, middle, right = wide[:beams], wide[step : step + beams], wide[2 * step :]
-    for look in range(looks):
-        for part in range(parts):
-            for row in range(rows):
-                made = field[look, part, row]
-                for beam in range(beams):
-                    middle[beam] = made[beam]
-                for beam in range(beams):
-                    made[beam] = middle[beam] + leak * left[beam] + leak * right[beam]
+@compiled()
+def _bounded(value: Any, most: Any) -> Any:
+    """A whole number from 0 to `most`; NaN is 0."""
+    value = value if value > _ZERO else _ZERO
+    return np.int32(value if value < most else most)
 
 
-@compiled("void(float32[:, :, :, ::1], float32[::1])")
-def saturate(field: Floats, limit: Floats) -> None:
-    """Weaken what is above the limit of its row, an intensity, down to it."""
-    looks, _, rows, beams = field.shape
-    one = np.float32(1)
-    for look in range(looks):
-        for row in range(rows):
-            real, imaginary, most = field[look, 0, row], field[look, 1, row], limit[row]
-            for beam in range(beams):
-                intensity = real[beam] * real[beam] + imaginary[beam] * imaginary[beam]
-                factor = np.sqrt(most / intensity) if intensity > most else one
-                real[beam] *= factor
-                imaginary[beam] *= factor
+@compiled()
+def _row(
+    depth_m: Floats, radiance: Floats, across: Floats, b: float, rotation: Floats,
+    position_m: Floats, ground_up: Floats, near_m: float, bins_per_m: float, made: Floats,
+) -> None:  # fmt: skip
+    """Of a row of pixels what a processor does for many at once; made: (4, W) out.
 
-
-@compiled(
-    "float32(float32[:, ::1], float32[::1], float32[:, ::1], boolean[::1], float32[:, ::1],"
-    " float32[:, ::1])"
-)
-def expectation(
-    expected: Floats,
-    gain: Floats,
-    power: Floats,
-    seen: npt.NDArray[np.bool_],
-    level: Floats,
-    echoing: Floats,
-) -> Any:
-    """Amplitude after gain of expected intensities, and that of the bins that hold an echo alone.
-
-    gain: of intensity, (rows,); power: where the echoes are; seen: (beams,).  Returns the largest
-    intensity in a seen beam.
+    Sines of bearing and elevation, fractional range bin, radiance times solid angle (without
+    1 / fx fy).  What lies behind the sonar has a bearing beyond every sector.
+    ground_up: the sonar's upward axis in camera axes where ranges count along the ground, else 0.
     """
-    rows, beams = expected.shape
-    mask, largest = np.empty(beams, np.float32), np.zeros(beams, np.float32)
-    for beam in range(beams):
-        mask[beam] = np.float32(seen[beam])
-    for row in range(rows):
-        given, there, factor = expected[row], power[row], gain[row]
-        made, kept = level[row], echoing[row]
-        for beam in range(beams):
-            made[beam] = np.sqrt(given[beam] * factor)
-        for beam in range(beams):
-            kept[beam] = made[beam] * mask[beam] if there[beam] > 0 else np.float32(0)
-        for beam in range(beams):
-            largest[beam] = max(largest[beam], given[beam] * mask[beam])
-    return largest.max()
-
-
-@compiled("void(float32[:, :, :, ::1], float32[:, ::1])")
-def amplitude(field: Floats, level: Floats) -> None:
-    """Root of the intensity, averaged over the looks."""
-    looks, _, rows, beams = field.shape
-    level[:] = 0
-    for look in range(looks):
-        for row in range(rows):
-            real, imaginary, made = field[look, 0, row], field[look, 1, row], level[row]
-            for beam in range(beams):
-                made[beam] += real[beam] * real[beam] + imaginary[beam] * imaginary[beam]
-    for row in range(rows):
-        made = level[row]
-        for beam in range(beams):
-            made[beam] = np.sqrt(made[beam] / np.float32(looks))
-
-
-# Far below every level that is shown, and no subnormal number.
-_FAINTEST = np.float32(1e-37)
+    # Local names: the compiler then knows that what it writes changes none of them.
+    a0, a1, a2 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    b0, b1, b2 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    c0, c1, c2 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    g0, g1, g2 = ground_up[0], ground_up[1], ground_up[2]
+    px, py, pz = position_m[0], position_m[1], position_m[2]
+    bearing, sine, start, value = made[0], made[1], made[2], made[3]
+    for column in range(depth_m.shape[0]):
+        a, z = across[column], depth_m[column]
+        x_, y_, z_ = a * z - px, b * z - py, z - pz
+        x, y = a0 * x_ + a1 * y_ + a2 * z_, b0 * x_ + b1 * y_ + b2 * z_
+        up = c0 * x_ + c1 * y_ + c2 * z_
+        per_range = _ONE / np.sqrt(x * x + y * y + up * up)
+        bearing[column] = -y * per_range if x > 0 else np.float32(np.inf)
+        sine[column] = up * per_range
+        up = g0 * x_ + g1 * y_ + g2 * z_
+        square_m2 = x_ * x_ + y_ * y_ + z_ * z_ - up * up
+        start[column] = (np.sqrt(max(square_m2, _ZERO)) - near_m) * bins_per_m
+        square = _ONE / (_ONE + a * a + b * b)
+        value[column] = radiance[column] * square * np.sqrt(square)
 
 
 @compiled(
-    "void(float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], float32, float32,"
-    " Array(float32, 1, 'C', readonly=True), Array(float32, 2, 'C', readonly=True), float32,"
-    " float32, float32[:, ::1])"
+    f"int64({_MATRIX}, {_MATRIX}, Array(uint8, 2, 'C', readonly=True), {_MATRIX}, float32[::1],"
+    " float32[::1], float32[::1], float32[:, ::1], float32[::1], boolean, float32, float32,"
+    " float32[::1], int32[::1], float32, float32[::1], float32[::1], boolean[::1], float32,"
+    " int32[::1], int32[::1], float32[::1], int32[::1], float32[::1], int32[::1])"
+)
+def place(
+    depth_m: Floats,
+    radiance: Floats,
+    labels: npt.NDArray[np.uint8],
+    factor: Floats,
+    reflectivity: Floats,
+    across: Floats,
+    down: Floats,
+    rotation: Floats,
+    position_m: Floats,
+    ground_range: bool,
+    near_m: float,
+    bins_per_m: float,
+    edges: Floats,
+    first_beam: Integers,
+    beam_scale: float,
+    pattern: Floats,
+    power: Floats,
+    in_beam: npt.NDArray[np.bool_],
+    widest_sine: float,
+    owner: Integers,
+    bin_of: Integers,
+    power_of: Floats,
+    pixel_of: Integers,
+    part_of: Floats,
+    row_end: Integers,
+) -> int:
+    """Each lit pixel as scatterers of polar bins; returns how many there are.
+
+    A pixel covers the ranges from its own to that of the pixel below it, where both are one
+    surface.  `power` gets its echo in exact parts.  A scatterer lies anywhere in between, one for
+    each range bin that it covers: at grazing incidence there are fewer pixels than bins.
+    A line of elements tells apart the angles to itself alone, so its beams are cones:
+    sin(bearing) = sin(azimuth) cos(elevation).
+
+    depth_m, radiance: (H, W).  labels: (H, W), or (0, 0) when all are 0; reflectivity: of each,
+    the last of those beyond, too.
+    factor: (H, W) multiplies the radiance, or (0, 0).
+    across, down: (u - cx) / fx, (v - cy) / fy.  rotation, position_m: sonar axes from camera axes.
+    edges: (beams + 1,) sines of the beams' edges; first_beam, beam_scale: a table that says
+    where in it to begin.  pattern: vertical intensity pattern at equal steps of sin(elevation) from
+    -1 to 1.
+    power, owner: (bins,) out, summed power and last pixel of a bin (-1: none).  in_beam: (bins,)
+    out, whether a pixel within sin(elevation) of +-widest_sine fills it.
+    bin_of, power_of, pixel_of, part_of: (at least pixels,) out; part: how far towards the pixel
+    below, 0 to 1.  row_end: (H,) out, how many scatterers there are up to the end of each row.
+    """
+    height, width = depth_m.shape
+    beams = edges.shape[0] - 1
+    rows = power.shape[0] // beams
+    low, high, most_guess = edges[0], edges[beams], np.float32(first_beam.shape[0] - 1)
+    half_steps = np.float32(0.5 * (pattern.shape[0] - 1))
+    last_step, last_label = np.float32(pattern.shape[0] - 2), reflectivity.shape[0] - 1
+    beyond, last_row = np.float32(rows), np.float32(rows - 1)
+    ground_up = rotation[2] if ground_range else np.zeros(3, np.float32)
+    made, count = np.empty((2, 4, width), np.float32), 0
+    for row in range(-1, height):
+        under = min(row + 1, height - 1)
+        _row(
+            depth_m[under], radiance[under], across, down[under], rotation, position_m, ground_up,
+            near_m, bins_per_m, made[(row + 1) & 1],
+        )  # fmt: skip
+        if row < 0:
+            continue
+        bearings, sines, starts, values = made[row & 1]
+        below = made[(row + 1) & 1, 2]
+        for column in range(width):
+            value, bearing, z = values[column], bearings[column], depth_m[row, column]
+            if not (value > _ZERO and low <= bearing and bearing < high):
+                continue
+            # The ground far away is a run of large steps; an outline is a single one.
+            start = end = starts[column]
+            z_below = depth_m[under, column]
+            nearer_m, step_m = min(z, z_below), z_below - z
+            size_m, first_m = abs(step_m), z - depth_m[max(row - 1, 0), column]
+            next_m = depth_m[min(row + 2, height - 1), column] - z_below
+            run_m = max(first_m, next_m) if step_m > 0 else -min(first_m, next_m)
+            sloping = size_m < _LARGE_STEP * nearer_m and size_m < _SLOPE_CHANGE * run_m
+            if size_m < _SMALL_STEP * nearer_m or sloping:
+                end = below[column]
+            near, far = min(start, end), max(start, end)
+            if not (far >= _ZERO and near < beyond):
+                continue
+            beam = first_beam[_bounded((bearing - low) * beam_scale, most_guess)]
+            while bearing >= edges[beam + 1]:
+                beam += 1
+            central = abs(sines[column]) <= widest_sine
+            along = (sines[column] + _ONE) * half_steps
+            step = _bounded(along, last_step)
+            lower, upper = pattern[step], pattern[step + 1]
+            value *= lower + (along - np.float32(step)) * (upper - lower)
+            label = np.int64(labels[row, column]) if labels.shape[0] else 0
+            value *= reflectivity[min(label, last_label)]
+            if factor.shape[0]:
+                value *= factor[row, column]
+            pixel, span = row * width + column, far - near
+            # A number of 0 to 1 that belongs to the pixel.
+            where = np.float32(np.int32(np.uint32(np.uint32(pixel) * _GOLDEN) >> _8))
+            where *= np.float32(2.0**-24)
+            if span <= _ONE and near >= _ZERO and far < beyond:
+                # Most pixels: one bin, or parts of two.
+                first, last = _bounded(near, last_row), _bounded(far, last_row)
+                inside = min((np.float32(last) - near) / max(span, _TINY), _ONE)
+                share = inside if last > first else _ONE
+                nearest = first * beams + beam
+                power[last * beams + beam] += value * (_ONE - share)
+                power[nearest] += value * share
+                owner[nearest] = pixel
+                if central:
+                    in_beam[nearest] = True
+                bin_of[count] = _bounded(start + where * (end - start), last_row) * beams + beam
+                power_of[count], pixel_of[count] = value, pixel
+                part_of[count] = where if end != start else _ZERO
+                count += 1
+                continue
+            share = value / max(span, _TINY)
+            for bin_row in range(int(max(near, _ZERO)), min(int(far), rows - 1) + 1):
+                inside = min(far, np.float32(bin_row + 1)) - max(near, np.float32(bin_row))
+                power[bin_row * beams + beam] += share * inside
+                owner[bin_row * beams + beam] = pixel
+                in_beam[bin_row * beams + beam] |= central
+            many = max(min(int(np.ceil(span)), _MOST_PARTS), 1)
+            if count + many + (height - row) * width > bin_of.shape[0]:
+                many = 1
+            for number in range(many):
+                part = (np.float32(number) + where) / np.float32(many)
+                bin_row = int(np.floor(start + part * (end - start)))
+                if 0 <= bin_row < rows:
+                    bin_of[count] = bin_row * beams + beam
+                    power_of[count], pixel_of[count] = value / np.float32(many), pixel
+                    part_of[count] = part if end != start else _ZERO
+                    count += 1
+        row_end[row] = count
+    return count
+
+
+# --- cells of the world -----------------------------------------------------------------------
+
+
+@compiled(
+    f"void(int32[::1], float32[::1], int32[::1], {_MATRIX}, float32[::1], float32[::1],"
+    " float64[:, ::1], float64, uint32[::1], uint32[::1])"
+)
+def cells(
+    pixels: Integers,
+    parts: Floats,
+    row_end: Integers,
+    depth_m: Floats,
+    across: Floats,
+    down: Floats,
+    world_from_camera: Doubles,
+    cell_m: float,
+    name_of: Words,
+    place_of: Words,
+) -> None:
+    """The world cells in which scatterers lie.
+
+    pixels, parts, row_end: as `place` gives them.  cell_m: edge of a cell, a cube.
+    name_of, place_of: (N,) out, the cell of each as a number that looks random, and where to look
+    for it in a table (neighbours are close together).
+    """
+    height, width = depth_m.shape
+    m = world_from_camera / cell_m
+    m00, m01, m02, m03 = m[0]
+    m10, m11, m12, m13 = m[1]
+    m20, m21, m22, m23 = m[2]
+    # Whole cells apart, for 32 bits are converted faster than 64, and must be enough.
+    w0, w1, w2 = np.floor(m03), np.floor(m13), np.floor(m23)
+    m03, m13, m23 = m03 - w0, m13 - w1, m23 - w2
+    i0, i1, i2 = np.int32(np.int64(w0)), np.int32(np.int64(w1)), np.int32(np.int64(w2))
+    xs, ys, zs = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
+    us, vs = np.empty(_BLOCK, np.int32), np.empty(_BLOCK, np.int32)
+    ws = np.empty(_BLOCK, np.int32)
+    stop = 0
+    for row in range(height):
+        below = min(row + 1, height - 1)
+        here_m, below_m = depth_m[row], depth_m[below]
+        down_here, down_below = np.float64(down[row]), np.float64(down[below])
+        before = np.int32(row * width)
+        start, stop = stop, int(row_end[row])
+        # A block at a time: first what a processor does for many at once, then what it cannot.
+        for begin in range(start, stop, _BLOCK):
+            size = min(_BLOCK, stop - begin)
+            some, some_parts = pixels[begin : begin + size], parts[begin : begin + size]
+            for i in range(size):
+                column = np.uint32(some[i] - before)
+                z, part = np.float64(here_m[column]), np.float64(some_parts[i])
+                y = down_here * z
+                z_below = np.float64(below_m[column])
+                ys[i] = y + part * (down_below * z_below - y)
+                zs[i] = z + part * (z_below - z)
+                xs[i] = np.float64(across[column]) * zs[i]
+            for i in range(size):
+                x, y, z = xs[i], ys[i], zs[i]
+                us[i] = np.int32(np.floor(m00 * x + m01 * y + m02 * z + m03))
+                vs[i] = np.int32(np.floor(m10 * x + m11 * y + m12 * z + m13))
+                ws[i] = np.int32(np.floor(m20 * x + m21 * y + m22 * z + m23))
+            names, places = name_of[begin : begin + size], place_of[begin : begin + size]
+            for i in range(size):
+                first, second = np.int32(us[i] + i0), np.int32(vs[i] + i1)
+                third = np.int32(ws[i] + i2)
+                names[i] = mixed(_corner(first, second, third))
+                # Eight cells, a cube, lie side by side: one line of the processor's memory.
+                block = mixed(
+                    _corner(first >> np.int32(1), second >> np.int32(1), third >> np.int32(1))
+                )
+                inside = np.uint32(first) & _1 | (np.uint32(second) & _1) << _1
+                places[i] = np.uint32(block << _3) | inside | (np.uint32(third) & _1) << _2
+
+
+@compiled("boolean(uint32[::1], uint32[::1], int64, uint32[:, ::1], uint32[:, ::1], float32[::1])")
+def count_cells(
+    name_of: Words,
+    place_of: Words,
+    parts: int,
+    table: Words,
+    sorted_: Words,
+    share_of: Floats,
+) -> Any:
+    """1 / sqrt(points of its cell) for each point: amplitudes that add up coherently.
+
+    name_of, place_of: as `cells` gives them; share_of: (N,) out.  The cells are counted in parts,
+    a power of two, each with a table that a processor holds close by.
+    table: (slots, 2), slots a power of two; sorted_: (N, 2), both overwritten.
+    Returns False where a part does not fit the table; share_of then says nothing.
+    """
+    mask, last = np.uint32(table.shape[0] - 1), np.uint32(parts - 1)
+    shift = np.uint32(0)
+    while np.uint32(1) << shift <= mask:
+        shift += np.uint32(1)
+    ends = np.zeros(parts + 1, np.int64)
+    for point in range(place_of.shape[0]):
+        ends[np.uint32((place_of[point] >> shift) & last) + np.uint32(1)] += 1
+    if ends.max() > np.int64(mask):
+        return False
+    for number in range(parts):
+        ends[number + 1] += ends[number]
+    # Name and place lie side by side: there are then only as many places to write to as parts.
+    free = ends[:-1].copy()
+    for point in range(name_of.shape[0]):
+        place = place_of[point]
+        among = np.uint32((place >> shift) & last)
+        at = np.uint32(free[among])
+        free[among] += 1
+        sorted_[at, 0], sorted_[at, 1] = name_of[point], place & mask
+    for part in range(parts):
+        table[:] = 0
+        for i in range(ends[part], ends[part + 1]):
+            at = np.uint32(i)
+            name, slot = sorted_[at, 0], sorted_[at, 1]
+            # Taken, and by another: a product instead of `and` or `&`, of which the compiler makes
+            # two branches.  Whether a cell is new cannot be foretold, and a wrong guess costs much.
+            while np.uint64(table[slot, 1]) * np.uint64(table[slot, 0] ^ name) != _NOTHING:
+                slot = np.uint32(slot + _9) & mask
+            table[slot, 0] = name
+            table[slot, 1] += _1
+            sorted_[at, 1] = slot
+        for i in range(ends[part], ends[part + 1]):
+            at = np.uint32(i)
+            sorted_[at, 0] = table[sorted_[at, 1], 1]
+    # In the order of the points again, each part being read from its beginning.
+    free = ends[:-1].copy()
+    for point in range(place_of.shape[0]):
+        among = np.uint32((place_of[point] >> shift) & last)
+        found = np.float32(np.int32(sorted_[np.uint32(free[among]), 0]))
+        free[among] += 1
+        share_of[point] = np.float32(1) / np.sqrt(found)
+    return True
+
+
+@compiled(
+    f"void(int32[::1], float32[::1], uint32[::1], float32[::1], uint16[::1], uint32, {_MATRIX},"
+    f" {_MATRIX}, float32[:, ::1])"
+)
+def scatter(
+    bin_of: Integers,
+    root_of: Floats,
+    name_of: Words,
+    share_of: Floats,
+    phase_of: npt.NDArray[np.uint16],
+    key: int,
+    table: Floats,
+    turns: Floats,
+    bins: Floats,
+) -> None:
+    """Add each point's amplitude times the coefficient of its cell to its bin; bins: (bins, 2).
+
+    The amplitude is root_of times share_of; share_of (0,): all 1.  The complex coefficient of a
+    cell is drawn by `key` from the table (65536, 2) and turned by exp(-2 pi i phase / 65536), whose
+    cosines and sines are `turns`; phase_of (0,): none.
+    """
+    for i in range(bin_of.shape[0]):
+        at, lot = bin_of[i], mixed(np.uint32(name_of[i] ^ key)) >> _16
+        real, imaginary = table[lot, 0], table[lot, 1]
+        if share_of.shape[0]:
+            real, imaginary = share_of[i] * real, share_of[i] * imaginary
+        real, imaginary = root_of[i] * real, root_of[i] * imaginary
+        if phase_of.shape[0]:
+            c, s = turns[phase_of[i], 0], turns[phase_of[i], 1]
+            real, imaginary = real * c + imaginary * s, imaginary * c - real * s
+        bins[at, 0] += real
+        bins[at, 1] += imaginary
+
+
+# A pixel is one surface with its right neighbour up to this step, a part of the depth.
+_STEP = 0.05
+# Points of a pixel across and down, at most.
+_MOST_ACROSS, _MOST_DOWN = 16, 8
+
+
+@compiled()
+def _fraction(name: Any, salt: Any) -> Any:
+    """A number of 0 to 1 that belongs to a cell."""
+    return np.float64(mixed(np.uint32(name ^ salt)) >> _8) * 2.0**-24
+
+
+@compiled(
+    f"int64(int32[::1], float32[::1], float32[::1], {_MATRIX}, float32[::1], float32[::1],"
+    " float64[:, ::1], float64, uint32[::1], float32[::1], int32[:, ::1])"
+)
+def gather(
+    pixels: Integers,
+    parts: Floats,
+    powers: Floats,
+    depth_m: Floats,
+    across: Floats,
+    down: Floats,
+    world_from_camera: Doubles,
+    cell_m: float,
+    name_of: Words,
+    power_of: Floats,
+    place_of: Integers,
+) -> Any:
+    """Spread the scatterers over the cells of the world; returns how many points that takes.
+
+    Each pixel is filled with points half a cell apart, towards the pixel below and the one to the
+    right as far as these are one surface with it.
+    pixels, parts, powers: as `place` gives them.  name_of, power_of: (slots,) zeros, a table of
+    cells: their number (looks random, not 0) and power; slots a power of two, more than there are
+    cells.  place_of: (slots, 3), the cell.  With tables of no slots it only counts.
+    """
+    height, width = depth_m.shape
+    mask = np.uint32(max(name_of.shape[0] - 1, 0))
+    filling = name_of.shape[0] > 0
+    m = world_from_camera / cell_m
+    half_m, count = 0.5 * cell_m, np.int64(0)
+    first, size = 0, pixels.shape[0]
+    while first < size:
+        pixel = pixels[first]
+        last = first + 1
+        while last < size and pixels[last] == pixel:
+            last += 1
+        row, column = pixel // width, pixel % width
+        z = np.float64(depth_m[row, column])
+        x, y = np.float64(across[column]) * z, np.float64(down[row]) * z
+        dx = dy = dz = np.float64(0)
+        if parts[first] != 0 and row + 1 < height:
+            below = np.float64(depth_m[row + 1, column])
+            dx = np.float64(across[column]) * below - x
+            dy, dz = np.float64(down[row + 1]) * below - y, below - z
+        ex = ey = ez = np.float64(0)
+        if column + 1 < width:
+            right = np.float64(depth_m[row, column + 1])
+            if abs(right - z) < _STEP * z:
+                ex = np.float64(across[column + 1]) * right - x
+                ey, ez = np.float64(down[row]) * right - y, right - z
+        many = last - first
+        sideways = int(np.ceil(np.sqrt(ex * ex + ey * ey + ez * ez) / half_m))
+        downward = int(np.ceil(np.sqrt(dx * dx + dy * dy + dz * dz) / many / half_m))
+        sideways = min(max(sideways, 1), _MOST_ACROSS)
+        downward = min(max(downward, 1), _MOST_DOWN)
+        count += many * sideways * downward
+        for number in range(many if filling else 0):
+            share = powers[first + number] / np.float32(sideways * downward)
+            for b in range(downward):
+                v = (number + (b + 0.5) / downward) / many
+                for a in range(sideways):
+                    u = (a + 0.5) / sideways - 0.5
+                    px, py, pz = x + v * dx + u * ex, y + v * dy + u * ey, z + v * dz + u * ez
+                    i = np.floor(m[0, 0] * px + m[0, 1] * py + m[0, 2] * pz + m[0, 3])
+                    j = np.floor(m[1, 0] * px + m[1, 1] * py + m[1, 2] * pz + m[1, 3])
+                    k = np.floor(m[2, 0] * px + m[2, 1] * py + m[2, 2] * pz + m[2, 3])
+                    name = np.uint32(mixed(_corner(i, j, k)) | _1)
+                    slot = np.uint32(name >> _1) & mask
+                    while name_of[slot] != 0 and name_of[slot] != name:
+                        slot = np.uint32(slot + _1) & mask
+                    if name_of[slot] == 0:
+                        name_of[slot] = name
+                        place_of[slot, 0], place_of[slot, 1] = np.int32(i), np.int32(j)
+                        place_of[slot, 2] = np.int32(k)
+                    power_of[slot] += share
+        first = last
+    return count
+
+
+@compiled(
+    "int64(uint32[::1], float32[::1], int32[:, ::1], float64, float64[:, ::1], boolean, float64,"
+    " float64, float32[::1], int32[::1], float64, int64, float64, int32[::1], float32[::1],"
+    " uint32[::1], uint16[::1])"
+)
+def locate(
+    name_of: Words,
+    power_of: Floats,
+    place_of: Integers,
+    cell_m: float,
+    sonar_from_world: Doubles,
+    ground_range: bool,
+    near_m: float,
+    bins_per_m: float,
+    edges: Floats,
+    first_beam: Integers,
+    beam_scale: float,
+    rows: int,
+    waves_per_m: float,
+    bin_of: Integers,
+    root_of: Floats,
+    cell_of: Words,
+    phase_of: npt.NDArray[np.uint16],
+) -> Any:
+    """The polar bin, amplitude and phase of every cell in the picture; returns how many there are.
+
+    A cell echoes from one point in it, which is the cell's own.  waves_per_m: wavelengths of the
+    two-way path a metre of range.  The rest is as in `place`; bin_of ... phase_of: out, phases in
+    1 / 65536 of a turn.
+    """
+    m, beams = sonar_from_world, edges.shape[0] - 1
+    low, high = np.float64(edges[0]), np.float64(edges[beams])
+    count = 0
+    for slot in range(name_of.shape[0]):
+        name = name_of[slot]
+        if name == 0 or power_of[slot] <= 0:
+            continue
+        x = (place_of[slot, 0] + _fraction(name, _SALT_X)) * cell_m
+        y = (place_of[slot, 1] + _fraction(name, _SALT_Y)) * cell_m
+        z = (place_of[slot, 2] + _fraction(name, _SALT_Z)) * cell_m
+        ahead = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
+        left = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
+        up = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+        ground = ahead * ahead + left * left
+        range_m = np.sqrt(ground + up * up)
+        bearing = -left / range_m
+        along = (np.sqrt(ground) if ground_range else range_m) - near_m
+        row = int(np.floor(along * bins_per_m))
+        if ahead <= 0 or row < 0 or row >= rows or bearing < low or bearing >= high:
+            continue
+        beam = first_beam[min(int((bearing - low) * beam_scale), first_beam.shape[0] - 1)]
+        while beam + 1 < beams and bearing >= edges[beam + 1]:
+            beam += 1
+        turns = range_m * waves_per_m
+        bin_of[count] = row * beams + beam
+        root_of[count], cell_of[count] = np.sqrt(power_of[slot]), name
+        phase_of[count] = np.uint16(int((turns - np.floor(turns)) * 65536.0) & 65535)
+        count += 1
+    return count
+
+
+@compiled()
+def _smooth(part: Any) -> Any:
+    """0 to 1 as a step that begins and ends level."""
+    return part * part * (np.float32(3) - part - part)
+
+
+@compiled(f"void(float32[:, ::1], float64[:, ::1], uint32, {_MATRIX}, float32[::1])")
+def lattice(
+    points_m: Floats, lattice_from_camera: Doubles, key: int, table: Floats, normal: Floats
+) -> None:
+    """A standard normal field at (3, N) points, smooth over distances of 1 after (3, 4).
+
+    Random values at the corners of unit cubes, weighted by smooth steps and brought back to unit
+    variance.  table: (65536, 2) normal values of variance 1/2.
+    """
+    m = lattice_from_camera
+    for i in range(points_m.shape[1]):
+        a, b, c = points_m[0, i], points_m[1, i], points_m[2, i]
+        p = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3]
+        q = m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3]
+        r = m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3]
+        x, y, z = np.floor(p), np.floor(q), np.floor(r)
+        u, v, w = _smooth(np.float32(p - x)), _smooth(np.float32(q - y)), _smooth(np.float32(r - z))
+        u_, v_, w_ = _ONE - u, _ONE - v, _ONE - w
+        corner, level = _corner(np.int32(x), np.int32(y), np.int32(z)), _ZERO
+        for above in range(2):
+            side = _ZERO
+            for beyond in range(2):
+                at = np.uint32(corner + np.uint32(beyond) * _STEPS_Y + np.uint32(above) * _STEPS_Z)
+                one = table[mixed(np.uint32(mixed(at) ^ key)) >> _16, 0]
+                at = np.uint32(at + _STEPS_X)
+                other = table[mixed(np.uint32(mixed(at) ^ key)) >> _16, 0]
+                side += (v if beyond else v_) * (u_ * one + u * other)
+            level += (w if above else w_) * side
+        squares = (u * u + u_ * u_) * (v * v + v_ * v_) * (w * w + w_ * w_)
+        normal[i] = level * np.sqrt(_TWO / squares)
+
+
+# --- expectations -----------------------------------------------------------------------------
+
+
+@compiled(
+    "void(float32[::1], float32[::1], float32[::1], float32[::1], float32,"
+    f" {_TABLE}, {_MATRIX}, float32, float32, float32[::1])"
 )
 def displayed(
-    echo: Floats,
-    noise: Floats,
+    level_db: Floats,
+    total: Floats,
     steady: Floats,
     textured: Floats,
     looks: float,
-    full_scale: float,
     shifts_db: Floats,
     table: Floats,
     low_db: float,
@@ -314,44 +667,28 @@ def displayed(
 ) -> None:
     """Look up the expected grey value of each bin; see `expected.Expected` and `expected.display`.
 
+    level_db: of the total intensity over full scale.
     shifts_db: what texture does to a level, at equal steps of the variance that it brings, from
     none to that of a bin of textured echo alone.  table: grey values at equal steps of the variance
     of the rest, 0 to 1, and of the level from `low_db` on.
     """
-    rows, beams = echo.shape
-    one, ten, zero = np.float32(1), np.float32(10), np.float32(0)
-    shift_steps, variance_steps = np.float32(shifts_db.shape[0] - 1), np.float32(len(table) - 1)
-    last_shift, last_variance = np.int32(shifts_db.shape[0] - 2), np.int32(len(table) - 2)
-    last_level, per_look = np.float32(table.shape[1] - 1.001), one / np.float32(looks)
-    level_db, total_of = np.empty(beams, np.float32), np.empty(beams, np.float32)
-    shift_at, variance_at = np.empty(beams, np.float32), np.empty(beams, np.float32)
-    for row in range(rows):
-        echoes, noises, steadies, texture = echo[row], noise[row], steady[row], textured[row]
-        # First what a processor does for many bins at once, then what must be looked up.
-        for beam in range(beams):
-            total_of[beam] = echoes[beam] + noises[beam] + steadies[beam] + np.float32(1e-37)
-        for beam in range(beams):
-            part = min(texture[beam] / total_of[beam], one)
-            fixed = min(steadies[beam] / total_of[beam], one)
-            shift_at[beam] = part * part * shift_steps
-            variance_at[beam] = (one - fixed * fixed) * per_look * variance_steps
-        for beam in range(beams):
-            level_db[beam] = ten * log10(max(total_of[beam] / full_scale, _FAINTEST))
-        made = grey[row]
-        for beam in range(beams):
-            step = min(np.int32(shift_at[beam]), last_shift)
-            low, high = shifts_db[np.uint32(step)], shifts_db[np.uint32(step + 1)]
-            shift_db = low + (shift_at[beam] - np.float32(step)) * (high - low)
-            level_db[beam] = (level_db[beam] + shift_db - low_db) * steps_per_db
-        for beam in range(beams):
-            place = min(max(level_db[beam], zero), last_level)
-            left = np.uint32(np.int32(place))
-            away = place - np.float32(left)
-            lower = min(np.int32(variance_at[beam]), last_variance)
-            calm, lively = table[np.uint32(lower)], table[np.uint32(lower + 1)]
-            first = calm[left] + away * (calm[left + np.uint32(1)] - calm[left])
-            other = lively[left] + away * (lively[left + np.uint32(1)] - lively[left])
-            made[beam] = first + (variance_at[beam] - np.float32(lower)) * (other - first)
+    shift_steps, last_shift = np.float32(len(shifts_db) - 1), np.int32(len(shifts_db) - 2)
+    variance_steps, last_row = np.float32(len(table) - 1), np.int32(len(table) - 2)
+    last_level, per_look = np.float32(table.shape[1] - 1.001), _ONE / np.float32(looks)
+    for i in range(grey.shape[0]):
+        part, fixed = min(textured[i] / total[i], _ONE), min(steady[i] / total[i], _ONE)
+        away = part * part * shift_steps
+        step = min(np.int32(away), last_shift)
+        low, high = shifts_db[step], shifts_db[step + 1]
+        shift_db = low + (away - np.float32(step)) * (high - low)
+        level = (level_db[i] + shift_db - low_db) * steps_per_db
+        level = min(max(level, _ZERO), last_level)
+        variance = (_ONE - fixed * fixed) * per_look * variance_steps
+        row, column = min(np.int32(variance), last_row), np.int32(level)
+        calm, lively, away = table[row], table[row + 1], level - np.float32(column)
+        first = calm[column] + away * (calm[column + 1] - calm[column])
+        other = lively[column] + away * (lively[column + 1] - lively[column])
+        grey[i] = first + (variance - np.float32(row)) * (other - first)
 
 
 @compiled("void(float32[:, ::1], int64, float32, float32)")
@@ -371,4 +708,89 @@ def leaked(intensity: Floats, step: int, leak: float, alike: float) -> None:
         for beam in range(beams):
             both = left[beam] * left[beam] + right[beam] * right[beam]
             in_phase = double * middle[beam] * (left[beam] + right[beam])
-            made[beam] = max(made[beam] + square * both + in_phase, np.float32(0))
+            made[beam] = max(made[beam] + square * both + in_phase, _ZERO)
+
+
+# --- ghosts -----------------------------------------------------------------------------------
+
+# Weakest amplitude of the straight way that a mirrored one is compared with.
+_FAINTEST = np.float32(1e-4)
+_NEAREST_M = np.float32(1e-3)  # keeps directions finite
+
+
+@compiled(
+    "void(int32[::1], float32[:, ::1], float32[:, ::1], float32[::1], float32, float32, float32,"
+    f" {_TABLE}, float32, float32, float32, int64, int64, float32[::1], float32[:, ::1],"
+    " float32[::1], float32[:, ::1])"
+)
+def mirror(
+    sources: Integers,
+    points_m: Floats,
+    rotation: Floats,
+    position_m: Floats,
+    height_m: float,
+    cosine: float,
+    sine: float,
+    pattern: Floats,
+    loss: float,
+    nepers_per_m: float,
+    bins_per_m: float,
+    beams: int,
+    bins: int,
+    power: Floats,
+    planes: Floats,
+    power_out: Floats,
+    planes_out: Floats,
+) -> None:
+    """Add to each bin what comes to it by way of a plane; see `noise.field.image_source`.
+
+    sources: (M,) flat bins; points_m: (3, M) where they are, camera axes.  rotation, position_m:
+    sonar axes from camera axes.  height_m: of the plane above the sonar; cosine, sine: of the
+    sonar's tilt.  pattern: vertical intensity pattern at equal steps of sin(elevation) from -1 to
+    1.  loss: intensity that one reflection leaves; nepers_per_m: absorption of intensity, one way.
+    power: (bins,) intensities; planes: (fields, bins) amplitudes; ..._out: the same, added to, but
+    power_out (0,) where all intensities are 0.
+    """
+    m, steps = rotation, np.float32((pattern.shape[0] - 1) / 2)
+    # What absorption leaves of the longer way, in steps of a range bin, linear in between.
+    left = np.empty(2 * (bins // beams) + 2, np.float32)
+    for step in range(left.shape[0]):
+        left[step] = loss * np.exp(-nepers_per_m * np.float32(step) / bins_per_m)
+    most = np.float32(left.shape[0] - 2)
+    for i in range(sources.shape[0]):
+        u = points_m[0, i] - position_m[0]
+        v, w = points_m[1, i] - position_m[1], points_m[2, i] - position_m[2]
+        x = m[0, 0] * u + m[0, 1] * v + m[0, 2] * w
+        y = m[1, 0] * u + m[1, 1] * v + m[1, 2] * w
+        z = m[2, 0] * u + m[2, 1] * v + m[2, 2] * w
+        ahead, up = x * cosine + z * sine, z * cosine - x * sine
+        up_image = _TWO * height_m - up
+        flat2 = ahead * ahead + y * y
+        r = max(np.sqrt(flat2 + up * up), _NEAREST_M)
+        r_image = max(np.sqrt(flat2 + up_image * up_image), _NEAREST_M)
+        longer = max(r_image - r, _ZERO)
+        # The direction of departure in the sonar's own axes.
+        image_sine = (up_image * cosine + ahead * sine) / r_image
+        towards = pattern[int(np.rint((image_sine + _ONE) * steps))]
+        straight = np.sqrt(pattern[int(np.rint((z / r + _ONE) * steps))])
+        spread = r / (r + longer)
+        away = min(longer * bins_per_m, most)
+        whole = int(away)
+        lower, upper = left[whole], left[whole + 1]
+        once = np.sqrt(towards) / max(straight, _FAINTEST) * spread * spread
+        once *= lower + (away - np.float32(whole)) * (upper - lower)
+        source = np.int64(sources[i])
+        target = source + beams * np.int64(np.rint(longer * bins_per_m / _TWO))
+        if target >= bins:
+            continue
+        amplitude = _TWO * np.sqrt(once)
+        for plane in range(planes.shape[0]):
+            planes_out[plane, target] += amplitude * planes[plane, source]
+        if power_out.shape[0]:
+            power_out[target] += _FOUR * once * power[source]
+        twice = source + beams * np.int64(np.rint(longer * bins_per_m))
+        if twice < bins:
+            for plane in range(planes.shape[0]):
+                planes_out[plane, twice] += once * planes[plane, source]
+            if power_out.shape[0]:
+                power_out[twice] += once * once * power[source]

@@ -8,7 +8,6 @@ aperture L is another after about L / 2 of movement across, long before other ce
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -50,14 +49,14 @@ def path_cells(ping: Ping, cell_m: float) -> PathCells:
 
     Raises FrameError when they are too many.
     """
-    from . import cell_kernels
+    from . import kernels  # loads numba
 
     scene, sonar, window = ping.scatterers, ping.sonar, ping.window
     across, down = directions(scene.frame)
     pose = np.ascontiguousarray(scene.world_from_camera[:3])
     given = (scene.pixels, scene.parts, scene.powers, scene.frame.depth_m, across, down, pose)
     nothing = np.empty(0, np.uint32), np.empty(0, np.float32), np.empty((0, 3), np.int32)
-    points = cell_kernels.gather(*given, cell_m, *nothing)
+    points = kernels.gather(*given, cell_m, *nothing)
     if points > MOST_POINTS:
         raise FrameError(
             f"{scene.frame.ref.name}: {points} points for cells of {1000 * cell_m:.2g} mm; set "
@@ -66,13 +65,13 @@ def path_cells(ping: Ping, cell_m: float) -> PathCells:
     slots = 1 << int(points).bit_length()
     names, powers = np.zeros(slots, np.uint32), np.zeros(slots, np.float32)
     places = np.empty((slots, 3), np.int32)
-    cell_kernels.gather(*given, cell_m, names, powers, places)
+    kernels.gather(*given, cell_m, names, powers, places)
     cells = int(np.count_nonzero(names))
     edges, first_beam = beam_table(sonar)
     bins, roots = np.empty(cells, np.int32), np.empty(cells, np.float32)
     kept, phases = np.empty(cells, np.uint32), np.empty(cells, np.uint16)
     waves_per_m = 2000 * sonar.frequency_khz / ping.water.sound_speed_m_s()
-    count = cell_kernels.locate(
+    count = kernels.locate(
         names, powers, places, cell_m, _sonar_from_world(ping),
         window.projection == "top_view", window.range_min_m,
         sonar.range_bins / window.range_span_m, edges, first_beam,
@@ -90,10 +89,3 @@ def _sonar_from_world(ping: Ping) -> npt.NDArray[np.float64]:
     made = turn @ camera_from_world[:3]
     made[:, 3] -= turn @ mount.position_camera_m()
     return np.ascontiguousarray(made)
-
-
-@lru_cache(maxsize=1)
-def turns() -> Floats:
-    """(65536, 2) float32 cosine and sine of equal steps of a turn."""
-    angle = 2 * np.pi * np.arange(65_536) / 65_536
-    return np.ascontiguousarray(np.stack([np.cos(angle), np.sin(angle)], axis=1), np.float32)

@@ -32,7 +32,7 @@ Floats = npt.NDArray[np.float32]
 
 BEAM_STEPS = 16_384
 # Of one part of the table of cells: what the second cache of a core holds, in so few parts that
-# sorting into them is fast (with 64 it takes half as long again as with 32).
+# sorting into them is fast.
 _SLOTS = 131_072
 
 
@@ -82,13 +82,13 @@ class Scatterers:
     def world_cells(self, edge_m: float) -> Cells:
         """The world cells of this edge in which the scatterers lie."""
         if edge_m not in self._cells:
-            from . import cell_kernels
+            from . import kernels  # loads numba
 
             across, down = directions(self.frame)
             pose = np.ascontiguousarray(self.world_from_camera[:3])
             size = len(self.pixels)
             names, places = np.empty(size, np.uint32), np.empty(size, np.uint32)
-            cell_kernels.cells(
+            kernels.cells(
                 self.pixels, self.parts, self.row_ends, self.frame.depth_m, across, down, pose,
                 edge_m, names, places,
             )  # fmt: skip
@@ -108,25 +108,22 @@ class Scatterers:
 
     @cached_property
     def _surface(self) -> tuple[npt.NDArray[np.int32], Floats]:
-        from . import cell_kernels
-
-        size = self.owner.size
-        bins, points_m = np.empty(size, np.int32), np.empty((3, size), np.float32)
-        seen = directions(self.frame)
-        count = cell_kernels.surface_points(
-            self.owner.reshape(-1), self.frame.depth_m, *seen, bins, points_m
-        )
-        return bins[:count], np.ascontiguousarray(points_m[:, :count])
+        bins = np.flatnonzero(self.owner.ravel() >= 0).astype(np.int32)
+        pixel = self.owner.ravel()[bins]
+        row, column = np.divmod(pixel, self.frame.depth_m.shape[1])
+        across, down = directions(self.frame)
+        z = self.frame.depth_m.ravel()[pixel]
+        return bins, np.stack([across[column] * z, down[row] * z, z])
 
 
 def shares(names: npt.NDArray[np.uint32], places: npt.NDArray[np.uint32]) -> Floats:
-    """(N,) float32: see `Cells.shares`; the arguments are what `cell_kernels.cells` gives."""
-    from . import cell_kernels
+    """(N,) float32: see `Cells`; the arguments are what `kernels.cells` gives."""
+    from . import kernels  # loads numba
 
     made, work = np.empty(len(names), np.float32), np.empty((len(names), 2), np.uint32)
     slots = 1 << (2 + len(names).bit_length())
     parts = max(slots // _SLOTS, 1)
-    while not cell_kernels.count(
+    while not kernels.count_cells(
         names, places, parts, np.empty((slots // parts, 2), np.uint32), work, made
     ):
         parts //= 2
@@ -140,15 +137,12 @@ def scatterers(
     sonar: SonarSettings,
     water: WaterSettings,
     acoustics: AcousticsSettings,
-    *,
-    patterned: bool = True,
 ) -> Scatterers:
     """All that echoes in a frame.
 
-    patterned: weigh by the vertical beam pattern; else all within vfov_deg counts alike.
     Raises FrameError when nothing lies in the sonar's sector.
     """
-    from . import placing
+    from . import kernels  # loads numba
 
     across, down = directions(frame)
     edges, first_beam = beam_table(sonar)
@@ -160,7 +154,7 @@ def scatterers(
     powers, parts = np.empty(most, np.float32), np.empty(most, np.float32)
     row_ends = np.empty(len(down), np.int32)
     mount = sonar.mount
-    count = placing.place(
+    count = kernels.place(
         frame.depth_m,
         rendered.radiance,
         _labels(frame),
@@ -176,7 +170,7 @@ def scatterers(
         edges,
         first_beam,
         BEAM_STEPS / float(edges[-1] - edges[0]),
-        _pattern(sonar, patterned),
+        vertical_table(sonar),
         power,
         in_beam,
         float(np.sin(np.deg2rad(sonar.vfov_deg) / 2)),
@@ -234,14 +228,6 @@ def _factor(frame: Frame, sonar: SonarSettings, acoustics: AcousticsSettings) ->
     if acoustics.lambert_exponent == 2 and sonar.mount.colocated:
         return np.empty((0, 0), np.float32)
     return mount_weight(frame, sonar.mount, acoustics.lambert_exponent)
-
-
-def _pattern(sonar: SonarSettings, patterned: bool) -> Floats:
-    table = vertical_table(sonar)
-    if patterned:
-        return table
-    sine = np.linspace(-1, 1, len(table))
-    return np.asarray(np.abs(sine) <= np.sin(np.deg2rad(sonar.vfov_deg) / 2), np.float32)
 
 
 @lru_cache(maxsize=8)

@@ -128,44 +128,14 @@ class Ping(Receiver):
 
 def beamform(field: Floats, receiver: Receiver) -> Floats:
     """The complex field after pulse compression and beamforming; same shape."""
-    from . import kernels  # loads numba
-
-    factors = beams.modes(receiver.sonar)
-    if factors is None:
-        return _blurred(field, receiver.kernel, *beams.halves(receiver.sonar, power=False))
-    even, odd, even_out, odd_out = factors
-    flat = np.ascontiguousarray(field).reshape(-1, *receiver.shape)
-    out = np.empty_like(flat)
-    found = np.empty((receiver.shape[0], even.shape[1] + odd.shape[1]), np.float32)
-    spread = np.empty_like(found)
-    for plane, made in zip(flat, out, strict=True):
-        # There are fewer modes than beams, so the pulse goes between.
-        kernels.into_modes(plane, even, odd, found)
-        kernels.along_range(found, receiver.kernel, spread)
-        kernels.out_of_modes(spread, even_out, odd_out, made)
-    return out.reshape(field.shape)
+    return beams.blurred(field, receiver.kernel, receiver.sonar, power=False)
 
 
 def beamform_power(power: Floats, receiver: Receiver) -> Floats:
     """(range_bins, beams) expected intensity after both: what `beamform` does to speckle's mean."""
-    halves = beams.halves(receiver.sonar, power=True)
-    blurred = _blurred(power[None, None], receiver.kernel**2, *halves)[0, 0]
+    blurred = beams.blurred(power, receiver.kernel**2, receiver.sonar, power=True)
     # Differences of mirrored beams round to below zero where there is next to nothing.
     return np.asarray(np.maximum(blurred, 0, out=blurred))
-
-
-def _blurred(planes: Floats, kernel: Floats, even: Floats, odd: Floats) -> Floats:
-    from . import kernels  # loads numba
-
-    flat = np.ascontiguousarray(planes).reshape(-1, *planes.shape[-2:])
-    out, between = np.empty_like(flat), np.empty(flat.shape[1:], np.float32)
-    for plane, made in zip(flat, out, strict=True):
-        source = plane
-        if len(kernel) > 1:
-            kernels.along_range(plane, kernel, between)
-            source = between
-        kernels.across_beams(source, even, odd, made)
-    return out.reshape(planes.shape)
 
 
 def white_noise(rng: np.random.Generator, looks: int, shape: tuple[int, int]) -> Floats:
@@ -188,6 +158,39 @@ def add_white_noise(
         across = np.ones(field.shape[-1], np.float32)
     for look in field:
         kernels.add_white(int(rng.integers(2**32)), gaussian_table(), along, across, look)
+
+
+def scattered(
+    ping: Ping,
+    rng: np.random.Generator,
+    looks: float,
+    points: tuple[npt.NDArray[np.int32], Floats, npt.NDArray[np.uint32]],
+    shares: Floats = np.empty(0, np.float32),  # noqa: B008
+    phases: npt.NDArray[np.uint16] = np.empty(0, np.uint16),  # noqa: B008
+) -> Signal:
+    """Speckle: the complex field of points instead of the mean power of the echoes.
+
+    looks: independent fields (rounded).  points: flat polar bin, root of the power without
+    absorption and cell of each of N.  shares, phases: see `kernels.scatter`.
+    """
+    from . import kernels
+
+    rows, beams = ping.shape
+    amplitude = np.sqrt(ping.scatterers.loss)[:, None]
+    field = np.empty((max(round(looks), 1), 2, rows, beams), np.float32)
+    for look in field:
+        bins = np.zeros((rows * beams, 2), np.float32)
+        key = int(rng.integers(2**32))
+        kernels.scatter(*points, shares, phases, key, gaussian_table(), _turns(), bins)
+        np.multiply(bins.reshape(rows, beams, 2).transpose(2, 0, 1), amplitude, out=look)
+    return Signal(np.zeros(ping.shape, np.float32), field)
+
+
+@lru_cache(maxsize=1)
+def _turns() -> Floats:
+    """(65536, 2) float32 cosine and sine of equal steps of a turn."""
+    angle = 2 * np.pi * np.arange(65_536) / 65_536
+    return np.ascontiguousarray(np.stack([np.cos(angle), np.sin(angle)], axis=1), np.float32)
 
 
 @lru_cache(maxsize=1)

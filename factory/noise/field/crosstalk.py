@@ -34,9 +34,9 @@ def crosstalk(
     spacing_beams: float,
 ) -> Floats:
     """The field with what leaks from `spacing_beams` to the left and to the right."""
-    from ...imaging.coherent import kernels  # loads numba
-
-    kernels.beside(field, max(round(spacing_beams), 1), 10 ** (level_db / 20))
+    step, leaks = max(round(spacing_beams), 1), np.float32(10 ** (level_db / 20)) * field
+    field[..., step:] += leaks[..., :-step]
+    field[..., :-step] += leaks[..., step:]
     return field
 
 

@@ -71,7 +71,7 @@ def _with_images(
     signal: Signal, ping: Ping, height_m: float, loss_db: float, tilt_deg: float
 ) -> Signal:
     """Echoes by way of a level plane `height_m` above the sonar (negative: below)."""
-    from ...imaging.coherent import cell_kernels  # loads numba
+    from ...imaging.coherent import kernels  # loads numba
 
     scene, mount, tilt_rad = ping.scatterers, ping.sonar.mount, np.deg2rad(tilt_deg)
     bins = signal.power.size
@@ -80,7 +80,7 @@ def _with_images(
     field, planes = signal.field.copy(), (2 * signal.looks, bins)
     # With speckle there is none; what is there is the frame's, and no effect may change it.
     power = signal.power.copy() if signal.power.any() else np.empty(0, np.float32)
-    cell_kernels.mirror(
+    kernels.mirror(
         scene.filled,
         scene.filled_camera_m,
         np.ascontiguousarray(mount.rotation_sonar_from_camera(), np.float32),

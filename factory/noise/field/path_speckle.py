@@ -12,7 +12,8 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from ...distribution import NonNegative, Positive
-from ...imaging.coherent.signal import Ping, Signal, gaussian_table
+from ...imaging.coherent.path_cells import edge_m, path_cells
+from ...imaging.coherent.signal import Ping, Signal, scattered
 from ...settings import STRICT
 from ..effect import Effect, EffectSettings, parameter
 from .speckle import expect_speckle
@@ -34,20 +35,9 @@ def path_speckle(
     signal: Signal, ping: Ping, rng: np.random.Generator, *, looks: float, scatterer_m: float
 ) -> Signal:
     """The field of the cells instead of the mean power of the echoes."""
-    from ...imaging.coherent import cell_kernels
-    from ...imaging.coherent.path_cells import edge_m, path_cells, turns
-
-    scene, amplitude = ping.scatterers, np.sqrt(ping.scatterers.loss)
     cells = path_cells(ping, scatterer_m or edge_m(ping))
-    field = np.empty((max(round(looks), 1), 2, *ping.shape), np.float32)
-    for look in field:
-        bins = np.zeros((signal.power.size, 2), np.float32)
-        cell_kernels.scatter_paths(
-            cells.bins, cells.roots, cells.names, cells.phases, int(rng.integers(2**32)),
-            gaussian_table(), turns(), bins,
-        )  # fmt: skip
-        cell_kernels.into_planes(bins, amplitude, look)
-    return Signal(np.zeros_like(scene.power), field)
+    points = (cells.bins, cells.roots, cells.names)
+    return scattered(ping, rng, looks, points, phases=cells.phases)
 
 
 PATH_SPECKLE = Effect(

@@ -25,9 +25,14 @@ class SaturationSettings(EffectSettings):
 
 def saturation(field: Floats, ping: Ping, rng: np.random.Generator, *, level_db: float) -> Floats:
     """The field, no amplitude above the limit."""
-    from ...imaging.coherent import kernels  # loads numba
-
-    kernels.saturate(field, _limit(ping, level_db))
+    limit = _limit(ping, level_db)[:, None]
+    for real, imaginary in field:
+        intensity = real * real + imaginary * imaginary
+        factor = np.ones_like(intensity)
+        np.divide(limit, intensity, out=factor, where=intensity > limit)
+        np.sqrt(factor, out=factor)
+        real *= factor
+        imaginary *= factor
     return field
 
 

@@ -17,13 +17,7 @@ from pydantic.dataclasses import dataclass
 
 from ...distribution import NonNegative, Positive
 from ...imaging.coherent.expected import Expected
-from ...imaging.coherent.signal import (
-    Floats,
-    Ping,
-    Signal,
-    beamform,
-    gaussian_table,
-)
+from ...imaging.coherent.signal import Floats, Ping, Signal, beamform, scattered
 from ...settings import STRICT
 from ..effect import Effect, EffectSettings, parameter
 
@@ -50,19 +44,10 @@ def speckle(
     signal: Signal, ping: Ping, rng: np.random.Generator, *, looks: float, scatterer_m: float
 ) -> Signal:
     """The scatterers' complex field instead of the mean power of the echoes."""
-    from ...imaging.coherent import cell_kernels
-
-    scene, amplitude = ping.scatterers, np.sqrt(ping.scatterers.loss)
+    scene = ping.scatterers
     cells = scene.world_cells(scatterer_m or _CELL * min(ping.bin_m, ping.resolution_m))
-    field = np.empty((max(round(looks), 1), 2, *ping.shape), np.float32)
-    for look in field:
-        key = int(rng.integers(2**32))
-        bins = np.zeros((signal.power.size, 2), np.float32)
-        cell_kernels.scatter(
-            scene.bins, scene.powers, cells.names, cells.shares, key, gaussian_table(), bins,
-        )  # fmt: skip
-        cell_kernels.into_planes(bins, amplitude, look)
-    return Signal(np.zeros_like(signal.power), field)
+    points = (scene.bins, np.sqrt(scene.powers), cells.names)
+    return scattered(ping, rng, looks, points, cells.shares)
 
 
 def expect_speckle(

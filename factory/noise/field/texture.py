@@ -14,7 +14,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from ...distribution import Positive
-from ...imaging.coherent.expected import Expected
+from ...imaging.coherent.expected import Expected, between
 from ...imaging.coherent.signal import Floats, Ping, gaussian_table
 from ...settings import STRICT
 from ..effect import Effect, EffectSettings, parameter
@@ -38,25 +38,25 @@ def texture(
     field: Floats, ping: Ping, rng: np.random.Generator, *, shape: float, patch_m: float
 ) -> Floats:
     """The field, every bin that a surface fills weakened or strengthened by sqrt(tau)."""
-    from ...imaging.coherent import cell_kernels
+    from ...imaging.coherent import kernels  # loads numba
 
     scene = ping.scatterers
     normal = np.empty(len(scene.filled), np.float32)
     key = int(rng.integers(2**32))
     lattice_from_camera = np.ascontiguousarray(scene.world_from_camera[:3] / patch_m)
-    cell_kernels.lattice(scene.filled_camera_m, lattice_from_camera, key, gaussian_table(), normal)
+    kernels.lattice(scene.filled_camera_m, lattice_from_camera, key, gaussian_table(), normal)
     planes = field.reshape(-1, field.shape[-2] * field.shape[-1])
-    cell_kernels.strengthen(scene.filled, gamma_of_normal(normal, shape), planes)
+    patches = np.sqrt(gamma_of_normal(normal, shape))
+    for plane in planes:
+        plane[scene.filled] *= patches
     return field
 
 
 def gamma_of_normal(normal: Floats, shape: float) -> Floats:
     """Gamma(nu, 1 / nu) values at the quantiles of standard normal ones; mean 1."""
-    from ...imaging.coherent import cell_kernels
-
-    gamma = np.empty(len(normal), np.float32)
-    cell_kernels.interpolated(normal, _quantiles(shape), _REACH, gamma)
-    return gamma
+    steps = np.float32((_STEPS - 1) / (2 * _REACH))
+    reach = np.float32(_REACH)
+    return between(_quantiles(shape), (np.clip(normal, -reach, reach) + reach) * steps)
 
 
 @lru_cache(maxsize=64)

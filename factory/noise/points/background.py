@@ -24,7 +24,7 @@ class BackgroundSettings(EffectSettings):
     strength: strongest noise point; 1 alone fills a bin to full scale.
     """
 
-    density: NonNegative = parameter(uniform(0.002, 0.05), "1")
+    density: NonNegative = parameter(uniform(0.002, 0.045), "1")
     strength: NonNegative = parameter(uniform(0.05, 0.35), "1")
 
 

@@ -34,7 +34,7 @@ class RangeSpreadingSettings(EffectSettings):
     """
 
     mode: Literal["paper", "radial", "exponential"] = option("radial")
-    alpha: NonNegative = parameter(uniform(0.003, 0.032), "1")
+    alpha: NonNegative = parameter(uniform(0.004, 0.040), "1")
 
 
 def range_spreading(

@@ -1,4 +1,4 @@
-"""Kinds of places: the ranges that a location's ground, objects and water are drawn from."""
+"""Kinds of places: the ranges that a location's ground, objects, colours and water come from."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from .fields import waves
+from .fields import Floats, waves
+from .meshes import Colour
 from .terrain import Banks, Ripples, Terrain
 
 Range = tuple[float, float]
@@ -52,156 +53,142 @@ class Place:
     structure: Literal["pier", "quay"] | None = None
 
 
-_DEBRIS = {
-    "Bottle": (16, 26),
-    "Can": (16, 26),
-    "Drink-carton": (12, 20),
-    "Hook": (9, 15),
-    "Propeller": (5, 9),
-    "Shampoo-bottle": (12, 20),
-    "Standing-bottle": (12, 20),
-    "Tire": (6, 10),
-    "Valve": (8, 13),
-    "Chain": (3, 5),
-    "Barrel": (1, 4),
-}
+_DEBRIS = {"Bottle": (16, 26), "Can": (16, 26), "Drink-carton": (12, 20), "Hook": (9, 15),
+    "Propeller": (5, 9), "Shampoo-bottle": (12, 20), "Standing-bottle": (12, 20), "Tire": (6, 10),
+    "Valve": (8, 13), "Chain": (3, 5), "Barrel": (1, 4)}  # fmt: skip
 _SOME_DEBRIS = {name: (low * 0.2, high * 0.3) for name, (low, high) in _DEBRIS.items()}
 
+# fmt: off
 PLACES: dict[PlaceName, Place] = {
     "debris": Place(
-        loop_m=((8, 11), (5, 8)),
-        waters=("clear", "green", "lake", "dark"),
-        scatter={
-            **_DEBRIS,
-            "Boulder": (10, 22),
-            "Block": (3, 7),
-            "Plant": (0, 16),
-            "Anchor": (1, 2),
-        },
-        altitude_m=(0.75, 1.3),
+        loop_m=((8, 11), (5, 8)), waters=("clear", "green", "lake", "dark"), altitude_m=(0.75, 1.3),
         spread_m=1.2,
-    ),
+        scatter={**_DEBRIS, "Boulder": (10, 22), "Block": (3, 7), "Plant": (0, 16),
+                 "Anchor": (1, 2)}),
     "canyon": Place(
-        loop_m=((13, 16), (0.2, 0.45)),
-        waters=("cyan", "clear", "green"),
-        scatter={"Boulder": (60, 110), "Coral": (16, 36), "Chain": (0, 2), "Anchor": (0, 1)},
-        pitch_deg=(9, 18),
-        pebbles=(200, 420),
-        outcrop_cover=(0.05, 0.25),
-        ripples=0.8,
+        loop_m=((13, 16), (0.2, 0.45)), waters=("cyan", "clear", "green"), pitch_deg=(9, 18),
+        spread_m=0.9, pebbles=(200, 420), outcrop_cover=(0.05, 0.25), ripples=0.8,
         banks=((1.7, 2.7), (2.6, 5.5)),
-        spread_m=0.9,
-    ),
+        scatter={"Boulder": (60, 110), "Coral": (16, 36), "Chain": (0, 2), "Anchor": (0, 1)}),
     "reef": Place(
-        loop_m=((8, 12), (6, 9)),
-        waters=("deep", "clear", "green"),
-        scatter={
-            "Frame": (13, 20),
-            "Block": (18, 32),
-            "Tire": (8, 14),
-            "Coral": (20, 40),
-            "Boulder": (8, 16),
-            "Chain": (1, 3),
-            "Barrel": (1, 3),
-        },
-        altitude_m=(0.9, 2.0),
-        spread_m=1.8,
-    ),
+        loop_m=((8, 12), (6, 9)), waters=("deep", "clear", "green"), altitude_m=(0.9, 2.0),
+        scatter={"Frame": (13, 20), "Block": (18, 32), "Tire": (8, 14), "Coral": (20, 40),
+                 "Boulder": (8, 16), "Chain": (1, 3), "Barrel": (1, 3)}),
     "pier": Place(
-        loop_m=((12, 15), (0.8, 1.1)),
-        waters=("green", "dark", "clear", "lake"),
-        scatter={
-            **_SOME_DEBRIS,
-            "Tire": (4, 8),
-            "Block": (5, 10),
-            "Boulder": (14, 26),
-            "Anchor": (0, 2),
-            "Pipe": (1, 2),
-        },
-        pitch_deg=(11, 20),
-        structure="pier",
-        spread_m=1.5,
-    ),
+        loop_m=((12, 15), (0.8, 1.1)), waters=("green", "dark", "clear", "lake"),
+        pitch_deg=(11, 20), spread_m=1.5, structure="pier",
+        scatter={**_SOME_DEBRIS, "Tire": (4, 8), "Block": (5, 10), "Boulder": (14, 26),
+                 "Anchor": (0, 2), "Pipe": (1, 2)}),
     "pipeline": Place(
-        loop_m=((9, 13), (4, 7)),
-        waters=("deep", "green", "clear"),
-        scatter={
-            "Pipe": (4, 6),
-            "Valve": (8, 14),
-            "Block": (7, 13),
-            "Boulder": (10, 22),
-            "Anchor": (1, 2),
-            "Chain": (2, 4),
-            "Hook": (2, 5),
-            "Plant": (0, 14),
-        },
-        spread_m=2.0,
-    ),
+        loop_m=((9, 13), (4, 7)), waters=("deep", "green", "clear"), spread_m=2.0,
+        scatter={"Pipe": (4, 6), "Valve": (8, 14), "Block": (7, 13), "Boulder": (10, 22),
+                 "Anchor": (1, 2), "Chain": (2, 4), "Hook": (2, 5), "Plant": (0, 14)}),
     "rubble": Place(
-        loop_m=((8, 11), (6, 8)),
-        waters=("cyan", "clear", "green"),
-        scatter={"Boulder": (95, 150), "Coral": (8, 20), "Tire": (1, 3), "Anchor": (0, 2)},
-        pebbles=(350, 600),
-        slope_deg=(3, 14),
-        outcrop_cover=(0.1, 0.35),
-        gravel_cover=(0.3, 0.8),
+        loop_m=((8, 11), (6, 8)), waters=("cyan", "clear", "green"), spread_m=2.6,
+        pebbles=(350, 600), slope_deg=(3, 14), outcrop_cover=(0.1, 0.35), gravel_cover=(0.3, 0.8),
         ripples=0.3,
-        spread_m=2.6,
-    ),
+        scatter={"Boulder": (95, 150), "Coral": (8, 20), "Tire": (1, 3), "Anchor": (0, 2)}),
     "quay": Place(
-        loop_m=((12, 15), (0.7, 1.2)),
-        waters=("lake", "dark", "clear", "green"),
-        scatter={**_SOME_DEBRIS, "Boulder": (14, 30), "Block": (4, 9), "Barrel": (1, 3)},
-        structure="quay",
-        look_across=0.5,
-        spread_m=1.5,
-    ),
+        loop_m=((12, 15), (0.7, 1.2)), waters=("lake", "dark", "clear", "green"), spread_m=1.5,
+        look_across=0.5, structure="quay",
+        scatter={**_SOME_DEBRIS, "Barrel": (1, 3), "Boulder": (14, 30), "Block": (4, 9)}),
     "sand": Place(
-        loop_m=((9, 12), (6, 9)),
-        waters=("clear", "cyan", "deep"),
-        scatter={
-            **_SOME_DEBRIS,
-            "Boulder": (6, 14),
-            "Plant": (20, 60),
-            "Anchor": (1, 3),
-            "Tire": (3, 6),
-            "Wall": (0, 2),
-        },
-        swell_m=(0.12, 0.4),
-        gravel_cover=(0.0, 0.15),
-        ripples=1.0,
-        ripple_cover=(0.8, 1.0),
-    ),
+        loop_m=((9, 12), (6, 9)), waters=("clear", "cyan", "deep"), swell_m=(0.12, 0.4),
+        gravel_cover=(0.0, 0.15), ripples=1.0, ripple_cover=(0.8, 1.0),
+        scatter={**_SOME_DEBRIS, "Tire": (3, 6), "Boulder": (6, 14), "Plant": (20, 60),
+                 "Anchor": (1, 3), "Wall": (0, 2)}),
     "garden": Place(
-        loop_m=((8, 11), (6, 8)),
-        waters=("clear", "cyan", "deep"),
-        scatter={"Coral": (90, 140), "Boulder": (30, 50), "Plant": (10, 40), "Block": (0, 4)},
+        loop_m=((8, 11), (6, 8)), waters=("clear", "cyan", "deep"), spread_m=2.4,
         outcrop_cover=(0.15, 0.45),
-        spread_m=2.4,
-    ),
+        scatter={"Coral": (90, 140), "Boulder": (30, 50), "Plant": (10, 40), "Block": (0, 4)}),
     "wall": Place(
-        loop_m=((12, 15), (0.8, 1.3)),
-        waters=("deep", "cyan", "clear"),
-        scatter={
-            "Boulder": (40, 70),
-            "Coral": (20, 40),
-            "Chain": (1, 3),
-            "Anchor": (0, 2),
-            "Frame": (1, 3),
-            "Tire": (0, 3),
-        },
-        slope_deg=(2, 12),
-        outcrop_cover=(0.05, 0.3),
-        banks=((2.2, 3.2), (3.5, 6.5)),
-        sides=(1,),
-        look_across=0.5,
-    ),
+        loop_m=((12, 15), (0.8, 1.3)), waters=("deep", "cyan", "clear"), slope_deg=(2, 12),
+        outcrop_cover=(0.05, 0.3), banks=((2.2, 3.2), (3.5, 6.5)), sides=(1,), look_across=0.5,
+        scatter={"Boulder": (40, 70), "Coral": (20, 40), "Chain": (1, 3), "Anchor": (0, 2),
+                 "Frame": (1, 3), "Tire": (0, 3)}),
 }
+# fmt: on
 
 
 def draw(rng: np.random.Generator, span: Range) -> float:
     """A uniform number in (low, high)."""
     return float(rng.uniform(*span))
+
+
+_SANDS: tuple[Colour, ...] = ((0.60, 0.54, 0.43), (0.50, 0.47, 0.40), (0.64, 0.59, 0.50),
+    (0.40, 0.34, 0.26), (0.30, 0.28, 0.25), (0.22, 0.20, 0.18))  # fmt: skip
+_ROCKS: tuple[Colour, ...] = ((0.33, 0.30, 0.25), (0.24, 0.23, 0.22), (0.40, 0.34, 0.27))
+_ALGAE: tuple[Colour, ...] = ((0.12, 0.14, 0.06), (0.17, 0.13, 0.06), (0.10, 0.15, 0.09))
+_CRUSTS: tuple[Colour, ...] = ((0.42, 0.20, 0.26), (0.50, 0.28, 0.12), (0.40, 0.38, 0.16))
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """Ranges of a kind of water; fade is relative to that of green."""
+
+    haze: Colour
+    fade: Colour
+    sun: tuple[float, float]
+    sky: Colour
+    clear_m: tuple[float, float]
+
+
+_KINDS: dict[str, _Kind] = {
+    "clear": _Kind((0.03, 0.24, 0.41), (3.2, 1.0, 0.75), (0.6, 1.0), (0.26, 0.60, 0.70), (10, 17)),
+    "cyan": _Kind((0.07, 0.42, 0.48), (2.7, 1.0, 0.95), (0.6, 1.0), (0.34, 0.68, 0.70), (9, 15)),
+    "deep": _Kind((0.01, 0.075, 0.19), (3.6, 1.0, 0.65), (0.2, 0.4), (0.13, 0.36, 0.52), (9, 15)),
+    "green": _Kind((0.04, 0.15, 0.105), (2.0, 1.0, 1.35), (0.4, 0.8), (0.30, 0.52, 0.40), (8, 12)),
+    "lake": _Kind((0.07, 0.085, 0.035), (1.25, 1.0, 1.9), (0.3, 0.6), (0.42, 0.44, 0.26),
+                  (7.5, 11)),
+    "dark": _Kind((0.012, 0.04, 0.045), (2.4, 1.0, 1.1), (0.08, 0.2), (0.24, 0.30, 0.30),
+                  (7.5, 11)),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """Colours, water and light of a location.
+
+    palette: (5, 3) float32 albedo of sand, gravel, rock, algae and crust, red, green, blue.
+    turf: how much of the rock is overgrown, 0 to 1.
+    water: (4, 3) float32 attenuation per metre, colour of open water, light from the sun's
+    direction and from all above.  sun_direction: unit, from the ground to the sun.
+    clear_m: beyond this range nothing has a depth.
+    """
+
+    palette: Floats
+    turf: float
+    water: Floats
+    sun_direction: tuple[float, float, float]
+    clear_m: float
+
+
+def draw_look(rng: np.random.Generator, place: Place) -> Look:
+    """The look of a location of this kind."""
+    kind = _KINDS[place.waters[int(rng.integers(len(place.waters)))]]
+    clear = draw(rng, kind.clear_m)
+    height, turn = rng.uniform(0.72, 0.92), rng.uniform(0, 2 * np.pi)
+    flat = np.sqrt(1 - height**2)
+    sun = draw(rng, kind.sun)
+    fade = [1.15 / clear * share for share in kind.fade]
+    haze = [value * rng.uniform(0.85, 1.15) for value in kind.haze]
+    water = (fade, haze, [sun * share for share in (0.62, 1.0, 0.92)], kind.sky)
+
+    def one(colours: tuple[Colour, ...]) -> Colour:
+        chosen = colours[int(rng.integers(len(colours)))]
+        shade = float(rng.uniform(0.85, 1.15))
+        return tuple(part * shade for part in chosen)
+
+    rock = one(_ROCKS)
+    gravel = (rock[0] * 1.15, rock[1] * 1.12, rock[2] * 1.08)
+    palette = (one(_SANDS), gravel, rock, one(_ALGAE), one(_CRUSTS))
+    return Look(
+        palette=np.array(palette, np.float32),
+        turf=rng.uniform(0.2, 0.8),
+        water=np.array(water, np.float32),
+        sun_direction=(float(flat * np.cos(turn)), float(flat * np.sin(turn)), float(height)),
+        clear_m=clear,
+    )
 
 
 def draw_terrain(rng: np.random.Generator, place: Place, heading_rad: float) -> Terrain:

@@ -29,8 +29,10 @@ _LINE, _ROWS = (f"Array(float32, {n}, 'C', readonly=True)" for n in (1, 2))
 _TRIANGLES, _TILE = ("Array(int32, 2, 'C', readonly=True)" for _ in range(2))
 _OWNERS = "Array(uint16, 1, 'C', readonly=True)"
 _PLANE, _VECTORS = "float32[:, ::1]", "float32[:, :, ::1]"
-_CAMERA = "float64[::1], float64[:, ::1], float64[::1]"
-_SIGHT = "float32[::1], float32[:, ::1], float32[::1]"
+_CAMERA = "Tuple((float64[::1], float64[:, ::1], float64[::1]))"
+_SIGHT = "Tuple((float32[::1], float32[:, ::1], float32[::1]))"
+_SEEN = "Tuple((float32[:, ::1], int32[:, ::1]))"
+_MESH = f"UniTuple({_ROWS}, 3)"
 
 
 @compiled(f"void({_ROWS}, {_ROWS}, {_LINE}, {_LINE}, float32[::1])")
@@ -87,56 +89,20 @@ def point_normals(points: Any, triangles: Any, normals: Any) -> None:
         normals[k, 0], normals[k, 1], normals[k, 2] = x * scale, y * scale, z * scale
 
 
-@compiled()
-def _row_of_normals(here: Any, above: Any, below: Any, columns: int, normals: Any) -> None:
-    for column in range(columns):
-        left, right = 3 * max(column - 1, 0), 3 * min(column + 1, columns - 1)
-        at = 3 * column
-        dx, rx = below[at] - above[at], here[right] - here[left]
-        dy, ry = below[at + 1] - above[at + 1], here[right + 1] - here[left + 1]
-        dz, rz = below[at + 2] - above[at + 2], here[right + 2] - here[left + 2]
-        x, y, z = ry * dz - rz * dy, rz * dx - rx * dz, rx * dy - ry * dx
-        up = -_ONE if z < 0 else _ONE
-        x, y, z = x * up, y * up, z * up
-        length = max(np.sqrt(x * x + y * y + z * z), _F(1e-20))
-        normals[at], normals[at + 1], normals[at + 2] = x / length, y / length, z / length
-
-
-@compiled(f"void({_VECTORS}, {_VECTORS})")
-def normals_of_grid(points: Any, normals: Any) -> None:
-    """(R, C, 3) unit normals of a grid of points, turned upward, by central differences."""
-    rows, columns = points.shape[:2]
-    for row in range(rows):
-        # Flat, so that the compiler knows the steps from point to point.
-        above, below = points[max(row - 1, 0)], points[min(row + 1, rows - 1)]
-        _row_of_normals(
-            points[row].reshape(-1), above.reshape(-1), below.reshape(-1), columns,
-            normals[row].reshape(-1),
-        )  # fmt: skip
-
-
 @compiled(
-    f"void({_VECTORS}, {_VECTORS}, {_PLANE}, {_PLANE}, {_PLANE}, {_ROWS}, {_ROWS}, float32[::1], "
+    f"void({_VECTORS}, {_VECTORS}, UniTuple({_PLANE}, 3), UniTuple({_ROWS}, 2), float32[::1], "
     f"float32[::1], {_VECTORS})"
 )
 def relieve(
-    points: Any,
-    normals: Any,
-    rock: Any,
-    gravel: Any,
-    crest: Any,
-    rock_tile: Any,
-    sand_tile: Any,
-    offset: Any,
-    heights: Any,
-    attributes: Any,
+    points: Any, normals: Any, shares: Any, tiles: Any, offset: Any, heights: Any, attributes: Any
 ) -> None:
     """Move points (R, C, 3) of the ground along their normals by its fine relief.
 
-    rock, gravel, crest: (R, C) rockiness, share of gravel, ripples.  heights: (3,) metres of a
-    standard deviation of rock and sand, and of a ripple's crest.
+    shares: (R, C) each, rockiness, share of gravel, ripples.  tiles: relief of rock and of sand.
+    heights: (3,) metres of a standard deviation of rock and sand, and of a ripple's crest.
     Written, too: attributes (R, C, 3), see `Terrain.surface`.
     """
+    (rock, gravel, crest), (rock_tile, sand_tile) = shares, tiles
     rock_m, sand_m, crest_m = heights[0], heights[1], heights[2]
     coarse, fine = _ONE / _F(9.1), _ONE / _F(2.3)
     sandy, pebbly = _ONE / _F(6.7), _ONE / _F(1.7)
@@ -176,26 +142,17 @@ def relieve(
             attributes[row, column, 2] = bare * stone + loose * tone
 
 
-@compiled(
-    f"void({_ROWS}, {_TRIANGLES}, int64[:, ::1], int64, {_CAMERA}, float32[:, ::1], int32[:, ::1])"
-)
+@compiled(f"void({_ROWS}, {_TRIANGLES}, int64[:, ::1], int64, {_CAMERA}, {_SEEN})")
 def paint(
-    points: Any,
-    triangles: Any,
-    parts: Any,
-    offset: Any,
-    eye: Any,
-    axes: Any,
-    lens: Any,
-    inverse: Any,
-    which: Any,
+    points: Any, triangles: Any, parts: Any, offset: Any, camera: Any, seen_so_far: Any
 ) -> None:
     """Paint parts of a mesh into the picture of a camera; triangle numbers begin at `offset`.
 
-    parts: (N, 4) first point, first triangle and the ends of both.  eye: (3,).  axes: (3, 3) world
-    from camera.  lens: (4,) fx, fy, cx, cy.  inverse: (H, W) one over the depth along the optical
-    axis, 0 where nothing was met so far.  which: (H, W) number of the triangle met.
+    parts: (N, 4) first point, first triangle and the ends of both.  camera: eye (3,), axes (3, 3)
+    world from camera, lens (4,) fx, fy, cx, cy.  seen_so_far: (H, W) one over the depth along the
+    optical axis, 0 where nothing was met so far, and (H, W) number of the triangle met.
     """
+    (eye, axes, lens), (inverse, which) = camera, seen_so_far
     height, width = inverse.shape
     x_axis, y_axis, z_axis = (
         (axes[0, 0], axes[1, 0], axes[2, 0]),
@@ -308,7 +265,7 @@ def _ground(word: Any, small: Any, close: Any, surface: Any, palette: Any, turf:
     """Albedo (red, green, blue) and roughness of ground.
 
     word, small: what the two noise tiles say there.  close: 1 nearby, 0 where detail is finer than
-    a pixel.  surface: rockiness, share of gravel, relief.  palette: see `appearance.Palette`.
+    a pixel.  surface: rockiness, share of gravel, relief.  palette: see `biomes.Look`.
     """
     broad, grain, cells, speckle = _byte(word, 0), _byte(word, 1), _byte(word, 2), _byte(word, 3)
     fine_grain, fine_cells, fine_speckle = _fine(small, 1), _fine(small, 2), _fine(small, 3)
@@ -327,26 +284,14 @@ def _ground(word: Any, small: Any, close: Any, surface: Any, palette: Any, turf:
     # Crevices are dark, edges are worn bright.
     rock_shade *= _F(0.75) + _HALF * _ramp(_F(-2.0), _F(1.2), tone)
     rough = _F(0.1) + _F(0.35) * gravel + rock * (_HALF - _F(0.35) * gravel)
-    mixed = (
-        _mixed(palette, 0, sand_shade, gravel_shade, rock_shade, gravel, rock, grown, crust),
-        _mixed(palette, 1, sand_shade, gravel_shade, rock_shade, gravel, rock, grown, crust),
-        _mixed(palette, 2, sand_shade, gravel_shade, rock_shade, gravel, rock, grown, crust),
-    )
-    return mixed[0], mixed[1], mixed[2], rough
+    shades, shares = (sand_shade, gravel_shade, rock_shade), (gravel, rock, grown, crust)
+    red, green = _mixed(palette, 0, shades, shares), _mixed(palette, 1, shades, shares)
+    return red, green, _mixed(palette, 2, shades, shares), rough
 
 
 @compiled()
-def _mixed(
-    palette: Any,
-    channel: int,
-    sand_shade: Any,
-    gravel_shade: Any,
-    rock_shade: Any,
-    gravel: Any,
-    rock: Any,
-    grown: Any,
-    crust: Any,
-) -> Any:
+def _mixed(palette: Any, channel: int, shades: Any, shares: Any) -> Any:
+    (sand_shade, gravel_shade, rock_shade), (gravel, rock, grown, crust) = shades, shares
     loose = palette[0, channel] * sand_shade
     loose += gravel * (palette[1, channel] * gravel_shade - loose)
     stone = palette[2, channel] + grown * (palette[3, channel] - palette[2, channel])
@@ -355,51 +300,41 @@ def _mixed(
 
 
 @compiled()
-def _thing(
-    word: Any, small: Any, close: Any, own: Any, up: Any, finishes: Any, number: Any, palette: Any
-) -> Any:
-    """Albedo and roughness of an object of colour `own`; arguments as of `_ground` and `look`."""
+def _thing(word: Any, small: Any, close: Any, own: Any, up: Any, finish: Any, palette: Any) -> Any:
+    """Albedo and roughness of an object of colour `own`; arguments as of `_ground`.
+
+    finish: fouling, silt and bump.
+    """
     broad, grain, cells, speckle = _byte(word, 0), _byte(word, 1), _byte(word, 2), _byte(word, 3)
     fine_broad, fine_grain, fine_cells = _fine(small, 0), _fine(small, 1), _fine(small, 2)
-    fouling, silt = finishes[number, 0], finishes[number, 1]
+    fouling, silt, bump = finish[0], finish[1], finish[2]
     patchy = _F(0.6) * broad + _HALF * cells + _F(0.4) * fine_broad
     grown = _ramp(_ZERO, _F(0.9), patchy + _F(2.2) * fouling - _F(1.3)) * _F(0.85)
     crust = _ramp(_ONE, _F(1.5), fine_broad + _HALF * speckle) * min(fouling * _F(1.5), _F(0.8))
     dusted = _ramp(_F(0.45), _F(0.95), up + _F(0.12) * grain + _F(0.1) * broad) * silt
     shade = _ONE + _F(0.1) * grain + close * _F(0.1) * (fine_grain + fine_cells)
-    rough = finishes[number, 2] * _F(0.55) * (_ONE - _HALF * dusted)
+    rough = bump * _F(0.55) * (_ONE - _HALF * dusted)
     sand = _F(0.8) * (_ONE + _F(0.07) * fine_grain)
-    return (
-        _overgrown(palette, 0, own[0], grown, crust, shade, sand, dusted),
-        _overgrown(palette, 1, own[1], grown, crust, shade, sand, dusted),
-        _overgrown(palette, 2, own[2], grown, crust, shade, sand, dusted),
-        rough,
-    )
+    cover = grown, crust, shade, sand, dusted
+    red, green = _overgrown(palette, 0, own[0], cover), _overgrown(palette, 1, own[1], cover)
+    return red, green, _overgrown(palette, 2, own[2], cover), rough
 
 
 @compiled()
-def _overgrown(
-    palette: Any, channel: int, own: Any, grown: Any, crust: Any, shade: Any, sand: Any, dusted: Any
-) -> Any:
+def _overgrown(palette: Any, channel: int, own: Any, cover: Any) -> Any:
+    grown, crust, shade, sand, dusted = cover
     tint = own + grown * (palette[3, channel] - own)
     tint = (tint + crust * (palette[4, channel] - tint)) * shade
     return tint + dusted * (palette[0, channel] * sand - tint)
 
 
 @compiled()
-def _met(
-    corners: Any,
-    facings: Any,
-    paints: Any,
-    first: Any,
-    second: Any,
-    third: Any,
-    eye: Any,
-    x: Any,
-    y: Any,
-    z: Any,
-) -> Any:
-    """Where the ray (x, y, z) meets a triangle: its side (positive: from behind), normal, paint."""
+def _met(mesh: Any, numbers: Any, eye: Any, ray: Any) -> Any:
+    """Where a ray meets a triangle: its side (positive: from behind), normal, paint.
+
+    mesh: points, their normals and their paint.  numbers: of the corners.
+    """
+    (corners, facings, paints), (first, second, third), (x, y, z) = mesh, numbers, ray
     a, b, c = _U(first), _U(second), _U(third)
     px, py, pz = corners[a, 0] - eye[0], corners[a, 1] - eye[1], corners[a, 2] - eye[2]
     qx, qy, qz = corners[b, 0] - eye[0], corners[b, 1] - eye[1], corners[b, 2] - eye[2]
@@ -422,49 +357,27 @@ def _met(
 
 
 @compiled(
-    f"void({_ROWS}, {_ROWS}, {_ROWS}, int64, {_ROWS}, {_ROWS}, {_ROWS}, {_TRIANGLES}, {_OWNERS}, "
-    f"{_SIGHT}, {_PLANE}, int32[:, ::1], {_ROWS}, {_ROWS}, float32, float32[::1], {_TILE}, "
-    f"{_ROWS}, float32[::1], {_SIGHT}, {_PLANE}, {_VECTORS})"
+    f"void({_MESH}, int64, {_MESH}, {_TRIANGLES}, {_OWNERS}, {_ROWS}, {_SIGHT}, {_SEEN}, {_ROWS}, "
+    f"float32, float32[::1], {_TILE}, {_ROWS}, float32[::1], {_SIGHT}, {_PLANE}, {_VECTORS})"
 )
 def look(
-    ground: Any,
-    ground_normals: Any,
-    attributes: Any,
-    columns: Any,
-    points: Any,
-    point_normals: Any,
-    colours: Any,
-    triangles: Any,
-    owners: Any,
-    eye: Any,
-    axes: Any,
-    lens: Any,
-    inverse: Any,
-    which: Any,
-    finishes: Any,
-    palette: Any,
-    turf: Any,
-    offset: Any,
-    texture: Any,
-    water: Any,
-    sun: Any,
-    sun_eye: Any,
-    sun_axes: Any,
-    sun_lens: Any,
-    sun_inverse: Any,
-    colour: Any,
-) -> None:
+    ground: Any, columns: Any, things: Any, triangles: Any, owners: Any, finishes: Any, sight: Any,
+    seen: Any, palette: Any, turf: Any, offset: Any, texture: Any, water: Any, sun: Any,
+    sun_sight: Any, sun_inverse: Any, colour: Any,
+) -> None:  # fmt: skip
     """Linear colour of every second pixel of every second row, from what a z-buffer met.
 
-    finishes: (N, 3) fouling, silt and bump of each object.  palette: (5, 3) sand, gravel, rock,
-    algae, crust.  texture: see `fields.Tiles`.  water: (4, 3) attenuation per metre, colour
-    of the haze, light of sun and sky.  sun: (3,) toward it.  sun_*: a camera in the sun and its
-    (S, S) picture of the objects, see `paint`.
+    ground, things: points, normals, and attributes or colours.  columns: of the ground's grid.
+    sight: eye, axes and lens.  seen: see `paint`.  finishes: (N, 3) fouling, silt and bump of each
+    object.  palette, turf, water, sun: see `biomes.Look`.  texture: see `fields.Tiles`.
+    sun_sight, sun_inverse: a camera in the sun and its (S, S) picture of the objects.
     Written: colour (h, w, 3).
     """
+    (eye, axes, lens), (inverse, which) = sight, seen
+    sun_eye, sun_axes, sun_lens = sun_sight
     side = sun_inverse.shape[0]
     cells = np.int32(columns - 1)
-    first_object = 2 * cells * (len(ground) // columns - 1)
+    first_object = 2 * cells * (len(ground[0]) // columns - 1)
     for i in range(colour.shape[0]):
         row = 2 * i
         y0 = (_F(row) - lens[3]) / lens[1]
@@ -486,12 +399,12 @@ def look(
                 a = np.int64(cell // cells * columns + cell % cells)
                 b = a + columns + (number & 1)
                 c = a + 1 if number & 1 else b + 1
-                met = _met(ground, ground_normals, attributes, a, b, c, eye, x, y, z)
+                met = _met(ground, (a, b, c), eye, (x, y, z))
             else:
                 number -= first_object
                 a = np.int64(triangles[number, 0])
                 b, c = np.int64(triangles[number, 1]), np.int64(triangles[number, 2])
-                met = _met(points, point_normals, colours, a, b, c, eye, x, y, z)
+                met = _met(things, (a, b, c), eye, (x, y, z))
             facing, nx, ny, nz = met[0], met[1], met[2], met[3]
             surface = met[4], met[5], met[6]
             # Thin sheets and inner sides are seen from behind: turn their normals to the camera.
@@ -513,9 +426,8 @@ def look(
             if on_ground:
                 red, green, blue, rough = _ground(word, small, close, surface, palette, turf)
             else:
-                red, green, blue, rough = _thing(
-                    word, small, close, surface, nz, finishes, owners[number], palette
-                )
+                finish = finishes[owners[number]]
+                red, green, blue, rough = _thing(word, small, close, surface, nz, finish, palette)
             # Light: the sun by the cosine of a rough surface unless an object is in between, and
             # the sky from above.
             shine = nx * sun[0] + ny * sun[1] + nz * sun[2]

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from .fields import Arrays, Floats, waves
 
 Indices = npt.NDArray[np.int32]
-Colour = tuple[float, float, float]
+Colour = tuple[float, ...]  # red, green, blue
 GREY: Colour = (0.5, 0.5, 0.5)
 
 
@@ -45,6 +45,10 @@ class Mesh:
             points = np.stack(rows, axis=-1)
         return Mesh(points + np.asarray(offset, dtype=np.float32), self.colours, self.triangles)
 
+    def tinted(self, colour: Colour) -> Mesh:
+        """The mesh in one colour."""
+        return Mesh(self.vertices, np.full_like(self.colours, colour), self.triangles)
+
     def standing(self) -> Mesh:
         """The same mesh with its lowest point at z = 0."""
         return self.moved(offset=(0, 0, -float(self.vertices[:, 2].min())))
@@ -58,6 +62,12 @@ def rotation(axis: str, angle_rad: float) -> npt.NDArray[np.float64]:
     matrix[first, first] = matrix[second, second] = c
     matrix[first, second], matrix[second, first] = -s, s
     return matrix
+
+
+def circle(points: int) -> npt.NDArray[np.float64]:
+    """(points, 3) unit circle about z."""
+    angle = np.linspace(0, 2 * np.pi, points, endpoint=False)
+    return np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
 
 
 def mesh(vertices: npt.ArrayLike, triangles: npt.ArrayLike, colour: npt.ArrayLike = GREY) -> Mesh:

@@ -1,12 +1,16 @@
-"""The camera's path: a closed loop that wanders in height, and the pose of any number of frames."""
+"""The camera's path: a loop that wanders in height, and the movements of a platform from there."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path as FilePath
 
 import numpy as np
 import numpy.typing as npt
 
+from ...errors import FactoryError
+from ..base import numbered_lines
 from .biomes import Place, draw
 from .fields import Waves, waves
 from .terrain import Terrain
@@ -140,3 +144,69 @@ def draw_path(
         attitude=(waves(rng, 70, 5, 0.7), waves(rng, 80, 5, 0.7), waves(rng, 90, 5, 0.7)),
         lean=(float(across[0]), float(across[1])),
     )
+
+
+@dataclass(frozen=True)
+class Movement:
+    """A frame of a moving platform: its pose relative to where its recording begins.
+
+    Surge is forward, sway to the left, heave up (REP 103, level, along the first heading); yaw
+    turns left, pitch looks down, roll lowers the right side.  time_s: None where it has none.
+    """
+
+    time_s: float | None = None
+    surge_m: float = 0.0
+    sway_m: float = 0.0
+    heave_m: float = 0.0
+    roll_deg: float = 0.0
+    pitch_deg: float = 0.0
+    yaw_deg: float = 0.0
+
+    def moved(self, eye: Points, rotation: Points) -> tuple[Points, Points]:
+        """Eye (3,) and rotation (3, 3; world from camera axes: x right, y down, z forward)."""
+        ahead = np.array([rotation[0, 2], rotation[1, 2], 0.0])
+        ahead /= np.linalg.norm(ahead)
+        left, up = np.array([-ahead[1], ahead[0], 0.0]), np.array([0.0, 0.0, 1.0])
+        roll, pitch, yaw = np.deg2rad([self.roll_deg, self.pitch_deg, self.yaw_deg])
+        turned = _about(up, yaw) @ rotation
+        # Pitch about the camera's left, roll about its forward axis.
+        turned = _about(-turned[:, 0], pitch) @ turned
+        turned = _about(turned[:, 2], roll) @ turned
+        return eye + self.surge_m * ahead + self.sway_m * left + self.heave_m * up, turned
+
+
+@lru_cache(maxsize=4)
+def movements(path: FilePath) -> tuple[Movement, ...]:
+    """The lines of a CSV file: a header of some keys of `Movement`, then a line a frame.
+
+    Raises FactoryError that names the file and the line.
+    """
+    lines = numbered_lines(path)
+    keys = tuple(Movement.__dataclass_fields__)
+    names = [word.strip() for word in lines[0][1].split(",")] if lines else []
+    if not set(names) <= set(keys) or len(set(names)) != len(names) or len(lines) < 2:
+        raise FactoryError(
+            f"{path}: expected a header of {', '.join(keys)} (some of them, each once) and a line "
+            f"for each frame, got {','.join(names)[:60]!r} and {max(len(lines) - 1, 0)} lines"
+        )
+    found = []
+    for number, line in lines[1:]:
+        try:
+            values = [float(word) for word in line.split(",")]
+            if not np.isfinite(values).all():
+                raise ValueError
+            found.append(Movement(**dict(zip(names, values, strict=True))))
+        except ValueError as error:
+            raise FactoryError(
+                f"{path}:{number}: expected {len(names)} numbers ({', '.join(names)}), got "
+                f"{line[:60]!r}"
+            ) from error
+    return tuple(found)
+
+
+def _about(axis: Points, angle_rad: float) -> Points:
+    """Rotation matrix (3, 3) about a unit axis, right-handed (Rodrigues)."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    turn = np.eye(3) + np.sin(angle_rad) * cross + (1 - np.cos(angle_rad)) * cross @ cross
+    return np.asarray(turn)

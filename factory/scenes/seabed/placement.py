@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-from ...labels import CLASSES
 from ...seeds import stream
-from . import debris, nature, structures
+from . import things
 from .biomes import Place, draw
 from .fields import WORLD_SEED
 from .meshes import Mesh, rotation
@@ -24,76 +22,12 @@ LOW_M = 0.42  # what is lower than this may lie under the camera's path
 CLEAR_M = 0.75  # what is taller keeps this far from it
 
 
-@dataclass(frozen=True)
-class Kind:
-    """One kind of object.
-
-    build: draws one that rests on z = 0; None where it is built to fit its place (`Site`).
-    fouling, silt: how readily algae and fallen sediment cover it, 0 to 1.
-    bump: strength of fine surface roughness in the light, 0 to 1.
-    upright: it stays vertical on a slope.
-    """
-
-    build: Callable[[np.random.Generator], Mesh] | None
-    fouling: float
-    silt: float
-    bump: float
-    upright: bool = False
-
-
-KINDS: dict[str, Kind] = {
-    "Bottle": Kind(debris.bottle, 0.25, 0.4, 0.1),
-    "Can": Kind(debris.can, 0.25, 0.35, 0.15),
-    "Chain": Kind(None, 0.5, 0.4, 0.6),
-    "Drink-carton": Kind(debris.drink_carton, 0.2, 0.4, 0.1),
-    "Hook": Kind(debris.hook, 0.4, 0.3, 0.5),
-    "Propeller": Kind(debris.propeller, 0.45, 0.35, 0.35),
-    "Shampoo-bottle": Kind(debris.shampoo_bottle, 0.2, 0.35, 0.1),
-    "Standing-bottle": Kind(debris.standing_bottle, 0.25, 0.2, 0.1, upright=True),
-    "Tire": Kind(debris.tire, 0.35, 0.7, 0.35),
-    "Valve": Kind(debris.valve, 0.4, 0.35, 0.4),
-    "Wall": Kind(None, 0.7, 0.3, 0.8, upright=True),
-    "Boulder": Kind(nature.boulder, 0.6, 0.6, 1.0),
-    "Pipe": Kind(None, 0.5, 0.6, 0.5),
-    "Pillar": Kind(None, 0.6, 0.1, 0.9, upright=True),
-    "Frame": Kind(structures.frame, 0.45, 0.3, 0.5),
-    "Anchor": Kind(structures.anchor, 0.45, 0.35, 0.6),
-    "Block": Kind(structures.block, 0.5, 0.6, 0.8),
-    "Coral": Kind(nature.coral, 0.0, 0.0, 0.9, upright=True),
-    "Plant": Kind(nature.plant, 0.0, 0.0, 0.1, upright=True),
-    "Barrel": Kind(debris.barrel, 0.45, 0.5, 0.5),
-}
-
-_MODELS = 24  # of a kind, each turned, scaled and tinted anew wherever it lies
-
-
-@functools.cache
-def model(kind: str, number: int) -> Mesh:
-    """One of the models of a kind of object, at rest on z = 0; drawn once a process."""
-    build = nature.pebble if kind == "Pebble" else KINDS[kind].build
-    assert build is not None
-    return build(stream(WORLD_SEED, "seabed", "model", kind, number))
-
-
-def drawn_model(rng: np.random.Generator, kind: str) -> Mesh:
-    """A model of a kind, chosen at random, a little larger or smaller, lighter or darker."""
-    shape = model(kind, int(rng.integers(_MODELS)))
-    size, shade = rng.uniform(0.9, 1.1), np.float32(rng.uniform(0.85, 1.15))
-    turned = shape.moved(rotation("z", rng.uniform(0, 2 * np.pi)), scale=size)
-    return Mesh(turned.vertices, turned.colours * shade, turned.triangles)
-
-
 @dataclass(frozen=True, eq=False)
 class Item:
-    """An object in its place.  kind: its name in `KINDS`, or None for a pebble (ground)."""
+    """An object in its place.  kind: its name in `things.KINDS`, or None for a pebble (ground)."""
 
     mesh: Mesh
     kind: str | None
-
-    @property
-    def label(self) -> int:
-        """Its class number."""
-        return CLASSES.index(self.kind) if self.kind else 0
 
 
 @dataclass(eq=False)
@@ -115,10 +49,10 @@ class Site:
     def scatter(self, kind: str, count: int) -> None:
         """Put `count` objects of a kind with a free-standing builder near the path."""
         for _ in range(count):
-            if KINDS[kind].build is None:
+            if things.KINDS[kind].build is None:
                 self._lay(kind)
                 continue
-            turned = drawn_model(self.rng, kind)
+            turned = things.drawn_model(self.rng, kind)
             reach = float(np.sqrt((turned.vertices[:, :2] ** 2).sum(axis=1).max()))
             spot = self._spot(reach, float(turned.vertices[:, 2].max()))
             if spot is not None:
@@ -131,7 +65,7 @@ class Site:
         spots += self.rng.normal(0, 0.7, (count, 2))
         for (x, y), height in zip(spots, self.terrain.height_m(*spots.T), strict=True):
             turn, size = self.rng.uniform(0, 2 * np.pi), self.rng.uniform(0.6, 1.5)
-            shape = model("Pebble", int(self.rng.integers(12)))
+            shape = things.model("Pebble", int(self.rng.integers(12)))
             turned = shape.moved(rotation("z", turn), (x, y, height), size)
             self.items.append(Item(turned, None))
 
@@ -146,12 +80,12 @@ class Site:
             for along in np.arange(-22, 22, spacing):
                 foot = self._on_axis(along + rng.normal(0, 0.1), across + rng.normal(0, 0.08))
                 top = rng.uniform(6, 8)
-                shaft = structures.pile(rng, top, radius * rng.uniform(0.9, 1.1))
+                shaft = things.pile(rng, top, radius * rng.uniform(0.9, 1.1))
                 self._fix(shaft, "Pillar", foot)
                 if previous is not None and rng.random() < 0.55:
                     low, high = rng.uniform(0.4, 1.4), rng.uniform(1.6, 3.2)
                     lift = np.array([0, 0, 1.0])
-                    beam = structures.brace(rng, previous + low * lift, foot + high * lift)
+                    beam = things.brace(rng, previous + low * lift, foot + high * lift)
                     self.items.append(Item(beam, "Pillar"))
                 previous = foot
 
@@ -163,12 +97,12 @@ class Site:
         foot = self._on_axis(0.0, face)
         turn = rotation("z", self.heading_rad)
         steel = rng.random() < 0.35
-        build = structures.sheet_pile if steel else structures.quay
+        build = things.sheet_pile if steel else things.quay
         self.items.append(Item(build(rng, length, height).moved(turn, foot), "Wall"))
         for along in np.arange(-18, 18, 2.2):
             where = np.array([along + rng.uniform(-0.8, 0.8), -0.28, rng.uniform(0.7, 2.4)])
             if rng.random() < 0.5:
-                hung = structures.fender(rng)
+                hung = things.fender(rng)
                 offset = np.einsum("ij,j->i", turn, where) + foot
                 self.items.append(Item(hung.moved(turn, offset), "Tire"))
         self.taken += [
@@ -180,7 +114,7 @@ class Site:
         """Lay out an object that follows the ground."""
         rng = self.rng
         if kind == "Wall":  # a ruined piece of wall, off the path
-            build = structures.quay if rng.random() < 0.7 else structures.sheet_pile
+            build = things.quay if rng.random() < 0.7 else things.sheet_pile
             wall = build(rng, rng.uniform(1.5, 4.0), rng.uniform(0.5, 1.4))
             wall = wall.moved(rotation("z", rng.uniform(0, 2 * np.pi)))
             reach = float(np.abs(wall.vertices[:, :2]).max())
@@ -188,17 +122,11 @@ class Site:
             if spot is not None:
                 self._fix(wall, kind, np.array([*spot, self._ground(*spot)]), reach)
             return
-        if kind == "Pillar":
-            spot = self._spot(0.4, 5.0)
-            if spot is not None:
-                pile = structures.pile(rng, rng.uniform(1.0, 6.0), rng.uniform(0.12, 0.35))
-                self._fix(pile, kind, np.array([*spot, self._ground(*spot)]), 0.5)
-            return
         length = rng.uniform(2.0, 4.5) if kind == "Chain" else rng.uniform(5.0, 14.0)
         aside = rng.choice([-1, 1]) * rng.uniform(0.3, 0.7 * self.place.spread_m + 0.5)
         near = self._near_loop(np.array([aside]))[0]
-        line = structures.curve(rng, near, length, 0.9 if kind == "Chain" else 0.12)
-        build_line = structures.chain if kind == "Chain" else structures.pipe
+        line = things.curve(rng, near, length, 0.9 if kind == "Chain" else 0.12)
+        build_line = things.chain if kind == "Chain" else things.pipe
         self.items.append(Item(build_line(rng, line, self.terrain.height_m), kind))
         if kind == "Pipe":
             self.taken += [(float(x), float(y), 0.25) for x, y in line[::6]]
@@ -210,7 +138,7 @@ class Site:
         cross = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]) * step + [x, y]
         height, east, west, north, south = self.terrain.height_m(*cross.T).astype(np.float64)
         dx, dy = (east - west) / (2 * step), (north - south) / (2 * step)
-        if not KINDS[kind].upright:
+        if not things.KINDS[kind].upright:
             steep = min(float(np.hypot(dx, dy)), 0.8)
             angle, toward = np.arctan(steep), np.arctan2(dy, dx)
             tilt = rotation("z", toward) @ rotation("y", -angle) @ rotation("z", -toward)
@@ -268,7 +196,7 @@ def furnish(site: Site, location: int, density: float, allowed: Iterable[str] | 
 
     density multiplies every count; allowed: kinds to use, or None for all.
     """
-    names = set(KINDS if allowed is None else allowed)
+    names = set(things.KINDS if allowed is None else allowed)
     scatter = site.place.scatter
 
     def draw_from(what: str) -> None:

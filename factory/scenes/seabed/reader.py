@@ -15,11 +15,10 @@ from ...errors import FrameError
 from ...frame import Frame, FrameRef, checked
 from ...labels import ObjectName
 from ...settings import STRICT
-from ..base import Discovery, SceneSettings
-from ..roots import Root
+from ..base import Discovery, Root, SceneSettings
 from .biomes import PLACE_NAMES, PlaceName
-from .movement import Movement, movements
-from .optics import HFOV_DEG
+from .camera import HFOV_DEG, camera
+from .path import Movement, movements
 
 if TYPE_CHECKING:
     from .world import World
@@ -36,8 +35,8 @@ class SeabedSettings(SceneSettings):
     frames_per_location: poses along its path.  width, height: pixels of a view 45 degrees wide.
     hfov_deg, vfov_deg: another sector for the camera to see; null: 45 degrees across, or the
     sonar's sector where that is wider.  A wider view has more pixels, as its solid angle grows.
-    path: a CSV file of the movements of a platform (see `movement`): the frames of a location are
-    then its lines, from the pose of frame 0 on, and `frames_per_location` does not count.
+    path: a CSV file of the movements of a platform (see `path.Movement`): its lines are then the
+    frames of a location, from the pose of frame 0 on, and `frames_per_location` does not count.
     objects: factor on how many objects lie around.  kinds: only these (null: all).
     places: only these kinds of place, taken in turn (null: all).
     """
@@ -82,13 +81,11 @@ class SeabedReader:
     def discover(self) -> Discovery:
         """List the frames: scene `seabed-0007` is location number 7, frame `0003` its pose 3."""
         settings = self._settings
-        first = settings.first_location
-        path = settings.path
-        frames = settings.frames_per_location if path is None else len(self._movements())
+        lines, first = self._movements(), settings.first_location
+        frames = settings.frames_per_location if lines is None else len(lines)
+        paths = () if settings.path is None else (settings.path,)
         refs = [
-            FrameRef(
-                "seabed", f"seabed-{location:04d}", f"{frame:04d}", () if path is None else (path,)
-            )
+            FrameRef("seabed", f"seabed-{location:04d}", f"{frame:04d}", paths)
             for location in range(first, first + settings.locations)
             for frame in range(frames)
         ]
@@ -102,33 +99,30 @@ class SeabedReader:
                 f"{ref.name}: not a procedural frame; names are like seabed/seabed-0007/0003"
             )
         # Reading a configuration imports this module, but needs nothing that makes pictures.
-        from .optics import camera
         from .view import take
 
-        world = self._world(int(scene[1]))
         settings = self._settings
         optics = camera(settings.width, settings.height, settings.hfov_deg, settings.vfov_deg)
         number, movement = int(ref.frame), None
-        if settings.path is not None:
-            if number >= len(self._movements()):
+        if (lines := self._movements()) is not None:
+            if number >= len(lines):
                 raise FrameError(f"{ref.name}: scenes.path={settings.path} has no such line")
-            number, movement = 0, self._movements()[number]
-        frame = take(world, number, ref, optics, movement)
+            number, movement = 0, lines[number]
+        frame = take(self._world(int(scene[1])), number, ref, optics, movement)
         return checked(frame, bad_depth=settings.bad_depth)
 
-    def _movements(self) -> tuple[Movement, ...]:
-        assert self._settings.path is not None
-        return movements(Path(self._settings.path).expanduser())
+    def _movements(self) -> tuple[Movement, ...] | None:
+        path = self._settings.path
+        return None if path is None else movements(Path(path).expanduser())
 
     def _world(self, location: int) -> World:
         from .world import build_world
 
         if location not in self._worlds:
-            places = self._settings.places or PLACE_NAMES
-            self._worlds[location] = build_world(
-                location, places, self._settings.objects, self._settings.kinds
-            )
+            settings = self._settings
+            places = settings.places or PLACE_NAMES
+            while len(self._worlds) >= _HELD:
+                self._worlds.popitem(last=False)
+            self._worlds[location] = build_world(location, places, settings.objects, settings.kinds)
         self._worlds.move_to_end(location)
-        while len(self._worlds) > _HELD:
-            self._worlds.popitem(last=False)
         return self._worlds[location]

@@ -9,15 +9,16 @@ import numpy.typing as npt
 
 from ...frame import Frame, FrameRef
 from ...seeds import stream
-from .appearance import Scene, photograph
-from .depth_dropout import measured
-from .fields import WORLD_SEED, Floats
-from .movement import Movement, moved
-from .optics import Optics
-from .rasterizer import Pose, directions, lens_of, z_buffer
-from .terrain import Terrain, view_mesh
+from .camera import Optics, Points, Pose, ZBuffer, pose, z_buffer
+from .fields import TILE, WORLD_SEED, Floats, tiles
+from .path import Movement
+from .terrain import GroundMesh, view_mesh
 from .viewpoint import choose_pose
 from .world import World
+
+_SUN_M = 400.0  # how far away the camera in the sun is
+_SHADE_M, _SHADE_CELLS = 14.0, 512  # side of the ground that it sees, and of its picture
+_FURTHEST_M = 20.0  # stereo matching reaches no further, however clear the water
 
 
 def take(
@@ -30,28 +31,22 @@ def take(
     """
     where = choose_pose(world, frame)
     if movement is not None:
-        where = Pose(*moved(where.eye, where.rotation, movement))
-    azimuths, elevations = _field_of_view(where, optics)
+        where = Pose(*movement.moved(where.eye, where.rotation))
+    azimuths, elevations = field_of_view(where, optics)
     # The mesh is as fine as the pixels: of a camera that sees 45 degrees, so many across.
     fine = min(max(optics.width / optics.across / 968, 0.35), 1.5)
     shape = (int(370 * fine), int(280 * fine * optics.across))
     ground = view_mesh(world.terrain, where.eye, azimuths, elevations, shape)
-    every = np.ones(len(world.labels), dtype=np.bool_)
-    seen = z_buffer(where, optics, ground.points, world.objects, every)
+    seen = z_buffer(where, optics, ground.points, world.objects)
     rng = stream(WORLD_SEED, "seabed", world.location, "frame", frame)
-    scene = Scene(
-        where, optics, ground, world.objects, world.finishes, world.palette, world.water,
-        world.terrain.offset_m,
-    )  # fmt: skip
-    rgb = photograph(scene, seen, rng.uniform(0.68, 0.92))
-    depth_m = seen.depth_m
+    rgb = photograph(world, where, optics, ground, seen, rng.uniform(0.68, 0.92))
+    depth_m, clear_m = seen.depth_m, world.look.clear_m
     range_m = depth_m * _lengths(optics)
-    keep = measured(rng, depth_m, range_m, world.water.clear_m)
+    keep = measured(rng, depth_m, range_m, clear_m)
     things = np.append(np.uint16(0), world.objects.owner + np.uint16(1))
     first_object = 2 * (shape[0] - 1) * (shape[1] - 1)
-    number = things.take(np.maximum(seen.which - (first_object - 1), 0)) * (
-        range_m < world.water.clear_m
-    )
+    number = things.take(np.maximum(seen.which - (first_object - 1), 0)) * (range_m < clear_m)
+    x, y, z = where.eye
     return Frame(
         ref=ref,
         rgb=rgb,
@@ -61,30 +56,23 @@ def take(
         segmentation=np.append(np.uint8(0), world.labels).take(number),
         instance=np.append(np.uint16(0), world.instances).take(number),
         time_s=None if movement is None else movement.time_s,
-        altitude_m=_altitude_m(world.terrain, where.eye),
+        altitude_m=float(z - world.terrain.height_m(np.array([x]), np.array([y]))[0]),
     )
-
-
-def _altitude_m(terrain: Terrain, eye: npt.NDArray[np.float64]) -> float:
-    """Height of a camera above the ground right under it."""
-    return float(eye[2] - terrain.height_m(eye[:1], eye[1:2])[0])
 
 
 @functools.lru_cache(maxsize=2)
 def _lengths(optics: Optics) -> Floats:
     """(H, W) lengths of the pixels' rays for a length of 1 along the optical axis."""
-    fx, fy, cx, cy = lens_of(optics)
+    fx, fy, cx, cy = optics.lens
     across = (((np.arange(optics.width) - cx) / fx) ** 2).astype(np.float32)
     down = (((np.arange(optics.height) - cy) / fy) ** 2).astype(np.float32)
     return np.asarray(np.sqrt(1 + across[None] + down[:, None]))
 
 
-def _field_of_view(where: Pose, optics: Optics) -> tuple[tuple[float, float], tuple[float, float]]:
+def field_of_view(where: Pose, optics: Optics) -> tuple[tuple[float, float], tuple[float, float]]:
     """Azimuths (in order, within a turn) and elevations, with a margin, of a view's directions."""
     every = max(optics.width // 121, 1)
-    toward = directions(
-        where.rotation, optics.intrinsics, optics.width + every, optics.height + every, every
-    ).astype(np.float64)
+    toward = optics.directions(where.rotation, every, every).astype(np.float64)
     border = np.concatenate([toward[0], toward[-1], toward[:, 0], toward[:, -1]])
     middle = toward[toward.shape[0] // 2, toward.shape[1] // 2]
     centre = np.arctan2(middle[1], middle[0])
@@ -94,3 +82,103 @@ def _field_of_view(where: Pose, optics: Optics) -> tuple[tuple[float, float], tu
     # Walls lean over the edge of the view by their relief, hence the margin.
     azimuths = (float(centre + aside.min() - 0.06), float(centre + aside.max() + 0.06))
     return azimuths, (float(up.min() - 0.04), float(up.max() + 0.04))
+
+
+def photograph(
+    world: World, where: Pose, optics: Optics, ground: GroundMesh, seen: ZBuffer, exposure: float
+) -> npt.NDArray[np.uint8]:
+    """The (H, W, 3) picture of what a z-buffer met.
+
+    exposure: how bright its bright parts are, 0 to 1.  Colours are those of every second pixel.
+    """
+    from . import kernels
+
+    height, width = seen.which.shape
+    colour = np.empty((-(-height // 2), -(-width // 2), 3), np.float32)
+    rgb = np.empty((height, width, 3), np.uint8)
+    look, objects = world.look, world.objects
+    kernels.look(
+        (ground.points.reshape(-1, 3), ground.normals.reshape(-1, 3),
+         ground.attributes.reshape(-1, 3)),
+        ground.points.shape[1],
+        (objects.mesh.vertices, objects.normals, objects.mesh.colours),
+        objects.mesh.triangles, objects.owner, world.finishes,
+        _single(where.eye, where.rotation, optics.lens), (seen.inverse, seen.which),
+        look.palette, np.float32(look.turf), np.array(world.terrain.offset_m, np.float32),
+        tiles().texture, look.water, np.array(look.sun_direction, np.float32),
+        *shadows(world, where), colour,
+    )  # fmt: skip
+    # The camera sets its black level on the haze, as far as that has one colour, and lets the
+    # bright parts of the picture fill most of the scale, whatever the water.
+    some, haze = colour[::4, ::4], look.water[1]
+    black = haze * np.float32(0.6 * np.percentile(some.max(axis=-1), 1) / haze.max())
+    bright = max(float(np.percentile((some - black).max(axis=-1), 97)), 1e-3)
+    gamma = np.round(255 * (np.arange(4096) / 4095) ** (1 / 2.2)).astype(np.uint8)
+    kernels.expose(colour, black, np.float32(exposure / bright), gamma, rgb)
+    return rgb
+
+
+def shadows(world: World, where: Pose) -> tuple[tuple[Floats, ...], Floats]:
+    """Eye, axes and lens of a camera in the sun, and its picture (S, S) of the objects there."""
+    x, y, z = world.look.sun_direction
+    ahead = where.rotation[:2, 2] / np.sqrt((where.rotation[:2, 2] ** 2).sum())
+    middle = np.append(where.eye[:2] + 0.4 * _SHADE_M * ahead, where.eye[2] - 1)
+    heading, pitch = np.rad2deg([np.arctan2(-y, -x), np.arcsin(z)])
+    sun = pose(middle + _SUN_M * np.array([x, y, z]), heading, pitch, 0)
+    optics = Optics(_SUN_M * _SHADE_CELLS / _SHADE_M, _SHADE_CELLS, _SHADE_CELLS)
+    picture = z_buffer(sun, optics, None, world.objects).inverse
+    return _single(sun.eye, sun.rotation, optics.lens), picture
+
+
+def _single(*sight: Points) -> tuple[Floats, ...]:
+    return tuple(part.astype(np.float32) for part in sight)
+
+
+def measured(
+    rng: np.random.Generator, depth_m: Floats, range_m: Floats, clear_m: float
+) -> npt.NDArray[np.bool_]:
+    """(H, W) bool: pixels that keep their depth, decided for every second one.
+
+    As of depth maps from photographs: far water, depth edges and patches have none.
+    depth_m, range_m: (H, W), inf where there is only water.  clear_m: how far the water lets
+    matching work; the border is ragged.  About 8 to 38 % are lost, small shares more often.
+    """
+    from .kernels import STEPS
+
+    scale = depth_m.shape[1] / 968
+    near_m, range_m = np.minimum(depth_m[::2, ::2], np.float32(1e4)), range_m[::2, ::2]
+    rows, columns = (
+        (rng.integers(TILE) + np.arange(size) / scale).astype(np.int64) % (TILE // 2)
+        for size in near_m.shape
+    )
+    words = tiles().texture[rows[:, None], columns]
+    step = np.float32(1 / STEPS)
+    broad, grain = ((words << bits >> 24) * step for bits in (24, 16))  # its first two channels
+    # Cracks along depth edges, on the far side, of a width that varies.
+    noise = broad + grain
+    ragged = np.minimum(np.float32(0.06) * broad + np.float32(0.03) * grain, np.float32(0.2))
+    keep = range_m < clear_m * (1 + ragged)
+    for reach, level in ((max(round(2 * scale), 1), 0.6), (1, -0.7)):
+        behind = near_m > np.float32(1.12) * least_around(near_m, reach)
+        keep &= ~(behind & (noise > np.float32(level)))
+    missing = 0.08 + 0.3 * rng.random() ** 2 - float(1 - keep.mean())
+    if missing > 0 and keep.any():
+        # Matching fails first far away, then near the picture's border; a few blobs are anywhere.
+        down, across = (np.linspace(-1, 1, size, dtype=np.float32) ** 8 for size in keep.shape)
+        doubt = np.float32(0.3) * broad + np.float32(0.1) * grain
+        doubt += np.float32(0.9) * np.maximum(across, down[:, None])
+        doubt += np.float32(2.4 / clear_m) * np.minimum(range_m, np.float32(clear_m))
+        keep &= doubt <= np.quantile(doubt[keep], 1 - min(missing / keep.mean(), 1))
+    whole = keep.repeat(2, axis=0).repeat(2, axis=1)[: depth_m.shape[0], : depth_m.shape[1]]
+    return np.asarray(whole & (depth_m < _FURTHEST_M))
+
+
+def least_around(values: Floats, reach: int) -> Floats:
+    """(H, W) the least of the (2 reach + 1) x (2 reach + 1) values around each."""
+    for axis in (0, 1):
+        sides = [(0, 0), (0, 0)]
+        sides[axis] = (reach, reach)
+        wide, size = np.pad(values, sides, constant_values=np.inf), values.shape[axis]
+        shifted = (wide.take(range(k, k + size), axis) for k in range(2 * reach + 1))
+        values = functools.reduce(np.minimum, shifted)
+    return values

@@ -6,17 +6,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from ...frame import Intrinsics
-from .depth_dropout import MOST_LOST
-from .optics import Optics, camera
-from .rasterizer import Pose, ZBuffer, directions, lens_of, pose, z_buffer
+from .camera import Optics, Pose, ZBuffer, camera, pose, z_buffer
 from .terrain import FAR_M
 from .world import World
 
 _EVERY = 32  # pixels of FLSea's camera from one ray to the next
 _SIDE_DEG, _DOWN_DEG = 50, 20
 # Two such cameras, to the left and to the right, see all that any candidate sees.
-_LOOKOUT = Optics(Intrinsics(70, 70, 101, 54), 203, 122, 2.2)
+_LOOKOUT = Optics(70, 203, 122, 2.2, cy=54)
+_MOST_LOST = 0.42  # share of the pixels without a depth
 
 
 @lru_cache(maxsize=2)  # all frames of a moving platform begin at one
@@ -40,20 +38,18 @@ def choose_pose(world: World, frame: int) -> Pose:
     wanted = world.instances > 0
     lookouts = [pose(eye, heading + side, _DOWN_DEG, 0) for side in (_SIDE_DEG, -_SIDE_DEG)]
     seen = [
-        z_buffer(where, _LOOKOUT, ground, world.objects, wanted, world.water.clear_m)
+        z_buffer(where, _LOOKOUT, ground, world.objects, wanted, world.look.clear_m)
         for where in lookouts
     ]
     first_object = 2 * (ground.shape[0] - 1) * (ground.shape[1] - 1)
     numbers = np.append(world.instances[world.objects.owner], np.uint16(0))
     things = [numbers[np.where(s.which >= first_object, s.which - first_object, -1)] for s in seen]
-    optics = camera(968, 608)
-    rays = directions(np.eye(3), optics.intrinsics, optics.width, optics.height, _EVERY)
-    rays = rays.reshape(-1, 3)
+    rays = camera(968, 608).directions(np.eye(3), _EVERY).reshape(-1, 3)
     length = np.sqrt((rays**2).sum(axis=1))
     costs = []
     for candidate, extra in zip(candidates, effort, strict=True):
         toward = np.einsum("ij,rj->ir", candidate.rotation, rays)
-        facts = _facts(toward, length, lookouts, seen, things, world.water.clear_m)
+        facts = _facts(toward, length, lookouts, seen, things, world.look.clear_m)
         costs.append(_cost(*facts) + extra)
     return candidates[int(np.argmin(costs))]
 
@@ -72,7 +68,7 @@ def _facts(
     Returns the share of rays beyond `clear_m`, the share nearer than 0.9 m, the median depth, the
     share on objects within 0.8 `clear_m`, and how many objects those are.
     """
-    fx, fy, cx, cy = lens_of(_LOOKOUT)
+    fx, fy, cx, cy = _LOOKOUT.lens
     axes = [np.einsum("ij,ir->jr", where.rotation, toward) for where in lookouts]
     # The lookout on whose side a ray is: the one that looks more its way.
     left = axes[0][2] >= axes[1][2]
@@ -107,6 +103,8 @@ def _ground_around(world: World, eye: np.ndarray, heading_rad: float) -> np.ndar
 
 def _cost(lost: float, too_near: float, middle: float, share: float, variety: int) -> float:
     """How bad a view is; arguments as `_facts` returns them."""
-    cost = 8 * max(lost - 0.34, 0) + 60 * max(lost - MOST_LOST + 0.06, 0) + 30 * max(0.03 - lost, 0)
+    cost = (
+        8 * max(lost - 0.34, 0) + 60 * max(lost - _MOST_LOST + 0.06, 0) + 30 * max(0.03 - lost, 0)
+    )
     cost += 12 * max(too_near - 0.02, 0) + max(1.4 - middle, 0) + 0.4 * max(middle - 4, 0)
     return cost + 4 * max(share - 0.42, 0) - min(share, 0.25) * 4 - 0.05 * min(variety, 14)

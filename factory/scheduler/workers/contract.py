@@ -5,16 +5,45 @@ A task is an importable function and one argument that pickles.  Nothing here kn
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, TypeVar
 
-from .start import Hear
+from .machine import keep_freed_memory
 
 T = TypeVar("T")
 
 BackendName = Literal["local", "serial", "dask"]
+Hear = Callable[[Any], None]
+
+# Who listens to the task of this process.
+_listeners: list[Hear] = []
+
+
+def start_worker_process() -> None:
+    """Leave Ctrl-C, which goes to every process of a terminal, to the parent; set up malloc."""
+    with suppress(ValueError):  # not in the main thread: no signal would be delivered here
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    keep_freed_memory()
+
+
+def tell(*message: str | int) -> None:
+    """Say how far the task is, to whoever submitted it; arrived when this returns."""
+    for hear in _listeners:
+        hear(message)
+
+
+@contextmanager
+def heard_by(hear: Hear | None) -> Iterator[None]:
+    """Within the block, what the task of this process tells goes to `hear`."""
+    _listeners[:] = [hear] if hear else []
+    try:
+        yield
+    finally:
+        _listeners.clear()
 
 
 @dataclass(frozen=True)
@@ -75,8 +104,8 @@ class Backend(Protocol):
     ) -> Future[T]:
         """Run `function(argument)`.
 
-        silence_s: longest time between two things that the task tells (`start.tell`); a worker
-            that says nothing for longer is killed, and the future has a TimeoutError.
+        silence_s: longest time between two things that the task tells (`tell`); a worker that says
+            nothing for longer is killed, and the future has a TimeoutError.
         hear: called with what the task tells, from any thread.
         """
 
@@ -90,17 +119,74 @@ class Backend(Protocol):
         """Stop all workers now, whatever they are doing."""
 
 
-def open_backend(settings: WorkerSettings) -> Backend:
-    """The backend that `settings.backend` names.  Raises FactoryError when it cannot be had."""
-    if settings.backend == "serial":
-        from .serial import SerialBackend
+@contextmanager
+def workers_of(settings: WorkerSettings) -> Iterator[Backend]:
+    """The backend that `settings.backend` names, stopped at the end of the block.
 
-        return SerialBackend()
-    if settings.backend == "dask":
+    Raises FactoryError when it cannot be had.
+    """
+    backend: Backend
+    if settings.backend == "serial":
+        backend = SerialBackend()
+    elif settings.backend == "dask":
         # Half a second of imports, and an optional dependency.
         from .dask_cluster import DaskBackend
 
-        return DaskBackend(settings)
-    from .local import LocalBackend
+        backend = DaskBackend(settings)
+    else:
+        from .local import LocalBackend
 
-    return LocalBackend(settings)
+        backend = LocalBackend(settings)
+    try:
+        yield backend
+    finally:
+        backend.stop()
+
+
+class SerialBackend:
+    """A `Backend` in this process, whose tasks are done when they have been submitted.
+
+    For debuggers and profilers.  Time limits are not kept, and a crash ends everything.
+    """
+
+    def __init__(self) -> None:
+        keep_freed_memory()
+        self._full = False
+
+    def free(self, pool: str) -> bool:
+        """Once between two polls, so that each result is on record before the next task."""
+        return not self._full
+
+    def submit(
+        self,
+        function: Callable[..., T],
+        argument: Any,
+        silence_s: float,
+        pool: str,
+        hear: Hear | None = None,
+    ) -> Future[T]:
+        """Run it here and now."""
+        self._full = True
+        future: Future[T] = Future()
+        try:
+            with heard_by(hear):
+                future.set_result(function(argument))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+    def why_died(self, error: BaseException) -> str | None:
+        """There is no worker that could die."""
+        return None
+
+    def poll(self) -> None:
+        """Results have been taken: the next task may run."""
+        self._full = False
+
+    def stop(self) -> None:
+        """Nothing to stop."""
+
+
+def dask_setup(worker: Any) -> None:
+    """Called by Dask in every new worker process, which has this module as its `--preload`."""
+    start_worker_process()

@@ -20,8 +20,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from ...errors import FactoryError
-from .contract import Pool, WorkerSettings
-from .start import Hear, heard_by
+from .contract import Hear, Pool, WorkerSettings, heard_by
 from .template import THREAD_VARIABLES
 
 T = TypeVar("T")
@@ -29,12 +28,15 @@ T = TypeVar("T")
 _LOGGING = "DASK_LOGGING__DISTRIBUTED"
 _CONNECT_S = 20.0
 _STOP_S = 4.0
-_REVIVE_EVERY_S = 2.0
+_COUNT_EVERY_S = 2.0
 # A worker's start, and the way of a result that a worker has ready.
 _START_S = 120
 _RESULT_S = 60
 _RESTART_S = 30
-_STARTS = 5
+
+
+class _Lost(Exception):
+    """A task ended without a result of its own."""
 
 
 @dataclass(eq=False)
@@ -62,8 +64,8 @@ class DaskBackend:
             ) from error
         self._distributed: Any = distributed
         self._cluster: Any = None
-        self._specs: dict[int, Any] = {}
-        self._revived = 0.0
+        self._client: Any = None
+        self._counted = 0.0
         self._tasks: dict[str, _Task] = {}
         self._topic = f"simnfnd-{uuid.uuid4().hex}"
         self._lock = threading.Lock()
@@ -72,43 +74,38 @@ class DaskBackend:
         self._environment = os.environ.get(_LOGGING)
         os.environ[_LOGGING] = "critical"
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        self._restricted = _restricted(settings.pools)
+        self._total, self._serving = 0, dict.fromkeys(self._restricted, 0)
         address = settings.address
         try:
             if address is None:
-                self._cluster = _start_cluster(distributed, settings)
-                self._specs = dict(self._cluster.worker_spec)
+                self._cluster = _start_cluster(distributed, settings, self._restricted)
                 address = self._cluster.scheduler_address
-            self._client: Any = self._distributed.Client(
+            self._client = self._distributed.Client(
                 address, timeout=_CONNECT_S, set_as_default=False
             )
             self._client.subscribe_topic(self._topic, self._heard)
-            self._restricted = _restricted(settings.pools)
-            self._total, self._serving = self._count(settings)
-        except (TimeoutError, OSError, ValueError) as error:
+            if self._cluster is not None:
+                self._client.wait_for_workers(settings.total, timeout=_START_S)
+            self._count()
+            if not self._total:
+                raise ValueError("it has no workers")
+            for pool in settings.pools:
+                if pool.workers and self._serving.get(pool.name) == 0:
+                    raise ValueError(f"no worker was started with --resources {pool.name}=1")
+        except (TimeoutError, OSError, ValueError, RuntimeError) as error:
             self.stop()
+            where = (
+                f"scheduler.address={settings.address}: no Dask scheduler answers"
+                if settings.address
+                else "scheduler.backend=dask: no cluster comes up on this machine"
+            )
             raise FactoryError(
-                f"scheduler.address={settings.address}: no Dask scheduler answers ({error}); "
-                "check the address, or start one (docs/cluster.md)"
+                f"{where} ({error}); check the address, or start one (docs/cluster.md)"
             ) from error
 
-    def _count(self, settings: WorkerSettings) -> tuple[int, dict[str, int]]:
-        """How many workers there are, and of them for each pool that not all of them serve."""
-        if self._cluster is not None:
-            self._client.wait_for_workers(settings.total, timeout=_START_S)
-        found = self._client.scheduler_info(n_workers=-1)["workers"].values()
-        if not found:
-            raise ValueError("it has no workers")
-        serving = {
-            name: sum(name in worker.get("resources", {}) for worker in found)
-            for name in self._restricted
-        }
-        for pool in settings.pools:
-            if pool.workers and serving.get(pool.name) == 0:
-                raise ValueError(f"no worker was started with --resources {pool.name}=1")
-        return len(found), serving
-
-    def _recount(self) -> None:
-        """Take in workers of a cluster of others that have come or gone."""
+    def _count(self) -> None:
+        """Take in workers that have come or gone; those of a pool that not all of them serve."""
         with suppress(Exception):
             found = self._client.sync(
                 self._client.scheduler.identity, n_workers=-1, callback_timeout=_RESTART_S
@@ -201,12 +198,9 @@ class DaskBackend:
     def poll(self) -> None:
         """End tasks that are too late: Dask cannot stop a function, so its worker is restarted."""
         now = time.monotonic()
-        if now - self._revived > _REVIVE_EVERY_S:
-            self._revived = now
-            if self._cluster is None:
-                self._recount()
-            else:
-                self._revive()
+        if now - self._counted > _COUNT_EVERY_S:
+            self._counted = now
+            self._count()
         with self._lock:
             gone = [k for k, one in self._tasks.items() if now > one.heard_at + one.silence_s]
             late = [self._tasks.pop(key) for key in gone]
@@ -219,34 +213,14 @@ class DaskBackend:
                 self._client.restart_workers(where, timeout=_RESTART_S, raise_for_error=False)
             task.future.set_exception(TimeoutError())
 
-    def _revive(self) -> None:
-        """Replace nannies of our own cluster that gave up: their worker died while it started."""
-        cluster = self._cluster
-        gone = [
-            name
-            for name in self._specs
-            if name not in cluster.workers
-            or cluster.workers[name].status.name in ("closed", "failed")
-        ]
-        if not gone:
-            return
-        for name in gone:
-            cluster.workers.pop(name, None)
-            cluster.worker_spec[name] = self._specs[name]
-        # What fails again is found again next time.
-        with suppress(Exception):
-            cluster.sync(cluster._correct_state, callback_timeout=60)
-
     def stop(self) -> None:
         """Leave the cluster; one that was started here is taken down."""
         with self._lock:
             self._tasks.clear()
-        if hasattr(self, "_client"):
+        for one in (self._client, self._cluster):
             with suppress(Exception):
-                self._client.close(timeout=_STOP_S)
-        if self._cluster is not None:
-            with suppress(Exception):
-                self._cluster.close(timeout=_STOP_S)
+                if one is not None:
+                    one.close(timeout=_STOP_S)
         self._settings.__exit__(None, None, None)
         if self._environment is None:
             os.environ.pop(_LOGGING, None)
@@ -270,10 +244,6 @@ def _run(function: Callable[[Any], T], argument: Any, topic: str, key: str) -> T
         return function(argument)
 
 
-class _Lost(Exception):
-    """A task ended without a result of its own."""
-
-
 def _restricted(pools: Sequence[Pool]) -> frozenset[str]:
     """Names of the pools that some workers do not serve."""
     return frozenset(
@@ -281,38 +251,27 @@ def _restricted(pools: Sequence[Pool]) -> frozenset[str]:
     )
 
 
-def _start_cluster(distributed: Any, settings: WorkerSettings) -> Any:
+def _start_cluster(distributed: Any, settings: WorkerSettings, restricted: frozenset[str]) -> Any:
     """A scheduler and the workers of all pools as processes of this machine."""
-    env = dict.fromkeys(THREAD_VARIABLES, str(settings.threads))
-    restricted = _restricted(settings.pools)
-    workers = [pool for pool in settings.pools for _ in range(pool.workers)]
 
     def spec(pool: Pool) -> dict[str, Any]:
         options = {
             "nthreads": 1,
-            "env": env,
+            "env": dict.fromkeys(THREAD_VARIABLES, str(settings.threads)),
             "memory_limit": 0,
             "death_timeout": _START_S,
             "resources": {name: 1 for name in restricted if pool.takes(name)},
-            "preload": ["simnfnd.factory.scheduler.workers.dask_preload"],
+            "preload": ["simnfnd.factory.scheduler.workers.contract"],
             "dashboard": False,
         }
         return {"cls": distributed.Nanny, "options": options}
 
-    for last in (False,) * (_STARTS - 1) + (True,):
-        try:
-            return distributed.SpecCluster(
-                workers={number: spec(pool) for number, pool in enumerate(workers)},
-                scheduler={
-                    "cls": distributed.Scheduler,
-                    "options": {"dashboard": False, "host": "127.0.0.1", "port": 0},
-                },
-                silence_logs=50,
-            )
-        except RuntimeError as error:  # a worker died while it started
-            if last:
-                raise FactoryError(
-                    f"scheduler.backend=dask: no cluster comes up on this machine ({error}); "
-                    "choose scheduler=local"
-                ) from error
-    raise AssertionError("unreachable")
+    workers = [pool for pool in settings.pools for _ in range(pool.workers)]
+    return distributed.SpecCluster(
+        workers={number: spec(pool) for number, pool in enumerate(workers)},
+        scheduler={
+            "cls": distributed.Scheduler,
+            "options": {"dashboard": False, "host": "127.0.0.1", "port": 0},
+        },
+        silence_logs=50,
+    )

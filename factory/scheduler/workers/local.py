@@ -7,6 +7,7 @@ process that is dead fails at once, because the two share a pair of sockets that
 from __future__ import annotations
 
 import atexit
+import math
 import multiprocessing
 import os
 import pickle
@@ -16,18 +17,16 @@ import threading
 import time
 import traceback
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from . import template
-from .contract import Pool, WorkerSettings
-from .start import Hear, heard_by, start_worker_process
+from .contract import Hear, Pool, WorkerSettings, heard_by, start_worker_process
 
 T = TypeVar("T")
 
@@ -165,7 +164,8 @@ class _Slot:
         return not self._thread.is_alive()
 
     def _serve(self) -> None:
-        _hold_interrupts()
+        # Only the main thread answers Ctrl-C, and no process that this one starts.
+        template.hold_interrupts()
         while (task := self._tasks.get()) is not None:
             try:
                 if self._stopped:
@@ -239,7 +239,7 @@ class _Child:
         limit_s, begun = _START_S, False
         try:
             # What is larger than the pipe's buffer waits for the process to read it.
-            with self._limited(limit_s, template.STOPPED_S):
+            with template.limited(self._pid, self.kill, limit_s, template.STOPPED_S):
                 self._connection.send_bytes(task.request)
             while True:
                 kind, value = self._received(limit_s, begun)
@@ -263,46 +263,15 @@ class _Child:
         raise value
 
     def _received(self, limit_s: float, begun: bool) -> tuple[str, Any]:
-        stopped = 0
-        with self._limited(limit_s):
+        # It has minutes to load what it needs, but not to stand still.
+        stopped_s = math.inf if begun else template.STOPPED_S
+        with template.limited(self._pid, self.kill, limit_s, stopped_s):
             # A copy of its end may live on in a process that something else here has forked.
             while not self._connection.poll(_LOOK_S):
                 if self._gone(0.0) and not self._connection.poll():
                     raise EOFError
-                # It has minutes to load what it needs, but not to stand still.
-                stopped = stopped + 1 if not begun and template.is_stopped(self._pid) else 0
-                if stopped * _LOOK_S > template.STOPPED_S:
-                    raise TimeoutError
             kind, value = pickle.loads(self._connection.recv_bytes())
             return kind, value
-
-    @contextmanager
-    def _limited(self, seconds: float, stopped_s: float | None = None) -> Iterator[None]:
-        """Kill the process when the block takes longer, which ends every wait for it.
-
-        stopped_s: kill it, too, when it is stopped (SIGSTOP) for so long.
-        """
-        late, done = threading.Event(), threading.Event()
-
-        def watch() -> None:
-            end, stopped = time.monotonic() + seconds, 0.0
-            step = seconds if stopped_s is None else _LOOK_S
-            while not done.wait(step):
-                stopped = stopped + step if template.is_stopped(self._pid) else 0.0
-                if time.monotonic() >= end or stopped > (stopped_s or seconds):
-                    late.set()
-                    self.kill()
-                    return
-
-        threading.Thread(target=watch, daemon=True).start()
-        try:
-            yield
-        except (EOFError, OSError):
-            if late.is_set():
-                raise TimeoutError from None
-            raise
-        finally:
-            done.set()
 
     def end(self, *, at_once: bool = False) -> int | None:
         """Let the process end; its exit code, None when even a kill did not end it."""
@@ -325,17 +294,6 @@ _children: weakref.WeakSet[_Child] = weakref.WeakSet()
 def _kill_children() -> None:
     for child in list(_children):
         child.kill()
-
-
-def _hold_interrupts() -> None:
-    """Keep Ctrl-C from this thread and the processes that it starts: only the main one answers it.
-
-    It goes to the whole process group of a terminal.
-    """
-    if hasattr(signal, "pthread_sigmask"):
-        # Its start would lift the hold, so it has to run before.
-        resource_tracker.ensure_running()
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 
 def _work(connection: Connection, environment: dict[str, str]) -> None:

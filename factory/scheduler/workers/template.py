@@ -10,6 +10,7 @@ died), workers are spawned.
 from __future__ import annotations
 
 import atexit
+import math
 import multiprocessing
 import os
 import signal
@@ -62,18 +63,22 @@ def start(modules: tuple[str, ...], threads: int = 1) -> None:
     """
     if not modules or not sys.platform.startswith("linux"):
         return
-    with _template.lock, thread_variables(threads), _interrupts_held():
+    with _template.lock:
         if runs():
             return
+        saved, held = tell(threads), hold_interrupts()
         forkserver.set_forkserver_preload(list(modules))
         # Its socket lies there: it removes the folder when we were killed and cannot.
         os.environ[FOLDER_VARIABLE] = util.get_temp_dir()
-        # In a process that is itself a fork, it is another's.
-        with suppress(ChildProcessError):
+        try:
             forkserver.ensure_running()
             _template.owner, _template.threads = os.getpid(), _threads_told()
             _template.modules = modules
-        del os.environ[FOLDER_VARIABLE]
+        except ChildProcessError:
+            pass  # in a process that is itself a fork, it is another's
+        finally:
+            restore({**saved, FOLDER_VARIABLE: None})
+            signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
 
 def started(
@@ -92,7 +97,8 @@ def started(
             break
         process = multiprocessing.get_context("forkserver").Process(target=target, args=arguments)
         # It may die meanwhile, or there is no room for a process at all.
-        with suppress(EOFError, OSError), _killed_if_stopped(within_s):
+        pid = vars(forkserver)["_forkserver"]._forkserver_pid
+        with suppress(EOFError, OSError), limited(pid, kill, within_s, STOPPED_S):
             process.start()
             return process
         start(_template.modules, int(os.environ.get(THREAD_VARIABLES[0], 1)))
@@ -102,23 +108,34 @@ def started(
 
 
 @contextmanager
-def _killed_if_stopped(within_s: float) -> Iterator[None]:
-    """Within the block, kill a template that stands still for seconds, or answers too late."""
-    server: Any = vars(forkserver)["_forkserver"]
-    ended = threading.Event()
+def limited(
+    pid: int | None, kill: Callable[[], None], within_s: float, stopped_s: float = math.inf
+) -> Iterator[None]:
+    """Call `kill` when the block takes longer, which ends every wait for that process.
+
+    stopped_s: also when the process `pid` stands still (SIGSTOP) for so long.
+    Raises TimeoutError where the block then fails with EOFError or OSError.
+    """
+    ended, late = threading.Event(), threading.Event()
 
     def watch() -> None:
-        begun, running = time.monotonic(), time.monotonic()
-        while not ended.wait(1.0):
+        running = time.monotonic()
+        end = running + within_s
+        while not ended.wait(min(1.0, within_s)):
             now = time.monotonic()
-            running = running if is_stopped(server._forkserver_pid) else now
-            if now - running > STOPPED_S or now - begun > within_s:
+            running = running if is_stopped(pid) else now
+            if now >= end or now - running > stopped_s:
+                late.set()
                 kill()
                 return
 
     threading.Thread(target=watch, daemon=True).start()
     try:
         yield
+    except (EOFError, OSError):
+        if late.is_set():
+            raise TimeoutError from None
+        raise
     finally:
         ended.set()
 
@@ -150,16 +167,6 @@ def kill() -> None:
         server._stop()
 
 
-@contextmanager
-def thread_variables(threads: int) -> Iterator[None]:
-    """Within the block, libraries of processes that are started use so many threads."""
-    saved = tell(threads)
-    try:
-        yield
-    finally:
-        restore(saved)
-
-
 def tell(threads: int) -> dict[str, str | None]:
     """Let libraries of processes started from now on use so many threads; what `restore` takes."""
     saved = _threads_told()
@@ -180,13 +187,11 @@ def _threads_told() -> dict[str, str | None]:
     return {name: os.environ.get(name) for name in THREAD_VARIABLES}
 
 
-@contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Ctrl-C goes to the whole process group of a terminal; only the main process answers it."""
+def hold_interrupts() -> set[int]:
+    """Keep Ctrl-C, which goes to the whole process group of a terminal, from this thread.
+
+    And from what it starts.  Returns the signals that were held before.
+    """
     # Its start would lift the hold, so it has to run before.
     resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    return set(signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}))

@@ -93,7 +93,8 @@ class View:
         x, y = _from_middle(self.shape)
         planes = [along, down, along * x, along * y, down * x, down * y]
         change = np.stack(planes).reshape(6, -1)
-        return change, (change @ change.T).astype(np.float64)
+        # Not by BLAS, whose threads wait actively after such small products.
+        return change, np.einsum("ik,jk->ij", change, change).astype(np.float64)
 
     @cached_property
     def spectrum(self) -> Grey:
@@ -265,7 +266,8 @@ def _refined(view: View, seen: View, affine: Floats) -> Floats:
         usual = np.diag([0, 0, *[noise / _AFFINE_USUAL**2] * 4]) + 1e-6 * np.trace(
             hessian
         ) * np.eye(6)
-        step = np.linalg.solve(hessian + usual, change @ left.ravel() + usual @ affine)
+        slope = np.einsum("ik,k->i", change, left.ravel()) + usual @ affine
+        step = np.linalg.solve(hessian + usual, slope)
         affine = affine - step
         if np.abs(step).max() < _SETTLED:
             break
@@ -313,8 +315,12 @@ def _correlation(band: Grey, other: Grey) -> float:
     if float(both.sum()) < 0.25 * max(np.count_nonzero(band), 1):
         return -1.0
     one, two = band * both, other * both
-    power = float(np.vdot(one, one)) * float(np.vdot(two, two))
-    return float(np.vdot(one, two)) / max(math.sqrt(power), 1e-12)
+    power = _dot(one, one) * _dot(two, two)
+    return _dot(one, two) / max(math.sqrt(power), 1e-12)
+
+
+def _dot(one: Grey, two: Grey) -> float:
+    return float(np.einsum("ij,ij->", one, two))
 
 
 def _phase_shift(view: View, seen: View) -> Floats:

@@ -1,23 +1,30 @@
-"""Frames in, denoised frames out, in order: one pass, a window of frames in memory."""
+"""Frames in, denoised frames out, in order: one pass, a window of frames in memory.
+
+Aligning, fusing and measuring follow the order of the frames; the network then runs on as many
+fused frames at once as the caller allows, which changes no pixel.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
 import numpy as np
 
 from ....factory.sonar.geometry import FanGeometry
 from .fusion import Fused, Fusion
+from .kept_fan import KeptFan
 from .motion import Aligner, Grey, laid_over
-from .strength import Predictors, Strength, predictors
+from .strength import Predictors, Strength, Weights, predictors
 
 FRAMES, MOST_FRAMES = 7, 31
 
 _DARK = 0.02  # grey value up to which a pixel tells nothing of what moved
-_CALIBRATED_EVERY = 8
-"""Frames from one that the strength is measured on to the next: a tenth of the time."""
+_CALIBRATED_EVERY, _LONGEST = 8, 4
+"""Frames from the first measured one to the second; later intervals are up to so many times it."""
 
 Key = TypeVar("Key")
 
@@ -34,7 +41,7 @@ class Shot(Generic[Key]):
     """A frame of a sequence.
 
     key: comes back with the result.  levels: (H, W) or (H, W, C) float32 in 0..1.
-    place: says where range and bearing are; asked once, when the frame is denoised.
+    place: says where range and bearing are; asked where they may differ from the frame before.
     shift_px: how far right and down the scene moved since the frame before, where that is known.
     """
 
@@ -68,6 +75,16 @@ class Tally:
             yield f"strength by the recording itself: {strength}"
 
 
+@dataclass(frozen=True, eq=False)
+class _Ready:
+    """A fused frame.  sigma: (H, W) or (H, W, C) of the noise left in each pixel."""
+
+    fused: Fused
+    sigma: Grey
+    geometry: FanGeometry | None
+    network: Grey | None = None
+
+
 class InTime(Generic[Key]):
     """Denoises the frames of one sequence.
 
@@ -82,13 +99,15 @@ class InTime(Generic[Key]):
         causal: bool = False,
         calibrated: bool = True,
         tally: Tally | None = None,
+        at_once: int = 1,
     ) -> None:
         """network: None: frames are fused, no more.  frames: of a window, odd.
 
         causal: a window ends with its frame.
 
         calibrated: whether the recording chooses the strength; else the usual one is taken.
-        tally: counts what is done.
+        tally: counts what is done.  at_once: networks that run at the same time; with 1 a frame
+        comes out of the `push` that completes its window.
         """
         self._network, self._frames, self._causal = network, frames, causal
         self._before = frames - 1 if causal else frames // 2
@@ -99,30 +118,34 @@ class InTime(Generic[Key]):
         self._told = bool(getattr(network, "knows_frames", False))
         self.strength = Strength(frames, told=self._told)
         self._held: dict[int, Shot[Key]] = {}
-        self._places: dict[int, FanGeometry | None] = {}
+        self._fan: KeptFan | None = None
+        self._measured: dict[int, _Ready] = {}
         self._newest, self._next = -1, 0
         self._last_fit: int | None = None
+        self._pool = ThreadPoolExecutor(at_once) if at_once > 1 else None
+        self._running: deque[tuple[Key, Future[Grey]]] = deque()
+        self._at_once = at_once
 
     def push(self, shot: Shot[Key]) -> Iterator[tuple[Key, Grey]]:
-        """The next frame; gives those that can be denoised now."""
+        """The next frame; gives those that are denoised."""
         self._newest += 1
         self._held[self._newest] = shot
         if self._frames > 1:
             self._aligner.add(self._newest, _grey(shot.levels), shot.shift_px)
             # Motions over several frames start from those between neighbours.
             self._aligner.motion(self._newest, self._newest - 1)
-        yield from self._ready()
+        while self._next <= self._newest - self._wait():
+            yield from self._one()
 
     def finish(self) -> Iterator[tuple[Key, Grey]]:
         """All that are left."""
         while self._next <= self._newest:
-            yield self._one()
+            yield from self._one()
+        yield from self._done(0)
+        if self._pool is not None:
+            self._pool.shutdown()
         if self.strength.measured:
             self._tally.strengths.append(str(self.strength))
-
-    def _ready(self) -> Iterator[tuple[Key, Grey]]:
-        while self._next <= self._newest - self._wait():
-            yield self._one()
 
     def _wait(self) -> int:
         """How many frames are to come before one is denoised.
@@ -135,26 +158,52 @@ class InTime(Generic[Key]):
         first = self._next == 0 and self._newest < self._frames
         return self._frames if first else self._after + 1
 
-    def _one(self) -> tuple[Key, Grey]:
+    def _one(self) -> Iterator[tuple[Key, Grey]]:
+        """Begin the next frame; gives those that are denoised by then."""
         number = self._next
-        if self._calibrated and self._last_fit is None and not self._causal:
-            self._calibrate(self._before)
-        elif self._calibrated and number - (self._last_fit or 0) >= _CALIBRATED_EVERY:
-            self._calibrate(number)
-        shot = self._held[number]
-        fused = self._fused(number)
-        result = self._denoised(fused, self._place(number))
-        self._count(fused)
+        if self._calibrated:
+            due = _CALIBRATED_EVERY * min(max(self.strength.measured, 1), _LONGEST)
+            if self._last_fit is None and not self._causal:
+                self._calibrate(self._before)
+            elif number - (self._last_fit or 0) >= due:
+                self._calibrate(number)
+        ready = self._measured.pop(number, None) or self._ready(number)
+        self._count(ready.fused)
+        key, weights = self._held[number].key, self.strength.weights
         self._next += 1
         for old in [one for one in self._held if one < self._next - self._before - 1]:
             del self._held[old]
-            self._places.pop(old, None)
-        return shot.key, result
+        if self._pool is None:
+            yield key, self._denoised(ready, weights)
+            return
+        self._running.append((key, self._pool.submit(self._denoised, ready, weights)))
+        yield from self._done(self._at_once)
+
+    def _done(self, most: int) -> Iterator[tuple[Key, Grey]]:
+        """What is denoised, in order, until at most so many are under way."""
+        while len(self._running) > most:
+            key, denoised = self._running.popleft()
+            yield key, denoised.result()
 
     def _place(self, number: int) -> FanGeometry | None:
-        if number not in self._places:
-            self._places[number] = self._held[number].place()
-        return self._places[number]
+        shot = self._held[number]
+        if self._frames == 1:
+            return shot.place()
+        if self._fan is None or not self._fan.stays(shot.levels):
+            self._fan = KeptFan(shot.place(), shot.levels)
+        return self._fan.geometry
+
+    def _ready(self, number: int) -> _Ready:
+        fused = self._fused(number)
+        geometry = self._place(number) if self._network is not None else None
+        return _Ready(fused, self._sigma(fused.picture, fused.frames), geometry)
+
+    def _sigma(self, picture: Grey, frames: Grey) -> Grey:
+        """Of the noise that is left in each pixel; none is asked for of frames by themselves."""
+        if self._frames == 1:
+            return picture
+        root = np.sqrt(frames)
+        return self._fusion.noise.at(picture) / (root if picture.ndim == 2 else root[..., None])
 
     def _fused(self, number: int) -> Fused:
         shot = self._held[number]
@@ -176,28 +225,33 @@ class InTime(Generic[Key]):
         motion = self._aligner.motion(number, other)
         return None if motion is None else laid_over(self._held[other].levels, motion)
 
-    def _denoised(self, fused: Fused, geometry: FanGeometry | None) -> Grey:
-        network = self._network
+    def _denoised(self, ready: _Ready, weights: Weights) -> Grey:
+        network, picture = self._network, ready.fused.picture
         if network is None:
-            return fused.picture
+            return picture
         if self._frames == 1:
-            return each_plane(fused.picture, lambda grey: network(grey, geometry))
-        return each_plane(
-            fused.picture,
-            lambda grey: self.strength.applied(
-                self._predictors(grey, fused.frames, geometry), fused.frames
-            ),
-        )
+            return each_plane(picture, lambda grey: network(grey, ready.geometry))
+        if picture.ndim == 2:
+            return weights.applied(self._predictors(ready), ready.fused.frames)
+        planes: list[Grey] = []
+        for channel in range(picture.shape[2]):
+            plane = np.ascontiguousarray(picture[..., channel])
+            fused = Fused(plane, ready.fused.frames, ready.fused.agrees)
+            one = _Ready(fused, ready.sigma[..., channel], ready.geometry)
+            planes.append(weights.applied(self._predictors(one), fused.frames))
+        return np.stack(planes, axis=-1)
 
-    def _predictors(self, grey: Grey, frames: Grey, geometry: FanGeometry | None) -> Predictors:
+    def _predictors(self, ready: _Ready) -> Predictors:
+        grey, network = ready.fused.picture, ready.network
+        if network is None:
+            network = self._by_network(ready)
+        return predictors(grey, ready.sigma, network)
+
+    def _by_network(self, ready: _Ready) -> Grey:
         assert self._network is not None
         if self._told:
-            network = self._network(grey, geometry, frames=frames)
-        else:
-            network = self._network(grey, geometry)
-        # Of the noise that is left in a pixel.
-        sigma = self._fusion.noise.at(grey) / np.sqrt(frames)
-        return predictors(grey, sigma, network)
+            return self._network(ready.fused.picture, ready.geometry, frames=ready.fused.frames)
+        return self._network(ready.fused.picture, ready.geometry)
 
     def _calibrate(self, number: int) -> None:
         """Measure on a frame which strength predicts one outside its window."""
@@ -207,19 +261,19 @@ class InTime(Generic[Key]):
         self._last_fit = number
         shot = self._held[number]
         target = self._laid(number, outside)
-        fused = self._fused(number)
+        ready = self._ready(number)
+        self._measured[number] = ready
         if target is None or shot.levels.ndim != 2:
             return
-        geometry = self._place(number)
+        fused = ready.fused
         where = self._fusion.same(fused.picture, *target)
         one = np.ones_like(fused.frames)
-        for whole, grey, frames in (
-            (False, shot.levels, one),
-            (True, fused.picture, fused.frames),
-        ):
-            found = self._predictors(grey, frames, geometry)
-            full = where & (frames > 0.8 * frames.max()) if whole else where
-            self.strength.add(whole, found, target[0], full)
+        own = _Ready(Fused(shot.levels, one, one), self._sigma(shot.levels, one), ready.geometry)
+        self.strength.add(False, self._predictors(own), target[0], where)
+        ready = replace(ready, network=self._by_network(ready))
+        self._measured[number] = ready
+        full = where & (fused.frames > 0.8 * fused.frames.max())
+        self.strength.add(True, self._predictors(ready), target[0], full)
         self.strength.fit()
 
     def _count(self, fused: Fused) -> None:

@@ -10,7 +10,7 @@ between it and a whole window the logarithm of how many frames count interpolate
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -60,29 +60,21 @@ def predictors(grey: Grey, sigma: Grey, network: Grey) -> Predictors:
     return Predictors(grey, [plane - grey for plane in planes], level.astype(np.uint8))
 
 
-class Strength:
-    """Weights of what predicts, by how much the picture varies; see the top.
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """What each predictor gets.
 
-    alone: parts of the total variation and the network for a frame alone.
-    whole: (classes, predictors) weights for a window of `frames`.
-    measured: on how many frames they were.
+    frames: of a whole window.  alone: parts of the total variation and the network for a frame
+    alone.  whole: (classes, predictors) for a whole window.
     """
 
-    def __init__(self, frames: int, *, told: bool) -> None:
-        """told: whether the network knows how many frames count."""
-        self._frames = frames
-        self._usual = np.array(_TOLD if told else _UNTOLD)
-        self.alone = np.array([0.0, 1.0])
-        self.whole = np.tile(self._usual, (len(_VARIES), 1))
-        self.measured = 0
-        self._alone_sums = np.zeros((2, 2)), np.zeros(2)
-        self._squares = np.zeros((len(_VARIES), _PREDICTORS, _PREDICTORS))
-        self._products = np.zeros((len(_VARIES), _PREDICTORS))
-        self._pixels = np.zeros(len(_VARIES))
+    frames: int
+    alone: Floats
+    whole: Floats
 
     def applied(self, found: Predictors, frames: Grey) -> Grey:
         """All of it together, (H, W) in 0..1.  frames: how many count in each pixel."""
-        along = np.clip(cv2.log(frames) / np.float32(np.log(max(self._frames, 2))), 0, 1)
+        along = np.clip(cv2.log(frames) / np.float32(np.log(max(self.frames, 2))), 0, 1)
         table = _between_classes(self.whole)
         whole, alone = np.zeros_like(found.grey), np.zeros_like(found.grey)
         for number, change in enumerate(found.changes):
@@ -91,6 +83,24 @@ class Strength:
             if part:
                 alone += np.float32(part) * change
         return np.asarray(np.clip(found.grey + alone + along * (whole - alone), 0, 1))
+
+
+class Strength:
+    """Weights of what predicts, by how much the picture varies; see the top.
+
+    weights: chosen so far.  measured: on how many frames they were.
+    """
+
+    def __init__(self, frames: int, *, told: bool) -> None:
+        """told: whether the network knows how many frames count."""
+        self._usual = np.array(_TOLD if told else _UNTOLD)
+        whole = np.tile(self._usual, (len(_VARIES), 1))
+        self.weights = Weights(frames, np.array([0.0, 1.0]), whole)
+        self.measured = 0
+        self._alone_sums = np.zeros((2, 2)), np.zeros(2)
+        self._squares = np.zeros((len(_VARIES), _PREDICTORS, _PREDICTORS))
+        self._products = np.zeros((len(_VARIES), _PREDICTORS))
+        self._pixels = np.zeros(len(_VARIES))
 
     def add(
         self, whole: bool, found: Predictors, outside: Grey, where: npt.NDArray[np.bool_]
@@ -126,22 +136,23 @@ class Strength:
         squares, products = self._alone_sums
         tried = _all_parts()
         error = np.einsum("ni,ij,nj->n", tried, squares, tried) - 2 * tried @ products
-        if error.any():
-            self.alone = tried[int(np.argmin(error))]
+        alone = tried[int(np.argmin(error))] if error.any() else self.weights.alone
+        whole = self.weights.whole.copy()
         for number, pixels in enumerate(self._pixels):
             power = self._squares[number]
             usual = np.diag(np.diag(power) * (_SURE + _KNOWN / (pixels + 1)) + 1e-12)
-            self.whole[number] = np.linalg.solve(
+            whole[number] = np.linalg.solve(
                 power + usual, self._products[number] + usual @ self._usual
             )
+        self.weights = replace(self.weights, alone=alone, whole=whole)
 
     def __str__(self) -> str:
         pixels = self._pixels / max(self._pixels.sum(), 1)
-        variation, network, *blurs = pixels @ self.whole
+        variation, network, *blurs = pixels @ self.weights.whole
         return (
             f"in whole windows {network:.2f} network, {variation:.2f} total variation, "
             f"{sum(blurs):.2f} blurred, the rest as fused; where something moves "
-            f"{self.alone[1]:.2f} network, {self.alone[0]:.2f} total variation "
+            f"{self.weights.alone[1]:.2f} network, {self.weights.alone[0]:.2f} total variation "
             f"(measured on {self.measured} frames)"
         )
 

@@ -21,8 +21,7 @@ from torch.nn import functional
 from torch.nn.utils.parametrizations import spectral_norm
 
 from ....factory.settings import STRICT
-from ..network import LayerNorm, Network, Pointwise, down_and_up
-from ..unet import residual_blocks
+from ..network import LayerNorm, Network, Pointwise, down_and_up, residual_blocks, u_shape
 
 NotNegative = Annotated[float, Field(ge=0)]
 _DOWNSAMPLINGS = 3
@@ -113,18 +112,12 @@ class SIDTGAN(Network):
     def __init__(self, settings: SIDTGANSettings) -> None:
         super().__init__(settings.channels, stride=2**_DOWNSAMPLINGS)
         self.settings = settings
-        channels = settings.width
-        self.intro = nn.Conv2d(self.channels, channels, 3, padding=1)
-        self.encoders, self.downs = nn.ModuleList(), nn.ModuleList()
-        self.ups, self.decoders = nn.ModuleList(), nn.ModuleList()
-        for _ in range(_DOWNSAMPLINGS):
-            self.encoders.append(residual_blocks(channels, 1))
-            self.downs.append(nn.Conv2d(channels, 2 * channels, 2, stride=2))
-            self.ups.insert(0, nn.ConvTranspose2d(2 * channels, channels, 2, stride=2))
-            self.decoders.insert(0, residual_blocks(channels, 1))
-            channels *= 2
+        widths = [settings.width * 2**level for level in range(_DOWNSAMPLINGS + 1)]
+        self.intro = nn.Conv2d(self.channels, settings.width, 3, padding=1)
+        levels = u_shape(widths, [1] * _DOWNSAMPLINGS)
+        self.encoders, self.downs, self.ups, self.decoders = levels
         self.middle = nn.Sequential(
-            *(Fused(channels, settings.heads) for _ in range(settings.blocks))
+            *(Fused(widths[-1], settings.heads) for _ in range(settings.blocks))
         )
         self.outro = nn.Conv2d(settings.width, self.channels, 3, padding=1)
 

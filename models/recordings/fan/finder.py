@@ -3,7 +3,7 @@
 A fan picture is lit inside a sector and black outside it, mostly with far range on top.  The sector
 is found that best tells lit from black pixels (`outline`), and then looked at for how much of
 its outline is really there.  Where there is none, the picture is turned by quarters, looked at as a
-negative, what is largest on a screen alone, and lines that are drawn around it.
+negative, and what is largest on a screen alone.
 """
 
 from __future__ import annotations
@@ -18,10 +18,15 @@ import numpy.typing as npt
 
 from ....factory.sonar.geometry import FanGeometry
 from ..palettes import find_painted
-from .edges import find_drawn
-from .outline import Numbers, fit_sector
-from .page import MOST_BLACK, Bytes, largest_part, without_page
+from .outline import Numbers, column_limits, fit_sector
 
+Bytes = npt.NDArray[np.uint8]
+
+_MOST_BLACK = 48
+"""Of 255: a border lighter than this is no black one."""
+_PAGE_SPREAD = 8  # of 255: a page around a fan is as even as that
+_HOLES = np.ones((7, 7), np.uint8)  # of zeros in a fan
+_LEAST_PART, _MOST_PART = 0.05, 0.9  # of all pixels: a fan on a screen
 SURE = 0.7
 """Fans found with less confidence are not returned."""
 _SURE_ODD = 0.8  # turned fans and negatives
@@ -65,11 +70,9 @@ def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
     for spread in _GROUND_SPREADS:
         if found is not None:
             break
-        alone = largest_part(grey, spread)
+        alone = _largest_part(grey, spread)
         if alone is not None:
             found = _find_upright(alone, _SURE_ODD) or _find_turned(alone)
-    if found is None and (drawn := find_drawn(grey)) is not None:
-        found = FoundFan(*drawn)
     return found
 
 
@@ -93,8 +96,8 @@ def _find_turned(grey: Bytes) -> FoundFan | None:
 def _find_upright(grey: Bytes, sure: float) -> FoundFan | None:
     """The fan with far range on top."""
     black = _black(grey)
-    if black > MOST_BLACK:
-        shown, black = without_page(grey), 0
+    if black > _MOST_BLACK:
+        shown, black = _without_page(grey), 0
         lit = shown[shown > 0]
         if lit.size and np.median(lit) > _MOST_MEDIAN:
             # Echoes are dark on white: the page is part of the scale, nothing there.
@@ -102,7 +105,7 @@ def _find_upright(grey: Bytes, sure: float) -> FoundFan | None:
             black = _black(shown)
         elif not lit.size or _corners(shown)[0].any() or _corners(shown)[1].any():
             return None
-        if black > MOST_BLACK:
+        if black > _MOST_BLACK:
             return None
         grey = shown
     grey, top, left = _cropped(grey, black)
@@ -110,7 +113,7 @@ def _find_upright(grey: Bytes, sure: float) -> FoundFan | None:
     if sector is None:
         return None
     # JPEG and MPEG ring on both sides of an edge: there the border is not quite black.
-    ringing = min(_level_beside(grey, sector), MOST_BLACK)
+    ringing = min(_level_beside(grey, sector), _MOST_BLACK)
     if ringing > black:
         again = fit_sector(grey > ringing)
         if again is not None:
@@ -178,9 +181,7 @@ def _grey_bytes(picture: npt.NDArray[Any]) -> Bytes:
 
 
 def _inside(sector: Numbers, height: int, width: int) -> Bytes:
-    from . import loops
-
-    top, bottom = loops.column_limits(sector, np.arange(width, dtype=np.float64))
+    top, bottom = column_limits(sector, np.arange(width, dtype=np.float64))
     row = np.arange(height)[:, None]
     return ((row >= top) & (row <= bottom)).astype(np.uint8)
 
@@ -249,3 +250,38 @@ def _lit_share(
     counts = there.reshape(_PIECES, -1).sum(axis=1)
     share = hit.reshape(_PIECES, -1).sum(axis=1) / np.maximum(counts, 1)
     return np.where(counts > 0, share, np.nan)
+
+
+def border(grey: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The outermost pixels of (H, W), in one row."""
+    return np.concatenate([grey[0], grey[-1], grey[:, 0], grey[:, -1]])
+
+
+def _without_page(grey: Bytes) -> Bytes:
+    """Black where a page of one bright grey reaches in from the picture's border."""
+    ground = _ground(grey, int(np.median(border(grey))), _PAGE_SPREAD)
+    # JPEG rings beside the page.
+    return np.where(cv2.dilate(ground, np.ones((3, 3), np.uint8)) > 0, 0, grey).astype(np.uint8)
+
+
+def _largest_part(grey: Bytes, spread: int) -> Bytes | None:
+    """What is largest on a flat ground, alone on black: a fan amid text and panels."""
+    ground = int(np.median(border(grey)))
+    shown = grey
+    if ground > spread:
+        shown = np.where(_ground(grey, ground, spread) > 0, 0, grey).astype(np.uint8)
+    lit = cv2.morphologyEx((shown > spread).astype(np.uint8), cv2.MORPH_CLOSE, _HOLES)
+    count, parts, stats, _ = cv2.connectedComponentsWithStats(lit, connectivity=4)
+    if count < 3:
+        return None  # a single one is no other picture than before
+    largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    if not _LEAST_PART <= stats[largest, cv2.CC_STAT_AREA] / grey.size <= _MOST_PART:
+        return None
+    return np.where(parts == largest, shown, 0).astype(np.uint8)
+
+
+def _ground(grey: Bytes, level: int, spread: int) -> Bytes:
+    """1 where pixels of a level reach in from the picture's border, else 0."""
+    alike = (np.abs(grey.astype(np.int16) - level) <= spread).astype(np.uint8)
+    _, parts = cv2.connectedComponents(alike, connectivity=4)
+    return np.isin(parts, np.setdiff1d(border(parts), 0)).astype(np.uint8)

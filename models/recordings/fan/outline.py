@@ -26,15 +26,13 @@ _MOST_SQUEEZE = 2.0
 def fit_sector(lit: npt.NDArray[np.bool_]) -> Numbers | None:
     """The sector that best separates lit from black pixels, None where there is none.
 
-    lit: (H, W).  The numbers are those of `_sector`, as `loops` takes them.
+    lit: (H, W).  The numbers are those of `_sector`.
     """
-    from . import loops  # loads numba
-
     guess = _first_guess(lit)
     if guess is None:
         return None
     outline, rows, cell = guess
-    above = loops.lit_above(lit)
+    above = lit_above(lit)
     coarse = _objective(above, outline, rows)
     if coarse is None:
         return None
@@ -130,12 +128,10 @@ def _objective(
     above: npt.NDArray[np.int32], outline: Numbers, rows: tuple[float, float]
 ) -> _Objective | None:
     """With the shares of lit pixels inside and outside `outline`; None if it parts nothing."""
-    from . import loops
-
     sector = _sector(outline, rows)
     if sector is None:
         return None
-    lit, area = loops.lit_inside(above, sector, 1, False)
+    lit, area = lit_inside(above, sector, 1, False)
     outside = above.size - above.shape[1] - area
     inside_share = float(np.clip(lit / max(area, 1.0), 0.05, 0.97))
     outside_share = float(np.clip((above[-1].sum() - lit) / max(outside, 1.0), 1e-3, 0.05))
@@ -150,7 +146,7 @@ def _objective(
 class _Objective:
     """How badly an outline tells lit from black, to be made small.
 
-    above: see `loops.lit_above`.  rows: see `_first_guess`.
+    above: see `lit_above`.  rows: see `_first_guess`.
     gain, price: of a lit and of a black pixel inside, logarithms of likelihood ratios.
     """
 
@@ -161,13 +157,11 @@ class _Objective:
 
     def cost(self, outline: Numbers, whole: bool = False) -> float:
         """Minus the logarithm of the likelihood, but for a constant."""
-        from . import loops
-
         sector = _sector(outline, self.rows)
         if sector is None:
             return 1e15
         step = max(1, self.above.shape[1] // 400)
-        lit, area = loops.lit_inside(self.above, sector, step, whole)
+        lit, area = lit_inside(self.above, sector, step, whole)
         return float(self.price * (area - lit) - self.gain * lit) * step
 
     def improve(self, outline: Numbers, size_px: float, squeezed: bool) -> Numbers:
@@ -253,3 +247,57 @@ def _lowest(cost: Callable[[Numbers], float], simplex: Numbers, most: int) -> Nu
     except StopIteration:
         order()
     return np.asarray(corners[0])
+
+
+def column_limits(fan: Numbers, x: Numbers) -> tuple[Numbers, Numbers]:
+    """First and last row of the sector in each column; last < first where it has none.
+
+    fan: apex_x, apex_y, far_px, near_px, tangents of the left and the right edge's bearings, and
+        pixels along x for one along y.
+    x: (W,) columns.  Returns (W,) fractions of a row, twice.
+    """
+    apex_x, apex_y, far, near, left, right, squeeze = fan
+    across = (x - apex_x) / squeeze
+    ahead_far = np.sqrt(np.maximum(far * far - across * across, 0.0))
+    ahead_near = np.sqrt(np.maximum(near * near - across * across, 0.0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        edge = np.where(across < 0, across / left, across / right)
+    return apex_y - ahead_far, apex_y - np.maximum(edge, ahead_near)
+
+
+def lit_above(lit: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
+    """(H + 1, W) int32: how many of the pixels above each row's upper border are lit."""
+    count = np.zeros((lit.shape[0] + 1, lit.shape[1]), np.int32)
+    np.cumsum(lit, axis=0, dtype=np.int32, out=count[1:])
+    return count
+
+
+def lit_inside(
+    above: npt.NDArray[np.int32], fan: Numbers, step: int, whole: bool
+) -> tuple[float, float]:
+    """(lit pixels, pixels) in the sector, of every `step`-th column.
+
+    above: see `lit_above`.  fan: see `column_limits`.  whole: a pixel counts if its centre is in
+    the sector; else parts of pixels count as such, which is smoother and draws the outline outward.
+    """
+    height = above.shape[0] - 1
+    columns = np.arange(step // 2, above.shape[1], step)
+    # Pixel r reaches from r - 0.5 to r + 0.5.
+    first, last = (limit + 0.5 for limit in column_limits(fan, columns.astype(np.float64)))
+    if whole:
+        first, last = np.ceil(first - 0.5), np.floor(last + 0.5)
+    first, last = np.clip(first, 0.0, height), np.clip(last, 0.0, height)
+    apex_x, far, squeeze = fan[0], fan[2], fan[6]
+    across = (columns - apex_x) / squeeze
+    shown = (last > first) & (across * across < far * far)
+    if not shown.any():
+        return 0.0, 0.0
+    columns, first, last = columns[shown], first[shown], last[shown]
+    terms = np.empty((len(columns), 4))
+    for at, (rows, sign) in enumerate(((last, 1.0), (first, -1.0))):
+        row = rows.astype(np.int64)
+        here, below = above[row, columns], above[np.minimum(row + 1, height), columns]
+        terms[:, 2 * at] = sign * here
+        terms[:, 2 * at + 1] = sign * (rows - row) * (below - here)
+    # One after the other, so that the sums do not depend on how NumPy splits them.
+    return float(np.cumsum(terms)[-1]), float(np.cumsum(last - first)[-1])

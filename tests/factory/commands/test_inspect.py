@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import h5py
 import numpy as np
 import pytest
 
 from simnfnd.evaluation.metrics import fidelity as metrics
-from simnfnd.factory.commands.inspect import main, report
+from simnfnd.factory.commands.inspect import report
 from simnfnd.factory.dataset.describe.quality import PSNR_CAP_DB, psnr_db, ssim
 from simnfnd.factory.dataset.describe.similarity import _plain_window, window
 from simnfnd.factory.dataset.describe.summary import summarize
@@ -122,17 +121,6 @@ def test_compression_is_told(compression, said, tmp_path) -> None:
             "x", shape=(2, 4, 4), dtype="u1", chunks=(1, 4, 4), fletcher32=True, **filters
         )
         assert compression_of(stack) == said
-
-
-def test_the_figure_is_a_picture(dataset, tmp_path, capsys) -> None:
-    main([str(dataset), "--png", str(tmp_path / "a.png")])
-    main([str(dataset), "--png", str(tmp_path / "b.png")])
-    assert "figure:" in capsys.readouterr().out
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-    picture = cv2.imread(str(tmp_path / "a.png"))
-    assert picture is not None
-    assert min(picture.shape[:2]) > 200
-    assert picture.std() > 10
 
 
 def test_what_is_no_dataset_is_said(tmp_path, dataset) -> None:

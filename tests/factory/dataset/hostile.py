@@ -184,8 +184,6 @@ def mutate(root: Path, number: int) -> str:
         _objects_of_shard,
         _values_of_manifest,
         _bytes_of_manifest,
-        _bytes_of_index,
-        _sources_of_index,
         _files,
     ]
     outcome = kinds[number % len(kinds)](root, rng)
@@ -229,6 +227,8 @@ def _spoil(content: bytes, rng: Rng) -> tuple[bytes, str]:
         at &= ~7
         value = int(rng.choice([0, 1, 2**31, 2**40, 2**62, 2**63 - 1, size, size - 8, at]))
         data[at : at + 8] = value.to_bytes(8, "little")[: len(data[at : at + 8])]
+    if data == content:
+        data[at] ^= 1
     return bytes(data), f"{kind} at {at}"
 
 
@@ -244,13 +244,6 @@ def _bytes_of_manifest(root: Path, rng: Rng) -> str:
     content, outcome = _spoil(path.read_bytes(), rng)
     path.write_bytes(content)
     return f"manifest {outcome}"
-
-
-def _bytes_of_index(root: Path, rng: Rng) -> str:
-    path = root / "index.h5"
-    content, outcome = _spoil(path.read_bytes(), rng)
-    path.write_bytes(content)
-    return f"index {outcome}"
 
 
 _ODD_VALUES: tuple[Any, ...] = (
@@ -378,27 +371,6 @@ OBJECTS: dict[str, Callable[[h5py.File, str, Path], Any]] = {
     "axes absent": lambda file, name, secret: file.pop("axes"),
     "no scales": lambda file, name, secret: file["noisy"].attrs.pop("DIMENSION_LIST"),
 }
-
-
-def _sources_of_index(root: Path, rng: Rng) -> str:
-    places = (
-        str((root.parent / "secret.h5").resolve()),
-        "../secret.h5",
-        "train/../../secret.h5",
-        "test/shard-00000.h5",
-        "train/shard-00009.h5",
-    )
-    place = places[rng.integers(len(places))]
-    split = str(rng.choice(["train", "test"]))
-    layer = str(rng.choice(["noisy", "clean"]))
-    rows = {"train": 8, "test": 4}[split]
-    with h5py.File(root / "index.h5", "r+") as file:
-        del file[f"{split}/{layer}"]
-        layout = h5py.VirtualLayout((rows, 24, 20), "u1")
-        for start in range(0, rows, 4):
-            layout[start : start + 4] = h5py.VirtualSource(place, "noisy", (4, 24, 20))
-        file.create_virtual_dataset(f"{split}/{layer}", layout)
-    return f"index {split}/{layer} from {place[-24:]}"
 
 
 def _files(root: Path, rng: Rng) -> str:

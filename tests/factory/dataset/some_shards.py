@@ -6,18 +6,15 @@ from pathlib import Path
 from typing import Any
 
 from simnfnd.factory.dataset.format.manifest import Manifest, ShardInfo, save_manifest
-from simnfnd.factory.dataset.format.schema import Pair, Provenance
+from simnfnd.factory.dataset.format.schema import Pair, Provenance, config_hash
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.write.folder import open_folder
 from simnfnd.factory.dataset.write.writer import write_shard
 from tests.fake_source import FakeConfig, FakeSource, refs
 
 SOURCE = FakeSource(FakeConfig())
-PROVENANCE = Provenance(
-    {"seed": 7, "sonar": {"hfov_deg": 30.0}, "noise": {"density": {"uniform": [0.1, 0.5]}}},
-    "c0ffee0123456789",
-    "simnfnd 0.1.0",
-)
+CONFIG = {"seed": 7, "sonar": {"hfov_deg": 30.0}, "noise": {"density": {"uniform": [0.1, 0.5]}}}
+PROVENANCE = Provenance(CONFIG, config_hash(CONFIG), "simnfnd 0.1.0")
 
 
 def some_pairs(count: int = 3, scene: str = "alpha") -> list[Pair]:

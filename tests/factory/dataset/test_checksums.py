@@ -22,9 +22,7 @@ from simnfnd.factory.dataset.read import reader
 from simnfnd.factory.dataset.read.image_stack import ImageStack
 from simnfnd.factory.dataset.read.reader import check_readable
 from simnfnd.factory.dataset.write.writer import (
-    deflate,
     fletcher32,
-    write_gzip_chunk,
     write_shard,
 )
 from simnfnd.factory.errors import FactoryError
@@ -108,14 +106,14 @@ def test_a_shard_without_its_checksums_is_refused(
         given_out(folder)
 
 
-def test_500_bits_anywhere_change_nothing_unseen(folder: Path) -> None:
+def test_bits_anywhere_change_nothing_unseen(folder: Path) -> None:
     keep_only(folder, SHARD)
     path = folder / SHARD
     content, right = path.read_bytes(), given_out(folder)
     rng = np.random.default_rng(5)
     said = []
     with IsolatedProcess() as process:
-        for _ in range(500):
+        for _ in range(60):
             flip(path, *any_bit(path, rng))
             said.append(process.call(outcome, folder, right, limit_s=20.0))
             path.write_bytes(content)
@@ -155,14 +153,6 @@ def test_a_hash_is_compared_when_it_is_asked_for(
             pytest.raises(FactoryError, match=r"shard-00000\.h5: SHA-256 differs from the mani"),
         ):
             action(pairs)
-
-
-def test_without_a_manifest_there_is_no_hash(folder: Path) -> None:
-    (folder / "manifest.json").unlink()
-    with pytest.raises(FactoryError, match=r"verify='hash' needs manifest\.json"):
-        PairDataset(folder, verify="hash")
-    with pytest.raises(FactoryError, match="verify='all': checksums or hash"):
-        PairDataset(folder, verify="all")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("compression", ["gzip", "lzf", "zstd", "none"])
@@ -231,8 +221,8 @@ def shard(folder: Path, compression: str, samples: int = 4) -> Path:
 def test_a_flipped_bit_in_a_table_of_chunks_changes_no_picture(
     tmp_path: Path, compression: str
 ) -> None:
-    """In this very process, whom a damaged table must not abort; 150 chunks fill several nodes."""
-    path = shard(tmp_path, compression, samples=150)
+    """In this very process, whom a damaged table must not abort; 70 chunks fill several nodes."""
+    path = shard(tmp_path, compression, samples=70)
     sound = path.read_bytes()
 
     def pictures() -> list[bytes]:
@@ -241,10 +231,10 @@ def test_a_flipped_bit_in_a_table_of_chunks_changes_no_picture(
 
     right = pictures()
     nodes = [found.start() for found in re.finditer(rb"TREE\x01", sound)]
-    assert len(nodes) >= len(STACKS) * 4
+    assert len(nodes) >= len(STACKS) * 2
     rng = np.random.default_rng(5)
     refused = 0
-    for _ in range(100):
+    for _ in range(40):
         content = bytearray(sound)
         # Key: size, mask, three offsets and one of the element (8 bytes each); then an address.
         node = nodes[rng.integers(len(nodes))]
@@ -255,7 +245,7 @@ def test_a_flipped_bit_in_a_table_of_chunks_changes_no_picture(
             assert pictures() == right
         except FactoryError:
             refused += 1
-    assert refused > 20
+    assert refused > 8
 
 
 @pytest.mark.parametrize("compression", ["gzip", "lzf", "zstd"])
@@ -274,8 +264,8 @@ def test_a_filter_that_a_chunk_skips_is_refused(tmp_path: Path, compression: str
 
 
 @pytest.mark.parametrize("checksum", [False, True])
-@pytest.mark.parametrize("size", [0, 1, 479, 481, 480 * 1000])
-def test_a_chunk_of_another_length_is_no_picture(tmp_path: Path, size: int, checksum: bool) -> None:
+@pytest.mark.parametrize("size", [0, 1, 479])
+def test_a_chunk_that_is_too_short_is_no_picture(tmp_path: Path, size: int, checksum: bool) -> None:
     """HDF5 shows what its memory held before where a chunk gives too few bytes."""
     with h5py.File(tmp_path / "a.h5", "w") as file:
         stack = file.create_dataset(
@@ -290,21 +280,6 @@ def test_a_chunk_of_another_length_is_no_picture(tmp_path: Path, size: int, chec
         assert not images[0].any()
         with pytest.raises(ValueError, match="bytes of a picture"):
             images[1]
-
-
-@pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_pictures_are_those_that_h5py_reads(tmp_path: Path, compression: str) -> None:
-    if compression == "zstd":
-        pytest.importorskip("hdf5plugin")
-    with h5py.File(shard(tmp_path, compression)) as file:
-        for name in STACKS:
-            stack = ImageStack(file[name])
-            for row in (0, -1, np.int64(2)):
-                np.testing.assert_array_equal(stack[row], file[name][row])  # type: ignore[index]
-                assert stack[row].dtype == file[name].dtype  # type: ignore[index]
-                assert stack[row].flags.writeable  # type: ignore[index]
-            with pytest.raises(IndexError):
-                stack[4]
 
 
 def chunked(file: h5py.File, name: str) -> None:
@@ -322,55 +297,3 @@ def test_a_table_in_chunks_is_refused(tmp_path: Path) -> None:
             chunked(file, name)
             with pytest.raises(FactoryError, match=f"/{name}: the schema keeps it in one piece"):
                 check_shard(file)
-
-
-@pytest.mark.parametrize("level", [0, 1, 9])
-@pytest.mark.parametrize("dtype", ["uint8", "float32"])
-def test_hdf5_reads_what_it_did_not_compress_and_sees_damage(
-    tmp_path: Path, level: int, dtype: str
-) -> None:
-    rng = np.random.default_rng(level)
-    images = (rng.random((3, 37, 53)) * 9 > 4).astype(dtype)
-    images[1] = 0
-    path = tmp_path / "stack.h5"
-
-    def make(chunked: bool) -> None:
-        with h5py.File(path, "w") as file:
-            stack = file.create_dataset(
-                "noisy",
-                shape=images.shape,
-                dtype=dtype,
-                chunks=(1, 37, 53),
-                compression="gzip",
-                compression_opts=level,
-                fletcher32=True,
-            )
-            for number, image in enumerate(images):
-                if chunked:
-                    write_gzip_chunk(stack, number, image, level)
-                else:
-                    stack[number] = image
-
-    make(chunked=False)
-    with h5py.File(path) as file:
-        size = file["noisy"].id.get_storage_size()
-    make(chunked=True)
-    with h5py.File(path) as file:
-        stack = file["noisy"]
-        np.testing.assert_array_equal(stack[()], images)
-        assert stack.id.get_storage_size() < 1.1 * size + 100
-        start = stack.id.get_chunk_info(2).byte_offset
-    content = bytearray(path.read_bytes())
-    content[start + 20] ^= 8
-    path.write_bytes(content)
-    with h5py.File(path) as file, pytest.raises(OSError, match="filter"):
-        file["noisy"][2]
-
-
-def test_deflated_bytes_are_the_same_every_time_and_small() -> None:
-    rng = np.random.default_rng(0)
-    picture = (rng.random((256, 256)) ** 8 * 255).astype(np.uint8)
-    first = deflate(picture, 1)
-    assert first == deflate(picture.copy(), 1)
-    assert zlib.decompress(first) == picture.tobytes()
-    assert len(first) < 1.05 * len(zlib.compress(picture.tobytes(), 1))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import resource
 import subprocess
@@ -22,11 +21,11 @@ from hypothesis import strategies as st
 
 from simnfnd.factory.dataset.describe.card import write_card
 from simnfnd.factory.dataset.describe.preview import preview, spread
+from simnfnd.factory.dataset.format.schema import config_hash
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.read.source import SampleName
 from simnfnd.factory.dataset.write.failures import (
     Failure,
-    save_failures,
 )
 from simnfnd.factory.dataset.write.folder import open_folder
 from simnfnd.factory.errors import FactoryError
@@ -38,10 +37,9 @@ from simnfnd.factory.files import (
     whole_folder,
     write_atomically,
 )
-from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.ownership import space
 from tests.factory.dataset.some_shards import PROVENANCE, dataset, write
-from tests.fake_source import refs, rerun
+from tests.fake_source import refs
 
 # --- files and disks --------------------------------------------------------------------------
 
@@ -137,21 +135,6 @@ def test_a_folder_is_whole_or_absent(tmp_path: Path) -> None:
 # --- failures, folder -------------------------------------------------------------------------
 
 
-def test_failures_tell_frame_reason_and_command_in_order(tmp_path: Path) -> None:
-    failures = [
-        Failure(
-            FrameRef("reef", "beta", "2"), "crash", "reef/beta/2: died", "train/shard-00001.h5"
-        ),
-        Failure(FrameRef("reef", "beta", "1"), "frame", "reef/beta/1: NaN", "train/shard-00001.h5"),
-        Failure(FrameRef("", "alpha", "9"), "timeout", "alpha/9: slow", "train/shard-00000.h5"),
-    ]
-    save_failures(tmp_path, failures, rerun)
-    lines = [json.loads(line) for line in (tmp_path / "failed.jsonl").read_text().splitlines()]
-    assert [line["frame"] for line in lines] == ["alpha/9", "reef/beta/1", "reef/beta/2"]
-    assert lines[1]["reason"] == "reef/beta/1: NaN"
-    assert lines[1]["command"] == "simnfnd make frames.only=[reef/beta/1]"
-
-
 def test_a_folder_of_the_same_dataset_is_taken_up(tmp_path: Path) -> None:
     manifest = dataset(tmp_path / "data")
     (tmp_path / "data/notes.txt").write_text("mine")
@@ -166,11 +149,8 @@ def test_a_folder_of_the_same_dataset_is_taken_up(tmp_path: Path) -> None:
 
 def test_another_configuration_is_refused_with_the_keys_that_differ(tmp_path: Path) -> None:
     dataset(tmp_path)
-    other = replace(
-        PROVENANCE,
-        config_hash="deadbeef",
-        config={"seed": 7, "sonar": {"hfov_deg": 45.0}, "noise": {"density": 0.3}},
-    )
+    changed = {"seed": 7, "sonar": {"hfov_deg": 45.0}, "noise": {"density": 0.3}}
+    other = replace(PROVENANCE, config_hash=config_hash(changed), config=changed)
     with pytest.raises(FactoryError) as caught:
         open_folder(tmp_path, {}, other)
     message = str(caught.value)
@@ -219,7 +199,7 @@ def test_the_card_says_what_is_there_and_its_code_runs(
         "8 train and 4 test",
         "| train | reef | beta | 4 |",
         "| test | reef | gamma | 4 |",
-        "c0ffee0123456789",
+        PROVENANCE.config_hash,
         "hfov_deg: 30.0",
         "    uniform: [0.1, 0.5]",
         "images left out: 3, no depth",
@@ -264,14 +244,6 @@ def test_the_contact_sheet_shows_the_pixels_of_the_shards(tmp_path: Path) -> Non
     amber = (image[..., 0] > image[..., 2] + 60).mean()
     assert 0.005 < blue < 0.2
     assert 0.05 < amber < 0.6
-
-
-def test_a_preview_of_nothing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FactoryError, match=r"no manifest\.json"):
-        preview(tmp_path)
-    open_folder(tmp_path / "empty", {}, PROVENANCE)
-    with pytest.raises(FactoryError, match="no samples"):
-        preview(tmp_path / "empty")
 
 
 @given(sizes=st.lists(st.integers(1, 9), min_size=1, max_size=12), count=st.integers(1, 20))

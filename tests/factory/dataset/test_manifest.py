@@ -1,4 +1,4 @@
-"""manifest.json, and manifest.jsonl: what a run settled since then, whatever became of it."""
+"""manifest.json, and beside the shards what a run settled since then."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from hypothesis import strategies as st
 from simnfnd.factory.dataset.format.manifest import (
     Manifest,
     ShardInfo,
+    ShardOutcome,
     damage,
+    forget_outcomes,
     load_manifest,
     save_manifest,
-)
-from simnfnd.factory.dataset.format.results import (
-    ShardOutcome,
-    forget_outcomes,
     save_outcome,
 )
+from simnfnd.factory.dataset.format.schema import config_hash
 from simnfnd.factory.dataset.write.failures import load_failures
 from simnfnd.factory.errors import FactoryError
 from tests.factory.dataset.some_shards import dataset
 
-START = Manifest("c0ffee", "simnfnd 0", {"seed": 1})
+HASH = config_hash({"seed": 1})
+START = Manifest(HASH, "simnfnd 0", {"seed": 1})
 
 
 def info(number: int, **changes: object) -> ShardInfo:
@@ -40,7 +40,7 @@ def begun(folder: Path) -> None:
     save_manifest(folder, replace(START, shards={info(n).path: info(n) for n in range(3)}))
 
 
-def settle(folder: Path, number: int, shard: ShardInfo | None, hash_: str = "c0ffee") -> Path:
+def settle(folder: Path, number: int, shard: ShardInfo | None, hash_: str = HASH) -> Path:
     """The file of the result beside a shard."""
     path = info(number).path
     save_outcome(folder, ShardOutcome(path, hash_, shard, [FAILURE] if shard is None else []))
@@ -127,6 +127,14 @@ def test_a_manifest_that_names_files_elsewhere_is_refused(tmp_path: Path, path: 
     train["path"] = path
     (tmp_path / "manifest.json").write_text(json.dumps(document))
     with pytest.raises(FactoryError, match=r"manifest\.json: damaged"):
+        load_manifest(tmp_path)
+
+
+def test_a_config_that_does_not_give_its_hash_is_refused(tmp_path: Path) -> None:
+    dataset(tmp_path)
+    path = tmp_path / "manifest.json"
+    path.write_text(path.read_text().replace("30.0", "31.0"))
+    with pytest.raises(FactoryError, match=r"manifest\.json: damaged \(its config does not give"):
         load_manifest(tmp_path)
 
 

@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 from simnfnd.factory.dataset.format.schema import (
-    ECHO_FIELDS,
     OPTIONAL_LAYERS,
     ROOT_ATTRIBUTES,
     Provenance,
@@ -34,7 +33,6 @@ def test_every_layer_column_and_attribute_is_documented() -> None:
     expected = [
         *((f"/{one.name}", one.units, one.description) for one in layers("uint8")),
         *((f"/{one.name}", one.dtype, one.units, one.description) for one in OPTIONAL_LAYERS),
-        *((f"/echoes/{one.name}", one.dtype, one.description) for one in ECHO_FIELDS),
         *((one.name, one.dtype, one.units) for one in columns(NoiseSettings())),
         *((one.name, one.dtype, one.units, one.description) for one in asked),
         *ROOT_ATTRIBUTES.items(),

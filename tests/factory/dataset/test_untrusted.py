@@ -138,18 +138,6 @@ def test_a_shard_of_the_other_split_is_refused(folder: Path, verb: str) -> None:
         READERS[verb](folder)
 
 
-@pytest.mark.parametrize("verb", ["read", "export", "inspect"])
-def test_text_that_is_not_utf8_is_one_line(folder: Path, verb: str) -> None:
-    def action(file: h5py.File) -> None:
-        table = file["meta"][()]
-        table["frame"][1] = b"\xff\xfe"
-        file["meta"][...] = table
-
-    change(folder, action)
-    with pytest.raises(FactoryError, match=r"column frame has text that is not UTF-8"):
-        READERS[verb](folder)
-
-
 def number_the_axes(file: h5py.File) -> None:
     del file["noisy"].attrs["DIMENSION_LIST"]
     file["noisy"].attrs["DIMENSION_LIST"] = np.arange(3)

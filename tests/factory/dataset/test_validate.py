@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.dataset.format.manifest import load_manifest, save_manifest
+from simnfnd.factory.dataset.format.schema import config_hash
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.validate import Report, validate_with
 from simnfnd.factory.dataset.write.index import write_index
@@ -167,14 +168,12 @@ def test_what_is_not_as_the_manifest_says_is_found(
     assert manifest is not None
     info = manifest.shards["test/shard-00000.h5"]
     manifest = manifest.with_shard(replace(info, samples=3))
-    save_manifest(folder, replace(manifest, config_hash="another", index_sha256=""))
+    save_manifest(folder, replace(manifest, config_hash=config_hash({}), config={}))
     report = validate_with(validator, folder, False)
     text = "\n".join(str(finding) for finding in report.findings)
     assert "note: train/shard-00007.h5: not in the manifest" in text
     assert "error: test/shard-00000.h5: 4 samples, the manifest says 3" in text
     assert "error: train/shard-00000.h5: is of another configuration" in text
-    assert "error: manifest.json: its config does not give its config_hash 'another'" in text
-    assert "error: index.h5: /test/clean does not show the shards" in text
 
 
 def test_a_shard_of_another_form_is_found(folder: Path, validator: IsolatedProcess) -> None:
@@ -213,23 +212,11 @@ def test_no_object_that_the_schema_has_not_is_read(
         assert "train/shard-00000.h5" in read.replace("\\", "/")
 
 
-@pytest.mark.parametrize("place", ["absolute", "../secret.h5", "train/../../secret.h5"])
-def test_an_index_that_leads_out_of_the_folder_is_found_and_not_read(
-    folder: Path, validator: IsolatedProcess, place: str
-) -> None:
-    secret = folder.parent / "secret.h5"
-    place = str(secret.resolve()) if place == "absolute" else place
+def test_another_index_is_found_and_not_opened(folder: Path, validator: IsolatedProcess) -> None:
     with h5py.File(folder / "index.h5", "r+") as file:
         del file["test/noisy"]
-        layout = h5py.VirtualLayout((4, 24, 20), "u1")
-        layout[:] = h5py.VirtualSource(place, "noisy", (4, 24, 20))
-        file.create_virtual_dataset("test/noisy", layout)
-    admit(folder)
-    secret.unlink()
-    # Reading it would now give zeros; looking at it gives the same finding as before.
     text = errors(validate_with(validator, folder, True))
-    assert text.count("error") == 1
-    assert "/test/noisy does not show the shards of the manifest" in text
+    assert text.startswith("error: index.h5: its SHA-256 is not that of the manifest; remove it")
 
 
 @pytest.mark.parametrize("first", range(0, MUTATIONS, 20))

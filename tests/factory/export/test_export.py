@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import math
 import sys
 from pathlib import Path
@@ -13,7 +12,6 @@ import cv2
 import h5py
 import numpy as np
 import pytest
-import yaml
 from PIL import Image
 
 from simnfnd.factory.errors import FactoryError
@@ -82,18 +80,6 @@ def test_webdataset_gives_back_every_sample(which, request, tmp_path) -> None:
             same_record(sample["json"], row)
 
 
-def test_webdataset_starts_a_new_tar_in_time(monkeypatch, fans, tmp_path) -> None:
-    import webdataset
-
-    monkeypatch.setattr("simnfnd.factory.export.webdataset.SAMPLES_PER_TAR", 4)
-    export(fans, "webdataset", tmp_path / "out", "train")
-    tars = sorted(path.name for path in (tmp_path / "out").glob("*.tar"))
-    assert tars == ["train-000000.tar", "train-000001.tar", "train-000002.tar"]
-    url = f"file:{tmp_path}/out/train-{{000000..000002}}.tar"
-    keys = [sample["__key__"] for sample in webdataset.WebDataset(url, shardshuffle=False)]
-    assert keys == [f"train-{number:06d}" for number in range(9)]
-
-
 @pytest.mark.parametrize("which", ["fans", "floats"])
 def test_load_dataset_gives_back_every_sample(which, request, monkeypatch, tmp_path) -> None:
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
@@ -126,17 +112,6 @@ def test_load_dataset_gives_back_every_sample(which, request, monkeypatch, tmp_p
         columns = [column.name for column in export_dataset.COLUMNS]
         for sample, row in zip(samples, stored(source, split, "meta"), strict=True):
             same_record({name: sample[name] for name in columns}, row)
-
-
-def test_the_card_for_the_hub_names_files_and_licence(fans, tmp_path) -> None:
-    export(fans, "huggingface", tmp_path / "out")
-    front = (tmp_path / "out/README.md").read_text().split("---\n")[1]
-    stated = yaml.safe_load(front)
-    assert stated["license"] == "cc-by-4.0"
-    assert stated["configs"][0]["data_files"] == [
-        {"split": "train", "path": "data/train-*.parquet"},
-        {"split": "test", "path": "data/test-*.parquet"},
-    ]
 
 
 @pytest.mark.parametrize("which", ["fans", "floats"])
@@ -239,16 +214,6 @@ def test_what_the_schema_does_not_know_stays_where_it_is(tmp_path) -> None:
     assert not list((tmp_path / "out").rglob("*secret*"))
 
 
-def test_a_folder_with_files_is_left_alone(fans, tmp_path) -> None:
-    (tmp_path / "precious.txt").write_text("mine")
-    with pytest.raises(FactoryError, match="holds files already"):
-        export(fans, "png", tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["precious.txt"]
-    (tmp_path / "empty").mkdir()
-    export(fans, "png", tmp_path / "empty", "test")
-    assert sorted(path.name for path in (tmp_path / "empty").iterdir()) == ["README.md", "test"]
-
-
 def test_a_damaged_shard_leaves_no_half_export(tmp_path) -> None:
     source = write(tmp_path / "source")
     path = source / "train/shard-00001.h5"
@@ -260,14 +225,3 @@ def test_a_damaged_shard_leaves_no_half_export(tmp_path) -> None:
     with pytest.raises(FactoryError, match=r"shard-00001.h5: /noisy sample 2 is damaged"):
         export(source, "png", tmp_path / "out")
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["source"]
-
-
-def test_pngs_refuse_what_they_cannot_hold() -> None:
-    from simnfnd.factory.export.pictures import npy, png
-
-    with pytest.raises(TypeError, match="float32"):
-        png(np.zeros((2, 2), np.float32))
-    image = np.arange(6, dtype=np.uint16).reshape(2, 3) * 9999
-    decoded = cv2.imdecode(np.frombuffer(png(image), np.uint8), cv2.IMREAD_UNCHANGED)
-    np.testing.assert_array_equal(decoded, image)
-    np.testing.assert_array_equal(np.load(io.BytesIO(npy(image))), image)

@@ -84,21 +84,6 @@ def test_coco_is_what_pycocotools_reads(labelled: Path, tmp_path: Path) -> None:
                 assert one["area"] == mask.sum()
 
 
-def test_pycocotools_scores_the_truth_as_perfect(labelled: Path, tmp_path: Path) -> None:
-    from pycocotools.coco import COCO
-    from pycocotools.cocoeval import COCOeval
-
-    export(labelled, "coco", tmp_path / "out", "train")
-    coco = COCO(str(tmp_path / "out/annotations/instances_train.json"))
-    found = [{**one, "score": 1.0} for one in coco.dataset["annotations"]]
-    for kind in ("bbox", "segm"):
-        score = COCOeval(coco, coco.loadRes(found), kind)
-        score.evaluate()
-        score.accumulate()
-        score.summarize()
-        assert score.stats[0] == pytest.approx(1.0)
-
-
 def test_yolo_lines_are_the_objects(labelled: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     export(labelled, "yolo", out)
@@ -135,12 +120,6 @@ def covered(corners: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     return np.asarray(tool.decode(coded)[..., 0], bool)
 
 
-def test_a_single_split_both_trains_and_validates(labelled: Path, tmp_path: Path) -> None:
-    export(labelled, "yolo", tmp_path / "out", "test")
-    data = yaml.safe_load((tmp_path / "out/data.yaml").read_text())
-    assert data["train"] == data["val"] == "images/test"
-
-
 @pytest.mark.parametrize("density", [0.1, 0.5, 0.9])
 def test_run_lengths_and_outlines_lose_no_pixel(density: float) -> None:
     from pycocotools import mask as tool
@@ -156,59 +135,6 @@ def test_run_lengths_and_outlines_lose_no_pixel(density: float) -> None:
         filled = np.logical_or.reduce(rings, initial=False)
         holes_filled = ndimage.binary_fill_holes(mask)
         np.testing.assert_array_equal(np.broadcast_to(filled, mask.shape), holes_filled)
-
-
-def test_straight_edges_need_their_ends_alone() -> None:
-    mask = np.zeros((9, 9), bool)
-    mask[2:5, 3:8] = True
-    (ring,) = outlines(mask)
-    assert sorted(map(tuple, ring.tolist())) == [(3, 2), (3, 5), (8, 2), (8, 5)]
-
-
-def mdd(folder: Path) -> Path:
-    """Three pictures as MDD has them; the last mask holds two patches of one class."""
-    for name in ("Images", "Masks"):
-        (folder / name).mkdir(parents=True)
-    for number in range(3):
-        mask = np.zeros((30, 20), np.uint8)
-        mask[5:10, 5:10] = number + 4
-        mask[20:24, 2:4] = number + 4 if number == 2 else 0
-        cv2.imwrite(str(folder / "Images" / f"p-{number}.png"), np.full((30, 20), 90, np.uint8))
-        cv2.imwrite(str(folder / "Masks" / f"p-{number}.png"), mask)
-    return folder
-
-
-def test_a_folder_of_mdd_goes_the_same_way(tmp_path: Path) -> None:
-    from pycocotools.coco import COCO
-
-    folder = mdd(tmp_path / "mdd")
-    assert export(folder, "coco", tmp_path / "a").startswith("3 pictures, 4 objects")
-    coco = COCO(str(tmp_path / "a/annotations/instances_train.json"))
-    boxes = [(one["category_id"], *one["bbox"]) for one in coco.dataset["annotations"]]
-    assert boxes == [(n, 5, 5, 5, 5) for n in (4, 5, 6)] + [(6, 2, 20, 2, 4)]
-    (folder / "train.txt").write_text("p-0.png\np-2.png\n")
-    (folder / "test.txt").write_text("p-1\n")
-    export(folder, "yolo", tmp_path / "b")
-    names = {path.stem for path in (tmp_path / "b/labels").rglob("*.txt")}
-    assert names == {"p-0", "p-1", "p-2"}
-    assert (tmp_path / "b/labels/test/p-1.txt").read_text().startswith("4 0.250000 0.166667")
-
-
-def test_folders_of_mdd_are_checked(tmp_path: Path) -> None:
-    folder = mdd(tmp_path / "mdd")
-    (folder / "test.txt").write_text("../../secret\n")
-    with pytest.raises(FactoryError, match=r"test.txt: names '../../secret', which is not in"):
-        export(folder, "coco", tmp_path / "out")
-    (folder / "test.txt").unlink()
-    with pytest.raises(FactoryError, match="has no split test"):
-        export(folder, "coco", tmp_path / "out", "test")
-    cv2.imwrite(str(folder / "Masks/p-1.png"), np.full((30, 20), 77, np.uint8))
-    with pytest.raises(FactoryError, match=r"p-1.png: is no mask of p-1.png"):
-        export(folder, "yolo", tmp_path / "out")
-    (folder / "Masks/p-1.png").unlink()
-    with pytest.raises(FactoryError, match=r"p-1.png: no such file; every picture needs its mask"):
-        export(folder, "yolo", tmp_path / "out")
-    assert not (tmp_path / "out").exists()
 
 
 def test_labels_that_name_no_class_are_refused(tmp_path: Path) -> None:

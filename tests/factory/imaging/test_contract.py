@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ast
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -12,36 +10,17 @@ import pytest
 from simnfnd.factory import pairs
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
-from simnfnd.factory.errors import NotRendered
-from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.imaging.registry import FORMATIONS
 from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.noise.registry import POINT_EFFECTS
-from simnfnd.factory.render.view import View, view_of
+from simnfnd.factory.pairs import FORMATIONS
+from simnfnd.factory.render.cache.views import OneView
+from simnfnd.factory.render.view import view_of
 from tests.frames import ground_and_post, plain_render
-from tests.project_files import ROOT
 
 
 def config(formation: str) -> FactoryConfig:
     words = {"points": [], "field": ["experiment=physical", "noise.background.enabled=true"]}
     return compose_config([*words[formation], "dataset.dtype=float32", "dataset.layers=[effects]"])
-
-
-class OneView:
-    """The render of one frame; a `Views`."""
-
-    def __init__(self, settings: FactoryConfig) -> None:
-        frame = ground_and_post()
-        self.ref = frame.ref
-        self._view = view_of(frame, plain_render(frame), settings.sonar.mount)
-
-    def holds(self, ref: FrameRef) -> bool:
-        return ref == self.ref
-
-    def view(self, ref: FrameRef) -> View:
-        if ref != self.ref:
-            raise NotRendered(ref.name)
-        return self._view
 
 
 @pytest.mark.parametrize("formation", list(FORMATIONS))
@@ -69,26 +48,15 @@ def test_samples_of_a_scene_repeat_and_effects_can_be_chosen(formation: str) -> 
 @pytest.mark.parametrize("formation", list(FORMATIONS))
 def test_noise_of_a_call_is_that_of_another_configuration(formation: str) -> None:
     settings = config(formation)
-    views = OneView(settings)
+    frame = ground_and_post()
+    views = OneView(view_of(frame, plain_render(frame), settings.sonar.mount))
     maker = pairs.PairMaker(settings, views)
     block = replace(settings.noise.background, enabled=False)
     quieter = replace(settings.noise, background=block)
-    (given,) = maker.pairs(views.ref, (1,), quieter)
-    (configured,) = pairs.PairMaker(replace(settings, noise=quieter), views).pairs(views.ref, (1,))
-    (usual,) = maker.pairs(views.ref, (1,))
+    (given,) = maker.pairs(frame.ref, (1,), quieter)
+    (configured,) = pairs.PairMaker(replace(settings, noise=quieter), views).pairs(frame.ref, (1,))
+    (usual,) = maker.pairs(frame.ref, (1,))
     np.testing.assert_array_equal(given.noisy, configured.noisy)
     assert str(given.record) == str(configured.record)
     assert set(usual.layers) - set(given.layers) == {"layers/background"}
     assert set(given.record) == {column.name for column in maker.columns()}
-
-
-def test_workers_can_be_given_the_function_that_makes_pair_makers() -> None:
-    assert pickle.loads(pickle.dumps(pairs.pair_maker)) is pairs.pair_maker
-
-
-def test_formations_know_nothing_of_noise_and_pair_makers() -> None:
-    for path in (ROOT / "factory/imaging").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ImportFrom) and node.module:
-                assert not node.module.startswith("simnfnd.factory.noise"), path
-                assert node.module != "simnfnd.factory.pairs", path

@@ -6,7 +6,7 @@ from scipy import special
 
 from simnfnd.factory.config import digest, identity
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.imaging.coherent import decimation
+from simnfnd.factory.imaging.coherent import expected
 from simnfnd.factory.noise.draws import StreamNames, draw
 from tests.constant_field import config, observed, scene_of
 
@@ -34,7 +34,7 @@ def test_averaged_samples_are_worth_their_looks(window, samples):
     found = [grey(settings, variant) for variant in range(6)]
     scene = scene_of(observed(settings))
     assert scene.ping.shape == (96 * samples, 128)
-    looks = decimation.looks(scene.ping.kernel, samples)
+    looks = expected.looks(scene.ping.kernel, samples)
     assert 1 < looks < samples
     noisy = np.stack([one for one, _ in found])[(slice(None), *EDGE)]
     assert noisy.shape[1:] == (72, 88)
@@ -47,8 +47,8 @@ def test_averaged_samples_are_worth_their_looks(window, samples):
 
 def test_looks_of_white_and_of_equal_samples():
     one = np.ones(1, np.float32)
-    assert decimation.looks(one, 3) == pytest.approx(3)
-    assert decimation.looks(np.ones(400, np.float32) / 20, 2) == pytest.approx(1, abs=0.01)
+    assert expected.looks(one, 3) == pytest.approx(3)
+    assert expected.looks(np.ones(400, np.float32) / 20, 2) == pytest.approx(1, abs=0.01)
 
 
 def test_fixed_full_scale_is_the_same_in_every_frame():

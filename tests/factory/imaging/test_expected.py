@@ -64,8 +64,10 @@ NOISE: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("transfer", ["log", "soft_log", "power"])
-@pytest.mark.parametrize("effect", [*NOISE, "all"])
+@pytest.mark.parametrize(
+    ("effect", "transfer"),
+    [*((effect, "log") for effect in NOISE), *(("all", t) for t in ("log", "soft_log", "power"))],
+)
 def test_the_target_is_the_mean_of_the_displayed_pictures(effect, transfer):
     """Within 0.012 of full scale; where a row's strongest return leaks, 0.03."""
     noise = NOISE if effect == "all" else {"speckle": {}, effect: NOISE[effect]}
@@ -122,13 +124,13 @@ def test_every_systematic_effect_says_what_it_is_on_average() -> None:
 
 def test_the_record_has_the_scale_of_the_target() -> None:
     scale = {}
-    for target in ("mean_log", "mean_field", "geometry", "radiometric"):
+    for target in ("mean_log", "geometry"):
         settings = config(acoustics={"target": target}, noise={"speckle": {}})
         record = make_pair(observe(*ground(), settings), 0, settings).record
         scale[target] = float(record["clean_full_scale"]), float(record["full_scale"])
-    assert scale["mean_log"][0] == scale["mean_log"][1] == scale["mean_field"][0]
+    assert scale["mean_log"][0] == scale["mean_log"][1]
     assert len({one[1] for one in scale.values()}) == 1
-    assert scale["geometry"][0] != scale["geometry"][1] != scale["radiometric"][0]
+    assert scale["geometry"][0] != scale["geometry"][1]
     points = compose_config(["sonar.transfer.kind=log"])
     frame, rendered = constant_field(size=(240, 160))
     assert "clean_full_scale" not in make_pair(observe(frame, rendered, points), 0, points).record

@@ -7,14 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simnfnd.factory.compiled import compiled
-from simnfnd.factory.elementary import log10
-from simnfnd.factory.imaging.coherent import cell_kernels, kernels
+from simnfnd.factory.imaging.coherent import kernels
 from simnfnd.factory.imaging.coherent.beams import vertical_table
 from simnfnd.factory.imaging.coherent.scatterers import beam_table, scatterers
 from simnfnd.factory.imaging.coherent.signal import gaussian_table
 from simnfnd.factory.pairs import fitted_window
-from simnfnd.factory.sonar.window_fit import conical
+from simnfnd.factory.sonar.window import conical
 from tests.constant_field import config
 from tests.frames import ground_and_post, plain_render
 
@@ -79,7 +77,8 @@ def test_scattered_amplitudes_are_those_of_numpy() -> None:
     names = rng.integers(0, 300, points).astype(np.uint32) * np.uint32(40503)
     share = rng.random(points, dtype=np.float32)
     table, bins = gaussian_table(), np.zeros((90, 2), np.float32)
-    cell_kernels.scatter(bin_of, power, names, share, key, table, bins)
+    turns, phases = gaussian_table(), np.empty(0, np.uint16)
+    kernels.scatter(bin_of, np.sqrt(power), names, share, phases, key, table, turns, bins)
 
     word = names ^ np.uint32(key)
     for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35)):
@@ -92,32 +91,9 @@ def test_scattered_amplitudes_are_those_of_numpy() -> None:
 
 
 @pytest.mark.parametrize("filled", [0.0, 0.02, 1.0])
-def test_beams_of_silent_bins_are_mixed_as_numpy_does(filled):
+def test_products_of_silent_bins_are_those_of_numpy(filled):
     rng = np.random.default_rng(5)
-    plane = rng.random((18, 24), dtype=np.float32) * (rng.random((18, 24)) < filled)
-    even, odd = (rng.random((12, 12), dtype=np.float32) for _ in range(2))
-    out = np.empty_like(plane)
-    kernels.across_beams(plane.astype(np.float32), even, odd, out)
-    mirrored = plane[:, ::-1]
-    alike = (plane + mirrored)[:, :12] @ even
-    unlike = (plane - mirrored)[:, :12] @ odd
-    expected = np.concatenate([alike + unlike, (alike - unlike)[:, ::-1]], axis=1)
-    np.testing.assert_allclose(out, expected, rtol=1e-4, atol=1e-4)
-
-
-@compiled("void(float32[::1], float32[::1])")
-def _logarithms(given, made):
-    for at in range(len(given)):
-        made[at] = log10(given[at])
-
-
-def test_log10_is_off_by_two_last_digits_at_most() -> None:
-    bits = np.random.default_rng(6).integers(0x00800000, 0x7F7FFFFF, 1_000_000)
-    given = bits.astype(np.uint32).view(np.float32)
-    given[:4] = 1, 10, 1e-37, 1000
-    made = np.empty_like(given)
-    _logarithms(given, made)
-    exact = np.log10(given.astype(np.float64))
-    off = np.abs(made - exact) / np.maximum(np.spacing(np.abs(exact).astype(np.float32)), 1e-9)
-    assert off.max() < 2.1
-    np.testing.assert_array_equal(made[[0, 1, 3]], [0, 1, 3])
+    rows = rng.random((20, 24), dtype=np.float32) * (rng.random((20, 24)) < filled)
+    matrix, out = rng.random((24, 11), dtype=np.float32), np.empty((20, 11), np.float32)
+    kernels.products(rows.astype(np.float32), matrix, out)
+    np.testing.assert_allclose(out, rows @ matrix, rtol=1e-4, atol=1e-4)

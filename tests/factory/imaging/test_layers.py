@@ -172,7 +172,7 @@ def test_a_shard_of_a_real_pair_has_all_layers(tmp_path: Path) -> None:
         Provenance({}, "0" * 16, "tests"),
         settings.dataset,
     )
-    assert shard_facts(tmp_path / "train/shard-00000.h5", deep=True).problems == ()
+    assert not shard_facts(tmp_path / "train/shard-00000.h5", deep=True).problems
     with h5py.File(tmp_path / "train/shard-00000.h5") as file:
         for name, picture in pair.layers.items():
             np.testing.assert_array_equal(file[name][0], picture)

@@ -17,7 +17,6 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.imaging.coherent import beams as matrices
 from simnfnd.factory.imaging.coherent.scatterers import scatterers
 from simnfnd.factory.imaging.coherent.signal import beamform, beamform_power
-from simnfnd.factory.imaging.coherent.targets import backscatter
 from simnfnd.factory.pairs import make_pair, observe
 from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.settings import build
@@ -26,7 +25,7 @@ from simnfnd.factory.sonar.acoustics import WaterSettings
 from simnfnd.factory.sonar.array import ArraySettings, Taper
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.factory.sonar.window import Window
-from tests.constant_field import FAR_M, NEAR_M, config, constant_field, observed, ping_of, scene_of
+from tests.constant_field import config, constant_field, observed, ping_of
 from tests.project_files import ROOT
 
 CONF = ROOT / "conf"
@@ -38,14 +37,14 @@ FRESH = {750: 0.1460, 1200: 0.3737, 1800: 0.8408, 3000: 2.3355}
 
 @pytest.mark.parametrize(("frequency_khz", "golden"), SEA.items())
 def test_absorption_of_the_sea(frequency_khz, golden):
-    assert acoustics.absorption_db_per_m(frequency_khz, 10, 35, 5, 8) == pytest.approx(
+    assert WaterSettings(10, 35, 5, 8).absorption_db_per_m(frequency_khz) == pytest.approx(
         golden, abs=1e-3
     )
 
 
 @pytest.mark.parametrize(("frequency_khz", "golden"), FRESH.items())
 def test_absorption_of_fresh_water(frequency_khz, golden):
-    assert acoustics.absorption_db_per_m(frequency_khz, 15, 0, 5, 8) == pytest.approx(
+    assert WaterSettings(15, 0, 5, 8).absorption_db_per_m(frequency_khz) == pytest.approx(
         golden, abs=1e-3
     )
 
@@ -82,7 +81,7 @@ def test_absorption_at_the_frequency_of_every_preset(water):
 )
 @settings(max_examples=60, deadline=None)
 def test_absorption_is_positive_and_grows_with_frequency(f, t, s, d, ph):
-    low, high = (acoustics.absorption_db_per_m(x, t, s, d, ph) for x in (f, 1.1 * f))
+    low, high = (WaterSettings(t, s, d, ph).absorption_db_per_m(x) for x in (f, 1.1 * f))
     assert 0 < low < high
 
 
@@ -108,7 +107,7 @@ def test_sidelobes_are_those_of_the_window(taper, golden_db, within_db):
     assert level_db[null:].max() == pytest.approx(golden_db, abs=within_db)
 
 
-@pytest.mark.parametrize("count", [4, 4095, 4096, 4097, 16386, 16387, 20000, 40001])
+@pytest.mark.parametrize("count", [4, 4096, 4097, 16387])
 def test_the_kept_table_of_a_window_is_its_response_to_the_bit(count: int) -> None:
     steps = np.arange(-1, count - 1) / array._STEPS
     for taper in (Taper(), Taper(window="uniform")):
@@ -148,10 +147,10 @@ def test_range_resolution_is_c_over_2b() -> None:
 
 
 @given(
-    st.integers(2, 200), st.floats(5, 160), st.floats(0.1, 10),
+    st.integers(2, 100), st.floats(5, 160), st.floats(0.1, 10),
     st.sampled_from(["uniform", "hann", "hamming", "taylor", "chebyshev"]), st.booleans(),
 )  # fmt: skip
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_beam_mixing_keeps_energy_for_any_beams(beams, hfov_deg, width_deg, window, tabled):
     table = None
     if tabled:  # as close together in the middle as a linear array makes them
@@ -161,19 +160,6 @@ def test_beam_mixing_keeps_energy_for_any_beams(beams, hfov_deg, width_deg, wind
     device = ArraySettings(beamwidth_deg=width_deg, horizontal=Taper(window=window))
     mixing = array.beam_mixing(sonar.beam_centres_rad(), device)
     np.testing.assert_allclose((mixing.astype(np.float64) ** 2).sum(axis=1), 1, rtol=1e-5)
-
-
-def test_the_blur_of_the_device_keeps_energy_and_is_the_matrix_product() -> None:
-    made = ping_of(observed(config()))
-    power = np.zeros(made.shape, np.float32)
-    rng = np.random.default_rng(0)
-    middle = (slice(40, -40), slice(None))
-    power[middle] = rng.random(power[middle].shape)
-    blurred = beamform_power(power, made)
-    assert blurred.sum() == pytest.approx(power.sum(), rel=1e-4)
-    kernel = made.kernel**2
-    along = np.apply_along_axis(np.convolve, 0, power.astype(np.float64), kernel, "same")
-    np.testing.assert_allclose(blurred, along @ made.mixing**2, rtol=1e-3, atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -259,7 +245,7 @@ def test_a_small_target_loses_40_log_r_and_twice_the_absorption(frequency_khz):
     """The two-way loss of the sonar equation, not counting the area twice."""
     depths_m = np.array([2.0, 3.0, 5.0, 8.0])
     level_db = 10 * np.log10(_powers(depths_m, 0.2, frequency_khz))
-    absorption = acoustics.absorption_db_per_m(frequency_khz, 10, 35, 5, 8)
+    absorption = WaterSettings(10, 35, 5, 8).absorption_db_per_m(frequency_khz)
     expected_db = -40 * np.log10(depths_m) - 2 * absorption * depths_m
     np.testing.assert_allclose(np.diff(level_db), np.diff(expected_db), atol=0.15)
 
@@ -267,25 +253,9 @@ def test_a_small_target_loses_40_log_r_and_twice_the_absorption(frequency_khz):
 def test_a_target_has_its_cross_section() -> None:
     """mu * area / r^4 for a plate seen face on: 10 log of it is the target strength minus 2 TL."""
     (power,) = _powers(np.array([4.0]), 0.2, 100)
-    absorption = acoustics.absorption_db_per_m(100, 10, 35, 5, 8)
+    absorption = WaterSettings(10, 35, 5, 8).absorption_db_per_m(100)
     golden = 10 ** (-25 / 10) * 0.04 / 4**4 * 10 ** (-2 * absorption * 4 / 10)
     assert power == pytest.approx(golden, rel=0.02)
-
-
-def test_backscatter_has_no_losses_left() -> None:
-    """Per plan area it is the same near and far, whatever the water absorbs."""
-    flat = []
-    for frequency_khz in (200, 3000):
-        settings_ = config(sonar={"frequency_khz": frequency_khz})
-        frame, rendered = constant_field()
-        made = scene_of(observe(frame, rendered, settings_))
-        flat.append(backscatter(made.surface, settings_))
-    np.testing.assert_allclose(flat[0], flat[1], rtol=1e-3)
-    # Equal power per bin over source level: sigma grows as r^4, area as r.
-    rows = flat[0].mean(axis=1)
-    range_m = np.linspace(NEAR_M, FAR_M, len(rows))
-    slope = np.polyfit(np.log10(range_m[5:-5]), np.log10(rows[5:-5]), 1)[0]
-    assert slope == pytest.approx(3, abs=0.1)
 
 
 def test_the_exponent_of_backscatter_is_that_of_the_cosine() -> None:
@@ -342,10 +312,9 @@ def test_tvg_levels_what_it_knows() -> None:
     assert rows.max() / rows.min() == pytest.approx(1, abs=0.05)
 
 
-@pytest.mark.parametrize("layout", ["polar", "fan"])
 @pytest.mark.parametrize("device", DEVICES)
-def test_every_preset_makes_a_picture(device, layout):
-    words = ["experiment=physical", f"sonar={device}", f"sonar.image.layout={layout}"]
+def test_every_preset_makes_a_picture(device):
+    words = ["experiment=physical", f"sonar={device}"]
     settings_ = compose_config([*words, "sonar.range.min_m=1", "sonar.range.max_m=9"])
     frame, rendered = constant_field(size=(240, 320))
     pair = make_pair(observe(frame, rendered, settings_), 0, settings_)

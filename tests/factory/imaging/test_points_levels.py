@@ -10,9 +10,9 @@ import pytest
 
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.pairs import make_pair, observe
-from simnfnd.factory.render import cloud
-from simnfnd.factory.render.base import Rendered
+from simnfnd.factory.render.base import Rendered, RenderSettings
 from simnfnd.factory.render.mount import Mount
+from simnfnd.factory.render.surface import pixels_of
 from simnfnd.factory.sonar import transfer
 from simnfnd.factory.sonar.settings import TransferSettings
 from simnfnd.factory.sonar.surface import LitSurface, mount_weight
@@ -88,8 +88,8 @@ def test_the_weight_of_an_offset_mount_is_that_of_numpy_to_the_bit(exponent: flo
     frame = replace(frame, depth_m=depth_m)
     mount = Mount(translation_m=(0.3, -0.4, 0.2))
 
-    points_m = cloud.back_project(depth_m, frame.intrinsics)
-    normal = cloud.normals(points_m, 0.1)
+    surface = pixels_of(frame, RenderSettings()).surface()
+    points_m, normal = surface.points_m, surface.normals
     to_sonar_m = mount.position_camera_m().astype(np.float32) - points_m
 
     def along(a: Any, b: Any) -> Any:

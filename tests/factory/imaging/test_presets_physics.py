@@ -12,8 +12,8 @@ import pytest
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.frame import Frame
-from simnfnd.factory.imaging.coherent.received import received
 from simnfnd.factory.imaging.coherent.scatterers import scatterers
+from simnfnd.factory.imaging.coherent.scene import received
 from simnfnd.factory.imaging.coherent.signal import Ping, Signal, beamform_power
 from simnfnd.factory.noise.draws import DrawnEffect
 from simnfnd.factory.noise.field.receiver import receiver
@@ -86,7 +86,7 @@ def test_speckle_has_the_power_and_the_grain_that_the_device_gives_it(recipe):
     assert settings.noise.speckle is not None
     cell_m = settings.noise.speckle.scatterer_m.values[0]
     power, products, squares = [], [], []
-    for seed in range(4):
+    for seed in range(2):
         many, one = (
             received(ping, [DrawnEffect("speckle", SPECKLE, parameters, seed, (looks,))])
             for looks in (8, 1)
@@ -117,10 +117,8 @@ def test_signal_to_noise_does_not_depend_on_the_sampling(device):
     beams, bins = base.sonar.beams, base.sonar.range_bins
     plain = replace(base, sonar=replace(base.sonar, beam_azimuths_deg=None))
     level_db = signal_to_noise_db(plain)
-    for more_bins, more_beams in ((2 * bins, beams), (bins, 2 * beams), (bins // 2, beams)):
-        sonar = replace(plain.sonar, range_bins=more_bins, beams=more_beams)
-        finer = replace(plain, sonar=sonar)
-        assert signal_to_noise_db(finer) == pytest.approx(level_db, abs=0.2)
+    sonar = replace(plain.sonar, range_bins=bins // 2, beams=2 * beams)
+    assert signal_to_noise_db(replace(plain, sonar=sonar)) == pytest.approx(level_db, abs=0.2)
 
 
 @pytest.mark.parametrize("device", DEVICES)

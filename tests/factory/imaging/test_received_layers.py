@@ -17,9 +17,9 @@ from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.pairs import PairMaker
-from simnfnd.factory.render.cache.views import OneView
 from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.view import view_of
+from simnfnd.factory.render.views import OneView
 from simnfnd.factory.sample_table import pose
 from tests.frames import HEIGHT_M, PITCH_RAD, POST_M, ground_and_post, plain_render
 from tests.project_files import ROOT
@@ -81,7 +81,7 @@ def made(tmp_path_factory):
 def test_layers_are_read_back(made):
     folder, _, pair = made
     path = folder / "train/shard-00000.h5"
-    assert shard_facts(path, deep=True).problems == ()
+    assert not shard_facts(path, deep=True).problems
     with h5py.File(path) as file:
         for name in [*LAYERS, *RECEIVED, "instance"]:
             np.testing.assert_array_equal(file[name][0], pair.layers[name])

@@ -6,7 +6,7 @@ from scipy import stats
 
 from simnfnd.factory import seeds
 from simnfnd.factory.distribution import parse
-from simnfnd.factory.imaging.clouds import effect_clouds
+from simnfnd.factory.imaging.pointwise import effect_clouds
 from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.noise.points.azimuth import AzimuthSettings, azimuth
 from simnfnd.factory.noise.points.background import BackgroundSettings, background

@@ -37,12 +37,13 @@ def config(folder: Path, **keys: object) -> FactoryConfig:
 
 
 def same(one: View, other: View) -> bool:
+    a, b = one.seen, other.seen
     return (
-        one.depth_m.tobytes() == other.depth_m.tobytes()
+        a.depth_m.tobytes() == b.depth_m.tobytes()
         and one.radiance.tobytes() == other.radiance.tobytes()
-        and (one.intrinsics, one.mount) == (other.intrinsics, other.mount)
+        and (a.intrinsics, one.mount) == (b.intrinsics, other.mount)
         and np.array_equal(
-            np.asarray(one.world_from_camera, dtype=object),
-            np.asarray(other.world_from_camera, dtype=object),
+            np.asarray(a.world_from_camera, dtype=object),
+            np.asarray(b.world_from_camera, dtype=object),
         )
     )

@@ -8,7 +8,6 @@ import sys
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from simnfnd.factory.frame import Frame, Intrinsics
@@ -63,38 +62,6 @@ def test_a_fresh_process_gives_the_same_bytes_and_prints_nothing_else(
     printed, _ = fresh_process.communicate(timeout=120)
     assert fresh_process.returncode == 0
     assert printed == digest(render("cycles", yard(152, 242), LEFT)) + "\n"
-
-
-def test_pixels_through_a_file_are_the_same_bits(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    from simnfnd.factory.render import blender
-
-    direct = digest(render("cycles", yard(152, 242), LEFT))
-    files = []
-    through_file = blender.render_to_file
-
-    def counted(stage: blender.Stage) -> npt.NDArray[np.float32]:
-        files.append(stage)
-        return through_file(stage)
-
-    monkeypatch.setattr(blender, "_render_to_memory", lambda stage: None)
-    monkeypatch.setattr(blender, "render_to_file", counted)
-    assert digest(render("cycles", yard(152, 242), LEFT)) == direct
-    assert files
-    assert capfd.readouterr().out == ""
-
-
-def test_pixels_come_from_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The fast way is undocumented: a Blender that closes it should be noticed here."""
-    from simnfnd.factory.render import blender
-
-    def refuse(stage: object) -> None:
-        raise AssertionError("went through a file")
-
-    opened("cycles")
-    monkeypatch.setattr(blender, "render_to_file", refuse)
-    assert render("cycles", yard(100, 130)).insonified.any()
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="Linux only")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import io
 import os
@@ -22,7 +21,8 @@ from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Intrinsics
 from simnfnd.factory.scenes.calibration import read_kalibr, scaled, undistorted, z_from_range
 from simnfnd.factory.scenes.images import read_depth, read_rgb
-from simnfnd.factory.scenes.poses import pose_at, redwood_poses
+from simnfnd.factory.scenes.redwood import redwood_poses
+from simnfnd.factory.scenes.tum import pose_at
 from tests.factory.scenes.scene_files import KALIBR_IMUCAM
 from tests.project_files import ROOT
 
@@ -84,7 +84,7 @@ def test_what_was_written_is_read(name: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-7)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.sampled_from(sorted(samples())), st.floats(0, 1, exclude_max=True))
 def test_a_truncated_file_is_refused_and_never_half_read(
     tmp_path_factory: pytest.TempPathFactory, name: str, fraction: float
@@ -100,7 +100,7 @@ def test_a_truncated_file_is_refused_and_never_half_read(
         np.testing.assert_allclose(found, expected, rtol=1e-7)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.sampled_from(sorted(samples())), st.data())
 def test_flipped_bytes_raise_nothing_but_a_frame_error(
     tmp_path_factory: pytest.TempPathFactory, name: str, data: st.DataObject
@@ -126,17 +126,6 @@ def test_a_damaged_tiff_writes_nothing_to_stderr(
     assert capfd.readouterr().err == ""
     os.write(2, b"still here\n")
     assert capfd.readouterr().err == "still here\n"
-
-
-@REAL
-@pytest.mark.parametrize("fraction", [0.001, 0.5, 0.999])
-def test_a_truncated_real_tiff_is_refused(tmp_path: Path, fraction: float) -> None:
-    for source in (next((CANYONS / "imgs").iterdir()), next((CANYONS / "depth").iterdir())):
-        data = source.read_bytes()
-        path = tmp_path / source.name
-        path.write_bytes(data[: int(len(data) * fraction)])
-        with pytest.raises(FrameError, match="truncated or damaged"):
-            read_rgb(path) if source.parent.name == "imgs" else read_depth(path, None)
 
 
 @REAL
@@ -314,9 +303,3 @@ def test_redwood_poses_and_their_damage(tmp_path: Path) -> None:
         (tmp_path / name).write_text(text)
         with pytest.raises(FactoryError, match=f"{name}:1: expected a frame number"):
             redwood_poses(tmp_path / name)
-
-
-def test_settings_of_frozen_intrinsics_stay_hashable() -> None:
-    # The undistortion maps are cached by camera: equal cameras must share an entry.
-    camera = Intrinsics(1.0, 2.0, 3.0, 4.0, (0.1, 0.2, 0.3, 0.4))
-    assert hash(camera) == hash(dataclasses.replace(camera))

@@ -51,13 +51,6 @@ def test_flsea_finds_every_layout(tmp_path: Path) -> None:
         np.testing.assert_array_equal(frame.depth_m, DEPTH)
 
 
-def test_flsea_prefers_the_newer_depth_name(tmp_path: Path) -> None:
-    flsea_frame(tmp_path / "canyons/u_canyon", "1")
-    flsea_frame(tmp_path / "canyons/u_canyon", "1", depth=DEPTH * 2, ending="_abs_depth")
-    flsea = reader("flsea", tmp_path)
-    np.testing.assert_array_equal(flsea.load(flsea.discover().frames[0]).depth_m, DEPTH)
-
-
 @pytest.mark.parametrize("inner", ["", "u_canyon"])
 @pytest.mark.parametrize("start", ["", "canyons", "canyons/u_canyon", "canyons/u_canyon/."])
 def test_flsea_root_may_be_any_level(tmp_path: Path, start: str, inner: str) -> None:

@@ -6,8 +6,8 @@ import pytest
 from simnfnd.factory.config import from_mapping, identity
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scenes import open_reader
-from simnfnd.factory.scenes.seabed.movement import Movement, moved, movements
-from simnfnd.factory.scenes.seabed.rasterizer import pose
+from simnfnd.factory.scenes.seabed.camera import pose
+from simnfnd.factory.scenes.seabed.path import Movement, movements
 
 PATH = "time_s,surge_m,heave_m,yaw_deg\n0,0,0,0\n0.2,0.5,0.1,10\n"
 
@@ -29,7 +29,7 @@ def test_a_path_is_read(tmp_path):
         ("", "expected a header"),
         ("surge,yaw\n0,0\n", "expected a header"),
         ("surge_m,surge_m\n0,0\n", "expected a header"),
-        ("surge_m\n", "0 frames"),
+        ("surge_m\n", "0 lines"),
         ("surge_m,yaw_deg\n0,0\n1\n", "path.csv:3: expected 2 numbers"),
         ("surge_m\nnan\n", "path.csv:2"),
         ("surge_m\nx\n", "path.csv:2"),
@@ -42,10 +42,11 @@ def test_bad_files_are_one_line(tmp_path, text, says):
 
 def test_movements_are_along_the_first_heading():
     start = pose(np.array([1.0, 2.0, 3.0]), 90, 20, 0)  # looks along +y, 20 degrees down
-    eye, rotation = moved(start.eye, start.rotation, Movement(surge_m=1, sway_m=2, heave_m=0.5))
+    eye, rotation = Movement(surge_m=1, sway_m=2, heave_m=0.5).moved(start.eye, start.rotation)
     assert eye == pytest.approx([-1, 3, 3.5])
     assert rotation == pytest.approx(start.rotation)
-    _, rotation = moved(start.eye, start.rotation, Movement(yaw_deg=30, pitch_deg=5, roll_deg=3))
+    turn = Movement(yaw_deg=30, pitch_deg=5, roll_deg=3)
+    _, rotation = turn.moved(start.eye, start.rotation)
     assert rotation == pytest.approx(pose(start.eye, 120, 25, 3).rotation)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 
@@ -10,13 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import yaml
-from scipy import stats
 
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Frame, FrameRef
-from simnfnd.factory.render import RenderSettings, open_renderer
-from simnfnd.factory.render.albedo import albedo
-from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.scenes.seabed import CLASSES, SeabedReader, SeabedSettings
 from simnfnd.factory.scenes.seabed.biomes import PLACE_NAMES
 from simnfnd.factory.scenes.seabed.world import build_world
@@ -24,7 +19,7 @@ from simnfnd.factory.settings import build
 from tests.factory.scenes.seabed_frames import fingerprint, ref, small_reader
 from tests.project_files import ROOT
 
-LOCATIONS, POSES = range(12), (0, 5)
+LOCATIONS, POSES = range(10), (0, 1)
 
 
 def world_points(frame: Frame) -> npt.NDArray[np.float64]:
@@ -53,58 +48,6 @@ def test_every_frame_is_measured_in_part_and_at_close_range(
         assert depth.min() > 0.5, name
         assert depth.max() < 20, name
         assert 1.0 < np.median(depth) < 8, name
-
-
-FACTS = (
-    "depth_m", "measured", "slope", "objects", "on_objects", "albedo_contrast", "albedo_texture",
-    "echo_level_db", "echo_spread_db",
-)  # fmt: skip
-
-
-def facts(frame: Frame) -> list[float]:
-    """What a frame is like, in the order of FACTS; slopes and texture away from gaps."""
-    valid, depth = frame.valid, frame.depth_m.astype(np.float64)
-    assert frame.instance is not None
-    assert frame.segmentation is not None
-    inner = valid[1:-1, 1:-1] & valid[1:-1, 2:] & valid[1:-1, :-2] & valid[2:, 1:-1]
-    inner &= valid[:-2, 1:-1]
-    texture = albedo(frame.rgb, valid, "flattened").astype(np.float64)
-    rendered = open_renderer(RenderSettings(kind="analytic")).render(frame, Mount())
-    echo = rendered.radiance[rendered.insonified]
-
-    def steep(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        across, down = values[1:-1, 2:] - values[1:-1, :-2], values[2:, 1:-1] - values[:-2, 1:-1]
-        return np.asarray(np.hypot(across, down)[inner])
-
-    return [
-        float(np.median(depth[valid])),
-        float(valid.mean()),
-        float(np.median(steep(depth) / depth[1:-1, 1:-1][inner])),
-        len(np.unique(frame.instance)) - 1,
-        float((frame.segmentation > 0).mean()),
-        float(texture[valid].std()),
-        float(np.median(steep(texture))),
-        float(10 * np.log10(echo.mean())),
-        float((10 * np.log10(echo)).std()),
-    ]
-
-
-@pytest.fixture(scope="module")
-def both_generators() -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """(40, 9) facts of frames 0 and 5 of twenty places: generator 1 (0.3.0), and now."""
-    reader = small_reader()
-    now = [facts(reader.load(ref(k, pose))) for k in range(20) for pose in (0, 5)]
-    kept = (ROOT / "tests/factory/scenes/seabed_generator_1.json").read_text()
-    return np.array(json.loads(kept)), np.array(now)
-
-
-@pytest.mark.parametrize("number", range(len(FACTS)), ids=FACTS)
-def test_frames_are_distributed_as_those_of_generator_1(
-    number: int, both_generators: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
-) -> None:
-    before, now = (facts[:, number] for facts in both_generators)
-    assert stats.ks_2samp(before, now).pvalue > 0.1
-    assert abs(np.median(now) - np.median(before)) < 0.5 * before.std()
 
 
 def test_frames_have_the_types_that_readers_promise(frames: dict[tuple[int, int], Frame]) -> None:
@@ -164,25 +107,19 @@ def test_pictures_are_exposed_and_no_two_are_alike(frames: dict[tuple[int, int],
             assert np.abs(one - other).mean() > 4
 
 
-def test_poses_of_a_location_differ_clearly() -> None:
-    reader = small_reader()
-    eyes = []
-    for pose in range(8):
-        matrix = reader.load(ref(2, pose)).world_from_camera
-        assert matrix is not None
-        eyes.append(matrix[:3, 3])
-    steps = np.linalg.norm(np.diff(eyes, axis=0), axis=1)
-    assert (steps > 1.0).all()
-    assert (steps < 3.0).all()
+def test_poses_of_a_location_differ_clearly(frames: dict[tuple[int, int], Frame]) -> None:
+    for k in LOCATIONS:
+        one, two = (frames[k, pose].world_from_camera for pose in POSES)
+        assert one is not None
+        assert two is not None
+        assert 1.0 < np.linalg.norm(one[:3, 3] - two[:3, 3]) < 3.0
 
 
-@pytest.mark.parametrize("location", [0, 1, 3, 5])
-def test_two_views_show_the_same_surface(location: int) -> None:
+def test_two_views_show_the_same_surface(frames: dict[tuple[int, int], Frame]) -> None:
     """Points of one view, seen from the next, are never in front of what that view measured."""
-    reader = small_reader()
     checked = 0
-    for pose in range(3):
-        one, two = reader.load(ref(location, pose)), reader.load(ref(location, pose + 1))
+    for location in LOCATIONS:
+        one, two = (frames[location, pose] for pose in POSES)
         assert two.world_from_camera is not None
         points = world_points(one)[one.valid]
         inverse = np.linalg.inv(two.world_from_camera)
@@ -206,7 +143,7 @@ def test_two_views_show_the_same_surface(location: int) -> None:
         visible = error < 0.06  # the others are hidden in the second view
         assert visible.mean() > 0.3
         assert np.median(np.abs(error[visible])) < 0.012
-    assert checked >= 1
+    assert checked >= 3
 
 
 def test_ground_points_lie_on_the_terrain(frames: dict[tuple[int, int], Frame]) -> None:
@@ -219,20 +156,13 @@ def test_ground_points_lie_on_the_terrain(frames: dict[tuple[int, int], Frame]) 
     assert np.percentile(np.abs(above), 98) < 0.4
 
 
-def test_a_frame_depends_on_its_name_alone() -> None:
+def test_a_frame_depends_on_its_name_alone(frames: dict[tuple[int, int], Frame]) -> None:
     """Neither the order of work, nor other frames, nor how many are asked for, nor the process."""
-    first = small_reader()
-    expected = [fingerprint(first.load(ref(k, pose))) for k, pose in ((3, 2), (4, 0), (3, 1))]
-    # Other locations push each other out of the reader's memory.
-    other = small_reader(locations=9, first_location=1, frames_per_location=1)
-    for k in (9, 4):
-        other.load(ref(k, 0))
-    again = [fingerprint(other.load(ref(k, pose))) for k, pose in ((3, 1), (4, 0), (3, 2))]
-    assert again[::-1] == expected
+    expected = [fingerprint(frames[key]) for key in ((3, 1), (4, 0), (3, 0))]
     script = (
         "from tests.factory.scenes.seabed_frames import *\n"
-        "reader = small_reader()\n"
-        "print(*(fingerprint(reader.load(ref(k, pose))) for k, pose in ((4, 0), (3, 1), (3, 2))))"
+        "reader = small_reader(locations=9, first_location=1, frames_per_location=1)\n"
+        "print(*(fingerprint(reader.load(ref(k, pose))) for k, pose in ((4, 0), (3, 0), (3, 1))))"
     )
     run = subprocess.run(
         [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
@@ -280,7 +210,7 @@ def test_leaving_a_kind_out_does_not_move_the_ground() -> None:
     x = np.linspace(-9, 9, 50, dtype=np.float32)
     np.testing.assert_array_equal(whole.terrain.height_m(x, x), fewer.terrain.height_m(x, x))
     np.testing.assert_array_equal(whole.path.loop.points, fewer.path.loop.points)
-    assert whole.water == fewer.water
+    np.testing.assert_array_equal(whole.look.water, fewer.look.water)
 
 
 @pytest.mark.parametrize("size", [{"width": 64, "height": 48}, {"width": 300, "height": 900}])

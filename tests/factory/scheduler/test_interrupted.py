@@ -67,7 +67,6 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
         ("write_index", signal.SIGTERM),
         ("preview", signal.SIGINT),
         ("write_card", signal.SIGINT),
-        ("write_croissant", signal.SIGINT),
     ],
 )
 def test_a_signal_at_the_end_of_a_run_is_one_line_and_loses_nothing(

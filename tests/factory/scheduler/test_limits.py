@@ -13,8 +13,8 @@ import pytest
 import yaml
 
 from simnfnd.factory.cli import guard
-from simnfnd.factory.scheduler.settings import Crew, SchedulerSettings
-from simnfnd.factory.scheduler.workers import limits
+from simnfnd.factory.scheduler.settings import SchedulerSettings
+from simnfnd.factory.scheduler.workers import machine
 from tests.project_files import ROOT
 
 CODE = """
@@ -48,28 +48,6 @@ def test_a_shell_with_few_open_files(tmp_path: Path, limit: int, said: str, told
     assert done.stdout == told
 
 
-@pytest.mark.parametrize(
-    ("crew", "fitting", "expected"),
-    [
-        (Crew(8, 40), 30, Crew(5, 25)),
-        (Crew(8, 40), 1, Crew(1, 0)),
-        (Crew(0, 48), 7, Crew(0, 7)),
-        (Crew(1, 1), 48, Crew(1, 1)),
-    ],
-)
-def test_both_kinds_of_workers_become_fewer(
-    crew: Crew, fitting: int, expected: Crew, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(
-        "simnfnd.factory.scheduler.settings.workers_that_fit",
-        lambda wanted: (fitting, "ulimit -v is 9"),
-    )
-    found, note = SchedulerSettings().within_limits(crew)
-    assert found == expected
-    assert note.startswith(f"ulimit -v is 9: {fitting} of {crew.total}") or found == crew
-    assert SchedulerSettings(backend="serial").within_limits(crew) == (crew, "")
-
-
 def test_a_limit_on_memory_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     import resource
 
@@ -80,10 +58,10 @@ def test_a_limit_on_memory_counts(monkeypatch: pytest.MonkeyPatch) -> None:
         return (space, space) if which == resource.RLIMIT_AS else (-1, -1)
 
     monkeypatch.setattr(resource, "getrlimit", limit)
-    fitting, words = limits.workers_that_fit(48)
+    fitting, words = machine.workers_that_fit(48)
     assert 4 < fitting < 30
     assert words == f"ulimit -v is {space // 1024}"
-    assert limits.workers_that_fit(0) == (0, "")
+    assert machine.workers_that_fit(0) == (0, "")
 
 
 @pytest.mark.parametrize("which", ["n", "v"])

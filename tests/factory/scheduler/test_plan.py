@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.scheduler.attempt import AttemptState
 from simnfnd.factory.scheduler.pending import PendingShard
 from simnfnd.factory.scheduler.plan import plan_shards
 from simnfnd.factory.scheduler.settings import MAX_AUTO_WORKERS, Crew, SchedulerSettings
@@ -60,14 +59,6 @@ def test_a_limit_takes_frames_from_all_scenes() -> None:
     assert scenes.count("alpha") == scenes.count("beta") == 5
 
 
-def test_plan_digest_tells_frames_and_variants_but_not_where_files_lie() -> None:
-    (one,) = plan_shards({"train": refs(3)}, 2, 10)
-    (other,) = plan_shards({"train": refs(3)}, 3, 10)
-    assert one.digest != other.digest
-    moved = [type(ref)(ref.location, ref.scene, ref.frame, ("elsewhere",)) for ref in refs(3)]
-    assert plan_shards({"train": moved}, 2, 10)[0].digest == one.digest
-
-
 def test_plan_refuses_a_frame_in_both_splits() -> None:
     with pytest.raises(FactoryError, match="reef/alpha/0001: named twice"):
         plan_shards({"train": refs(3), "test": refs(2)[1:]}, 1, 10)
@@ -107,19 +98,6 @@ def test_crew_follows_cores_memory_and_work(monkeypatch: pytest.MonkeyPatch) -> 
     assert auto.crew(1000, 9000) == Crew(1, 0)
     assert auto.crew(1000, 0) == Crew(0, 1)
     assert SchedulerSettings(workers=7).crew(1000, 0) == Crew(0, 7)
-
-
-@pytest.mark.parametrize("workers", [0, -1, "many", 1.5])
-def test_bad_worker_counts_are_refused_by_name(workers: object) -> None:
-    with pytest.raises(FactoryError, match=r"scheduler\.workers"):
-        build(SchedulerSettings, {"workers": workers}, "scheduler")
-
-
-def test_what_a_worker_tells() -> None:
-    state = AttemptState()
-    for message in (("start", 0), ("done", 3), ("start", 1), ("failed", 1), ("start", 12)):
-        state.hear(message)
-    assert (state.samples, state.failed, state.in_hand, state.begun) == (3, 1, 12, True)
 
 
 @given(deaths=st.lists(st.none() | st.integers(0, 4)), retries=st.integers(0, 3))

@@ -179,9 +179,3 @@ def test_another_cut_of_the_same_frames_leaves_no_stray_shard(tmp_path: Path) ->
     assert [task.path for task in resumed.todo] == ["train/shard-00000.h5"]
     assert set(resumed.manifest.shards) == {"test/shard-00000.h5"}
     assert not (tmp_path / "dataset/train/shard-00001.h5").exists()
-
-
-def test_zero_planned_samples_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(FactoryError, match="nothing to make"):
-        make(tmp_path / "dataset", tasks=(), source=BrokenSource)
-    assert not (tmp_path / "dataset").exists()

@@ -16,7 +16,6 @@ from simnfnd.factory.dataset.format.manifest import load_manifest
 from tests.factory.scheduler.run_files import litter, shard_bytes, undisturbed_shards, wait_for
 from tests.project_files import ROOT
 from tests.run_fake import make
-from tests.worker_processes import workers_of
 
 
 @pytest.fixture(scope="module")
@@ -152,23 +151,4 @@ def test_what_a_run_killed_after_its_last_shard_left_goes_away(
     report = make(directory, workers=1)
     assert report.kept == 4
     assert litter(directory) == []
-    assert shard_bytes(directory) == undisturbed
-
-
-def test_killing_workers_at_random_moments_changes_nothing(
-    tmp_path: Path, undisturbed: dict[str, bytes]
-) -> None:
-    directory = tmp_path / "dataset"
-    process = start(directory, 2, 0.1)
-    killed = 0
-    while process.poll() is None and killed < 4:
-        time.sleep(0.25)
-        for worker in workers_of(process.pid)[:1] if process.poll() is None else []:
-            worker.kill()
-            killed += 1
-    _, errors = process.communicate(timeout=60)
-    assert killed >= 2
-    # Whatever the kills hit, running again completes it; mostly there is nothing left to do.
-    assert process.returncode == 0, errors.decode()[-500:]
-    make(directory)
     assert shard_bytes(directory) == undisturbed

@@ -14,7 +14,7 @@ from typing import Any
 import psutil
 import pytest
 
-from simnfnd.factory.scheduler.workers import local, template
+from simnfnd.factory.scheduler.workers import template
 from simnfnd.factory.scheduler.workers.contract import Pool, WorkerSettings
 from simnfnd.factory.scheduler.workers.local import LocalBackend
 from tests.factory.scheduler.run_files import wait_for
@@ -71,29 +71,6 @@ def _alive(pid: int) -> bool:
         return False
 
 
-def test_two_deaths_of_the_template_cost_no_frame(tmp_path: Path) -> None:
-    import threading
-
-    ended = threading.Event()
-
-    def killing() -> None:
-        for _ in range(2):
-            if ended.wait(1.0):
-                return
-            template_is = vars(forkserver)["_forkserver"]
-            if template_is._forkserver_pid:
-                os.kill(template_is._forkserver_pid, signal.SIGKILL)
-
-    thread = threading.Thread(target=killing)
-    thread.start()
-    try:
-        report = make(tmp_path / "dataset", FakeConfig(delay_s=0.1), workers=2, recycle_frames=4)
-    finally:
-        ended.set()
-        thread.join()
-    assert (report.samples, report.failures) == (32, ())
-
-
 KILLED = """
 import os, sys, time
 from simnfnd.factory.cli import PRELOADED
@@ -121,16 +98,3 @@ def test_a_killed_run_leaves_no_temporary_folder(
         assert list(folder.glob("pymp-*"))
         run.kill()
     wait_for(lambda: not list(folder.glob("pymp-*")), 30)
-
-
-def test_a_worker_whose_parent_has_gone_says_nothing(capfd: pytest.CaptureFixture[str]) -> None:
-    backend = LocalBackend(FORKED)
-    backend.submit(nap, 0.3, 60.0, "all")
-    wait_for(lambda: any(slot._child and slot._child.alive for slot in backend._slots))
-    for slot in backend._slots:
-        if slot._child:
-            slot._child._connection.close()
-    time.sleep(0.6)
-    backend.stop()
-    assert "Traceback" not in capfd.readouterr().err
-    assert local._children is not None

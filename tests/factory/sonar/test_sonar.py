@@ -14,9 +14,7 @@ from simnfnd.factory.sonar import polar, transfer
 from simnfnd.factory.sonar.echoes import from_xyz, in_plane
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
 from simnfnd.factory.sonar.settings import SonarSettings, TransferSettings
-from simnfnd.factory.sonar.surface import Extent
-from simnfnd.factory.sonar.window import Window
-from simnfnd.factory.sonar.window_fit import fit_window, set_window
+from simnfnd.factory.sonar.window import Extent, Window, fit_window, set_window
 from tests.clouds import HALF_RAD, uniform_scene, window
 
 SHARP = {"point_spread": {"range_bins": 0, "beams": 0}}

@@ -12,11 +12,10 @@ from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import identity
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.noise.registry import blocks
+from simnfnd.factory.sonar.fan import rasterised
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
 from simnfnd.factory.sonar.window import Window
 from simnfnd.factory.sonar_randomization import draw as devices
-from simnfnd.factory.sonar_randomization.draw import fixed_raster
-from simnfnd.factory.sonar_randomization.raster import Raster
 
 H, W = 96, 152
 PLACE: dict[str, Any] = {"fx": 180.0, "fy": 180.0, "cx": 76.0, "cy": 48.0}
@@ -147,28 +146,29 @@ def test_a_wrong_key_is_named() -> None:
 
 
 def test_rasters_show_samples_as_they_are_or_between() -> None:
-    sonar = SonarSettings(
-        hfov_deg=30, beams=16, range_bins=24, image=ImageSettings(width_px=120, height_px=160)
-    )
     window = Window("slant_range", 1.0, 4.0, -1.0, 1.0)
     polar = (np.random.default_rng(0).integers(0, 256, (24, 16)) / 255).astype(np.float32)
-    nearest = Raster(nearest=True).picture(polar, window, sonar, noisy=True)
+
+    def picture(noisy: bool = True, **keys: Any) -> Any:
+        image = ImageSettings(width_px=120, height_px=160, **keys)
+        sonar = SonarSettings(hfov_deg=30, beams=16, range_bins=24, image=image)
+        return rasterised(polar, window, sonar, noisy=noisy)
+
+    nearest = picture(sampling="nearest")
     assert set(np.unique(nearest)) <= {0.0, *np.unique(polar)}
-    between = Raster().picture(polar, window, sonar, noisy=True)
-    assert len(np.unique(between)) > len(np.unique(polar))
-    enlarged = Raster(nearest=True, enlarged=1.7).picture(polar, window, sonar, noisy=True)
+    assert len(np.unique(picture())) > len(np.unique(polar))
+    enlarged = picture(sampling="nearest", enlarged=1.7)
     assert enlarged.shape == nearest.shape
     assert np.abs(enlarged - nearest).mean() < 0.1
-    jpeg = Raster(nearest=True, jpeg_quality=75)
-    np.testing.assert_array_equal(jpeg.picture(polar, window, sonar, noisy=False), nearest)
-    traces = jpeg.picture(polar, window, sonar, noisy=True) - nearest
-    assert 0.001 < np.abs(traces).mean() < 0.1
+    jpeg = {"sampling": "nearest", "jpeg_quality": 75}
+    np.testing.assert_array_equal(picture(noisy=False, **jpeg), nearest)
+    assert 0.001 < np.abs(picture(**jpeg) - nearest).mean() < 0.1
 
 
 def test_one_device_may_make_its_pixels_in_the_same_ways() -> None:
     words = ("devices=fixed", "noise=physical", "sonar.image.width_px=90")
     usual = compose_config(["experiment=physical", "sonar.image.width_px=90"])
-    assert fixed_raster(usual.sonar.image) is None
+    assert usual.sonar.image.plain
     said = identity(usual)["sonar"]["image"]
     assert said == {"layout": "fan", "width_px": 90, "height_px": 256}
     before = pair(*words)

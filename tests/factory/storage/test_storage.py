@@ -25,7 +25,7 @@ from simnfnd.factory.scheduler import run
 from simnfnd.factory.scheduler.results import RunReport
 from simnfnd.factory.scheduler.settings import ShardSlice
 from simnfnd.factory.storage import copies
-from simnfnd.factory.storage.copies import folder_of, forget_copy, local_folder, url_of
+from simnfnd.factory.storage.copies import folder_of, local_folder, url_of
 from simnfnd.factory.storage.publish import StoreLock, publishing
 from simnfnd.factory.storage.store import Store
 from simnfnd.verbs import VERBS
@@ -76,11 +76,10 @@ def test_a_dataset_on_a_storage_is_that_of_a_folder(url: str, local: Path) -> No
     assert {name: found[name] for name in found if "/" in name} == local_shards(local)
     there = {path.name for path in local.iterdir() if path.is_file()}
     assert {name for name in found if "/" not in name} == there - {"status.json"}
-    for name in ("manifest.json", "README.md", "croissant.json", "failed.jsonl"):
+    for name in ("manifest.json", "README.md", "failed.jsonl"):
         assert (name in found) == (local / name).exists()
     assert found["manifest.json"] == (local / "manifest.json").read_bytes()
     shutil.rmtree(folder_of(url))
-    copies._told.cache_clear()
     with PairDataset(url, verify="hash") as pairs, PairDataset(local) as expected:
         assert not list(pairs.folder.glob("t*/*.h5")), "nothing is fetched before it is asked for"
         assert len(pairs) == len(expected) == 24
@@ -184,7 +183,6 @@ def test_copies_stay_small(bucket: str, monkeypatch: Any) -> None:
     folder = local_folder(url, fresh=True)
     size = len(shards_of(url)["train/shard-00000.h5"])
     shutil.rmtree(copies.copies_folder())
-    copies._told.cache_clear()
     monkeypatch.setenv("SIMNFND_CLOUD_CACHE_BYTES", str(2 * size + size // 2))
     with PairDataset(url) as pairs:
         first = [sample["noisy"].tobytes() for sample in pairs]
@@ -266,19 +264,10 @@ def test_shuffled_samples_come_once_by_windows_of_shards(bucket: str, local: Pat
     assert first != sorted(first, reverse=True)
     url = f"{bucket}/shuffled"
     make(folder_of(url))
-    forget_copy(folder_of(url))
+    shutil.rmtree(folder_of(url))
     with PairDataset(url) as pairs:
         found = [every.index(sample["noisy"].tobytes()) for sample in pairs.shuffled(0, window=2)]
     assert found == orders[0]
-
-
-def test_the_table_of_a_url_is_that_of_a_folder(bucket: str, local: Path) -> None:
-    url = f"{bucket}/table"
-    make(folder_of(url))
-    forget_copy(folder_of(url))
-    with PairDataset(url) as distant, PairDataset(local) as near:
-        np.testing.assert_array_equal(distant.meta(), near.meta())
-        assert len(list(distant.folder.glob("train/*.h5"))) == len(distant.paths) > 1
 
 
 @pytest.mark.parametrize("verb", ["status", "merge", "view"])

@@ -27,7 +27,3 @@ def composed(*words: str) -> tuple[ModelsSettings, dict[str, Any]]:
     with initialize_config_module("simnfnd.conf", version_base="1.3"):
         values: Any = OmegaConf.to_container(compose("models", list(words)), resolve=True)
     return build(ModelsSettings, values), values
-
-
-def _no_picture(*_: object) -> None:
-    """Instead of drawing samples.png, which takes longer than the trainings here."""

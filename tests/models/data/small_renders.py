@@ -8,8 +8,8 @@ from typing import Any
 
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.cli.generate import run
-from simnfnd.factory.render.cache.views import CachedViews
 from simnfnd.factory.render.pack import write_pack
+from simnfnd.factory.render.views import CachedViews
 from simnfnd.models.data.pairs import hold_out, read_table
 from simnfnd.models.data.renders import RenderSource, open_renders
 from simnfnd.models.settings import RendersData

@@ -11,7 +11,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.models.data.crops import Crops, Visit, VisitSampler, concatenate, interval_sizes
+from simnfnd.models.data.crops import Crops, Visit, VisitSampler, concatenate
 from simnfnd.models.data.pairs import (
     PairReader,
     PairSource,
@@ -54,7 +54,7 @@ def test_spread_keeps_the_ends_of_a_long_list() -> None:
 
 def visits(images: int, data: Any, steps: int = 5, intervals: int = 7) -> list[list[Visit]]:
     """All steps of a training."""
-    sampler = VisitSampler(images, data, intervals, steps, seed=1)
+    sampler = VisitSampler(images, data, steps, seed=1)
     found = []
     for interval in range(intervals):
         sampler.begin(interval, 0)
@@ -71,29 +71,6 @@ def test_every_image_is_visited_before_any_is_visited_again() -> None:
     rounds = [[visit.image for visit in drawn[i : i + 7]] for i in range(0, 35, 7)]
     assert all(sorted(images) == list(range(7)) for images in rounds)
     assert len({tuple(images) for images in rounds}) > 1
-
-
-def test_stages_change_patch_and_batch_between_intervals() -> None:
-    stages = [{"share": 0.5, "patch": 16, "batch": 12}, {"share": 0.3, "patch": 24, "batch": 8}]
-    data = data_settings(stages=stages, patch=32, batch=4, crops=2)
-    assert interval_sizes(data, 10) == [(16, 12)] * 5 + [(24, 8)] * 3 + [(32, 4)] * 2
-    steps = visits(7, data, steps=3, intervals=10)
-    assert [len(step) for step in steps] == [6] * 15 + [4] * 9 + [2] * 6
-    drawn = [visit for step in steps for visit in step]
-    assert [visit.number for visit in drawn] == list(range(len(drawn)))
-    assert {visit.patch for visit in steps[0] + steps[15]} == {16, 24}
-
-
-def test_devices_share_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    data = data_settings(batch=6)
-    alone = visits(7, data)
-    parts = []
-    for rank in range(3):
-        monkeypatch.setattr("simnfnd.models.data.crops._rank", lambda rank=rank: (rank, 3))
-        parts.append(visits(7, data))
-    for step, *shares in zip(alone, *parts, strict=True):
-        assert sorted(visit for share in shares for visit in share) == sorted(step)
-        assert [len(share) for share in shares] == [2, 2, 2]
 
 
 def test_crops_are_windows_of_the_images_mirrored_at_most(dataset: Path) -> None:
@@ -148,7 +125,7 @@ def test_reading_processes_change_nothing(dataset: Path) -> None:
     def batches(workers: int) -> list[torch.Tensor]:
         loader = DataLoader(
             Crops(PairSource(samples, None, weaker=0.5), flip=True, seed=0),
-            batch_sampler=VisitSampler(len(samples), data, 1, 3, seed=0),
+            batch_sampler=VisitSampler(len(samples), data, 3, seed=0),
             collate_fn=concatenate,
             num_workers=workers,
             multiprocessing_context="spawn" if workers else None,

@@ -72,12 +72,12 @@ def test_kept_pictures_are_those_of_the_source_and_made_once() -> None:
 def test_the_sampler_goes_on_where_it_was_interrupted() -> None:
     data = data_settings(kind="renders", batch=4, crops=2, reuse=3)
     assert isinstance(data, RendersData)
-    whole = VisitSampler(7, data, intervals=6, steps=5, seed=1)
+    whole = VisitSampler(7, data, steps=5, seed=1)
     steps = []
     for interval in range(6):
         whole.begin(interval, 0)
         steps += list(whole)
-    later = VisitSampler(7, data, intervals=6, steps=5, seed=1)
+    later = VisitSampler(7, data, steps=5, seed=1)
     later.begin(4, 0)
     assert list(later) == steps[20:25]
     later.begin(4, 2)

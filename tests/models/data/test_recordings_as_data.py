@@ -12,7 +12,6 @@ from simnfnd.evaluation.real.shots import open_input
 from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.models.data.images import list_images, read_sample, smallest_side
 from simnfnd.models.data.olddata import OldDataSource
-from simnfnd.models.data.recordings import digest_of
 from simnfnd.models.data.sources import open_data
 from tests.models.data.data_settings import composed
 from tests.models.recordings.array_files import write_array
@@ -36,18 +35,16 @@ def test_frames_stand_beside_pictures(tmp_path: Path) -> None:
     np.testing.assert_array_equal(frames[1], read_sample(list_images(LAMPREY)[0])[0])
 
 
-def test_an_array_is_named(tmp_path: Path) -> None:
-    """Of a file with several, for training and for `evaluate real` alike."""
+def test_arrays_are_recordings_for_training_and_for_evaluate_real(tmp_path: Path) -> None:
     pictures = pings(9, 30, 40)
-    path = write_array(tmp_path / "a.npz", pictures, other=pictures[:2])
-    found = list_images(f"{path}::frames")
-    assert [sample.frame for sample in found] == [f"a.npz::frames#{n}" for n in range(9)]
+    path = write_array(tmp_path / "a.npz", pictures)
+    found = list_images(path)
+    assert [sample.frame for sample in found] == [f"a.npz#{n}" for n in range(9)]
     picture, _ = read_sample(found[5])
     np.testing.assert_allclose(picture, pictures[5] / 255, atol=1e-6)
-    assert digest_of(found) == digest_of(list_images(f"{path}::other"))  # that of the file
-    words = ("data=olddata", f"data.folder='{path}::frames'", "data.patch=16")
+    words = ("data=olddata", f"data.folder='{path}'", "data.patch=16")
     assert len(open_data(composed(*words)[0]).validation) > 0
-    stretches, _ = open_input(f"{path}::frames", 100)
+    stretches, _ = open_input(str(path), 100)
     assert [len(stretch.shots) for stretch in stretches] == [9]
 
 

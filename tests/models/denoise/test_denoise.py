@@ -117,21 +117,6 @@ def test_strength_is_the_part_of_the_change(tmp_path: Path) -> None:
     np.testing.assert_allclose(half[inside], ((gray + whole) / 2)[inside], atol=1e-6)
 
 
-def test_precision_changes_pictures_by_less_than_a_grey_level_on_average(tmp_path: Path) -> None:
-    weights = untrained_sonarnet(tmp_path)
-    gray = fan_images(40, np.random.default_rng(0))[0].astype(np.float32)
-    exact, half, auto = (
-        load_denoiser(weights, "cpu", precision=name)(gray)
-        for name in ("32-true", "bf16-mixed", "auto")
-    )
-    assert np.abs(exact - gray).max() > 0.01
-    assert not np.array_equal(half, exact)
-    assert np.abs(half - exact).mean() < 1 / 255
-    assert any(np.array_equal(auto, one) for one in (exact, half))
-    with pytest.raises(FactoryError, match=r"--precision double: is none of auto, 32-true"):
-        load_denoiser(weights, "cpu", precision="double")
-
-
 def test_what_cannot_be_removed_is_said(
     tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -52,7 +52,7 @@ def test_a_fan_is_found_in_pictures_of_a_topic(
     path = write_bag(tmp_path / "a.bag", topics)
     out = ["--out", str(tmp_path / "out")]
     assert main([str(path), *out, "--topic", "/sonar"]) == 0
-    assert f"geometry: fan found in 1 of 1 pictures ({path})" in capsys.readouterr().out
+    assert f"geometry: fan found in 1 of 1 pictures searched ({path})" in capsys.readouterr().out
     assert [told is not None for told in halving.told] == [True, True]
     assert halving.told[0] is not None
     assert halving.told[0].apex_y_px == pytest.approx(true.apex_y_px, abs=2)

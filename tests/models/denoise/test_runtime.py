@@ -15,7 +15,7 @@ import torch
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
-from simnfnd.models.denoise.runtime import OnnxNetwork, TorchNetwork, open_runtime
+from simnfnd.models.denoise.runtime import OnnxNetwork, TorchNetwork
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
 from simnfnd.models.pretrained import find_weights, shipped
@@ -134,8 +134,6 @@ def test_what_it_cannot_run_is_refused_in_a_line(tmp_path: Path) -> None:
         OnnxNetwork(other, graph, "cpu")
     with pytest.raises(FactoryError, match="no usable GPU"):
         OnnxNetwork(weights, graph, "gpu")
-    with pytest.raises(FactoryError, match="--precision half: is none of"):
-        open_runtime(weights, "cpu", "half")
 
 
 def test_a_network_without_such_inputs_is_refused(tmp_path: Path) -> None:

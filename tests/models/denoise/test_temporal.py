@@ -246,8 +246,8 @@ def test_the_recording_chooses_the_strength() -> None:
 
     perfect, spoiling = chosen(truth), chosen(np.zeros_like(truth))
     assert perfect.measured >= 2
-    assert perfect.whole[2:5, 1].min() > 0.8
-    assert np.abs(spoiling.whole[2:5, 1]).max() < 0.2
+    assert perfect.weights.whole[2:5, 1].min() > 0.8
+    assert np.abs(spoiling.weights.whole[2:5, 1]).max() < 0.2
 
 
 def test_total_variation_removes_noise_and_keeps_edges() -> None:

@@ -14,8 +14,7 @@ from safetensors.torch import save
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.models.networks import NETWORKS, build_network
-from simnfnd.models.networks.cost import count_macs
-from simnfnd.models.networks.network import Network
+from simnfnd.models.networks.network import Network, count_macs
 from simnfnd.models.networks.restormer import ChannelAttention
 from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.networks.weights_file import FORMAT
@@ -234,6 +233,7 @@ def test_configs_are_those_of_the_registry() -> None:
     assert found == set(KINDS)
     for kind, config in SHIPPED.items():
         assert config["kind"] == kind
-        module, settings_name, _ = NETWORKS[kind]
-        fields = getattr(import_module(module), settings_name).__dataclass_fields__
+        module, name = NETWORKS[kind]
+        module = import_module(f"simnfnd.models.networks.{module}")
+        fields = getattr(module, f"{name}Settings").__dataclass_fields__
         assert set(config) == set(fields)

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
-from simnfnd.models.networks.cost import example
 from simnfnd.models.networks.network import Network
 from simnfnd.models.networks.polar import polar_grid
 from simnfnd.models.networks.sonarnet import SonarNet
@@ -20,7 +19,14 @@ from tests.models.networks.tiny_networks import stirred, tiny
 
 
 def told(network: Network, size: int) -> tuple[Tensor, dict[str, Tensor]]:
-    image, extras = example(network, size)
+    """A random picture of a fan of 60 degrees that fills it, and what goes with it."""
+    image = torch.rand(1, 1, size, size, generator=torch.Generator().manual_seed(0))
+    step = (torch.arange(size) + 0.5) / size
+    ahead, right = 1 - 0.9 * step[:, None], (step - 0.5)[None]
+    radius, azimuth = torch.hypot(ahead, right), torch.atan2(right, ahead)
+    sector = ((azimuth.abs() <= torch.pi / 6) & (radius <= 1)).float()
+    maps = {"range_fraction": radius, "azimuth_rad": azimuth, "sector": sector}
+    extras = {name: x[None, None] for name, x in maps.items() if name in network.extras}
     return image * extras["sector"], extras
 
 

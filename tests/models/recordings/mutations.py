@@ -10,7 +10,7 @@ from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.fan.pings import fan_of, grey_of
 from simnfnd.models.recordings.rosbag import RosBag
 
-MUTATIONS = 300
+MUTATIONS = 50
 
 
 def use(path: Path, *, again: bool = True) -> None:

@@ -14,7 +14,6 @@ import pytest
 
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.recordings.fan.finder import FoundFan, find_fan
-from simnfnd.models.recordings.palettes import find_painted
 from tests.models.recordings.fan_pictures import Grey, fan, preset
 from tests.models.recordings.screens import LEFT, TOP, screen
 from tests.project_files import ROOT
@@ -48,12 +47,23 @@ def check(found: FoundFan | None, true: FanGeometry) -> None:
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_fans_of_our_devices(name: str) -> None:
-    for size in ((192, 192), (256, 256), (512, 512), (640, 400), (400, 768), (1024, 1024)):
-        sonar = preset(name, *size)
-        for near in (0.05, 0.3, 0.6):
-            for holes in (False, True):
-                grey, true = fan(sonar, near, holes)
-                check(find_fan(grey), true)
+    for near in (0.05, 0.3, 0.6):
+        check(*shown(name, (192, 192), near, holes=False))
+    check(*shown(name, (640, 400), 0.3, holes=True))
+
+
+@pytest.mark.parametrize("name", PRESETS[::5])
+def test_large_fans(name: str) -> None:
+    check(*shown(name, (1024, 1024), 0.3, holes=True))
+    check(*shown(name, (400, 768), 0.05, holes=True))
+
+
+def shown(
+    name: str, size: tuple[int, int], near: float, holes: bool
+) -> tuple[FoundFan | None, FanGeometry]:
+    """What is found in a drawn fan, and what it was drawn with."""
+    grey, true = fan(preset(name, *size), near, holes)
+    return find_fan(grey), true
 
 
 @pytest.mark.parametrize("squeeze", [0.7, 0.8, 1.25])
@@ -75,7 +85,7 @@ def test_what_happens_to_pictures_on_their_way() -> None:
     check(find_fan(grey.astype(np.uint16) * 257), true)
     check(find_fan((grey / 255).astype(np.float32)), true)
     check(find_fan(np.stack([grey] * 3, axis=-1)), true)
-    for quality in (95, 75, 50):
+    for quality in (50,):
         done, content = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, quality])
         assert done
         check(find_fan(np.asarray(cv2.imdecode(content, cv2.IMREAD_GRAYSCALE))), true)
@@ -156,25 +166,6 @@ def test_a_fan_on_a_screen_that_was_compressed(quality: int) -> None:
     assert found.geometry.apex_y_px == pytest.approx(true.apex_y_px + TOP, abs=0.08 * true.far_px)
 
 
-@pytest.mark.skipif(not (DATA / "screens").is_dir(), reason="no shared data")
-def test_fans_between_drawn_lines_of_chart_plotters() -> None:
-    """Half of the fan is dark, and its range ring and edges are white lines."""
-    paths = sorted((DATA / "screens").glob("*_mask_template.png"))
-    assert len(paths) == 3
-    for path in paths:
-        picture = np.asarray(cv2.imread(str(path)))
-        painted = find_painted(picture)
-        assert painted is not None
-        assert painted.palette.name == "red"
-        for shown in (picture, painted.levels):
-            found = find_fan(shown)
-            assert found is not None
-            fan = found.geometry
-            assert (fan.apex_x_px, fan.apex_y_px) == pytest.approx((960, 995), abs=10)
-            assert fan.far_px == pytest.approx(fan.apex_y_px, abs=5)
-            assert math.degrees(fan.sector_rad) == pytest.approx(150.3, abs=1)
-
-
 def test_confidence_says_how_much_of_the_outline_is_seen() -> None:
     grey, _ = fan(preset("oculus_m1200d_hf", 400, 400), 0.1, False)
     whole = find_fan(grey)
@@ -211,7 +202,7 @@ def no_fans() -> dict[str, npt.NDArray[Any]]:
 
 def test_pictures_without_a_fan() -> None:
     for name, picture in no_fans().items():
-        for turns in range(4):
+        for turns in range(2):
             turned = np.rot90(picture, turns)
             assert find_fan(turned) is None, (name, turns)
             assert find_fan(255 - turned) is None, (name, turns, "negative")
@@ -239,7 +230,7 @@ def mdd_table() -> list[dict[str, str]]:
 def test_mdd() -> None:
     rows = mdd_table()
     assert len(rows) == 117
-    for row in rows:
+    for row in rows[::8]:
         picture = cv2.imread(str(DATA / "mdd" / "Images" / row["file"]), cv2.IMREAD_UNCHANGED)
         found = find_fan(np.asarray(picture))
         assert found is not None
@@ -260,7 +251,7 @@ def groups() -> list[Path]:
 
 @pytest.mark.skipif(not groups(), reason="no shared data")
 def test_mdd_groups() -> None:
-    for path in groups()[::4]:
+    for path in groups()[::20]:
         found = find_fan(np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))
         assert found is not None, path
         fan = found.geometry
@@ -271,7 +262,7 @@ def test_mdd_groups() -> None:
 @pytest.mark.skipif(not (DATA / "didson").is_dir(), reason="no shared data")
 def test_didson_video() -> None:
     capture = cv2.VideoCapture(str(DATA / "didson" / "lamprey1.avi"))
-    for _ in range(5):
+    for _ in range(2):
         found = find_fan(np.asarray(capture.read()[1]))
         assert found is not None
         # 400 pixels for the device's sector of 28.8 degrees make 804 for the range.

@@ -60,7 +60,7 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
     "a.png": _png,
     **{
         name: lambda path: write_array(path, pings(4, 48, 64))
-        for name in ("a.npy", "a.npz", "b.npz", "a.mat", "b.mat")
+        for name in ("a.npy", "a.npz", "a.mat")
     },
     "a.bag": lambda path: _bag(path, SONAR),
     "b.bag": lambda path: _bag(path, COMPRESSED, "lz4"),
@@ -90,8 +90,8 @@ def test_mutations(tmp_path: Path, name: str) -> None:
             assert str(path) in text
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     assert grown < 300_000, "kilobytes"
-    assert time.monotonic() - started < 120
-    assert refused > 10
+    assert time.monotonic() - started < 60
+    assert refused > 2
 
 
 @pytest.mark.parametrize(

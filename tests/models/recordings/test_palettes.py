@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simnfnd.models.recordings.fan.finder import find_fan
@@ -76,6 +76,7 @@ def test_levels_of_a_map_that_nobody_knows(ramp: Bytes) -> None:
     assert np.abs(again.astype(int) - higher).mean() < 1.5
 
 
+@settings(max_examples=30)
 @given(st.integers(0, 2**31), st.sampled_from([*KNOWN, "own"]), st.sampled_from(["u1", "u2", "f4"]))
 def test_what_does_not_change_keeps_its_colours(seed: int, name: str, dtype: str) -> None:
     """Of any kind, with an alpha channel, a line of text and a page around."""

@@ -5,23 +5,16 @@ from __future__ import annotations
 import copy
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
 import torch
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
-from simnfnd.factory.sonar.fan import fan_table
-from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
 from simnfnd.models import WEIGHTS_NAME
-from simnfnd.models.data.pairs import Sample
-from simnfnd.models.data.recordings import WithRecordings, digest_of, frames_with_geometry
 from simnfnd.models.losses import build_loss
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
-from simnfnd.models.training.teacher import Teacher
+from simnfnd.models.training.module import Teacher
 from simnfnd.models.training.train import train
 from tests.models.training.small_training import SMALL, config_for, train_small
 from tests.small_dataset import write_dataset
@@ -114,90 +107,3 @@ def test_odd_teachers_are_one_line(teacher: Path, dataset: Path, tmp_path: Path)
     words = ("model=dgp_srgan", *(word for word in SMALL if not word.startswith("model.")))
     with pytest.raises(FactoryError, match=r"train\.teacher.*network with a critic"):
         train(*config_for(dataset, tmp_path / "alone", *words, f"train.teacher='{teacher}'"))
-
-
-@pytest.fixture(scope="module")
-def fans(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two pictures of a fan on black, and one without."""
-    folder = tmp_path_factory.mktemp("fans")
-    sonar = SonarSettings(image=ImageSettings(width_px=120, height_px=160))
-    table = fan_table(sonar, 0.25)
-    rng = np.random.default_rng(4)
-    for number in range(2):
-        fan = table.nearest(rng.integers(60, 200, (256, 256)).astype(np.uint8))
-        cv2.imwrite(str(folder / f"fan{number}.png"), fan)
-    cv2.imwrite(str(folder / "photo.png"), rng.integers(60, 200, (160, 120)).astype(np.uint8))
-    return folder
-
-
-class _Drawn:
-    """A source of one picture, whose clean one is known."""
-
-    def __len__(self) -> int:
-        return 3
-
-    def sample(self, index: int, visit: int | None) -> Sample:
-        picture = np.full((160, 120), 0.5, np.float32)
-        return Sample(picture, picture, picture, FanGeometry.polar().with_size(160, 120))
-
-
-def test_a_share_of_the_visits_shows_recordings(fans: Path) -> None:
-    frames = frames_with_geometry([str(fans)])
-    assert [one.frame for one in frames] == ["fan0.png", "fan1.png"]
-    source = WithRecordings(_Drawn(), frames, 0.3, 64, seed=1)
-    found = [source.sample(index, visit) for visit in range(100) for index in range(3)]
-    real = [one for one in found if one.clean is not None and np.isnan(one.clean).all()]
-    assert 60 < len(real) < 120
-    assert all(one.geometry is not None for one in real)
-    assert all(source.sample(index, None).clean is not None for index in range(3))
-    assert not np.isnan(source.sample(0, None).clean).any()  # type: ignore[arg-type]
-    again = [source.sample(index, visit) for visit in range(100) for index in range(3)]
-    assert all(np.array_equal(a.noisy, b.noisy) for a, b in zip(found, again, strict=True))
-
-
-def test_recordings_without_a_fan_or_too_small_are_one_line(fans: Path, tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "photo.png"), cv2.imread(str(fans / "photo.png")))
-    with pytest.raises(FactoryError, match=r"teacher_recordings.*no frame with a fan"):
-        frames_with_geometry([str(tmp_path)])
-    source = WithRecordings(_Drawn(), frames_with_geometry([str(fans)]), 1.0, 128, seed=1)
-    with pytest.raises(FactoryError, match=r"160x120 pixels, fewer than data\.patch=128"):
-        source.sample(0, 0)
-
-
-def test_where_nobody_knows_better_the_teacher_is_right(teacher: Path) -> None:
-    batch = batch_of()
-    with torch.no_grad():
-        output = load_weights(teacher).network.with_heads(batch["noisy"])
-    batch["clean"][1] = np.nan
-    batch["shadow"][1] = 0
-    student = {"shadow_logits": torch.zeros(2, 1, 16, 16), "weight": torch.full((2,), 0.7)}
-    loss = build_loss({"kind": "l1", "square": 2.0, "mask": 0.05, "blend": 0.02})
-    prediction = (batch["noisy"] * 0.9).requires_grad_()
-    got = Teacher(teacher, 0.5).loss(loss, prediction, {**batch, **student})
-    seen = torch.sigmoid(output.shadow_logits)
-    known = {
-        **{"noisy": batch["noisy"], **student},
-        "shadow": torch.stack([batch["shadow"][0], seen[1]]),
-    }
-    clean = torch.stack([batch["clean"][0], output.image[1]])
-    lesson = {"shadow_logits": student["shadow_logits"], "shadow": seen, "noisy": batch["noisy"]}
-    want = 0.5 * loss(prediction, output.image, lesson) + 0.5 * loss(prediction, clean, known)
-    torch.testing.assert_close(got, want)
-    got.backward()
-    assert prediction.grad is not None
-    assert torch.isfinite(prediction.grad).all()
-
-
-def test_recordings_are_learned_from_and_named_by_content(
-    teacher: Path, dataset: Path, fans: Path, tmp_path: Path
-) -> None:
-    words = ["model=sonarnet", "model.widths=[8,8]", "model.blocks=[1,1]", "model.lines=false"]
-    words += [word for word in SMALL if not word.startswith("model.")]
-    words += [f"train.teacher='{teacher}'", f"train.teacher_recordings=['{fans}']"]
-    row = train(*config_for(dataset, tmp_path / "student", *words))
-    assert np.isfinite(row["loss"])
-    training = load_weights(tmp_path / "student" / WEIGHTS_NAME).training
-    assert training["train.teacher_recordings"] == digest_of(frames_with_geometry([str(fans)]))
-    assert training["train.teacher_recordings_share"] == 0.3
-    with pytest.raises(FactoryError, match=r"teacher_recordings: .* name a train\.teacher"):
-        train_small(dataset, tmp_path / "alone", f"train.teacher_recordings=['{fans}']")

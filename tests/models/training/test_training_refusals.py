@@ -64,9 +64,8 @@ def test_a_step_of_one_image_takes_it_whole(dataset: Path, tmp_path: Path) -> No
     words = ("data.patch=64", "data.batch=1", "data.crops=1")
     row = train_small(dataset, tmp_path / "whole", *words)
     assert np.isfinite(row["loss"])
-    stages = "data.stages=[{share: 0.5, patch: 64, batch: 2}]"
     with pytest.raises(FactoryError, match=r"patch=64 is larger than .*or data\.batch=data\.crops"):
-        train_small(dataset, tmp_path / "mixed", *words, stages)
+        train_small(dataset, tmp_path / "mixed", "data.patch=64", "data.batch=2")
 
 
 def test_unusable_datasets_are_refused(tmp_path: Path) -> None:

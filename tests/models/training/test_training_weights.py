@@ -92,22 +92,6 @@ def test_what_cannot_ship_is_refused(weights: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "x.safetensors").exists()
 
 
-def test_a_setting_may_change_after_training(tmp_path: Path) -> None:
-    polar = {"kind": "sonarnet", "widths": [4, 4], "blocks": [0, 0], "polar": False}
-    config = {**polar, "lines": False, "mask": True, "mirror": False, "forget": 0.0}
-    trained, out = tmp_path / "trained.safetensors", tmp_path / "out.safetensors"
-    save_weights(trained, build_network(config), config, {})
-    assert main([str(trained), "--out", str(out), "--set", "mirror=true"]) == 0
-    assert load_weights(out).model == {**config, "mirror": True}
-    with pytest.raises(FactoryError, match="set only what does not change its sizes"):
-        export(trained, out, changes={"widths": [4, 8]})
-    with pytest.raises(FactoryError, match=r"model\.mirror"):
-        export(trained, out, changes={"mirror": "much"})
-    with pytest.raises(FactoryError, match="--set mirror: is no KEY=VALUE"):
-        main([str(trained), "--out", str(out), "--set", "mirror"])
-    assert load_weights(out).model["mirror"] is True
-
-
 def test_weights_that_ship_are_found_by_name(
     weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -18,12 +18,12 @@ from simnfnd.factory.scheduler.workers.contract import (
     BackendName,
     Pool,
     WorkerSettings,
-    open_backend,
+    workers_of,
 )
 from simnfnd.factory.scheduler.workers.local import LocalBackend, WorkerDied
 from simnfnd.factory.scheduler.workers.tasks import TaskLost, TaskPool
 from tests.project_files import ROOT
-from tests.worker_processes import workers_of
+from tests.worker_processes import workers_of as processes_of
 
 HEAVY, LIGHT = Pool("heavy", 1, also_takes=("light",)), Pool("light", 1)
 
@@ -40,7 +40,7 @@ def task(name: str) -> tuple[str, int]:
 
 
 def children() -> list[psutil.Process]:
-    return workers_of(os.getpid())
+    return processes_of(os.getpid())
 
 
 def test_a_task_that_dies_or_sleeps_costs_itself_alone() -> None:
@@ -114,27 +114,9 @@ def test_a_worker_that_dies_idle_or_cannot_send_its_answer_is_no_end() -> None:
         workers.stop()
 
 
-def test_tasks_may_be_added_between_results() -> None:
-    waiting, done = deque(["a"]), []
-    with TaskPool(1) as pool:
-        for name, outcome in pool.run(task, waiting, lambda _: 60.0):
-            assert outcome == (name, os.getpid()), "one worker is this process"
-            done.append(name)
-            if name == "a":
-                waiting.append("b")
-    assert done == ["a", "b"]
-
-
-def test_what_a_task_raises_is_raised_here_and_the_workers_stop() -> None:
-    with pytest.raises(ZeroDivisionError), TaskPool(2) as pool:
-        list(pool.run(task, deque(["fail"]), lambda _: 60.0))
-    assert not children()
-
-
 @pytest.mark.parametrize("backend", ["local", "dask"])
 def test_a_pool_that_takes_others_tasks_prefers_its_own(backend: BackendName) -> None:
-    workers = open_backend(WorkerSettings((HEAVY, LIGHT), backend))
-    try:
+    with workers_of(WorkerSettings((HEAVY, LIGHT), backend)) as workers:
         first = workers.submit(task, "a", 60.0, "heavy")
         assert not workers.free("heavy")
         assert workers.free("light")
@@ -142,8 +124,6 @@ def test_a_pool_that_takes_others_tasks_prefers_its_own(backend: BackendName) ->
         (_, heavy), (_, light) = first.result(60), second.result(60)
         assert heavy != light
         assert workers.submit(task, "c", 60.0, "heavy").result(60) == ("c", heavy)
-    finally:
-        workers.stop()
 
 
 def test_workers_know_nothing_of_datasets() -> None:

@@ -63,11 +63,6 @@ def test_libraries_that_were_loaded_for_other_threads_are_loaded_anew() -> None:
     assert (parent, loaded, threads) == (os.getpid(), False, "2")
 
 
-def test_who_names_nothing_gets_processes_of_this_one() -> None:
-    assert asked(preload=())[1:3] == (os.getpid(), False)
-    assert not template.runs()
-
-
 def test_environment_and_folder_are_those_of_now(
     monkeypatch: pytest.MonkeyPatch, tmp_path: object
 ) -> None:

@@ -1,0 +1,275 @@
+"""Compiled loops over the pixels of a depth image: surfaces, normals, light, traced shadows.
+
+Imported where they are used: see `simnfnd.factory.compiled`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..compiled import compiled
+
+_READ = "Array(float32, 2, 'C', readonly=True)"
+# Depth (H, W); its `joints`; across (W,) and down (H,), the directions of columns and rows as
+# depth multiplies them.
+_GRID = f"Tuple(({_READ}, uint8[:, ::1], float64[::1], float64[::1]))"
+_OUT = "float32[:, ::1]"
+
+# What a pixel is joined to.  RISING is of the pixel on its right and the one below it.
+RIGHT, DOWN, FALLING, RISING = 1, 2, 4, 8
+
+# A step between neighbours is large when over this part of the edge ratio.  At the default ratio
+# that is 2 % of the depth, more than the steps in which structured-light cameras measure.
+_LARGE_STEP = 0.2
+# A large step belongs to a slope when at most this many times the step before or after it.  The
+# limb of a sphere, the steepest smooth outline there is, ends in steps of 1 : 2.4.
+_SLOPE_CHANGE = np.float32(3)
+_ZERO, _LEAST_M2 = np.float32(0), np.float32(1e-12)
+
+
+@compiled()
+def _depth_at(depth_m: Any, row: Any, column: Any) -> Any:
+    if row < 0 or column < 0 or row >= depth_m.shape[0] or column >= depth_m.shape[1]:
+        return _ZERO
+    return depth_m[row, column]
+
+
+@compiled()
+def _joined(depth_m: Any, at: Any, step_to: Any, limit: Any, small: Any) -> Any:
+    (row, column), (down, across) = at, step_to
+    first, second = depth_m[row, column], depth_m[row + down, column + across]
+    step, nearer = abs(second - first), min(first, second)
+    if not step < limit * nearer:
+        return False
+    if step <= small * nearer:
+        return True
+    rise = _ZERO
+    there = _depth_at(depth_m, row - down, column - across)
+    if there > 0:
+        rise = first - there if second > first else there - first
+    there = _depth_at(depth_m, row + 2 * down, column + 2 * across)
+    if there > 0:
+        rise = max(rise, there - second if second > first else second - there)
+    return step <= _SLOPE_CHANGE * rise
+
+
+@compiled(f"uint8[:, ::1]({_READ}, float64)")
+def joints(depth_m: Any, edge_ratio: Any) -> Any:
+    """(H, W) uint8: the sum of RIGHT, DOWN, FALLING, RISING of each pixel of (H, W) depths.
+
+    Two neighbours are one surface when both are measured and differ by less than `edge_ratio` of
+    the nearer depth.  Of such steps, a large one (over a fifth of that) must continue the slope on
+    one of its sides at least: the ground seen at grazing incidence is a run of large steps and
+    stays whole, while a low object's outline, where one step sticks out, is an edge.
+    """
+    height, width = depth_m.shape
+    limit, small = np.float32(edge_ratio), np.float32(_LARGE_STEP * edge_ratio)
+    bits = np.zeros((height, width), np.uint8)
+    for row in range(height):
+        for column in range(width):
+            found = 0
+            here, inner = (row, column), column + 1 < width
+            if inner and _joined(depth_m, here, (0, 1), limit, small):
+                found |= RIGHT
+            if row + 1 < height:
+                if _joined(depth_m, here, (1, 0), limit, small):
+                    found |= DOWN
+                if inner and _joined(depth_m, here, (1, 1), limit, small):
+                    found |= FALLING
+                if inner and _joined(depth_m, (row, column + 1), (1, -1), limit, small):
+                    found |= RISING
+            bits[row, column] = found
+    return bits
+
+
+@compiled()
+def _normal(grid: Any, row: Any, column: Any) -> Any:
+    """Unit normal of a pixel's surface, towards the camera; (0, 0, 0) without any neighbour.
+
+    By central differences over the neighbours joined to it, one-sided next to an edge.  With
+    neighbours along one direction alone, it faces the camera as far as that allows.
+    """
+    depth_m, bits, across, down = grid
+    z = depth_m[row, column]
+    x, y = np.float32(across[column] * z), np.float32(down[row] * z)
+    ax = ay = az = dx = dy = dz = _ZERO
+    if bits[row, column] & RIGHT:
+        there = depth_m[row, column + 1]
+        ax += np.float32(across[column + 1] * there) - x
+        ay += np.float32(down[row] * there) - y
+        az += there - z
+    if column > 0 and bits[row, column - 1] & RIGHT:
+        there = depth_m[row, column - 1]
+        ax += x - np.float32(across[column - 1] * there)
+        ay += y - np.float32(down[row] * there)
+        az += z - there
+    if bits[row, column] & DOWN:
+        there = depth_m[row + 1, column]
+        dx += np.float32(across[column] * there) - x
+        dy += np.float32(down[row + 1] * there) - y
+        dz += there - z
+    if row > 0 and bits[row - 1, column] & DOWN:
+        there = depth_m[row - 1, column]
+        dx += x - np.float32(across[column] * there)
+        dy += y - np.float32(down[row - 1] * there)
+        dz += z - there
+    nx, ny, nz = dy * az - dz * ay, dz * ax - dx * az, dx * ay - dy * ax
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    if length == 0:
+        lx, ly, lz = ax + dx, ay + dy, az + dz
+        along = np.sqrt(lx * lx + ly * ly + lz * lz)
+        if along == 0:
+            return _ZERO, _ZERO, _ZERO
+        lx, ly, lz = lx / along, ly / along, lz / along
+        towards = x * lx + y * ly + z * lz
+        nx, ny, nz = towards * lx - x, towards * ly - y, towards * lz - z
+        length = np.sqrt(nx * nx + ny * ny + nz * nz)
+        if length == 0:
+            return _ZERO, _ZERO, _ZERO
+    return nx / length, ny / length, nz / length
+
+
+@compiled(f"void({_GRID}, int64, int64, float32[:, :, ::1], float32[:, :, ::1])")
+def orient(grid: Any, first: Any, stride: Any, points_m: Any, normals: Any) -> None:
+    """Fill points and normals (h, w, 3) of every `stride`-th pixel from (first, first) on."""
+    for i in range(points_m.shape[0]):
+        for j in range(points_m.shape[1]):
+            row, column = first + i * stride, first + j * stride
+            z = grid[0][row, column]
+            points_m[i, j, 0], points_m[i, j, 1] = grid[2][column] * z, grid[3][row] * z
+            points_m[i, j, 2] = z
+            normal = _normal(grid, row, column)
+            normals[i, j, 0], normals[i, j, 1], normals[i, j, 2] = normal
+
+
+@compiled(f"void({_GRID}, float32[::1], UniTuple({_OUT}, 3))")
+def facing(grid: Any, sonar_m: Any, filled: Any) -> None:
+    """Fill the cosines of incidence from camera and sonar, and (range to camera / to sonar)^2.
+
+    `simnfnd.factory.sonar.surface.mount_weight` says what for.  filled: (H, W) each.
+    sonar_m: (3,) position in camera axes, metres.
+    """
+    to_camera, to_sonar, nearer = filled
+    height, width = to_camera.shape
+    for row in range(height):
+        for column in range(width):
+            z = grid[0][row, column]
+            x, y = np.float32(grid[2][column] * z), np.float32(grid[3][row] * z)
+            nx, ny, nz = _normal(grid, row, column)
+            camera_m2 = max(x * x + y * y + z * z, _LEAST_M2)
+            to_camera[row, column] = -(nx * x + ny * y + nz * z) / np.sqrt(camera_m2)
+            tx, ty, tz = sonar_m[0] - x, sonar_m[1] - y, sonar_m[2] - z
+            sonar_m2 = max(tx * tx + ty * ty + tz * tz, _LEAST_M2)
+            to_sonar[row, column] = (nx * tx + ny * ty + nz * tz) / np.sqrt(sonar_m2)
+            nearer[row, column] = camera_m2 / sonar_m2
+
+
+@compiled(f"{_OUT}({_GRID}, boolean[:, ::1], {_READ}, float32[::1])")
+def shade(grid: Any, mask: Any, albedo: Any, sonar_m: Any) -> Any:
+    """(H, W) float32 radiance of all pixels, 0 off the surface; no shadows.
+
+    Lambert's and the inverse-square law: albedo * max(cos(incidence), 0) / range^2.
+    """
+    height, width = mask.shape
+    radiance = np.zeros((height, width), np.float32)
+    for row in range(height):
+        for column in range(width):
+            if not mask[row, column]:
+                continue
+            z = grid[0][row, column]
+            tx = sonar_m[0] - np.float32(grid[2][column] * z)
+            ty = sonar_m[1] - np.float32(grid[3][row] * z)
+            tz = sonar_m[2] - z
+            nx, ny, nz = _normal(grid, row, column)
+            square_m2 = tx * tx + ty * ty + tz * tz
+            facing_m = nx * tx + ny * ty + nz * tz
+            if facing_m > 0 and square_m2 > 0:
+                cubic_m3 = square_m2 * np.sqrt(square_m2)
+                radiance[row, column] = albedo[row, column] * facing_m / cubic_m3
+    return radiance
+
+
+@compiled(f"{_OUT}({_READ}, {_READ}, boolean[:, ::1], {_READ}, int64, int64, float32)")
+def apply_traced(
+    radiance: Any, depth_m: Any, known: Any, ratio: Any, first: Any, stride: Any, limit: Any
+) -> Any:
+    """(H, W) float32: full-resolution `radiance` times what tracing every n-th pixel found.
+
+    known, ratio: (h, w) traced over closed-form radiance of the pixels from (first, first) on.  Of
+    the four around a pixel, those count whose depth differs by less than `limit` of the nearer one,
+    by bilinear weight and the more the less it differs: where most of the weight is dark, the pixel
+    is.  Without any, it keeps its own.
+    """
+    made = np.zeros(radiance.shape, np.float32)
+    h, w = known.shape
+    for row in range(radiance.shape[0]):
+        above = (row - first) // stride
+        v = np.float32((row - first - above * stride) / stride)
+        for column in range(radiance.shape[1]):
+            if not radiance[row, column] > 0:
+                continue
+            left = (column - first) // stride
+            u = np.float32((column - first - left * stride) / stride)
+            here, lit, dark, total = depth_m[row, column], 0.0, 0.0, 0.0
+            for corner in range(4):
+                down, across = corner >> 1, corner & 1
+                i, j = min(max(above + down, 0), h - 1), min(max(left + across, 0), w - 1)
+                there = depth_m[first + i * stride, first + j * stride]
+                step, most = abs(there - here), limit * min(there, here)
+                if not (known[i, j] and step < most):
+                    continue
+                vertical, horizontal = v if down else 1 - v, u if across else 1 - u
+                # Never nothing: a pixel of an edge may have one neighbour alone.
+                weight = np.float32(vertical * horizontal + 1e-6) * (1 - step / most)
+                if ratio[i, j] > 0:
+                    lit += weight
+                    total += weight * ratio[i, j]
+                else:
+                    dark += weight
+            if lit + dark == 0:
+                made[row, column] = radiance[row, column]
+            elif lit >= dark:
+                made[row, column] = radiance[row, column] * (total / lit)
+    return made
+
+
+@compiled("float32[:, ::1](float32[:, ::1], int64)")
+def box_mean(values: Any, side: Any) -> Any:
+    """(H, W) float32: means over `side` x `side` pixels, an odd number, those beyond the border 0.
+
+    Sums run on in double precision, along a row (up to 5 pixels are added anew) and then down the
+    columns: as OpenCV's, to the bit.
+    """
+    height, width = values.shape
+    reach = side // 2
+    along = np.empty((height, width))
+    for row in range(height):
+        total = 0.0
+        for column in range(min(reach + 1, width)):
+            total += float(values[row, column])
+        along[row, 0] = total
+        for column in range(1, width):
+            coming, going = column + reach, column - reach - 1
+            new = float(values[row, coming]) if coming < width else 0.0
+            old = float(values[row, going]) if going >= 0 else 0.0
+            total += new - old
+            if side <= 5:
+                total = 0.0
+                for near in range(max(column - reach, 0), min(column + reach + 1, width)):
+                    total += float(values[row, near])
+            along[row, column] = total
+    means = np.empty((height, width), np.float32)
+    totals = np.zeros(width)
+    for row in range(min(reach, height)):
+        for column in range(width):
+            totals[column] += along[row, column]
+    share = 1.0 / (side * side)
+    for row in range(height):
+        coming, going = row + reach, row - reach
+        for column in range(width):
+            sum_here = totals[column] + (along[coming, column] if coming < height else 0.0)
+            means[row, column] = np.float32(sum_here * share)
+            totals[column] = sum_here - (along[going, column] if going >= 0 else 0.0)
+    return means

@@ -1,0 +1,691 @@
+"""The catalogue of objects: how each kind is built, and how it weathers.
+
+What people drop (the classes of the Marine Debris Dataset, and barrels), what grows or lies there,
+and what people build.  Every builder draws its own size and colours and returns a mesh that rests
+on z = 0; `chain` and `pipe` take the ground height as a function of (x, y) and come in world
+coordinates.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ...seeds import stream
+from .fields import WORLD_SEED, Floats, smoothstep, waves
+from .meshes import (
+    Colour,
+    Mesh,
+    bar,
+    box,
+    circle,
+    grid_triangles,
+    join,
+    lathe,
+    mesh,
+    prism,
+    rock,
+    rotation,
+    rough,
+    sphere,
+    tube,
+)
+
+Points = npt.NDArray[np.float64]
+GroundHeight = Callable[[Points, Points], Floats]
+
+GLASS: tuple[Colour, ...] = ((0.05, 0.16, 0.06), (0.16, 0.08, 0.03), (0.42, 0.50, 0.48),
+    (0.62, 0.66, 0.66))  # fmt: skip
+PAINTS: tuple[Colour, ...] = ((0.62, 0.06, 0.04), (0.72, 0.42, 0.04), (0.05, 0.16, 0.45),
+    (0.70, 0.70, 0.66), (0.06, 0.30, 0.12), (0.66, 0.62, 0.10), (0.03, 0.03, 0.035))  # fmt: skip
+RUST: Colour = (0.22, 0.10, 0.05)
+BRONZE: Colour = (0.34, 0.25, 0.10)
+STEEL: Colour = (0.34, 0.35, 0.36)
+STONES: tuple[Colour, ...] = ((0.34, 0.31, 0.26), (0.26, 0.25, 0.24), (0.40, 0.36, 0.29),
+    (0.30, 0.24, 0.19))  # fmt: skip
+CORALS: tuple[Colour, ...] = ((0.50, 0.30, 0.16), (0.46, 0.20, 0.30), (0.58, 0.48, 0.20),
+    (0.30, 0.34, 0.16), (0.62, 0.52, 0.44), (0.36, 0.22, 0.40))  # fmt: skip
+LEAVES: tuple[Colour, ...] = ((0.06, 0.14, 0.03), (0.10, 0.16, 0.04), (0.16, 0.14, 0.05))
+CONCRETE: tuple[Colour, ...] = ((0.42, 0.41, 0.38), (0.34, 0.34, 0.32), (0.50, 0.48, 0.43))
+BARS: tuple[Colour, ...] = (PAINTS[1], PAINTS[3], PAINTS[5], RUST, STEEL)
+
+
+def pick(rng: np.random.Generator, colours: tuple[Colour, ...]) -> Colour:
+    """One of the colours, a little lighter or darker."""
+    red, green, blue = colours[int(rng.integers(len(colours)))]
+    shade = float(rng.uniform(0.75, 1.2))
+    return red * shade, green * shade, blue * shade
+
+
+def lying(upright: Mesh) -> Mesh:
+    """An upright thing laid on its side."""
+    return upright.moved(rotation("y", np.pi / 2)).standing()
+
+
+def standing_bottle(rng: np.random.Generator) -> Mesh:
+    """A bottle, 22 to 42 cm high, often with a label."""
+    height, radius = rng.uniform(0.22, 0.42), rng.uniform(0.036, 0.052)
+    neck, shoulder = radius * rng.uniform(0.3, 0.42), rng.uniform(0.5, 0.64)
+    glass = np.array(pick(rng, GLASS))
+    label = np.array(pick(rng, PAINTS)) if rng.random() < 0.6 else glass
+    levels = np.array([0, 0, 0.02, 0.14, 0.15, 0.4, 0.41, shoulder, shoulder + 0.09, 0.78, 0.94])
+    radii = radius * np.array([0, 0.9, 1, 1, 1, 1, 1, 1, 0.8, 0, 0])
+    radii[9:] = neck
+    colours = np.repeat(glass[None], len(levels), axis=0)
+    colours[4:6] = label
+    rim = np.array([[neck * 1.25, 0.94], [neck * 1.25, 0.98], [neck * 0.7, 1.0], [0, 0.99]])
+    profile = np.concatenate([np.column_stack([radii, levels]), rim]) * [1, height]
+    return lathe(profile, 22, np.concatenate([colours, np.repeat(glass[None], 4, axis=0)]))
+
+
+def bottle(rng: np.random.Generator) -> Mesh:
+    """A bottle on its side."""
+    return lying(standing_bottle(rng))
+
+
+def can(rng: np.random.Generator) -> Mesh:
+    """A tin or drink can, lying or upright, perhaps dented."""
+    radius = rng.uniform(0.045, 0.09)
+    height = radius * rng.uniform(1.8, 3.0)
+    metal, paint = np.array(STEEL) * 1.3, np.array(pick(rng, PAINTS))
+    profile = np.array([[0, 0.02], [0.86, 0.02], [0.9, 0], [1, 0.05], [1, 0.07], [1, 0.5]])
+    above = profile[::-1] * [1, -1] + [0, 1]
+    whole = np.concatenate([profile, above[1:]]) * [radius, height]
+    colours = np.repeat(metal[None], len(whole), axis=0)
+    colours[4:7] = paint
+    shape = lathe(whole, 24, colours)
+    if rng.random() < 0.4:  # a dent: pressed flat on one side
+        points = shape.vertices.copy()
+        middle = np.exp(-(((points[:, 2] / height - 0.5) / 0.25) ** 2))
+        limit = radius * (1 - rng.uniform(0.2, 0.5) * middle)
+        points[:, 0] = np.minimum(points[:, 0], limit)
+        shape = Mesh(points, shape.colours, shape.triangles)
+    return lying(shape) if rng.random() < 0.7 else shape
+
+
+def drink_carton(rng: np.random.Generator) -> Mesh:
+    """A gable-top carton, standing or lying."""
+    width, depth = rng.uniform(0.07, 0.11), rng.uniform(0.07, 0.11)
+    body = rng.uniform(0.16, 0.26)
+    paint, pale = pick(rng, PAINTS), (0.72, 0.72, 0.70)
+    ridge = body + width * 0.55
+    gable = prism([[-width / 2, 0], [width / 2, 0], [0, ridge - body]], depth, pale)
+    gable = gable.moved(rotation("x", np.pi / 2), (0, depth / 2, body))
+    parts = [
+        box((width, depth, body * 0.55), (0, 0, body * 0.275), paint),
+        box((width, depth, body * 0.45), (0, 0, body * 0.775), pale),
+        gable,
+        box((0.008, depth, 0.03), (0, 0, ridge + 0.012), paint),
+    ]
+    carton = join(parts)
+    return carton if rng.random() < 0.4 else lying(carton)
+
+
+def shampoo_bottle(rng: np.random.Generator) -> Mesh:
+    """A flat plastic bottle with a cap, on its side or upright."""
+    height, width = rng.uniform(0.2, 0.32), rng.uniform(0.045, 0.06)
+    paint, cap = np.array(pick(rng, PAINTS)), np.array(pick(rng, PAINTS))
+    levels = np.array([0, 0, 0.03, 0.3, 0.6, 0.74, 0.78])
+    radii = np.array([0, 0.8, 0.95, 1, 0.9, 0.62, 0.3])
+    body = lathe(np.column_stack([radii * width, levels * height]), 20, paint).moved(
+        scale=(1.0, 0.55, 1.0)
+    )
+    top = np.array([[0.34, 0.78], [0.34, 0.97], [0.28, 1.0], [0, 1.0]]) * [width, height]
+    whole = join([body, lathe(top, 14, cap, crease=True)])
+    return whole if rng.random() < 0.3 else lying(whole)
+
+
+def hook(rng: np.random.Generator) -> Mesh:
+    """A crane hook with its eye, lying on the ground."""
+    size = rng.uniform(0.16, 0.4)
+    angle = np.linspace(np.deg2rad(100), np.deg2rad(-170), 22)
+    bend = np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)]) * 0.5
+    shank = np.array([[bend[0, 0], 1.35, 0], [bend[0, 0], 0.95, 0], [bend[0, 0], 0.7, 0]])
+    path = np.concatenate([shank, bend]) * size
+    thickness = np.concatenate([[0.1, 0.11, 0.12], np.linspace(0.13, 0.17, 11)])
+    thickness = np.concatenate([thickness, np.linspace(0.165, 0.045, 11)]) * size
+    eye = (circle(18) * 0.24 + np.array([float(bend[0, 0]), 1.55, 0.0])) * size
+    paint = pick(rng, (RUST, STEEL, PAINTS[1], PAINTS[0]))
+    whole = join(
+        [
+            tube(path, thickness, 12, colour=paint),
+            tube(eye, 0.09 * size, 10, closed=True, colour=paint),
+        ]
+    )
+    return whole.moved(rotation("x", rng.uniform(-0.2, 0.5))).standing()
+
+
+def propeller(rng: np.random.Generator) -> Mesh:
+    """A ship's propeller of three to five twisted blades, leaning or flat."""
+    radius, blades = rng.uniform(0.22, 0.6), int(rng.integers(3, 6))
+    metal = pick(rng, (BRONZE, STEEL, RUST))
+    hub = np.array([[0, -0.2], [0.14, -0.2], [0.19, -0.1], [0.2, 0.12], [0.12, 0.25], [0, 0.3]])
+    parts = [lathe(hub * radius, 20, metal)]
+    along, across = np.meshgrid(np.linspace(0.12, 1, 12), np.linspace(-1, 1, 9), indexing="ij")
+    width = 0.36 * np.sqrt(np.maximum(1 - ((along - 0.62) / 0.52) ** 2, 0)) + 0.04
+    twist = np.deg2rad(62) * (1 - along) + np.deg2rad(20)
+    thick = 0.025 * (1 - 0.7 * along) * (1 - across**2)
+    x = along * np.cos(across * width * 0.6)
+    y = across * width * np.cos(twist)
+    z = across * width * np.sin(twist)
+    for k in range(blades):
+        faces = [
+            _sheet(np.stack([x, y, z + side * thick], axis=-1) * radius, metal, side > 0)
+            for side in (1.0, -1.0)
+        ]
+        parts.append(join(faces).moved(rotation("z", 2 * np.pi * k / blades)))
+    whole = join(parts)
+    return whole.moved(rotation("x", rng.choice([0.2, 1.2]) + rng.uniform(-0.2, 0.2))).standing()
+
+
+def _sheet(grid: npt.NDArray[np.float64], colour: Colour, front: bool) -> Mesh:
+    triangles = grid_triangles(*grid.shape[:2])
+    return mesh(grid.reshape(-1, 3), triangles if front else triangles[:, ::-1], colour)
+
+
+def tire(rng: np.random.Generator) -> Mesh:
+    """A tyre, flat, leaning or upright; hollow like a real one, with a tread."""
+    outer = rng.uniform(0.28, 0.58)
+    width = outer * rng.uniform(0.32, 0.5)
+    rim = outer * rng.uniform(0.55, 0.66)
+    # From the rim over the outside's half to its middle, and on the inside; both are mirrored.
+    outside = np.array(
+        [[rim, -0.36], [rim + 0.3 * (outer - rim), -0.49], [rim + 0.75 * (outer - rim), -0.5],
+         [0.985 * outer, -0.4], [outer, -0.2], [0.978 * outer, -0.18], [0.978 * outer, -0.1],
+         [outer, -0.08]]
+    )  # fmt: skip
+    hollow = np.array(
+        [[rim + 0.1 * (outer - rim), 0.34], [rim + 0.7 * (outer - rim), 0.4], [outer * 0.94, 0.3]]
+    )
+    mirror = np.array([1.0, -1.0])
+    parts = (outside, outside[::-1] * mirror, hollow, hollow[::-1] * mirror, outside[:1])
+    profile = np.concatenate(parts)
+    rubber = np.array([0.035, 0.035, 0.038]) * rng.uniform(0.8, 1.6)
+    shape = lathe(profile * [1, width], 44, rubber)
+    lean = rng.choice([0.0, 0.3, 1.25, np.pi / 2], p=[0.45, 0.2, 0.15, 0.2])
+    return shape.moved(rotation("x", lean + rng.uniform(-0.08, 0.08))).standing()
+
+
+def valve(rng: np.random.Generator) -> Mesh:
+    """A flanged gate valve with its hand wheel."""
+    size = rng.uniform(0.16, 0.34)
+    paint, wheel = pick(rng, (STEEL, RUST, PAINTS[2], PAINTS[4])), pick(rng, (PAINTS[0], RUST))
+    body = np.array(
+        [[0, -1], [0.62, -1], [0.62, -0.84], [0.34, -0.84], [0.36, -0.5], [0.5, 0.0]], dtype=float
+    )
+    body = np.concatenate([body, body[-2::-1] * [1, -1]])
+    bonnet = [[0.4, 0.3], [0.3, 0.7], [0.42, 0.72], [0.42, 0.84], [0.12, 0.9], [0.1, 1.5], [0, 1.5]]
+    rim = circle(26) * 0.55 + [0, 0, 1.4]
+    spokes = [bar((0, 0, 1.4), rim[k], 0.045, 6) for k in (0, 6, 13, 19)]
+    hand = [tube(rim, 0.07, 8, closed=True), *spokes]
+    hand = [part.tinted(wheel) for part in hand]
+    run = lathe(body, 22, paint, crease=True).moved(rotation("y", np.pi / 2))
+    whole = join([run, lathe(bonnet, 18, paint, crease=True), *hand]).moved(scale=size)
+    return whole.moved(rotation("x", rng.choice([0.0, 1.35]) + rng.uniform(-0.2, 0.2))).standing()
+
+
+def barrel(rng: np.random.Generator) -> Mesh:
+    """A steel drum, lying or upright."""
+    radius, height = 0.29 * rng.uniform(0.8, 1.1), 0.86 * rng.uniform(0.85, 1.1)
+    hoops = [0.3, 0.32, 0.34, 0.36, 0.64, 0.66, 0.68, 0.7]
+    levels = [0.03, 0.03, 0, 0.02, *hoops, 0.98, 1, 0.97, 0.97]
+    radii = [0, 0.94, 0.97, 1, 1, 1.04, 1.04, 1, 1, 1.04, 1.04, 1, 1, 0.97, 0.94, 0]
+    profile = np.column_stack([np.array(radii) * radius, np.array(levels) * height])
+    paint = pick(rng, (RUST, PAINTS[2], PAINTS[0], PAINTS[1]))
+    drum = lathe(profile, 32, paint, crease=True)
+    return lying(drum) if rng.random() < 0.65 else drum
+
+
+def boulder(rng: np.random.Generator) -> Mesh:
+    """A stone from 15 cm to 1.5 m across, small ones more often, its foot in the sand."""
+    radius = 0.14 * (5.0 ** (rng.random() ** 1.7))
+    shape = rock(rng, 5 if radius > 0.5 else 4 if radius > 0.2 else 3)
+    proportions = radius * rng.uniform([0.9, 0.7, 0.5], [1.3, 1.1, 0.95])
+    tilt = rotation("x", rng.uniform(-0.4, 0.4)) @ rotation("z", rng.uniform(0, 2 * np.pi))
+    stone = shape.moved(None, (0, 0, 0), proportions.tolist()).moved(tilt)
+    stone = stone.tinted(pick(rng, STONES)).standing()
+    return stone.moved(offset=(0, 0, -float(stone.vertices[:, 2].max()) * rng.uniform(0.15, 0.45)))
+
+
+def pebble(rng: np.random.Generator) -> Mesh:
+    """A small stone, 3 to 14 cm."""
+    size = 0.03 * 4.5 ** float(rng.random())
+    stone = rock(rng, 2).moved(scale=(size, size * rng.uniform(0.6, 1.0), size * 0.6))
+    return stone.tinted(pick(rng, STONES)).moved(offset=(0, 0, size * 0.2))
+
+
+def coral(rng: np.random.Generator) -> Mesh:
+    """A coral or sponge of one of five growth forms."""
+    forms = (_branching, _table, _brain, _tubes, _fan)
+    form = forms[int(rng.choice(len(forms), p=[0.32, 0.16, 0.24, 0.16, 0.12]))]
+    return form(rng, pick(rng, CORALS))
+
+
+def _branching(rng: np.random.Generator, colour: Colour) -> Mesh:
+    """Branches that fork three times, pale at the tips."""
+    size = rng.uniform(0.14, 0.4)
+    parts: list[Mesh] = []
+
+    def grow(start: Points, heading: Points, length: float, level: int) -> None:
+        wobble = heading + rng.normal(0, 0.25, 3)
+        middle = start + heading * length * 0.5
+        end = middle + wobble / np.linalg.norm(wobble) * length * 0.5
+        thick = size * 0.075 * 0.72**level
+        pale = np.array(colour) * (1 + 0.28 * level)
+        ends = np.array([pale, pale, pale * 1.3])
+        radii = [thick, thick * 0.9, thick * 0.72]
+        parts.append(tube(np.stack([start, middle, end]), radii, 6, colour=ends))
+        if level < 3:
+            for _ in range(int(rng.integers(2, 4))):
+                turn = heading + rng.normal(0, 0.55, 3) + [0, 0, 0.2]
+                grow(end, turn / np.linalg.norm(turn), length * rng.uniform(0.6, 0.85), level + 1)
+
+    for _ in range(int(rng.integers(3, 6))):
+        heading = np.array([rng.normal(0, 0.6), rng.normal(0, 0.6), 1.0])
+        grow(np.zeros(3), heading / np.linalg.norm(heading), size * 0.5, 0)
+    return join(parts)
+
+
+def _table(rng: np.random.Generator, colour: Colour) -> Mesh:
+    """A stalk under one or two thin plates with a ragged rim."""
+    radius, height = rng.uniform(0.25, 0.7), rng.uniform(0.14, 0.4)
+    profile = [[0.1, 0], [0.08, 0.5], [0.3, 0.82], [1.0, 0.98], [0.98, 1.06], [0.4, 1.0], [0, 0.97]]
+    plate = lathe(np.array(profile) * [radius, height], 40, colour)
+    # Both faces rise and fall together, or the thin plate would cut through itself.
+    x, y, z = plate.vertices.T
+    waviness, raggedness = (waves(rng, radius, radius * share) for share in (0.12, 0.25))
+    lifted = z + np.float32(0.03 * radius) * waviness(x, y) * np.minimum(z / height, 1)
+    outward = 1 + np.float32(0.06) * raggedness(x, y) * np.hypot(x, y) / np.float32(radius)
+    points = np.stack([x * outward, y * outward, lifted], axis=-1).astype(np.float32)
+    return Mesh(points, plate.colours, plate.triangles)
+
+
+def _brain(rng: np.random.Generator, colour: Colour) -> Mesh:
+    """A knobbly dome."""
+    radius = rng.uniform(0.1, 0.45)
+    dome = sphere(4, colour).moved(scale=(radius, radius, radius * rng.uniform(0.6, 0.95)))
+    return rough(dome, rng, radius * 0.045, radius * 0.7, radius * 0.18)
+
+
+def _tubes(rng: np.random.Generator, colour: Colour) -> Mesh:
+    """A clump of open tube sponges."""
+    parts = []
+    for _ in range(int(rng.integers(3, 9))):
+        height, radius = rng.uniform(0.12, 0.5), rng.uniform(0.025, 0.06)
+        profile = [[0.7, 0], [0.8, 0.4], [1.0, 0.9], [1.05, 1.0], [0.75, 1.0], [0.5, 0.6], [0, 0.4]]
+        sponge = lathe(np.array(profile) * [radius, height], 14, colour)
+        lean = rotation("z", rng.uniform(0, 2 * np.pi)) @ rotation("x", rng.uniform(0, 0.5))
+        parts.append(sponge.moved(lean, (rng.normal(0, 0.06), rng.normal(0, 0.06), 0)))
+    return join(parts)
+
+
+def _fan(rng: np.random.Generator, colour: Colour) -> Mesh:
+    """A sea fan: twigs spread in one plane."""
+    size = rng.uniform(0.25, 0.6)
+    parts = [tube(np.array([[0, 0, 0], [0, 0, size * 0.3]]), size * 0.03, 6, colour=colour)]
+    for angle in np.linspace(-1.1, 1.1, 13):
+        reach = size * rng.uniform(0.65, 1.0)
+        t = np.linspace(0, 1, 6)[:, None]
+        bend = np.array([np.sin(angle) * reach, 0.05 * size, np.cos(angle) * reach])
+        path = t * bend + [0, 0, size * 0.25] + rng.normal(0, 0.012, (6, 3)) * t
+        parts.append(tube(path, np.linspace(0.02, 0.006, 6) * size * 1.4, 5, colour=colour))
+    for reach in np.linspace(0.4, 0.9, 5):
+        arc = np.linspace(-1.05, 1.05, 20)
+        x, z = np.sin(arc) * size * reach * 0.85, np.cos(arc) * size * reach * 0.85 + size * 0.25
+        path = np.column_stack([x, np.full(20, 0.05 * size * reach), z])
+        parts.append(tube(path, size * 0.007, 4, colour=colour))
+    return join(parts)
+
+
+def plant(rng: np.random.Generator) -> Mesh:
+    """A tuft of sea grass: bent blades, all leaning with the current."""
+    blades, height = int(rng.integers(14, 34)), rng.uniform(0.18, 0.5)
+    colour, parts = np.array(pick(rng, LEAVES)), []
+    t = np.linspace(0, 1, 6)
+    for _ in range(blades):
+        length, heading = height * rng.uniform(0.6, 1.2), rng.uniform(0, 2 * np.pi)
+        lean = rng.uniform(0.1, 0.7)
+        out, up = length * lean * t**1.6, length * t * (1 - 0.35 * lean * t)
+        spine = np.column_stack(
+            [out * np.cos(heading) + 0.12 * t * height, out * np.sin(heading), up]
+        )
+        spine += [*rng.normal(0, 0.06, 2), 0]
+        across = np.array([-np.sin(heading), np.cos(heading), 0.0]) * 0.007
+        width = (1.1 - t**2)[:, None] * across
+        grid = np.stack([spine - width, spine + width], axis=1).reshape(-1, 3)
+        shade = np.repeat(np.linspace(0.6, 1.5, 6), 2)[:, None] * colour
+        parts.append(mesh(grid, grid_triangles(6, 2), shade))
+    return join(parts)
+
+
+def frame(rng: np.random.Generator) -> Mesh:
+    """An open frame of bars: cube, pyramid, ladder tower or nursery table."""
+    form = (_dice, _pyramid, _tower, _nursery)[int(rng.choice(4, p=[0.36, 0.26, 0.14, 0.24]))]
+    return form(rng)
+
+
+def _dice(rng: np.random.Generator) -> Mesh:
+    """The twelve edges of a cube; sometimes with diagonals or standing on a corner."""
+    side, radius = rng.uniform(0.5, 1.6), rng.uniform(0.018, 0.05)
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * side / 2
+    edges = [
+        (a, b)
+        for a in range(8)
+        for b in range(a + 1, 8)
+        if int(np.sum(corners[a] != corners[b])) == 1
+    ]
+    if rng.random() < 0.4:
+        edges += [(0, 3), (4, 7), (1, 4)]
+    cube = join([bar(corners[a], corners[b], radius) for a, b in edges])
+    if rng.random() < 0.25:
+        cube = cube.moved(rotation("y", 0.62) @ rotation("x", 0.78))
+    return cube.tinted(pick(rng, BARS)).standing()
+
+
+def _pyramid(rng: np.random.Generator) -> Mesh:
+    """A square or three-sided pyramid of bars with a belt half way up."""
+    side, height, radius = rng.uniform(0.7, 1.9), rng.uniform(0.8, 1.8), rng.uniform(0.018, 0.045)
+    count = int(rng.integers(3, 5))
+    angle = np.arange(count) * 2 * np.pi / count
+    foot = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)]) * side * 0.7
+    apex = np.array([0, 0, height])
+    belt = foot * 0.5 + apex * 0.5
+    parts = [bar(point, apex, radius) for point in foot]
+    for ring in (foot + np.array([0, 0, radius]), belt):
+        parts += [bar(ring[k], ring[(k + 1) % count], radius) for k in range(count)]
+    return join(parts).tinted(pick(rng, BARS))
+
+
+def _tower(rng: np.random.Generator) -> Mesh:
+    """A lattice mast, upright or fallen."""
+    width, bays, radius = rng.uniform(0.4, 0.7), int(rng.integers(3, 6)), rng.uniform(0.015, 0.03)
+    legs = np.array([[0, 0, 0], [width, 0, 0], [width / 2, width * 0.87, 0]], dtype=float)
+    top = bays * width
+    parts = [bar(leg, leg + np.array([0, 0, top]), radius) for leg in legs]
+    for level in range(bays):
+        low, high = [0, 0, level * width], [0, 0, (level + 1) * width]
+        for k in range(3):
+            after = (k + 1) % 3
+            parts.append(bar(legs[k] + high, legs[after] + high, radius * 0.8))
+            parts.append(bar(legs[k] + low, legs[after] + high, radius * 0.7))
+    mast = join(parts).tinted(pick(rng, BARS)).moved(offset=(-width / 2, -width / 2, 0))
+    if rng.random() < 0.5:
+        mast = mast.moved(rotation("y", np.pi / 2 - 0.06)).moved(offset=(-top / 2, 0, 0))
+    return mast.standing()
+
+
+def _nursery(rng: np.random.Generator) -> Mesh:
+    """A table of slats on legs, with corals planted on it."""
+    length, width, height = rng.uniform(1.2, 2.2), rng.uniform(0.6, 1.0), rng.uniform(0.5, 0.9)
+    parts = []
+    for x in (-length / 2, length / 2):
+        for y in (-width / 2, width / 2):
+            parts.append(bar((x, y, 0), (x, y, height), 0.028))
+        parts.append(bar((x, -width / 2, height * 0.45), (x, width / 2, height * 0.45), 0.02))
+    for y in np.linspace(-width / 2, width / 2, 5):
+        parts.append(box((length + 0.1, 0.06, 0.03), (0, y, height)))
+    table = join(parts).tinted(pick(rng, (RUST, STEEL, (0.2, 0.18, 0.15))))
+    planted = [table]
+    for _ in range(int(rng.integers(5, 11))):
+        place = (rng.uniform(-0.45, 0.45) * length, rng.uniform(-0.4, 0.4) * width, height)
+        planted.append(coral(rng).moved(rotation("z", rng.uniform(0, 6)), place, 0.55))
+    return join(planted)
+
+
+def block(rng: np.random.Generator) -> Mesh:
+    """Concrete: a cube, slab, cinder block with holes, tetrapod, ring or kerb stone."""
+    colour = pick(rng, CONCRETE)
+    form = int(rng.choice(6, p=[0.24, 0.14, 0.2, 0.16, 0.14, 0.12]))
+    if form == 0:
+        whole = box((rng.uniform(0.35, 1.0) * rng.uniform(0.8, 1.2, 3)).tolist(), colour=colour)
+    elif form == 1:
+        whole = box(rng.uniform([0.8, 0.5, 0.1], [1.8, 1.0, 0.2]).tolist(), colour=colour)
+    elif form == 2:
+        whole = _cinder(rng.uniform(0.4, 0.75), colour)
+    elif form == 3:
+        whole = _tetrapod(rng.uniform(0.45, 0.95), colour)
+    elif form == 4:
+        outer, height = rng.uniform(0.35, 0.75), rng.uniform(0.3, 0.6)
+        ring = [[0.8, 0], [1, 0], [1, height], [0.8, height], [0.8, 0]]
+        whole = lathe(np.array(ring) * [outer, 1], 36, colour, crease=True)
+    else:
+        kerb = [[-0.3, 0], [0.3, 0], [0.3, 0.12], [0.12, 0.35], [0.09, 0.8], [-0.09, 0.8]]
+        outline = [*kerb, [-0.12, 0.35], [-0.3, 0.12]]
+        length, size = rng.uniform(1.0, 2.0), rng.uniform(0.6, 1.0)
+        whole = prism(np.array(outline) * size, length, colour).moved(rotation("x", np.pi / 2))
+    if form in (0, 1, 2) and rng.random() < 0.4:
+        turn = rotation("x", rng.uniform(-0.5, 0.5)) @ rotation("y", rng.uniform(0, 0.4))
+        whole = whole.moved(turn).standing()
+        # What stands on an edge has dug itself in.
+        return whole.moved(offset=(0, 0, -0.25 * float(whole.vertices[:, 2].max())))
+    return whole.standing()
+
+
+def _cinder(length: float, colour: Colour) -> Mesh:
+    """A hollow block: two side walls, three webs."""
+    width, height, wall = length * 0.48, length * 0.48, length * 0.085
+    sides = [
+        box((length, wall, height), (0, s * (width - wall) / 2, 0), colour) for s in (-1.0, 1.0)
+    ]
+    webs = [
+        box((wall, width - 2 * wall, height), (x, 0, 0), colour)
+        for x in (-(length - wall) / 2, 0, (length - wall) / 2)
+    ]
+    return join([*sides, *webs])
+
+
+def _tetrapod(size: float, colour: Colour) -> Mesh:
+    """Four blunt legs toward the corners of a tetrahedron."""
+    profile = np.array([[0.34, 0.0], [0.24, 0.92], [0.18, 1.0], [0, 1.0]]) * size
+    leg = lathe(profile, 18, colour, crease=True)
+    lean = np.arccos(-1 / 3)
+    legs = [leg] + [
+        leg.moved(rotation("z", k * 2 * np.pi / 3) @ rotation("y", lean)) for k in range(3)
+    ]
+    return join(legs).standing()
+
+
+def anchor(rng: np.random.Generator) -> Mesh:
+    """An admiralty anchor on its side, one fluke up, with stock and ring."""
+    size, metal = rng.uniform(0.7, 1.7), pick(rng, (RUST, RUST, STEEL))
+    shank = bar((0, 0, 0), (0, 0, 1.0), 0.045, 10)
+    bend = np.linspace(-1.05, 1.05, 15)
+    arms = np.column_stack([0.46 * np.sin(bend), np.zeros(15), 0.42 * (1 - np.cos(bend))])
+    crown = tube(arms, 0.05 - 0.018 * np.abs(bend), 10)
+    stock = bar((0, -0.42, 0.9), (0, 0.42, 0.9), 0.03, 8)
+    eye = tube(circle(18)[:, [0, 2, 1]] * 0.07 + [0, 0, 1.06], 0.018, 8, closed=True)
+    flukes = []
+    for s in (-1.0, 1.0):
+        palm = prism(np.array([[-0.13, -0.1], [0.13, -0.1], [0, 0.2]]), 0.025)
+        turn = rotation("y", s * -0.62) @ rotation("x", np.pi / 2) @ rotation("z", 0.0)
+        flukes.append(palm.moved(rotation("z", np.pi / 2)).moved(turn, (s * 0.37, 0, 0.2)))
+    whole = join([shank, crown, stock, eye, *flukes]).tinted(metal).moved(scale=size)
+    tip = rotation("x", rng.uniform(-0.25, 0.25)) @ rotation(
+        "y", np.pi / 2 + rng.uniform(-0.2, 0.1)
+    )
+    laid = whole.moved(rotation("z", rng.uniform(0.9, 1.3))).moved(tip).standing()
+    return laid.moved(offset=(-size / 2, 0, -0.06 * size))
+
+
+def curve(rng: np.random.Generator, start: Points, length_m: float, wander: float) -> Points:
+    """(N, 2) points every 5 cm from `start` along a heading that wanders."""
+    count = max(int(length_m / 0.05), 8)
+    turns = np.interp(np.arange(count), np.linspace(0, count, 9), rng.normal(0, wander, 9))
+    heading = rng.uniform(0, 2 * np.pi) + np.cumsum(turns * 0.05)
+    steps = 0.05 * np.column_stack([np.cos(heading), np.sin(heading)])
+    return np.asarray(start + np.cumsum(steps, axis=0) - steps.sum(axis=0) / 2)
+
+
+def chain(rng: np.random.Generator, line: Points, ground: GroundHeight) -> Mesh:
+    """Studless links along a line on the ground, every second one on edge."""
+    wire = float(rng.uniform(0.016, 0.04))
+    pitch, metal = wire * 3.9, pick(rng, (RUST, RUST, STEEL))
+    bend = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    flat = np.column_stack(
+        [1.5 * wire * np.cos(bend) + 1.25 * wire * np.sign(np.cos(bend)), 1.3 * wire * np.sin(bend)]
+    )
+    link = tube(np.column_stack([flat, np.zeros(16)]), wire / 2, 7, closed=True, colour=metal)
+    where = np.arange(0, 0.05 * (len(line) - 1), pitch) / 0.05
+    steps = np.arange(len(line))
+    x, y = np.interp(where, steps, line[:, 0]), np.interp(where, steps, line[:, 1])
+    z = np.asarray(ground(x, y), dtype=np.float64) + 0.6 * wire
+    heading = np.arctan2(np.gradient(y), np.gradient(x))
+    climb = np.arctan2(np.gradient(z), pitch)
+    links = []
+    for k in range(len(where)):
+        roll = (np.pi / 2 if k % 2 else 0.0) + rng.normal(0, 0.25)
+        turn = rotation("z", heading[k]) @ rotation("y", -climb[k]) @ rotation("x", roll)
+        links.append(link.moved(turn, (x[k], y[k], z[k])))
+    return join(links)
+
+
+def pipe(rng: np.random.Generator, line: Points, ground: GroundHeight) -> Mesh:
+    """A pipe along a line, part buried, bridging hollows, with flanges."""
+    radius = float(rng.uniform(0.07, 0.3))
+    paint = pick(rng, (RUST, STEEL, PAINTS[3], PAINTS[1], (0.3, 0.3, 0.28)))
+    x, y = line[::3, 0], line[::3, 1]
+    z = np.asarray(ground(x, y), dtype=np.float64)
+    stiff = min(max(int(1.2 / 0.15), 3), max(len(z) // 2, 1))
+    padded = np.pad(z, stiff, mode="edge")
+    bridged = np.convolve(padded, np.ones(2 * stiff + 1) / (2 * stiff + 1), mode="valid")
+    z = np.maximum(bridged, z - radius) + radius * rng.uniform(0.3, 1.0)
+    path = np.column_stack([x, y, z])
+    parts = [rough(tube(path, radius, 24, colour=paint), rng, 0.03 * radius, 1.0, 0.15)]
+    for k in range(int(rng.integers(6, 14)), len(path) - 2, int(rng.integers(18, 30))):
+        along = path[k + 1] - path[k]
+        along /= np.linalg.norm(along)
+        shade = np.array(paint) * 0.8
+        for side in (-0.02, 0.05):
+            ends = np.stack([path[k] + along * side, path[k] + along * (side + 0.05)])
+            parts.append(tube(ends, radius * 1.32, 24, colour=shade))
+    return join(parts)
+
+
+def pile(rng: np.random.Generator, height_m: float, radius_m: float) -> Mesh:
+    """A round pile with marine growth, from 1 m below the ground to `height_m`."""
+    levels = np.linspace(-1.0, height_m, 90)
+    path = np.column_stack([np.zeros((90, 2)), levels])
+    bare, grown = np.array(pick(rng, (*CONCRETE, RUST))), np.array([0.16, 0.15, 0.09])
+    growth = smoothstep(0.3, 1.2, levels * rng.uniform(0.4, 1.2))[:, None]
+    shaft = tube(path, radius_m, 40, colour=np.concatenate([bare * (1 - growth) + grown * growth]))
+    return rough(shaft, rng, 0.06 * radius_m + 0.006, 0.7, 0.09)
+
+
+def brace(rng: np.random.Generator, start: Points, end: Points) -> Mesh:
+    """A beam between two piles, overgrown."""
+    path = start + np.linspace(0, 1, 30)[:, None] * (end - start)
+    beam = tube(path, rng.uniform(0.07, 0.12), 14, colour=pick(rng, (RUST, STEEL, CONCRETE[1])))
+    return rough(beam, rng, 0.012, 0.6, 0.08)
+
+
+def quay(rng: np.random.Generator, length_m: float, height_m: float) -> Mesh:
+    """A wall along the x axis, facing -y: courses of blocks, buttresses, and tyres as fenders."""
+    colour, parts = np.array(pick(rng, CONCRETE)), []
+    course, width = rng.uniform(0.5, 0.9), rng.uniform(1.0, 2.0)
+    rows, columns = int(np.ceil((height_m + 1) / course)), int(np.ceil(length_m / width))
+    for row in range(rows):
+        for column in range(-1, columns):
+            x = (column + 0.5 * (row % 2)) * width - length_m / 2
+            shade = tuple(colour * rng.uniform(0.75, 1.15))
+            size = (width - 0.025, 0.6, course - 0.025)
+            y = 0.3 + rng.uniform(-0.025, 0.025)
+            centre = (x + width / 2, y, -1 + (row + 0.5) * course)
+            parts.append(box(size, centre, shade))
+    back = box((length_m + width, 0.5, height_m + 1), (0, 0.56, height_m / 2 - 0.5))
+    parts.append(back.tinted((0.05, 0.05, 0.05)))
+    for x in np.arange(-length_m / 2 + rng.uniform(1, 3), length_m / 2, rng.uniform(4, 6)):
+        if rng.random() < 0.5:
+            centre = (x, -0.2, height_m / 2 - 0.5)
+            shade = tuple(colour * 0.9)
+            parts.append(box((0.5, 0.6, height_m + 1), centre, shade))
+    return join(parts)
+
+
+def fender(rng: np.random.Generator) -> Mesh:
+    """A tyre hung flat against a wall that faces -y, centred on its hub."""
+    shape = tire(rng)
+    centred = shape.moved(offset=-0.5 * (shape.vertices.min(axis=0) + shape.vertices.max(axis=0)))
+    # The thinnest direction is the hub's axis, whatever way the tyre lay.
+    thin = int(np.argmin(np.ptp(centred.vertices, axis=0)))
+    turns = {0: rotation("z", np.pi / 2), 1: np.eye(3), 2: rotation("x", np.pi / 2)}
+    return centred.moved(turns[thin])
+
+
+def sheet_pile(rng: np.random.Generator, length_m: float, height_m: float) -> Mesh:
+    """A steel sheet-pile wall along the x axis, facing -y: a folded face."""
+    pitch, depth = rng.uniform(0.8, 1.4), rng.uniform(0.2, 0.4)
+    x = np.arange(-length_m / 2, length_m / 2, pitch / 4)
+    y = np.where(np.arange(len(x)) % 4 < 2, 0.0, depth)
+    levels = np.linspace(-1, height_m, 20)
+    parts = []
+    for k in range(len(x) - 1):
+        low = np.column_stack([np.full(20, x[k]), np.full(20, y[k]), levels])
+        high = np.column_stack([np.full(20, x[k + 1]), np.full(20, y[k + 1]), levels])
+        grid = np.stack([low, high], axis=1).reshape(-1, 3)
+        steps = np.arange(19)[:, None] * 2
+        quads = np.concatenate([steps + np.array(corners) for corners in ([0, 1, 3], [0, 3, 2])])
+        parts.append(mesh(grid, quads, RUST))
+    return join(parts)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of object.
+
+    build: draws one that rests on z = 0; None where it is built to fit its place (`Site`).
+    fouling, silt: how readily algae and fallen sediment cover it, 0 to 1.
+    bump: strength of fine surface roughness in the light, 0 to 1.
+    upright: it stays vertical on a slope.
+    """
+
+    build: Callable[[np.random.Generator], Mesh] | None
+    fouling: float
+    silt: float
+    bump: float
+    upright: bool = False
+
+
+KINDS: dict[str, Kind] = {
+    "Bottle": Kind(bottle, 0.25, 0.4, 0.1),
+    "Can": Kind(can, 0.25, 0.35, 0.15),
+    "Chain": Kind(None, 0.5, 0.4, 0.6),
+    "Drink-carton": Kind(drink_carton, 0.2, 0.4, 0.1),
+    "Hook": Kind(hook, 0.4, 0.3, 0.5),
+    "Propeller": Kind(propeller, 0.45, 0.35, 0.35),
+    "Shampoo-bottle": Kind(shampoo_bottle, 0.2, 0.35, 0.1),
+    "Standing-bottle": Kind(standing_bottle, 0.25, 0.2, 0.1, upright=True),
+    "Tire": Kind(tire, 0.35, 0.7, 0.35),
+    "Valve": Kind(valve, 0.4, 0.35, 0.4),
+    "Wall": Kind(None, 0.7, 0.3, 0.8, upright=True),
+    "Boulder": Kind(boulder, 0.6, 0.6, 1.0),
+    "Pipe": Kind(None, 0.5, 0.6, 0.5),
+    "Pillar": Kind(None, 0.6, 0.1, 0.9, upright=True),
+    "Frame": Kind(frame, 0.45, 0.3, 0.5),
+    "Anchor": Kind(anchor, 0.45, 0.35, 0.6),
+    "Block": Kind(block, 0.5, 0.6, 0.8),
+    "Coral": Kind(coral, 0.0, 0.0, 0.9, upright=True),
+    "Plant": Kind(plant, 0.0, 0.0, 0.1, upright=True),
+    "Barrel": Kind(barrel, 0.45, 0.5, 0.5),
+}
+
+_MODELS = 24  # of a kind, each turned, scaled and tinted anew wherever it lies
+
+
+@functools.cache
+def model(kind: str, number: int) -> Mesh:
+    """One of the models of a kind of object, at rest on z = 0; drawn once a process."""
+    build = pebble if kind == "Pebble" else KINDS[kind].build
+    assert build is not None
+    return build(stream(WORLD_SEED, "seabed", "model", kind, number))
+
+
+def drawn_model(rng: np.random.Generator, kind: str) -> Mesh:
+    """A model of a kind, chosen at random, a little larger or smaller, lighter or darker."""
+    shape = model(kind, int(rng.integers(_MODELS)))
+    size, shade = rng.uniform(0.9, 1.1), np.float32(rng.uniform(0.85, 1.15))
+    turned = shape.moved(rotation("z", rng.uniform(0, 2 * np.pi)), scale=size)
+    return Mesh(turned.vertices, turned.colours * shade, turned.triangles)

@@ -1,0 +1,229 @@
+"""Compiled loops from camera pixels to echoes and from echoes to pictures.
+
+The functions that call them say what they compute, and the tests hold each against numpy or scipy.
+Imported where they are used: see `simnfnd.factory.compiled`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..compiled import compiled
+from ..elementary import FLOATS, atan2, cos
+
+_F = np.float32
+_ZERO = _F(0)
+_OUT = "float32[::1]"
+_PICTURE = "Array(float32, 2, 'C', readonly=True)"
+_MASK = "Array(bool_, 2, 'C', readonly=True)"
+_PLACES = "Array(int32, 1, 'C', readonly=True)"
+# Depth, radiance and surface (H, W); across (W,), down (H,) as depth multiplies them; rotation
+# (3, 3) and position (3,) of the sonar in camera axes.
+_PIXELS = f"Tuple(({_PICTURE}, {_PICTURE}, {_MASK}, {FLOATS}, {FLOATS}, {_PICTURE}, {FLOATS}))"
+# Whether ranges are those of a view from above; near_m, span_m, rows; left_rad, per_rad, columns.
+_GRID = "Tuple((boolean, float32, float32, int64, float32, float32, int64))"
+
+
+@compiled()
+def _distance(range_m: Any, elevation_rad: Any, top_view: Any) -> Any:
+    """Slant range, or its horizontal part, float32."""
+    return range_m * cos(elevation_rad) if top_view else range_m
+
+
+@compiled()
+def _cell(range_m: Any, azimuth_rad: Any, elevation_rad: Any, grid: Any) -> Any:
+    """Flat index row * columns + column of an echo's cell; rows * columns for none.
+
+    row = floor((distance - near_m) / span_m * rows); column = floor((azimuth - left) * per_rad).
+    """
+    top_view, near_m, span_m, rows, left_rad, per_rad, columns = grid
+    away_m = _distance(range_m, elevation_rad, top_view)
+    row = np.int32(np.floor((away_m - near_m) / span_m * _F(rows)))
+    column = np.int32(np.floor((azimuth_rad - left_rad) * per_rad))
+    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    return row * columns + column if inside else rows * columns
+
+
+@compiled()
+def _nearest_beam(bin_: Any, azimuth_rad: Any, edges_rad: Any, columns: Any) -> Any:
+    """The bin in the same row whose column is the number of edges at or below the azimuth."""
+    return bin_ // columns * columns + np.searchsorted(edges_rad, azimuth_rad, side="right")
+
+
+@compiled()
+def _project(pixels: Any, row: Any, slant_m: Any, right_rad: Any, up_rad: Any) -> None:
+    """A row of the picture: P = z K^-1 (u, v, 1)^T, seen from the sonar, in polar form."""
+    depth_m, across, down = pixels[0][row], pixels[3], pixels[4][row]
+    rotation, position_m = pixels[5], pixels[6]
+    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    x0, y0, z0 = position_m[0], position_m[1], position_m[2]
+    for column in range(len(depth_m)):
+        z = depth_m[column]
+        a, b, c = across[column] * z - x0, down * z - y0, z - z0
+        forward = r00 * a + r01 * b + r02 * c
+        left = r10 * a + r11 * b + r12 * c
+        above = r20 * a + r21 * b + r22 * c
+        ground2 = forward * forward + left * left
+        slant_m[column] = np.sqrt(ground2 + above * above)
+        right_rad[column] = atan2(-left, forward)
+        up_rad[column] = atan2(above, np.sqrt(ground2))
+
+
+@compiled(f"UniTuple(float64, 3)({_PIXELS}, float32, float32, boolean, float32, float32, {_OUT})")
+def survey(
+    pixels: Any, half_hfov_rad: Any, half_vfov_rad: Any, top_view: Any, near_m: Any, far_m: Any,
+    lit_m: Any,
+) -> Any:  # fmt: skip
+    """Put the distances of lit surface within limits and sector into `lit_m`.
+
+    Returns their number and the smallest and largest azimuth within, lit or not.
+    """
+    height, width = pixels[0].shape
+    away, right, up = np.empty(width, _F), np.empty(width, _F), np.empty(width, _F)
+    lit, least, most = np.uint64(0), _F(np.inf), _F(-np.inf)
+    for row in range(height):
+        _project(pixels, row, away, right, up)
+        there, light = pixels[2][row], pixels[1][row]
+        for column in range(width):
+            azimuth, away_m = right[column], _distance(away[column], up[column], top_view)
+            inside = (
+                there[column]
+                & (away_m >= near_m)
+                & (away_m < far_m)
+                & (np.abs(azimuth) <= half_hfov_rad)
+                & (np.abs(up[column]) <= half_vfov_rad)
+            )
+            least = azimuth if inside & (azimuth < least) else least
+            most = azimuth if inside & (azimuth > most) else most
+            # No branch: which pixels stay is not to be foreseen.
+            lit_m[lit] = away_m
+            lit += np.uint64(inside & (light[column] > _ZERO))
+    return float(lit), float(least), float(most)
+
+
+@compiled(
+    f"int64({_PIXELS}, float32, {_GRID}, {FLOATS}, float64, UniTuple({_OUT}, 4), int32[::1],"
+    "boolean[::1])"
+)
+def insonified(
+    pixels: Any, half_vfov_rad: Any, grid: Any, edges_rad: Any, gain_power: Any, echoes: Any,
+    pixel: Any, hit: Any,
+) -> Any:  # fmt: skip
+    """Fill the last three with the lit surface that falls into a bin; returns how much there is.
+
+    echoes: range, azimuth, elevation and strength = radiance * range ** gain_power.  hit: set for
+    the bins where an echo falls.
+    """
+    range_m, azimuth_rad, elevation_rad, strength = echoes
+    height, width = pixels[0].shape
+    nowhere = len(hit) - 1
+    slant, right, up = np.empty(width, _F), np.empty(width, _F), np.empty(width, _F)
+    level, bins = np.empty(width, _F), np.empty(width, np.int32)
+    # Without a sign: else every access asks whether it is negative.
+    count, kept = np.uint64(0), np.empty(width, np.uint8)
+    for row in range(height):
+        _project(pixels, row, slant, right, up)
+        there, light = pixels[2][row], pixels[1][row]
+        level[:] = light
+        if gain_power in (1.0, 2.0, 3.0, 4.0):
+            for _ in range(int(gain_power)):
+                for column in range(width):
+                    level[column] *= slant[column]
+        elif gain_power:
+            for column in range(width):
+                level[column] *= _F(float(slant[column]) ** gain_power)
+        for column in range(width):
+            bin_ = _cell(slant[column], right[column], up[column], grid)
+            lit = (
+                there[column]
+                & (light[column] > _ZERO)
+                & (np.abs(up[column]) <= half_vfov_rad)
+                & (bin_ != nowhere)
+            )
+            kept[column], bins[column] = lit, bin_ if lit else nowhere
+        if len(edges_rad) > 0:
+            for column in range(width):
+                if kept[column]:
+                    bins[column] = _nearest_beam(bins[column], right[column], edges_rad, grid[6])
+        first = np.int32(row * width)
+        for column in range(width):
+            range_m[count] = slant[column]
+            azimuth_rad[count] = right[column]
+            elevation_rad[count] = up[column]
+            strength[count] = level[column]
+            pixel[count] = first + np.int32(column)
+            hit[np.uint32(bins[column])] = True
+            count += np.uint64(kept[column])
+    hit[nowhere] = False
+    return int(count)
+
+
+@compiled(f"void(UniTuple({FLOATS}, 3), {_GRID}, {FLOATS}, int32[::1])")
+def bin_of_each(places: Any, grid: Any, edges_rad: Any, bins: Any) -> None:
+    """The cell of each echo, with the nearest of tabled beams where there are `edges_rad`.
+
+    places: range, azimuth and elevation.
+    """
+    range_m, azimuth_rad, elevation_rad = places
+    for at in range(len(bins)):
+        bins[at] = _cell(range_m[at], azimuth_rad[at], elevation_rad[at], grid)
+    if len(edges_rad) > 0:
+        for at in range(len(bins)):
+            if bins[at] != grid[3] * grid[6]:
+                bins[at] = _nearest_beam(bins[at], azimuth_rad[at], edges_rad, grid[6])
+
+
+@compiled(f"void(int32[::1], {FLOATS}, int64, {_OUT}, int32[::1])")
+def gather(bins: Any, strength: Any, how: Any, level: Any, count: Any) -> None:
+    """Add the echoes (how = 0), or keep the loudest (how = 1), in `level`; how many in `count`.
+
+    The last cell of either is for echoes without a bin.  how = 2 adds and counts.
+    """
+    if how == 1:
+        for at in range(len(bins)):
+            level[bins[at]] = max(level[bins[at]], strength[at])
+        return
+    for at in range(len(bins)):
+        level[bins[at]] += strength[at]
+    if how == 2:
+        for at in range(len(bins)):
+            count[bins[at]] += strength[at] > _ZERO
+
+
+@compiled()
+def _add(values: Any, weight: Any, total: Any) -> None:
+    # Slices from 0 on: the compiler then knows that no index is negative.
+    for at in range(len(total)):
+        total[at] += weight * values[at]
+
+
+@compiled(f"void({_PICTURE}, {FLOATS}, {FLOATS}, float32[:, ::1])")
+def blur(level: Any, down: Any, across: Any, blurred: Any) -> None:
+    """Correlate with two odd kernels, along rows and columns; nothing lies outside."""
+    rows, columns = level.shape
+    reach, side = len(down) // 2, len(across) // 2
+    wide = np.zeros(columns + 2 * side, _F)
+    line = wide[side : side + columns]
+    for row in range(rows):
+        line[:] = _ZERO
+        for step in range(max(-reach, -row), min(reach, rows - 1 - row) + 1):
+            _add(level[row + step], down[step + reach], line)
+        blurred[row] = _ZERO
+        for step in range(len(across)):
+            _add(wide[step : step + columns], across[step], blurred[row])
+
+
+@compiled(f"void({_PICTURE}, {_PLACES}, {_PLACES}, {FLOATS}, {FLOATS}, {_OUT})")
+def bilinear(polar: Any, pixel: Any, corner: Any, down: Any, across: Any, fan: Any) -> None:
+    """fan[pixel] = the four bins from `corner` on, mixed by the fractions down and across."""
+    flat, columns = polar.ravel(), polar.shape[1]
+    one = _F(1)
+    for at in range(len(pixel)):
+        bin_, u, v = corner[at], down[at], across[at]
+        near = flat[bin_] * (one - v) + flat[bin_ + 1] * v
+        far = flat[bin_ + columns] * (one - v) + flat[bin_ + columns + 1] * v
+        fan[pixel[at]] = near * (one - u) + far * u

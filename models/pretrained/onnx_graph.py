@@ -1,0 +1,321 @@
+"""Networks as ONNX files, compared with torch before they are written.
+
+They come of a trace.  torch's exporter by symbolic shapes (`dynamo=True`) gives the same ONNX
+graph of `sonarnet` after minutes where the trace takes seconds.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import warnings
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Literal, get_args
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from ...factory import __version__
+from ...factory.errors import FactoryError
+from ...factory.files import check_writable, write_atomically
+from ...factory.imaging.contract import ARTEFACTS
+from ...factory.sonar.geometry import FanGeometry
+from ..denoise.runtime import give_weights, inputs_of, structure
+from ..networks.lines import MapLines
+from ..networks.network import Network, padded
+from ..networks.sonarnet import SonarNet
+from ..networks.weights import load_weights
+from ..removal import DEFAULT, vector
+
+OPSET = 18
+"""ONNX operators: GridSample and sums by ScatterElements came with 16, LayerNormalization with 17.
+
+Newer runtimes read older opsets.
+"""
+Layout = Literal["none", "fan", "polar"]
+LAYOUTS: tuple[Layout, ...] = get_args(Layout)
+Inputs = dict[str, Tensor]
+Run = Callable[[Mapping[str, Tensor]], list[np.ndarray]]
+
+_MAPS = ("range_fraction", "azimuth_rad", "sector")
+# Pictures of the trace and of the comparison: (height, width, how many).  The first divides by
+# nothing, so that padding is part of the trace.
+_TRACED = (75, 91, 2)
+_COMPARED = ((64, 64, 1), (50, 83, 2), (128, 70, 1))
+_WORDS = {
+    "noisy": "(N, 1, H, W) gray picture, 0 to 1",
+    "range_fraction": "(N, 1, H, W) slant range of each pixel over the largest range",
+    "azimuth_rad": "(N, 1, H, W) bearing of each pixel in radians, positive to the right",
+    "sector": "(N, 1, H, W) 1 where the sonar measured, 0 elsewhere",
+    "remove": f"(1, 6) 1 for each to remove of {', '.join(ARTEFACTS)}",
+    "frames": "(1, 1, H, W) log2 of the number of frames averaged, 0 for one",
+    "maps": "(1, 3, H, W) 2 range_fraction - 1, azimuth_rad, 1 - sector; 0, 0, -1 if unknown",
+    "beams": "(1, cells) beam of each cell at half the padded size; columns if unknown",
+    "arcs": "(1, cells) arc of each cell at half the padded size; rows if unknown",
+    "change": "(1, 1, H, W) what to add to the picture",
+    "shadow_logits": "(1, 1, H, W) positive where the network sees shadow",
+    "denoised": "(N, 1, H, W) the picture denoised, 0 to 1",
+    "weight": "(N) the part of its change that the picture was given, 0 to 1",
+}
+
+
+class Graph(nn.Module):
+    """What `simnfnd denoise` computes of a picture that fits one tile, without choices at run time.
+
+    Inputs, in this order: `noisy` (N, 1, H, W) float32 in 0..1; the maps of range, bearing and
+    sector, each (N, 1, H, W), where layout is not `none`; `remove` (1, 6) where the network is told
+    what to remove.  Outputs: `denoised` (N, 1, H, W), 0..1; and `weight` (N,), the part of its
+    change that a picture was given, of networks that weigh it.
+    """
+
+    tolerance: ClassVar[float] = 1e-4
+    """Largest difference from torch that is let through, in pictures of 0 to 1."""
+
+    def __init__(self, network: Network, layout: Layout) -> None:
+        """Raises FactoryError for a layout that the network has no use for."""
+        super().__init__()
+        if layout != "none" and not set(_MAPS) <= set(network.extras):
+            raise FactoryError(
+                f"--geometry {layout}: this network does not use the geometry; leave it out"
+            )
+        self.network, self.layout = network, layout
+        maps = _MAPS if layout != "none" else ()
+        told = ("remove",) if "remove" in network.extras else ()
+        self.inputs: tuple[str, ...] = ("noisy", *maps, *told)
+        self.outputs: tuple[str, ...] = (
+            ("denoised", "weight") if network.has_heads else ("denoised",)
+        )
+        sizes = {0: "count", 2: "height", 3: "width"}
+        self.axes: dict[str, dict[int, str]] = {
+            **dict.fromkeys(("noisy", *maps, "denoised"), sizes),
+            "weight": {0: "count"},
+        }
+        if isinstance(network, SonarNet):
+            network.fan = layout == "fan"
+        # Without gradients and choices of training, as tracing keeps both.
+        self.requires_grad_(False).eval()
+
+    def forward(self, noisy: Tensor, *told: Tensor) -> tuple[Tensor, ...]:
+        """See the class."""
+        extras = dict(zip(self.inputs[1:], told, strict=True))
+        if "remove" in extras:
+            extras["remove"] = extras["remove"].expand(noisy.shape[0], -1)
+        if not self.network.has_heads:
+            return (self.network(noisy, **extras).clamp(0, 1),)
+        found = self.network.with_heads(noisy, **extras)
+        change = found.weight[:, None, None, None] * (found.image - noisy)
+        return (noisy + change).clamp(0, 1), found.weight
+
+    def example(self, height: int, width: int, count: int = 1, seed: int = 0) -> Inputs:
+        """Speckle in a sector of 60 degrees, and the other inputs for it."""
+        maps = _maps("fan" if self.layout == "fan" else "polar", height, width)
+        speckle = np.random.default_rng(seed).exponential(0.2, (count, 1, height, width))
+        every = {name: np.repeat(values[None, None], count, 0) for name, values in maps.items()}
+        every["noisy"] = (np.clip(speckle, 0, 1) * maps["sector"]).astype(np.float32)
+        every["remove"] = vector(DEFAULT)[None]
+        return {name: torch.from_numpy(every[name]) for name in self.inputs}
+
+
+class RuntimeGraph(Graph):
+    """What `sonarnet` computes of one picture, given the inputs of `denoise.runtime.inputs_of`.
+
+    Beams and arcs of the cells are inputs, so one graph serves fans, polar pictures and pictures of
+    unknown geometry.  Outputs: `change` and `shadow_logits` (1, 1, H, W); `weight` (1,), the part
+    of it to apply.
+    """
+
+    tolerance: ClassVar[float] = 1e-5
+
+    def __init__(self, network: Network) -> None:
+        """Raises FactoryError for a network that the runtime has no inputs for."""
+        super().__init__(network, "none")
+        if not isinstance(network, SonarNet) or network.settings.mirror:
+            raise FactoryError(
+                "--to runtime: is for model=sonarnet with mirror=false; use --to onnx for other "
+                "networks"
+            )
+        told = [name for name in ("frames", "remove") if name in network.extras]
+        self.inputs = ("noisy", "maps", "beams", "arcs", *told)
+        self.outputs = ("change", "shadow_logits", "weight")
+        size, cells = {2: "height", 3: "width"}, {1: "cells"}
+        sized = {"noisy", "maps", "frames", "change", "shadow_logits"} & {
+            *self.inputs,
+            *self.outputs,
+        }
+        self.axes = {**dict.fromkeys(sorted(sized), size), "beams": cells, "arcs": cells}
+
+    @property
+    def sonarnet(self) -> SonarNet:
+        """The network."""
+        assert isinstance(self.network, SonarNet)
+        return self.network
+
+    def forward(self, noisy: Tensor, *told: Tensor) -> tuple[Tensor, ...]:
+        """See the class."""
+        given = dict(zip(self.inputs[1:], told, strict=True))
+        maps = given["maps"]
+        # Every second pixel: the cells of the features at half resolution.
+        inside = padded(1 - maps[:, 2:], self.sonarnet.core_stride)[..., ::2, ::2] > 0
+        shape = inside.shape[-2], inside.shape[-1]
+        lines = MapLines(given["beams"], given["arcs"], inside.to(noisy.dtype).flatten(2), shape)
+        remove = given.get("remove")
+        if remove is None:
+            remove = torch.from_numpy(vector(DEFAULT))[None]
+        planes = torch.split(maps, 1, dim=1)
+        return self.sonarnet.core(remove, given.get("frames"), lines, noisy, *planes)
+
+    def example(self, height: int, width: int, count: int = 1, seed: int = 0) -> Inputs:
+        """Speckle in a fan, a polar picture or one of unknown geometry, in turn by `seed`."""
+        rng = np.random.default_rng(seed)
+        noisy = np.clip(rng.exponential(0.2, (height, width)), 0, 1).astype(np.float32)
+        maps = _maps("polar" if seed % 3 else "fan", height, width) if seed % 3 < 2 else {}
+        noisy *= maps.get("sector", np.float32(1))
+        if "frames" in self.inputs:
+            maps["frames"] = rng.uniform(0, 3, (height, width)).astype(np.float32)
+        told = vector(DEFAULT) if "remove" in self.inputs else None
+        found = inputs_of(noisy, maps, told, self.sonarnet.core_stride)
+        return {name: torch.from_numpy(found[name]) for name in self.inputs}
+
+
+def write_runtime(weights: Path, out: Path) -> float:
+    """Write the graph of a weights file, without its weights; how far it is from torch with them.
+
+    The same network and versions of torch and onnx give the same bytes, whatever its weights.
+    Raises FactoryError for another network, and as `write_onnx` does.
+    """
+    trained = load_weights(weights)
+    graph = RuntimeGraph(trained.network)
+    about = {
+        "model": json.dumps(structure(trained.model), sort_keys=True),
+        "extras": ",".join(trained.network.extras),
+        "stride": graph.sonarnet.core_stride,
+    }
+    return write_onnx(graph, out, about, bare=True)
+
+
+def write_onnx(
+    graph: Graph, path: Path, about: Mapping[str, object], *, bare: bool = False
+) -> float:
+    """Write a `.onnx` file of any height, width and number of pictures; how far it is from torch.
+
+    about: what the file says of itself.  bare: without the network's weights.
+    Raises FactoryError when onnxruntime does not get what torch does, or the file cannot be
+    written; nothing is written then.
+    """
+    import onnxruntime
+
+    check_writable(path.parent, "--out")
+    content = _described(graph, _exported(graph, folded=not bare), about, bare)
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    if bare:
+        weights = {name: values.numpy() for name, values in graph.state_dict().items()}
+        kept = give_weights(options, weights)  # noqa: F841  (the session shares their memory)
+    session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+
+    def run(inputs: Mapping[str, Tensor]) -> list[np.ndarray]:
+        found: list[np.ndarray] = session.run(
+            list(graph.outputs), {name: values.numpy() for name, values in inputs.items()}
+        )
+        return found
+
+    difference = compared(graph, run)
+    write_atomically(path, content, key="--out")
+    return difference
+
+
+def compared(graph: Graph, run: Run) -> float:
+    """Largest difference of `run` from the graph in torch, over pictures of several sizes.
+
+    Raises FactoryError when it is above the graph's tolerance.
+    """
+    worst = 0.0
+    for seed, size in enumerate(_COMPARED):
+        inputs = graph.example(*size, seed=seed)
+        if seed and "remove" in inputs:
+            inputs["remove"] = torch.from_numpy(vector(("haze", "gains")))[None]
+        wished = [values.numpy() for values in graph(*inputs.values())]
+        for name, *pair in zip(graph.outputs, run(inputs), wished, strict=True):
+            if name == "shadow_logits":  # as it shows in a picture
+                pair = [1 / (1 + np.exp(-values)) for values in pair]
+            # NaN must not pass.
+            distance = float(np.abs(pair[0] - pair[1]).max())
+            worst = distance if not distance <= worst else worst
+    if not worst <= graph.tolerance:
+        raise FactoryError(
+            f"onnxruntime differs from torch by {worst:.1e}, more than {graph.tolerance:.0e}; "
+            "nothing was written; please report this with the versions of both"
+        )
+    return worst
+
+
+def _exported(graph: Graph, folded: bool) -> bytes:
+    """folded: with what follows from weights alone computed."""
+    content, inputs = io.BytesIO(), tuple(graph.example(*_TRACED).values())
+    with warnings.catch_warnings(), torch.no_grad():
+        # It warns of every choice that it keeps; `compared` sees whether one was wrong.
+        warnings.simplefilter("ignore")
+        traced: Any = torch.jit.trace(  # type: ignore[no-untyped-call]
+            graph, inputs, check_trace=False, _store_inputs=False
+        )
+        torch.onnx.export(
+            traced,
+            inputs,
+            content,  # type: ignore[arg-type]
+            dynamo=False,
+            opset_version=OPSET,
+            do_constant_folding=folded,
+            input_names=list(graph.inputs),
+            output_names=list(graph.outputs),
+            dynamic_axes=graph.axes,
+        )
+    return content.getvalue()
+
+
+def _described(graph: Graph, content: bytes, about: Mapping[str, object], bare: bool) -> bytes:
+    """The same file with its inputs and itself explained; bare: without weights."""
+    import onnx
+
+    model = onnx.load_model_from_string(content)
+    for value in (*model.graph.input, *model.graph.output):
+        value.doc_string = _WORDS[value.name]
+    for node in model.graph.node:
+        node.doc_string = ""
+    model.doc_string = (
+        f"A denoiser for forward-looking sonar pictures, made by SimNFND {__version__}."
+    )
+    facts = {"simnfnd": __version__, "geometry": graph.layout, "opset": OPSET, **about}
+    onnx.helper.set_model_props(model, {key: str(value) for key, value in sorted(facts.items())})
+    onnx.checker.check_model(model, full_check=True)
+    if bare:
+        _without_weights(model, graph.state_dict().keys())
+    written: bytes = model.SerializeToString(deterministic=True)
+    return written
+
+
+def _without_weights(model: Any, names: Collection[str]) -> None:
+    """Leave these weights out of the file: whoever opens it gives them by their names."""
+    import onnx
+
+    for one in model.graph.initializer:
+        if one.name in names:
+            one.ClearField("raw_data")
+            one.data_location = onnx.TensorProto.EXTERNAL
+            one.external_data.add(key="location", value="weights")
+
+
+def _maps(layout: Layout, height: int, width: int) -> dict[str, np.ndarray]:
+    """Range, bearing and sector of a fan of 60 degrees, or of a polar picture; (H, W) each."""
+    geometry = FanGeometry.polar()
+    if layout == "fan":
+        geometry = FanGeometry.fan(
+            np.pi / 3,
+            apex_x_px=width / 2 - 0.5,
+            apex_y_px=height - 0.5,
+            near_px=0.1 * height,
+            far_px=height,
+            x_scale=width / height,
+        )
+    return dict(geometry.with_size(height, width).maps(0, 0, height, width))

@@ -1,0 +1,197 @@
+"""Points, triangles and normals of depth images against independent computations."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from simnfnd.factory.frame import Intrinsics
+from simnfnd.factory.render import RenderSettings, kernels
+from simnfnd.factory.render.mesh import Quads, cut_quads
+from simnfnd.factory.render.surface import Surface, pixels_of
+from simnfnd.factory.settings import build
+from tests.render_scenes import FLSEA, flsea_frame, frame_of, plane_depth, rays, sphere_depth, yard
+
+Array = npt.NDArray[np.floating]
+
+CAMERA = Intrinsics(70.0, 66.0, 22.3, 31.7)
+
+
+def surface_of(depth_m: Array, edge_ratio: float = 0.1, camera: Intrinsics = CAMERA) -> Surface:
+    settings: RenderSettings = build(RenderSettings, {"edge_ratio": edge_ratio})
+    return pixels_of(frame_of(depth_m, camera), settings).surface()
+
+
+def joints_of(depth_m: Array, edge_ratio: float = 0.1) -> npt.NDArray[np.uint8]:
+    return np.asarray(kernels.joints(np.ascontiguousarray(depth_m, np.float32), edge_ratio))
+
+
+def joined(depth_m: Array, bit: int, edge_ratio: float = 0.1) -> npt.NDArray[np.bool_]:
+    return joints_of(depth_m, edge_ratio) & bit != 0
+
+
+def triangles_of(depth_m: Array, edge_ratio: float = 0.1) -> npt.NDArray[np.int64]:
+    quads: Quads = cut_quads(joints_of(depth_m, edge_ratio))
+    return quads.triangles(quads.upper, quads.lower)
+
+
+def test_points_are_those_of_open3d_and_of_equation_2() -> None:
+    open3d = pytest.importorskip("open3d")
+    frame = yard(152, 242)
+    camera = frame.intrinsics
+    image = open3d.geometry.Image(frame.depth_m)
+    pinhole = open3d.camera.PinholeCameraIntrinsic(
+        242, 152, camera.fx, camera.fy, camera.cx, camera.cy
+    )
+    cloud = open3d.geometry.PointCloud.create_from_depth_image(
+        image, pinhole, depth_scale=1.0, depth_trunc=1000.0
+    )
+    ours = pixels_of(frame, RenderSettings()).surface().points_m
+    np.testing.assert_allclose(ours[frame.valid], np.asarray(cloud.points), rtol=1e-6, atol=1e-7)
+    matrix = np.array([[70.0, 0, 22.3], [0, 66.0, 31.7], [0, 0, 1]])
+    expected = 3.0 * np.linalg.solve(matrix, [11.0, 29.0, 1.0])
+    points_m = surface_of(np.full((40, 60), 3.0)).points_m
+    np.testing.assert_allclose(points_m[29, 11], expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("normal", [(0, 0, 1), (0.6, 0.0, 0.8), (0.1, 0.9, 0.42), (-0.3, -0.5, 1)])
+def test_normals_of_a_plane(normal: tuple[float, float, float]) -> None:
+    depth_m = plane_depth(60, 80, CAMERA, normal, 2.0).astype(np.float32)
+    depth_m[depth_m > 15] = 0
+    surface = surface_of(depth_m, 0.3)
+    found = surface.normals[surface.mask]
+    towards = -np.asarray(normal) / np.linalg.norm(normal)
+    assert len(found) > 1000
+    np.testing.assert_allclose(found, np.broadcast_to(towards, found.shape), atol=3e-4)
+
+
+def test_normals_of_a_sphere() -> None:
+    camera = Intrinsics(600.0, 600.0, 150.0, 150.0)
+    centre = np.array([0.1, -0.05, 3.0])
+    depth_m = sphere_depth(rays(300, 300, camera), tuple(centre), 0.6).astype(np.float32)
+    depth_m[~np.isfinite(depth_m)] = 0
+    surface = surface_of(depth_m, camera=camera)
+    points_m = surface.points_m
+    true = (points_m - centre) / 0.6
+    facing = (depth_m > 0) & ((true * points_m).sum(axis=-1) < -0.3 * depth_m)
+    off_deg = np.rad2deg(np.arccos(np.clip((true * surface.normals).sum(axis=-1), -1, 1)))
+    assert facing.sum() > 10_000
+    assert off_deg[facing].max() < 0.2
+
+
+def test_normals_next_to_an_edge_are_those_of_their_own_surface() -> None:
+    """Two walls, one before the other: nowhere is a normal a mixture of both."""
+    depth_m = np.where(np.arange(60) < 30, 2.0, 3.0) * np.ones((40, 1))
+    depth_m[10:20, 40:50] = 0
+    found = surface_of(depth_m).normals
+    np.testing.assert_allclose(
+        found[depth_m > 0], np.broadcast_to([0, 0, -1], (int((depth_m > 0).sum()), 3)), atol=1e-6
+    )
+    np.testing.assert_array_equal(found[depth_m == 0], 0)
+
+
+def test_a_strip_one_pixel_wide_faces_the_camera_as_far_as_it_can() -> None:
+    depth_m = np.zeros((9, 9), np.float32)
+    depth_m[4, 2:7] = 2.0
+    surface = surface_of(depth_m)
+    points_m, found = surface.points_m, surface.normals[4, 2:7]
+    sight = -points_m[4, 2:7] / np.linalg.norm(points_m[4, 2:7], axis=-1, keepdims=True)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1, rtol=1e-5)
+    np.testing.assert_allclose(found[:, 0], 0, atol=1e-6)  # at right angles to the strip
+    assert np.all((found * sight).sum(axis=-1) > 0.9)
+
+
+def test_ground_at_grazing_incidence_stays_whole_and_a_low_step_is_cut() -> None:
+    steady = 5.0 * 1.04 ** np.arange(30)[:, None] * np.ones((1, 20))
+    assert joined(steady, kernels.DOWN)[:-1].all()
+    assert surface_of(steady).mask.all()
+    step = np.where(np.arange(30) < 15, 5.0, 5.2)[:, None] * np.ones((1, 20))
+    assert not joined(step, kernels.DOWN)[:-1][14].any()
+    assert joined(step, kernels.DOWN)[:-1].sum() == 28 * 20
+    sloping = step * 1.004 ** np.arange(30)[:, None]
+    assert joined(sloping, kernels.DOWN)[:-1].sum() == 28 * 20
+    small = np.where(np.arange(30) < 15, 5.0, 5.05)[:, None] * np.ones((1, 20))
+    assert joined(small, kernels.DOWN)[:-1].all()
+
+
+def test_a_flying_pixel_is_no_surface() -> None:
+    depth_m = np.full((9, 9), 4.0)
+    depth_m[4, 4] = 4.2
+    assert not surface_of(depth_m).mask[4, 4]
+    assert surface_of(depth_m).mask.sum() == 80
+    depth_m[4, 4] = 0
+    assert surface_of(depth_m).mask.sum() == 80
+
+
+@pytest.mark.parametrize("corner", [(0, 0), (0, 1), (1, 0), (1, 1)])
+def test_three_corners_of_a_quad_still_give_their_triangle(corner: tuple[int, int]) -> None:
+    for other in (0.0, 9.0):
+        depth_m = np.full((2, 2), 2.0)
+        depth_m[corner] = other
+        triangles = triangles_of(depth_m)
+        left_out = corner[0] * 2 + corner[1]
+        assert [sorted(triangle) for triangle in triangles.tolist()] == [
+            sorted({0, 1, 2, 3} - {left_out})
+        ]
+
+
+DEPTHS = arrays(
+    np.float32,
+    st.tuples(st.integers(2, 9), st.integers(2, 9)),
+    elements=st.sampled_from(
+        [float(np.float32(x)) for x in (0.0, 1.0, 1.03, 1.08, 1.3, 2.0, 2.01, 2.06, 2.15)]
+    ),
+)
+
+
+@given(DEPTHS, st.sampled_from([0.02, 0.05, 0.1, 0.5, 1.0]))
+def test_edges_are_never_bridged(depth_m: npt.NDArray[np.float32], edge_ratio: float) -> None:
+    triangles = triangles_of(depth_m, edge_ratio)
+    corners_m = depth_m.ravel()[triangles]
+    assert np.all(corners_m > 0)
+    assert np.all(corners_m.max(axis=1) < corners_m.min(axis=1) * (1 + edge_ratio) + 1e-6)
+    rows, columns = np.divmod(triangles, depth_m.shape[1])
+    assert np.all(np.ptp(rows, axis=1) == 1)
+    assert np.all(np.ptp(columns, axis=1) == 1)
+    assert len({tuple(sorted(triangle)) for triangle in triangles.tolist()}) == len(triangles)
+
+
+@given(DEPTHS, st.sampled_from([0.05, 0.1, 0.5]))
+def test_faces_and_normals_look_at_the_camera(
+    depth_m: npt.NDArray[np.float32], edge_ratio: float
+) -> None:
+    surface = surface_of(depth_m, edge_ratio)
+    points_m = surface.points_m.astype(np.float64)
+    triangles = triangles_of(depth_m, edge_ratio)
+    a, b, c = np.moveaxis(points_m.reshape(-1, 3)[triangles], 1, 0)
+    assert np.all((np.cross(b - a, c - a) * a).sum(axis=-1) < 0)
+
+    mask, found = surface.mask, surface.normals
+    assert set(np.flatnonzero(mask)) == set(triangles.ravel())
+    assert np.all((found * points_m).sum(axis=-1)[mask] < 0)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=-1)[mask], 1, rtol=1e-5)
+    np.testing.assert_array_equal(found[depth_m == 0], 0)
+
+
+@given(DEPTHS)
+def test_a_mirrored_image_gives_mirrored_joints(depth_m: npt.NDArray[np.float32]) -> None:
+    right, down, falling, rising = 1, 2, 4, 8
+    turned = depth_m[::-1, ::-1]
+    np.testing.assert_array_equal(
+        joined(turned, right)[::-1, ::-1][:, 1:], joined(depth_m, right)[:, :-1]
+    )
+    np.testing.assert_array_equal(joined(turned, down)[::-1, ::-1][1:], joined(depth_m, down)[:-1])
+    mirrored = joined(depth_m[:, ::-1], rising)[:-1, :-1][:, ::-1]
+    np.testing.assert_array_equal(joined(depth_m, falling)[:-1, :-1], mirrored)
+
+
+@pytest.mark.skipif(not FLSEA.is_dir(), reason="no real data")
+def test_real_depth_is_nearly_all_surface() -> None:
+    frame = flsea_frame()
+    mask = pixels_of(frame, RenderSettings()).mask
+    assert not mask[~frame.valid].any()
+    assert (frame.valid & ~mask).sum() < 0.001 * frame.valid.sum()
