@@ -216,8 +216,7 @@ def open_renders(
 
 
 def _mixed(data: MixedData, devices: Renders, points: Source, seed: int) -> Renders:
-    from .mixed import MixedSource
-    from .time_stacks import open_stacks
+    from .time_stacks import MixedSource, open_stacks
 
     stacks = open_stacks(data.recordings, data.least_side)
     refs = tuple(ref for path in data.recordings for ref in list_images(path, "data.recordings"))
