@@ -42,7 +42,7 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
     """
 
     def decorate(function: Function) -> Function:
-        # Nothing calls a loop from C, and a wrapper for it takes as long to compile as a short loop.
+        # Nothing calls a loop from C, and the wrapper takes as long to compile as a short loop.
         options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
         made: Any
         try:
