@@ -42,8 +42,8 @@ DATASETS: dict[str, tuple[str, ...]] = {
     "physical": ("experiment=physical", "render=analytic", *SMALL, LAYERS, "frames.variants=2"),
     "physical_geometry": ("experiment=physical", "render=analytic", *SMALL,
                           "acoustics.target=geometry", "sonar=oculus_m1200d_hf"),
-    "physical_radiometric": ("experiment=physical", "render=analytic", *SMALL,
-                             "acoustics.target=radiometric", "noise.background.enabled=true"),
+    "physical_background": ("experiment=physical", "render=analytic", *SMALL,
+                            "noise.background.enabled=true"),
     "aris_mdd": ("experiment=aris_mdd", "render=analytic", *SMALL, "scenes.kinds=null"),
 }  # fmt: skip
 

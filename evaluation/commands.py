@@ -71,7 +71,7 @@ def named(words: Sequence[str], first: str, rest: str | None = None) -> list[str
     plain = [word for word in words if "=" not in word and not word.startswith("-")]
     overrides = [word for word in words if word not in plain]
     if plain:
-        overrides.append(f"{first}={_quoted(plain[0])}")
+        overrides.append(f"{first}={quoted(plain[0])}")
     if plain[1:]:
         if rest is None:
             raise FactoryError(f"{plain[1]}: unexpected; only one folder is taken here")
@@ -81,7 +81,7 @@ def named(words: Sequence[str], first: str, rest: str | None = None) -> list[str
 
 def listed(words: Sequence[str]) -> str:
     """Words as a list in Hydra's grammar."""
-    return f"[{','.join(_quoted(word) for word in words)}]"
+    return f"[{','.join(quoted(word) for word in words)}]"
 
 
 def settings_of(config: DictConfig) -> EvaluationSettings:
@@ -186,6 +186,6 @@ def _values(config: DictConfig) -> dict[str, Any]:
     return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
 
 
-def _quoted(word: str) -> str:
+def quoted(word: str) -> str:
     """A path as Hydra's grammar takes it, whatever characters it has."""
     return "'" + word.replace("\\", "\\\\").replace("'", "\\'") + "'"

@@ -106,7 +106,7 @@ VERBS: dict[str, Verb] = {
     ),
     "inspect": Verb(
         LOOK, "what is in a dataset or shard", f"{_COMMANDS}.inspect:main",
-        ("simnfnd inspect outputs/demo",),
+        ("simnfnd inspect outputs/demo", "simnfnd inspect outputs/demo --png noise.png"),
     ),
     "validate": Verb(
         LOOK, "is a dataset whole and consistent", f"{_COMMANDS}.validate:main",
