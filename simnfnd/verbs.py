@@ -106,7 +106,7 @@ VERBS: dict[str, Verb] = {
     ),
     "inspect": Verb(
         LOOK, "what is in a dataset or shard", f"{_COMMANDS}.inspect:main",
-        ("simnfnd inspect outputs/demo", "simnfnd inspect outputs/demo --png noise.png"),
+        ("simnfnd inspect outputs/demo",),
     ),
     "validate": Verb(
         LOOK, "is a dataset whole and consistent", f"{_COMMANDS}.validate:main",
@@ -183,6 +183,13 @@ VERBS: dict[str, Verb] = {
                 "simnfnd.evaluation.commands:tune",
                 ("simnfnd evaluate tune dataset=outputs/demo baselines=[median,nlm]",),
                 needs=("torch", "skimage", *_SONAR), hydra=True,
+            ),
+            "paper": Verb(
+                JUDGE, "the paper's Tables 2 and 3: dataset, trainings and report",
+                "simnfnd.evaluation.reproduce:main",
+                ("simnfnd evaluate paper --quick",
+                 "simnfnd evaluate paper --scenes flsea-vi --real mdd"),
+                needs=("pandas", "skimage", *_TRAINING),
             ),
             "compare": Verb(
                 JUDGE, "is one report's row better than another's",

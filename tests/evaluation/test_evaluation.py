@@ -164,7 +164,7 @@ def killed_by_median(task: Task) -> Any:
 def test_a_killed_worker_costs_the_row_of_its_method_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    dataset = write_dataset(tmp_path / "data", train=0, test=5, size=48)
+    dataset = write_dataset(tmp_path / "data", train=0, test=2, size=48)
     monkeypatch.setattr(runner, "measure_task", killed_by_median)
     found = measured(dataset, [MEDIAN, GAUSSIAN], tmp_path / "out", workers=2)
     noisy, median, gaussian = found

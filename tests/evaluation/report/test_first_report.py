@@ -11,8 +11,6 @@ import pytest
 
 from simnfnd.evaluation.metrics.statistics import frames_needed, holm, paired
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.report import charts
-from simnfnd.evaluation.report.content import best_forms
 from tests.evaluation.evaluation_settings import settings_for
 from tests.small_dataset import write_dataset
 
@@ -80,11 +78,3 @@ def test_so_many_frames_are_needed_as_told() -> None:
                 np.array(values), np.array(zeros), names, better=1, resamples=100, seed=0
             )
             assert (holm([result.p] * comparisons)[0] < 0.05) is shown
-
-
-def test_a_cost_chart_needs_two_points(made: tuple[dict[str, Any], Path]) -> None:
-    content, _ = made
-    assert charts.cost(content).count("<svg") == 1  # of two methods, and none of one network
-    alone = [row for row in content["rows"] if row["kind"] != "baseline"]
-    assert charts.cost({**content, "rows": alone}) == ""
-    assert len(best_forms(alone)) == 2
