@@ -254,17 +254,13 @@ def test_registry_is_well_formed() -> None:
 
 
 def test_a_wrong_method_is_caught() -> None:
-    def double(image: Array, factor: float) -> Array:
-        return factor * image
+    def nothing(image: Array) -> Array:
+        return image * math.nan
 
     def halved(image: Array) -> Array:
         return image[::2]
 
-    with pytest.raises(BaselineError, match="do not fit its parameters"):
-        Baseline("double", double, {}, {}, "here")
     with pytest.raises(BaselineError, match="gave NaN"):
-        Baseline("double", double, {"factor": math.nan}, {}, "here")(
-            np.ones((3, 3)), {"factor": math.nan}
-        )
+        Baseline("nothing", nothing, {}, {}, "here")(np.ones((3, 3)), {})
     with pytest.raises(BaselineError, match=r"gave \(2, 3\)"):
         Baseline("halved", halved, {}, {}, "here")(np.ones((3, 3)), {})
