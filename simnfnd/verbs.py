@@ -93,7 +93,7 @@ VERBS: dict[str, Verb] = {
         ),
     ),
     "preview": Verb(
-        LOOK, "contact sheet of a dataset or recording", "simnfnd.evaluation.viewer.preview:main",
+        LOOK, "contact sheet of a dataset or recording", "simnfnd.evaluation.viewer.commands:sheet",
         (
             "simnfnd preview outputs/demo --out outputs/sheet.png --pairs 4",
             "simnfnd preview dive.aris --out outputs/dive.png",
@@ -101,7 +101,7 @@ VERBS: dict[str, Verb] = {
     ),
     "view": Verb(
         LOOK, "a dataset or recording in the browser, before and after",
-        "simnfnd.evaluation.viewer.command:main",
+        "simnfnd.evaluation.viewer.commands:view",
         ("simnfnd view outputs/demo", "simnfnd view dive.aris outputs/denoised/dive.aris"),
     ),
     "inspect": Verb(
