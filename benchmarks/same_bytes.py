@@ -27,7 +27,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-import pandas
+import pandas as pd
 
 SMALL = ("scenes.locations=2", "scenes.frames_per_location=1", "scenes.width=320",
          "scenes.height=200", "scheduler=serial")  # fmt: skip
@@ -230,12 +230,12 @@ def weights_hash(path: Path) -> str:
 
 def figures_hash(path: Path) -> str:
     """Hash of a report's figures of every pair and method, without its times."""
-    table = pandas.read_csv(path)
+    table = pd.read_csv(path, float_precision="round_trip", low_memory=False)
     digest = hashlib.sha256()
-    for name in sorted(table.columns):
+    for name in sorted(map(str, table)):
         if "ms" in name.split("_") or "time" in name or name == "shard":
             continue
-        digest.update(name.encode() + b"\0" + "\n".join(map(repr, table[name])).encode())
+        digest.update(name.encode() + b"\0" + "\n".join(map(repr, table[name].tolist())).encode())
     return digest.hexdigest()
 
 

@@ -2,8 +2,8 @@
 
 It is started as a command and not by multiprocessing, which would import the caller's main module
 again: a five-line script that reads a dataset has no `if __name__ == "__main__"`.  Calls and
-answers are JSON and arrays, never a pickle: a library that a file has taken over can send back
-wrong values and nothing that runs.
+answers are lines of JSON, never a pickle: a library that a file has taken over can send back wrong
+values and nothing that runs.
 """
 
 from __future__ import annotations
@@ -18,13 +18,10 @@ import subprocess
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
-from math import prod
 from pathlib import Path
 from typing import IO, Any
-
-import numpy as np
 
 from .errors import FactoryError
 
@@ -32,9 +29,7 @@ LIMIT_S = 60.0
 
 # Beyond what the process has after its imports; a picture has 64 MB at most.
 _MEMORY_BYTES = 800 << 20
-_MOST_ANSWER_BYTES = 1 << 31
-# Of a message: the length of its JSON text, which is followed by the bytes of all arrays.
-_LENGTH_BYTES = 8
+_MOST_ANSWER_BYTES = 1 << 28
 
 
 def look_at(
@@ -145,68 +140,30 @@ _lasting = _Lasting()
 
 
 def encode(value: Any) -> bytes:
-    """A message: None, numbers, text, bytes, paths and arrays, in lists and dicts with text keys.
+    """A message: what JSON can hold, and paths and bytes.  Raises TypeError for anything else."""
 
-    Tuples come back as lists, named tuples too.  Raises TypeError for anything else.
-    """
-    parts: list[bytes] = []
-
-    def plain(item: Any) -> Any:
-        if item is None or isinstance(item, bool | int | float | str):
-            return item
-        if isinstance(item, np.generic) and item.dtype.kind in "biuf":
-            return item.item()
+    def tagged(item: Any) -> Any:
         if isinstance(item, Path):
-            return {"path": str(item)}
+            return {"__path__": str(item)}
         if isinstance(item, bytes):
-            return {"bytes": base64.b64encode(item).decode()}
-        if isinstance(item, list | tuple):
-            return [plain(one) for one in item]
-        if isinstance(item, Mapping) and all(isinstance(key, str) for key in item):
-            return {"object": {key: plain(one) for key, one in item.items()}}
-        if isinstance(item, np.ndarray) and not item.dtype.hasobject:
-            # Text of HDF5 is S<n> with a note, for which there is no place here.
-            kind: Any = item.dtype.str
-            if item.dtype.names:
-                kind = [(name, item.dtype[name].str) for name in item.dtype.names]
-            parts.append(item.astype(kind).tobytes())
-            return {"array": kind, "shape": item.shape}
+            return {"__bytes__": base64.b64encode(item).decode()}
         raise TypeError(f"{type(item).__name__} goes to no other process")
 
-    text = json.dumps(plain(value)).encode()
-    return b"".join((len(text).to_bytes(_LENGTH_BYTES, "little"), text, *parts))
+    return json.dumps(value, default=tagged).encode() + b"\n"
 
 
 def decode(file: IO[bytes]) -> Any:
     """The next message of a pipe.  Raises EOFError at its end, ValueError for what is none."""
 
-    def take(size: int) -> bytes:
-        if not 0 <= size <= _MOST_ANSWER_BYTES:
-            raise ValueError(f"a message of {size} bytes")
-        content = file.read(size)
-        if len(content) < size:
-            raise EOFError
-        return content
+    def untagged(item: dict[str, Any]) -> Any:
+        if "__path__" in item:
+            return Path(item["__path__"])
+        return base64.b64decode(item["__bytes__"]) if "__bytes__" in item else item
 
-    def whole(item: Any) -> Any:
-        if isinstance(item, list):
-            return [whole(one) for one in item]
-        if not isinstance(item, dict):
-            return item
-        if "object" in item:
-            return {key: whole(one) for key, one in item["object"].items()}
-        if "path" in item:
-            return Path(item["path"])
-        if "bytes" in item:
-            return base64.b64decode(item["bytes"])
-        kind, shape = item["array"], tuple(item["shape"])
-        dtype = np.dtype([(n, t) for n, t in kind] if isinstance(kind, list) else kind)
-        if dtype.hasobject or not all(type(size) is int and size >= 0 for size in shape):
-            raise ValueError(f"an array of {dtype} {shape}")
-        content = take(prod(shape) * dtype.itemsize)
-        return np.frombuffer(bytearray(content), dtype).reshape(shape)
-
-    return whole(json.loads(take(int.from_bytes(take(_LENGTH_BYTES), "little"))))
+    line = file.readline(_MOST_ANSWER_BYTES)
+    if not line.endswith(b"\n"):
+        raise EOFError
+    return json.loads(line, object_hook=untagged)
 
 
 def _start() -> subprocess.Popen[bytes]:

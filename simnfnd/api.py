@@ -134,8 +134,8 @@ def make_pair(
     from .factory.cli.extras import needs_of, require
     from .factory.frame import Frame, FrameRef, Intrinsics, checked
     from .factory.pairs import PairMaker
-    from .factory.render.views import OneView
     from .factory.render.view import view_of
+    from .factory.render.views import OneView
 
     settings = _config((*config, *(() if seed is None else (f"seed={seed}",))))
     require(needs_of(settings))

@@ -41,9 +41,6 @@ EXTRAS = {
 }
 """Module -> the extra of pyproject.toml that installs it."""
 
-WITH_SONAR = frozenset({"denoise", "train", "report", "export", "figures", "onnx", "ros"})
-"""Extras that bring the extra `sonar`."""
-
 
 @dataclass(frozen=True)
 class Need:
@@ -66,10 +63,7 @@ class Need:
 
 def install_command(*extras: str) -> str:
     """The line that installs `extras`, as a shell takes it."""
-    named = dict.fromkeys(extras)
-    if WITH_SONAR & named.keys():
-        named.pop("sonar", None)
-    return f'pip install "simnfnd[{",".join(named)}]"'
+    return f'pip install "simnfnd[{",".join(dict.fromkeys(extras))}]"'
 
 
 def require(needs: Iterable[Need]) -> None:

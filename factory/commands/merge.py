@@ -12,8 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..cli import Parser
 from ..dataset.describe.card import write_card
 from ..dataset.describe.preview import preview
@@ -110,25 +108,11 @@ def _check_alike(manifests: Mapping[Path, Manifest], sources: Mapping[Path, Sour
                 f"merge: {first} and {other} were made with different settings "
                 f"({list_differences(changes)}); merge only what differs in frames and seed"
             )
-        _check_form(sources[first], sources[other])
-
-
-def _check_form(one: Source, two: Source) -> None:
-    for what, first, second in (
-        ("layers", dict(one.layers), dict(two.layers)),
-        ("picture sizes", dict(one.sizes), dict(two.sizes)),
-        ("columns", one.columns, two.columns),
-    ):
-        if first != second:
+        # Layers of the camera are as large as the pictures of the scenes, which may differ.
+        if dict(sources[first].sizes) != dict(sources[other].sizes):
             raise FactoryError(
-                f"merge: {one.directory} and {two.directory} differ in their {what}; make them "
-                "with the same settings"
-            )
-    for (name, units, values), (name_2, units_2, values_2) in zip(one.axes, two.axes, strict=True):
-        if (name, units) != (name_2, units_2) or not np.array_equal(values, values_2):
-            raise FactoryError(
-                f"merge: the {name} axes of {one.directory} and {two.directory} differ; make them "
-                "with the same sonar"
+                f"merge: {first} and {other} differ in their picture sizes; make them with the "
+                "same settings"
             )
 
 

@@ -12,6 +12,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING
 
 from ..cli import Parser
@@ -20,8 +21,9 @@ from ..cli.extras import needs_of, require
 from ..cli.generate import say_warnings
 from ..errors import FactoryError, FrameError
 from ..frame import FrameRef
+from ..progress import clock
 from ..scheduler.plan import ShardTask, plan_shards
-from ..scheduler.workers.machine import available_memory_bytes
+from ..scheduler.workers.machine import available_memory_bytes, usable_cores
 
 if TYPE_CHECKING:
     from ..config import FactoryConfig
@@ -52,7 +54,9 @@ def main(words: list[str]) -> int:
     scenes = len({(ref.location, ref.scene) for ref in frames})
     pairs = sum(task.samples for task in tasks)
     if len(points) > 1:
-        print(f"sweep: {len(points)} points, {' ... '.join(' '.join(p[0]) for p in _ends(points))}")
+        print(
+            f"sweep: {len(points)} points, {' ... '.join(' '.join(points[k][0]) for k in (0, -1))}"
+        )
     print(f"frames: {len(frames)} of {scenes} scenes, {config.frames.variants} pairs each")
     for split, own in shards.items():
         print(f"{split}: {sum(t.samples for t in own)} pairs in {len(own)} shards")
@@ -70,11 +74,11 @@ def main(words: list[str]) -> int:
     )
     renders = len(used) - kept
     disk = len(points) * pairs * cost.pair_bytes + renders * cost.render_bytes
-    parallel = min(crew.total, _cores())
-    seconds = renders * cost.render_s / min(max(crew.render, 1), _cores())
+    parallel = min(crew.total, usable_cores())
+    seconds = renders * cost.render_s / min(max(crew.render, 1), usable_cores())
     seconds += len(points) * pairs * cost.pair_s / parallel
     print(f"renders: {kept} of {len(used)} are in the cache, shared by all points")
-    print(f"expected: {_bytes(disk)} of disk, {_duration(seconds)}")
+    print(f"expected: {_megabytes(disk)} of disk, {clock(seconds)}")
     return 0 if _fits(config, disk, crew.render, crew.noise) else 1
 
 
@@ -141,7 +145,7 @@ def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
         assert info is not None
     counted = slice(1, None) if len(made) > 1 else slice(None)
     return Cost(
-        _mean(render_s[counted]), _mean(pair_s[counted]), _mean(sizes), info.bytes / len(made)
+        fmean(render_s[counted]), fmean(pair_s[counted]), fmean(sizes), info.bytes / len(made)
     )
 
 
@@ -164,7 +168,7 @@ def _fits(config: FactoryConfig, disk: float, render: int, noise: int) -> bool:
     memory = render * settings.memory_per_renderer_gb + noise * settings.memory_per_worker_gb
     available = available_memory_bytes() / 1e9
     good = disk < free and memory < available
-    print(f"disk: {_bytes(free)} free{'' if disk < free else ', TOO LITTLE'}")
+    print(f"disk: {_megabytes(free)} free{'' if disk < free else ', TOO LITTLE'}")
     print(
         f"memory: about {memory:.1f} GB of {available:.1f} GB"
         f"{'' if memory < available else ', TOO LITTLE; set scheduler.workers lower'}"
@@ -172,31 +176,5 @@ def _fits(config: FactoryConfig, disk: float, render: int, noise: int) -> bool:
     return good
 
 
-def _cores() -> int:
-    from ..scheduler.workers.machine import usable_cores
-
-    return usable_cores()
-
-
-def _ends(
-    points: Sequence[tuple[tuple[str, ...], FactoryConfig]],
-) -> Sequence[tuple[tuple[str, ...], FactoryConfig]]:
-    return [points[0], points[-1]]
-
-
-def _mean(values: Sequence[float]) -> float:
-    return sum(values) / len(values)
-
-
-def _bytes(count: float) -> str:
-    for unit, size in (("GB", 1e9), ("MB", 1e6)):
-        if count >= size:
-            return f"{count / size:.1f} {unit}"
-    return f"{count / 1e3:.0f} kB"
-
-
-def _duration(seconds: float) -> str:
-    minutes, hours = seconds / 60, seconds / 3600
-    if hours >= 1:
-        return f"{hours:.1f} hours"
-    return f"{minutes:.0f} minutes" if minutes >= 2 else f"{seconds:.0f} seconds"
+def _megabytes(count: float) -> str:
+    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.1f} MB"

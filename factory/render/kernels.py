@@ -12,9 +12,10 @@ import numpy as np
 from ..compiled import compiled
 
 _READ = "Array(float32, 2, 'C', readonly=True)"
-# Depth (H, W); its `joints`; across (W,) and down (H,), the directions of columns and rows as
-# depth multiplies them.
+# With a border of one pixel of nothing all around: depth (H, W); its `joints`; across (W,) and
+# down (H,), the directions of columns and rows as depth multiplies them.
 _GRID = f"Tuple(({_READ}, uint8[:, ::1], float64[::1], float64[::1]))"
+_ROW = "Array(float32, 1, 'C', readonly=True)"
 _OUT = "float32[:, ::1]"
 
 # What a pixel is joined to.  RISING is of the pixel on its right and the one below it.
@@ -85,63 +86,66 @@ def joints(depth_m: Any, edge_ratio: Any) -> Any:
 
 
 @compiled()
-def _normal(grid: Any, row: Any, column: Any) -> Any:
-    """Unit normal of a pixel's surface, towards the camera; (0, 0, 0) without any neighbour.
+def _normals(grid: Any, row: Any, found: Any) -> None:
+    """Fill the first three of `found` (6, W) with unit normals of a row, towards the camera.
 
-    By central differences over the neighbours joined to it, one-sided next to an edge.  With
-    neighbours along one direction alone, it faces the camera as far as that allows.
+    By central differences over the neighbours joined to a pixel, one-sided next to an edge.  With
+    neighbours along one direction alone, its surface faces the camera as far as that allows; 0
+    without any.  row: without the border.
     """
     depth_m, bits, across, down = grid
-    z = depth_m[row, column]
-    x, y = np.float32(across[column] * z), np.float32(down[row] * z)
-    ax = ay = az = dx = dy = dz = _ZERO
-    if bits[row, column] & RIGHT:
-        there = depth_m[row, column + 1]
-        ax += np.float32(across[column + 1] * there) - x
-        ay += np.float32(down[row] * there) - y
-        az += there - z
-    if column > 0 and bits[row, column - 1] & RIGHT:
-        there = depth_m[row, column - 1]
-        ax += x - np.float32(across[column - 1] * there)
-        ay += y - np.float32(down[row] * there)
-        az += z - there
-    if bits[row, column] & DOWN:
-        there = depth_m[row + 1, column]
-        dx += np.float32(across[column] * there) - x
-        dy += np.float32(down[row + 1] * there) - y
-        dz += there - z
-    if row > 0 and bits[row - 1, column] & DOWN:
-        there = depth_m[row - 1, column]
-        dx += x - np.float32(across[column] * there)
-        dy += y - np.float32(down[row - 1] * there)
-        dz += z - there
-    nx, ny, nz = dy * az - dz * ay, dz * ax - dx * az, dx * ay - dy * ax
-    length = np.sqrt(nx * nx + ny * ny + nz * nz)
-    if length == 0:
-        lx, ly, lz = ax + dx, ay + dy, az + dz
-        along = np.sqrt(lx * lx + ly * ly + lz * lz)
-        if along == 0:
-            return _ZERO, _ZERO, _ZERO
-        lx, ly, lz = lx / along, ly / along, lz / along
-        towards = x * lx + y * ly + z * lz
-        nx, ny, nz = towards * lx - x, towards * ly - y, towards * lz - z
-        length = np.sqrt(nx * nx + ny * ny + nz * nz)
-        if length == 0:
-            return _ZERO, _ZERO, _ZERO
-    return nx / length, ny / length, nz / length
+    z, above, below = depth_m[row + 1], depth_m[row], depth_m[row + 2]
+    here, over = bits[row + 1], bits[row]
+    drop_above, drop, drop_below = down[row], down[row + 1], down[row + 2]
+    nx, ny, nz, lx, ly, lz = found[0], found[1], found[2], found[3], found[4], found[5]
+    for j in range(len(nx)):  # factors instead of branches: several columns at a time
+        k, side, depth = j + 1, across[j + 1], z[j + 1]
+        to_right, to_left = np.float32(here[k] & 1), np.float32(here[j] & 1)
+        to_below, to_above = np.float32((here[k] >> 1) & 1), np.float32((over[k] >> 1) & 1)
+        x, y = np.float32(side * depth), np.float32(drop * depth)
+        there, other = z[j + 2], z[j]
+        ax = (np.float32(across[j + 2] * there) - x) * to_right
+        ax += (x - np.float32(across[j] * other)) * to_left
+        ay = (np.float32(drop * there) - y) * to_right + (y - np.float32(drop * other)) * to_left
+        az = (there - depth) * to_right + (depth - other) * to_left
+        there, other = below[k], above[k]
+        dx = (np.float32(side * there) - x) * to_below + (x - np.float32(side * other)) * to_above
+        dy = (np.float32(drop_below * there) - y) * to_below
+        dy += (y - np.float32(drop_above * other)) * to_above
+        dz = (there - depth) * to_below + (depth - other) * to_above
+        nx[j], ny[j], nz[j] = dy * az - dz * ay, dz * ax - dx * az, dx * ay - dy * ax
+        lx[j], ly[j], lz[j] = ax + dx, ay + dy, az + dz
+    for j in range(len(nx)):
+        if nx[j] == 0 and ny[j] == 0 and nz[j] == 0:
+            along = np.sqrt(lx[j] * lx[j] + ly[j] * ly[j] + lz[j] * lz[j])
+            if along > 0:
+                x, y = np.float32(across[j + 1] * z[j + 1]), np.float32(drop * z[j + 1])
+                ex, ey, ez = lx[j] / along, ly[j] / along, lz[j] / along
+                towards = x * ex + y * ey + z[j + 1] * ez
+                nx[j], ny[j], nz[j] = towards * ex - x, towards * ey - y, towards * ez - z[j + 1]
+    for j in range(len(nx)):
+        length = np.sqrt(nx[j] * nx[j] + ny[j] * ny[j] + nz[j] * nz[j])
+        some = length > 0
+        nx[j] = nx[j] / length if some else _ZERO
+        ny[j] = ny[j] / length if some else _ZERO
+        nz[j] = nz[j] / length if some else _ZERO
 
 
 @compiled(f"void({_GRID}, int64, int64, float32[:, :, ::1], float32[:, :, ::1])")
 def orient(grid: Any, first: Any, stride: Any, points_m: Any, normals: Any) -> None:
     """Fill points and normals (h, w, 3) of every `stride`-th pixel from (first, first) on."""
+    depth_m, across, down = grid[0], grid[2], grid[3]
+    found = np.empty((6, depth_m.shape[1] - 2), np.float32)
     for i in range(points_m.shape[0]):
+        row = first + i * stride
+        _normals(grid, row, found)
         for j in range(points_m.shape[1]):
-            row, column = first + i * stride, first + j * stride
-            z = grid[0][row, column]
-            points_m[i, j, 0], points_m[i, j, 1] = grid[2][column] * z, grid[3][row] * z
+            column = first + j * stride
+            z = depth_m[row + 1, column + 1]
+            points_m[i, j, 0], points_m[i, j, 1] = across[column + 1] * z, down[row + 1] * z
             points_m[i, j, 2] = z
-            normal = _normal(grid, row, column)
-            normals[i, j, 0], normals[i, j, 1], normals[i, j, 2] = normal
+            for k in range(3):
+                normals[i, j, k] = found[k, column]
 
 
 @compiled(f"void({_GRID}, float32[::1], UniTuple({_OUT}, 3))")
@@ -153,11 +157,13 @@ def facing(grid: Any, sonar_m: Any, filled: Any) -> None:
     """
     to_camera, to_sonar, nearer = filled
     height, width = to_camera.shape
+    found = np.empty((6, width), np.float32)
     for row in range(height):
+        _normals(grid, row, found)
         for column in range(width):
-            z = grid[0][row, column]
-            x, y = np.float32(grid[2][column] * z), np.float32(grid[3][row] * z)
-            nx, ny, nz = _normal(grid, row, column)
+            z = grid[0][row + 1, column + 1]
+            nx, ny, nz = found[0, column], found[1, column], found[2, column]
+            x, y = np.float32(grid[2][column + 1] * z), np.float32(grid[3][row + 1] * z)
             camera_m2 = max(x * x + y * y + z * z, _LEAST_M2)
             to_camera[row, column] = -(nx * x + ny * y + nz * z) / np.sqrt(camera_m2)
             tx, ty, tz = sonar_m[0] - x, sonar_m[1] - y, sonar_m[2] - z
@@ -173,21 +179,22 @@ def shade(grid: Any, mask: Any, albedo: Any, sonar_m: Any) -> Any:
     Lambert's and the inverse-square law: albedo * max(cos(incidence), 0) / range^2.
     """
     height, width = mask.shape
-    radiance = np.zeros((height, width), np.float32)
+    radiance, found = np.empty((height, width), np.float32), np.empty((6, width), np.float32)
+    sonar_x, sonar_y, sonar_z = sonar_m[0], sonar_m[1], sonar_m[2]
+    nx, ny, nz = found[0], found[1], found[2]
     for row in range(height):
+        _normals(grid, row, found)
+        depth_m, across, drop = grid[0][row + 1], grid[2], grid[3][row + 1]
+        shine, inside, strength = radiance[row], mask[row], albedo[row]
         for column in range(width):
-            if not mask[row, column]:
-                continue
-            z = grid[0][row, column]
-            tx = sonar_m[0] - np.float32(grid[2][column] * z)
-            ty = sonar_m[1] - np.float32(grid[3][row] * z)
-            tz = sonar_m[2] - z
-            nx, ny, nz = _normal(grid, row, column)
+            z = depth_m[column + 1]
+            tx = sonar_x - np.float32(across[column + 1] * z)
+            ty, tz = sonar_y - np.float32(drop * z), sonar_z - z
             square_m2 = tx * tx + ty * ty + tz * tz
-            facing_m = nx * tx + ny * ty + nz * tz
-            if facing_m > 0 and square_m2 > 0:
-                cubic_m3 = square_m2 * np.sqrt(square_m2)
-                radiance[row, column] = albedo[row, column] * facing_m / cubic_m3
+            facing_m = nx[column] * tx + ny[column] * ty + nz[column] * tz
+            value = strength[column] * facing_m / (square_m2 * np.sqrt(square_m2))
+            lit = inside[column] & (facing_m > 0) & (square_m2 > 0)
+            shine[column] = value if lit else _ZERO
     return radiance
 
 
@@ -273,3 +280,18 @@ def box_mean(values: Any, side: Any) -> Any:
             means[row, column] = np.float32(sum_here * share)
             totals[column] = sum_here - (along[going, column] if going >= 0 else 0.0)
     return means
+
+
+@compiled(f"void(Array(uint8, 2, 'C', readonly=True), {_ROW}, {_OUT})")
+def unfold(planes: Any, table: Any, values: Any) -> None:
+    """Fill `values` (H, W) with `table` at the codes that `view.fold` wrote, planes (2, H * W)."""
+    height, width = values.shape
+    above = np.zeros(width, np.uint16)
+    for row in range(height):
+        down = np.uint16(0)
+        for column in range(width):
+            at = row * width + column
+            folded = np.uint16(planes[0, at] | np.uint16(planes[1, at]) << 8)
+            down = np.uint16(down + np.uint16((folded >> 1) ^ np.uint16(-np.int16(folded & 1))))
+            above[column] = np.uint16(above[column] + down)
+            values[row, column] = table[above[column]]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -19,18 +18,22 @@ from .mesh import cut_quads
 _FAINTEST = 1e-12
 
 
-@lru_cache(maxsize=8)
-def directions(
-    intrinsics: Intrinsics, height: int, width: int
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """(W,) and (H,): what depth is multiplied by to give x in each column and y in each row.
+Grid = tuple[npt.NDArray[Any], ...]
 
+
+def grid_of(depth_m: npt.NDArray[np.floating[Any]], camera: Intrinsics, edge_ratio: float) -> Grid:
+    """(H, W) depths as `kernels` want them, a border of one unmeasured pixel all around.
+
+    Depth, its joints, and what it is multiplied by to give x in each column and y in each row:
     P = z K^-1 (u, v, 1)^T (Yang et al. 2024, Eq. 2).  Pixel (u, v) stands for its centre, so the
     top left pixel's centre is (0, 0); lens distortion is not looked at.
     """
-    across = (np.arange(width) - intrinsics.cx) / intrinsics.fx
-    down = (np.arange(height) - intrinsics.cy) / intrinsics.fy
-    return across, down
+    height, width = depth_m.shape
+    bordered = np.zeros((height + 2, width + 2), np.float32)
+    bordered[1:-1, 1:-1] = depth_m
+    across = (np.arange(-1, width + 1) - camera.cx) / camera.fx
+    down = (np.arange(-1, height + 1) - camera.cy) / camera.fy
+    return bordered, kernels.joints(bordered, edge_ratio), across, down
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +56,14 @@ class Surface:
 class Pixels:
     """A frame at full resolution: which pixels are surface, and how strongly each scatters.
 
-    depth_m, albedo: (H, W) float32.  mask: (H, W) bool.  joints: (H, W) uint8, see `kernels`.
+    depth_m, albedo: (H, W) float32.  mask: (H, W) bool.  grid: see `grid_of`.
     edge_ratio: see `RenderSettings`.  stride: every how-manieth row and column is traced.
     """
 
     depth_m: npt.NDArray[np.float32]
     intrinsics: Intrinsics
     albedo: npt.NDArray[np.float32]
-    joints: npt.NDArray[np.uint8]
+    grid: Grid
     mask: npt.NDArray[np.bool_]
     edge_ratio: float
     stride: int
@@ -75,17 +78,13 @@ class Pixels:
         """`edge_ratio` between traced pixels: on the same slope their steps are larger."""
         return min(1.0, self.edge_ratio * self.stride)
 
-    @property
-    def _grid(self) -> tuple[npt.NDArray[Any], ...]:
-        return self.depth_m, self.joints, *directions(self.intrinsics, *self.depth_m.shape)
-
     def surface(self) -> Surface:
         """Points and normals of the traced pixels; the normals are those of full resolution."""
         first, at, camera = self.traced.start, (self.traced, self.traced), self.intrinsics
         mask = np.ascontiguousarray(self.mask[at])
         points_m = np.empty((*mask.shape, 3), np.float32)
         normals = np.empty_like(points_m)
-        kernels.orient(self._grid, first, self.stride, points_m, normals)
+        kernels.orient(self.grid, first, self.stride, points_m, normals)
         if self.stride > 1:
             # At this distance what hangs loose could join a surface that it is no part of.
             points_m[~mask] = 0
@@ -104,7 +103,7 @@ class Pixels:
 
     def radiance(self, sonar_m: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float32]:
         """(H, W) float32 light of a sonar at (3,) metres in camera axes, without shadows."""
-        light = kernels.shade(self._grid, self.mask, self.albedo, np.asarray(sonar_m, np.float32))
+        light = kernels.shade(self.grid, self.mask, self.albedo, np.asarray(sonar_m, np.float32))
         return np.asarray(light)
 
     def apply(
@@ -130,7 +129,7 @@ class Pixels:
 def pixels_of(frame: Frame, settings: RenderSettings, stride: int = 1) -> Pixels:
     """Albedo and surface pixels of a frame of which every `stride`-th row and column is traced."""
     depth_m = np.ascontiguousarray(frame.depth_m, np.float32)
-    joints = kernels.joints(depth_m, settings.edge_ratio)
+    grid = grid_of(depth_m, frame.intrinsics, settings.edge_ratio)
     shade = albedo(frame.rgb, frame.valid, settings.albedo)
-    mask = cut_quads(joints).mask()
-    return Pixels(depth_m, frame.intrinsics, shade, joints, mask, settings.edge_ratio, stride)
+    mask = np.ascontiguousarray(cut_quads(grid[1]).mask()[1:-1, 1:-1])
+    return Pixels(depth_m, frame.intrinsics, shade, grid, mask, settings.edge_ratio, stride)

@@ -145,11 +145,10 @@ def decode(content: bytes) -> View:
         if head["labelled"]:
             more["segmentation"] = np.frombuffer(parts[2], np.uint8).reshape(shape)
             more["instance"] = np.frombuffer(parts[3], "<u2").astype(np.uint16).reshape(shape)
-        depth_m = _table(DEPTH)[unfold(parts[0], shape)]
+        depth_m = unfold(parts[0], shape, DEPTH)
         nameless, camera = FrameRef("", "", ""), _camera(head["intrinsics"])
         seen = Frame(nameless, _black(shape), depth_m, camera, **more)
-        radiance = _table(RADIANCE)[unfold(parts[1], shape)]
-        return View(seen, radiance, mount_of(head["mount"]))
+        return View(seen, unfold(parts[1], shape, RADIANCE), mount_of(head["mount"]))
     except (KeyError, TypeError, zstd.ZstdError, struct.error) as error:
         raise ValueError(f"damaged ({error})") from error
 
@@ -220,10 +219,11 @@ def fold(codes: Codes) -> bytes:
     return (folded & 255).astype(np.uint8).tobytes() + (folded >> 8).astype(np.uint8).tobytes()
 
 
-def unfold(content: bytes, shape: tuple[int, int]) -> Codes:
-    """The (H, W) codes that `fold` wrote.  Raises ValueError for another number of bytes."""
-    low, high = np.frombuffer(content, np.uint8).reshape(2, *shape).astype(np.uint16)
-    folded = low | high << 8
-    step = (folded >> 1) ^ -(folded & 1)
-    down = np.cumsum(step, axis=1, dtype=np.uint16)
-    return np.asarray(np.cumsum(down, axis=0, dtype=np.uint16))
+def unfold(content: bytes, shape: tuple[int, int], steps: Steps) -> npt.NDArray[np.float32]:
+    """(H, W) float32 values of the codes that `fold` wrote.  Raises ValueError for other sizes."""
+    from . import kernels  # loads numba
+
+    planes = np.frombuffer(content, np.uint8).reshape(2, shape[0] * shape[1])
+    values = np.empty(shape, np.float32)
+    kernels.unfold(planes, _table(steps), values)
+    return values

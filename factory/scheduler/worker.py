@@ -7,14 +7,14 @@ import multiprocessing
 import os
 import pickle
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from ..dataset.format.manifest import ShardInfo
-from ..dataset.format.schema import Axis, Column, Pair, PairSource, Preparer, check_pair
+from ..dataset.format.schema import Pair, PairSource, Preparer, check_pair
 from ..dataset.write.failures import Failure, FailureKind
 from ..dataset.write.writer import write_shard
 from ..errors import FactoryError, FrameError, NotRendered
@@ -28,6 +28,8 @@ from .plan import FrameVariants, ShardTask
 from .workers.contract import tell
 
 T = TypeVar("T")
+Clock = Callable[[], Any]
+"""Makes a block in which a frame's time limit is kept."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class ShardAttempt:
     given_up: frames that killed their workers; recorded as failures without another try.
     lacking: frames that the finished shard on disk lacks.  While all of them still fail, that
         shard is good as it is and kept.
-    keys: of frames that were prepared for it, by their names; see `sample.Prepared`.
+    keys: of frames that were prepared for it, by their names; see `schema.Prepared`.
     """
 
     task: ShardTask
@@ -75,7 +77,7 @@ class FrameAttempt:
 class FrameResult:
     """The outcome of a `FrameAttempt`.
 
-    hit, bytes, key: see `sample.Prepared`.
+    hit, bytes, key: see `schema.Prepared`.
     """
 
     failure: Failure | None
@@ -84,44 +86,36 @@ class FrameResult:
     key: str = ""
 
 
-class Watch:
-    """The clock of one attempt, in its worker.
-
-    A C thread of the interpreter: it also ends native code that never returns.
-    """
-
-    def __init__(self, trace: int, frame_timeout_s: float) -> None:
-        self._trace, self._frame_timeout_s = trace, frame_timeout_s
-
-    @contextmanager
-    def watched(self) -> Iterator[None]:
-        """End this process, traceback first, when the block outlasts the frame's time limit."""
-        # Only a process of its own may be ended from within.
-        if multiprocessing.parent_process() is None:
-            yield
-            return
-        faulthandler.dump_traceback_later(self._frame_timeout_s, exit=True, file=self._trace)
-        try:
-            yield
-        finally:
-            faulthandler.cancel_dump_traceback_later()
-
-
 @contextmanager
-def watch(trace: Path, frame_timeout_s: float) -> Iterator[Watch]:
-    """The watch of an attempt; `trace` gets the traceback of a crash, or of a frame that is late.
+def watch(trace: Path, frame_timeout_s: float) -> Iterator[Clock]:
+    """The clock of an attempt; `trace` gets the traceback of a crash, or of a frame that is late.
 
-    Where that file cannot be written there is no traceback, and nothing else is lost.
+    It is a C thread of the interpreter, which also ends native code that never returns, and ends
+    no process but one of its own.  Where the file cannot be written there is no traceback, and
+    nothing else is lost.
     """
+    alone = multiprocessing.parent_process() is not None
     with open(os.devnull, "w") as nowhere, ExitStack() as files:
         file = nowhere
         with suppress(OSError):
             trace.parent.mkdir(parents=True, exist_ok=True)
             file = files.enter_context(trace.open("a"))
-        if multiprocessing.parent_process() is not None:
+        if alone:
             faulthandler.enable(file)
             files.callback(faulthandler.disable)
-        yield Watch(file.fileno(), frame_timeout_s)
+
+        @contextmanager
+        def clock() -> Iterator[None]:
+            if not alone:
+                yield
+                return
+            faulthandler.dump_traceback_later(frame_timeout_s, exit=True, file=file)
+            try:
+                yield
+            finally:
+                faulthandler.cancel_dump_traceback_later()
+
+        yield clock
 
 
 # Built once a process: a preparer holds the renderer and its scene, which are slow to build.
@@ -160,19 +154,15 @@ def prepare_frame(attempt: FrameAttempt) -> FrameResult:
     recipe, ref = attempt.recipe, attempt.ref
     assert recipe.preparer is not None
     with watch(attempt.trace, recipe.frame_timeout_s) as clock:
-        with clock.watched():
+        with clock():
             preparer: Preparer = _build(recipe.preparer, recipe)
         tell(START, 0)
         try:
-            with clock.watched():
+            with clock():
                 made = preparer.prepare(ref)
             return FrameResult(None, made.hit, made.bytes, made.key)
-        except FrameError as error:
-            return FrameResult(Failure(ref, "frame", _one_line(str(error)), ""))
-        except FactoryError:
-            raise
         except Exception as error:
-            return FrameResult(Failure(ref, "error", _defect(ref, error), ""))
+            return FrameResult(_failure(ref, error, ""))
 
 
 def make_shard(attempt: ShardAttempt) -> ShardResult:
@@ -182,20 +172,11 @@ def make_shard(attempt: ShardAttempt) -> ShardResult:
     """
     with ExitStack() as here:
         attempt = _at_hand(attempt, here)
-        recipe = attempt.recipe
-        clock = here.enter_context(watch(attempt.trace, recipe.frame_timeout_s))
-        with clock.watched():
-            source: PairSource = _build(recipe.source, recipe)
-            source.expect(attempt.keys)
-            preparer = None
-            if recipe.apart and recipe.preparer:
-                preparer = _build(recipe.preparer, recipe)
-            frames = _Frames(attempt, source, clock, source.axes(), source.columns(), preparer)
-        lacking = [
-            item for item in enumerate(attempt.task.items) if item[1][0].name in attempt.lacking
-        ]
+        clock = here.enter_context(watch(attempt.trace, attempt.recipe.frame_timeout_s))
+        with clock():
+            shard = _Shard(attempt, clock)
         try:
-            return _made(attempt, source, frames, lacking)
+            return shard.result()
         except NotRendered as error:
             gone = tuple(ref for ref, _ in attempt.task.items if ref.name == error.frame)
             return ShardResult(None, (), missing=gone)
@@ -213,49 +194,6 @@ def _at_hand(attempt: ShardAttempt, here: ExitStack) -> ShardAttempt:
     return replace(attempt, recipe=recipe, trace=publication.folder / attempt.trace.name)
 
 
-def _made(
-    attempt: ShardAttempt,
-    source: PairSource,
-    frames: _Frames,
-    lacking: list[tuple[int, FrameVariants]],
-) -> ShardResult:
-    recipe = attempt.recipe
-    given_up = {failure.ref.name for failure in attempt.given_up}
-
-    def missing(items: Iterable[FrameVariants]) -> ShardResult | None:
-        if frames.prepares:
-            return None
-        gone = [ref for ref, _ in items if ref.name not in given_up and not source.ready(ref)]
-        return ShardResult(None, (), missing=tuple(gone)) if gone else None
-
-    if lacking:
-        if result := missing(item for _, item in lacking):
-            return result
-        failures = [frames.attempt(index, item)[1] for index, item in lacking]
-        if all(failures):
-            return ShardResult(None, tuple(f for f in failures if f), kept=True)
-    if result := missing(attempt.task.items):
-        return result
-    info = write_shard(
-        recipe.directory,
-        attempt.task.path,
-        frames.pairs(),
-        frames.axes,
-        frames.columns,
-        recipe.provenance,
-        recipe.dataset,
-    )
-    if info is not None:
-        failed = tuple(failure.ref.name for failure in frames.failures)
-        info = replace(
-            info,
-            plan=attempt.task.digest,
-            failed=failed,
-            config_hash=recipe.provenance.config_hash,
-        )
-    return ShardResult(info, tuple(frames.failures))
-
-
 def _build(maker: Callable[[Any], T], recipe: Recipe) -> T:
     """The source or preparer of this process, built at its first task."""
     key = (maker, recipe.provenance.config_hash, recipe.config)
@@ -267,41 +205,66 @@ def _build(maker: Callable[[Any], T], recipe: Recipe) -> T:
     return made
 
 
-class _Frames:
+class _Shard:
     """Goes through the frames of one attempt and tells of each."""
 
-    def __init__(
-        self,
-        attempt: ShardAttempt,
-        source: PairSource,
-        clock: Watch,
-        axes: tuple[Axis, Axis],
-        columns: tuple[Column, ...],
-        preparer: Preparer | None = None,
-    ) -> None:
-        self._preparer = preparer
-        self.axes, self.columns = axes, columns
-        self.failures: list[Failure] = []
-        self._attempt, self._source, self._clock = attempt, source, clock
+    def __init__(self, attempt: ShardAttempt, clock: Clock) -> None:
+        self._attempt, self._recipe, self._clock = attempt, attempt.recipe, clock
+        self._source: PairSource = _build(self._recipe.source, self._recipe)
+        self._source.expect(attempt.keys)
+        # What a frame needs is made here, too, by who shares no folder.
+        self._preparer: Preparer | None = None
+        if self._recipe.apart and self._recipe.preparer:
+            self._preparer = _build(self._recipe.preparer, self._recipe)
+        self._axes, self._columns = self._source.axes(), self._source.columns()
         self._given_up = {failure.ref.name: failure for failure in attempt.given_up}
+        self._failures: list[Failure] = []
 
-    @property
-    def prepares(self) -> bool:
-        """Whether what a frame needs is made here, too."""
-        return self._preparer is not None
+    def result(self) -> ShardResult:
+        """Write the shard, or say why it is not to be written."""
+        task, recipe = self._attempt.task, self._recipe
+        lacking = [item for item in enumerate(task.items) if self._lacks(item[1])]
+        if lacking:
+            if missing := self._missing([item for _, item in lacking]):
+                return ShardResult(None, (), missing=missing)
+            failures = [self._made(index, item)[1] for index, item in lacking]
+            if all(failures):
+                return ShardResult(None, tuple(f for f in failures if f), kept=True)
+        if missing := self._missing(task.items):
+            return ShardResult(None, (), missing=missing)
+        how = self._axes, self._columns, recipe.provenance, recipe.dataset
+        info = write_shard(recipe.directory, task.path, self._pairs(), *how)
+        if info is not None:
+            info = replace(
+                info,
+                plan=task.digest,
+                failed=tuple(failure.ref.name for failure in self._failures),
+                config_hash=recipe.provenance.config_hash,
+            )
+        return ShardResult(info, tuple(self._failures))
 
-    def pairs(self) -> Iterator[Pair]:
-        """The pairs of all frames in order; frames without go to `failures`."""
+    def _lacks(self, item: FrameVariants) -> bool:
+        return item[0].name in self._attempt.lacking
+
+    def _missing(self, items: Sequence[FrameVariants]) -> tuple[FrameRef, ...]:
+        """Frames that somebody else has to prepare first."""
+        if self._preparer is not None:
+            return ()
+        refs = (ref for ref, _ in items if ref.name not in self._given_up)
+        return tuple(ref for ref in refs if not self._source.ready(ref))
+
+    def _pairs(self) -> Iterator[Pair]:
+        """The pairs of all frames in order; frames without go to the failures."""
         for index, item in enumerate(self._attempt.task.items):
-            pairs, failure = self.attempt(index, item)
+            pairs, failure = self._made(index, item)
             if failure:
-                self.failures.append(failure)
+                self._failures.append(failure)
                 tell(FAILED, index)
             else:
                 tell(DONE, len(pairs))
             yield from pairs
 
-    def attempt(self, index: int, item: FrameVariants) -> tuple[list[Pair], Failure | None]:
+    def _made(self, index: int, item: FrameVariants) -> tuple[list[Pair], Failure | None]:
         """The checked pairs of one frame, or what kept it from giving them."""
         ref, variants = item
         if ref.name in self._given_up:
@@ -309,31 +272,33 @@ class _Frames:
         tell(START, index)
         try:
             if self._preparer is not None:
-                with self._clock.watched():
+                with self._clock():
                     self._preparer.prepare(ref)
-            with self._clock.watched():
+            with self._clock():
                 pairs = self._source.pairs(ref, variants)
             if len(pairs) != len(variants):
                 raise FrameError(f"{ref.name}: {len(pairs)} pairs for {len(variants)} variants")
             for pair in pairs:
-                check_pair(pair, self.axes, self.columns, ref.name)
+                check_pair(pair, self._axes, self._columns, ref.name)
             return pairs, None
-        except FrameError as error:
-            return [], self._failure(ref, "frame", str(error))
-        except FactoryError:
-            raise
         except Exception as error:
-            # A defect of ours in one frame must not cost the others; where it is gets recorded.
-            return [], self._failure(ref, "error", _defect(ref, error))
-
-    def _failure(self, ref: FrameRef, kind: FailureKind, reason: str) -> Failure:
-        return Failure(ref, kind, _one_line(reason), self._attempt.task.path)
+            return [], _failure(ref, error, self._attempt.task.path)
 
 
-def _defect(ref: FrameRef, error: Exception) -> str:
+def _failure(ref: FrameRef, error: Exception, shard: str) -> Failure:
+    """What kept a frame from giving pairs.  Raises what is no matter of one frame.
+
+    A defect of ours in one frame must not cost the others; where it is gets recorded.
+    """
+    if isinstance(error, FrameError):
+        return Failure(ref, "frame", _one_line(str(error)), shard)
+    if isinstance(error, FactoryError):
+        raise error
     last = traceback.extract_tb(error.__traceback__)[-1]
     place = f"{Path(last.filename).name}:{last.lineno}"
-    return _one_line(f"{ref.name}: {type(error).__name__}: {error} ({place})")
+    kind: FailureKind = "error"
+    reason = _one_line(f"{ref.name}: {type(error).__name__}: {error} ({place})")
+    return Failure(ref, kind, reason, shard)
 
 
 def _one_line(text: str) -> str:

@@ -34,12 +34,8 @@ class Echoes:
 
     def select(self, chosen: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> Echoes:
         """The chosen echoes (a mask or indices)."""
-        return Echoes(
-            self.range_m[chosen],
-            self.azimuth_rad[chosen],
-            self.elevation_rad[chosen],
-            self.strength[chosen],
-        )
+        places = np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen
+        return Echoes(*(values.take(places) for values in vars(self).values()))
 
     def louder(self, factor: float) -> Echoes:
         """The same echoes, every strength times `factor`."""

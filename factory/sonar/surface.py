@@ -110,17 +110,13 @@ def mount_weight(frame: Frame, mount: Mount, exponent: float) -> npt.NDArray[np.
     r_c^2 dO / cos_c with the camera's, and backscatter by cos_s^n leaves cos_s^n / r_s^4 of it:
     cos_s^(n - 1) / cos_c (r_c / r_s)^2.
     """
-    # Both load numba.
-    from ..render import kernels
-    from ..render.surface import directions
+    from ..render import kernels  # loads numba, as the next
+    from ..render.surface import grid_of
 
-    depth_m = np.ascontiguousarray(frame.depth_m, np.float32)
     sonar_m = mount.position_camera_m().astype(np.float32)
-    filled = tuple(np.empty(depth_m.shape, np.float32) for _ in range(3))
+    filled = tuple(np.empty(frame.depth_m.shape, np.float32) for _ in range(3))
     # Frames of a cache have lost what was no surface, so every neighbour here may be joined.
-    joints = kernels.joints(depth_m, _EDGE_RATIO)
-    grid = (depth_m, joints, *directions(frame.intrinsics, *depth_m.shape))
-    kernels.facing(grid, sonar_m, filled)
+    kernels.facing(grid_of(frame.depth_m, frame.intrinsics, _EDGE_RATIO), sonar_m, filled)
     cosine_camera, cosine, nearer = filled
     cosine_camera = np.maximum(cosine_camera, np.float32(_GRAZING_COSINE))
     cosine = np.maximum(cosine, np.float32(_GRAZING_COSINE))

@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 import yaml
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from ...factory.config import FactoryConfig, digest, from_mapping, plain
 from ...factory.dataset.format.manifest import CONFIG_NAME
@@ -296,14 +298,20 @@ def _config(data: RendersData, dataset: str) -> FactoryConfig:
         raise FactoryError(
             f"{path}: cannot be read; data=renders needs the whole folder that `simnfnd make` wrote"
         ) from error
+    words = []
     for word in data.factory:
-        key, equals, text = word.partition("=")
+        key, equals, _ = word.lstrip("+").partition("=")
         if not equals:
             raise FactoryError(f"data.factory: {word!r} is no KEY=VALUE")
-        key = key.lstrip("+")
         # What the experiment decides is changed there; the dataset may not even have the group.
         if data.experiment is None or key.partition(".")[0] not in _DECIDE:
-            _put(values, key, yaml.safe_load(text))
+            words.append(word.lstrip("+"))
+    try:
+        merged = OmegaConf.create(values)
+        merged.merge_with_dotlist(words)
+        values = OmegaConf.to_container(merged)
+    except (OmegaConfBaseException, ValueError, yaml.YAMLError) as error:
+        raise FactoryError(f"data.factory: {' '.join(str(error).split())[:160]}") from error
     # What stands beside the pairs is of no use here, and may need more than the renders.
     if isinstance(values, dict) and isinstance(values.get("dataset"), dict):
         values["dataset"]["layers"] = []
@@ -318,13 +326,3 @@ def _config(data: RendersData, dataset: str) -> FactoryConfig:
             f"dataset={dataset}: data=renders needs a dataset of this version of the factory, and "
             f"keys that it has: {error}"
         ) from error
-
-
-def _put(values: dict[str, Any], key: str, value: Any) -> None:
-    *path, last = key.split(".")
-    for step in path:
-        inner = values.setdefault(step, {})
-        if not isinstance(inner, dict):
-            raise FactoryError(f"data.factory: {key}: {step} is a value and no group")
-        values = inner
-    values[last] = value

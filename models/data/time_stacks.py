@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from ...factory.errors import FactoryError
 from ...factory.sonar.geometry import FanGeometry
-from ..recordings.static import find_groups
+from ..recordings.static import find_groups, shifted
 from ..removal import averaged
 from .images import frame_of, list_images
 from .pairs import Image, Sample
@@ -67,7 +67,7 @@ class Stack:
         if rng.random() < _OFF:
             for number in range(several):
                 if number != own:
-                    stack[number] = _moved(stack[number], rng.uniform(-_OFF_PX, _OFF_PX, 2))
+                    stack[number] = shifted(stack[number], rng.uniform(-_OFF_PX, _OFF_PX, 2))
         weights = np.ones_like(stack)
         if rng.random() < _UNEVEN:
             field = smooth_field(rng, stack.shape[1:])
@@ -191,15 +191,6 @@ def smooth_field(rng: np.random.Generator, shape: tuple[int, ...]) -> Image:
     field = cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)
     field = (field - 0.5) * rng.uniform(1, 6) + rng.uniform(0.2, 0.9)
     return np.asarray(np.clip(field, 0, 1), np.float32)
-
-
-def _moved(picture: Image, shift_px: npt.NDArray[np.float64]) -> Image:
-    matrix = np.array([[1, 0, shift_px[0]], [0, 1, shift_px[1]]], np.float64)
-    size = picture.shape[::-1]
-    moved = cv2.warpAffine(
-        picture, matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
-    )
-    return np.asarray(moved, np.float32)
 
 
 def _grey(frames: npt.NDArray[np.uint8]) -> Image:

@@ -32,7 +32,6 @@ from .geometries import FIND, Geometries
 from .inputs import Item, find_items, sequences
 from .pictures import Denoising, check_frames
 from .resume import Finished, stopped_by_sigterm
-from .shards import denoise_shard, made_of_points, opened_shard
 from .temporal.stream import FRAMES
 from .watch import Watched, watch
 
@@ -209,6 +208,8 @@ class _Work:
         if item.kind == "video":
             denoise_video(item, self.job)
             return ""
+        from .shards import denoise_shard, made_of_points  # loads h5py, for datasets alone
+
         denoise = self.denoise
         if self.points is not None and made_of_points(item):
             denoise = self.points()
@@ -291,6 +292,8 @@ def _pictures(item: Item, topics: Sequence[str]) -> int:
         return 1
     try:
         if item.kind == "shard":
+            from .shards import opened_shard
+
             with opened_shard(item) as shard:
                 return len(shard["noisy"])
         if item.kind == "bag":

@@ -10,8 +10,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
-from ...factory.dataset.format.manifest import MANIFEST_NAME
-from ...factory.dataset.read.reader import shard_paths
 from ...factory.errors import FactoryError
 from ..recordings import PICTURE_SUFFIXES, READERS, SEQUENCES, Levels, is_bag_folder, kind_of
 from ..recordings.arrays import SUFFIXES as ARRAY_SUFFIXES
@@ -33,6 +31,7 @@ SUFFIXES = (
 
 SequenceKey = tuple[str, ...]
 
+_MANIFEST = "manifest.json"
 _NUMBER = re.compile(r"\d+")
 
 
@@ -151,7 +150,9 @@ def _of_input(path: Path, out: Path) -> Iterator[Item]:
         raise FactoryError(f"{path}: no such file or folder")
     elif is_bag_folder(path):
         yield Item(path, Path(path.resolve().name))
-    elif (path / MANIFEST_NAME).is_file():
+    elif (path / _MANIFEST).is_file():
+        from ...factory.dataset.read.reader import shard_paths  # loads h5py, for datasets alone
+
         for shard in shard_paths(path, "all"):
             yield Item(shard, shard.relative_to(path), checked=True)
     else:

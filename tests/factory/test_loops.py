@@ -70,7 +70,8 @@ def plain_surface(
 ) -> tuple[Echoes, npt.NDArray[np.intp]]:
     """Every surface pixel in the vertical beam, in double precision."""
     points_m = device.mount.to_sonar(
-        frame.depth_m[..., None] * rays(*frame.depth_m.shape, frame.intrinsics)
+        frame.depth_m[..., None]
+        * rays(len(frame.depth_m), frame.depth_m.shape[1], frame.intrinsics)
     )
     echoes = from_xyz(points_m[rendered.surface], rendered.radiance[rendered.surface])
     in_beam = np.abs(echoes.elevation_rad) <= np.deg2rad(device.vfov_deg) / 2

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from simnfnd.command import main, overview
-from simnfnd.factory.cli.extras import EXTRAS, WITH_SONAR
+from simnfnd.factory.cli.extras import EXTRAS
 from simnfnd.verbs import VERBS, Verb
 from tests.project_files import project
 
@@ -226,9 +226,6 @@ def test_the_extras_install_what_they_are_named_for() -> None:
     for module, extra in EXTRAS.items():
         lines = " ".join(declared[extra])
         assert distributions.get(module, module) in lines
-    bringing = {"simnfnd[sonar]", "simnfnd[denoise]"}
-    within = {name for name, lines in declared.items() if bringing & set(lines)}
-    assert within == WITH_SONAR
     everything = set(declared) - {"all", "dev", "docs"}
     assert declared["all"] == [f"simnfnd[{','.join(k for k in declared if k in everything)}]"]
 

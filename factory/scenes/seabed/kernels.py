@@ -89,6 +89,25 @@ def point_normals(points: Any, triangles: Any, normals: Any) -> None:
         normals[k, 0], normals[k, 1], normals[k, 2] = x * scale, y * scale, z * scale
 
 
+@compiled(f"void({_VECTORS}, {_VECTORS})")
+def normals_of_grid(points: Any, normals: Any) -> None:
+    """(R, C, 3) unit normals of a grid of points, turned upward, by central differences."""
+    rows, columns = points.shape[:2]
+    for row in range(rows):
+        above, below = points[max(row - 1, 0)], points[min(row + 1, rows - 1)]
+        for column in range(columns):
+            left, right = points[row, max(column - 1, 0)], points[row, min(column + 1, columns - 1)]
+            dx, rx = below[column, 0] - above[column, 0], right[0] - left[0]
+            dy, ry = below[column, 1] - above[column, 1], right[1] - left[1]
+            dz, rz = below[column, 2] - above[column, 2], right[2] - left[2]
+            x, y, z = ry * dz - rz * dy, rz * dx - rx * dz, rx * dy - ry * dx
+            up = -_ONE if z < 0 else _ONE
+            x, y, z = x * up, y * up, z * up
+            length = max(np.sqrt(x * x + y * y + z * z), _F(1e-20))
+            normal = normals[row, column]
+            normal[0], normal[1], normal[2] = x / length, y / length, z / length
+
+
 @compiled(
     f"void({_VECTORS}, {_VECTORS}, UniTuple({_PLANE}, 3), UniTuple({_ROWS}, 2), float32[::1], "
     f"float32[::1], {_VECTORS})"

@@ -164,16 +164,12 @@ class Ripples:
 
 
 def grid_normals(points: Floats) -> Floats:
-    """(R, C, 3) unit normals of a (R, C, 3) grid of points, turned upward: central differences."""
-    down = np.concatenate([points[1:], points[-1:]]) - np.concatenate([points[:1], points[:-1]])
-    right = np.concatenate([points[:, 1:], points[:, -1:]], axis=1)
-    right -= np.concatenate([points[:, :1], points[:, :-1]], axis=1)
-    (dx, dy, dz), (rx, ry, rz) = np.moveaxis(down, -1, 0), np.moveaxis(right, -1, 0)
-    normals = np.stack([ry * dz - rz * dy, rz * dx - rx * dz, rx * dy - ry * dx], axis=-1)
-    normals[normals[..., 2] < 0] *= -1
-    x, y, z = np.moveaxis(normals, -1, 0)
-    length = np.maximum(np.sqrt(x * x + y * y + z * z), np.float32(1e-20))
-    return np.asarray(normals / length[..., None], np.float32)
+    """(R, C, 3) unit normals of a (R, C, 3) grid of points, turned upward."""
+    from .kernels import normals_of_grid
+
+    normals = np.empty_like(points)
+    normals_of_grid(points, normals)
+    return normals
 
 
 @dataclass(frozen=True, eq=False)

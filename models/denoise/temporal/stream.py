@@ -202,8 +202,9 @@ class InTime(Generic[Key]):
         """Of the noise that is left in each pixel; none is asked for of frames by themselves."""
         if self._frames == 1:
             return picture
-        root = np.sqrt(frames)
-        return self._fusion.noise.at(picture) / (root if picture.ndim == 2 else root[..., None])
+        root: Grey = np.sqrt(frames)
+        left: Grey = root if picture.ndim == 2 else root[..., None]
+        return np.asarray(self._fusion.noise.at(picture) / left)
 
     def _fused(self, number: int) -> Fused:
         shot = self._held[number]

@@ -185,14 +185,14 @@ class ThreeStage(Network):
 
     def restore_stages(self, noisy: Tensor, **extras: Tensor) -> list[Tensor]:
         """Like `restore`, the picture of each stage."""
-        halves = split_rows(noisy)
-        encoded = self.encoders[0](self.shallow[0](split_columns(halves)), None)
-        encoded = [join_columns(x) for x in encoded]
+        halves = split(noisy, 2)
+        encoded = self.encoders[0](self.shallow[0](split(halves, 3)), None)
+        encoded = [join(x, 3) for x in encoded]
         decoded = self.decoders[0](encoded)
         features, first = self.supervised[0](decoded[0], halves)
 
         x = self.joined[0](torch.cat([self.shallow[1](halves), features], dim=1))
-        encoded = [join_rows(x) for x in self.encoders[1](x, (encoded, decoded))]
+        encoded = [join(x, 2) for x in self.encoders[1](x, (encoded, decoded))]
         decoded = self.decoders[1](encoded)
         features, second = self.supervised[1](decoded[0], noisy)
 
@@ -200,35 +200,16 @@ class ThreeStage(Network):
         for level, blocks in enumerate(self.groups):
             x = x + blocks(x)
             x = x + self.encoded[level](encoded[level]) + self.decoded[level](decoded[level])
-        return [join_rows(first), second, noisy + self.outro(x)]
+        return [join(first, 2), second, noisy + self.outro(x)]
 
 
-# Sizes are written out, for the ONNX exporter loses the rank of `unflatten`.
+def split(x: Tensor, dim: int) -> Tensor:
+    """(N, C, H, W) -> twice as many: all first halves along `dim`, then all second ones."""
+    half = x.shape[dim] // 2
+    return torch.cat([x.narrow(dim, 0, half), x.narrow(dim, half, half)])
 
 
-def split_rows(x: Tensor) -> Tensor:
-    """(N, C, H, W) -> (2 N, C, H / 2, W): upper and lower half of each."""
-    count, channels, _, width = x.shape
-    parts = x.reshape(count, channels, 2, -1, width).transpose(1, 2)
-    return parts.reshape(-1, channels, parts.shape[3], width)
-
-
-def join_rows(x: Tensor) -> Tensor:
-    """The way back from `split_rows`."""
-    _, channels, height, width = x.shape
-    parts = x.reshape(-1, 2, channels, height, width).transpose(1, 2)
-    return parts.reshape(parts.shape[0], channels, -1, width)
-
-
-def split_columns(x: Tensor) -> Tensor:
-    """(N, C, H, W) -> (2 N, C, H, W / 2): left and right half of each."""
-    count, channels, height, _ = x.shape
-    parts = x.reshape(count, channels, height, 2, -1).permute(0, 3, 1, 2, 4)
-    return parts.reshape(-1, channels, height, parts.shape[4])
-
-
-def join_columns(x: Tensor) -> Tensor:
-    """The way back from `split_columns`."""
-    _, channels, height, width = x.shape
-    parts = x.reshape(-1, 2, channels, height, width).permute(0, 2, 3, 1, 4)
-    return parts.reshape(parts.shape[0], channels, height, -1)
+def join(x: Tensor, dim: int) -> Tensor:
+    """The way back from `split`."""
+    count = x.shape[0] // 2
+    return torch.cat([x[:count], x[count:]], dim)

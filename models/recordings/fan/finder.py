@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from ....factory.sonar.geometry import FanGeometry
 from ..palettes import find_painted
+from .edges import find_drawn
 from .outline import Numbers, column_limits, fit_sector
 
 Bytes = npt.NDArray[np.uint8]
@@ -73,6 +74,8 @@ def find_fan(picture: npt.NDArray[Any]) -> FoundFan | None:
         alone = _largest_part(grey, spread)
         if alone is not None:
             found = _find_upright(alone, _SURE_ODD) or _find_turned(alone)
+    if found is None and (drawn := find_drawn(grey)) is not None:
+        found = FoundFan(*drawn)
     return found
 
 

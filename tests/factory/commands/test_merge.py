@@ -121,16 +121,6 @@ def test_other_noise_is_refused_by_its_key(tmp_path, two) -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("form", "said"),
-    [({"layout": "polar"}, "ahead axes"), ({"dtype": "float32"}, "layers"),
-     ({"labels": True}, "layers")],
-)  # fmt: skip
-def test_other_forms_are_refused(tmp_path, two, form, said) -> None:
-    other = write(tmp_path / "other", place="mole", **form)
-    refused((two[0], other), tmp_path / "out", said)
-
-
 def test_licences_must_agree_or_be_given(tmp_path, two) -> None:
     other = write(tmp_path / "other", place="mole", licence="MIT")
     refused((two[0], other), tmp_path / "out", r"licences differ .*CC-BY-4.0.*MIT.*--licence")

@@ -20,7 +20,6 @@ from simnfnd.factory.dataset.format.manifest import load_manifest, save_manifest
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.read import reader
 from simnfnd.factory.dataset.read.image_stack import ImageStack
-from simnfnd.factory.dataset.read.reader import check_readable
 from simnfnd.factory.dataset.write.writer import (
     fletcher32,
     write_shard,
@@ -169,35 +168,6 @@ def test_pictures_that_no_filter_makes_smaller(tmp_path: Path, compression: str)
     with PairDataset(tmp_path) as found:
         np.testing.assert_array_equal(found[0:2]["noisy"], [image, image])
         np.testing.assert_array_equal(found[1]["noisy"], image)
-
-
-def _other_axis(file: h5py.File, name: str, values: object, **how: object) -> None:
-    """Rows of /shadow have another axis than those of the other layers."""
-    scale = file.create_dataset(name, data=values, **how)
-    scale.make_scale(name)
-    file["shadow"].dims[1].detach_scale(file["axes/ahead"])
-    file["shadow"].dims[1].attach_scale(scale)
-
-
-ODD_AXES: dict[str, Callable[[h5py.File], None]] = {
-    "none": lambda file: file["shadow"].dims[1].detach_scale(file["axes/ahead"]),
-    "short": lambda file: _other_axis(file, "axes/x", np.arange(3.0)),
-    "text": lambda file: _other_axis(file, "axes/x", np.array([b"x"] * 24)),
-    "elsewhere": lambda file: _other_axis(file, "x", np.arange(24.0)),
-    "in chunks": lambda file: _other_axis(file, "axes/x", np.arange(24.0), chunks=(4,)),
-    "numbers": lambda file: file["shadow"].attrs.__setitem__("DIMENSION_LIST", [1, 2, 3]),
-}
-
-
-@pytest.mark.parametrize("odd", sorted(ODD_AXES))
-def test_the_axes_of_every_layer_are_looked_at(folder: Path, odd: str) -> None:
-    """Though what they say is read once: the layers share them."""
-    path = folder / SHARD
-    check_readable(path)
-    with h5py.File(path, "r+") as file:
-        ODD_AXES[odd](file)
-    with pytest.raises(FactoryError, match=r"shard-00000\.h5: "):
-        check_readable(path)
 
 
 # --- chunks

@@ -28,7 +28,6 @@ from simnfnd.factory.errors import FactoryError
 from tests.factory.dataset.hostile import PROVENANCE, admit, whole, with_layers
 from tests.fake_source import FakeConfig, FakeSource, refs
 from tests.project_files import ROOT
-from tests.run_fake import make
 
 SOURCE = FakeSource(FakeConfig())
 PAIRS = [
@@ -300,17 +299,3 @@ def test_h5py_alone_reads_the_index_of_a_moved_dataset(
         np.testing.assert_array_equal(index["train/meta"][()], pairs.meta())
         assert index.attrs["schema"] == "simnfnd/1"
         np.testing.assert_array_equal(pairs[6]["noisy"], index["train/noisy"][6])
-
-
-def test_a_run_leaves_an_index_of_all_its_shards(tmp_path: Path) -> None:
-    """The same after an interruption, and on any number of workers."""
-    directory = tmp_path / "dataset"
-    make(directory, workers=2)
-    first = (directory / "index.h5").read_bytes()
-    with h5py.File(directory / "index.h5") as index, opened(directory) as pairs:
-        assert len(index["train/noisy"]) == len(pairs) > 8
-        np.testing.assert_array_equal(index["train/meta"][()], pairs.meta())
-    (directory / "index.h5").unlink()
-    (directory / "train/shard-00000.h5").unlink()
-    make(directory, workers=1)
-    assert (directory / "index.h5").read_bytes() == first

@@ -14,11 +14,8 @@ import h5py
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given
-from hypothesis import strategies as st
 
 from simnfnd.factory.dataset.format.manifest import damage
-from simnfnd.factory.dataset.format.schema import Column, table_dtype, table_row
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.settings import build
@@ -146,33 +143,6 @@ def test_the_table_never_loses_anything_in_silence(
         write(tmp_path, [replace(pair, record={**pair.record, **changes})])
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-COLUMNS = (
-    Column("location", "S8"),
-    Column("scene", "S8"),
-    Column("frame", "S8"),
-    Column("variant", "u1"),
-    Column("gain", "f4"),
-)
-
-
-@given(
-    text=st.text(max_size=12),
-    variant=st.integers(-10, 300),
-    gain=st.floats(allow_nan=False) | st.integers(-5, 5),
-)
-def test_a_row_is_stored_whole_or_refused(text: str, variant: int, gain: float) -> None:
-    record = {"location": "", "scene": text, "frame": "0", "variant": variant, "gain": gain}
-    try:
-        row = np.array([table_row(COLUMNS, record, "frame")], table_dtype(COLUMNS))[0]
-    except FrameError:
-        too_long = len(text.encode(errors="surrogatepass")) > 8 or "\0" in text
-        assert too_long or not 0 <= variant <= 255 or abs(gain) > 3.4e38
-        return
-    assert row["scene"].decode() == text
-    assert row["variant"] == variant
-    assert row["gain"] == np.float32(gain)
 
 
 # --- settings ---------------------------------------------------------------------------------

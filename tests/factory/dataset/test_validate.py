@@ -38,7 +38,7 @@ from tests.project_files import ROOT
 
 SOURCE = FakeSource(FakeConfig())
 # benchmarks/trust/bench_hostile.py goes through 1200 of them.
-MUTATIONS = 60
+MUTATIONS = 40
 
 
 @pytest.fixture(scope="module")

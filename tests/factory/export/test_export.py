@@ -197,23 +197,6 @@ def test_what_does_not_fit_is_refused_with_the_way_out(fans, floats, tmp_path) -
     assert not out.exists()
 
 
-def test_what_the_schema_does_not_know_stays_where_it_is(tmp_path) -> None:
-    # A stranger's file: one more stack, whose values lie in a file beside the dataset.
-    source = write(tmp_path / "source")
-    secret = np.full((4, 20, 16), 7, np.uint8)
-    (tmp_path / "secret.raw").write_bytes(secret.tobytes())
-    for path in source.glob("*/*.h5"):
-        with h5py.File(path, "r+") as file:
-            file.create_dataset(
-                "secret",
-                shape=file["noisy"].shape,
-                dtype="u1",
-                external=[(str(tmp_path / "secret.raw"), 0, h5py.h5f.UNLIMITED)],
-            )
-    export(source, "png", tmp_path / "out")
-    assert not list((tmp_path / "out").rglob("*secret*"))
-
-
 def test_a_damaged_shard_leaves_no_half_export(tmp_path) -> None:
     source = write(tmp_path / "source")
     path = source / "train/shard-00001.h5"

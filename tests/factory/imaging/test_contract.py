@@ -13,8 +13,8 @@ from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.noise.registry import POINT_EFFECTS
 from simnfnd.factory.pairs import FORMATIONS
-from simnfnd.factory.render.cache.views import OneView
 from simnfnd.factory.render.view import view_of
+from simnfnd.factory.render.views import OneView
 from tests.frames import ground_and_post, plain_render
 
 

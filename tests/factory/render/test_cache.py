@@ -121,17 +121,6 @@ def test_a_cache_that_cannot_be_written_is_said_before_the_run(tmp_path: Path) -
         Cache(blocked / "cache").check()
 
 
-def test_a_render_that_is_not_there_is_asked_for_by_name(tmp_path: Path) -> None:
-    settings = config(tmp_path)
-    ref = FrameRef("seabed", "seabed-0000", "0001")
-    with pytest.raises(NotRendered, match="seabed/seabed-0000/0001"):
-        pair_maker(settings).pairs(ref, (0,))
-    made = ViewMaker(settings).prepare(ref)
-    assert (made.hit, made.bytes > 1000) == (False, True)
-    assert ViewMaker(settings).prepare(ref).hit
-    assert len(pair_maker(settings).pairs(ref, (0, 1))) == 2
-
-
 def test_pairs_of_a_cached_render_are_those_of_a_fresh_one(tmp_path: Path) -> None:
     from simnfnd.factory.pairs import make_pair, observe
 

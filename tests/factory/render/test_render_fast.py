@@ -14,35 +14,13 @@ from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import Frame, Intrinsics
 from simnfnd.factory.render import Rendered, RenderSettings, check_renderer
-from simnfnd.factory.render.albedo import albedo, linear_luminance
 from simnfnd.factory.render.kernels import apply_traced
-from simnfnd.factory.render.surface import Pixels, pixels_of
+from simnfnd.factory.render.surface import pixels_of
 from simnfnd.factory.settings import build
 from tests.factory.render.renderers import ABOVE, HERE, LEFT, digest, relative_error, render
 from tests.render_scenes import FLSEA, flsea_frame, frame_of, rays, yard
 
 CAMERA = Intrinsics(21.0, 19.0, 10.3, 8.6)
-
-
-@pytest.mark.parametrize("lost", [0.0, 0.4])
-def test_compiled_albedo_is_the_numpy_formula(lost: float) -> None:
-    rng = np.random.default_rng(4)
-    rgb = rng.integers(0, 256, (90, 130, 3), dtype=np.uint8)
-    valid = rng.random((90, 130)) >= lost
-    code = np.arange(256) / 255
-    linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
-    luminance = linear[rgb] @ [0.2126, 0.7152, 0.0722]
-    np.testing.assert_allclose(linear_luminance(rgb), luminance, rtol=1e-5)
-    side = 11  # an eighth of the height, odd
-
-    def box(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        wide = np.pad(values, side // 2)
-        windows = np.lib.stride_tricks.sliding_window_view(wide, (side, side))
-        return np.asarray(windows.mean(axis=(2, 3)))
-
-    mean = box(box(luminance * valid)) / box(box(valid.astype(np.float64)))
-    expected = np.where(valid, np.clip(0.5 * luminance / mean, 0.1, 1), 0)
-    np.testing.assert_allclose(albedo(rgb, valid, "flattened"), expected, rtol=1e-4)
 
 
 @pytest.mark.parametrize("stride", [2, 3, 5])
@@ -58,12 +36,8 @@ def test_traced_pixels_are_pixels_of_the_frame(stride: int) -> None:
     np.testing.assert_array_equal(surface.albedo, whole.albedo[at])
     np.testing.assert_array_equal(lit, whole.mask[at])
     # A camera of these pixels alone puts them where they are.
-    alone = frame.depth_m[at][..., None] * rays(*lit.shape, surface.intrinsics)
+    alone = frame.depth_m[at][..., None] * rays(len(lit), lit.shape[1], surface.intrinsics)
     np.testing.assert_allclose(alone[lit], surface.points_m[lit], rtol=1e-5, atol=1e-6)
-
-
-def _pixels(depth_m: npt.NDArray[np.float64], stride: int) -> Pixels:
-    return pixels_of(frame_of(depth_m, CAMERA), build(RenderSettings, {}), stride)
 
 
 def spread_in_words(
@@ -107,19 +81,6 @@ def test_tracing_is_spread_as_its_words_say(stride: int) -> None:
     expected = spread_in_words(*told)
     assert (expected > 0).mean() > 0.2
     np.testing.assert_allclose(apply_traced(*told), expected, rtol=1e-4, atol=1e-7)
-
-
-def test_a_shadow_on_one_surface_ends_half_way_between_traced_pixels() -> None:
-    depth_m = np.full((33, 33), 3.0)
-    pixels = _pixels(depth_m, 4)
-    radiance = pixels.radiance(np.zeros(3))
-    columns = np.arange(33)[pixels.traced]
-    coarse = np.where(columns < 16, 0, radiance[pixels.traced, pixels.traced]).astype(np.float32)
-    found = pixels.apply(radiance, coarse, pixels.surface().mask)
-    edge = int(np.argmax(found[16] > 0))
-    last_dark, first_lit = columns[columns < 16][-1], columns[columns >= 16][0]
-    assert edge == (last_dark + first_lit) / 2
-    assert (found[:, edge:] > 0).all()
 
 
 # ---- renders: traced every n-th pixel against every pixel ----

@@ -13,7 +13,7 @@ import pytest
 
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.cli.generate import job_of
-from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.errors import FrameError
 from simnfnd.factory.scenes import frames_of, open_reader
 from simnfnd.factory.scenes.redwood import redwood_poses
 from tests.factory.scenes.scene_files import (
@@ -101,31 +101,6 @@ def path_of(closed: str) -> str:
     """What the names of the frames begin with that lie in a recording, given something in it."""
     parts = closed.split("/")
     return "/".join(parts[: 2 if parts[0] == "canyons" else 1]) + "/"
-
-
-@pytest.mark.parametrize("kind", ["flsea", "redwood", "tum"])
-def test_nothing_that_may_be_read_gets_one_line(open_to_nobody: Path, kind: str) -> None:
-    root = open_to_nobody
-    if kind == "flsea":
-        flsea_frame(root / "canyons/u_canyon", "1")
-    elif kind == "redwood":
-        redwood_recording(root / "loft")
-    else:
-        tum_recording(root / "fr1", ["1"], ["1"])
-    closed = {"flsea": "canyons/u_canyon/imgs", "redwood": "loft/color", "tum": "fr1"}[kind]
-    assert names(reader(kind, root))
-    for path in (root / closed, root):
-        path.chmod(0)
-        as_nobody()
-        for given_root in (root, root / "below"):
-            with pytest.raises(FactoryError) as caught:
-                reader(kind, given_root).discover()
-            assert "\n" not in str(caught.value)
-            if given_root == root:
-                expected = f"scenes.root: {path} cannot be read (Permission denied)"
-                assert str(caught.value).startswith(expected)
-        if os.geteuid() == 65534:
-            os.seteuid(0)
 
 
 def test_listed_images_that_may_not_be_read_are_bad_frames(open_to_nobody: Path) -> None:

@@ -15,7 +15,6 @@ from tests.factory.scenes.scene_files import (
     DEPTH,
     PINHOLE,
     RGB,
-    names,
     reader,
     write,
 )
@@ -53,15 +52,6 @@ def test_csv_list_reads_every_depth_kind(tmp_path: Path) -> None:
     strict = reader("csv_list", path, **values, invalid_below_m=None)
     with pytest.raises(FrameError, match=r"negative.*1\.tif"):
         strict.load(strict.discover().frames[1])
-
-
-def test_csv_list_tells_stems_apart(tmp_path: Path) -> None:
-    for folder in ("dive1", "dive2"):
-        write(tmp_path / folder / "1.png", RGB)
-        write(tmp_path / folder / "1.tif", DEPTH)
-    path = tmp_path / "list.csv"
-    path.write_text("./dive1/1.png,dive1/1.tif\ndive2/1.png,dive2/1.tif\n")
-    assert names(reader("csv_list", path, intrinsics=PINHOLE)) == ["list/dive1-1", "list/dive2-1"]
 
 
 @pytest.mark.parametrize("line", ["only.png", "a,b,c,d", ",b", "a.png,", "a,b,north/south", '"a'])
@@ -103,16 +93,6 @@ def test_csv_list_refuses_bad_keys_by_name(tmp_path: Path, values: dict[str, obj
 
 
 # --- units of depth ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("stored", [DEPTH, (DEPTH * 1000).astype(np.uint16)])
-def test_depth_without_a_scale_is_metres_or_integer_millimetres(tmp_path: Path, stored) -> None:
-    write(tmp_path / "1.png", RGB)
-    write(tmp_path / "1.tif", stored)
-    (tmp_path / "list.csv").write_text("1.png,1.tif\n")
-    listed = reader("csv_list", tmp_path / "list.csv", intrinsics=PINHOLE)
-    (frame,) = map(listed.load, listed.discover().frames)
-    np.testing.assert_allclose(frame.depth_m, DEPTH, atol=1e-3)
 
 
 def test_float_millimetres_are_named_and_depth_scale_mends_them(tmp_path: Path) -> None:

@@ -24,11 +24,8 @@ from simnfnd.factory.scenes.images import read_depth, read_rgb
 from simnfnd.factory.scenes.redwood import redwood_poses
 from simnfnd.factory.scenes.tum import pose_at
 from tests.factory.scenes.scene_files import KALIBR_IMUCAM
-from tests.project_files import ROOT
 
-CANYONS = ROOT / "../shared/data/flsea-vi/canyons/u_canyon"
 Array = npt.NDArray[Any]
-REAL = pytest.mark.skipif(not CANYONS.is_dir(), reason="FLSea frames are not here")
 
 KALIBR_CAM = """Calibration results
 ====================
@@ -100,21 +97,6 @@ def test_a_truncated_file_is_refused_and_never_half_read(
         np.testing.assert_allclose(found, expected, rtol=1e-7)
 
 
-@settings(max_examples=30)
-@given(st.sampled_from(sorted(samples())), st.data())
-def test_flipped_bytes_raise_nothing_but_a_frame_error(
-    tmp_path_factory: pytest.TempPathFactory, name: str, data: st.DataObject
-) -> None:
-    damaged = bytearray(samples()[name][0])
-    for _ in range(data.draw(st.integers(1, 4))):
-        damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
-    path = tmp_path_factory.mktemp("flip") / name
-    path.write_bytes(damaged)
-    found, fault = attempt(path)
-    assert found is None or found.size > 0
-    assert "\n" not in fault
-
-
 def test_a_damaged_tiff_writes_nothing_to_stderr(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -126,13 +108,6 @@ def test_a_damaged_tiff_writes_nothing_to_stderr(
     assert capfd.readouterr().err == ""
     os.write(2, b"still here\n")
     assert capfd.readouterr().err == "still here\n"
-
-
-@REAL
-def test_real_tiffs_agree_with_opencv() -> None:
-    image, depth = next((CANYONS / "imgs").iterdir()), next((CANYONS / "depth").iterdir())
-    np.testing.assert_array_equal(read_rgb(image), cv2.imread(str(image))[:, :, ::-1])
-    np.testing.assert_array_equal(read_depth(depth, None), cv2.imread(str(depth), -1))
 
 
 @pytest.mark.parametrize(

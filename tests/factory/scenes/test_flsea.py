@@ -142,24 +142,6 @@ def test_range_depth_keeps_every_distance(tmp_path: Path) -> None:
     assert np.ptp(frame.depth_m) > 0.1
 
 
-def test_flsea_without_any_depth_says_what_it_saw(tmp_path: Path) -> None:
-    flsea_frame(tmp_path / "canyons/u_canyon", "1", depth=None)
-    with pytest.raises(FactoryError, match=r"no frame in u_canyon \(1 x image without a depth map"):
-        reader("flsea", tmp_path).discover()
-
-
-def test_links_in_a_circle_are_no_images(tmp_path: Path) -> None:
-    scene = tmp_path / "canyons/u_canyon"
-    flsea_frame(scene, "1")
-    (scene / "imgs/2.tiff").symlink_to("2.tiff")
-    (scene / "depth/3_abs_depth.tif").symlink_to("4_abs_depth.tif")
-    (scene / "depth/4_abs_depth.tif").symlink_to("3_abs_depth.tif")
-    assert names(reader("flsea", tmp_path)) == ["canyons/u_canyon/1"]
-    (tmp_path / "circle").symlink_to("circle")
-    with pytest.raises(FactoryError, match=f"^scenes.root={tmp_path}/circle: no such folder"):
-        reader("flsea", tmp_path / "circle").discover()
-
-
 @pytest.mark.skipif(not FLSEA.is_dir(), reason="FLSea frames are not here")
 @pytest.mark.parametrize("undistort", [False, True])
 def test_real_flsea_frames(undistort: bool) -> None:

@@ -24,13 +24,6 @@ def config_of(*words: str) -> FactoryConfig:
     return compose_config([*SMALL, *words])
 
 
-def test_without_a_sector_it_is_the_camera_of_flsea() -> None:
-    optics = camera(968, 608)
-    assert (optics.width, optics.height) == (968, 608)
-    assert optics.intrinsics.fx == 1168
-    assert np.rad2deg(2 * np.arctan(968 / 2 / 1168)) == pytest.approx(45, abs=0.05)
-
-
 @pytest.mark.parametrize(("hfov_deg", "vfov_deg"), [(60, 12), (90, 20), (130, 20)])
 def test_a_sector_is_seen_whole_and_costs_its_solid_angle(hfov_deg: int, vfov_deg: int) -> None:
     optics = camera(968, 608, hfov_deg, vfov_deg)

@@ -14,13 +14,12 @@ from hypothesis import strategies as st
 from simnfnd.factory.scenes.seabed import kernels, view
 from simnfnd.factory.scenes.seabed.biomes import PLACE_NAMES
 from simnfnd.factory.scenes.seabed.camera import Optics, camera, z_buffer
-from simnfnd.factory.scenes.seabed.fields import tiles, waves
+from simnfnd.factory.scenes.seabed.fields import waves
 from simnfnd.factory.scenes.seabed.meshes import (
     Mesh,
     box,
     grid_triangles,
     lathe,
-    rock,
     sphere,
     tube,
 )
@@ -150,26 +149,9 @@ def _ring(count: int) -> npt.NDArray[np.float64]:
 
 @settings(max_examples=8, deadline=None)
 @given(st.integers(0, 2**31))
-def test_rocks_are_solid_and_of_about_unit_size(seed: int) -> None:
-    stone = rock(np.random.default_rng(seed), 3)
-    radius = np.linalg.norm(stone.vertices, axis=1)
-    assert radius.min() > 0.2
-    assert radius.max() < 1.8
-    assert 1 < volume(stone) < 6.5
-
-
-@settings(max_examples=8, deadline=None)
-@given(st.integers(0, 2**31))
 def test_waves_have_unit_variance(seed: int) -> None:
     rng = np.random.default_rng(seed)
     field = waves(rng, 8.0, 0.5)
     values = field(*rng.uniform(-2000, 2000, (2, 20_000)))
     assert abs(float(values.mean())) < 0.1
     assert float(values.std()) == pytest.approx(1, abs=0.1)
-
-
-def test_noise_pictures_repeat_without_a_seam() -> None:
-    rock_tile = tiles().rock
-    step = np.abs(np.diff(rock_tile, axis=0)).mean()
-    assert np.abs(rock_tile[0] - rock_tile[-1]).mean() < 1.5 * step
-    assert rock_tile.std() == pytest.approx(1, abs=1e-3)

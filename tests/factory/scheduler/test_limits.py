@@ -14,7 +14,6 @@ import yaml
 
 from simnfnd.factory.cli import guard
 from simnfnd.factory.scheduler.settings import SchedulerSettings
-from simnfnd.factory.scheduler.workers import machine
 from tests.project_files import ROOT
 
 CODE = """
@@ -46,22 +45,6 @@ def test_a_shell_with_few_open_files(tmp_path: Path, limit: int, said: str, told
     assert re.search(said, done.stderr)
     assert "Traceback" not in done.stderr
     assert done.stdout == told
-
-
-def test_a_limit_on_memory_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    import resource
-
-    # What other tests have loaded into this process must not count.
-    space = psutil.Process().memory_info().vms + (3 << 30)
-
-    def limit(which: int) -> tuple[int, int]:
-        return (space, space) if which == resource.RLIMIT_AS else (-1, -1)
-
-    monkeypatch.setattr(resource, "getrlimit", limit)
-    fitting, words = machine.workers_that_fit(48)
-    assert 4 < fitting < 30
-    assert words == f"ulimit -v is {space // 1024}"
-    assert machine.workers_that_fit(0) == (0, "")
 
 
 @pytest.mark.parametrize("which", ["n", "v"])

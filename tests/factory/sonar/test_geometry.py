@@ -112,18 +112,6 @@ def test_a_polar_picture_gets_its_size_when_it_is_read() -> None:
         np.testing.assert_allclose(sized.maps(0, 0, 3, 4)[name], values, rtol=1e-6, err_msg=name)
 
 
-def test_pixels_squeezed_across_count_in_the_bearing() -> None:
-    geometry = FanGeometry.fan(
-        math.radians(30), apex_x_px=50, apex_y_px=120, near_px=20, far_px=100, x_scale=0.8
-    )
-    row, column = geometry.pixels(np.ones(1), np.full(1, math.radians(15)))
-    assert column[0] == pytest.approx(50 + 0.8 * 100 * math.sin(math.radians(15)))
-    assert row[0] == pytest.approx(120 - 100 * math.cos(math.radians(15)))
-    assert geometry.sector_mask(120, 101)[int(row[0]) + 2, int(column[0]) - 1]
-    assert not geometry.sector_mask(120, 101)[int(row[0]) + 2, int(column[0]) + 2]
-    assert geometry.with_size(1, 1) is geometry
-
-
 def test_the_device_of_a_dataset_by_another_program_is_unknown() -> None:
     assert recorded_sonar({"sonar": FAN}) == sonar(FAN)
     assert recorded_sonar({"sonar": {"wings": 2}}) is None

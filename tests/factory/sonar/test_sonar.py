@@ -24,52 +24,11 @@ def sonar(**keys) -> SonarSettings:
     return build(SonarSettings, {"range": {"auto": False, "min_m": 1, "max_m": 9}, **SHARP, **keys})
 
 
-def test_polar_bins_follow_the_formula():
-    """range_bin = floor((r - r_min) / dr), beam = floor((azimuth + hfov/2) / dtheta)."""
-    device = sonar(beams=90, range_bins=80)
-    echoes = in_plane(
-        np.array([1.05, 8.95, 5.0]), np.deg2rad([-22.4, 22.4, 0.1]), np.array([1.0, 2.0, 3.0])
-    )
-    level = polar.accumulate(echoes, window(), device)
-    assert level.shape == (80, 90)
-    assert level[0, 0] == 1
-    assert level[79, 89] == 2
-    assert level[40, 45] == 3
-    assert level.sum() == 6
-
-
-def test_echoes_outside_window_or_sector_are_dropped():
-    echoes = in_plane(np.array([0.99, 9.01, 5, 5]), np.deg2rad([0, 0, 23, -23.0]), np.ones(4))
-    assert polar.accumulate(echoes, window(), sonar()).sum() == 0
-
-
 def test_tabled_beams_take_the_nearest_direction():
     device = sonar(beams=4, range_bins=2, beam_azimuths_deg=[-20, -5, 5, 20])
     azimuth = np.deg2rad([-22, -13, -12, -1, 1, 12, 13, 30])
     echoes = in_plane(np.full(8, 3.0), azimuth, np.ones(8))
     assert polar.bin_index(echoes, window(), device).tolist() == [0, 0, 1, 1, 2, 2, 3, 8]
-
-
-def test_a_table_of_uniform_directions_equals_uniform_beams():
-    scene = uniform_scene()
-    uniform = sonar(beams=64)
-    table = np.rad2deg(uniform.beam_centres_rad()).tolist()
-    tabled = sonar(beams=64, beam_azimuths_deg=table)
-    np.testing.assert_allclose(
-        polar.accumulate(scene, window(), uniform), polar.accumulate(scene, window(), tabled)
-    )
-
-
-@pytest.mark.parametrize(("how", "level"), [("mean", 2.0), ("max", 3.0), ("sum", 4.0)])
-def test_accumulation(how, level):
-    echoes = in_plane(np.array([5.0, 5.0]), np.array([0.01, 0.01]), np.array([1.0, 3.0]))
-    assert polar.accumulate(echoes, window(), sonar(accumulate=how)).max() == level
-
-
-def test_slant_range_and_top_view_see_an_elevated_point_at_different_ranges():
-    point = from_xyz(np.array([[3.0, 0.0, -4.0]]), np.ones(1))
-    assert window().range_of(point) == pytest.approx(5)
-    assert window(projection="top_view").range_of(point) == pytest.approx(3)
 
 
 @settings(max_examples=40, deadline=None)
@@ -109,29 +68,11 @@ def test_fan_shows_a_point_where_it_is():
     )
 
 
-def test_fan_of_a_constant_is_constant_inside_and_black_outside():
-    device = sonar()
-    table = fan_table(device, 1 / 9)
-    fan = table.bilinear(np.ones((256, 256), np.float32))
-    np.testing.assert_allclose(fan[table.inside], 1, rtol=1e-6)
-    assert not fan[~table.inside].any()
-    assert 0.3 < table.inside.mean() < 0.8
-    np.testing.assert_array_equal(table.inside, table.inside[:, ::-1])
-
-
 def test_fan_fits_the_picture_for_every_sector():
     for hfov in (10, 45, 90, 130, 180):
         inside = fan_table(sonar(hfov_deg=hfov), 0.1).inside
         assert inside.any(axis=0).sum() > 250 or inside.any(axis=1).sum() > 250
         assert inside[0].any() or inside[:, 0].any()
-
-
-def test_point_spread_keeps_the_energy_of_an_inner_echo():
-    level = np.zeros((256, 256), np.float32)
-    level[100, 100] = 7
-    spread = polar.spread_points(level, build(SonarSettings, {}))
-    assert spread.sum() == pytest.approx(7, rel=1e-5)
-    assert spread.max() < 7
 
 
 def test_unseen_beams_are_told():
@@ -140,20 +81,6 @@ def test_unseen_beams_are_told():
         Window("slant_range", 1, 9, -np.deg2rad(20.5), np.deg2rad(10.5)), device
     )
     assert np.flatnonzero(seen)[[0, -1]].tolist() == [24, 55]
-
-
-def test_covered_closes_pinholes_but_not_shadows():
-    device = sonar(beams=64, range_bins=64)
-    rng = np.random.default_rng(1)
-    scene = uniform_scene(60000)
-    shadowed = (scene.range_m > 4) & (scene.range_m < 6) & (np.abs(scene.azimuth_rad) < 0.1)
-    some = scene.select(~shadowed & (rng.random(60000) < 0.3))
-    covered = polar.covered(polar.accumulate(some, window(), device) > 0)
-    azimuth = device.beam_centres_rad()
-    inside = np.abs(azimuth) < 0.08
-    rows = (np.arange(64) + 0.5) / 64 * 8 + 1
-    assert not covered[np.ix_((rows > 4.4) & (rows < 5.6), inside)].any()
-    assert covered[(rows < 3.5) | (rows > 6.5)].mean() > 0.97
 
 
 @pytest.mark.parametrize("kind", ["linear", "power", "log", "soft_log"])

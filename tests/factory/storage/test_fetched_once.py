@@ -64,8 +64,8 @@ def made(folder: Path, frames: list[FrameRef], a_shard: int, config: FakeConfig)
         info = write_shard(folder, f"train/shard-{number:05d}.h5", pairs, *how)
         assert info is not None
         infos[info.path] = info
-    config = dict(PROVENANCE.config)
-    save_manifest(folder, Manifest(PROVENANCE.config_hash, "simnfnd test", config, infos))
+    values = dict(PROVENANCE.config)
+    save_manifest(folder, Manifest(PROVENANCE.config_hash, "simnfnd test", values, infos))
     return folder
 
 
@@ -123,14 +123,13 @@ def visits_of(images: int, steps: int, windows: Windows | None) -> Any:
         patch=16,
         batch=1,
         crops=1,
-        stages=(),
         flip=False,
         weaker=0,
         validation=0.1,
         validation_limit=None,
         workers=0,
     )
-    return VisitSampler(images, data, 1, steps, 0, windows)
+    return VisitSampler(images, data, steps, 0, windows)
 
 
 # One shard; less than a window; one and a half; two and what may go at once; all.

@@ -13,7 +13,7 @@ import torch
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.adapt.command import main
-from simnfnd.models.adapt.module import Lesson, crop_size, odds_of, psnr_after_levels
+from simnfnd.models.adapt.module import Lesson, odds_of, psnr_after_levels
 from simnfnd.models.adapt.stretches import find_lessons, read_clips, runs
 from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.denoise.geometries import NONE, Geometries
@@ -181,12 +181,6 @@ def test_long_recordings_are_thinned_in_runs() -> None:
     assert runs(64, 0.5) == [*range(16), *range(32, 48)]
     assert runs(40, 0.001) == list(range(16))
     assert runs(3, 0.1) == [0, 1, 2]
-
-
-def test_crops_of_narrow_pictures_are_long() -> None:
-    assert crop_size(500, 500) == (192, 192)
-    assert crop_size(2000, 48) == (768, 48)
-    assert crop_size(100, 60) == (100, 60)
 
 
 def test_crops_show_what_is_known_and_where_it_lies(tmp_path: Path) -> None:

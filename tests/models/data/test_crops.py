@@ -132,5 +132,5 @@ def test_reading_processes_change_nothing(dataset: Path) -> None:
         )
         return [batch["noisy"] for batch in loader]
 
-    for one, other in zip(batches(0), batches(2), strict=True):
+    for one, other in zip(batches(0), batches(1), strict=True):
         assert torch.equal(one, other)

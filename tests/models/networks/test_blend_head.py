@@ -6,7 +6,7 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter1d
 
-from simnfnd.models.networks.blend_head import BlendHead, _statistics
+from simnfnd.models.networks.blend_head import BlendHead
 
 SECTOR = torch.zeros(1, 1, 32, 32)
 SECTOR[..., 4:] = 1
@@ -15,37 +15,6 @@ SECTOR[..., 4:] = 1
 def picture(seed: int = 0) -> torch.Tensor:
     """White noise without dark cells, (1, 1, 32, 32)."""
     return 0.1 + 0.9 * torch.rand(1, 1, 32, 32, generator=torch.Generator().manual_seed(seed))
-
-
-def test_facts_are_those_of_the_sector() -> None:
-    noisy = picture() * SECTOR
-    noisy[..., :8, 4:] = 0
-    change = torch.full_like(noisy, 0.1)
-    facts = _statistics(noisy, change, SECTOR)
-    assert facts.shape == (1, 5)
-    power = noisy[..., 4:].square().mean().log10().item()
-    assert facts[0, 0].item() == pytest.approx(-2, abs=1e-5)
-    assert facts[0, 1].item() == pytest.approx(-2 - power, abs=1e-5)
-    assert facts[0, 4].item() == pytest.approx(0.25, abs=1e-6)
-    # What lies outside changes nothing.
-    outside = noisy + (1 - SECTOR)
-    torch.testing.assert_close(_statistics(outside, change, SECTOR), facts)
-    # White noise differs as much along range as along bearing.
-    assert _statistics(picture(), change, torch.ones_like(SECTOR))[0, 3].abs() < 0.03
-
-
-def test_a_blur_along_range_is_told_from_one_along_bearing() -> None:
-    noisy, change = picture(), torch.zeros(1, 1, 32, 32)
-    whole = torch.ones_like(noisy)
-    along = {
-        axis: torch.from_numpy(gaussian_filter1d(noisy.numpy(), 1.0, axis=axis)) for axis in (2, 3)
-    }
-    sharp, by_range, by_bearing = (
-        _statistics(x, change, whole)[0, 3].item() for x in (noisy, along[2], along[3])
-    )
-    assert by_range < sharp - 0.5
-    assert by_bearing > sharp + 0.5
-    assert _statistics(noisy, change, whole)[0, 0].item() == pytest.approx(-7)
 
 
 @pytest.mark.parametrize("size", [(32, 32), (29, 31), (1, 1), (2, 6)])

@@ -18,13 +18,6 @@ def fan(size: int) -> tuple[Tensor, Tensor, Tensor]:
     return azimuth[None, None], radius[None, None], sector[None, None]
 
 
-def test_on_a_grid_beams_are_columns_and_arcs_are_rows() -> None:
-    x = torch.rand(2, 3, 6, 5)
-    lines = GridLines()
-    torch.testing.assert_close(lines.beam_means(x), x.mean(2))
-    torch.testing.assert_close(lines.arc_means(x), x.mean(3))
-
-
 def test_a_grid_gets_what_maps_of_it_would_give() -> None:
     torch.manual_seed(2)
     x, context = torch.rand(2, 4, 7, 5), LineContext(4, 3)

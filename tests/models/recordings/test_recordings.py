@@ -53,13 +53,6 @@ def test_aris(tmp_path: Path, beams: int) -> None:
     assert (frame.device.serial_number, frame.device.decibels) == (1234, 80.0)
 
 
-def test_aris_with_a_telephoto_lens(tmp_path: Path) -> None:
-    path = write_aris(tmp_path / "a.aris", pings(1, 20, 48), telephoto=True)
-    beams = open_recording(path)[0].beams
-    assert beams is not None
-    assert np.rad2deg(beams.azimuths_rad) == pytest.approx(beam_centres_deg()["telephoto_48"])
-
-
 def test_beam_tables_are_those_of_the_sdk() -> None:
     for name, centres in beam_centres_deg().items():
         assert len(centres) == int(name.split("_")[1])
@@ -249,23 +242,16 @@ def test_a_stack_of_pages(tmp_path: Path, dtype: Any) -> None:
             assert np.array_equal(one, pages[number].astype(dtype))
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
-def test_a_stack_as_imagej_writes_it(tmp_path: Path, dtype: Any) -> None:
+def test_a_stack_as_imagej_writes_it(tmp_path: Path) -> None:
     """The most significant byte first, and the page's size in a description."""
     tifffile = pytest.importorskip("tifffile")
-    pages = (pings(4, 30, 40) / (255 if dtype is np.float32 else 1)).astype(dtype)
+    pages = pings(4, 30, 40).astype(np.uint16)
     path = tmp_path / "a.tif"
     tifffile.imwrite(path, pages, imagej=True, byteorder=">", metadata={"axes": "TYX"})
     with open_recording(path) as recording:
         found = [frame.samples for frame in recording]
-    assert found[0].dtype == np.dtype(dtype)
+    assert found[0].dtype == np.uint16
     assert np.array_equal(found, pages)
-
-
-def test_a_stack_of_colours(tmp_path: Path) -> None:
-    pages = np.random.default_rng(3).integers(0, 256, (2, 20, 24, 3), dtype=np.uint8)
-    with open_recording(write_stack(tmp_path / "a.tiff", pages)) as recording:
-        assert np.array_equal([frame.samples for frame in recording], pages)
 
 
 def test_pages_that_are_no_frames(tmp_path: Path) -> None:
@@ -347,12 +333,6 @@ def test_a_ping_as_a_fan() -> None:
     assert np.rad2deg(maps["azimuth_rad"][maps["sector"] == 1].min()) > -21
     polar = polar_geometry(beams, 400)
     assert polar.maps(0, 0, 400, 64)["azimuth_rad"][0] == pytest.approx(bearings)
-
-
-def test_a_ping_far_away_does_not_make_a_huge_picture() -> None:
-    beams = Beams((-0.6, 0.0, 0.6), 99.9, 100.0)
-    picture, _ = fan_of(np.ones((1000, 3), np.float32), beams)
-    assert max(picture.shape) <= 2048
 
 
 @pytest.mark.skipif(not (DATA / "aris-sdk").is_dir(), reason="no shared data")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -286,10 +285,3 @@ def test_folders_with_odd_metadata(tmp_path: Path) -> None:
             assert "\n" not in text, number
             assert str(path) in text
     assert refused > 2
-
-
-def test_without_rosbags_the_cure_is_named(monkeypatch, tmp_path: Path) -> None:
-    path = sonar_bag(tmp_path / "a.bag", pings(1, 12, 8))
-    monkeypatch.setitem(sys.modules, "rosbags", None)
-    with pytest.raises(FactoryError, match=r"needs rosbags: pip install 'simnfnd\[ros\]'"):
-        open_recording(path)
