@@ -6,7 +6,6 @@ picture by picture: mean difference with its interval, Wilcoxon test, wins, and 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,10 +15,10 @@ import pandas as pd
 
 from ..factory.cli import Parser
 from ..factory.errors import FactoryError
-from ..factory.files import check_writable, write_atomically
+from ..factory.files import check_writable
 from .metrics.statistics import Paired, holm, paired
 from .report import tables as texts
-from .report.page import read_results
+from .report.page import as_json, read_results, write_files
 from .report.tables import (
     METRIC_NAMES,
     as_table,
@@ -41,34 +40,18 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--row-a", help="row of A (default: its best but noisy, by PSNR)")
     parser.add_argument("--row-b", help="row of B (default: as A)")
     parser.add_argument("--out", help="folder for compare.md and compare.json")
-    parser.add_argument("--bootstrap", type=int, default=2000, help="resamples of the intervals")
-    parser.add_argument("--seed", type=int, default=0, help="of the bootstrap")
     chosen = parser.parse_args(list(words))
-    if chosen.bootstrap < 100:
-        raise FactoryError(f"--bootstrap: at least 100, given {chosen.bootstrap}")
     if chosen.out is not None:
         check_writable(Path(chosen.out), "--out")
-    result = compare(
-        Path(chosen.a),
-        Path(chosen.b),
-        chosen.row_a,
-        chosen.row_b,
-        resamples=chosen.bootstrap,
-        seed=chosen.seed,
-    )
+    result = compare(Path(chosen.a), Path(chosen.b), chosen.row_a, chosen.row_b)
     text = as_markdown(result)
     print(text)
     if chosen.out is not None:
-        out = Path(chosen.out)
-        write_atomically(out / "compare.md", (text + "\n").encode(), key="--out")
-        content = json.dumps(result, indent=1, allow_nan=False) + "\n"
-        write_atomically(out / "compare.json", content.encode(), key="--out")
+        write_files(Path(chosen.out), {"compare.md": text + "\n", "compare.json": as_json(result)})
     return 0
 
 
-def compare(
-    a: Path, b: Path, row_a: str | None, row_b: str | None, *, resamples: int, seed: int
-) -> dict[str, Any]:
+def compare(a: Path, b: Path, row_a: str | None, row_b: str | None) -> dict[str, Any]:
     """The comparison of two rows as plain data.
 
     Raises FactoryError when a folder is no report, has no such row, or the pairs are not the same.
@@ -90,7 +73,7 @@ def compare(
     for name in metrics:
         first, second = (row.loc[common, name].to_numpy(float) for row in (one, other))
         better = METRIC_NAMES[name].better
-        found[name] = paired(first, second, groups, better=better, resamples=resamples, seed=seed)
+        found[name] = paired(first, second, groups, better=better, resamples=2000, seed=0)
     judged = [name for name in metrics if METRIC_NAMES[name].better]
     adjusted = dict(zip(judged, holm([found[name].p for name in judged]), strict=True))
     return {

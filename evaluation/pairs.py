@@ -29,6 +29,7 @@ from . import image_files
 from .filters.base import Gray
 from .metrics.fidelity import MetricError, finite_psnr
 from .metrics.measure import Figures, Picture, Scene, sector_of
+from .runner import MethodFailed, Subject
 
 if TYPE_CHECKING:
     from ..factory.sonar.geometry import FanGeometry
@@ -174,8 +175,8 @@ def geometry_of(place: Place) -> FanGeometry | None:
 
 
 @dataclass(frozen=True)
-class Pair:
-    """A pair as the engine judges methods on it: a `simnfnd.evaluation.runner.Subject`.
+class Pair(Subject):
+    """A pair as the engine judges methods on it.
 
     shadow_threshold: fraction of full scale.  texture: also measure speckle and edges.
     """
@@ -194,8 +195,6 @@ class Pair:
         """The noisy image (H, W), or all looks at it (T, H, W), this one last."""
         if not method.looks:
             return picture(self.item.place).noisy
-        from .runner import MethodFailed
-
         if len(self.item.looks) < 2:
             raise MethodFailed("needs several noise variants a frame")
         return np.stack([picture(place).noisy for place in self.item.looks])

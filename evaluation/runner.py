@@ -13,7 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -41,31 +41,31 @@ class MethodFailed(Exception):
     """A method gave no picture: it loses its row, for the reason that this says."""
 
 
-class Subject(Protocol):
+class Subject:
     """A picture that methods are judged on; it travels to the workers."""
 
     def key(self, method: Method) -> str:
-        """Changes with everything that a method sees of it and is measured by."""
-        ...
+        """Changes with everything that a method sees of it and is measured by; '': not stored."""
+        return ""
 
     def seen(self, method: Method) -> Gray | None:
         """(H, W) in 0..1, or (T, H, W) for a method of several looks; None: nothing for it.
 
         Raises FactoryError for a damaged picture, MethodFailed for a method that needs more.
         """
-        ...
+        raise NotImplementedError
 
     def geometry(self) -> FanGeometry | None:
         """Where range and bearing are; None where nothing says so."""
-        ...
+        return None
 
     def given(self, method: Method) -> Gray | None:
         """What a method that is no function made of it; None where there is none."""
-        ...
+        return None
 
     def measure(self, image: Gray, method: Method) -> Figures:
         """The figures of a denoised picture.  Raises FactoryError for a damaged subject."""
-        ...
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False)

@@ -93,7 +93,7 @@ VERBS: dict[str, Verb] = {
         ),
     ),
     "preview": Verb(
-        LOOK, "contact sheet of a dataset or recording", "simnfnd.evaluation.viewer.preview:main",
+        LOOK, "contact sheet of a dataset or recording", "simnfnd.evaluation.viewer.commands:sheet",
         (
             "simnfnd preview outputs/demo --out outputs/sheet.png --pairs 4",
             "simnfnd preview dive.aris --out outputs/dive.png",
@@ -101,12 +101,12 @@ VERBS: dict[str, Verb] = {
     ),
     "view": Verb(
         LOOK, "a dataset or recording in the browser, before and after",
-        "simnfnd.evaluation.viewer.command:main",
+        "simnfnd.evaluation.viewer.commands:view",
         ("simnfnd view outputs/demo", "simnfnd view dive.aris outputs/denoised/dive.aris"),
     ),
     "inspect": Verb(
         LOOK, "what is in a dataset or shard", f"{_COMMANDS}.inspect:main",
-        ("simnfnd inspect outputs/demo", "simnfnd inspect outputs/demo --png noise.png"),
+        ("simnfnd inspect outputs/demo",),
     ),
     "validate": Verb(
         LOOK, "is a dataset whole and consistent", f"{_COMMANDS}.validate:main",
@@ -183,6 +183,13 @@ VERBS: dict[str, Verb] = {
                 "simnfnd.evaluation.commands:tune",
                 ("simnfnd evaluate tune dataset=outputs/demo baselines=[median,nlm]",),
                 needs=("torch", "skimage", *_SONAR), hydra=True,
+            ),
+            "paper": Verb(
+                JUDGE, "the paper's Tables 2 and 3: dataset, trainings and report",
+                "simnfnd.evaluation.reproduce:main",
+                ("simnfnd evaluate paper --quick",
+                 "simnfnd evaluate paper --scenes flsea-vi --real mdd"),
+                needs=("pandas", "skimage", *_TRAINING),
             ),
             "compare": Verb(
                 JUDGE, "is one report's row better than another's",

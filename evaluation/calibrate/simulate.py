@@ -17,6 +17,7 @@ from ...factory.pairs import PairMaker
 from ...factory.render.view import View
 from ...factory.render.views import open_views
 from ...factory.sonar.geometry import FanGeometry
+from ..metrics.statistics import evenly
 from ..realism.measure import Measured, joined, measure_picture
 from ..realism.pictures import to_polar
 from ..settings import Grid
@@ -41,8 +42,7 @@ class Simulation:
                 f"recipe: only {len(there)} of its {len(found)} frames are rendered in "
                 f"{self.config.cache.folder}; run `simnfnd make {' '.join(recipe)}` first"
             )
-        count = min(frames, len(there))
-        spread = [there[number * len(there) // count] for number in range(count)]
+        spread = evenly(there, frames)
         self._kept = _Kept({ref: views.view(ref) for ref in spread})
         maker = PairMaker(self.config, self._kept)
         self.refs = [ref for ref in spread if _usable(maker, ref)]

@@ -45,19 +45,10 @@ class Baseline:
     source: str
     looks: bool = False
 
-    def __post_init__(self) -> None:
-        # The first parameter is the image.
-        names = [name for name in self._arguments()[1:] if name != "geometry"]
-        if set(self.default) != set(names) or not set(self.grid) <= set(names):
-            raise BaselineError(f"{self.name}: default or grid do not fit its parameters {names}")
-
-    def _arguments(self) -> list[str]:
-        return list(inspect.signature(self.function).parameters)
-
     @property
     def uses_geometry(self) -> bool:
         """Whether it can use where range and bearing are."""
-        return "geometry" in self._arguments()
+        return "geometry" in inspect.signature(self.function).parameters
 
     def points(self) -> list[Parameters]:
         """Every combination of the grid, completed by the defaults."""

@@ -1,10 +1,11 @@
-"""Means with an honest uncertainty."""
+"""Means with an honest uncertainty, and samples spread evenly."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,13 @@ import numpy.typing as npt
 from ...factory.seeds import stream
 
 Values = npt.NDArray[np.float64]
+T = TypeVar("T")
+
+
+def evenly(every: Sequence[T], most: int | None) -> list[T]:
+    """At most so many of them, evenly spread; None: all."""
+    count = len(every) if most is None else min(most, len(every))
+    return [every[number * len(every) // count] for number in range(count)]
 
 
 @dataclass(frozen=True)

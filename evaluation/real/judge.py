@@ -15,13 +15,13 @@ from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
 from ..filters.base import Baseline, Parameters
 from ..methods import NOISY, Method, baselines_of, networks_at
-from ..metrics.statistics import estimate
+from ..metrics.statistics import estimate, evenly
 from ..runner import SECONDS, Measured, Subject, run
 from ..settings import RealSettings
 from .groups import LEAST, Group, Judged, Searched, alone, judged, search
 from .in_time import TimeRows, judged_in_time
 from .measure import RealPicture
-from .shots import Shot, Stretch, spread
+from .shots import Shot, Stretch
 from .tuning import Part, Task, parts_of, tuned
 
 TUNED = "tuned on others"
@@ -105,7 +105,7 @@ def judge(settings: RealSettings, stretches: Sequence[Stretch], pool: TaskPool) 
         rows = _rows_of_groups(settings, groups, parts, baselines, networks, pool)
         member = np.repeat(np.arange(len(parts)), [len(part.judged) for part in parts])
     else:
-        shots = spread(shots, settings.limit)
+        shots = evenly(shots, settings.limit)
         default = [Method(one.name, "", dict(one.default)) for one in baselines]
         methods = {one.label: one for one in (NOISY, *default, *networks)}
         rows = [RealRow(label, (one,)) for label, one in methods.items()]

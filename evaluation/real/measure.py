@@ -25,7 +25,7 @@ from ..metrics.speckle import (
     ratio_image,
     zone_enl,
 )
-from ..runner import MethodFailed
+from ..runner import MethodFailed, Subject
 from .groups import Judged
 
 if TYPE_CHECKING:
@@ -122,14 +122,10 @@ def figures_of(image: Gray, shared: Scene) -> Figures:
 
 
 @dataclass(frozen=True, eq=False)
-class RealPicture:
-    """A judged picture; a `simnfnd.evaluation.runner.Subject`."""
+class RealPicture(Subject):
+    """A judged picture."""
 
     judged: Judged
-
-    def key(self, method: Method) -> str:
-        """See `Subject`; nothing of real pictures is stored."""
-        return self.judged.shot.name
 
     def seen(self, method: Method) -> Gray:
         """See `Subject`."""

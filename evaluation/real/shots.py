@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from ...factory.sonar.geometry import FanGeometry
 from ...models.recordings import kind_of, open_recording
 from ...models.recordings.fan.pings import frame_picture
 from ..filters.base import Gray
-from ..realism.pictures import GEOMETRY_FILE, open_real
+from ..realism.pictures import GEOMETRY_FILE, open_real, outline
 
 Mask = npt.NDArray[np.bool_]
 
@@ -101,17 +100,7 @@ def sector_of(picture: Gray, geometry: FanGeometry | None) -> Mask:
     """(H, W) bool: the sector; where no geometry is known what lies within the lit outline."""
     if geometry is not None:
         return geometry.sector_mask(*picture.shape)
-    # A dark picture has black pixels inside, too: its outline is what counts.
-    lit = picture > 0
-    across = np.maximum.accumulate(lit, axis=1) & np.maximum.accumulate(lit[:, ::-1], 1)[:, ::-1]
-    return np.asarray(across)
-
-
-def spread(shots: Sequence[Shot], limit: int | None) -> list[Shot]:
-    """At most `limit` of them, evenly spread."""
-    if limit is None or len(shots) <= limit:
-        return list(shots)
-    return [shots[number * len(shots) // limit] for number in range(limit)]
+    return outline(picture)
 
 
 def _below(root: Path) -> list[Stretch]:

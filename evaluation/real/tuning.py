@@ -19,6 +19,7 @@ import numpy as np
 from ..filters import REGISTRY
 from ..filters.base import Baseline, Parameters
 from ..methods import reason
+from ..metrics.statistics import evenly
 from .groups import Group, Judged
 from .measure import psnr_of
 
@@ -61,18 +62,18 @@ def parts_of(groups: Sequence[Group]) -> list[Part]:
     if len(groups) == 1:
         count = len(groups[0].shots)
         half = count // 2
-        tuning = {0: _spread(range(half), MOST_FRAMES)}
+        tuning = {0: tuple(evenly(range(half), MOST_FRAMES))}
         return [Part(tuple(range(half, count)), 0, tuning)]
     # Of many groups a part is enough to tune on.
     most = MOST_FRAMES // FRAMES_OF_A_GROUP
     used = set()
     for fold in range(FOLDS):
-        used |= set(_spread(range(fold, len(groups), FOLDS), most))
+        used |= set(evenly(range(fold, len(groups), FOLDS), most))
     found = []
     for number, group in enumerate(groups):
         every = range(len(group.shots))
         other = (number + 1) % FOLDS
-        tuning = {other: _spread(every, FRAMES_OF_A_GROUP)} if number in used else {}
+        tuning = {other: tuple(evenly(every, FRAMES_OF_A_GROUP))} if number in used else {}
         found.append(Part(tuple(every), number % FOLDS, tuning))
     return found
 
@@ -189,8 +190,3 @@ def _middle(frame: Judged) -> Judged:
         np.ascontiguousarray(one[part]) for one in (frame.noisy, frame.reference, frame.where)
     )
     return replace(frame, noisy=noisy, reference=reference, where=where)
-
-
-def _spread(numbers: Sequence[int], most: int) -> tuple[int, ...]:
-    count = min(most, len(numbers))
-    return tuple(numbers[place * len(numbers) // count] for place in range(count))

@@ -34,6 +34,7 @@ from ...models.recordings import PICTURE_SUFFIXES, is_recording, kind_of, open_r
 from ...models.recordings.fan.finder import find_geometry
 from ...models.recordings.fan.pings import frame_picture
 from ...models.recordings.pictures import read_grey
+from ..metrics.statistics import evenly
 from ..settings import Grid
 
 Gray = npt.NDArray[np.float32]
@@ -91,10 +92,7 @@ class Collection:
 
     def at_most(self, limit: int | None) -> Collection:
         """Evenly spread ones, when there are more than `limit`."""
-        if limit is None or len(self.sources) <= limit:
-            return self
-        chosen = tuple(self.sources[number * len(self.sources) // limit] for number in range(limit))
-        return Collection(self.name, chosen, self.notes)
+        return Collection(self.name, tuple(evenly(self.sources, limit)), self.notes)
 
 
 def to_polar(picture: npt.NDArray[Any], geometry: FanGeometry, grid: Grid) -> Gray:
@@ -186,15 +184,23 @@ def mdd_geometry(picture: npt.NDArray[np.floating]) -> str | None:
     """
     if picture.shape != MDD_SHAPE:
         return None
-    # A dark picture has black pixels inside as well: its outline is what counts.
-    lit = picture > 0
-    across = np.maximum.accumulate(lit, axis=1) & np.maximum.accumulate(lit[:, ::-1], 1)[:, ::-1]
+    across = outline(picture)
     agreement = {}
     for name, geometry in MDD_GEOMETRIES.items():
         sector = geometry.sector_mask(*MDD_SHAPE)
         agreement[name] = float((across & sector).sum() / max((across | sector).sum(), 1))
     best = max(agreement, key=lambda name: agreement[name])
     return best if agreement[best] >= _SAME else None
+
+
+def outline(picture: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+    """(H, W) bool: what lies between the first and the last lit pixel of each row.
+
+    A dark picture has black pixels inside, too: its outline is what counts.
+    """
+    lit = picture > 0
+    left, right = np.maximum.accumulate(lit, 1), np.maximum.accumulate(lit[:, ::-1], 1)[:, ::-1]
+    return np.asarray(left & right)
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -89,7 +89,7 @@ def read_results(folder: Path) -> pd.DataFrame:
 
 
 def write(out: Path, content: Content, examples: Sequence[Example]) -> None:
-    """report.json, report.md, report.html, leaderboard.md, .tex, .csv and .png.
+    """report.json, report.md, report.html, leaderboard.tex and .png.
 
     Raises FactoryError when the folder cannot be written to.
     """
@@ -100,9 +100,7 @@ def write(out: Path, content: Content, examples: Sequence[Example]) -> None:
             REPORT_NAME: as_json(content),
             PAGE_NAME: html(content, examples),
             "report.md": markdown(content),
-            "leaderboard.md": as_markdown(tables.leaderboard(rows)) + "\n",
             "leaderboard.tex": tables.as_latex(rows),
-            "leaderboard.csv": tables.as_csv(rows),
             "leaderboard.png": charts.leaderboard(content),
         },
     )
@@ -165,7 +163,7 @@ def folded(rows: Sequence[Content]) -> list[str]:
     """The leaderboard of the best form of each method, and how many it leaves out."""
     best = best_forms(rows)
     more = len(rows) - len(best)
-    note = f"Of each method its best form here; {more} more in leaderboard.md." if more else ""
+    note = f"Of each method its best form here; {more} more in report.md." if more else ""
     return [as_markdown(tables.leaderboard(best)), *filter(None, [note])]
 
 

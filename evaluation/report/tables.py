@@ -1,4 +1,4 @@
-"""Metrics and figures as readers see them, and the tables of a report: Markdown, LaTeX, CSV."""
+"""Metrics and figures as readers see them, and the tables of a report: Markdown and LaTeX."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 Content = Mapping[str, Any]
 
 _SHORT = ("ssim", "gmsd", "psnr_fan", "shadow_iou")
-_PARTS = ("mean", "low", "high")
 
 TABLE_METRICS = ("psnr", "ssim", "gmsd")
 """Those of the paper's tables."""
@@ -195,29 +194,6 @@ def as_latex(rows: Sequence[Content]) -> str:
     head = ["Method", "PSNR / dB", r"95\,\% interval", "SSIM", "GMSD", "Wins"]
     table = as_table(head, lines).style.hide(axis="index")
     return str(table.to_latex(hrules=True, column_format="lrrrrr"))
-
-
-def as_csv(rows: Sequence[Content]) -> str:
-    """A line a row: every mean, interval and paired difference."""
-    import pandas as pd
-
-    names = [name for name in METRIC_NAMES if has(rows, name)]
-    lines = []
-    for row in rows:
-        line: dict[str, Any] = {
-            "method": row["label"],
-            "parameters": shown(row["parameters"]).strip(" ()"),
-            **(row["levels"] or {"gain": None, "offset": None}),
-            **{key: row[key] for key in ("milliseconds", "gmac", "lost")},
-        }
-        for name in names:
-            mean, gain = row["metrics"].get(name, {}), row["against_noisy"].get(name, {})
-            line |= {name: mean.get("mean"), **{f"{name}_{p}": mean.get(p) for p in _PARTS[1:]}}
-            line[f"{name}_gain"] = gain.get("mean")
-            ends = (*_PARTS[1:], "p", "p_holm", "wins")
-            line |= {f"{name}_gain_{end}": gain.get(end) for end in ends}
-        lines.append(line)
-    return str(pd.DataFrame(lines).to_csv(index=False, lineterminator="\n"))
 
 
 def has(rows: Sequence[Content], name: str) -> bool:

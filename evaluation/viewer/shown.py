@@ -5,7 +5,6 @@ from __future__ import annotations
 import colorsys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -39,40 +38,12 @@ _COLOURS = np.rint(
 _LABELS = ("segmentation", "instance")
 
 
-class Shown(Protocol):
-    """Pictures by number, each in several layers of one size, and what is known of each.
-
-    layers: their names, at least one; the page begins with the first before the second.
-    scenes, ranges: what may be chosen by: names of scenes, and columns of numbers that differ.
-    """
-
-    title: str
-    layers: tuple[str, ...]
-    scenes: tuple[str, ...]
-    ranges: Ranges
-
-    def __len__(self) -> int:
-        """How many there are."""
-        ...
-
-    def picture(self, number: int, layer: int) -> Picture:
-        """One layer of one.  Raises FactoryError when it is damaged."""
-        ...
-
-    def facts(self, number: int) -> Facts:
-        """Names and values, in the order to show them.  Raises FactoryError as well."""
-        ...
-
-    def found(self, scene: str | None, ranges: Ranges) -> list[int]:
-        """Numbers of those of a scene (None: any) whose values lie in all ranges, ends included.
-
-        Raises LookupError for a scene or column that there is not.
-        """
-        ...
-
-
 class ShownDataset:
-    """All samples of a dataset; a `Shown`."""
+    """All samples of a dataset.
+
+    layers: of each, the first is shown before the second.  scenes, ranges: what samples may be
+    chosen by: names of scenes, and columns of numbers that differ.
+    """
 
     def __init__(self, folder: Path) -> None:
         """Raises FactoryError when it is no dataset."""
@@ -100,7 +71,7 @@ class ShownDataset:
         return len(self._pairs)
 
     def picture(self, number: int, layer: int) -> Picture:
-        """See `Shown`."""
+        """One layer of one.  Raises FactoryError when it is damaged."""
         name = self.layers[layer]
         image = self._pairs[number][name]
         if name == "rgb":
@@ -108,7 +79,7 @@ class ShownDataset:
         return _coloured(image) if name in _LABELS else _grey(image)
 
     def facts(self, number: int) -> Facts:
-        """See `Shown`: the row of /meta."""
+        """Names and values of the row of /meta.  Raises FactoryError when it is damaged."""
         row, found = self._table[number], Facts()
         for name in self._table.dtype.names or ():
             value = row[name]
@@ -119,7 +90,11 @@ class ShownDataset:
         return found
 
     def found(self, scene: str | None, ranges: Ranges) -> list[int]:
-        """See `Shown`; a value that was not drawn lies in no range."""
+        """Numbers of those of a scene (None: any) whose values lie in all ranges, ends included.
+
+        A value that was not drawn lies in no range.  Raises LookupError for a scene or column that
+        there is not.
+        """
         if scene not in (None, *self.scenes):
             raise LookupError(scene)
         fits = np.array([scene in (None, name) for name in self._scenes])
@@ -129,7 +104,7 @@ class ShownDataset:
 
 
 class ShownRecording:
-    """The frames of a recording, and of the same one denoised; a `Shown`."""
+    """The frames of a recording, and of the same one denoised; as `ShownDataset`."""
 
     def __init__(self, path: Path, after: Path | None = None) -> None:
         """Raises FactoryError when one cannot be read."""
@@ -143,11 +118,11 @@ class ShownRecording:
         return min(map(len, self._recordings))
 
     def picture(self, number: int, layer: int) -> Picture:
-        """See `Shown`; of pings the fan."""
+        """Of pings the fan."""
         return _seen(self._recordings[layer][number])
 
     def facts(self, number: int) -> Facts:
-        """See `Shown`: what the file says of the frame."""
+        """What the file says of the frame."""
         frame = self._recordings[0][number]
         found: Facts = {"time_s": frame.time_s, "samples": "x".join(map(str, frame.samples.shape))}
         if frame.beams is not None:
@@ -160,10 +135,13 @@ class ShownRecording:
         return found
 
     def found(self, scene: str | None, ranges: Ranges) -> list[int]:
-        """See `Shown`: all, as there is nothing to choose by."""
+        """All, as there is nothing to choose by."""
         if scene is not None or ranges:
             raise LookupError("a recording is not filtered")
         return list(range(len(self)))
+
+
+Shown = ShownDataset | ShownRecording
 
 
 def open_shown(path: Path, after: Path | None = None) -> Shown:

@@ -10,7 +10,7 @@ from ..base import Baseline
 from .convolutional import convolutional
 from .dtcwt_map import dtcwt_map
 from .laplacian_pyramid import lpmsde
-from .recursive import recursive_least_squares
+from .logarithm import recursive_least_squares
 from .ridgelet import ridgelet
 from .structural import structural
 

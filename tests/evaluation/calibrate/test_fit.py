@@ -133,12 +133,12 @@ def _without(composed: dict[str, object]) -> dict[str, object]:
 def test_an_interrupted_search_goes_on_as_if_nothing_had_happened(
     real: Path, tmp_path: Path
 ) -> None:
-    whole = fit_search.search(settings_for(real, tmp_path / "whole", trials=8))
+    whole = fit_search.search(settings_for(real, tmp_path / "whole", trials=7))
     fit_search.search(settings_for(real, tmp_path / "parts", trials=3))
     # A trial that was asked for and never told is what a kill leaves behind.
     study = fit_search._study(settings_for(real, tmp_path / "parts"))
     study.ask()
-    resumed = fit_search.search(settings_for(real, tmp_path / "parts", trials=8))
+    resumed = fit_search.search(settings_for(real, tmp_path / "parts", trials=7))
     assert resumed.values == whole.values
     assert [item.distance for item in resumed.after] == [item.distance for item in whole.after]
     with pytest.raises(FactoryError, match="holds a search with other settings"):

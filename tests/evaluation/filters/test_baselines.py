@@ -56,7 +56,7 @@ def test_some_point_of_the_grid_helps(name: str) -> None:
         noisy = noisy.astype(np.float32)
     before = psnr(clean, noisy.astype(np.float32), data_range=1)
     slow = name in ("srad", "bm3d", "structural", "ridgelet")
-    points = [dict(REGISTRY[name].default)] if slow else REGISTRY[name].points()
+    points = [dict(REGISTRY[name].default)] if slow else REGISTRY[name].points()[::2]
     if name == "srad":
         points = [{**points[0], "iterations": 60, "initial_cv": 0.3}]
     gains = [psnr(clean, REGISTRY[name](noisy, p), data_range=1) - before for p in points]
@@ -231,12 +231,8 @@ def test_levels_are_the_straight_line_fit(gain: float, offset: float, seed: int)
     assert (exact.gain, exact.offset) == pytest.approx((gain, offset), abs=1e-9)
     result = exact(pairs[0][0])
     assert 0 <= result.min() <= result.max() <= 1
-
-
-def test_levels_of_a_constant_and_of_nothing() -> None:
     flat = fit_levels([(np.full((3, 3), 0.2), np.full((3, 3), 0.7))])
-    assert flat.gain == 0
-    assert flat.offset == pytest.approx(0.7)
+    assert (flat.gain, flat.offset) == (0, pytest.approx(0.7))
 
 
 def test_registry_is_well_formed() -> None:
@@ -254,17 +250,13 @@ def test_registry_is_well_formed() -> None:
 
 
 def test_a_wrong_method_is_caught() -> None:
-    def double(image: Array, factor: float) -> Array:
-        return factor * image
+    def nothing(image: Array) -> Array:
+        return image * math.nan
 
     def halved(image: Array) -> Array:
         return image[::2]
 
-    with pytest.raises(BaselineError, match="do not fit its parameters"):
-        Baseline("double", double, {}, {}, "here")
     with pytest.raises(BaselineError, match="gave NaN"):
-        Baseline("double", double, {"factor": math.nan}, {}, "here")(
-            np.ones((3, 3)), {"factor": math.nan}
-        )
+        Baseline("nothing", nothing, {}, {}, "here")(np.ones((3, 3)), {})
     with pytest.raises(BaselineError, match=r"gave \(2, 3\)"):
         Baseline("halved", halved, {}, {}, "here")(np.ones((3, 3)), {})

@@ -207,18 +207,6 @@ def test_shuffling_is_the_mean_over_all_orders() -> None:
     assert structure(ratio) == pytest.approx(expected, abs=0.3)
 
 
-def test_structure_sees_what_a_filter_took_along() -> None:
-    pure = speckled(np.ones((128, 128)), 4)
-    assert structure(pure) < 2
-    edges = pure * np.where(np.arange(128) // 16 % 2, 1.5, 0.7)
-    assert structure(edges) > 10
-    assert structure(np.ones((9, 9))) == 0
-    hidden = pure.copy()
-    hidden[::2, ::2] = np.nan  # no neighbours but those to the side
-    assert structure(hidden) < 4
-    assert math.isnan(structure(np.full((4, 4), np.nan)))
-
-
 def test_m_index_ranks_filters() -> None:
     level = 0.1 + 0.1 * (np.arange(192) // 32 % 2) * np.ones((192, 1))
     noisy = np.clip(speckled(level, 8), 0, 1)

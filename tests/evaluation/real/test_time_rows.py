@@ -41,9 +41,10 @@ def judged(groups: list[Group], networks: list[Method], most: int = 20) -> in_ti
 
 def test_rows_of_networks_and_of_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(in_time, "network", lambda weights, device: blurred)
+    monkeypatch.setattr(in_time, "WEIGHTS", (0.02, 0.04))
     one = Method("one", "", {}, weights="one")
     groups = [recording(tmp_path / f"{seed}.avi", seed, 14) for seed in (0, 1)]
-    found = judged(groups, [one])
+    found = judged(groups, [one], most=12)
     rows = [
         "one: one frame",
         "fused",

@@ -11,8 +11,6 @@ import pytest
 
 from simnfnd.evaluation.metrics.statistics import frames_needed, holm, paired
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.report import charts
-from simnfnd.evaluation.report.content import best_forms
 from tests.evaluation.evaluation_settings import settings_for
 from tests.small_dataset import write_dataset
 
@@ -54,7 +52,6 @@ def test_each_method_has_one_row_and_its_other_forms_stand_below(
         max(medians, key=lambda row: row["metrics"]["psnr"]["mean"])["label"]
     )
     assert len(board(report.partition("## All forms")[2])) == 6
-    assert len(board((out / "leaderboard.md").read_text())) == 6
     page = (out / "report.html").read_text()
     boards = re.findall(r'<table class="board sortable">.*?</table>', page, re.DOTALL)
     assert [one.count("<tr class=") for one in boards[:2]] == [3, 6]
@@ -80,11 +77,3 @@ def test_so_many_frames_are_needed_as_told() -> None:
                 np.array(values), np.array(zeros), names, better=1, resamples=100, seed=0
             )
             assert (holm([result.p] * comparisons)[0] < 0.05) is shown
-
-
-def test_a_cost_chart_needs_two_points(made: tuple[dict[str, Any], Path]) -> None:
-    content, _ = made
-    assert charts.cost(content).count("<svg") == 1  # of two methods, and none of one network
-    alone = [row for row in content["rows"] if row["kind"] != "baseline"]
-    assert charts.cost({**content, "rows": alone}) == ""
-    assert len(best_forms(alone)) == 2

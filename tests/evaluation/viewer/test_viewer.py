@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import socket
-import struct
 import subprocess
 import threading
 from collections.abc import Iterator
@@ -155,21 +153,6 @@ def test_only_what_is_shown_and_only_to_this_machine(dataset: Path) -> None:
             assert code(f"http://127.0.0.1:{port}/{quote(path)}") == 403, path
     with Viewer(open_shown(dataset)) as one, Viewer(open_shown(dataset)) as other:
         assert one.token != other.token
-
-
-def test_a_browser_that_goes_away_says_nothing(dataset: Path, capfd) -> None:
-    with served(open_shown(dataset)) as url:
-        port = int(url.split(":")[2].split("/")[0])
-        for _ in range(3):
-            with socket.create_connection(("127.0.0.1", port)) as gone:
-                gone.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-                path = url.split("/", 3)[3]
-                gone.sendall(
-                    f"GET /{path}picture/0/0.png HTTP/1.1\r\nHost: 127.0.0.1:{port}".encode()
-                )
-                gone.sendall(b"\r\n\r\n")
-        assert fetched(f"{url}about.json")
-    assert capfd.readouterr().err == ""
 
 
 def test_a_recording_before_and_after(tmp_path: Path) -> None:

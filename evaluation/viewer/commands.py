@@ -1,7 +1,10 @@
-"""`simnfnd preview DIR`: contact sheet of a dataset, or of a recording."""
+"""`simnfnd view` and `simnfnd preview`: datasets and recordings, in the browser or on a sheet."""
 
 from __future__ import annotations
 
+import tempfile
+import webbrowser
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +16,34 @@ from ...factory.files import write_atomically
 from ...models.recordings import is_recording, open_recording
 from ...models.recordings.base import Frame
 from ...models.recordings.fan.pings import fan_of, grey_of
+from .server import Viewer
+from .shown import open_shown
 
 
-def main(words: list[str]) -> None:
+def view(words: list[str]) -> None:
+    """Serve what `words` ask for until Ctrl-C."""
+    parser = Parser(prog="simnfnd view")
+    parser.add_argument("path", type=Path, help="dataset, recording, bag, video, or pictures")
+    parser.add_argument("after", type=Path, nargs="?", help="the same recording, denoised")
+    parser.add_argument("--port", type=int, default=0, help="of 127.0.0.1; default: a free one")
+    parser.add_argument("--no-browser", action="store_true", help="only print the address")
+    given = parser.parse_args(words)
+    with (
+        Viewer(open_shown(given.path, given.after), given.port) as viewer,
+        tempfile.TemporaryDirectory(prefix="simnfnd-view-", ignore_cleanup_errors=True) as folder,
+    ):
+        print(f"view: {viewer.url} (Ctrl-C ends)", flush=True)
+        if not given.no_browser:
+            # Every user can read the words of a browser's process: a file of ours has the address.
+            page = Path(folder, "open.html")
+            page.write_text(f'<meta http-equiv="refresh" content="0; url={viewer.url}">')
+            webbrowser.open(page.as_uri())
+        with suppress(KeyboardInterrupt):
+            viewer.serve_forever()
+        print()
+
+
+def sheet(words: list[str]) -> None:
     """Draw the contact sheet that `words` ask for."""
     parser = Parser(prog="simnfnd preview")
     parser.add_argument("dir", type=Path, help="folder of a dataset, or a recording")

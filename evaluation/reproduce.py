@@ -1,0 +1,163 @@
+"""`simnfnd evaluate paper`: Tables 2 and 3 of the paper, from the dataset to both tables.
+
+Every step is a command of its own, which is printed, goes on where it stopped, and is skipped over
+by itself where it is done: the same `simnfnd evaluate paper` continues after an interruption.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..factory.cli import Parser
+from ..factory.errors import FactoryError
+from ..factory.files import check_writable
+from ..factory.scheduler.workers.machine import usable_cores
+from .commands import quoted
+from .report.page import REPORT_NAME, write_files
+from .report.tables import as_markdown, beside_paper
+
+# CPU seconds, measured: a pair by render=analytic, a crop of 64 pixels forth and back through the
+# network, the six filters on a test pair, and what every command takes to begin.
+_PAIR_S, _CROP_S, _JUDGED_S, _START_S = 0.7, 0.25, 4.0, 10.0
+_BLENDER_S = 3.0  # more, for a frame of the paper's renderer
+_CROPS = 8
+_TESTED = 0.25
+_NEWLOSS = ("loss=newloss", "loss.shadow=ste", "loss.weight=0.05")
+"""As printed, the second term has no gradient (docs/models.md): here it is straight through."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much is made and trained.
+
+    scenes: a folder of FLSea VI, None for procedural places.  real: the images of OldData.
+    frames: rendered, each with two noise variants where they are few.  steps: of a training.
+    """
+
+    out: Path
+    scenes: Path | None
+    real: Path | None
+    quick: bool
+    frames: int
+    steps: int
+
+    @property
+    def variants(self) -> int:
+        """Noisy images of a frame."""
+        return 2 if self.quick else 1
+
+    @property
+    def patch(self) -> int:
+        """Pixels a side of a crop."""
+        return 64 if self.quick else 128
+
+    @property
+    def minutes(self) -> float:
+        """What all steps take on this machine without a GPU, roughly."""
+        pairs, trainings = self.frames * self.variants, 2 + (self.real is not None)
+        render_s = 0.0 if self.quick else _BLENDER_S
+        seconds = pairs * (_PAIR_S + _TESTED * _JUDGED_S) + self.frames * render_s
+        seconds += trainings * self.steps * _CROPS * _CROP_S * (self.patch / 64) ** 2
+        return (seconds / usable_cores() + (2 + trainings) * _START_S) / 60
+
+    @property
+    def about(self) -> str:
+        """One sentence for the tables."""
+        where = "procedural places" if self.scenes is None else self.scenes.name
+        text = (
+            f"{self.frames * self.variants} pairs of {self.frames} frames at most ({where}), "
+            f"{self.steps} steps a training, without OldData"
+        )
+        text = text.removesuffix(", without OldData") if self.real else text
+        return f"Quick mode, no reproduction: {text}." if self.quick else f"{text}."
+
+
+def main(words: Sequence[str]) -> int:
+    """Make, train, judge, and print both tables; the exit code of the step that failed, or 0."""
+    parser = Parser(prog="simnfnd evaluate paper")
+    parser.add_argument("--quick", action="store_true", help="10 minutes on two cores, few pairs")
+    parser.add_argument("--scenes", type=Path, help="folder of FLSea VI (default: places made up)")
+    parser.add_argument(
+        "--real", type=Path, help="Marine Debris Dataset, for OldData (default: without that row)"
+    )
+    parser.add_argument("--frames", type=int, help="to render (default: 8000; quick: 32)")
+    parser.add_argument("--steps", type=int, help="of each training (default: 4000; quick: 100)")
+    parser.add_argument("--out", type=Path, default=Path("outputs/paper"), help="folder of all")
+    given = parser.parse_args(list(words))
+    for key, least in (("frames", 4), ("steps", 1)):
+        if (value := getattr(given, key)) is not None and value < least:
+            raise FactoryError(f"--{key}: at least {least}, given {value}")
+    for key in ("scenes", "real"):
+        if (folder := getattr(given, key)) is not None and not folder.is_dir():
+            raise FactoryError(f"--{key} {folder}: no such folder")
+    check_writable(given.out, "--out")
+    frames = given.frames or (32 if given.quick else 8000)
+    steps = given.steps or (100 if given.quick else 4000)
+    plan = Plan(given.out, given.scenes, given.real, given.quick, frames, steps)
+    print(f"{plan.about}\nabout {plan.minutes:.0f} minutes here, on a CPU", flush=True)
+    for step in steps_of(plan):
+        print("simnfnd " + " ".join(step), flush=True)
+        if code := run(step):
+            print("stopped; the same command goes on from here", file=sys.stderr)
+            return code
+    print(written(plan))
+    return 0
+
+
+def run(words: Sequence[str]) -> int:
+    """`simnfnd WORDS` in a process of its own; its exit code."""
+    return subprocess.run([sys.executable, "-m", "simnfnd", *words], check=False).returncode
+
+
+def steps_of(plan: Plan) -> Iterator[list[str]]:
+    """The commands, in their order."""
+    dataset = f"dataset.dir={quoted(str(plan.out / 'dataset'))}"
+    make = ["make", "experiment=simnfnd", f"frames.variants={plan.variants}", dataset]
+    if plan.scenes is None:
+        # Four frames of each place; a quarter of the places tests.
+        places = max(plan.frames // 4, 4)
+        make += ["scenes=seabed", "split.test=[]", f"scenes.locations={places}"]
+        make.append(f"scenes.frames_per_location={-(-plan.frames // places)}")
+    else:
+        make.append(f"scenes.root={quoted(str(plan.scenes))}")
+    yield [*make, f"frames.total={plan.frames}", *(["render=analytic"] if plan.quick else [])]
+    trainings = {"simnfnd_l1": [dataset, "loss=l1"], "simnfnd_newloss": [dataset, *_NEWLOSS]}
+    if plan.real is not None:
+        trainings["olddata_l1"] = [*_olddata(plan.real), "loss=l1"]
+    for name, words in trainings.items():
+        check = min(plan.steps, 200)
+        yield [
+            "train", *words, f"name={name}", f"out={quoted(str(plan.out / name))}",
+            f"train.steps={plan.steps}", f"train.check_every={check}", f"data.patch={plan.patch}",
+        ]  # fmt: skip
+    weights = [f"ablation.{name}={quoted(str(plan.out / name))}" for name in trainings]
+    report = f"out={quoted(str(plan.out / 'report'))}"
+    judge = ["evaluate", dataset, report, "baselines=[paper]", "models=[]", "tuning.auto=false"]
+    yield [*judge, *weights]
+
+
+def written(plan: Plan) -> str:
+    """Both tables as Markdown, also in tables.md.  FactoryError where it cannot be written."""
+    content = json.loads((plan.out / "report" / REPORT_NAME).read_text(encoding="utf-8"))
+    ours = "ours (quick)" if plan.quick else "ours"
+    parts = [plan.about]
+    for number, order in ((2, "ordering"), (3, "ordering_3")):
+        table = beside_paper(content[f"table_{number}"]).rename(columns={"ours": ours})
+        lines = "\n".join(f"- {line}" for line in content[order])
+        parts += [f"## Table {number}", as_markdown(table, "lrrl"), lines]
+    text = "\n\n".join(filter(None, parts))
+    write_files(plan.out, {"tables.md": f"# Tables 2 and 3 of the paper\n\n{text}\n"})
+    return text
+
+
+def _olddata(folder: Path) -> list[str]:
+    """Real images taken as clean; where their fans are says a table beside them."""
+    images = folder / "Images" if (folder / "Images").is_dir() else folder
+    words = ["data=olddata", f"data.folder={quoted(str(images))}"]
+    table = folder / "fan_geometry.csv"
+    return [*words, f"data.geometry={quoted(str(table))}"] if table.is_file() else words
