@@ -42,7 +42,8 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
     """
 
     def decorate(function: Function) -> Function:
-        options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+        # Nothing calls a loop from C, and the wrapper takes as long to compile as a short loop.
+        options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
         made: Any
         try:
             made = numba.njit(cache=True, **options)(function)

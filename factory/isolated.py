@@ -42,7 +42,10 @@ def look_at(
     Raises FactoryError when the function does, when the process dies of the file, or when it takes
     longer than `limit_s` or more memory than a sound file needs.
     """
-    return _lasting.call(path, function, *arguments, limit_s=limit_s)
+    try:
+        return _lasting.call(function, *arguments, limit_s=limit_s)
+    except FactoryError as error:
+        raise FactoryError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
 
 
 class IsolatedProcess:
@@ -90,14 +93,6 @@ class IsolatedProcess:
             raise FactoryError("asks for more memory than a sound file needs")
         raise FactoryError(str(result)) if kind == "refused" else RuntimeError(result)
 
-    def named(self, path: Path, function: Callable[..., Any], *arguments: Any, **how: Any) -> Any:
-        """The same with the file's name before an error."""
-        try:
-            return self.call(function, *arguments, **how)
-        except FactoryError as error:
-            text = str(error).removeprefix(f"{path}: ")
-            raise FactoryError(f"{path}: {text}") from error
-
     def _end(self) -> int | None:
         """Stop the process; returns the exit code of one that ended by itself."""
         child, self._child = self._child, None
@@ -128,12 +123,12 @@ class _Lasting:
         self._lock = threading.Lock()
         self._process: IsolatedProcess | None = None
 
-    def call(self, path: Path, function: Callable[..., Any], *arguments: Any, **how: Any) -> Any:
+    def call(self, function: Callable[..., Any], *arguments: Any, limit_s: float) -> Any:
         with self._lock:
             if self._process is None:
                 self._process = IsolatedProcess()
                 atexit.register(self._process.__exit__)
-            return self._process.named(path, function, *arguments, **how)
+            return self._process.call(function, *arguments, limit_s=limit_s)
 
 
 _lasting = _Lasting()

@@ -1,12 +1,12 @@
 """What an image formation is: from a frame's surface to clean and noisy polar pictures.
 
-`simnfnd.factory.pairs` assembles pairs with it and knows no more.  A formation is a function
-`(surface, config) -> Scene`, one line in `registry`.
+`simnfnd.factory.pairs` assembles pairs with it and knows no more; each `Formation` is one line
+there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
@@ -90,16 +90,6 @@ class ImagingSettings(Protocol):
         """How points are thinned."""
 
 
-class Formation(Protocol):
-    """Observes the frames of a configuration."""
-
-    def __call__(self, surface: LitSurface, config: ImagingSettings) -> Scene:
-        """The frame as the sonar observes it.
-
-        Raises FrameError when no surface lies in the sonar's sector.
-        """
-
-
 class Scene(Protocol):
     """A frame as the sonar observes it: what all its samples share; no randomness."""
 
@@ -154,3 +144,7 @@ class Sample(Protocol):
 
     def measured(self, effects: Collection[str], layers: Collection[str]) -> Mapping[str, Layers]:
         """Those of the layers that say what was received, with those of the drawn effects."""
+
+
+Formation = Callable[["LitSurface", ImagingSettings], Scene]
+"""The frame as the sonar observes it; raises FrameError when no surface lies in its sector."""

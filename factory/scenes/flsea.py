@@ -23,41 +23,23 @@ from .base import Discovery, Found, Root, SceneSettings, root_folder, visible_fi
 from .calibration import finished_frame, read_kalibr, scaled
 from .images import read_depth, read_rgb
 
-# Scene -> location, all twelve.
-SCENES = {
-    "flatiron": "canyons",
-    "horse_canyon": "canyons",
-    "tiny_canyon": "canyons",
-    "u_canyon": "canyons",
-    "big_dice_loop": "red_sea",
-    "coral_table_loop": "red_sea",
-    "cross_pyramid_loop": "red_sea",
-    "dice_path": "red_sea",
-    "landward_path": "red_sea",
-    "northeast_path": "red_sea",
-    "pier_path": "red_sea",
-    "sub_pier": "red_sea",
-}
+_CANYONS = ("flatiron", "horse_canyon", "tiny_canyon", "u_canyon")
+_RED_SEA = ("big_dice_loop", "coral_table_loop", "cross_pyramid_loop", "dice_path", "landward_path",
+            "northeast_path", "pier_path", "sub_pier")  # fmt: skip
+SCENES = dict.fromkeys(_CANYONS, "canyons") | dict.fromkeys(_RED_SEA, "red_sea")
+"""Scene -> location, all twelve, sorted by location and name."""
 
 # What the calibration files of the set hold, for downloads that lack them.  The distortion of the
 # Red Sea camera is published in its calibration file alone.
 BUILT_IN = {
     "canyons": Intrinsics(
-        fx=1175.3913431656817,
-        fy=1174.2805075232263,
-        cx=466.2595428966926,
-        cy=271.2116633091501,
-        distortion=(
-            -0.13280386913948822,
-            0.09799479194607102,
-            -0.004731205238184176,
-            0.0007132375646502103,
-        ),
+        1175.3913431656817, 1174.2805075232263, 466.2595428966926, 271.2116633091501,
+        (-0.13280386913948822, 0.09799479194607102, -0.004731205238184176, 0.0007132375646502103),
     ),
     "red_sea": Intrinsics(
-        fx=1296.666758476217, fy=1300.831316354508, cx=501.50386149846, cy=276.161712082695
+        1296.666758476217, 1300.831316354508, 501.50386149846, 276.161712082695
     ),
-}
+}  # fmt: skip
 CALIBRATED_SIZE = (968, 608)  # width, height
 
 _IMAGE_SUFFIXES = (".tiff", ".tif", ".png", ".jpg")

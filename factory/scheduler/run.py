@@ -138,7 +138,7 @@ def _describe(job: Job, report: RunReport) -> None:
 
 
 def _forget_slices(directory: Path) -> None:
-    """Remove the states of slices, and what slices of earlier versions left."""
-    for path in directory.glob("*.*-of-*.json*"):
+    """Remove the states of slices, and what earlier versions left."""
+    for path in (*directory.glob("*.*-of-*.json*"), *directory.glob("croissant.json")):
         with explain_os_errors(path):
             remove_file(path)

@@ -128,7 +128,8 @@ def insonified(
     for row in range(height):
         _project(pixels, row, slant, right, up)
         there, light = pixels[2][row], pixels[1][row]
-        level[:] = light
+        for column in range(width):  # a slice on the left would take two seconds to compile
+            level[column] = light[column]
         if gain_power in (1.0, 2.0, 3.0, 4.0):
             for _ in range(int(gain_power)):
                 for column in range(width):

@@ -94,8 +94,10 @@ def configured(config: FactoryConfig, device: Device, *, any_size: bool) -> Fact
     image = replace(
         image,
         sampling="nearest" if drawn["nearest_share"] and not points else "bilinear",
-        enlarged=drawn["enlarged"] if drawn["enlarged_share"] else 1.0,
-        jpeg_quality=round(drawn["jpeg_quality"]) if drawn["jpeg_share"] else None,
+        enlarged=min(max(drawn["enlarged"], 1.0), 4.0) if drawn["enlarged_share"] else 1.0,
+        jpeg_quality=min(max(round(drawn["jpeg_quality"]), 1), 100)
+        if drawn["jpeg_share"]
+        else None,
     )
     fixed = not points and not drawn["auto_range_share"]
     near_far = (drawn["range_min_m"], drawn["range_max_m"]) if fixed else (0.2, 30.0)

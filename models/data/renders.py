@@ -190,7 +190,8 @@ def open_renders(
     else:
         training = tuple(ref for ref in training if f"{ref.location}/{ref.scene}" not in held)
     views = open_views(config)
-    held_out = tuple(ref for ref in found if ref not in set(training) and views.holds(ref))
+    learned = set(training)
+    held_out = tuple(ref for ref in found if ref not in learned and views.holds(ref))
     ready = tuple(ref for ref in training if views.holds(ref))
     if not ready:
         raise FactoryError(
@@ -215,8 +216,7 @@ def open_renders(
 
 
 def _mixed(data: MixedData, devices: Renders, points: Source, seed: int) -> Renders:
-    from .mixed import MixedSource
-    from .time_stacks import open_stacks
+    from .time_stacks import MixedSource, open_stacks
 
     stacks = open_stacks(data.recordings, data.least_side)
     refs = tuple(ref for path in data.recordings for ref in list_images(path, "data.recordings"))

@@ -15,11 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ...factory.errors import FactoryError
+from ...factory.seeds import stream
 from ...factory.sonar.geometry import FanGeometry
 from ..recordings.static import find_groups, shifted
-from ..removal import averaged
+from ..removal import DEFAULT, averaged, vector
 from .images import frame_of, list_images
-from .pairs import Image, Sample
+from .pairs import Image, Sample, Source
 
 _ALIKE = 0.75
 """Likeness of two frames in a row from which on a recording stands still."""
@@ -35,6 +36,8 @@ _UNEVEN, _OFF, _OFF_PX = 0.45, 0.25, 0.5
 """Part of the means with uneven weights and with frames that lie beside, and by how much."""
 _TAUGHT = 0.5
 """Of the target of a single frame, what a teacher makes of it; the rest is the mean of others."""
+_TAUGHT_DRAWN = 0.8
+"""The same of a drawn single frame; the rest is its clean one."""
 _LOUD = 0.12
 """Part of the pictures that get a loud beam."""
 _FEWEST, _FULL = 0.15, 0.7
@@ -123,6 +126,54 @@ def open_stacks(
             "can be found"
         )
     return tuple(found)
+
+
+class MixedSource:
+    """`data=mixed`, what the network that ships learns from; a `Source`.
+
+    Pictures of drawn devices as single frames and as means of frames, the paper's points, and
+    recordings, each with a part of the visits.
+    """
+
+    def __init__(
+        self,
+        devices: Source,
+        points: Source,
+        stacks: Sequence[Stack],
+        *,
+        points_share: float,
+        recordings_share: float,
+        several: float,
+        seed: int,
+    ) -> None:
+        """devices: drawn pairs, as many as there are renders.  points: those of the same renders.
+
+        points_share, recordings_share: parts of the visits.  several: part of the drawn pictures
+        that are means of frames.
+        """
+        self.devices, self.points, self.stacks = devices, points, tuple(stacks)
+        self.points_share, self.recordings_share = points_share, recordings_share
+        self.several, self.seed = several, seed
+
+    def __len__(self) -> int:
+        return len(self.devices)
+
+    def sample(self, index: int, visit: int | None) -> Sample:
+        """See `Source`."""
+        if visit is None:
+            return self.devices.sample(index, None)
+        rng = stream(self.seed, "mixed", index, visit)
+        kind = rng.random()
+        if kind < self.points_share:
+            return replace(self.points.sample(index, visit), taught=0.0)
+        if kind < self.points_share + self.recordings_share and self.stacks:
+            stack = self.stacks[int(rng.integers(len(self.stacks)))]
+            return with_loud_beam(stack.sample(rng), rng)
+        drawn = self.devices.sample(index, visit)
+        usual = drawn.remove is None or bool((drawn.remove == vector(DEFAULT)).all())
+        if usual and rng.random() < self.several:
+            return with_loud_beam(standing(drawn, rng), rng)
+        return with_loud_beam(replace(drawn, taught=_TAUGHT_DRAWN), rng)
 
 
 def standing(sample: Sample, rng: np.random.Generator) -> Sample:

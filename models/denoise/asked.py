@@ -24,12 +24,13 @@ NOISES = (REAL, OF_POINTS)
 class InTurn:
     """Denoises by one after the other.
 
-    digest: of both.  knows_frames: whether one of them does.
+    name, digest: of both.  knows_frames: whether one of them does.
     """
 
     def __init__(self, steps: Sequence[Denoiser]) -> None:
         self._steps = tuple(steps)
         self.knows_frames = any(step.knows_frames for step in self._steps)
+        self.name = ", then ".join(step.name for step in self._steps)
         together = "".join(step.digest for step in self._steps)
         self.digest = hashlib.sha256(together.encode()).hexdigest()
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ from ...factory.files import check_writable
 from ...factory.imaging.contract import ARTEFACTS
 from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.machine import keep_freed_memory
+from ..pretrained import DEFAULT as DEFAULT_WEIGHTS
 from ..pretrained import POINTS, REMOVAL
 from ..recordings import Levels, open_recording
 from ..removal import DEFAULT
@@ -35,11 +38,23 @@ from .resume import Finished, stopped_by_sigterm
 from .temporal.stream import FRAMES
 from .watch import Watched, watch
 
+_WHICH = f"""\
+weights that ship:
+  {DEFAULT_WEIGHTS:16}  real sonars: single frames and recordings (default)
+  {POINTS:16}  the paper's points: datasets say so, other files need --noise points
+  {REMOVAL:16}  before {DEFAULT_WEIGHTS}, where --remove names {", ".join(OVER)}
+your own sonar: `simnfnd adapt RECORDING --out own.safetensors`, then --weights own.safetensors
+"""
+
 
 def main(arguments: Sequence[str]) -> int:
     """`simnfnd denoise IN... --out DIR`, or --watch FOLDER; 1 when some files were skipped."""
     keep_freed_memory()  # every picture needs the same planes again
-    parser = Parser(prog="simnfnd denoise")
+    parser = Parser(
+        prog="simnfnd denoise",
+        epilog=_WHICH,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument(
         "inputs",
         nargs="*",
@@ -49,9 +64,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--out", required=True, help="folder for the results; names are kept")
     parser.add_argument(
         "--weights",
-        help="weights.safetensors of a training, or the name of weights that ship (default: "
-        f"simnfnd, for shards of the paper's points {POINTS}, and {REMOVAL} for what "
-        f"--remove names of {', '.join(OVER)})",
+        help="weights.safetensors of a training, or the name of weights that ship (see below)",
     )
     parser.add_argument(
         "--remove",
@@ -156,6 +169,8 @@ def main(arguments: Sequence[str]) -> int:
             failed = _all(work, items, Finished(out, denoise.digest, list(arguments)))
     for line in (*geometries.summary(), *denoising.summary()):
         print(line)
+    used = ", ".join(f"{name} ({count} file(s))" for name, count in work.used.items())
+    print(f"weights: {used or denoise.name}")
     print(f"denoised: {work.done} file(s) in {out}")
     return 1 if failed and not watched else 0
 
@@ -174,13 +189,18 @@ class _Work:
     """What `denoise` does to files.
 
     denoise: for shards.  points: what denoises shards of points instead; None: the same.
-    done: how many were denoised.
+    used: name of weights -> how many files they denoised.
     """
 
     job: Job
     denoise: Denoiser | InTurn
     points: Callable[[], Denoiser] | None
-    done: int = 0
+    used: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def done(self) -> int:
+        """How many files were denoised."""
+        return self.used.total()
 
     def on(self, items: Sequence[Item]) -> Iterator[tuple[Item, FrameError | str]]:
         """Denoise pictures that follow each other, or one other file.
@@ -189,18 +209,24 @@ class _Work:
         """
         if items[0].kind == "image":
             for item, error in denoise_files(items, self.job):
-                self.done += error is None
+                self.used[self.denoise.name] += error is None
                 yield item, error or ""
             return
         (item,) = items
         try:
-            warning = self._on_other(item)
-            self.done += 1
-            yield item, warning
+            denoise = self._for(item)
+            warnings = [self._on_other(item, denoise), _unsuited(item, denoise)]
+            self.used[denoise.name] += 1
+            yield item, "; ".join(filter(None, warnings))
         except FrameError as error:
             yield item, error
 
-    def _on_other(self, item: Item) -> str:
+    def _for(self, item: Item) -> Denoiser | InTurn:
+        if self.points is not None and item.kind == "shard" and is_of_points(item):
+            return self.points()
+        return self.denoise
+
+    def _on_other(self, item: Item, denoise: Denoiser | InTurn) -> str:
         if item.kind == "pings":
             return denoise_pings(item, self.job)
         if item.kind == "bag":
@@ -208,11 +234,8 @@ class _Work:
         if item.kind == "video":
             denoise_video(item, self.job)
             return ""
-        from .shards import denoise_shard, made_of_points  # loads h5py, for datasets alone
+        from .shards import denoise_shard  # loads h5py, for datasets alone
 
-        denoise = self.denoise
-        if self.points is not None and made_of_points(item):
-            denoise = self.points()
         denoise_shard(
             item,
             self.job.out,
@@ -222,6 +245,25 @@ class _Work:
             tick=self.job.tick,
         )
         return ""
+
+
+def is_of_points(item: Item) -> bool:
+    """See `shards.made_of_points`."""
+    from .shards import made_of_points  # loads h5py, for datasets alone
+
+    return made_of_points(item)
+
+
+def _unsuited(item: Item, denoise: Denoiser | InTurn) -> str:
+    """A warning where weights that ship were made for other noise."""
+    if denoise.name not in (DEFAULT_WEIGHTS, POINTS):
+        return ""
+    points = item.kind == "shard" and is_of_points(item)
+    if points == (denoise.name == POINTS):
+        return ""
+    made_for = "the paper's points" if denoise.name == POINTS else "real sonars"
+    other = DEFAULT_WEIGHTS if denoise.name == POINTS else POINTS
+    return f"{item.source}: {denoise.name} is made for {made_for}; {other} suits this file"
 
 
 def _all(work: _Work, items: Sequence[Item], finished: Finished) -> int:

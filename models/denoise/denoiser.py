@@ -27,7 +27,7 @@ _LIT, _LIT_SHARE = 0.1, 0.01
 class Denoiser:
     """Trained weights as a function of a picture.
 
-    digest: SHA-256 of the weights file.  runtime: what computes it.
+    name: of the weights file.  digest: its SHA-256.  runtime: what computes it.
     tile, overlap: see `simnfnd.models.denoise.sizes`.
     """
 
@@ -47,6 +47,7 @@ class Denoiser:
         artefacts that there are not or that the network cannot be asked for.
         """
         self.runtime = open_runtime(weights, device)
+        self.name = weights.name if weights.stem == "weights" else weights.stem
         self.digest = hashlib.sha256(weights.read_bytes()).hexdigest()
         self.tile, self.overlap, self.strength = tile, overlap, np.float32(strength)
         self._told = _told(self.runtime.extras, remove)

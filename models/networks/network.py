@@ -38,7 +38,6 @@ class Network(nn.Module):
     has_heads: ClassVar[bool] = False
     has_stages: ClassVar[bool] = False
     adversarial: ClassVar[bool] = False
-    looks: int = 1
     wide_grain: float = 1.0
     """See `models.denoise.sizes`."""
 

@@ -271,8 +271,7 @@ def said(line, code, part=""):
         print(f"simnfnd {line}: exit code {found}, {text}")
     return text
 
-names = [*VERBS, *(f"{n} {o}" for n, v in VERBS.items() for o in v.verbs)]
-for name in names:
+for name in (name for name, verb in VERBS.items() if not verb.hydra):
     said(f"{name} --help", 0)
 small = "scenes.locations=2 scenes.frames_per_location=1 scenes.width=242 scenes.height=152"
 made = f"render=analytic experiment=demo {small} scheduler=serial cache.dir=cache dataset.dir=made"
@@ -295,7 +294,7 @@ said("view .", 2, "reading pictures needs cv2: pip install 'simnfnd[sonar]'")
 said(f"make {made} experiment=physical", 2, 'pip install "simnfnd[sonar]"')
 said(f"make {made} experiment=any_sonar", 2, 'pip install "simnfnd[sonar]"')
 said("export made --to png --out x", 2, 'needs cv2: pip install "simnfnd[sonar]"')
-said("export made --to huggingface --out x", 2, 'pip install "simnfnd[export]"')
+said("export made --to huggingface --out x", 2, 'pip install "simnfnd[export,sonar]"')
 for words in ("train dataset=made", "denoise made --out x",
               "adapt made --out x", "export-weights simnfnd --out x", "evaluate dataset=made",
               "evaluate tune dataset=made", "evaluate compare a b", "evaluate real a",

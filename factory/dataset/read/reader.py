@@ -14,7 +14,7 @@ import numpy as np
 
 from ...errors import FactoryError
 from ...files import sha256_of
-from ...isolated import IsolatedProcess, look_at
+from ...isolated import look_at
 from ...storage.copies import fetched, url_of
 from ..format.axes import echo_names
 from ..format.checksums import check_texts
@@ -77,13 +77,13 @@ def listed_shards(root: Path, split: Split, manifest: Manifest | None) -> tuple[
 def check_in_isolation(paths: Sequence[Path]) -> None:
     """Have another process open every shard first: a damaged file can make HDF5 crash or hang.
 
-    Whatever opens files that may be a stranger's goes through here.  Takes a third of a second,
-    and some milliseconds a shard.  Raises FactoryError for the first shard that cannot be read.
+    Whatever opens files that may be a stranger's goes through here.  Takes a third of a second
+    the first time, and some milliseconds a shard.  Raises FactoryError for the first shard that
+    cannot be read.
     """
-    with IsolatedProcess() as process:
-        for path in paths:
-            if path.exists() or not url_of(path.parent.parent):
-                process.named(path, check_readable, path, limit_s=_LIMIT_S)
+    for path in paths:
+        if path.exists() or not url_of(path.parent.parent):
+            look_at(path, check_readable, path, limit_s=_LIMIT_S)
 
 
 def check_readable(path: Path) -> None:

@@ -74,15 +74,14 @@ def open_folder(
     """
     if directory.exists() and not directory.is_dir():
         raise FactoryError(f"dataset.dir: {directory} is a file; give a folder with dataset.dir=")
+    foreign = _foreign_files(directory)
+    # Asked later: another slice may make the folder a dataset just now.
     ours = _is_dataset(directory)
-    if not ours and not emptied and (foreign := _foreign_files(directory)):
-        # Another slice may have made the folder a dataset since we asked.
-        ours = _is_dataset(directory)
-        if not ours:
-            raise FactoryError(
-                f"dataset.dir: {directory} holds other files ({foreign}) and no dataset; "
-                "give an empty or new folder with dataset.dir="
-            )
+    if foreign and not ours and not emptied:
+        raise FactoryError(
+            f"dataset.dir: {directory} holds other files ({foreign}) and no dataset; "
+            "give an empty or new folder with dataset.dir="
+        )
     check_writable(directory, "dataset.dir")
     for folder in (directory, *(directory / split for split in SPLITS)):
         remove_stale_temporaries(folder)
@@ -102,16 +101,12 @@ def _is_dataset(directory: Path) -> bool:
     return any((directory / name).exists() for name in (CONFIG_NAME, MANIFEST_NAME))
 
 
-def _passes(name: str) -> bool:
-    """Whether a file comes and goes with runs."""
-    return is_temporary(name) or name.startswith(_COMING)
-
-
 def _foreign_files(directory: Path) -> str:
     """The first names in a folder that do not come and go with runs; empty if there are none."""
     if not directory.is_dir():
         return ""
-    foreign = sorted(entry.name for entry in directory.iterdir() if not _passes(entry.name))
+    names = (entry.name for entry in directory.iterdir())
+    foreign = sorted(n for n in names if not (is_temporary(n) or n.startswith(_COMING)))
     return ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
 
 

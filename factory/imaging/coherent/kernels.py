@@ -385,8 +385,9 @@ def count_cells(
     ends = np.zeros(parts + 1, np.int64)
     for point in range(place_of.shape[0]):
         ends[np.uint32((place_of[point] >> shift) & last) + np.uint32(1)] += 1
-    if ends.max() > np.int64(mask):
-        return False
+    for number in range(parts):
+        if ends[number + 1] > np.int64(mask):
+            return False
     for number in range(parts):
         ends[number + 1] += ends[number]
     # Name and place lie side by side: there are then only as many places to write to as parts.

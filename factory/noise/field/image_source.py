@@ -9,6 +9,8 @@ intensity of one.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from pydantic.dataclasses import dataclass
 
@@ -16,7 +18,6 @@ from ...distribution import AnyNumber, NonNegative
 from ...imaging.coherent.beams import vertical_table
 from ...imaging.coherent.expected import Expected
 from ...imaging.coherent.signal import Ping, Signal
-from ...imaging.contract import Floats
 from ...settings import STRICT
 from ..effect import Effect, EffectSettings, parameter
 
@@ -45,26 +46,6 @@ class BottomMultipathSettings(EffectSettings):
     altitude_m: NonNegative = parameter(2, "m")
     loss_db: NonNegative = parameter(12, "dB")
     tilt_deg: AnyNumber = parameter(0, "deg")
-
-
-def surface_multipath(
-    signal: Signal, ping: Ping, rng: np.random.Generator, *, loss_db: float, tilt_deg: float
-) -> Signal:
-    """The signal and its echoes by way of the sea surface."""
-    return _with_images(signal, ping, ping.water.depth_m, loss_db, tilt_deg)
-
-
-def bottom_multipath(
-    signal: Signal,
-    ping: Ping,
-    rng: np.random.Generator,
-    *,
-    altitude_m: float,
-    loss_db: float,
-    tilt_deg: float,
-) -> Signal:
-    """The signal and its echoes by way of the bottom."""
-    return _with_images(signal, ping, -altitude_m, loss_db, tilt_deg)
 
 
 def _with_images(
@@ -102,39 +83,25 @@ def _with_images(
     return Signal(power if power.size else signal.power, field)
 
 
-def expect_surface_multipath(
-    expected: Expected, ping: Ping, rng: np.random.Generator, **parameters: float
-) -> None:
-    """The intensity of the ghosts; each is as wide as what it mirrors."""
-    for plane in (expected.echo, expected.steady):
-        plane[:] = surface_multipath(_unspeckled(plane), ping, rng, **parameters).power
+def _effect(settings: type[EffectSettings], height_m: Callable[..., float]) -> Effect:
+    """The effect of the plane at this height; it gets the ping and the parameters of its own."""
+
+    def apply(
+        signal: Signal, ping: Ping, rng: np.random.Generator, *, loss_db: float, tilt_deg: float,
+        **own: float,
+    ) -> Signal:  # fmt: skip
+        return _with_images(signal, ping, height_m(ping, **own), loss_db, tilt_deg)
+
+    def expect(
+        expected: Expected, ping: Ping, rng: np.random.Generator, **parameters: float
+    ) -> None:
+        # Each ghost is as wide as what it mirrors.
+        for plane in (expected.echo, expected.steady):
+            unspeckled = Signal(plane, np.empty((0, 2, *plane.shape), np.float32))
+            plane[:] = apply(unspeckled, ping, rng, **parameters).power
+
+    return Effect(settings, apply, "echo", systematic=True, expected=expect, artefact="ghosts")
 
 
-def expect_bottom_multipath(
-    expected: Expected, ping: Ping, rng: np.random.Generator, **parameters: float
-) -> None:
-    """The intensity of the ghosts; each is as wide as what it mirrors."""
-    for plane in (expected.echo, expected.steady):
-        plane[:] = bottom_multipath(_unspeckled(plane), ping, rng, **parameters).power
-
-
-def _unspeckled(power: Floats) -> Signal:
-    return Signal(power, np.empty((0, 2, *power.shape), np.float32))
-
-
-SURFACE_MULTIPATH = Effect(
-    SurfaceMultipathSettings,
-    surface_multipath,
-    "echo",
-    systematic=True,
-    expected=expect_surface_multipath,
-    artefact="ghosts",
-)
-BOTTOM_MULTIPATH = Effect(
-    BottomMultipathSettings,
-    bottom_multipath,
-    "echo",
-    systematic=True,
-    expected=expect_bottom_multipath,
-    artefact="ghosts",
-)
+SURFACE_MULTIPATH = _effect(SurfaceMultipathSettings, lambda ping: ping.water.depth_m)
+BOTTOM_MULTIPATH = _effect(BottomMultipathSettings, lambda ping, altitude_m: -altitude_m)

@@ -66,18 +66,9 @@ def ring_down(
     return field
 
 
-def comb_lines(
-    field: Floats,
-    ping: Ping,
-    rng: np.random.Generator,
-    *,
-    level_db: float,
-    spacing_m: float,
-    decay_db: float,
-    uneven_db: float,
-) -> Floats:
-    """The field with the lines, each one range bin thick."""
-    for row, line, phase in _lines(ping, rng, level_db, spacing_m, decay_db, uneven_db):
+def comb_lines(field: Floats, ping: Ping, rng: np.random.Generator, **parameters: float) -> Floats:
+    """The field with the lines, each one range bin thick; see `CombLinesSettings`."""
+    for row, line, phase in _lines(ping, rng, **parameters):
         field[:, 0, row] += line * np.float32(np.cos(phase))
         field[:, 1, row] += line * np.float32(np.sin(phase))
     return field
@@ -86,6 +77,7 @@ def comb_lines(
 def _lines(
     ping: Ping,
     rng: np.random.Generator,
+    *,
     level_db: float,
     spacing_m: float,
     decay_db: float,
@@ -119,17 +111,10 @@ def expect_ring_down(
 
 
 def expect_comb_lines(
-    expected: Expected,
-    ping: Ping,
-    rng: np.random.Generator,
-    *,
-    level_db: float,
-    spacing_m: float,
-    decay_db: float,
-    uneven_db: float,
+    expected: Expected, ping: Ping, rng: np.random.Generator, **parameters: float
 ) -> None:
     """The intensity of the same lines."""
-    for row, line, _ in _lines(ping, rng, level_db, spacing_m, decay_db, uneven_db):
+    for row, line, _ in _lines(ping, rng, **parameters):
         expected.steady[row] += line * line
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic.dataclasses import dataclass
@@ -35,37 +35,18 @@ class SpokesSettings(EffectSettings):
     spacing: Literal["random", "regular"] = option("random")
 
 
-def spokes(
-    field: Floats,
-    ping: Ping,
-    rng: np.random.Generator,
-    *,
-    count: float,
-    level_db: float,
-    width_beams: float,
-    spacing: str = "random",
-) -> Floats:
-    """The field with noise added around the bearings of the spokes."""
-    for across, noise, amplitude in _each(
-        ping, rng, field.shape[0], count, level_db, width_beams, spacing
-    ):
+def spokes(field: Floats, ping: Ping, rng: np.random.Generator, **parameters: Any) -> Floats:
+    """The field with noise added around the bearings of the spokes; see `SpokesSettings`."""
+    for across, noise, amplitude in _each(ping, rng, field.shape[0], **parameters):
         field[..., across] += noise * amplitude
     return field
 
 
 def realise_spokes(
-    expected: Expected,
-    ping: Ping,
-    rng: np.random.Generator,
-    *,
-    count: float,
-    level_db: float,
-    width_beams: float,
-    spacing: str = "random",
+    expected: Expected, ping: Ping, rng: np.random.Generator, **parameters: Any
 ) -> None:
     """The spokes of this sample, with the mean intensity of their noise."""
-    looks = round(expected.looks)
-    for across, _, amplitude in _each(ping, rng, looks, count, level_db, width_beams, spacing):
+    for across, _, amplitude in _each(ping, rng, round(expected.looks), **parameters):
         expected.noise[:, across] += 2 * amplitude**2
 
 
@@ -73,10 +54,11 @@ def _each(
     ping: Ping,
     rng: np.random.Generator,
     looks: int,
+    *,
     count: float,
     level_db: float,
     width_beams: float,
-    spacing: str,
+    spacing: str = "random",
 ) -> Iterator[tuple[slice, Floats, Floats]]:
     """The beams of each spoke, its noise (looks, 2, range_bins, n) and amplitudes (n,)."""
     rows, beams = ping.shape

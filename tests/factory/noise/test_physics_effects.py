@@ -16,7 +16,7 @@ from simnfnd.factory.imaging.coherent.signal import Ping, Signal
 from simnfnd.factory.noise.draws import Draws, StreamNames, draw
 from simnfnd.factory.noise.field.crosstalk import crosstalk
 from simnfnd.factory.noise.field.gains import BEAM_GAIN, SECTOR_EDGES, TVG_ERROR
-from simnfnd.factory.noise.field.image_source import bottom_multipath, surface_multipath
+from simnfnd.factory.noise.field.image_source import BOTTOM_MULTIPATH, SURFACE_MULTIPATH
 from simnfnd.factory.noise.field.near_range import comb_lines, ring_down
 from simnfnd.factory.noise.field.receiver import receiver
 from simnfnd.factory.noise.field.saturation import saturation
@@ -131,9 +131,9 @@ def test_multipath_comes_when_the_geometry_says(way):
     power[row, beam] = 1
     signal = Signal(power, silence(of))
     if way == "surface":
-        made = surface_multipath(signal, of, rng(), loss_db=6, tilt_deg=0)
+        made = SURFACE_MULTIPATH.function(signal, of, rng(), loss_db=6, tilt_deg=0)
     else:
-        made = bottom_multipath(signal, of, rng(), altitude_m=1, loss_db=6, tilt_deg=0)
+        made = BOTTOM_MULTIPATH.function(signal, of, rng(), altitude_m=1, loss_db=6, tilt_deg=0)
     r = float(of.range_m[row])
     by_plane = np.hypot(r, 2.0)
     expected = [
@@ -168,9 +168,9 @@ def test_speckled_echoes_are_mirrored_with_the_same_strength() -> None:
     of = ping(sonar={"vfov_deg": 60}, water={"depth_m": 1})
     power = np.full(of.shape, 1, np.float32)
     field = rng().standard_normal((1, 2, *of.shape)).astype(np.float32) / np.sqrt(2).astype("f4")
-    plain = surface_multipath(Signal(power, silence(of)), of, rng(), loss_db=3, tilt_deg=5)
+    plain = SURFACE_MULTIPATH.function(Signal(power, silence(of)), of, rng(), loss_db=3, tilt_deg=5)
     zero = np.zeros(of.shape, np.float32)
-    speckled = surface_multipath(Signal(zero, field), of, rng(), loss_db=3, tilt_deg=5)
+    speckled = SURFACE_MULTIPATH.function(Signal(zero, field), of, rng(), loss_db=3, tilt_deg=5)
     rows = slice(60, None)
     # Field ghosts add to the field with random phases, so the means agree.
     assert intensity(speckled.field)[rows].mean() == pytest.approx(

@@ -10,6 +10,7 @@ from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.cli.generate import run
 from simnfnd.factory.render.pack import write_pack
 from simnfnd.factory.render.views import CachedViews
+from simnfnd.models.data.any_device import DeviceSource
 from simnfnd.models.data.pairs import hold_out, read_table
 from simnfnd.models.data.renders import RenderSource, open_renders
 from simnfnd.models.settings import RendersData
@@ -47,3 +48,15 @@ def renders(rendered: tuple[Path, Path], **changes: Any) -> tuple[RenderSource, 
     found = open_renders(data, table, held, str(dataset), seed=5)
     assert isinstance(found.source, RenderSource)
     return found.source, found.said
+
+
+def drawn_devices(rendered: tuple[Path, Path], **changes: Any) -> DeviceSource:
+    """Drawn devices on the same renders."""
+    settings, _ = composed("data=renders", "data.experiment=any_sonar")
+    assert isinstance(settings.data, RendersData)
+    data = replace(settings.data, **{"pack": str(rendered[1]), **changes})
+    table = read_table(rendered[0], "train")
+    _, held = hold_out(table.samples, 0.3, 0)
+    source = open_renders(data, table, held, str(rendered[0]), seed=5).source
+    assert isinstance(source, DeviceSource)
+    return source

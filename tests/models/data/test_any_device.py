@@ -3,36 +3,23 @@
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.cli.generate import run
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.scenes import open_reader
 from simnfnd.models.data.any_device import DeviceSource
 from simnfnd.models.data.crops import Crops, Visit
 from simnfnd.models.removal import DEFAULT, vector
-
-WORDS = (
-    *("experiment=any_sonar", "scenes.locations=2", "scenes.frames_per_location=1"),
-    *("scenes.width=200", "scenes.height=125", "render=analytic", "scheduler=serial"),
-    *("scenes.objects=0.3", "dataset.preview_pairs=0", "devices.quiet_share=0"),
-    *("devices.height_px={choice: [96, 128, 160]}", "sonar.image.width_px=64"),
-    *("sonar.image.height_px=64", "split.test_fraction=0"),
-)
+from tests.models.data.small_renders import drawn_devices
 
 
 @pytest.fixture(scope="module")
-def source(tmp_path_factory: pytest.TempPathFactory) -> DeviceSource:
-    folder = tmp_path_factory.mktemp("devices")
-    places = (f"dataset.dir='{folder / 'data'}'", f"cache.dir='{folder / 'cache'}'")
-    config = compose_config([*WORDS, *places])
-    report, _ = run(config, [])
-    assert not report.failures
-    frames = tuple(open_reader(config.scenes).discover().frames)
-    return DeviceSource(config, frames, patch=48, weaker=0.3, choices=0.5, seed=1)
+def source(rendered: tuple[Path, Path]) -> DeviceSource:
+    words = ("devices.quiet_share=0", "devices.height_px={choice: [96, 128, 160]}")
+    return drawn_devices(rendered, factory=words, patch=48, weaker=0.3, choices=0.5)
 
 
 def test_every_visit_is_another_picture_and_the_same_one_again(source: DeviceSource) -> None:

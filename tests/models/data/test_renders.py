@@ -18,18 +18,13 @@ from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.data.any_device import DeviceSource
 from simnfnd.models.data.crops import Crops, Visit, WholeImages
 from simnfnd.models.data.pairs import PairSource, hold_out, read_table
-from simnfnd.models.data.renders import open_renders, resized
+from simnfnd.models.data.renders import resized
 from simnfnd.models.data.sources import open_data
 from simnfnd.models.settings import RendersData
 from simnfnd.models.training.module import DenoisingModule
 from simnfnd.models.training.train import train
 from tests.models.data.data_settings import SMALL, composed
-from tests.models.data.small_renders import rendered_dataset, renders
-
-
-@pytest.fixture(scope="module")
-def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    return rendered_dataset(tmp_path_factory.mktemp("rendered"))
+from tests.models.data.small_renders import drawn_devices, renders
 
 
 def test_renders_train_on_no_scene_that_tests_or_validates(rendered: tuple[Path, Path]) -> None:
@@ -198,14 +193,7 @@ def test_words_of_the_factory_change_what_an_experiment_draws(rendered: tuple[Pa
 
 
 def _drawn(rendered: tuple[Path, Path], words: tuple[str, ...]) -> DeviceSource:
-    settings, _ = composed("data=renders", "data.experiment=any_sonar")
-    assert isinstance(settings.data, RendersData)
-    data = replace(settings.data, pack=str(rendered[1]), factory=words, patch=16)
-    table = read_table(rendered[0], "train")
-    _, held = hold_out(table.samples, 0.3, 0)
-    source = open_renders(data, table, held, str(rendered[0]), seed=5).source
-    assert isinstance(source, DeviceSource)
-    return source
+    return drawn_devices(rendered, factory=words, patch=16)
 
 
 def test_renders_that_are_not_there(rendered: tuple[Path, Path], tmp_path: Path) -> None:

@@ -6,9 +6,8 @@ import numpy as np
 import torch
 
 from simnfnd.factory.sonar.geometry import FanGeometry
-from simnfnd.models.data.mixed import MixedSource
 from simnfnd.models.data.pairs import Sample
-from simnfnd.models.data.time_stacks import Stack, standing, with_loud_beam
+from simnfnd.models.data.time_stacks import MixedSource, Stack, standing, with_loud_beam
 from simnfnd.models.removal import averaged
 from simnfnd.models.training.module import completed
 

@@ -245,3 +245,18 @@ def test_geometry_reaches_the_network(tmp_path: Path, monkeypatch: pytest.Monkey
     denoise(gray, FanGeometry.polar().with_size(20, 20))
     denoise(gray, layout="polar")
     assert received == [(), ("range_fraction", "sector"), ("range_fraction", "sector")]
+
+
+def test_the_weights_that_were_used_are_named_and_unsuited_ones_warned_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = write_dataset(tmp_path / "data", train=0, test=2)
+    shard = str(next(data.glob("test/*.h5")))
+    assert main([shard, "--out", str(tmp_path / "known")]) == 0
+    said = capsys.readouterr()
+    assert "weights: simnfnd-paper (1 file(s))" in said.out
+    assert "warning" not in said.err
+    assert main([shard, "--weights", "simnfnd", "--out", str(tmp_path / "other")]) == 0
+    said = capsys.readouterr()
+    assert "weights: simnfnd (1 file(s))" in said.out
+    assert "simnfnd is made for real sonars; simnfnd-paper suits this file" in said.err

@@ -1,0 +1,351 @@
+"""The attack: kills and stops while datasets are made, flipped bits, forged files, bombs, damage.
+
+Every row of the table says what was done, how often, and what went wrong; 0 is expected.
+What harms is kept in the tests; here it happens more often, to whole commands.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import psutil
+from scipy.io import savemat
+
+from benchmarks.shared import Options, Section, Table, in_own_process
+from simnfnd.factory.dataset.format.manifest import INDEX_NAME, MANIFEST_NAME
+from simnfnd.factory.dataset.validate import validate_with
+from simnfnd.factory.errors import FactoryError
+from simnfnd.factory.isolated import IsolatedProcess
+from tests.factory.dataset import flips, hostile
+from tests.models.recordings.mutations import mutated, use
+from tests.models.recordings.test_hostile_recordings import WRITERS
+from tests.worker_processes import workers_of
+
+HUNG_S = 60.0
+_MOST_BYTES = 1_500_000_000  # that a command may hold while it refuses a bomb
+_ACTS = ("kill worker", "stop worker", "kill run", "end run")
+_TINY = (
+    "scenes=seabed", "scenes.locations=2", "scenes.frames_per_location=12", "scenes.width=120",
+    "scenes.height=80", "render=analytic", "sonar.beams=64", "sonar.range_bins=64",
+    "sonar.image.width_px=64", "sonar.image.height_px=64", "scheduler.shard_size=2",
+    "scheduler.frame_timeout_s=5", "dataset.preview_pairs=0", "cache.enabled=true",
+)  # fmt: skip
+
+
+@dataclass
+class Tally:
+    """done: how often.  wrong: what went wrong, one line each.  note: figures beside them."""
+
+    done: int = 0
+    wrong: list[str] = field(default_factory=list)
+    note: str = ""
+
+    def must(self, holds: bool, what: str) -> None:
+        """Count what went wrong."""
+        if not holds:
+            self.wrong.append(what)
+
+
+def measure(options: Options) -> Section:
+    """A row for each kind of attack."""
+    amount = options.amount
+    rows: list[tuple[str, Tally]] = []
+    with tempfile.TemporaryDirectory(prefix="trust-") as folder:
+        root = Path(folder)
+        for workers in (2, 48):
+            name = f"rounds of kills and stops, {workers} workers, no renders cached"
+            rows.append((name, storms(root / f"storm-{workers}", workers, amount(8))))
+        rows.append(("bits flipped in shards", flipped(root / "flips", amount(1600, 20))))
+        for file, count in ((INDEX_NAME, 200), (MANIFEST_NAME, 200)):
+            found = flipped_file(root / f"flips-{file}", file, amount(count, 5))
+            rows.append((f"bits flipped in {file}", found))
+        rows.append(("forged and damaged datasets", forged(root / "forged", amount(300, 10))))
+        rows.append(("bombs, by simnfnd denoise", bombs(root / "bombs")))
+        for name in WRITERS:
+            found = in_own_process(damaged, root / "damaged", name, amount(300, 10))
+            rows.append((f"damaged {name}", found))
+    table = Table(
+        ("attack", "times", "went wrong", "beside"),
+        [(name, tally.done, len(tally.wrong), tally.note) for name, tally in rows],
+    )
+    wrong = [f"{name}: {line}" for name, tally in rows for line in tally.wrong]
+    return Section((table,), "; ".join(wrong[:20]))
+
+
+def storms(folder: Path, workers: int, rounds: int) -> Tally:
+    """Make a dataset again and again under fire; its bytes must be those of a quiet run."""
+    tally, acts, longest = Tally(), 0, 0.0
+    quiet = folder / "quiet"
+    _finish(_start(quiet, folder / "quiet-cache", 1), tally, "quiet")
+    expected = _hashes(quiet)
+    tally.must(len(expected) > 10, "the quiet run made too little")
+    chance = random.Random(workers)
+    for number in range(rounds):
+        made, cache = folder / f"made-{number}", folder / f"cache-{number}"
+        for _ in range(4):
+            run = _start(made, cache, workers)
+            acts += _fire(run, chance)
+            begun = time.monotonic()
+            _finish(run, tally, f"round {number}")
+            longest = max(longest, time.monotonic() - begun)
+        last = _start(made, cache, workers)
+        _finish(last, tally, f"round {number}")
+        tally.must(last.returncode == 0, f"round {number}: exit code {last.returncode}")
+        tally.must(_hashes(made) == expected, f"round {number}: lost or other shards")
+        left = [one.pid for one in psutil.process_iter(["cmdline"]) if _belongs(one, made)]
+        tally.must(not left, f"round {number}: processes left: {left}")
+        tally.done += 1
+        shutil.rmtree(made)
+        shutil.rmtree(cache)
+    tally.note = f"{acts} kills and stops; at most {longest:.0f} s from one to the end of its run"
+    return tally
+
+
+def _start(made: Path, cache: Path, workers: int) -> subprocess.Popen[bytes]:
+    words = [*_TINY, f"dataset.dir={made}", f"cache.dir={cache}", f"scheduler.workers={workers}"]
+    if workers == 1:
+        words.append("scheduler=serial")
+    made.parent.mkdir(parents=True, exist_ok=True)
+    with (made.parent / "errors.txt").open("ab") as errors:
+        return subprocess.Popen(
+            [sys.executable, "-m", "simnfnd", "make", *words],
+            stdout=errors, stderr=errors, start_new_session=True,
+        )  # fmt: skip
+
+
+def _fire(run: subprocess.Popen[bytes], chance: random.Random) -> int:
+    """Some kills and stops of a run or its workers; returns how many."""
+    acts = 0
+    for _ in range(chance.randint(1, 4)):
+        time.sleep(chance.uniform(0.5, 3.0))
+        if run.poll() is not None:
+            break
+        act, workers = chance.choice(_ACTS), workers_of(run.pid)
+        try:
+            if act == "kill run":
+                os.killpg(run.pid, signal.SIGKILL)
+            elif act == "end run":
+                run.send_signal(signal.SIGTERM)
+            elif workers:
+                chosen = chance.choice(workers)
+                chosen.send_signal(signal.SIGKILL if act == "kill worker" else signal.SIGSTOP)
+        except (ProcessLookupError, psutil.NoSuchProcess):
+            continue
+        acts += 1
+    return acts
+
+
+def _finish(run: subprocess.Popen[bytes], tally: Tally, what: str) -> None:
+    """Wait for a run; one without a new shard for a minute hangs."""
+    try:
+        run.wait(HUNG_S)
+    except subprocess.TimeoutExpired:
+        tally.must(False, f"{what}: hangs")
+        os.killpg(run.pid, signal.SIGKILL)
+        run.wait()
+
+
+def _belongs(process: psutil.Process, made: Path) -> bool:
+    words = process.info["cmdline"] or []
+    return any(str(made) in word for word in words)
+
+
+def _hashes(made: Path) -> dict[str, str]:
+    """Shard -> hash of its bytes."""
+    return {
+        path.relative_to(made).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(made.glob("*/shard-*.h5"))
+    }
+
+
+def flipped(folder: Path, times: int) -> Tally:
+    """Single bits of shards; a reader gives the same pictures or refuses."""
+    folder.mkdir()
+    root, tally, rng = hostile.whole(folder / "sound"), Tally(), np.random.default_rng(1)
+    sound, refused = flips.given_out(root), 0
+    shards = sorted(root.glob("train/*.h5"))
+    for _ in range(times):
+        path = shards[rng.integers(len(shards))]
+        place, bit = flips.any_bit(path, rng)
+        flips.flip(path, place, bit)
+        found = flips.outcome(root, sound)
+        flips.flip(path, place, bit)
+        refused += found == "refused"
+        tally.must(found in ("same", "refused"), f"{path.name} {place}.{bit}: {found}")
+        tally.done += 1
+    tally.note = f"{refused} refused, the rest changed nothing"
+    return tally
+
+
+def flipped_file(folder: Path, name: str, times: int) -> Tally:
+    """Single bits of the index or manifest; `validate` finds them, or they change nothing."""
+    folder.mkdir()
+    root, tally, rng = hostile.whole(folder / "sound"), Tally(), np.random.default_rng(2)
+    sound, found = flips.given_out(root), 0
+    with IsolatedProcess() as process:
+        for _ in range(times):
+            place, bit = flips.any_bit(root / name, rng)
+            flips.flip(root / name, place, bit)
+            try:
+                valid = not validate_with(process, root, deep=False).errors
+            except FactoryError:
+                valid = False
+            if valid and name == INDEX_NAME:
+                tally.wrong.append(f"{name} {place}.{bit}: valid")
+            elif valid:
+                read = flips.outcome(root, sound)
+                tally.must(read in ("same", "refused"), f"{name} {place}.{bit}: {read}")
+            found += not valid
+            flips.flip(root / name, place, bit)
+            tally.done += 1
+    tally.note = f"{found} found by validate"
+    return tally
+
+
+def forged(folder: Path, times: int) -> Tally:
+    """Datasets forged with true checksums, or damaged: a clear answer, no file outside of them."""
+    folder.mkdir()
+    sound, tally = hostile.whole(folder / "sound"), Tally()
+    readable = 0
+    with IsolatedProcess() as reader, IsolatedProcess() as validator:
+        for number in range(times):
+            root = hostile.copy(sound, folder / "forged")
+            what = hostile.mutate(root, number)
+            begun = time.monotonic()
+            try:
+                read, _ = hostile.check(root, reader, validator)
+                readable += read == "read"
+            except Exception as error:
+                tally.must(False, f"{what}: {type(error).__name__} {error}"[:200])
+            tally.must(time.monotonic() - begun < HUNG_S, f"{what}: hangs")
+            tally.done += 1
+    tally.note = f"{readable} still readable, none of another file"
+    return tally
+
+
+def bombs(folder: Path) -> Tally:
+    """Small files that unpack to gigabytes: one line, exit code not 0, little memory."""
+    folder.mkdir()
+    tally, most = Tally(), 0
+    for name, write in _BOMBS.items():
+        path = folder / name
+        write(path)
+        code, said, peak = _refused("denoise", str(path), "--out", str(folder / "out"))
+        most = max(most, peak)
+        lines = [line for line in said.splitlines() if line.startswith("error:")]
+        tally.must(code not in (0, -9) and "Traceback" not in said, f"{name}: exit {code}")
+        tally.must(len(lines) == 1 and name in lines[0], f"{name}: said {said[-160:]!r}")
+        tally.must(peak < _MOST_BYTES, f"{name}: {peak / 1e9:.1f} GB")
+        tally.done += 1
+    tally.note = f"at most {most / 1e6:.0f} MB of memory"
+    return tally
+
+
+def _refused(*words: str) -> tuple[int, str, int]:
+    """Exit code, what was said on stderr, and the most memory of a command, bytes."""
+    with tempfile.TemporaryFile() as said:
+        run = subprocess.Popen(
+            [sys.executable, "-m", "simnfnd", *words], stdout=subprocess.DEVNULL, stderr=said
+        )
+        _, status, usage = os.wait4(run.pid, 0)
+        run.returncode = os.waitstatus_to_exitcode(status)
+        said.seek(0)
+        return run.returncode, said.read().decode(), usage.ru_maxrss * 1024
+
+
+def _png(path: Path, side: int = 40_000) -> None:
+    packer = zlib.compressobj(9)
+    rows = b"".join(packer.compress(bytes(side + 1)) for _ in range(side)) + packer.flush()
+    head = side.to_bytes(4, "big") * 2 + bytes([8, 0, 0, 0, 0])
+    content = b"\x89PNG\r\n\x1a\n"
+    for kind, data in ((b"IHDR", head), (b"IDAT", rows), (b"IEND", b"")):
+        check = zlib.crc32(kind + data).to_bytes(4, "big")
+        content += len(data).to_bytes(4, "big") + kind + data + check
+    path.write_bytes(content)
+
+
+def _npz(path: Path) -> None:
+    np.savez_compressed(path, picture=np.zeros((2, 24_000, 24_000), np.uint8))
+
+
+def _npz_aside(path: Path) -> None:
+    large = np.zeros((2, 24_000, 24_000), np.uint8)
+    np.savez_compressed(path, picture=np.zeros((64, 64), np.uint8), large=large)
+
+
+def _mat(path: Path) -> None:
+    savemat(path, {"picture": np.zeros((24_000, 48_000), np.uint8)}, do_compression=True)
+
+
+def _tiff(path: Path) -> None:
+    page = np.zeros((8000, 8000), np.uint16)
+    assert cv2.imwritemulti(str(path), [page] * 10, (cv2.IMWRITE_TIFF_COMPRESSION, 8))
+
+
+def _npy(path: Path) -> None:
+    with path.open("wb") as file:
+        np.lib.format.write_array_header_1_0(
+            file, {"descr": "<f4", "fortran_order": False, "shape": (200_000, 100_000)}
+        )
+        file.truncate(4096)
+
+
+def _h5(path: Path) -> None:
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        made: Any = {"chunks": (1, 3000, 30_000), "compression": "gzip", "fillvalue": 7}
+        for name in ("noisy", "clean"):
+            file.create_dataset(name, (4, 30_000, 30_000), "u1", **made)
+        file.attrs["schema"] = "simnfnd/1"
+        file.attrs["config"] = json.dumps({})
+
+
+_BOMBS: dict[str, Callable[[Path], None]] = {
+    "a.png": _png, "a.npz": _npz, "b.npz": _npz_aside, "a.mat": _mat, "a.tif": _tiff,
+    "a.npy": _npy, "a.h5": _h5,
+}  # fmt: skip
+
+
+def damaged(folder: Path, name: str, times: int) -> Tally:
+    """A recording with bits, words and pieces changed: read, or refused in one line."""
+    folder.mkdir(exist_ok=True)
+    tally, refused, rng = Tally(), 0, np.random.default_rng(300)
+    path = WRITERS[name](folder / name)
+    sound, before = path.read_bytes(), _peak()
+    for number in range(times):
+        path.write_bytes(mutated(sound, rng))
+        begun = time.monotonic()
+        try:
+            use(path, again=number % 10 == 0)
+        except FactoryError as error:
+            refused += 1
+            tally.must("\n" not in str(error) and str(path) in str(error), f"{number}: {error}")
+        except Exception as error:
+            tally.must(False, f"{number}: {type(error).__name__} {error}"[:160])
+        tally.must(time.monotonic() - begun < HUNG_S, f"{number}: hangs")
+        tally.done += 1
+    tally.must(_peak() - before < 500e6, f"takes {(_peak() - before) / 1e6:.0f} MB")
+    tally.note = f"{refused} refused, the rest read"
+    return tally
+
+
+def _peak() -> int:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
