@@ -23,6 +23,7 @@ from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.render import open_renderer
 from simnfnd.factory.render.view import decode, encode, view_of
 from simnfnd.factory.scenes import open_reader
+from simnfnd.factory.scheduler.workers.machine import keep_freed_memory
 from simnfnd.factory.sonar import polar, transfer
 from simnfnd.factory.sonar.echoes import join
 from simnfnd.factory.sonar.fan import fan_table
@@ -33,6 +34,7 @@ REPEATS = 9
 
 def measure(options: Options) -> Section:
     """Time every stage."""
+    keep_freed_memory()  # as the workers do
     return Section((_table(options),))
 
 

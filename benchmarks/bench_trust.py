@@ -301,9 +301,8 @@ def _tiff(path: Path) -> None:
 
 def _npy(path: Path) -> None:
     with path.open("wb") as file:
-        np.lib.format.write_array_header_1_0(
-            file, {"descr": "<f4", "fortran_order": False, "shape": (200_000, 100_000)}
-        )
+        write: Any = np.lib.format.write_array_header_1_0
+        write(file, {"descr": "<f4", "fortran_order": False, "shape": (200_000, 100_000)})
         file.truncate(4096)
 
 

@@ -39,7 +39,13 @@ def random_subset(echoes: Echoes, rate: float, rng: np.random.Generator) -> Echo
     """Each echo kept with probability `rate`."""
     if rate >= 1:
         return echoes
-    return echoes.select(rng.random(len(echoes), dtype=np.float32) < np.float32(rate))
+    from ..sonar import kernels  # loads numba
+
+    lot = rng.random(len(echoes), dtype=np.float32)
+    given = [np.ascontiguousarray(values) for values in vars(echoes).values()]
+    kept = [np.empty(len(echoes) + 1, np.float32) for _ in given]
+    count = kernels.thin(*(*given, lot, np.float32(rate), *kept))
+    return Echoes(*(values[:count] for values in kept))
 
 
 def voxel_size_m(echoes: Echoes, rate: float) -> float:

@@ -50,11 +50,9 @@ def albedo(
     total, share = luminance * weight, weight
     for _ in range(2):
         total, share = kernels.box_mean(total, side), kernels.box_mean(share, side)
-    tiny = np.float32(1e-6)
-    local = np.maximum(total / np.maximum(share, tiny), tiny)
-    flat = luminance / local * np.float32(MEAN_ALBEDO)
-    flat = np.clip(flat, np.float32(_DARKEST_FLATTENED), np.float32(1))
-    return np.where(valid, flat, np.float32(0))
+    limits = np.float32(MEAN_ALBEDO), np.float32(_DARKEST_FLATTENED)
+    flat = kernels.flattened(luminance, total, share, np.ascontiguousarray(valid), *limits)
+    return np.asarray(flat)
 
 
 def linear_luminance(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
@@ -63,5 +61,5 @@ def linear_luminance(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
     linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4).astype(
         np.float32
     )
-    red, green, blue = (_LUMINANCE[k] * linear[rgb[..., k]] for k in range(3))
-    return np.asarray(red + green + blue, np.float32)
+    found = kernels.weighted(np.ascontiguousarray(rgb), _LUMINANCE[:, None] * linear)
+    return np.asarray(found)

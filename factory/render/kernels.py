@@ -282,6 +282,63 @@ def box_mean(values: Any, side: Any) -> Any:
     return means
 
 
+@compiled(f"{_OUT}(Array(uint8, 3, 'C', readonly=True), float32[:, ::1])")
+def weighted(rgb: Any, tables: Any) -> Any:
+    """(H, W) float32: the sum over the channels of (H, W, 3) codes of (3, 256) `tables` at them."""
+    height, width = rgb.shape[:2]
+    total = np.empty((height, width), np.float32)
+    for row in range(height):
+        for column in range(width):
+            red, green, blue = rgb[row, column]
+            total[row, column] = tables[0, red] + tables[1, green] + tables[2, blue]
+    return total
+
+
+@compiled(f"{_OUT}({_READ}, {_READ}, {_READ}, boolean[:, ::1], float32, float32)")
+def flattened(luminance: Any, total: Any, share: Any, valid: Any, mean: Any, darkest: Any) -> Any:
+    """(H, W) float32: luminance over its local mean total / share, times `mean`, in [darkest, 1].
+
+    0 where not `valid`.
+    """
+    height, width = luminance.shape
+    made = np.zeros((height, width), np.float32)
+    tiny = np.float32(1e-6)
+    for row in range(height):
+        for column in range(width):
+            local = max(total[row, column] / max(share[row, column], tiny), tiny)
+            value = min(max(luminance[row, column] / local * mean, darkest), np.float32(1))
+            made[row, column] = value if valid[row, column] else _ZERO
+    return made
+
+
+@compiled(f"void({_READ}, {_OUT}, float32, float32, uint16[:, ::1])")
+def rounded(values: Any, levels: Any, first: Any, step: Any, codes: Any) -> None:
+    """Fill `codes` (H, W): 0 for values that are not above 0, else (level - first) / step."""
+    least, most = np.float32(1), np.float32(65_534)
+    for row in range(len(values)):
+        for column in range(values.shape[1]):
+            level = min(max(np.rint((levels[row, column] - first) / step), least), most)
+            # Whole numbers of 32 bits: several at a time.
+            code = np.int32(level if values[row, column] > 0 else _ZERO)
+            codes[row, column] = np.uint16(code)
+
+
+@compiled("void(uint16[:, ::1], uint8[:, ::1])")
+def fold(codes: Any, planes: Any) -> None:
+    """Fill planes (2, H * W) for `view.fold`."""
+    height, width = codes.shape
+    for row in range(height):
+        before = np.uint16(0)
+        for column in range(width):
+            above = codes[row - 1, column] if row else np.uint16(0)
+            down = np.uint16(codes[row, column] - above)
+            step = np.int16(np.uint16(down - before))
+            before = down
+            folded = np.uint16((step << 1) ^ (step >> 15))
+            planes[0, row * width + column] = folded & 255
+            planes[1, row * width + column] = folded >> 8
+
+
 @compiled(f"void(Array(uint8, 2, 'C', readonly=True), {_ROW}, {_OUT})")
 def unfold(planes: Any, table: Any, values: Any) -> None:
     """Fill `values` (H, W) with `table` at the codes that `view.fold` wrote, planes (2, H * W)."""

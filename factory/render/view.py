@@ -191,11 +191,20 @@ def codes_of(values: npt.NDArray[np.float32], steps: Steps) -> Codes:
 
     The level is the logarithm of value / low in steps, rounded, at most 65,534.
     """
-    # In single precision, whose logarithm is numpy's own and the same everywhere.
-    level = np.log(np.maximum(values, np.float32(1e-38)))
-    level = (level - np.float32(math.log(steps.low) - steps.step)) / np.float32(steps.step)
-    level = np.clip(np.rint(level), np.float32(1), np.float32(65_534))
-    return np.where(values > 0, level, np.float32(0)).astype(np.uint16)
+    from . import kernels  # loads numba
+
+    values = np.ascontiguousarray(values)
+    codes = np.empty(values.shape, np.uint16)
+    first, width = np.float32(math.log(steps.low) - steps.step), np.float32(steps.step)
+    levels = np.empty((32, values.shape[1]), np.float32)
+    # A few rows at a time stay in the processor's cache.
+    for start in range(0, len(values), len(levels)):
+        some = values[start : start + len(levels)]
+        # In single precision, whose logarithm is numpy's own and the same everywhere.
+        level = np.maximum(some, np.float32(1e-38), out=levels[: len(some)])
+        np.log(level, out=level)
+        kernels.rounded(some, level, first, width, codes[start : start + len(levels)])
+    return codes
 
 
 @lru_cache(maxsize=8)
@@ -213,10 +222,11 @@ def fold(codes: Codes) -> bytes:
 
     Second differences, folded to small numbers; low and high bytes lie apart.
     """
-    down = np.diff(codes, axis=0, prepend=np.uint16(0))
-    step = np.diff(down, axis=1, prepend=np.uint16(0)).view(np.int16)
-    folded = ((step << 1) ^ (step >> 15)).view(np.uint16)
-    return (folded & 255).astype(np.uint8).tobytes() + (folded >> 8).astype(np.uint8).tobytes()
+    from . import kernels  # loads numba
+
+    planes = np.empty((2, codes.size), np.uint8)
+    kernels.fold(codes, planes)
+    return planes.tobytes()
 
 
 def unfold(content: bytes, shape: tuple[int, int], steps: Steps) -> npt.NDArray[np.float32]:

@@ -19,9 +19,6 @@ _OUT = "float32[::1]"
 _PICTURE = "Array(float32, 2, 'C', readonly=True)"
 _MASK = "Array(bool_, 2, 'C', readonly=True)"
 _PLACES = "Array(int32, 1, 'C', readonly=True)"
-# Depth, radiance and surface (H, W); across (W,), down (H,) as depth multiplies them; rotation
-# (3, 3) and position (3,) of the sonar in camera axes.
-_PIXELS = f"Tuple(({_PICTURE}, {_PICTURE}, {_MASK}, {FLOATS}, {FLOATS}, {_PICTURE}, {FLOATS}))"
 # Whether ranges are those of a view from above; near_m, span_m, rows; left_rad, per_rad, columns.
 _GRID = "Tuple((boolean, float32, float32, int64, float32, float32, int64))"
 
@@ -53,10 +50,17 @@ def _nearest_beam(bin_: Any, azimuth_rad: Any, edges_rad: Any, columns: Any) -> 
 
 
 @compiled()
-def _project(pixels: Any, row: Any, slant_m: Any, right_rad: Any, up_rad: Any) -> None:
+def _project(
+    depth_m: Any,
+    across: Any,
+    down: Any,
+    rotation: Any,
+    position_m: Any,
+    slant_m: Any,
+    right_rad: Any,
+    up_rad: Any,
+) -> None:
     """A row of the picture: P = z K^-1 (u, v, 1)^T, seen from the sonar, in polar form."""
-    depth_m, across, down = pixels[0][row], pixels[3], pixels[4][row]
-    rotation, position_m = pixels[5], pixels[6]
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
@@ -73,63 +77,105 @@ def _project(pixels: Any, row: Any, slant_m: Any, right_rad: Any, up_rad: Any) -
         up_rad[column] = atan2(above, np.sqrt(ground2))
 
 
-@compiled(f"UniTuple(float64, 3)({_PIXELS}, float32, float32, boolean, float32, float32, {_OUT})")
+@compiled(
+    f"UniTuple(float64, 3)({_PICTURE}, {_PICTURE}, {_MASK}, {FLOATS}, {FLOATS}, {_PICTURE},"
+    f"{FLOATS}, float32, float32, boolean, float32, float32, {_OUT})"
+)
 def survey(
-    pixels: Any, half_hfov_rad: Any, half_vfov_rad: Any, top_view: Any, near_m: Any, far_m: Any,
+    depth_m: Any,
+    radiance: Any,
+    surface: Any,
+    across: Any,
+    down: Any,
+    rotation: Any,
+    position_m: Any,
+    half_hfov_rad: Any,
+    half_vfov_rad: Any,
+    top_view: Any,
+    near_m: Any,
+    far_m: Any,
     lit_m: Any,
-) -> Any:  # fmt: skip
+) -> Any:
     """Put the distances of lit surface within limits and sector into `lit_m`.
 
     Returns their number and the smallest and largest azimuth within, lit or not.
     """
-    height, width = pixels[0].shape
+    height, width = depth_m.shape
     away, right, up = np.empty(width, _F), np.empty(width, _F), np.empty(width, _F)
     lit, least, most = np.uint64(0), _F(np.inf), _F(-np.inf)
+    inside, kept = np.empty(width, np.bool_), np.empty(width, np.uint8)
     for row in range(height):
-        _project(pixels, row, away, right, up)
-        there, light = pixels[2][row], pixels[1][row]
+        _project(depth_m[row], across, down[row], rotation, position_m, away, right, up)
         for column in range(width):
-            azimuth, away_m = right[column], _distance(away[column], up[column], top_view)
-            inside = (
+            away[column] = _distance(away[column], up[column], top_view)
+        there, light = surface[row], radiance[row]
+        for column in range(width):
+            within = (
                 there[column]
-                & (away_m >= near_m)
-                & (away_m < far_m)
-                & (np.abs(azimuth) <= half_hfov_rad)
+                & (away[column] >= near_m)
+                & (away[column] < far_m)
+                & (np.abs(right[column]) <= half_hfov_rad)
                 & (np.abs(up[column]) <= half_vfov_rad)
             )
-            least = azimuth if inside & (azimuth < least) else least
-            most = azimuth if inside & (azimuth > most) else most
+            inside[column], kept[column] = within, within & (light[column] > _ZERO)
+        for column in range(width):
+            azimuth = right[column]
+            least = azimuth if inside[column] & (azimuth < least) else least
+            most = azimuth if inside[column] & (azimuth > most) else most
+        for column in range(width):
             # No branch: which pixels stay is not to be foreseen.
-            lit_m[lit] = away_m
-            lit += np.uint64(inside & (light[column] > _ZERO))
+            lit_m[lit] = away[column]
+            lit += np.uint64(kept[column])
     return float(lit), float(least), float(most)
 
 
 @compiled(
-    f"int64({_PIXELS}, float32, {_GRID}, {FLOATS}, float64, UniTuple({_OUT}, 4), int32[::1],"
-    "boolean[::1])"
+    f"int64({_PICTURE}, {_PICTURE}, {_MASK}, {FLOATS}, {FLOATS}, {_PICTURE}, {FLOATS}, float32,"
+    f"boolean, float32, float32, int64, float32, float32, int64, {FLOATS}, float64, {_OUT}, {_OUT},"
+    f"{_OUT}, {_OUT}, int32[::1], boolean[::1])"
 )
 def insonified(
-    pixels: Any, half_vfov_rad: Any, grid: Any, edges_rad: Any, gain_power: Any, echoes: Any,
-    pixel: Any, hit: Any,
-) -> Any:  # fmt: skip
-    """Fill the last three with the lit surface that falls into a bin; returns how much there is.
+    depth_m: Any,
+    radiance: Any,
+    surface: Any,
+    across: Any,
+    down: Any,
+    rotation: Any,
+    position_m: Any,
+    half_vfov_rad: Any,
+    top_view: Any,
+    near_m: Any,
+    span_m: Any,
+    rows: Any,
+    left_rad: Any,
+    per_rad: Any,
+    columns: Any,
+    edges_rad: Any,
+    gain_power: Any,
+    range_m: Any,
+    azimuth_rad: Any,
+    elevation_rad: Any,
+    strength: Any,
+    pixel: Any,
+    hit: Any,
+) -> Any:
+    """Fill the last six with the lit surface that falls into a bin; returns how many there are.
 
-    echoes: range, azimuth, elevation and strength = radiance * range ** gain_power.  hit: set for
-    the bins where an echo falls.
+    strength: radiance * range ** gain_power.  hit: set for the bins where an echo falls.
     """
-    range_m, azimuth_rad, elevation_rad, strength = echoes
-    height, width = pixels[0].shape
+    grid = (top_view, near_m, span_m, rows, left_rad, per_rad, columns)
+    height, width = depth_m.shape
     nowhere = len(hit) - 1
     slant, right, up = np.empty(width, _F), np.empty(width, _F), np.empty(width, _F)
     level, bins = np.empty(width, _F), np.empty(width, np.int32)
-    # Without a sign: else every access asks whether it is negative.
-    count, kept = np.uint64(0), np.empty(width, np.uint8)
+    # Without a sign, as below: else every access asks whether it is negative.
+    tabled, count = len(edges_rad) > 0, np.uint64(0)
+    kept = np.empty(width, np.uint8)
     for row in range(height):
-        _project(pixels, row, slant, right, up)
-        there, light = pixels[2][row], pixels[1][row]
-        for column in range(width):  # a slice on the left would take two seconds to compile
-            level[column] = light[column]
+        _project(depth_m[row], across, down[row], rotation, position_m, slant, right, up)
+        for column in range(width):
+            bins[column] = _cell(slant[column], right[column], up[column], grid)
+        level[:] = radiance[row]
         if gain_power in (1.0, 2.0, 3.0, 4.0):
             for _ in range(int(gain_power)):
                 for column in range(width):
@@ -137,19 +183,20 @@ def insonified(
         elif gain_power:
             for column in range(width):
                 level[column] *= _F(float(slant[column]) ** gain_power)
+        there, light = surface[row], radiance[row]
         for column in range(width):
-            bin_ = _cell(slant[column], right[column], up[column], grid)
             lit = (
                 there[column]
                 & (light[column] > _ZERO)
                 & (np.abs(up[column]) <= half_vfov_rad)
-                & (bin_ != nowhere)
+                & (bins[column] != nowhere)
             )
-            kept[column], bins[column] = lit, bin_ if lit else nowhere
-        if len(edges_rad) > 0:
+            kept[column] = lit
+            bins[column] = bins[column] if lit else nowhere
+        if tabled:
             for column in range(width):
                 if kept[column]:
-                    bins[column] = _nearest_beam(bins[column], right[column], edges_rad, grid[6])
+                    bins[column] = _nearest_beam(bins[column], right[column], edges_rad, columns)
         first = np.int32(row * width)
         for column in range(width):
             range_m[count] = slant[column]
@@ -161,6 +208,33 @@ def insonified(
             count += np.uint64(kept[column])
     hit[nowhere] = False
     return int(count)
+
+
+@compiled(
+    f"int64({FLOATS}, {FLOATS}, {FLOATS}, {FLOATS}, {FLOATS}, float32, {_OUT}, {_OUT}, {_OUT},"
+    f"{_OUT})"
+)
+def thin(
+    range_m: Any,
+    azimuth_rad: Any,
+    elevation_rad: Any,
+    strength: Any,
+    lot: Any,
+    rate: Any,
+    to_range_m: Any,
+    to_azimuth_rad: Any,
+    to_elevation_rad: Any,
+    to_strength: Any,
+) -> Any:
+    """Copy the echoes whose `lot` is below `rate`; returns how many."""
+    count = 0
+    for at in range(len(range_m)):
+        to_range_m[count] = range_m[at]
+        to_azimuth_rad[count] = azimuth_rad[at]
+        to_elevation_rad[count] = elevation_rad[at]
+        to_strength[count] = strength[at]
+        count += lot[at] < rate
+    return count
 
 
 @compiled(f"void(UniTuple({FLOATS}, 3), {_GRID}, {FLOATS}, int32[::1])")
