@@ -23,7 +23,7 @@ from .report.tables import as_markdown, beside_paper
 
 # CPU seconds, measured: a pair by render=analytic, a crop of 64 pixels forth and back through the
 # network, the six filters on a test pair, and what every command takes to begin.
-_PAIR_S, _CROP_S, _JUDGED_S, _START_S = 0.7, 0.25, 4.0, 10.0
+_PAIR_S, _CROP_S, _JUDGED_S, _START_S = 0.7, 0.3, 4.0, 10.0
 _BLENDER_S = 3.0  # more, for a frame of the paper's renderer
 _CROPS = 8
 _TESTED = 0.25
@@ -86,7 +86,7 @@ def main(words: Sequence[str]) -> int:
         "--real", type=Path, help="Marine Debris Dataset, for OldData (default: without that row)"
     )
     parser.add_argument("--frames", type=int, help="to render (default: 8000; quick: 32)")
-    parser.add_argument("--steps", type=int, help="of each training (default: 4000; quick: 100)")
+    parser.add_argument("--steps", type=int, help="of each training (default: 4000; quick: 70)")
     parser.add_argument("--out", type=Path, default=Path("outputs/paper"), help="folder of all")
     given = parser.parse_args(list(words))
     for key, least in (("frames", 4), ("steps", 1)):
@@ -97,7 +97,7 @@ def main(words: Sequence[str]) -> int:
             raise FactoryError(f"--{key} {folder}: no such folder")
     check_writable(given.out, "--out")
     frames = given.frames or (32 if given.quick else 8000)
-    steps = given.steps or (100 if given.quick else 4000)
+    steps = given.steps or (70 if given.quick else 4000)
     plan = Plan(given.out, given.scenes, given.real, given.quick, frames, steps)
     print(f"{plan.about}\nabout {plan.minutes:.0f} minutes here, on a CPU", flush=True)
     for step in steps_of(plan):

@@ -18,18 +18,21 @@ _DECIBELS = {"amplitude": 20, "intensity": 10}
 def quantiles(
     values: npt.NDArray[np.float32], fractions: Sequence[float], *, skip: int = 0
 ) -> list[float]:
-    """The quantiles of (N,) float32 numbers without NaN; N > skip.
+    """The quantiles of (N,) float32 numbers, none of which is negative or NaN; N > skip.
 
     Between the values of the two nearest ranks, linearly, in double precision.
     skip: so many of the smallest do not count.
     """
+    from ..elementary import ranked  # loads numba; a fifth of the time that sorting takes
+
     places = [skip + fraction * (len(values) - 1 - skip) for fraction in fractions]
-    ranks = [(int(place), min(int(place) + 1, len(values) - 1)) for place in places]
-    ordered = np.partition(values, sorted({rank for pair in ranks for rank in pair}))
-    found = [(float(ordered[low]), float(ordered[high])) for low, high in ranks]
+    ranks = np.array([(int(place), min(int(place) + 1, len(values) - 1)) for place in places])
+    found = np.empty(ranks.size, np.float32)
+    ranked(np.ascontiguousarray(values, np.float32), ranks.ravel().astype(np.int64), found)
+    low, high = found.reshape(-1, 2).astype(np.float64).T
     return [
-        one + (other - one) * (place - int(place))
-        for (one, other), place in zip(found, places, strict=True)
+        float(one + (other - one) * (place - int(place)))
+        for one, other, place in zip(low, high, places, strict=True)
     ]
 
 
