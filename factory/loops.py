@@ -33,7 +33,7 @@ def compile_needed(*, scenes: str = "", field: bool = False) -> None:
         return
     with (
         _alone(),
-        stage_if_slow("compiling kernels, once per machine, about a minute", after_s=2.0),
+        stage_if_slow("compiling kernels, once per machine, about 20 s", after_s=2.0),
     ):
         for name in names:
             importlib.import_module(_module(name))
