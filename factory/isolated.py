@@ -112,7 +112,7 @@ class IsolatedProcess:
 
 
 class _Lasting:
-    """One process for all calls of `look_at`; after a fork a new one."""
+    """One process for all calls of `look_at`; a new one after a fork and in another folder."""
 
     def __init__(self) -> None:
         self._forget()
@@ -122,11 +122,15 @@ class _Lasting:
     def _forget(self) -> None:
         self._lock = threading.Lock()
         self._process: IsolatedProcess | None = None
+        self._folder: str | None = None
 
     def call(self, function: Callable[..., Any], *arguments: Any, limit_s: float) -> Any:
         with self._lock:
-            if self._process is None:
-                self._process = IsolatedProcess()
+            # Relative paths mean the same in the other process only while both stand in one folder.
+            if self._process is None or self._folder != os.getcwd():
+                if self._process is not None:
+                    self._process.__exit__()
+                self._process, self._folder = IsolatedProcess(), os.getcwd()
                 atexit.register(self._process.__exit__)
             return self._process.call(function, *arguments, limit_s=limit_s)
 

@@ -60,10 +60,10 @@ PAGES: dict[str, dict[str, How]] = {
         "simnfnd denoise outputs/demo --out outputs/denoised-own "
         "--weights outputs/models/nafnet/weights.safetensors": Run(),
         "simnfnd denoise outputs/demo --out outputs/denoised": Run(),
-        "simnfnd evaluate dataset=outputs/demo": Run(("limit=2", "bootstrap=50")),
+        "simnfnd evaluate dataset=outputs/demo": Run(("limit=2", "bootstrap=100")),
         "simnfnd evaluate dataset=outputs/demo baselines=[all] "
         "models=[outputs/models/nafnet,simnfnd]": Run(
-            ("limit=2", "bootstrap=50"), instead=(("baselines=[all]", "baselines=[median]"),)
+            ("limit=2", "bootstrap=100"), instead=(("baselines=[all]", "baselines=[median]"),)
         ),
         "simnfnd evaluate tune dataset=outputs/demo": Run(("tuning.pairs=2", "baselines=[median]")),
         "simnfnd evaluate compare outputs/evaluation/demo-test outputs/evaluation/demo-test "

@@ -17,7 +17,7 @@ def main(words: Sequence[str]) -> int:
 class Halving:
     """A denoiser whose result is easy to foretell, and which keeps what it was told."""
 
-    digest = "0"
+    name, digest = "halving", "0"
 
     def __init__(self) -> None:
         self.told: list[FanGeometry | None] = []

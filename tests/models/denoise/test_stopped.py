@@ -22,7 +22,7 @@ from tests.models.adapt.scenes import noisy, scene, write
 class Stopping:
     """Halves, and is stopped by a signal at a picture."""
 
-    digest = "0"
+    name, digest = "stopping", "0"
 
     def __init__(self, at: int | None, number: int) -> None:
         self.at, self.number, self.count = at, number, 0
