@@ -311,9 +311,14 @@ def flattened(luminance: Any, total: Any, share: Any, valid: Any, mean: Any, dar
     return made
 
 
-@compiled(f"void({_READ}, {_OUT}, float32, float32, uint16[:, ::1])")
-def rounded(values: Any, levels: Any, first: Any, step: Any, codes: Any) -> None:
-    """Fill `codes` (H, W): 0 for values that are not above 0, else (level - first) / step."""
+@compiled(f"void({_READ}, {_OUT}, float32, float32, {_ROW}, uint16[:, ::1], {_OUT})")
+def rounded(
+    values: Any, levels: Any, first: Any, step: Any, table: Any, codes: Any, looked_up: Any
+) -> None:
+    """Fill `codes` (H, W), and `looked_up` with `table` at them.
+
+    0 for values that are not above 0, else (level - first) / step.
+    """
     least, most = np.float32(1), np.float32(65_534)
     for row in range(len(values)):
         for column in range(values.shape[1]):
@@ -321,6 +326,8 @@ def rounded(values: Any, levels: Any, first: Any, step: Any, codes: Any) -> None
             # Whole numbers of 32 bits: several at a time.
             code = np.int32(level if values[row, column] > 0 else _ZERO)
             codes[row, column] = np.uint16(code)
+        for column in range(values.shape[1]):
+            looked_up[row, column] = table[codes[row, column]]
 
 
 @compiled("void(uint16[:, ::1], uint8[:, ::1])")

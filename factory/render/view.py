@@ -79,9 +79,9 @@ class View:
 def view_of(frame: Frame, rendered: Rendered, mount: Mount) -> View:
     """The view of a frame that was just rendered, rounded as the cache keeps it."""
     depth_m = np.where(rendered.surface, frame.depth_m, np.float32(0))
-    depth_m = _table(DEPTH)[codes_of(depth_m, DEPTH)]
+    _, depth_m = rounded(depth_m, DEPTH)
     seen = replace(frame, rgb=_black(depth_m.shape), depth_m=depth_m)
-    return View(seen, _table(RADIANCE)[codes_of(rendered.radiance, RADIANCE)], mount)
+    return View(seen, rounded(rendered.radiance, RADIANCE)[1], mount)
 
 
 def _black(shape: tuple[int, ...]) -> npt.NDArray[np.uint8]:
@@ -91,7 +91,7 @@ def _black(shape: tuple[int, ...]) -> npt.NDArray[np.uint8]:
 def encode(view: View) -> bytes:
     """The view as bytes; `decode(encode(view))` is the view itself when it was rounded alike."""
     seen, labelled = view.seen, False
-    planes = [fold(codes_of(seen.depth_m, DEPTH)), fold(codes_of(view.radiance, RADIANCE))]
+    planes = [fold(rounded(seen.depth_m, DEPTH)[0]), fold(rounded(view.radiance, RADIANCE)[0])]
     if seen.segmentation is not None and seen.instance is not None:
         labelled = True
         planes += [seen.segmentation.tobytes(), seen.instance.astype("<u2").tobytes()]
@@ -186,25 +186,27 @@ def _checksum(content: bytes) -> bytes:
     return hashlib.blake2b(content, digest_size=_CHECKSUM_BYTES).digest()
 
 
-def codes_of(values: npt.NDArray[np.float32], steps: Steps) -> Codes:
-    """(H, W) uint16 code of each value: 0 for nothing (no value above 0), else 1 + its level.
+def rounded(values: npt.NDArray[np.float32], steps: Steps) -> tuple[Codes, npt.NDArray[np.float32]]:
+    """(H, W) uint16 code of each value, and (H, W) float32 that it stands for.
 
-    The level is the logarithm of value / low in steps, rounded, at most 65,534.
+    0 for nothing (no value above 0), else 1 + its level: the logarithm of value / low in steps,
+    rounded, at most 65,534.
     """
     from . import kernels  # loads numba
 
     values = np.ascontiguousarray(values)
-    codes = np.empty(values.shape, np.uint16)
+    codes, looked_up = np.empty(values.shape, np.uint16), np.empty(values.shape, np.float32)
     first, width = np.float32(math.log(steps.low) - steps.step), np.float32(steps.step)
     levels = np.empty((32, values.shape[1]), np.float32)
     # A few rows at a time stay in the processor's cache.
     for start in range(0, len(values), len(levels)):
-        some = values[start : start + len(levels)]
+        rows = slice(start, start + len(levels))
+        some = values[rows]
         # In single precision, whose logarithm is numpy's own and the same everywhere.
         level = np.maximum(some, np.float32(1e-38), out=levels[: len(some)])
         np.log(level, out=level)
-        kernels.rounded(some, level, first, width, codes[start : start + len(levels)])
-    return codes
+        kernels.rounded(some, level, first, width, _table(steps), codes[rows], looked_up[rows])
+    return codes, looked_up
 
 
 @lru_cache(maxsize=8)

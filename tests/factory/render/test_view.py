@@ -16,10 +16,10 @@ from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.view import (
     DEPTH,
     RADIANCE,
-    codes_of,
     decode,
     encode,
     fold,
+    rounded,
     unfold,
     view_of,
 )
@@ -89,7 +89,7 @@ def test_planes_are_folded_and_unfolded(codes: np.ndarray[Any, Any]) -> None:
     content = fold(codes)
     assert len(content) == 2 * codes.size
     height, width = codes.shape
-    found = codes_of(unfold(content, (height, width), DEPTH), DEPTH)
+    found = rounded(unfold(content, (height, width), DEPTH), DEPTH)[0]
     np.testing.assert_array_equal(found, np.minimum(codes, 65_534))
     with pytest.raises(ValueError, match="reshape"):
         unfold(content[:-1], (height, width), DEPTH)
@@ -118,4 +118,4 @@ def test_codes_are_logarithms_and_0_is_nothing() -> None:
     values = np.array([[0, -1, 1e-12, 1e-3], [1.0, 1e3, np.inf, 1e-9]], np.float32)
     low, top = 1, 65_534
     expected = [[0, 0, low, 1], [1 + 34_539, 1 + 69_078, top, low]]
-    np.testing.assert_array_equal(codes_of(values, DEPTH), np.minimum(expected, top))
+    np.testing.assert_array_equal(rounded(values, DEPTH)[0], np.minimum(expected, top))

@@ -124,6 +124,7 @@ def test_the_command_denoises_what_comes_until_it_is_stopped(
         f"watching {folder}; Ctrl-C ends",
         "a.aris",
         "b.png",
+        "weights",
         "denoised",
     ]
     assert said.err.startswith("skipped: ")
