@@ -1,7 +1,6 @@
 """The attack: kills and stops while datasets are made, flipped bits, forged files, bombs, damage.
 
 Every row of the table says what was done, how often, and what went wrong; 0 is expected.
-What harms is kept in the tests; here it happens more often, to whole commands.
 """
 
 from __future__ import annotations
@@ -65,8 +64,7 @@ class Tally:
 
 def measure(options: Options) -> Section:
     """A row for each kind of attack."""
-    amount = options.amount
-    rows: list[tuple[str, Tally]] = []
+    amount, rows = options.amount, list[tuple[str, Tally]]()
     with tempfile.TemporaryDirectory(prefix="trust-") as folder:
         root = Path(folder)
         for workers in (2, 48):
@@ -236,7 +234,7 @@ def forged(folder: Path, times: int) -> Tally:
                 tally.must(False, f"{what}: {type(error).__name__} {error}"[:200])
             tally.must(time.monotonic() - begun < HUNG_S, f"{what}: hangs")
             tally.done += 1
-    tally.note = f"{readable} still readable, none of another file"
+    tally.note = f"{readable} still readable"
     return tally
 
 
