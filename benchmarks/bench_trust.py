@@ -77,7 +77,7 @@ def measure(options: Options) -> Section:
         rows.append(("forged and damaged datasets", forged(root / "forged", amount(300, 10))))
         rows.append(("bombs, by simnfnd denoise", bombs(root / "bombs")))
         for name in WRITERS:
-            found = in_own_process(damaged, root / "damaged", name, amount(300, 10))
+            found = in_own_process(damaged, root / f"damaged-{name}", name, amount(300, 10))
             rows.append((f"damaged {name}", found))
     table = Table(
         ("attack", "times", "went wrong", "beside"),
