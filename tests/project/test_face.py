@@ -14,6 +14,7 @@ import pytest
 
 import simnfnd
 from tests.project.frames import frame
+from tests.project_files import ROOT
 from tests.small_dataset import write_dataset
 
 # Run by Python before anything else, in this process and in those it starts.
@@ -213,3 +214,12 @@ def test_pictures_and_weights_that_will_not_do(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(simnfnd.FactoryError, match=r"denoise needs onnxruntime.*\[denoise\]"):
         simnfnd.denoise(np.zeros((8, 8)))
+
+
+def test_a_checkout_is_a_repository_of_torch_hub() -> None:
+    import torch
+
+    load: Any = torch.hub.load
+    denoiser = load(str(ROOT), "denoiser", source="local", device="cpu")
+    picture = np.random.default_rng(0).random((64, 48), np.float32)
+    assert denoiser(picture).shape == picture.shape
