@@ -147,7 +147,9 @@ class StackFile(FileOfFrames):
             self._count = int(getattr(self._image, "n_frames", 1))
         width, height = self._first = self._image.size
         ask_pixels(str(self.path), width, height)
-        ask_bytes(str(self.path), self._count * width * height, most_streamed(self.size))
+        mode = self._image.mode
+        wide = 2 if "16" in mode else 4 if mode in ("I", "F") else len(self._image.getbands())
+        ask_bytes(str(self.path), self._count * width * height * wide, most_streamed(self.size))
 
     def __len__(self) -> int:
         return self._count

@@ -266,6 +266,7 @@ def _refined(view: View, seen: View, affine: Floats) -> Floats:
         usual = np.diag([0, 0, *[noise / _AFFINE_USUAL**2] * 4]) + 1e-6 * np.trace(
             hessian
         ) * np.eye(6)
+        usual += 1e-9 * np.eye(6)  # frames without any slope have no Hessian
         slope = np.einsum("ik,k->i", change, left.ravel()) + usual @ affine
         step = np.linalg.solve(hessian + usual, slope)
         affine = affine - step

@@ -297,3 +297,8 @@ def test_lamprey_gains_in_time() -> None:
     middle = decibels(fused[3], 3)
     assert middle > decibels(levels[3], 3) + 3
     assert middle > decibels(alone, 3) + 0.5
+
+
+def test_frames_that_show_nothing_stay_dark() -> None:
+    """There is no slope to align by."""
+    assert denoise(np.zeros((9, 200, 220), np.uint16)).max() < 0.01 * 65_535
