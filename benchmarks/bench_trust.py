@@ -16,7 +16,6 @@ import subprocess
 import sys
 import tempfile
 import time
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,6 +33,7 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.isolated import IsolatedProcess
 from tests.factory.dataset import flips, hostile
 from tests.models.recordings.mutations import mutated, use
+from tests.models.recordings.recording_files import write_black_png
 from tests.models.recordings.test_hostile_recordings import WRITERS
 from tests.worker_processes import workers_of
 
@@ -151,7 +151,7 @@ def _fire(run: subprocess.Popen[bytes], chance: random.Random) -> int:
 
 
 def _finish(run: subprocess.Popen[bytes], tally: Tally, what: str) -> None:
-    """Wait for a run; one without a new shard for a minute hangs."""
+    """Wait for a run; one that takes more than a minute more hangs."""
     try:
         run.wait(HUNG_S)
     except subprocess.TimeoutExpired:
@@ -268,15 +268,8 @@ def _refused(*words: str) -> tuple[int, str, int]:
         return run.returncode, said.read().decode(), usage.ru_maxrss * 1024
 
 
-def _png(path: Path, side: int = 40_000) -> None:
-    packer = zlib.compressobj(9)
-    rows = b"".join(packer.compress(bytes(side + 1)) for _ in range(side)) + packer.flush()
-    head = side.to_bytes(4, "big") * 2 + bytes([8, 0, 0, 0, 0])
-    content = b"\x89PNG\r\n\x1a\n"
-    for kind, data in ((b"IHDR", head), (b"IDAT", rows), (b"IEND", b"")):
-        check = zlib.crc32(kind + data).to_bytes(4, "big")
-        content += len(data).to_bytes(4, "big") + kind + data + check
-    path.write_bytes(content)
+def _png(path: Path) -> None:
+    write_black_png(path, 40_000)
 
 
 def _npz(path: Path) -> None:

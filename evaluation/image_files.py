@@ -12,7 +12,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -23,16 +22,11 @@ from ..models.recordings import PICTURE_SUFFIXES, SEQUENCES, kind_of
 from ..models.recordings.arrays import is_table
 from ..models.recordings.pictures import in_unit_range, read_picture
 from .filters import REGISTRY
+from .filters.base import Gray
+from .item import ROW, Item
 from .methods import Method
 from .settings import PicturesFolder
 
-if TYPE_CHECKING:
-    from .pairs import Item
-
-ROW = -1
-"""Stands in a `Place` for: an image file, no shard."""
-
-Gray = npt.NDArray[np.float32]
 _GIVEN = (".png", ".npy")
 
 

@@ -27,6 +27,7 @@ from ..factory.errors import FactoryError
 from ..factory.files import sha256_of
 from . import image_files
 from .filters.base import Gray
+from .item import ROW, Item, Place
 from .metrics.fidelity import MetricError, finite_psnr
 from .metrics.measure import Figures, Picture, Scene, sector_of
 from .runner import MethodFailed, Subject
@@ -34,36 +35,6 @@ from .runner import MethodFailed, Subject
 if TYPE_CHECKING:
     from ..factory.sonar.geometry import FanGeometry
     from .methods import Method
-
-Place = tuple[str, int]
-"""Shard file and row, or a noisy image file and image_files.ROW."""
-
-
-@dataclass(frozen=True)
-class Item:
-    """One pair: where it is and what it shows.
-
-    split, number: as `simnfnd export --to png` names it; of image files '' and their order.
-    key: changes with the content of the pair.
-    looks: the noise variants of the same frame in the same split, this one last; methods of
-    several looks see all of them.
-    """
-
-    shard: str
-    place: Place
-    split: str
-    number: int
-    key: str
-    location: str
-    scene: str
-    frame: str
-    variant: int
-    looks: tuple[Place, ...]
-
-    @property
-    def group(self) -> str:
-        """What shares one clean image: the unit of the bootstrap."""
-        return f"{self.location}/{self.scene}/{self.frame}"
 
 
 def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
@@ -75,7 +46,7 @@ def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
     if image_files.is_folder_of_pairs(root):
         files = enumerate(image_files.noisy_files(root))
         return [
-            Item(f.name, (str(f), image_files.ROW), "", n, key, "", root.name, f.stem, 0, ())
+            Item(f.name, (str(f), ROW), "", n, key, "", root.name, f.stem, 0, ())
             for n, (f, key) in files
         ][:limit]
     manifest = load_manifest(root) if root.is_dir() else None
@@ -137,7 +108,7 @@ def drawn_of(items: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
 def picture(place: Place) -> Picture:
     """Read one pair.  FactoryError when it is damaged or has NaN."""
     path, row = place
-    if row == image_files.ROW:
+    if row == ROW:
         noisy, clean, mask = image_files.read_pair(Path(path))
         shadow = np.zeros(clean.shape, bool) if mask is None else mask
         sector = sector_of(noisy, clean, shadow)
@@ -164,7 +135,7 @@ def geometry_of(place: Place) -> FanGeometry | None:
     from ..factory.sonar.geometry import FanGeometry, recorded_sonar
 
     path, row = place
-    if row == image_files.ROW:
+    if row == ROW:
         return None
     with open_shard(Path(path)) as file:
         try:

@@ -22,10 +22,11 @@ from ..factory.progress import progress_bar
 from ..factory.scheduler.workers.tasks import TaskLost, TaskPool
 from .filters import REGISTRY
 from .filters.base import Baseline, Gray, Parameters
+from .item import Item
 from .methods import Method, shown
 from .metrics.fidelity import finite_psnr, psnr
 from .metrics.measure import Levels, fit_levels
-from .pairs import Item, Pair, items_of, picture
+from .pairs import Pair, items_of, picture
 from .runner import MethodFailed, denoised
 from .settings import EvaluationSettings
 from .store import sources_digest

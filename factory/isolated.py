@@ -71,7 +71,7 @@ class IsolatedProcess:
         assert child.stdin is not None
         assert child.stdout is not None
         name = f"{function.__module__}:{function.__qualname__}"
-        asked = encode((name, limit_s, arguments))
+        asked = encode((name, limit_s, os.getcwd(), arguments))
         try:
             child.stdin.write(asked)
             child.stdin.flush()
@@ -112,7 +112,7 @@ class IsolatedProcess:
 
 
 class _Lasting:
-    """One process for all calls of `look_at`; a new one after a fork and in another folder."""
+    """One process for all calls of `look_at`; after a fork a new one."""
 
     def __init__(self) -> None:
         self._forget()
@@ -122,15 +122,11 @@ class _Lasting:
     def _forget(self) -> None:
         self._lock = threading.Lock()
         self._process: IsolatedProcess | None = None
-        self._folder: str | None = None
 
     def call(self, function: Callable[..., Any], *arguments: Any, limit_s: float) -> Any:
         with self._lock:
-            # Relative paths mean the same in the other process only while both stand in one folder.
-            if self._process is None or self._folder != os.getcwd():
-                if self._process is not None:
-                    self._process.__exit__()
-                self._process, self._folder = IsolatedProcess(), os.getcwd()
+            if self._process is None:
+                self._process = IsolatedProcess()
                 atexit.register(self._process.__exit__)
             return self._process.call(function, *arguments, limit_s=limit_s)
 
@@ -189,9 +185,10 @@ def serve() -> None:
     _limit_memory()
     while True:
         try:
-            name, limit_s, arguments = decode(sys.stdin.buffer)
+            name, limit_s, folder, arguments = decode(sys.stdin.buffer)
         except EOFError:
             return
+        os.chdir(folder)  # relative paths mean what they mean to who asks
         # Not caught: it ends the process even where C code never comes back.
         signal.setitimer(signal.ITIMER_REAL, limit_s)
         try:

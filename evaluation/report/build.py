@@ -14,8 +14,9 @@ from ...factory.scheduler.workers.tasks import TaskPool
 from .. import tuning
 from ..filters.base import Baseline
 from ..image_files import given_methods
+from ..item import Item
 from ..methods import baselines_of, costs_of, methods_of, networks_of
-from ..pairs import Item, drawn_of, items_of, picture
+from ..pairs import drawn_of, items_of, picture
 from ..settings import EvaluationSettings
 from ..store import FigureStore
 from . import page

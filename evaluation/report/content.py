@@ -24,7 +24,7 @@ from .measure import Row
 from .tables import METRIC_NAMES, interval, percent, plain, written_p
 
 if TYPE_CHECKING:
-    from ..pairs import Item
+    from ..item import Item
 
 SCHEMA = "simnfnd-report/1"
 _COMPARED = ("psnr", "ssim", "gmsd", "psnr_fan", "ssim_fan", "gmsd_fan", "shadow_iou")

@@ -27,7 +27,7 @@ from .tables import METRIC_NAMES, TABLE_METRICS, as_markdown
 if TYPE_CHECKING:
     import pandas as pd
 
-    from ..pairs import Item
+    from ..item import Item
 
 PAGE_NAME, REPORT_NAME, RESULTS_NAME = "report.html", "report.json", "results.csv"
 

@@ -16,9 +16,10 @@ import numpy.typing as npt
 
 from ...factory.dataset.format.manifest import load_manifest
 from ...factory.scheduler.workers.tasks import TaskPool
+from ..item import Item
 from ..methods import Method
 from ..metrics.statistics import estimate, paired
-from ..pairs import Item, items_of
+from ..pairs import items_of
 from ..settings import DatasetFolder, EvaluationSettings
 from ..store import FigureStore
 from .content import as_dict, paired_dict

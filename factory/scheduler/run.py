@@ -22,7 +22,7 @@ from .loop import Loop
 from .progress import ProgressBar
 from .results import Results, RunReport, take_up
 from .settings import Crew
-from .workers.contract import workers_of
+from .workers import workers_of
 from .workers.signals import Interrupted, stop_signals
 
 

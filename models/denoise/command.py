@@ -214,17 +214,21 @@ class _Work:
             return
         (item,) = items
         try:
-            denoise = self._for(item)
-            warnings = [self._on_other(item, denoise), _unsuited(item, denoise)]
+            of_points = self._is_of_points(item)
+            denoise = self.points() if of_points and self.points is not None else self.denoise
+            warnings = [self._on_other(item, denoise), _unsuited(item, denoise, of_points)]
             self.used[denoise.name] += 1
             yield item, "; ".join(filter(None, warnings))
         except FrameError as error:
             yield item, error
 
-    def _for(self, item: Item) -> Denoiser | InTurn:
-        if self.points is not None and item.kind == "shard" and is_of_points(item):
-            return self.points()
-        return self.denoise
+    def _is_of_points(self, item: Item) -> bool:
+        """Whether it is a shard of the paper's points."""
+        if item.kind != "shard":
+            return False
+        from .shards import made_of_points  # loads h5py, for datasets alone
+
+        return made_of_points(item)
 
     def _on_other(self, item: Item, denoise: Denoiser | InTurn) -> str:
         if item.kind == "pings":
@@ -247,19 +251,9 @@ class _Work:
         return ""
 
 
-def is_of_points(item: Item) -> bool:
-    """See `shards.made_of_points`."""
-    from .shards import made_of_points  # loads h5py, for datasets alone
-
-    return made_of_points(item)
-
-
-def _unsuited(item: Item, denoise: Denoiser | InTurn) -> str:
+def _unsuited(item: Item, denoise: Denoiser | InTurn, of_points: bool) -> str:
     """A warning where weights that ship were made for other noise."""
-    if denoise.name not in (DEFAULT_WEIGHTS, POINTS):
-        return ""
-    points = item.kind == "shard" and is_of_points(item)
-    if points == (denoise.name == POINTS):
+    if denoise.name not in (DEFAULT_WEIGHTS, POINTS) or of_points == (denoise.name == POINTS):
         return ""
     made_for = "the paper's points" if denoise.name == POINTS else "real sonars"
     other = DEFAULT_WEIGHTS if denoise.name == POINTS else POINTS

@@ -31,7 +31,6 @@ SUFFIXES = (
 
 SequenceKey = tuple[str, ...]
 
-_MANIFEST = "manifest.json"
 _NUMBER = re.compile(r"\d+")
 
 
@@ -150,18 +149,25 @@ def _of_input(path: Path, out: Path) -> Iterator[Item]:
         raise FactoryError(f"{path}: no such file or folder")
     elif is_bag_folder(path):
         yield Item(path, Path(path.resolve().name))
-    elif (path / _MANIFEST).is_file():
-        from ...factory.dataset.read.reader import shard_paths  # loads h5py, for datasets alone
+    else:
+        yield from _of_folder(path, out)
 
+
+def _of_folder(path: Path, out: Path) -> Iterator[Item]:
+    # These load h5py, which a single picture can do without.
+    from ...factory.dataset.format.manifest import MANIFEST_NAME
+    from ...factory.dataset.read.reader import shard_paths
+
+    if (path / MANIFEST_NAME).is_file():
         for shard in shard_paths(path, "all"):
             yield Item(shard, shard.relative_to(path), checked=True)
-    else:
-        found = items_below(path, out)
-        if not found:
-            raise FactoryError(
-                f"{path}: holds no image, shard, video or recording ({', '.join(SUFFIXES)})"
-            )
-        yield from found
+        return
+    found = items_below(path, out)
+    if not found:
+        raise FactoryError(
+            f"{path}: holds no image, shard, video or recording ({', '.join(SUFFIXES)})"
+        )
+    yield from found
 
 
 def items_below(folder: Path, out: Path) -> list[Item]:

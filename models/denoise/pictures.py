@@ -5,7 +5,6 @@ The command, `simnfnd.denoise` and evaluation denoise by it, a picture or a sequ
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ...factory.errors import FactoryError
+from ...factory.scheduler.workers.machine import usable_cores
 from ...factory.sonar.geometry import FanGeometry
 from ..recordings.base import FULL_SCALE
 from ..recordings.palettes import SUM, Painted, Palette, find_painted
@@ -112,7 +112,7 @@ class Denoising:
         self, pictures: Iterable[Seen[Key]], *, alone: bool = False
     ) -> Iterator[tuple[Seen[Key], Picture]]:
         """Each picture of a sequence and what became of it, in order."""
-        cores = 1 if alone else len(os.sched_getaffinity(0))
+        cores = 1 if alone else usable_cores()
         stream: InTime[Seen[Key]] = self.stream(alone=alone, at_once=cores)
         for seen in pictures:
             yield from finished(stream.push(shot_of(seen)))

@@ -119,30 +119,6 @@ class Backend(Protocol):
         """Stop all workers now, whatever they are doing."""
 
 
-@contextmanager
-def workers_of(settings: WorkerSettings) -> Iterator[Backend]:
-    """The backend that `settings.backend` names, stopped at the end of the block.
-
-    Raises FactoryError when it cannot be had.
-    """
-    backend: Backend
-    if settings.backend == "serial":
-        backend = SerialBackend()
-    elif settings.backend == "dask":
-        # Half a second of imports, and an optional dependency.
-        from .dask_cluster import DaskBackend
-
-        backend = DaskBackend(settings)
-    else:
-        from .local import LocalBackend
-
-        backend = LocalBackend(settings)
-    try:
-        yield backend
-    finally:
-        backend.stop()
-
-
 class SerialBackend:
     """A `Backend` in this process, whose tasks are done when they have been submitted.
 

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from .motion import Floats, Grey, blurred, factors, reduced
+from .motion import Floats, Grey, blurred, factors, grey_of, reduced
 
 _LEVELS = 32
 _LEAST_PIXELS = 20
@@ -62,14 +62,14 @@ class Fusion:
         own, laid: (H, W) or (H, W, C) float32 in 0..1.  shown: (H, W), where a neighbour shows what
         the frame does; None: everywhere.
         """
-        grey = _grey(own)
+        grey = grey_of(own)
         one = np.ones(grey.shape, np.float32)
         if not laid:
             return Fused(own, one, one)
-        smalls, masks = self._windows(grey, [_grey(other) for other in laid], shown)
+        smalls, masks = self._windows(grey, [grey_of(other) for other in laid], shown)
         if self._is_measured():
             which = self._which(len(laid))
-            apart = (_grey(laid[which]) - grey) * np.float32(np.sqrt(0.5))
+            apart = (grey_of(laid[which]) - grey) * np.float32(np.sqrt(0.5))
             where = shown[which]
             self.noise.add(apart, grey if where is None else grey * where)
         weights, agrees = self._weights(smalls, masks)
@@ -225,7 +225,3 @@ def _falling(small: Grey, wide: Grey, limit: float) -> Grey:
     """1 up to a limit of standard deviations in both windows, then falling to 0."""
     over = np.maximum(np.maximum(np.abs(small), np.abs(wide)) - np.float32(limit), 0)
     return np.asarray(cv2.exp(-over * over))
-
-
-def _grey(picture: Grey) -> Grey:
-    return picture if picture.ndim == 2 else picture.mean(axis=2, dtype=np.float32)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ....factory.sonar.geometry import FanGeometry
-from .motion import Grey
+from .motion import Grey, grey_of
 
 _SIDE = 256  # pictures are compared about this large
 _APART, _MOST_APART = 0.03, 0.01
@@ -34,11 +34,13 @@ class KeptFan:
         inside = geometry.sector_mask(*levels.shape[:2]).astype(np.float32)
         small = _small(inside)
         sector = (small > 0).astype(np.uint8)
-        self._seen = _small(_grey(levels))
+        self._seen = _small(grey_of(levels))
         self._around = cv2.dilate(sector, _RIM) == 0
         self._rim: npt.NDArray[np.bool_] = (small > 0.99) & (cv2.erode(sector, _RIM) == 0)
-        self._level = self._ground(self._seen) + _APART
+        ground = self._seen[self._around]
+        self._level = (float(np.median(ground)) if ground.size else 0.0) + _APART
         self._lit = float((self._seen[self._rim] > self._level).mean()) if self._rim.any() else 0.0
+        self._tells = bool(self._around.mean() >= _LEAST_AROUND) and self._lit > 0
 
     def stays(self, levels: Grey) -> bool:
         """Whether the geometry is that of another frame of the recording, too."""
@@ -47,22 +49,15 @@ class KeptFan:
         if self.geometry is None:
             self._left -= 1
             return self._left >= 0
-        if self._around.mean() < _LEAST_AROUND or not self._lit:
+        if not self._tells:
             return False
-        now = _small(_grey(levels))
+        now = _small(grey_of(levels))
         apart = np.abs(now - self._seen)[self._around] > _APART
         lit = float((now[self._rim] > self._level).mean())
         return bool(apart.mean() <= _MOST_APART) and lit >= _STILL_LIT * self._lit
-
-    def _ground(self, small: Grey) -> float:
-        return float(np.median(small[self._around])) if self._around.any() else 0.0
 
 
 def _small(plane: Grey) -> Grey:
     scale = max(1, max(plane.shape) // _SIDE)
     size = -(-plane.shape[1] // scale), -(-plane.shape[0] // scale)
     return cv2.resize(plane, size, interpolation=cv2.INTER_AREA)
-
-
-def _grey(levels: Grey) -> Grey:
-    return levels if levels.ndim == 2 else levels.mean(axis=2, dtype=np.float32)

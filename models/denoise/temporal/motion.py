@@ -207,6 +207,11 @@ def laid_over(grey: Grey, motion: Motion) -> tuple[Grey, Grey | None]:
     return np.clip(laid, 0, 1), (laid > -0.05).astype(np.float32)
 
 
+def grey_of(levels: Grey) -> Grey:
+    """(H, W) of (H, W) or (H, W, C): the mean of the colours."""
+    return levels if levels.ndim == 2 else levels.mean(axis=2, dtype=np.float32)
+
+
 def reduced(grey: Grey) -> Grey:
     """Half as large, means of neighbours, along sides long enough."""
     height, width = _reduced_shape(grey.shape)
@@ -263,10 +268,9 @@ def _refined(view: View, seen: View, affine: Floats) -> Floats:
     change, hessian = view.steepest
     for _ in range(_STEPS):
         left, noise = _left(view, seen, affine)
-        usual = np.diag([0, 0, *[noise / _AFFINE_USUAL**2] * 4]) + 1e-6 * np.trace(
-            hessian
-        ) * np.eye(6)
-        usual += 1e-9 * np.eye(6)  # frames without any slope have no Hessian
+        # Frames without any slope have no Hessian.
+        least = (1e-6 * np.trace(hessian) + 1e-9) * np.eye(6)
+        usual = np.diag([0, 0, *[noise / _AFFINE_USUAL**2] * 4]) + least
         slope = np.einsum("ik,k->i", change, left.ravel()) + usual @ affine
         step = np.linalg.solve(hessian + usual, slope)
         affine = affine - step

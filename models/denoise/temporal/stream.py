@@ -17,7 +17,7 @@ import numpy as np
 from ....factory.sonar.geometry import FanGeometry
 from .fusion import Fused, Fusion
 from .kept_fan import KeptFan
-from .motion import Aligner, Grey, laid_over
+from .motion import Aligner, Grey, grey_of, laid_over
 from .strength import Predictors, Strength, Weights, predictors
 
 FRAMES, MOST_FRAMES = 7, 31
@@ -131,7 +131,7 @@ class InTime(Generic[Key]):
         self._newest += 1
         self._held[self._newest] = shot
         if self._frames > 1:
-            self._aligner.add(self._newest, _grey(shot.levels), shot.shift_px)
+            self._aligner.add(self._newest, grey_of(shot.levels), shot.shift_px)
             # Motions over several frames start from those between neighbours.
             self._aligner.motion(self._newest, self._newest - 1)
         while self._next <= self._newest - self._wait():
@@ -280,7 +280,7 @@ class InTime(Generic[Key]):
     def _count(self, fused: Fused) -> None:
         if self._frames == 1:
             return
-        lit = _grey(fused.picture) > _DARK
+        lit = grey_of(fused.picture) > _DARK
         some = bool(lit.any())
         mean = float(fused.frames[lit].mean()) if some else float(fused.frames.mean())
         self._tally.pictures += 1
@@ -299,7 +299,3 @@ def each_plane(levels: Grey, work: Callable[[Grey], Grey]) -> Grey:
         same = channel and np.array_equal(plane, levels[..., 0])
         planes.append(planes[0] if same else work(plane))
     return np.stack(planes, axis=-1)
-
-
-def _grey(levels: Grey) -> Grey:
-    return levels if levels.ndim == 2 else levels.mean(axis=2, dtype=np.float32)

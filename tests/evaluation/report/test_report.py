@@ -13,9 +13,9 @@ import pytest
 from scipy import stats
 
 from simnfnd.command import main
+from simnfnd.evaluation.item import Item
 from simnfnd.evaluation.methods import Method
 from simnfnd.evaluation.metrics import statistics
-from simnfnd.evaluation.pairs import Item
 from simnfnd.evaluation.report import build as builder
 from simnfnd.evaluation.report import charts, paper, sections
 from simnfnd.evaluation.report.content import best_classical, content_of

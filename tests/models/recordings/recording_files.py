@@ -128,6 +128,19 @@ def write_oculus(
     return path
 
 
+def write_black_png(path: Path, side: int) -> Path:
+    """A square picture of zeros, a thousandth as large as what it unpacks to; never in memory."""
+    packer = zlib.compressobj(1)
+    rows = b"".join(packer.compress(bytes(side + 1)) for _ in range(side)) + packer.flush()
+    chunks = [(b"IHDR", struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)), (b"IDAT", rows)]
+    parts = [b"\x89PNG\r\n\x1a\n"]
+    for kind, content in (*chunks, (b"IEND", b"")):
+        crc = zlib.crc32(kind + content)
+        parts.append(struct.pack(">I", len(content)) + kind + content + struct.pack(">I", crc))
+    path.write_bytes(b"".join(parts))
+    return path
+
+
 def write_stack(path: Path, pages: Any) -> Path:
     """A TIFF file of several pages, uint8, uint16 or float32; colours are BGR."""
     assert cv2.imwritemulti(str(path), list(pages))

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import resource
 import socket
-import struct
 import time
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,6 +24,7 @@ from tests.models.recordings.mutations import MUTATIONS, mutated, use
 from tests.models.recordings.recording_files import (
     pings,
     write_aris,
+    write_black_png,
     write_ddf,
     write_gif,
     write_log,
@@ -155,14 +154,7 @@ def test_damage_that_libraries_pass_over_stays_off_the_terminal(
 
 
 def test_a_picture_that_is_too_large_says_how_large_is_allowed(tmp_path: Path) -> None:
-    packer, side = zlib.compressobj(1), 9000
-    rows = b"".join(packer.compress(bytes(side + 1)) for _ in range(side)) + packer.flush()
-    chunks = [(b"IHDR", struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)), (b"IDAT", rows)]
-    parts = [b"\x89PNG\r\n\x1a\n"]
-    for kind, content in (*chunks, (b"IEND", b"")):
-        crc = zlib.crc32(kind + content)
-        parts.append(struct.pack(">I", len(content)) + kind + content + struct.pack(">I", crc))
-    (tmp_path / "a.png").write_bytes(b"".join(parts))
+    write_black_png(tmp_path / "a.png", 9000)
     with pytest.raises(FrameError, match=r"a\.png: .*too large; up to 67,108,864 \(such as 8192 x"):
         read_picture(tmp_path / "a.png")
 

@@ -13,13 +13,8 @@ from collections import deque
 import psutil
 import pytest
 
-from simnfnd.factory.scheduler.workers import template
-from simnfnd.factory.scheduler.workers.contract import (
-    BackendName,
-    Pool,
-    WorkerSettings,
-    workers_of,
-)
+from simnfnd.factory.scheduler.workers import template, workers_of
+from simnfnd.factory.scheduler.workers.contract import BackendName, Pool, WorkerSettings
 from simnfnd.factory.scheduler.workers.local import LocalBackend, WorkerDied
 from simnfnd.factory.scheduler.workers.tasks import TaskLost, TaskPool
 from tests.project_files import ROOT
