@@ -110,7 +110,9 @@ class Scatterers:
     def _surface(self) -> tuple[npt.NDArray[np.int32], Floats]:
         bins = np.flatnonzero(self.owner.ravel() >= 0).astype(np.int32)
         pixel = self.owner.ravel()[bins]
-        row, column = np.divmod(pixel, self.frame.depth_m.shape[1])
+        width = self.frame.depth_m.shape[1]
+        row = pixel // width  # by one number: faster than divmod
+        column = pixel - row * width
         across, down = directions(self.frame)
         z = self.frame.depth_m.ravel()[pixel]
         return bins, np.stack([across[column] * z, down[row] * z, z])

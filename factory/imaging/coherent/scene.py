@@ -26,7 +26,7 @@ from ..pointwise import EffectCloud, effect_clouds
 from .expected import Expected, averaged, display, expected
 from .scatterers import scatterers
 from .settings import AcousticsSettings
-from .signal import Ping, Receiver, Signal, beamform, beamform_power
+from .signal import Ping, Receiver, Signal, beamform, beamform_power, sounds
 
 if TYPE_CHECKING:
     from ..contract import ImagingSettings
@@ -231,8 +231,8 @@ def received_field(ping: Ping, effects: Sequence[DrawnEffect]) -> Floats:
     for effect in effects:
         if effect.stage == "echo":
             signal = effect.apply(signal, ping)
-    field = beamform(signal.field, ping) if signal.field.any() else signal.field
-    if signal.power.any():
+    field = beamform(signal.field, ping) if sounds(signal.field) else signal.field
+    if sounds(signal.power):
         # What has no speckle arrives at its expected strength, in phase.
         field[:, 0] += np.sqrt(beamform_power(signal.power, ping))
     for effect in effects:

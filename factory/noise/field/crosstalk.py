@@ -7,7 +7,7 @@ from pydantic.dataclasses import dataclass
 
 from ...distribution import AnyNumber, Positive
 from ...imaging.coherent.expected import Expected
-from ...imaging.coherent.signal import Floats, Ping
+from ...imaging.coherent.signal import Floats, Ping, sounds
 from ...settings import STRICT
 from ..effect import Effect, EffectSettings, parameter
 
@@ -59,7 +59,7 @@ def expect_crosstalk(
         (expected.steady, 1.0),
         (expected.textured, alike),
     ):
-        if plane.any():
+        if sounds(plane):
             kernels.leaked(plane, step, leak, correlation)
 
 

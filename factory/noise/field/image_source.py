@@ -17,7 +17,7 @@ from pydantic.dataclasses import dataclass
 from ...distribution import AnyNumber, NonNegative
 from ...imaging.coherent.beams import vertical_table
 from ...imaging.coherent.expected import Expected
-from ...imaging.coherent.signal import Ping, Signal
+from ...imaging.coherent.signal import Ping, Signal, sounds
 from ...settings import STRICT
 from ..effect import Effect, EffectSettings, parameter
 
@@ -56,11 +56,12 @@ def _with_images(
 
     scene, mount, tilt_rad = ping.scatterers, ping.sonar.mount, np.deg2rad(tilt_deg)
     bins = signal.power.size
-    if not (signal.power.any() or signal.field.size):
+    powered = sounds(signal.power)
+    if not (powered or signal.field.size):
         return signal
     field, planes = signal.field.copy(), (2 * signal.looks, bins)
     # With speckle there is none; what is there is the frame's, and no effect may change it.
-    power = signal.power.copy() if signal.power.any() else np.empty(0, np.float32)
+    power = signal.power.copy() if powered else np.empty(0, np.float32)
     kernels.mirror(
         scene.filled,
         scene.filled_camera_m,
