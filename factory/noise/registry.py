@@ -14,8 +14,8 @@ from typing import Annotated, Any, get_type_hints
 from pydantic import SerializerFunctionWrapHandler, model_serializer
 from pydantic.dataclasses import dataclass
 
+from ..imaging.effect import Effect, EffectSettings
 from ..settings import STRICT
-from .effect import Effect, EffectSettings
 from .field.crosstalk import CROSSTALK, CrosstalkSettings
 from .field.gains import (
     BEAM_GAIN,

@@ -21,7 +21,8 @@ import numpy.typing as npt
 
 from ...sonar import transfer
 from ...sonar.settings import TransferSettings
-from ..contract import DrawnEffect, Floats
+from ..contract import Floats
+from ..effect import DrawnEffect
 from .signal import Ping, sounds
 
 # The table of expected grey values: levels over full scale, dB, and their fluctuation.
@@ -116,7 +117,7 @@ def expected(
         if stage == "picture":
             state.scale(ping.gain[:, None])
         for effect in effects:
-            if effect.stage == stage and (systematic or not effect.systematic):
+            if effect.stage == stage and (systematic or not effect.effect.systematic):
                 (effect.realise if realised else effect.expect)(state, ping)
     return state
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from ...errors import FrameError
 from ...sonar import array
 from ..contract import Floats
-from .scatterers import BEAM_STEPS, beam_table, directions
+from .scatterers import camera_of, grid_of
 from .signal import Ping
 
 MOST_POINTS = 1 << 25
@@ -51,12 +51,11 @@ def path_cells(ping: Ping, cell_m: float) -> PathCells:
     """
     from . import kernels  # loads numba
 
-    scene, sonar, window = ping.scatterers, ping.sonar, ping.window
-    across, down = directions(scene.frame)
+    scene = ping.scatterers
     pose = np.ascontiguousarray(scene.world_from_camera[:3])
-    given = (scene.pixels, scene.parts, scene.powers, scene.frame.depth_m, across, down, pose)
+    given = ((scene.pixels, scene.parts), scene.powers, camera_of(scene.frame), pose, cell_m)
     nothing = np.empty(0, np.uint32), np.empty(0, np.float32), np.empty((0, 3), np.int32)
-    points = kernels.gather(*given, cell_m, *nothing)
+    points = kernels.gather(*given, nothing)
     if points > MOST_POINTS:
         raise FrameError(
             f"{scene.frame.ref.name}: {points} points for cells of {1000 * cell_m:.2g} mm; set "
@@ -64,21 +63,14 @@ def path_cells(ping: Ping, cell_m: float) -> PathCells:
         )
     slots = 1 << int(points).bit_length()
     names, powers = np.zeros(slots, np.uint32), np.zeros(slots, np.float32)
-    places = np.empty((slots, 3), np.int32)
-    kernels.gather(*given, cell_m, names, powers, places)
+    table = names, powers, np.empty((slots, 3), np.int32)
+    kernels.gather(*given, table)
     cells = int(np.count_nonzero(names))
-    edges, first_beam = beam_table(sonar)
-    bins, roots = np.empty(cells, np.int32), np.empty(cells, np.float32)
-    kept, phases = np.empty(cells, np.uint32), np.empty(cells, np.uint16)
-    waves_per_m = 2000 * sonar.frequency_khz / ping.water.sound_speed_m_s()
-    count = kernels.locate(
-        names, powers, places, cell_m, _sonar_from_world(ping),
-        window.projection == "top_view", window.range_min_m,
-        sonar.range_bins / window.range_span_m, edges, first_beam,
-        BEAM_STEPS / float(edges[-1] - edges[0]), sonar.range_bins, waves_per_m,
-        bins, roots, kept, phases,
-    )  # fmt: skip
-    return PathCells(bins[:count], roots[:count], kept[:count], phases[:count])
+    found = tuple(np.empty(cells, kind) for kind in (np.int32, np.float32, np.uint32, np.uint16))
+    waves_per_m = 2000 * ping.sonar.frequency_khz / ping.water.sound_speed_m_s()
+    grid = grid_of(ping.window, ping.sonar)
+    count = kernels.locate(table, cell_m, _sonar_from_world(ping), grid, waves_per_m, found)
+    return PathCells(*(values[:count] for values in found))
 
 
 def _sonar_from_world(ping: Ping) -> npt.NDArray[np.float64]:

@@ -21,7 +21,8 @@ from ...errors import FrameError
 from ...sonar import polar, transfer
 from ...sonar.settings import SonarSettings
 from ...sonar.surface import LitSurface
-from ..contract import DrawnEffect, Floats, Layers
+from ..contract import Floats, Layers
+from ..effect import DrawnEffect
 from ..pointwise import EffectCloud, effect_clouds
 from .expected import Expected, averaged, display, expected
 from .scatterers import scatterers

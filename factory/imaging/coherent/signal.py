@@ -186,7 +186,7 @@ def scattered(
     for look in field:
         bins = np.zeros((rows * beams, 2), np.float32)
         key = int(rng.integers(2**32))
-        kernels.scatter(*points, shares, phases, key, gaussian_table(), _turns(), bins)
+        kernels.scatter(*points, shares, phases, key, (gaussian_table(), _turns()), bins)
         np.multiply(bins.reshape(rows, beams, 2).transpose(2, 0, 1), amplitude, out=look)
     return Signal(np.zeros(ping.shape, np.float32), field)
 

@@ -13,8 +13,8 @@ from pydantic.dataclasses import dataclass
 from ...distribution import AnyNumber, NonNegative, Positive
 from ...imaging.coherent.expected import Expected
 from ...imaging.coherent.signal import Floats, Ping
+from ...imaging.effect import Effect, EffectSettings, parameter
 from ...settings import STRICT
-from ..effect import Effect, EffectSettings, parameter
 
 # Weaker than this against full scale it is not computed, dB.
 _FAINTEST_DB = -90

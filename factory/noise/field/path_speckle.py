@@ -14,8 +14,8 @@ from pydantic.dataclasses import dataclass
 from ...distribution import NonNegative, Positive
 from ...imaging.coherent.path_cells import edge_m, path_cells
 from ...imaging.coherent.signal import Ping, Signal, scattered
+from ...imaging.effect import Effect, EffectSettings, parameter
 from ...settings import STRICT
-from ..effect import Effect, EffectSettings, parameter
 from .speckle import expect_speckle
 
 

@@ -21,8 +21,8 @@ from ...imaging.coherent.signal import (
     beamform,
     white_noise,
 )
+from ...imaging.effect import Effect, EffectSettings, option, parameter
 from ...settings import STRICT
-from ..effect import Effect, EffectSettings, option, parameter
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -16,8 +16,8 @@ from pydantic.dataclasses import dataclass
 from ...distribution import Positive
 from ...imaging.coherent.expected import Expected, between
 from ...imaging.coherent.signal import Floats, Ping, gaussian_table
+from ...imaging.effect import Effect, EffectSettings, parameter
 from ...settings import STRICT
-from ..effect import Effect, EffectSettings, parameter
 
 _STEPS, _REACH = 1024, 5.5
 

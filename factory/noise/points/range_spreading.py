@@ -18,10 +18,10 @@ import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
 from ...distribution import NonNegative, uniform
+from ...imaging.effect import Effect, EffectSettings, option, parameter
 from ...settings import STRICT
 from ...sonar.echoes import Echoes, from_xyz
 from ...sonar.window import Window
-from ..effect import Effect, EffectSettings, option, parameter
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -5,7 +5,6 @@ import pytest
 from scipy import special
 
 from simnfnd.factory.config import digest, identity
-from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.imaging.coherent import expected
 from simnfnd.factory.noise.draws import StreamNames, draw
 from tests.constant_field import config, observed, scene_of
@@ -45,21 +44,10 @@ def test_averaged_samples_are_worth_their_looks(window, samples):
     assert abs(float((noisy.mean(axis=0) - clean).mean())) < 0.006
 
 
-def test_looks_of_white_and_of_equal_samples():
-    one = np.ones(1, np.float32)
-    assert expected.looks(one, 3) == pytest.approx(3)
-    assert expected.looks(np.ones(400, np.float32) / 20, 2) == pytest.approx(1, abs=0.01)
-
-
 def test_fixed_full_scale_is_the_same_in_every_frame():
     transfer = {"kind": "log", "full_scale_db": -70.0, "dynamic_range_db": 80}
     scene = scene_of(observed(config(noise={"speckle": {}}, sonar={"transfer": transfer})))
     assert scene.ping.full_scale == pytest.approx(1e-7)
-
-
-def test_too_many_samples_are_refused():
-    with pytest.raises(FactoryError, match="samples_per_bin"):
-        config(sonar={"range_bins": 4000, "samples_per_bin": 4})
 
 
 def test_configurations_without_are_named_as_before():

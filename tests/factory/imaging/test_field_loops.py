@@ -7,10 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simnfnd.factory.imaging.coherent import kernels
 from simnfnd.factory.imaging.coherent.beams import vertical_table
 from simnfnd.factory.imaging.coherent.scatterers import beam_table, scatterers
-from simnfnd.factory.imaging.coherent.signal import gaussian_table
 from simnfnd.factory.pairs import fitted_window
 from simnfnd.factory.sonar.window import conical
 from tests.constant_field import config
@@ -66,34 +64,3 @@ def test_scatterers_lie_where_their_pixels_do(range_bins):
     assert summed.sum() == pytest.approx(float(found.powers.sum()), rel=0.02)
     owned = found.owner[found.owner >= 0]
     assert (rendered.radiance.reshape(-1)[owned] > 0).all()
-
-
-def test_scattered_amplitudes_are_those_of_numpy() -> None:
-    """Points of few cells, so that neighbours share coefficients, in few bins."""
-    rng = np.random.default_rng(4)
-    points, key = 5000, 77
-    bin_of = rng.integers(0, 90, points).astype(np.int32)
-    power = rng.random(points, dtype=np.float32)
-    names = rng.integers(0, 300, points).astype(np.uint32) * np.uint32(40503)
-    share = rng.random(points, dtype=np.float32)
-    table, bins = gaussian_table(), np.zeros((90, 2), np.float32)
-    turns, phases = gaussian_table(), np.empty(0, np.uint16)
-    kernels.scatter(bin_of, np.sqrt(power), names, share, phases, key, table, turns, bins)
-
-    word = names ^ np.uint32(key)
-    for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35)):
-        word = (word ^ (word >> np.uint32(shift))) * np.uint32(factor)
-    lot = (word ^ (word >> np.uint32(16))) >> np.uint32(16)
-    amplitude = np.sqrt(power.astype(np.float64)) * share
-    expected = np.zeros((90, 2))
-    np.add.at(expected, bin_of, amplitude[:, None] * table[lot])
-    np.testing.assert_allclose(bins, expected, rtol=1e-4, atol=1e-4)
-
-
-@pytest.mark.parametrize("filled", [0.0, 0.02, 1.0])
-def test_products_of_silent_bins_are_those_of_numpy(filled):
-    rng = np.random.default_rng(5)
-    rows = rng.random((20, 24), dtype=np.float32) * (rng.random((20, 24)) < filled)
-    matrix, out = rng.random((24, 11), dtype=np.float32), np.empty((20, 11), np.float32)
-    kernels.products(rows.astype(np.float32), matrix, out)
-    np.testing.assert_allclose(out, rows @ matrix, rtol=1e-4, atol=1e-4)

@@ -63,22 +63,6 @@ def test_movement_across_takes_it_as_the_aperture_says(at_rest, beams):
     assert max(found) == pytest.approx(expected, abs=0.08)
 
 
-def test_half_an_aperture_is_enough(at_rest):
-    ping, before = at_rest
-    wavelength_m = ping.water.sound_speed_m_s() / (1000 * ping.sonar.frequency_khz)
-    half_m = 0.5 * wavelength_m * 50.8 / ping.sonar.array.beamwidth_deg
-    _, after = field_at(half_m)
-    rows = np.abs(ping.range_m - RANGE_M) < 0.5
-    alike = [
-        np.corrcoef(
-            (abs(before) ** 2)[rows][:, 20:-20].ravel(),
-            np.roll(abs(after) ** 2, shift, axis=1)[rows][:, 20:-20].ravel(),
-        )[0, 1]
-        for shift in range(-6, 7)
-    ]
-    assert max(alike) < 0.2
-
-
 def test_a_sonar_at_rest_sees_the_same_to_the_byte():
     pairs = []
     for name in ("0", "1"):

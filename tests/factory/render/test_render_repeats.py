@@ -18,7 +18,6 @@ from tests.factory.render.renderers import (
     LEFT,
     digest,
     opened,
-    relative_error,
     render,
 )
 from tests.project_files import ROOT
@@ -95,11 +94,3 @@ def test_bounces_light_up_a_groove() -> None:
     np.testing.assert_array_equal(bounced, again)
     assert bounced.mean() > 1.05 * direct.mean()
     assert (bounced >= direct * 0.999).mean() > 0.999
-
-
-def test_more_samples_stay_at_pixel_centres() -> None:
-    frame = yard(100, 130)
-    one, many = (render("cycles", frame, albedo="constant", samples=count) for count in (1, 8))
-    error = relative_error(many, one)
-    assert np.median(error) < 1e-3
-    assert np.percentile(error, 99) < 0.02

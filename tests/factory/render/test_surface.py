@@ -94,17 +94,6 @@ def test_normals_next_to_an_edge_are_those_of_their_own_surface() -> None:
     np.testing.assert_array_equal(found[depth_m == 0], 0)
 
 
-def test_a_strip_one_pixel_wide_faces_the_camera_as_far_as_it_can() -> None:
-    depth_m = np.zeros((9, 9), np.float32)
-    depth_m[4, 2:7] = 2.0
-    surface = surface_of(depth_m)
-    points_m, found = surface.points_m, surface.normals[4, 2:7]
-    sight = -points_m[4, 2:7] / np.linalg.norm(points_m[4, 2:7], axis=-1, keepdims=True)
-    np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1, rtol=1e-5)
-    np.testing.assert_allclose(found[:, 0], 0, atol=1e-6)  # at right angles to the strip
-    assert np.all((found * sight).sum(axis=-1) > 0.9)
-
-
 def test_ground_at_grazing_incidence_stays_whole_and_a_low_step_is_cut() -> None:
     steady = 5.0 * 1.04 ** np.arange(30)[:, None] * np.ones((1, 20))
     assert joined(steady, kernels.DOWN)[:-1].all()

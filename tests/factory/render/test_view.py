@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import array_shapes, arrays
 
 from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.render.mount import Mount
@@ -20,7 +18,6 @@ from simnfnd.factory.render.view import (
     encode,
     fold,
     rounded,
-    unfold,
     view_of,
 )
 from tests.factory.render.small_views import same, some_view
@@ -81,18 +78,6 @@ def test_anything_else_is_no_view(cut: int, content: bytes) -> None:
     for bad in (content, encode(some_view())[:cut]):
         with pytest.raises(ValueError):  # noqa: PT011 (the cause is what was met first)
             decode(bad)
-
-
-@settings(max_examples=40, deadline=None)
-@given(codes=arrays(np.uint16, array_shapes(min_dims=2, max_dims=2, max_side=9)))
-def test_planes_are_folded_and_unfolded(codes: np.ndarray[Any, Any]) -> None:
-    content = fold(codes)
-    assert len(content) == 2 * codes.size
-    height, width = codes.shape
-    found = rounded(unfold(content, (height, width), DEPTH), DEPTH)[0]
-    np.testing.assert_array_equal(found, np.minimum(codes, 65_534))
-    with pytest.raises(ValueError, match="reshape"):
-        unfold(content[:-1], (height, width), DEPTH)
 
 
 def test_folded_planes_keep_their_bytes() -> None:

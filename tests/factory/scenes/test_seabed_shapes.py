@@ -26,6 +26,7 @@ from simnfnd.factory.scenes.seabed.meshes import (
 from simnfnd.factory.scenes.seabed.terrain import view_mesh
 from simnfnd.factory.scenes.seabed.viewpoint import choose_pose
 from simnfnd.factory.scenes.seabed.world import build_world
+from simnfnd.factory.seeds import stream
 
 
 @pytest.mark.parametrize("location", [3])
@@ -155,3 +156,15 @@ def test_waves_have_unit_variance(seed: int) -> None:
     values = field(*rng.uniform(-2000, 2000, (2, 20_000)))
     assert abs(float(values.mean())) < 0.1
     assert float(values.std()) == pytest.approx(1, abs=0.1)
+
+
+def test_depth_is_lost_far_away_and_behind_edges_in_the_share_drawn() -> None:
+    depth_m = np.full((608, 968), 3.0, np.float32)
+    depth_m[:, 500:] = 4.5
+    depth_m[:60] = np.inf
+    keep = view.measured(stream(1, "gaps"), depth_m, depth_m, 5.0)
+    assert not keep[:60].any()
+    assert 0.6 < keep.mean() < 0.93
+    behind, before = keep[200:400, 500:504].mean(), keep[200:400, 496:500].mean()
+    assert behind < 0.6 < before
+    assert not view.measured(stream(1, "gaps"), depth_m, depth_m, 1.0).any()

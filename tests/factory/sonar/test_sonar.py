@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.errors import FactoryError, FrameError
@@ -11,7 +9,7 @@ from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.settings import build
 from simnfnd.factory.sonar import polar, transfer
-from simnfnd.factory.sonar.echoes import from_xyz, in_plane
+from simnfnd.factory.sonar.echoes import in_plane
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
 from simnfnd.factory.sonar.settings import SonarSettings, TransferSettings
 from simnfnd.factory.sonar.window import Extent, Window, fit_window, set_window
@@ -22,32 +20,6 @@ SHARP = {"point_spread": {"range_bins": 0, "beams": 0}}
 
 def sonar(**keys) -> SonarSettings:
     return build(SonarSettings, {"range": {"auto": False, "min_m": 1, "max_m": 9}, **SHARP, **keys})
-
-
-def test_tabled_beams_take_the_nearest_direction():
-    device = sonar(beams=4, range_bins=2, beam_azimuths_deg=[-20, -5, 5, 20])
-    azimuth = np.deg2rad([-22, -13, -12, -1, 1, 12, 13, 30])
-    echoes = in_plane(np.full(8, 3.0), azimuth, np.ones(8))
-    assert polar.bin_index(echoes, window(), device).tolist() == [0, 0, 1, 1, 2, 2, 3, 8]
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    x=st.floats(0.5, 20),
-    y=st.floats(-10, 10),
-    z=st.floats(-10, 10),
-)
-def test_polar_and_cartesian_coordinates_are_inverse(x, y, z):
-    echoes = from_xyz(np.array([[x, y, z]]), np.ones(1))
-    np.testing.assert_allclose(
-        echoes.xyz_m(), [[x, y, z]], atol=2e-5 * np.hypot(np.hypot(x, y), z) + 1e-6
-    )
-
-
-def test_azimuth_is_positive_to_the_right():
-    assert from_xyz(np.array([[1.0, -1.0, 0.0]]), np.ones(1)).azimuth_rad[0] == pytest.approx(
-        np.pi / 4
-    )
 
 
 def test_fan_shows_a_point_where_it_is():
@@ -94,12 +66,6 @@ def test_transfer_is_monotone_bounded_and_hits_its_reference(kind):
     assert values[-1] == 1
     level = np.percentile(clean[clean > 0], 90)
     assert transfer.grey(np.array([level]), scale, curve)[0] == pytest.approx(0.8, abs=1e-4)
-
-
-def test_log_curve_is_the_formula():
-    curve = TransferSettings(kind="log", dynamic_range_db=40)
-    values = transfer.grey(np.array([1.0, 0.1, 0.01, 0.001]), 1.0, curve)
-    assert values == pytest.approx([1, 0.5, 0, 0], abs=1e-6)
 
 
 def test_soft_log_is_the_formula_for_amplitudes_and_intensities():
