@@ -31,12 +31,7 @@ from .field.image_source import (
     BottomMultipathSettings,
     SurfaceMultipathSettings,
 )
-from .field.near_range import (
-    COMB_LINES,
-    RING_DOWN,
-    CombLinesSettings,
-    RingDownSettings,
-)
+from .field.near_range import COMB_LINES, RING_DOWN, CombLinesSettings, RingDownSettings
 from .field.path_speckle import PATH_SPECKLE, PathSpeckleSettings
 from .field.receiver import RECEIVER, ReceiverSettings
 from .field.saturation import SATURATION, SaturationSettings

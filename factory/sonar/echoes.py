@@ -85,9 +85,5 @@ def in_plane(
 
 def join(*parts: Echoes) -> Echoes:
     """All echoes of all parts, in order."""
-    return Echoes(
-        np.concatenate([part.range_m for part in parts]),
-        np.concatenate([part.azimuth_rad for part in parts]),
-        np.concatenate([part.elevation_rad for part in parts]),
-        np.concatenate([part.strength for part in parts]),
-    )
+    columns = zip(*(vars(part).values() for part in parts), strict=True)
+    return Echoes(*(np.concatenate(column) for column in columns))

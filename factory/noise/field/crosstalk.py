@@ -26,12 +26,7 @@ class CrosstalkSettings(EffectSettings):
 
 
 def crosstalk(
-    field: Floats,
-    ping: Ping,
-    rng: np.random.Generator,
-    *,
-    level_db: float,
-    spacing_beams: float,
+    field: Floats, ping: Ping, rng: np.random.Generator, *, level_db: float, spacing_beams: float
 ) -> Floats:
     """The field with what leaks from `spacing_beams` to the left and to the right."""
     step, leaks = max(round(spacing_beams), 1), np.float32(10 ** (level_db / 20)) * field

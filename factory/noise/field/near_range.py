@@ -48,12 +48,7 @@ class CombLinesSettings(EffectSettings):
 
 
 def ring_down(
-    field: Floats,
-    ping: Ping,
-    rng: np.random.Generator,
-    *,
-    level_db: float,
-    decay_db_per_m: float,
+    field: Floats, ping: Ping, rng: np.random.Generator, *, level_db: float, decay_db_per_m: float
 ) -> Floats:
     """The field with the ring-down: noise that is alike in all beams but for its phase."""
     relative_db = level_db - decay_db_per_m * ping.range_m

@@ -14,13 +14,7 @@ from pydantic.dataclasses import dataclass
 
 from ...distribution import AnyNumber
 from ...imaging.coherent.expected import Expected
-from ...imaging.coherent.signal import (
-    Floats,
-    Ping,
-    add_white_noise,
-    beamform,
-    white_noise,
-)
+from ...imaging.coherent.signal import Floats, Ping, add_white_noise, beamform, white_noise
 from ...imaging.effect import Effect, EffectSettings, option, parameter
 from ...settings import STRICT
 

@@ -29,12 +29,7 @@ class BackgroundSettings(EffectSettings):
 
 
 def background(
-    scene: Echoes,
-    window: Window,
-    rng: np.random.Generator,
-    *,
-    density: float,
-    strength: float,
+    scene: Echoes, window: Window, rng: np.random.Generator, *, density: float, strength: float
 ) -> Echoes:
     """Noise points for `scene` (its number of points counts, not where they are)."""
     count = round(density * len(scene))

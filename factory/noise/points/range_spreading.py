@@ -38,12 +38,7 @@ class RangeSpreadingSettings(EffectSettings):
 
 
 def range_spreading(
-    scene: Echoes,
-    window: Window,
-    rng: np.random.Generator,
-    *,
-    mode: str,
-    alpha: float,
+    scene: Echoes, window: Window, rng: np.random.Generator, *, mode: str, alpha: float
 ) -> Echoes:
     """The scene's echoes, spread; same number and order of points."""
     if mode == "paper":

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy import special
 
-from simnfnd.factory.config import digest, identity
 from simnfnd.factory.imaging.coherent import expected
 from simnfnd.factory.noise.draws import StreamNames, draw
 from tests.constant_field import config, observed, scene_of
@@ -42,17 +41,3 @@ def test_averaged_samples_are_worth_their_looks(window, samples):
     assert decibels == pytest.approx(4.343 * np.sqrt(special.polygamma(1, looks)), rel=0.06)
     # mean_log: the average of the noisy pictures.
     assert abs(float((noisy.mean(axis=0) - clean).mean())) < 0.006
-
-
-def test_fixed_full_scale_is_the_same_in_every_frame():
-    transfer = {"kind": "log", "full_scale_db": -70.0, "dynamic_range_db": 80}
-    scene = scene_of(observed(config(noise={"speckle": {}}, sonar={"transfer": transfer})))
-    assert scene.ping.full_scale == pytest.approx(1e-7)
-
-
-def test_configurations_without_are_named_as_before():
-    values = identity(config())
-    assert "samples_per_bin" not in values["sonar"]
-    assert "full_scale_db" not in values["sonar"]["transfer"]
-    assert "path" not in values["scenes"]
-    assert digest(values) != digest(identity(config(sonar={"samples_per_bin": 2})))

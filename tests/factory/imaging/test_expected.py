@@ -162,14 +162,3 @@ def test_without_speckle_spokes_texture_and_haze_stay_where_they_are_kept() -> N
     even = sampled({"speckle": {}})
     difference = patches.without(("speckle",)) - even.without(("speckle",))
     assert difference.std() > 0.02
-
-
-def test_points_without_all_artefacts_are_the_clean_picture() -> None:
-    settings = compose_config(["experiment=demo"])
-    made = observe(*ground(), settings)
-    names = StreamNames.of(made.ref, 0, made.has_pose)
-    effects = draw(settings.noise, settings.seed, names).effects
-    sample = made.scene.sample(0, effects, settings)
-    np.testing.assert_array_equal(sample.without(ARTEFACTS), sample.clean)
-    kept = {effect.name for effect in effects} - {"azimuth"}
-    np.testing.assert_array_equal(sample.without(("spokes",)), sample.noisy(kept))

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from simnfnd.factory import pairs
 from simnfnd.factory.config import FactoryConfig, from_mapping
-from simnfnd.factory.dataset.format.schema import Pair, layers
+from simnfnd.factory.dataset.format.schema import Pair
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.labels import CLASSES
@@ -114,25 +114,10 @@ def test_valid_azimuth_is_what_the_camera_saw() -> None:
     assert not np.asarray(pair.noisy)[elsewhere].any()
 
 
-def test_outside_of_the_fan_there_is_nothing() -> None:
-    settings = config(dataset={"layers": TRUTH})
-    pair = made(settings)
-    frame = labelled()
-    scene = pairs.observe(frame, plain_render(frame), settings)
-    outside = ~fan_table(settings.sonar, scene.window.near_fraction).inside
-    for name, picture in pair.layers.items():
-        values = np.asarray(picture)[outside]
-        assert (np.isnan(values) if values.dtype.kind == "f" else values == 0).all(), name
-        assert picture.dtype == {layer.name: layer.dtype for layer in layers("uint8", [name])}[name]
-
-
 def test_labels_are_refused_where_there_are_none() -> None:
     with pytest.raises(FactoryError, match=r"segmentation needs labelled frames.*scenes=seabed"):
         from_mapping(
-            {
-                "scenes": {"kind": "flsea", "root": "x"},
-                "dataset": {"layers": ["segmentation"]},
-            }
+            {"scenes": {"kind": "flsea", "root": "x"}, "dataset": {"layers": ["segmentation"]}}
         )
     with pytest.raises(FrameError, match="here/plain/0001: has no labels"):
         made(config(dataset={"layers": ["segmentation"]}), ground_and_post())

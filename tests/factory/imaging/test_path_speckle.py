@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.errors import FrameError
-from simnfnd.factory.imaging.coherent.path_cells import edge_m, path_cells
 from simnfnd.factory.imaging.coherent.signal import Signal, beamform, beamform_power
 from simnfnd.factory.noise.draws import StreamNames, draw
+from simnfnd.factory.noise.field.path_speckle import PATH_SPECKLE, edge_m
 from simnfnd.factory.pairs import make_pair, observe
 from tests.constant_field import config, ping_of, slope
 
@@ -76,4 +76,4 @@ def test_cells_too_small_are_refused():
     ping = ping_of(observe(frame, rendered, SETTINGS))
     assert edge_m(ping) == 2.0 ** round(np.log2(edge_m(ping)))
     with pytest.raises(FrameError, match="scatterer_m"):
-        path_cells(ping, 1e-4)
+        PATH_SPECKLE.function(None, ping, None, looks=1, scatterer_m=1e-4)

@@ -57,8 +57,7 @@ def test_looks_make_it_gamma(looks):
 
 
 @pytest.mark.parametrize(
-    ("shape", "golden_si", "golden_enl"),
-    [(0.5, 5, 1.00), (2, 2, 2.26), (10, 1.2, 3.27)],
+    ("shape", "golden_si", "golden_enl"), [(0.5, 5, 1.00), (2, 2, 2.26), (10, 1.2, 3.27)]
 )
 def test_texture_makes_it_k_distributed(shape, golden_si, golden_enl):
     size = 2_000_000

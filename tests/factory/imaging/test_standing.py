@@ -54,9 +54,3 @@ def test_the_clean_picture_is_as_like_the_noisy_one_as_fields_of_such_a_part(par
     # Averaging took the rest of an exponential intensity, whose contrast is 1.
     power = intensity(clean)
     assert part - 0.1 < power.std() / power.mean() < 1
-
-
-def test_nothing_stands_still_by_default() -> None:
-    assert config(noise={"speckle": {}}).acoustics.standing == 0
-    _, clean, _ = pictures(0.0)
-    assert np.ptp(clean / clean.mean(axis=1, keepdims=True)) < 0.06, "beams at the edges alone"

@@ -133,9 +133,7 @@ def test_arcs_hold_a_range_over_all_bearings():
 
 @pytest.mark.parametrize("effect", [name for name in POINT_EFFECTS if not EFFECTS[name].moves])
 def test_density_is_a_fraction_of_the_scene_points(effect):
-    settings = noisy(
-        {effect: {"density": 0.25} | ({} if effect == "background" else {"count": 2})},
-    )
+    settings = noisy({effect: {"density": 0.25} | ({} if effect == "background" else {"count": 2})})
     scene = uniform_scene(8000)
     made = clouds(scene, settings, 0, "s", "f", 0)
     assert len(made[effect]) == 2000

@@ -22,10 +22,8 @@ from simnfnd.factory.noise.field.saturation import saturation
 from simnfnd.factory.noise.field.scintillation import scintillation
 from simnfnd.factory.noise.field.sidelobe_arcs import sidelobe_arcs
 from simnfnd.factory.noise.field.spokes import spokes
-from simnfnd.factory.noise.field.volume import volume
 from simnfnd.factory.noise.registry import EFFECTS, FIELD_EFFECTS, NoiseSettings, blocks
 from simnfnd.factory.pairs import ObservedFrame, make_pair
-from simnfnd.factory.sample_table.record import columns
 from simnfnd.factory.sonar.acoustics import thermal_noise_db
 from simnfnd.factory.sonar.array import directivity_db
 from tests.constant_field import config, observed, ping_of
@@ -84,31 +82,6 @@ def test_receiver_noise_is_mellens_and_flat_before_the_gain() -> None:
     assert noise[:60].mean() == pytest.approx(noise[-60:].mean(), rel=0.05)
     amplitude = np.sqrt(noise)
     assert (amplitude.mean() / amplitude.std()) ** 2 == pytest.approx(3.66, rel=0.02)
-
-
-def test_noise_through_the_beamformer_has_the_grain_of_speckle() -> None:
-    of = ping()
-    grains = {}
-    for grain in ("sample", "beam"):
-        noise = receiver(silence(of), of, rng(), level_db=0, grain=grain)[0, 0]
-        grains[grain] = np.corrcoef(noise[:, 1:].ravel(), noise[:, :-1].ravel())[0, 1]
-    assert abs(grains["sample"]) < 0.03
-    assert grains["beam"] > 0.5
-
-
-def test_haze_is_the_volume_of_a_bin() -> None:
-    of = ping()
-    empty = Signal(np.zeros(of.shape, np.float32), silence(of))
-    haze = intensity(volume(empty, of, rng(), strength_db=-50).field).mean(axis=1)
-    row = 100
-    range_m = float(of.range_m[row])
-    # The integral of sinc^4, at -3 dB one way at vfov / 2, is 2/3 sin(vfov / 2) / 0.4429.
-    upright_rad = 2 / 3 * np.sin(np.deg2rad(10)) / 0.4429
-    cell_m3 = range_m**2 * np.deg2rad(24 / 128) * upright_rad * of.bin_m
-    golden_db = (
-        -50 + decibels(cell_m3) - 40 * np.log10(range_m) - 2 * of.absorption_db_per_m * range_m
-    )
-    assert decibels(haze[row - 10 : row + 10].mean()) == pytest.approx(golden_db, abs=0.2)
 
 
 @pytest.mark.parametrize("way", ["surface", "bottom"])
@@ -328,25 +301,3 @@ def test_each_layer_is_its_effect_alone(complete):
         np.testing.assert_array_equal(make_pair(made, 0, alone).noisy, layer)
         assert (layer != pair.clean).mean() > 0.005, name
         assert 0 <= layer.min() <= layer.max() <= 1
-
-
-def with_receiver(settings: FactoryConfig, level_db: Any) -> FactoryConfig:
-    block = config(noise={"receiver": {"level_db": level_db}}).noise.receiver
-    return replace(settings, noise=replace(settings.noise, receiver=block))
-
-
-def test_drawn_parameters_are_in_the_record_and_replay_the_sample(complete):
-    made, settings = complete
-    settings = with_receiver(settings, {"uniform": [20, 50]})
-    pair = make_pair(made, 3, settings)
-    level_db = float(pair.record["noise.receiver.level_db"])
-    assert 20 <= level_db <= 50
-    again = make_pair(made, 3, with_receiver(settings, level_db))
-    np.testing.assert_array_equal(again.noisy, pair.noisy)
-    table = columns(settings.noise, "field")
-    assert {column.name for column in table} == set(pair.record)
-    units = {column.name: column.units for column in table}
-    assert units["noise.receiver.level_db"] == "dB"
-    assert units["noise.speckle.scatterer_m"] == "m"
-    assert units["noise.ring_down.decay_db_per_m"] == "dB/m"
-    assert units["noise.surface_multipath.tilt_deg"] == "deg"

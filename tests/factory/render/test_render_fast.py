@@ -15,7 +15,7 @@ from simnfnd.factory.frame import Frame, Intrinsics
 from simnfnd.factory.render import Rendered, RenderSettings, check_renderer
 from simnfnd.factory.settings import build
 from tests.factory.render.renderers import HERE, LEFT, relative_error, render
-from tests.render_scenes import FLSEA, flsea_frame, frame_of, yard
+from tests.render_scenes import FLSEA, flsea_frame, yard
 
 CAMERA = Intrinsics(21.0, 19.0, 10.3, 8.6)
 
@@ -101,11 +101,3 @@ def test_stride_and_bounces_exclude_each_other() -> None:
     with pytest.raises(FactoryError, match=r"render\.stride=2 .* render\.bounces=0"):
         check_renderer(wanted)
     check_renderer(build(RenderSettings, {"kind": "analytic", "bounces": 1}))
-
-
-def test_nothing_measured_at_any_stride() -> None:
-    empty = frame_of(np.zeros((20, 30)), CAMERA)
-    for kind, mount in (("embree", LEFT), ("cycles", LEFT), ("points", HERE)):
-        found = render(kind, empty, mount, stride=3)
-        assert found.radiance.shape == (20, 30)
-        assert not found.surface.any()

@@ -11,15 +11,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.frame import Frame, Intrinsics
-from tests.factory.render.renderers import (
-    ABOVE,
-    HERE,
-    KINDS,
-    LEFT,
-    digest,
-    opened,
-    render,
-)
+from tests.factory.render.renderers import ABOVE, HERE, KINDS, LEFT, digest, opened, render
 from tests.project_files import ROOT
 from tests.render_scenes import frame_of, plane_depth, yard
 
@@ -45,10 +37,7 @@ def fresh_process() -> Iterator[subprocess.Popen[str]]:
         "print(digest(render('cycles', yard(152, 242), LEFT)))\n"
     )
     process = subprocess.Popen(
-        [sys.executable, "-c", script],
-        stdout=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, cwd=ROOT
     )
     yield process
     process.kill()

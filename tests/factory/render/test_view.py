@@ -11,15 +11,7 @@ from hypothesis import strategies as st
 
 from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.render.mount import Mount
-from simnfnd.factory.render.view import (
-    DEPTH,
-    RADIANCE,
-    decode,
-    encode,
-    fold,
-    rounded,
-    view_of,
-)
+from simnfnd.factory.render.view import DEPTH, RADIANCE, decode, encode, fold, view_of
 from tests.factory.render.small_views import same, some_view
 from tests.frames import ground_and_post, plain_render
 
@@ -97,10 +89,3 @@ def test_a_flipped_bit_never_changes_a_picture(place: float, bit: int) -> None:
     except ValueError:
         return
     assert same(found, whole)  # a bit that the codec does not look at
-
-
-def test_codes_are_logarithms_and_0_is_nothing() -> None:
-    values = np.array([[0, -1, 1e-12, 1e-3], [1.0, 1e3, np.inf, 1e-9]], np.float32)
-    low, top = 1, 65_534
-    expected = [[0, 0, low, 1], [1 + 34_539, 1 + 69_078, top, low]]
-    np.testing.assert_array_equal(rounded(values, DEPTH)[0], np.minimum(expected, top))

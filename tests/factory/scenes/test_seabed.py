@@ -66,13 +66,6 @@ def test_every_class_is_seen(frames: dict[tuple[int, int], Frame]) -> None:
     assert {CLASSES[k] for k in seen} == set(CLASSES)
 
 
-def test_classes_keep_the_numbers_of_the_marine_debris_dataset() -> None:
-    debris = "Background Bottle Can Chain Drink-carton Hook Propeller Shampoo-bottle"
-    debris += " Standing-bottle Tire Valve Wall"
-    assert CLASSES[:12] == tuple(debris.split())
-    assert len(set(CLASSES)) == len(CLASSES)
-
-
 def test_poses_are_rigid_and_look_a_little_down(frames: dict[tuple[int, int], Frame]) -> None:
     for name, frame in frames.items():
         assert frame.world_from_camera is not None

@@ -8,21 +8,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from simnfnd.factory.scenes.seabed import kernels, view
 from simnfnd.factory.scenes.seabed.biomes import PLACE_NAMES
 from simnfnd.factory.scenes.seabed.camera import Optics, camera, z_buffer
-from simnfnd.factory.scenes.seabed.fields import waves
-from simnfnd.factory.scenes.seabed.meshes import (
-    Mesh,
-    box,
-    grid_triangles,
-    lathe,
-    sphere,
-    tube,
-)
+from simnfnd.factory.scenes.seabed.meshes import Mesh, box, grid_triangles, lathe, sphere, tube
 from simnfnd.factory.scenes.seabed.terrain import view_mesh
 from simnfnd.factory.scenes.seabed.viewpoint import choose_pose
 from simnfnd.factory.scenes.seabed.world import build_world
@@ -146,16 +136,6 @@ def test_meshes_are_closed_and_face_outward(shape: Callable[[], Mesh], expected:
 def _ring(count: int) -> npt.NDArray[np.float64]:
     angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
     return np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)])
-
-
-@settings(max_examples=8, deadline=None)
-@given(st.integers(0, 2**31))
-def test_waves_have_unit_variance(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    field = waves(rng, 8.0, 0.5)
-    values = field(*rng.uniform(-2000, 2000, (2, 20_000)))
-    assert abs(float(values.mean())) < 0.1
-    assert float(values.std()) == pytest.approx(1, abs=0.1)
 
 
 def test_depth_is_lost_far_away_and_behind_edges_in_the_share_drawn() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.settings import build
@@ -12,7 +12,7 @@ from simnfnd.factory.sonar import polar, transfer
 from simnfnd.factory.sonar.echoes import in_plane
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
 from simnfnd.factory.sonar.settings import SonarSettings, TransferSettings
-from simnfnd.factory.sonar.window import Extent, Window, fit_window, set_window
+from simnfnd.factory.sonar.window import Extent, fit_window, set_window
 from tests.clouds import HALF_RAD, uniform_scene, window
 
 SHARP = {"point_spread": {"range_bins": 0, "beams": 0}}
@@ -38,21 +38,6 @@ def test_fan_shows_a_point_where_it_is():
     assert (column + 0.5 - 128) * pixel_m == pytest.approx(
         6 * np.sin(np.deg2rad(10)), abs=1.5 * pixel_m
     )
-
-
-def test_fan_fits_the_picture_for_every_sector():
-    for hfov in (10, 45, 90, 130, 180):
-        inside = fan_table(sonar(hfov_deg=hfov), 0.1).inside
-        assert inside.any(axis=0).sum() > 250 or inside.any(axis=1).sum() > 250
-        assert inside[0].any() or inside[:, 0].any()
-
-
-def test_unseen_beams_are_told():
-    device = sonar(hfov_deg=90, beams=90)
-    seen = polar.seen_beams(
-        Window("slant_range", 1, 9, -np.deg2rad(20.5), np.deg2rad(10.5)), device
-    )
-    assert np.flatnonzero(seen)[[0, -1]].tolist() == [24, 55]
 
 
 @pytest.mark.parametrize("kind", ["linear", "power", "log", "soft_log"])
@@ -119,12 +104,6 @@ def test_window_fits_the_echoes_and_forgets_stray_points():
     assert 7.9 < fitted.range_max_m < 8.6
     assert (fitted.azimuth_min_rad, fitted.azimuth_max_rad) == (-HALF_RAD, HALF_RAD)
     assert fitted.near_fraction * 16 == pytest.approx(round(fitted.near_fraction * 16))
-
-
-def test_window_without_echo_is_a_bad_frame():
-    nothing = Extent(np.empty(0, np.float32), np.inf, -np.inf)
-    with pytest.raises(FrameError, match="hfov_deg"):
-        fit_window(nothing, build(SonarSettings, {}))
 
 
 def test_a_place_keeps_one_of_the_windows():
