@@ -26,6 +26,12 @@ class Intrinsics:
     cy: float
     distortion: tuple[float, ...] = ()
 
+    def directions(
+        self, height: int, width: int
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """(W,) x / z of the columns and (H,) y / z of the rows: P = z K^-1 (u, v, 1)^T."""
+        return (np.arange(width) - self.cx) / self.fx, (np.arange(height) - self.cy) / self.fy
+
 
 @dataclass(frozen=True)
 class FrameRef:

@@ -125,14 +125,12 @@ def mount_weight(frame: Frame, mount: Mount, exponent: float) -> npt.NDArray[np.
 
 
 def _pixels(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> tuple[Any, ...]:
-    height, width = frame.depth_m.shape
-    camera, mount = frame.intrinsics, sonar.mount
+    across, down = frame.intrinsics.directions(*frame.depth_m.shape)
     return (
         np.ascontiguousarray(frame.depth_m, dtype=np.float32),
         np.ascontiguousarray(rendered.radiance, dtype=np.float32),
         np.ascontiguousarray(rendered.surface),
-        ((np.arange(width) - camera.cx) / camera.fx).astype(np.float32),
-        ((np.arange(height) - camera.cy) / camera.fy).astype(np.float32),
-        np.ascontiguousarray(mount.rotation_sonar_from_camera(), dtype=np.float32),
-        mount.position_camera_m().astype(np.float32),
+        across.astype(np.float32),
+        down.astype(np.float32),
+        *sonar.mount.axes(),
     )

@@ -152,7 +152,7 @@ def scatterers(
     row_ends = np.empty(len(frame.depth_m), np.int32)
     count = kernels.place(
         camera_of(frame), rendered.radiance, _labels(frame), _factor(frame, sonar, acoustics),
-        _reflectivity(frame, acoustics), axes_of(sonar), grid_of(window, sonar),
+        _reflectivity(frame, acoustics), sonar.mount.axes(), grid_of(window, sonar),
         vertical_table(sonar), float(np.sin(np.deg2rad(sonar.vfov_deg) / 2)),
         (power, owner, in_beam), (bins, powers, of, parts), row_ends,
     )  # fmt: skip
@@ -179,17 +179,8 @@ def scatterers(
 
 def camera_of(frame: Frame) -> tuple[Floats, Floats, Floats]:
     """Depths (H, W), and (W,) and (H,) float32 x / z of the columns and y / z of the rows."""
-    height, width = frame.depth_m.shape
-    camera = frame.intrinsics
-    across = (np.arange(width) - camera.cx) / camera.fx
-    down = (np.arange(height) - camera.cy) / camera.fy
+    across, down = frame.intrinsics.directions(*frame.depth_m.shape)
     return frame.depth_m, across.astype(np.float32), down.astype(np.float32)
-
-
-def axes_of(sonar: SonarSettings) -> tuple[Floats, Floats]:
-    """(3, 3) and (3,) float32: the sonar's axes from the camera's, and where it is in them."""
-    turn, place_m = sonar.mount.rotation_sonar_from_camera(), sonar.mount.position_camera_m()
-    return np.ascontiguousarray(turn, np.float32), place_m.astype(np.float32)
 
 
 def grid_of(window: Window, sonar: SonarSettings) -> tuple[Any, ...]:

@@ -17,7 +17,6 @@ from pydantic.dataclasses import dataclass
 from ...distribution import AnyNumber, NonNegative
 from ...imaging.coherent.beams import vertical_table
 from ...imaging.coherent.expected import Expected
-from ...imaging.coherent.scatterers import axes_of
 from ...imaging.coherent.signal import Ping, Signal, sounds
 from ...imaging.effect import Effect, EffectSettings, parameter
 from ...settings import STRICT
@@ -64,9 +63,9 @@ def _with_images(
     power = signal.power.copy() if powered else np.empty(0, np.float32)
     level = height_m, float(np.cos(tilt_rad)), float(np.sin(tilt_rad))
     kernels.mirror(
-        scene.filled, scene.filled_camera_m, axes_of(ping.sonar), level, vertical_table(ping.sonar),
-        10 ** (-loss_db / 10), np.log(10) / 10 * ping.absorption_db_per_m, 1 / ping.bin_m,
-        ping.sonar.beams,
+        scene.filled, scene.filled_camera_m, ping.sonar.mount.axes(), level,
+        vertical_table(ping.sonar), 10 ** (-loss_db / 10),
+        np.log(10) / 10 * ping.absorption_db_per_m, 1 / ping.bin_m, ping.sonar.beams,
         ((signal.power.reshape(-1), signal.field.reshape(planes)),
          (power.reshape(-1), field.reshape(planes))),
     )  # fmt: skip
