@@ -5,16 +5,14 @@ import pytest
 from scipy import special
 
 from simnfnd.factory.imaging.coherent import expected
-from simnfnd.factory.noise.draws import StreamNames, draw
-from tests.constant_field import config, observed, scene_of
+from tests.constant_field import config, effects_of, observed, scene_of
 
 EDGE = (slice(12, -12), slice(20, -20))
 
 
 def grey(settings, variant):
     made = observed(settings)
-    names = StreamNames.of(made.ref, variant, made.has_pose)
-    effects = draw(settings.noise, settings.seed, names).effects
+    effects = effects_of(settings, made, variant)
     sample = scene_of(made).sample(variant, effects, settings)
     return sample.noisy([effect.name for effect in effects]), sample.clean
 

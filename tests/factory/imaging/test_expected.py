@@ -12,12 +12,11 @@ from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.imaging.coherent.expected import Expected, display
 from simnfnd.factory.imaging.effect import ARTEFACTS
-from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.noise.registry import EFFECTS
 from simnfnd.factory.pairs import make_pair, observe
 from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.sonar.settings import TransferSettings
-from tests.constant_field import config, constant_field
+from tests.constant_field import config, constant_field, effects_of
 
 PICTURES = 24
 # Those that the same device in the same place has from ping to ping.
@@ -35,8 +34,7 @@ def ground() -> tuple[Frame, Rendered]:
 def averaged(settings: Any) -> tuple[np.ndarray, np.ndarray]:
     """Mean of many noisy pictures with the same parameters, and the clean one."""
     made = observe(*ground(), settings)
-    names = StreamNames.of(made.ref, 0, made.has_pose)
-    effects = draw(settings.noise, settings.seed, names).effects
+    effects = effects_of(settings, made)
     clean = made.scene.sample(0, effects, settings).clean
     total = np.zeros(clean.shape)
     for seed in range(PICTURES):
@@ -126,8 +124,7 @@ def sampled(noise: dict[str, dict[str, Any]]) -> Any:
     """A sample of the ground with these effects."""
     settings = config(noise=noise)
     made = observe(*ground(), settings)
-    names = StreamNames.of(made.ref, 0, made.has_pose)
-    return made.scene.sample(0, draw(settings.noise, settings.seed, names).effects, settings)
+    return made.scene.sample(0, effects_of(settings, made), settings)
 
 
 def test_every_effect_says_what_it_shows_and_texture_is_part_of_the_scene() -> None:

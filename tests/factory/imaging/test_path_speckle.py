@@ -5,10 +5,9 @@ import pytest
 
 from simnfnd.factory.errors import FrameError
 from simnfnd.factory.imaging.coherent.signal import Signal, beamform, beamform_power
-from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.noise.field.path_speckle import PATH_SPECKLE, edge_m
 from simnfnd.factory.pairs import make_pair, observe
-from tests.constant_field import config, ping_of, slope
+from tests.constant_field import config, effects_of, ping_of, slope
 
 DEVICE = {"array": {"beamwidth_deg": 1.0, "bandwidth_khz": 60.0}}
 SETTINGS = config(noise={"path_speckle": {}}, sonar=DEVICE)
@@ -22,7 +21,7 @@ def field_at(sway_m, settings=SETTINGS):
     frame, rendered = slope((sway_m, 0.0, 0.0))
     made = observe(frame, rendered, settings)
     ping = ping_of(made)
-    (effect,) = draw(settings.noise, 0, StreamNames.of(made.ref, 0, made.has_pose)).effects
+    (effect,) = effects_of(settings, made)
     empty = Signal(ping.scatterers.power, np.zeros((1, 2, *ping.shape), np.float32))
     real, imaginary = beamform(effect.apply(empty, ping).field, ping)[0]
     return ping, real + 1j * imaginary

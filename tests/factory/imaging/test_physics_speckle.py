@@ -13,10 +13,9 @@ from scipy import stats
 from simnfnd.factory.imaging.coherent import kernels
 from simnfnd.factory.imaging.coherent.scene import received
 from simnfnd.factory.imaging.coherent.signal import beamform_power, gaussian_table, white_noise
-from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.noise.field.texture import gamma_of_normal
 from simnfnd.factory.pairs import ObservedFrame, observe
-from tests.constant_field import config, observed, ping_of, slope
+from tests.constant_field import config, effects_of, observed, ping_of, slope
 
 SPECKLE = {"speckle": {"scatterer_m": 0.004}}
 SHARP = {"bandwidth_khz": 800.0, "beamwidth_deg": 0.06}  # a point-spread within one bin
@@ -25,8 +24,7 @@ EDGE = (slice(20, -20), slice(20, -20))
 
 def amplitude(made: ObservedFrame, variant: int, settings: Any) -> np.ndarray:
     """(range_bins, beams) amplitude over the root of its expectation, without the edges."""
-    ping, names = ping_of(made), StreamNames.of(made.ref, variant, made.has_pose)
-    effects = draw(settings.noise, settings.seed, names).effects
+    ping, effects = ping_of(made), effects_of(settings, made, variant)
     expected = beamform_power(ping.scatterers.power, ping) * ping.gain[:, None]
     return np.asarray((received(ping, effects) / np.sqrt(expected))[EDGE])
 

@@ -36,6 +36,7 @@ HALF_POWER = {"uniform": 0.442946, "hamming": 0.6515}
 INTEGRAL = {"uniform": 1.0, "hamming": 1.3628}
 
 
+@cache
 def composed(recipe: str, *words: str) -> FactoryConfig:
     given = ["experiment=physical", recipe] if recipe.startswith("sonar") else [recipe]
     return compose_config([*given, *words])
