@@ -123,13 +123,16 @@ def add_white(key: int, table: Floats, along: Floats, across: Floats, planes: Fl
     along, across: its amplitude is their product, (rows,) and (beams,).  planes: (2, rows, beams).
     """
     rows, beams = planes.shape[1:]
+    drawn = np.empty(beams, np.uint32)
     for row in range(rows):
-        for beam in range(beams):
+        for beam in range(beams):  # several at a time, unlike what is looked up
             place = np.uint32(row * beams + beam)
-            lot = mixed(np.uint32(mixed(place) ^ key)) >> _16
-            amplitude = along[row] * across[beam]
-            planes[0, row, beam] += amplitude * table[lot, 0]
-            planes[1, row, beam] += amplitude * table[lot, 1]
+            drawn[beam] = mixed(np.uint32(mixed(place) ^ key)) >> _16
+        real, imaginary, level = planes[0, row], planes[1, row], along[row]
+        for beam in range(beams):
+            amplitude = level * across[beam]
+            real[beam] += amplitude * table[drawn[beam], 0]
+            imaginary[beam] += amplitude * table[drawn[beam], 1]
 
 
 # --- from rendered pixels to scatterers -------------------------------------------------------
