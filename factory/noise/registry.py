@@ -8,7 +8,6 @@ function and an `Effect` that joins them.  To add one: its file, one line (and i
 
 from __future__ import annotations
 
-from dataclasses import field
 from typing import Annotated, Any, get_type_hints
 
 from pydantic import SerializerFunctionWrapHandler, model_serializer
@@ -55,15 +54,11 @@ class NoiseSettings:
     A configuration that names none of the field's effects does not have them.
     """
 
-    range_spreading: Annotated[RangeSpreadingSettings, RANGE_SPREADING] = field(
-        default_factory=RangeSpreadingSettings
-    )
-    multipath: Annotated[MultipathSettings, MULTIPATH] = field(default_factory=MultipathSettings)
-    azimuth: Annotated[AzimuthSettings, AZIMUTH] = field(default_factory=AzimuthSettings)
-    range_arc: Annotated[RangeArcSettings, RANGE_ARC] = field(default_factory=RangeArcSettings)
-    background: Annotated[BackgroundSettings, BACKGROUND] = field(
-        default_factory=BackgroundSettings
-    )
+    range_spreading: Annotated[RangeSpreadingSettings, RANGE_SPREADING] = RangeSpreadingSettings()
+    multipath: Annotated[MultipathSettings, MULTIPATH] = MultipathSettings()
+    azimuth: Annotated[AzimuthSettings, AZIMUTH] = AzimuthSettings()
+    range_arc: Annotated[RangeArcSettings, RANGE_ARC] = RangeArcSettings()
+    background: Annotated[BackgroundSettings, BACKGROUND] = BackgroundSettings()
     speckle: Annotated[SpeckleSettings | None, SPECKLE] = None
     path_speckle: Annotated[PathSpeckleSettings | None, PATH_SPECKLE] = None
     volume: Annotated[VolumeSettings | None, VOLUME] = None

@@ -153,7 +153,7 @@ def _bounded(value: Any, most: Any) -> Any:
 @compiled()
 def _row(
     depth_m: Floats, radiance: Floats, across: Floats, b: float, rotation: Floats,
-    position_m: Floats, ground_up: Floats, near_m: float, bins_per_m: float, made: Floats,
+    position_m: Floats, ground_up: Floats, near_m: Any, bins_per_m: Any, made: Floats,
 ) -> None:  # fmt: skip
     """Of a row of pixels what a processor does for many at once; made: (4, W) out.
 

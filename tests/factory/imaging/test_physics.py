@@ -216,6 +216,8 @@ def test_materials_differ_as_the_table_says() -> None:
     )
     halves = made.power[:, :60].mean(), made.power[:, -60:].mean()
     assert halves[0] / halves[1] == pytest.approx(10, rel=0.02)
+    with pytest.raises(FactoryError, match="no class is called Tyre"):
+        config(acoustics={"reflectivity_db": {"Tyre": -10}})
 
 
 def test_tvg_levels_what_it_knows() -> None:
@@ -247,7 +249,6 @@ def test_the_papers_data_set_does_not_know_of_physics() -> None:
         (["experiment=physical", "noise.speckle.looks=0"], "noise.speckle.looks: must lie in"),
         (["sonar.array.horizontal.window=square"], "sonar.array.horizontal.window"),
         (["water.ph=3"], "water.ph"),
-        (["acoustics.reflectivity_db={Tyre: -10}"], "no class is called Tyre"),
         (["sonar.range_bins=4000", "sonar.samples_per_bin=4"], "samples_per_bin"),
     ],
 )
