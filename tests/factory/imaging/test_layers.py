@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from simnfnd.factory import pairs
 from simnfnd.factory.config import FactoryConfig, from_mapping
-from simnfnd.factory.dataset.format.schema import Pair
+from simnfnd.factory.dataset.format.schema import Pair, layers
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.labels import CLASSES
@@ -112,6 +112,16 @@ def test_valid_azimuth_is_what_the_camera_saw() -> None:
     # Grey values are interpolated beside valid pixels, labels never.
     elsewhere = ~ndimage.binary_dilation(valid, iterations=3)
     assert not np.asarray(pair.noisy)[elsewhere].any()
+
+
+def test_outside_of_the_fan_there_is_nothing() -> None:
+    settings, frame = config(dataset={"layers": TRUTH}), labelled()
+    scene = pairs.observe(frame, plain_render(frame), settings)
+    outside = ~fan_table(settings.sonar, scene.window.near_fraction).inside
+    for name, picture in pairs.make_pair(scene, 0, settings).layers.items():
+        values = np.asarray(picture)[outside]
+        assert (np.isnan(values) if values.dtype.kind == "f" else values == 0).all(), name
+        assert picture.dtype == {layer.name: layer.dtype for layer in layers("uint8", [name])}[name]
 
 
 def test_labels_are_refused_where_there_are_none() -> None:
