@@ -10,6 +10,8 @@ window that stays the same (sonar.range.auto=false).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 from pydantic.dataclasses import dataclass
@@ -64,7 +66,9 @@ def path_speckle(
     table = names, powers, np.empty((slots, 3), np.int32)
     kernels.gather(*given, table)
     cells = int(np.count_nonzero(names))
-    found = tuple(np.empty(cells, kind) for kind in (np.int32, np.float32, np.uint32, np.uint16))
+    found: tuple[Any, ...] = tuple(
+        np.empty(cells, kind) for kind in (np.int32, np.float32, np.uint32, np.uint16)
+    )
     waves_per_m = 2000 * ping.sonar.frequency_khz / ping.water.sound_speed_m_s()
     grid = grid_of(ping.window, ping.sonar)
     count = kernels.locate(table, cell_m, _sonar_from_world(ping), grid, waves_per_m, found)
