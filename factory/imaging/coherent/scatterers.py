@@ -93,18 +93,12 @@ class Scatterers:
             self._cells[edge_m] = Cells(names, shares(names, places))
         return self._cells[edge_m]
 
-    @property
-    def filled(self) -> npt.NDArray[np.int32]:
-        """(M,) flat polar bins in which a surface lies."""
-        return self._surface[0]
-
-    @property
-    def filled_camera_m(self) -> Floats:
-        """(3, M) float32: a point of the surface in each of them, camera axes, metres."""
-        return self._surface[1]
-
     @cached_property
-    def _surface(self) -> tuple[npt.NDArray[np.int32], Floats]:
+    def surface(self) -> tuple[npt.NDArray[np.int32], Floats]:
+        """(M,) int32 flat polar bins in which a surface lies, and (3, M) float32 a point of it.
+
+        Points are in camera axes, metres.
+        """
         bins = np.flatnonzero(self.owner.ravel() >= 0).astype(np.int32)
         pixel = self.owner.ravel()[bins]
         width = self.frame.depth_m.shape[1]

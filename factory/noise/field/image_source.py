@@ -63,7 +63,7 @@ def _with_images(
     power = signal.power.copy() if powered else np.empty(0, np.float32)
     level = height_m, float(np.cos(tilt_rad)), float(np.sin(tilt_rad))
     kernels.mirror(
-        scene.filled, scene.filled_camera_m, ping.sonar.mount.axes(), level,
+        *scene.surface, ping.sonar.mount.axes(), level,
         vertical_table(ping.sonar), 10 ** (-loss_db / 10),
         np.log(10) / 10 * ping.absorption_db_per_m, 1 / ping.bin_m, ping.sonar.beams,
         ((signal.power.reshape(-1), signal.field.reshape(planes)),
