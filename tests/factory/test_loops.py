@@ -25,10 +25,10 @@ from simnfnd.factory.render.kernels import box_mean
 from simnfnd.factory.settings import build
 from simnfnd.factory.sonar import polar, surface, transfer
 from simnfnd.factory.sonar.echoes import Echoes, from_xyz, join
-from simnfnd.factory.sonar.fan import fan_table
+from simnfnd.factory.sonar.fan import fan_table, pixel_size
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.factory.sonar.window import Window, fit_window
-from tests.clouds import camera_scene, window
+from tests.clouds import camera_scene, chosen, to_sonar, window
 from tests.frames import ground_and_post, plain_render
 from tests.project_files import ROOT
 from tests.render_scenes import rays
@@ -66,18 +66,17 @@ def plain_surface(
     frame: Frame, rendered: Rendered, device: SonarSettings
 ) -> tuple[Echoes, npt.NDArray[np.intp]]:
     """Every surface pixel in the vertical beam, in double precision."""
-    points_m = device.mount.to_sonar(
-        frame.depth_m[..., None]
-        * rays(len(frame.depth_m), frame.depth_m.shape[1], frame.intrinsics)
-    )
+    sight = rays(len(frame.depth_m), frame.depth_m.shape[1], frame.intrinsics)
+    points_m = to_sonar(device.mount, frame.depth_m[..., None] * sight)
     echoes = from_xyz(points_m[rendered.surface], rendered.radiance[rendered.surface])
     in_beam = np.abs(echoes.elevation_rad) <= np.deg2rad(device.vfov_deg) / 2
-    return echoes.select(in_beam), np.flatnonzero(rendered.surface)[in_beam]
+    return chosen(echoes, in_beam), np.flatnonzero(rendered.surface)[in_beam]
 
 
 def plain_bins(echoes: Echoes, at: Window, device: SonarSettings) -> npt.NDArray[np.intp]:
     half = np.float32(np.deg2rad(device.hfov_deg) / 2)
-    row = np.floor(at.range_fraction(echoes) * np.float32(device.range_bins)).astype(np.intp)
+    fraction = (at.range_of(echoes) - at.range_min_m) / at.range_span_m
+    row = np.floor(fraction * np.float32(device.range_bins)).astype(np.intp)
     scale = np.float32(device.beams / (2 * half))
     beam = np.floor((echoes.azimuth_rad + half) * scale).astype(np.intp)
     inside = (row >= 0) & (row < device.range_bins) & (beam >= 0) & (beam < device.beams)
@@ -97,7 +96,7 @@ def test_insonified_surface_as_in_double_precision(name: str) -> None:
     echoes, number = plain_surface(frame, rendered, device)
     bins = plain_bins(echoes, at, device)
     kept = (bins < hit.size) & (echoes.strength > 0)
-    echoes, number = echoes.select(kept), number[kept]
+    echoes, number = chosen(echoes, kept), number[kept]
     # All but the few on the edge of the window.
     assert len(np.setxor1d(number, pixel)) <= 1e-3 * len(number)
     _, here, there = np.intersect1d(pixel, number, assume_unique=True, return_indices=True)
@@ -142,7 +141,7 @@ def test_accumulation_is_that_of_numpy_and_parts_need_not_be_joined(how: str) ->
         np.maximum.at(total, bins[bins < size], scene.strength[bins < size])
     level = polar.accumulate(scene, at, device)
     np.testing.assert_allclose(level.ravel(), total, rtol=1e-5)
-    halves = [scene.select(np.arange(50_000) % 3 == part) for part in range(3)]
+    halves = [chosen(scene, np.arange(50_000) % 3 == part) for part in range(3)]
     np.testing.assert_array_equal(
         polar.accumulate(halves[0], at, device, *halves[1:]),
         polar.accumulate(join(*halves), at, device),
@@ -182,8 +181,9 @@ def test_fan_is_bilinear_and_nearest_as_scipy_interpolates() -> None:
     rng = np.random.default_rng(0)
     level = rng.random((60, 40), dtype=np.float32)
     rows, columns = device.image.height_px, device.image.width_px
-    ahead = 1 - (np.arange(rows)[:, None] + 0.5) * table.pixel_fraction
-    right = (np.arange(columns)[None] + 0.5 - columns / 2) * table.pixel_fraction
+    pixel = pixel_size(device, 0.25)
+    ahead = 1 - (np.arange(rows)[:, None] + 0.5) * pixel
+    right = (np.arange(columns)[None] + 0.5 - columns / 2) * pixel
     row = (np.hypot(ahead, right) - 0.25) / 0.75 * 60 - 0.5
     beam = (np.arctan2(right, ahead) + np.deg2rad(45)) / np.deg2rad(90) * 40 - 0.5
     places = [row[table.inside], beam[table.inside]]

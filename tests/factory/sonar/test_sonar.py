@@ -13,7 +13,7 @@ from simnfnd.factory.sonar.echoes import in_plane
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
 from simnfnd.factory.sonar.settings import SonarSettings, TransferSettings
 from simnfnd.factory.sonar.window import Extent, fit_window, set_window
-from tests.clouds import HALF_RAD, uniform_scene, window
+from tests.clouds import HALF_RAD, to_sonar, uniform_scene, window
 
 SHARP = {"point_spread": {"range_bins": 0, "beams": 0}}
 
@@ -85,12 +85,12 @@ def test_quantisation_is_last_and_rounds():
 def test_mount_axes():
     """Camera x right, y down, z forward; sonar x forward, y left, z up."""
     points = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]])
-    assert Mount().to_sonar(points).tolist() == [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
-    down = Mount(pitch_deg=90).to_sonar(np.array([[0, 2.0, 0]]))
+    assert to_sonar(Mount(), points).tolist() == [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
+    down = to_sonar(Mount(pitch_deg=90), np.array([[0, 2.0, 0]]))
     np.testing.assert_allclose(down, [[2, 0, 0]], atol=1e-12)
-    left = Mount(yaw_deg=90).to_sonar(np.array([[-2.0, 0, 0]]))
+    left = to_sonar(Mount(yaw_deg=90), np.array([[-2.0, 0, 0]]))
     np.testing.assert_allclose(left, [[2, 0, 0]], atol=1e-12)
-    above = Mount(translation_m=(0, 0, 1)).to_sonar(np.array([[0, 0, 5.0]]))
+    above = to_sonar(Mount(translation_m=(0, 0, 1)), np.array([[0, 0, 5.0]]))
     np.testing.assert_allclose(above, [[5, 0, -1]], atol=1e-12)
     assert not Mount(translation_m=(0, 0, 1)).colocated
     assert Mount(pitch_deg=5).colocated
