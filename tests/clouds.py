@@ -42,5 +42,5 @@ def chosen(echoes: Echoes, mask: npt.NDArray[np.bool_]) -> Echoes:
 
 def to_sonar(mount: Mount, points_camera_m: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
     """(..., 3) points in camera axes -> the same points in sonar axes, metres."""
-    offset = points_camera_m - mount.position_camera_m()
+    offset = np.asarray(points_camera_m, np.float64) - mount.position_camera_m()
     return np.asarray(offset @ mount.rotation_sonar_from_camera().T)
