@@ -44,6 +44,7 @@ class Site:
     heading_rad: float
     items: list[Item] = field(default_factory=list)
     taken: list[tuple[float, float, float]] = field(default_factory=list)
+    _known: Points = field(default_factory=lambda: np.empty((0, 3)))
 
     def scatter(self, kind: str, count: int) -> None:
         """Put `count` objects of a kind with a free-standing builder near the path."""
@@ -154,7 +155,6 @@ class Site:
     def _spot(self, reach: float, height: float) -> tuple[float, float] | None:
         """A free place for a thing of that reach and height, or None after 40 tries."""
         nearest = 0.0 if height < LOW_M else reach + CLEAR_M
-        there = np.array(self.taken, dtype=np.float64).reshape(-1, 3)
         for _ in range(5):  # eight tries at once
             aside = nearest + self.rng.exponential(self.place.spread_m, 8)
             points = self._near_loop(aside * self.rng.choice([-1, 1], 8))
@@ -162,12 +162,19 @@ class Site:
             if self.terrain.banks is not None:
                 behind = self.terrain.banks.behind_foot_m(*points.T.astype(np.float32))
                 free &= behind <= 0.3 * reach
+            there = self._there()
             apart = np.hypot(*(points[:, :, None] - there[:, :2].T).transpose(1, 0, 2))
             free &= (apart > reach + there[:, 2]).all(axis=1)
             if free.any():
                 x, y = points[np.argmax(free)].tolist()
                 return x, y
         return None
+
+    def _there(self) -> Points:
+        """(N, 3) `taken`."""
+        if len(self._known) != len(self.taken):
+            self._known = np.array(self.taken, dtype=np.float64)
+        return self._known
 
     def _near_loop(self, aside: Points) -> Points:
         """(N, 2) points beside the loop anywhere along it, (N,) metres to its left."""
