@@ -12,9 +12,8 @@ import numpy.typing as npt
 from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.tasks import TaskPool
 from ..filters.base import Gray
-from ..item import Item
 from ..methods import NOISY, Method
-from ..pairs import Pair, picture
+from ..pairs import Item, Pair, picture
 from ..runner import SECONDS, Measured, Subject, run
 from ..settings import EvaluationSettings
 from ..store import FigureStore
