@@ -94,7 +94,8 @@ def as_svg(figure: Figure, title: str) -> Markup:
     text = re.sub(foreign, "", svg[svg.index("<svg") :], flags=re.DOTALL)
     text = text.replace("xlink:href", "href")
     name = escape(title, quote=True)
-    return Markup(f'<figure class="chart" role="img" aria-label="{name}">{text}</figure>')
+    return Markup(f'<figure class="chart" role="img" aria-label="{name}">'
+        f'<div class="scroll">{text}</div></figure>')
 
 
 def _sides(item: Content) -> list[list[float]]:

@@ -269,7 +269,6 @@ def test_the_tune_command(
         (("baselines=[wiener]", "dataset=."), "baselines: no 'wiener'"),
         (("models=[nothing]", "dataset=."), "models: weights=nothing: no such file"),
         (("tune", "dataset=.", "tuning.pairs=0"), "tuning.pairs: "),
-        (("robustness=[nowhere]", "dataset=."), "robustness=nowhere: no such folder"),
     ],
 )
 def test_bad_settings_are_one_line(

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from simnfnd.evaluation.filters import REGISTRY
-from simnfnd.evaluation.filters.literature import dual_tree as dualtree
+from simnfnd.evaluation.filters.literature import dtcwt_map as dualtree
 from simnfnd.evaluation.methods import Method
 from simnfnd.evaluation.pairs import Pair as Pair_
 from simnfnd.evaluation.pairs import geometry_of, items_of, picture
