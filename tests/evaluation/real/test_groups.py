@@ -22,9 +22,6 @@ from simnfnd.evaluation.real.tuning import line_search, parts_of
 from simnfnd.evaluation.runner import run
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from tests.evaluation.real.static_scenes import SHAPE, frames, shuffled
-from tests.project_files import ROOT
-
-GROUPS = ROOT.parent / "shared" / "data" / "mdd-groups"
 
 
 def real(out: Path, *words: str) -> dict[str, Any]:
@@ -152,12 +149,3 @@ def test_what_comes_back_as_it_was_is_called_unchanged(tmp_path: Path) -> None:
     rows = [RealRow(method.label, (method,)) for method in methods]
     found, _ = summaries(rows, measured, np.arange(2), False, resamples=100, seed=0)
     assert [found[row.label].unchanged for row in rows] == [2, 2, 0]
-
-
-@pytest.mark.skipif(not GROUPS.is_dir(), reason="needs the static groups of real pictures")
-def test_a_group_of_real_pictures(tmp_path: Path) -> None:
-    content = real(tmp_path / "out", str(GROUPS / "20"), "baselines=[gaussian]", "limit=6")
-    noisy, blurred, *_ = content["rows"]
-    assert 25 < noisy["means"]["psnr_db"] < 28
-    assert blurred["means"]["gain_db"] > 2
-    assert content["groups"][0]["geometry"] == "fan"

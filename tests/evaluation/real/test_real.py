@@ -16,10 +16,8 @@ from simnfnd.command import main
 from simnfnd.evaluation.real.measure import Scene, figures_of, scene_of
 from simnfnd.evaluation.real.shots import Shot, open_input, sector_of
 from simnfnd.evaluation.realism.pictures import MDD_GEOMETRIES, MDD_SHAPE
-from tests.project_files import ROOT
 
 Array = npt.NDArray[Any]
-MDD = ROOT.parent / "shared" / "data" / "mdd"
 
 
 def save(path: Path, picture: Array) -> None:
@@ -142,16 +140,3 @@ def test_bad_input_is_one_line(
     error = capsys.readouterr().err
     assert told.format(root=tmp_path) in error
     assert "Traceback" not in error
-
-
-@pytest.mark.skipif(not MDD.is_dir(), reason="needs ../shared/data/mdd")
-def test_marine_debris_dataset(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    words = ("groups=false", "limit=4", "baselines=[nlm]", "examples=0")
-    assert real(str(MDD), f"out={out}", *words) == 0
-    content = json.loads((out / "real.json").read_text(encoding="utf-8"))
-    noisy, nlm = (row["means"] for row in content["rows"])
-    assert nlm["enl"] > 2 * noisy["enl"]
-    assert nlm["cnr"] > noisy["cnr"]
-    assert nlm["ratio_mean"] == pytest.approx(1, abs=0.05)
-    assert 0.3 < nlm["edges_kept"] < 0.9
