@@ -82,7 +82,7 @@ def read_results(folder: Path) -> pd.DataFrame:
 
 
 def write(out: Path, content: Content, examples: Sequence[Example]) -> None:
-    """report.json, report.md, report.html, leaderboard.tex and .png.
+    """report.json, report.md, report.html and leaderboard.tex.
 
     Raises FactoryError when the folder cannot be written to.
     """
@@ -94,7 +94,6 @@ def write(out: Path, content: Content, examples: Sequence[Example]) -> None:
             PAGE_NAME: html(content, examples),
             "report.md": markdown(content),
             "leaderboard.tex": tables.as_latex(rows),
-            "leaderboard.png": charts.leaderboard(content),
         },
     )
 
