@@ -71,8 +71,14 @@ def search(settings: FitSettings) -> Result:
     base = simulation.measured({})
 
     def judge(part: Measured, made: Measured, resamples: int) -> pd.DataFrame:
-        options = {"resamples": resamples, "seed": settings.seed, "progress": False}
-        return compare(part, {SIM: made}, halves="random", **options)
+        return compare(
+            part,
+            {SIM: made},
+            resamples=resamples,
+            halves="random",
+            seed=settings.seed,
+            progress=False,
+        )
 
     finished = optuna.trial.TrialState.COMPLETE
     done = len(study.get_trials(deepcopy=False, states=(finished,)))
@@ -106,7 +112,7 @@ def _parts(every: Measured, hold_out: bool) -> dict[str, Measured]:
     count = len(every["amplitude"])
     block = np.arange(count) * _BLOCKS // count % 2
     odds = {"of the search": 0, "kept from it": 1} if hold_out else {"of the search": block}
-    found = {}
+    found: dict[str, Measured] = {}
     for what, odd in odds.items():
         rows = block == odd
         found[f"{int(rows.sum())} real pictures {what}"] = {

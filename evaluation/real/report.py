@@ -17,7 +17,7 @@ from ..settings import RealSettings
 from .groups import MOST_OTHERS
 from .in_time import wide
 from .judge import MARGINS, TUNED, Outcome, RealRow, judge
-from .shots import open_input
+from .shots import frame_of, open_input
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -74,6 +74,7 @@ def evaluate(settings: RealSettings) -> None:
     with TaskPool(settings.workers) as pool:
         outcome = judge(settings, stretches, pool)
     close_last()
+    frame_of.cache_clear()
     print(write(settings.folder, settings.name, [*notes, *outcome.notes], outcome))
     print(f"report: {settings.folder / 'real.html'}")
 
@@ -176,7 +177,7 @@ def _line(row: RealRow, outcome: Outcome) -> dict[str, Any]:
 def _words(line: Mapping[str, Any]) -> str:
     """The label, the parameters of each fold, and what came back unchanged."""
     chosen = dict.fromkeys(shown(one).strip(" ()") for one in line["parameters"] if one)
-    text = line["label"] + (f" ({' | '.join(chosen)})" if chosen else "")
+    text = str(line["label"]) + (f" ({' | '.join(chosen)})" if chosen else "")
     if line["unchanged"]:
         every = line["unchanged"] == line["measured"]
         how = "" if every else f": {line['unchanged']} of {line['measured']}"

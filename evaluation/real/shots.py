@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -40,10 +41,16 @@ class Shot:
 
         Raises FactoryError when it cannot be read.
         """
-        picture, geometry = frame_picture(self.path, self.number)
+        picture, geometry = frame_of(self.path, self.number)
         if geometry is not None:
             return picture, geometry
         return picture, None if self.told is None else self.told.with_size(*picture.shape)
+
+
+@lru_cache(maxsize=64)
+def frame_of(path: Path, number: int) -> tuple[Gray, FanGeometry | None]:
+    """See `frame_picture`; frames are asked for again and again, and cost more to decode."""
+    return frame_picture(path, number)
 
 
 @dataclass(frozen=True)
