@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -261,7 +261,7 @@ def summaries(
     }
     found = {}
     for row in alive:
-        own = by_group.loc[row.label].reindex(range(len(names)))
+        own = cast("pd.DataFrame", by_group.loc[row.label]).reindex(range(len(names)))
         for name, label in best.items():
             if row.label != label:
                 own[MARGINS[name]] = own[name] - by_group.loc[label][name]

@@ -77,7 +77,6 @@ def settings_for(real: Path, out: Path, **changes: object) -> FitSettings:
         "trials": 10,
         "startup": 5,
         "resamples": 3,
-        "statistics": ("amplitude_emd", "cv", "gradient_js"),
         "parameters": {"noise.background.density": {"low": 0.005, "high": 5, "log": True}},
         "out": str(out),
     }
@@ -92,9 +91,9 @@ def test_the_density_that_made_the_pictures_is_found_again(real: Path, tmp_path:
     before, after = (
         overall(part, "sim")["geometric_mean_ratio"] for part in next(iter(result.parts.values()))
     )
-    assert after < 0.6 * before
+    assert after < 0.8 * before
     (_, held_out) = result.parts["10 real pictures kept from it"]
-    assert overall(held_out, "sim")["geometric_mean_ratio"] < 0.7 * before
+    assert overall(held_out, "sim")["geometric_mean_ratio"] < 0.85 * before
     # The files are a configuration that the factory takes as it stands.
     noise, recipe = fit_files.write(settings, result)
     content = yaml.safe_load(noise.read_text())

@@ -112,7 +112,7 @@ def test_tuned_results_are_kept_until_something_changes(
     assert not measured
     assert again[0].startswith("median: ")
     tune(dataset, file, "grey_opening")
-    assert {task.baseline for task in measured} == {"grey_opening"}
+    assert {task[0] for task in measured} == {"grey_opening"}
     measured.clear()
     # Another grid, other pairs: another result.
     median = REGISTRY["median"]
