@@ -123,24 +123,21 @@ def identity_of(file: h5py.File, index: int) -> tuple[str, str, str, int]:
 
 def drawn_of(items: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
     """Column of /meta -> (N,) what it says of each item: numbers (NaN where absent) or text."""
-    tables: dict[str, npt.NDArray[Any]] = {}
-    for path in dict.fromkeys(item.place[0] for item in items if item.place[1] >= 0):
+    import pandas as pd
+
+    tables: dict[str, pd.DataFrame] = {}
+    for path in dict.fromkeys(item.place[0] for item in items if item.place[1] != ROW):
         with open_shard(Path(path)) as file:
-            tables[path] = file["meta"][:]
+            tables[path] = pd.DataFrame(file["meta"][:])
+    rows = [(item.place[0], item.place[1]) for item in items]
+    every = pd.concat(tables).reindex(rows) if tables else pd.DataFrame()
     columns = {}
-    for name in dict.fromkeys(name for t in tables.values() for name in t.dtype.names or ()):
-        values = [
-            table[item.place[1]][name]
-            if (table := tables.get(item.place[0])) is not None
-            and name in (table.dtype.names or ())
-            else np.nan
-            for item in items
-        ]
-        if any(isinstance(value, bytes) for value in values):
-            values = [value.decode() if isinstance(value, bytes) else "" for value in values]
-            columns[name] = np.array(values)
+    for name, column in every.items():
+        if column.dtype == object:
+            text = column.str.decode("utf-8").fillna("")
+            columns[str(name)] = text.to_numpy(str)
         else:
-            columns[name] = np.array(values, float)
+            columns[str(name)] = column.to_numpy(float)
     return columns
 
 
