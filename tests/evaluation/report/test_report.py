@@ -184,7 +184,7 @@ def test_breakdowns_find_where_a_method_is_good() -> None:
     density = found["noise.background.density"]
     assert next(iter(density)) == "off (12)"
     assert [str(name).rpartition("(")[2] for name in list(density)[1:]] == ["9)"] * 4
-    low, *_, high = (float(text) for text in density.loc["median"].to_list()[1:])
+    low, *_, high = (float(text) for text in density.T["median"].tolist()[1:])
     assert density.loc["median", "off (12)"] == "17.00"
     assert 17.1 < low < high < 17.9
     assert list(found["noise.mode"].columns) == ["off (24)", "radial (24)"]
