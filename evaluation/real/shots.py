@@ -47,7 +47,7 @@ class Shot:
         return picture, None if self.told is None else self.told.with_size(*picture.shape)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=160)
 def frame_of(path: Path, number: int) -> tuple[Gray, FanGeometry | None]:
     """See `frame_picture`; frames are asked for again and again, and cost more to decode."""
     return frame_picture(path, number)
@@ -87,9 +87,13 @@ def open_input(given: str) -> tuple[list[Stretch], tuple[str, ...]]:
 
 def sector_of(picture: Gray, geometry: FanGeometry | None) -> Mask:
     """(H, W) bool: the sector; where no geometry is known what lies within the lit outline."""
-    if geometry is not None:
-        return geometry.sector_mask(*picture.shape)
-    return outline(picture)
+    return outline(picture) if geometry is None else _sector(geometry, picture.shape)
+
+
+@lru_cache(maxsize=4)
+def _sector(geometry: FanGeometry, shape: tuple[int, int]) -> Mask:
+    """The frames of a recording have one sector."""
+    return geometry.sector_mask(*shape)
 
 
 def _below(root: Path) -> list[Stretch]:
