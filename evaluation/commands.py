@@ -26,23 +26,23 @@ if TYPE_CHECKING:
 
 def report(words: Sequence[str]) -> int:
     """`simnfnd evaluate dataset=DIR ...`."""
-    return hydra_verb(_report, "evaluation", words)
+    return _hydra(_report, "evaluation", words)
 
 
 def tune(words: Sequence[str]) -> int:
     """`simnfnd evaluate tune dataset=DIR ...`: all baselines, when none is named."""
     chosen = any(word.startswith("baselines=") for word in words)
-    return hydra_verb(_tune, "evaluation", [*words, *([] if chosen else ["baselines=[all]"])])
+    return _hydra(_tune, "evaluation", [*words, *([] if chosen else ["baselines=[all]"])])
 
 
 def real(words: Sequence[str]) -> int:
     """`simnfnd evaluate real IN [KEY=VALUE ...]`."""
-    return hydra_verb(_real, "real", named(words, "real"))
+    return _hydra(_real, "real", _named(words, "real"))
 
 
 def realism(words: Sequence[str]) -> int:
     """`simnfnd evaluate realism REAL SIM [SIM ...] [KEY=VALUE ...]`."""
-    return hydra_verb(_realism, "realism", named(words, "real", "sim"))
+    return _hydra(_realism, "realism", _named(words, "real", "sim"))
 
 
 def fit(words: Sequence[str]) -> int:
@@ -50,11 +50,11 @@ def fit(words: Sequence[str]) -> int:
     own, recipe = list(words), []
     if "--" in own:
         place = own.index("--")
-        own, recipe = own[:place], [f"recipe={listed(own[place + 1 :])}"]
-    return hydra_verb(_fit, "fit", [*named(own, "real"), *recipe])
+        own, recipe = own[:place], [f"recipe={_listed(own[place + 1 :])}"]
+    return _hydra(_fit, "fit", [*_named(own, "real"), *recipe])
 
 
-def hydra_verb(task: Callable[[DictConfig], Any], config_name: str, words: Sequence[str]) -> int:
+def _hydra(task: Callable[[DictConfig], Any], config_name: str, words: Sequence[str]) -> int:
     """Run `task` with conf/<config_name>.yaml and the overrides `words`; returns the exit code.
 
     `dataset=DIR` means `dataset.dir=DIR`, and -m (a sweep) may stand anywhere.
@@ -66,7 +66,7 @@ def hydra_verb(task: Callable[[DictConfig], Any], config_name: str, words: Seque
     return run_app(task, config_name)
 
 
-def named(words: Sequence[str], first: str, rest: str | None = None) -> list[str]:
+def _named(words: Sequence[str], first: str, rest: str | None = None) -> list[str]:
     """Words without `=` as overrides: the first one of `first`, the others a list of `rest`."""
     plain = [word for word in words if "=" not in word and not word.startswith("-")]
     overrides = [word for word in words if word not in plain]
@@ -75,13 +75,18 @@ def named(words: Sequence[str], first: str, rest: str | None = None) -> list[str
     if plain[1:]:
         if rest is None:
             raise FactoryError(f"{plain[1]}: unexpected; only one folder is taken here")
-        overrides.append(f"{rest}={listed(plain[1:])}")
+        overrides.append(f"{rest}={_listed(plain[1:])}")
     return overrides
 
 
-def listed(words: Sequence[str]) -> str:
+def _listed(words: Sequence[str]) -> str:
     """Words as a list in Hydra's grammar."""
     return f"[{','.join(quoted(word) for word in words)}]"
+
+
+def quoted(word: str) -> str:
+    """A path as Hydra's grammar takes it, whatever characters it has."""
+    return "'" + word.replace("\\", "\\\\").replace("'", "\\'") + "'"
 
 
 def settings_of(config: DictConfig) -> EvaluationSettings:
@@ -92,25 +97,13 @@ def settings_of(config: DictConfig) -> EvaluationSettings:
         raise FactoryError("dataset: give the folder that `simnfnd make` made, dataset=DIR")
     settings: EvaluationSettings = build(EvaluationSettings, _values(config))
     folder = str(local_folder(settings.dataset.dir))
-    settings = replace(settings, dataset=replace(settings.dataset, dir=folder))
-    for key, folders in (("dataset", [settings.dataset.dir]), ("robustness", settings.robustness)):
-        for folder in folders:
-            if not Path(folder).is_dir():
-                raise FactoryError(
-                    f"{key}={folder}: no such folder; give one that `simnfnd make` made"
-                )
-    return settings
-
-
-def needs_of(settings: EvaluationSettings) -> Iterator[Need]:
-    """What the networks of a report need beyond what every report does."""
-    # The ones that ship are left out where there is nothing to run them.
-    yield from _needs("models=", [] if settings.models == "auto" else settings.models)
-    yield from _needs("ablation=", vars(settings.ablation).values())
+    if not Path(folder).is_dir():
+        raise FactoryError(f"dataset={folder}: no such folder; give one that `simnfnd make` made")
+    return replace(settings, dataset=replace(settings.dataset, dir=folder))
 
 
 def _needs(key: str, weights: Iterable[str | None]) -> Iterator[Need]:
-    """Weights that ship run in onnxruntime, those of a path in torch."""
+    """What networks need: weights that ship run in onnxruntime, those of a path in torch."""
     for one in filter(None, weights):
         runtime = "torch" if Path(one).expanduser().exists() else "onnxruntime"
         yield from (Need(key, module) for module in (runtime, "safetensors"))
@@ -118,10 +111,12 @@ def _needs(key: str, weights: Iterable[str | None]) -> Iterator[Need]:
 
 def _report(config: DictConfig) -> None:
     settings = settings_of(config)
-    require(needs_of(settings))
-    from .report import build as builder
+    # The networks that ship are left out where there is nothing to run them.
+    require(_needs("models=", [] if settings.models == "auto" else settings.models))
+    require(_needs("ablation=", vars(settings.ablation).values()))
+    from .report.build import build as build_report
 
-    builder.build(settings)
+    build_report(settings)
 
 
 def _tune(config: DictConfig) -> None:
@@ -151,11 +146,9 @@ def _realism(config: DictConfig) -> None:
     from .settings import RealismSettings
 
     values = _values(config)
-    usage = "give both folders: simnfnd evaluate realism REAL SIM"
-    if not values["real"] or not values["sim"]:
-        raise FactoryError(f"{'sim' if values['real'] else 'real'}: {usage}")
-    if isinstance(values["sim"], str):
-        values["sim"] = [values["sim"]]
+    for key in ("real", "sim"):
+        if not values[key]:
+            raise FactoryError(f"{key}: give both folders: simnfnd evaluate realism REAL SIM")
     settings: RealismSettings = build(RealismSettings, values)
     from .realism.report import evaluate
 
@@ -184,8 +177,3 @@ def _fit(config: DictConfig) -> None:
 
 def _values(config: DictConfig) -> dict[str, Any]:
     return cast(dict[str, Any], OmegaConf.to_container(config, resolve=True))
-
-
-def quoted(word: str) -> str:
-    """A path as Hydra's grammar takes it, whatever characters it has."""
-    return "'" + word.replace("\\", "\\\\").replace("'", "\\'") + "'"

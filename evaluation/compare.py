@@ -92,12 +92,6 @@ def as_markdown(result: dict[str, Any]) -> str:
     """The comparison for people, verdict first."""
     a, b = (f"{result[side]['row']} ({result[side]['folder']})" for side in "ab")
     left_out = f", {result['left_out']} in one report only" if result["left_out"] else ""
-    lines = [
-        f"A = {a}, B = {b}: {result['pairs']} pairs of {result['frames']} frames{left_out}",
-        "",
-        _verdict(result),
-        "",
-    ]
     rows = []
     for name, one in result["metrics"].items():
         metric = METRIC_NAMES[name]
@@ -113,7 +107,9 @@ def as_markdown(result: dict[str, Any]) -> str:
             ]
         )
     head = ["metric", "A minus B", "95 % interval", "p (Holm)", "A is better in", "A"]
-    return "\n".join([*lines, texts.as_markdown(as_table(head, rows), "lrcrrl")])
+    about = f"A = {a}, B = {b}: {result['pairs']} pairs of {result['frames']} frames{left_out}"
+    table = texts.as_markdown(as_table(head, rows), "lrcrrl")
+    return "\n\n".join([about, _verdict(result), table])
 
 
 def _entry(name: str, result: Paired, p_holm: float) -> dict[str, Any]:
@@ -133,17 +129,19 @@ def _entry(name: str, result: Paired, p_holm: float) -> dict[str, Any]:
 
 def _verdict(result: dict[str, Any]) -> str:
     """In words; better only where the interval excludes zero and Holm's p is below 0.05."""
-    metrics: dict[str, list[str]] = {"better": [], "worse": []}
-    for name, one in result["metrics"].items():
-        if one["verdict"] in metrics:
-            metrics[one["verdict"]].append(METRIC_NAMES[name].label.split(",")[0])
-    better, worse = metrics["better"], metrics["worse"]
-    if better and not worse:
-        return f"A is really better than B in {', '.join(better)}, and worse in nothing."
-    if worse and not better:
-        return f"A is really worse than B in {', '.join(worse)}, and better in nothing."
+    better, worse = (
+        ", ".join(
+            METRIC_NAMES[name].label.split(",")[0]
+            for name, one in result["metrics"].items()
+            if one["verdict"] == verdict
+        )
+        for verdict in ("better", "worse")
+    )
     if better and worse:
-        return f"Mixed: A is better in {', '.join(better)} and worse in {', '.join(worse)}."
+        return f"Mixed: A is better in {better} and worse in {worse}."
+    if better or worse:
+        how, other = ("better", "worse") if better else ("worse", "better")
+        return f"A is really {how} than B in {better or worse}, and {other} in nothing."
     few = " (with fewer than 6 frames the test cannot show any)" if result["frames"] < 6 else ""
     return f"No difference is shown: it could be chance with {result['frames']} frames{few}."
 

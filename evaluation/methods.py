@@ -15,12 +15,11 @@ from ..factory.errors import FactoryError
 from ..factory.files import sha256_of
 from ..models import WEIGHTS_NAME
 from .filters import REGISTRY, chosen
-from .filters.base import Baseline, Gray, Parameters
+from .filters.base import Baseline, Parameters
 from .metrics.measure import Levels
 from .settings import EvaluationSettings
 
 if TYPE_CHECKING:
-    from ..factory.sonar.geometry import FanGeometry
     from ..models.denoise.denoiser import Denoiser
 
 FAST = ("median", "gaussian", "bilateral", "nlm", "grey_opening")
@@ -138,10 +137,12 @@ def shipped_for(dataset: Path) -> list[str]:
     return [POINTS if points else DEFAULT]
 
 
-def networks_at(models: Sequence[str], ablation: Mapping[str, str | None]) -> list[Method]:
+def networks_at(
+    models: Sequence[str], ablation: Mapping[str, str | None] | None = None
+) -> list[Method]:
     """The same of these weights; `ablation`: row of the paper's Table 3 -> weights or None."""
     given = [(path, "", "models") for path in models]
-    given += [(path, row, f"ablation.{row}") for row, path in ablation.items() if path]
+    given += [(path, row, f"ablation.{row}") for row, path in (ablation or {}).items() if path]
     found: dict[Path, Method] = {}
     for text, row, key in given:
         path = _weights(Path(text).expanduser(), key)
@@ -164,11 +165,6 @@ def network(weights: str, device: str) -> Denoiser:
     from ..models.denoise.denoiser import load_denoiser
 
     return load_denoiser(weights, device)
-
-
-def denoised_by(denoiser: Denoiser, image: Gray, geometry: FanGeometry | None) -> Gray:
-    """(H, W) float32 in 0..1 -> the same, as `simnfnd denoise` makes it."""
-    return denoiser(image, geometry if denoiser.runtime.extras else None)
 
 
 def costs_of(networks: Sequence[Method]) -> dict[str, dict[str, float]]:

@@ -1,7 +1,8 @@
-"""The pairs of a dataset one by one, in any process, with all looks at each frame."""
+"""The pairs of a dataset one by one, in any process, and what other programs made of them."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,16 +26,55 @@ from ..factory.dataset.read.reader import (
 from ..factory.dataset.read.source import CORE, read_image
 from ..factory.errors import FactoryError
 from ..factory.files import sha256_of
+from ..models.recordings.base import FULL_SCALE
+from ..models.recordings.pictures import in_unit_range
 from . import image_files
+from .filters import REGISTRY
 from .filters.base import Gray
-from .item import ROW, Item, Place
+from .methods import Method
 from .metrics.fidelity import MetricError, finite_psnr
 from .metrics.measure import Figures, Picture, Scene, sector_of
 from .runner import MethodFailed, Subject
+from .settings import PicturesFolder
 
 if TYPE_CHECKING:
     from ..factory.sonar.geometry import FanGeometry
-    from .methods import Method
+
+
+_GIVEN = (".png", ".npy")
+
+ROW = -1
+"""Stands in a `Place` for: an image file, no shard."""
+
+Place = tuple[str, int]
+"""Shard file and row, or a noisy image file and ROW."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """One pair: where it is and what it shows.
+
+    split, number: as `simnfnd export --to png` names it; of image files '' and their order.
+    key: changes with the content of the pair.
+    looks: the noise variants of the same frame in the same split, this one last; methods of
+    several looks see all of them.
+    """
+
+    shard: str
+    place: Place
+    split: str
+    number: int
+    key: str
+    location: str
+    scene: str
+    frame: str
+    variant: int
+    looks: tuple[Place, ...]
+
+    @property
+    def group(self) -> str:
+        """What shares one clean image: the unit of the bootstrap."""
+        return f"{self.location}/{self.scene}/{self.frame}"
 
 
 def items_of(root: Path, split: Split, limit: int | None = None) -> list[Item]:
@@ -83,24 +123,21 @@ def identity_of(file: h5py.File, index: int) -> tuple[str, str, str, int]:
 
 def drawn_of(items: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
     """Column of /meta -> (N,) what it says of each item: numbers (NaN where absent) or text."""
-    tables: dict[str, npt.NDArray[Any]] = {}
-    for path in dict.fromkeys(item.place[0] for item in items if item.place[1] >= 0):
+    import pandas as pd
+
+    tables: dict[str, pd.DataFrame] = {}
+    for path in dict.fromkeys(item.place[0] for item in items if item.place[1] != ROW):
         with open_shard(Path(path)) as file:
-            tables[path] = file["meta"][:]
+            tables[path] = pd.DataFrame(file["meta"][:])
+    rows = [(item.place[0], item.place[1]) for item in items]
+    every = pd.concat(tables).reindex(rows) if tables else pd.DataFrame()
     columns = {}
-    for name in dict.fromkeys(name for t in tables.values() for name in t.dtype.names or ()):
-        values = [
-            table[item.place[1]][name]
-            if (table := tables.get(item.place[0])) is not None
-            and name in (table.dtype.names or ())
-            else np.nan
-            for item in items
-        ]
-        if any(isinstance(value, bytes) for value in values):
-            values = [value.decode() if isinstance(value, bytes) else "" for value in values]
-            columns[name] = np.array(values)
+    for name, column in every.items():
+        if column.dtype == object:
+            text = column.str.decode("utf-8").fillna("")
+            columns[str(name)] = text.to_numpy(str)
         else:
-            columns[name] = np.array(values, float)
+            columns[str(name)] = column.to_numpy(float)
     return columns
 
 
@@ -175,10 +212,10 @@ class Pair(Subject):
         return geometry_of(self.item.place)
 
     def given(self, method: Method) -> Gray:
-        """The picture that another program made of it."""
-        return image_files.read_given(method.given, self.item, picture(self.item.place).noisy.shape)
+        """See `Subject`."""
+        return _read_given(method.given, self.item, picture(self.item.place).noisy.shape)
 
-    def measure(self, image: Gray, method: Method) -> Figures:
+    def measure(self, image: Gray) -> Figures:
         """All metrics; identical images count as the PSNR of `finite_psnr`."""
         try:
             found = _scene(self.item).figures(
@@ -195,3 +232,81 @@ class Pair(Subject):
 def _scene(item: Item) -> Scene:
     """What all methods share on a pair."""
     return Scene(picture(item.place))
+
+
+def given_methods(folders: Sequence[PicturesFolder], items: Sequence[Item]) -> list[Method]:
+    """A row for each folder of denoised pictures.
+
+    Raises FactoryError, one line, for a folder that lacks a picture of the split.
+    """
+    found: dict[str, Method] = {}
+    for one in folders:
+        if one.name in (*found, *REGISTRY, "noisy"):
+            raise FactoryError(f"pictures: {one.name}: another row has this name; choose another")
+        found[one.name] = Method(one.name, "", {}, given=one.dir, content=_content(one, items))
+    return list(found.values())
+
+
+def _read_given(folder: str, item: Item, shape: tuple[int, ...]) -> Gray:
+    """(H, W) float32 in 0..1, H and W as in `shape`: what the folder has of a pair.
+
+    Of .npy files whole numbers count by their full scale, floats as they are, what overshoots
+    clipped.  Raises FactoryError.
+    """
+    path = _given_file(Path(folder), item)
+    if path is None:
+        raise FactoryError(f"{folder}: no picture {_names(item)[0]}.png or .npy")
+    if path.suffix == ".npy":
+        try:
+            array = np.load(path, allow_pickle=False)
+        except (OSError, ValueError) as error:
+            raise FactoryError(f"{path}: not a readable .npy file ({error})") from error
+        if array.dtype.kind == "f":
+            low, high = float(array.min()), float(array.max())
+            if not -0.5 <= low <= high <= 1.5:
+                what = f"pixels of {low:g} .. {high:g}; floats must lie in 0..1"
+                raise FactoryError(f"{path}: {what}")
+            array = np.clip(array, 0, 1).astype(np.float32)
+        if str(array.dtype) not in FULL_SCALE:
+            raise FactoryError(f"{path}: {array.dtype} pixels; give {', '.join(FULL_SCALE)}")
+        image = in_unit_range(array, str(path))
+    else:
+        image = image_files.read_gray(path)
+    if image.shape != shape:
+        sizes = ["x".join(map(str, reversed(one))) for one in (image.shape, shape)]
+        raise FactoryError(f"{path}: {sizes[0]} pixels, but its pair has {sizes[1]}")
+    return image
+
+
+def _content(given: PicturesFolder, items: Sequence[Item]) -> str:
+    """Changes with the files of a folder of denoised pictures."""
+    folder = Path(given.dir).expanduser()
+    where = f"pictures: {given.name}: {folder}"
+    if not folder.is_dir():
+        raise FactoryError(f"{where}: no such folder")
+    files = [_given_file(folder, item) for item in items]
+    lacking = [item for item, file in zip(items, files, strict=True) if file is None]
+    if lacking:
+        raise FactoryError(
+            f"{where}: {len(lacking)} of {len(items)} pictures are missing, the first is "
+            f"{_names(lacking[0])[0]}.png (or .npy); names are those of `simnfnd export --to png` "
+            "and of `simnfnd denoise`"
+        )
+    digest = hashlib.blake2b(digest_size=12)
+    for file in filter(None, files):
+        digest.update(f"{file} {file.stat().st_size} {file.stat().st_mtime_ns}\n".encode())
+    return digest.hexdigest()
+
+
+def _names(item: Item) -> list[str]:
+    """Where a picture may lie, without its suffix: as `export --to png` and `denoise` name it."""
+    if item.place[1] == ROW:
+        stem = Path(item.place[0]).stem
+        return [stem, f"noisy/{stem}"]
+    number = f"{item.number:06d}"
+    return [f"{item.split}/noisy/{number}", f"{item.split}/{number}", f"noisy/{number}", number]
+
+
+def _given_file(folder: Path, item: Item) -> Path | None:
+    paths = (folder.expanduser() / f"{n}{suffix}" for n in _names(item) for suffix in _GIVEN)
+    return next((path for path in paths if path.is_file()), None)

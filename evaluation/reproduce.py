@@ -16,17 +16,10 @@ from pathlib import Path
 from ..factory.cli import Parser
 from ..factory.errors import FactoryError
 from ..factory.files import check_writable
-from ..factory.scheduler.workers.machine import usable_cores
 from .commands import quoted
 from .report.page import REPORT_NAME, write_files
 from .report.tables import as_markdown, beside_paper
 
-# CPU seconds, measured: a pair by render=analytic, a crop of 64 pixels forth and back through the
-# network, the six filters on a test pair, and what every command takes to begin.
-_PAIR_S, _CROP_S, _JUDGED_S, _START_S = 0.7, 0.3, 4.0, 10.0
-_BLENDER_S = 3.0  # more, for a frame of the paper's renderer
-_CROPS = 8
-_TESTED = 0.25
 _NEWLOSS = ("loss=newloss", "loss.shadow=ste", "loss.weight=0.05")
 """As printed, the second term has no gradient (docs/models.md): here it is straight through."""
 
@@ -55,15 +48,6 @@ class Plan:
     def patch(self) -> int:
         """Pixels a side of a crop."""
         return 64 if self.quick else 128
-
-    @property
-    def minutes(self) -> float:
-        """What all steps take on this machine without a GPU, roughly."""
-        pairs, trainings = self.frames * self.variants, 2 + (self.real is not None)
-        render_s = 0.0 if self.quick else _BLENDER_S
-        seconds = pairs * (_PAIR_S + _TESTED * _JUDGED_S) + self.frames * render_s
-        seconds += trainings * self.steps * _CROPS * _CROP_S * (self.patch / 64) ** 2
-        return (seconds / usable_cores() + (2 + trainings) * _START_S) / 60
 
     @property
     def about(self) -> str:
@@ -99,7 +83,7 @@ def main(words: Sequence[str]) -> int:
     frames = given.frames or (32 if given.quick else 8000)
     steps = given.steps or (70 if given.quick else 4000)
     plan = Plan(given.out, given.scenes, given.real, given.quick, frames, steps)
-    print(f"{plan.about}\nabout {plan.minutes:.0f} minutes here, on a CPU", flush=True)
+    print(plan.about, flush=True)
     for step in steps_of(plan):
         print("simnfnd " + " ".join(step), flush=True)
         if code := run(step):

@@ -21,7 +21,7 @@ from ..factory.errors import FactoryError
 from ..factory.scheduler.workers.tasks import TaskLost, TaskPool
 from .filters import REGISTRY
 from .filters.base import Gray
-from .methods import Method, denoised_by, network, reason
+from .methods import Method, network, reason
 from .metrics.measure import Figures
 from .store import FigureStore, program_digest
 
@@ -48,8 +48,8 @@ class Subject:
         """Changes with everything that a method sees of it and is measured by; '': not stored."""
         return ""
 
-    def seen(self, method: Method) -> Gray | None:
-        """(H, W) in 0..1, or (T, H, W) for a method of several looks; None: nothing for it.
+    def seen(self, method: Method) -> Gray:
+        """(H, W) in 0..1, or (T, H, W) for a method of several looks.
 
         Raises FactoryError for a damaged picture, MethodFailed for a method that needs more.
         """
@@ -59,11 +59,11 @@ class Subject:
         """Where range and bearing are; None where nothing says so."""
         return None
 
-    def given(self, method: Method) -> Gray | None:
-        """What a method that is no function made of it; None where there is none."""
-        return None
+    def given(self, method: Method) -> Gray:
+        """What another program made of it.  Raises FactoryError where there is nothing."""
+        raise NotImplementedError
 
-    def measure(self, image: Gray, method: Method) -> Figures:
+    def measure(self, image: Gray) -> Figures:
         """The figures of a denoised picture.  Raises FactoryError for a damaged subject."""
         raise NotImplementedError
 
@@ -213,7 +213,7 @@ def measure_task(task: Task) -> list[Result]:
     Raises FactoryError for a damaged picture.
     """
     results = []
-    outputs: dict[str, tuple[dict[int, Gray], dict[int, float]] | str] = {}
+    outputs: dict[str, dict[int, tuple[Gray, float]] | str] = {}
     for method in task.methods:
         if method.output not in outputs:
             outputs[method.output] = _applied(method, task)
@@ -222,22 +222,28 @@ def measure_task(task: Task) -> list[Result]:
             results.append(Result(lost=output))
             continue
         result = Result()
-        for number, image in output[0].items():
+        for number, (image, seconds) in output.items():
             if method.levels is not None:
                 image = method.levels(image)
-            measured = task.subjects[number].measure(image, method)
-            result.figures[number] = {**measured, SECONDS: output[1][number]}
+            result.figures[number] = {**task.subjects[number].measure(image), SECONDS: seconds}
             if number in task.keep:
                 result.images[number] = image
         results.append(result)
     return results
 
 
-def denoised(method: Method, subject: Subject, device: str) -> tuple[Gray | None, float]:
+def _applied(method: Method, task: Task) -> dict[int, tuple[Gray, float]] | str:
+    """The method's picture of each subject, and its seconds; or why it failed."""
+    try:
+        return {n: denoised(method, one, task.device) for n, one in task.subjects.items()}
+    except MethodFailed as error:
+        return str(error)
+
+
+def denoised(method: Method, subject: Subject, device: str) -> tuple[Gray, float]:
     """The method's picture without levels, (H, W) in 0..1, and its seconds (NaN: unknown).
 
-    None where there is no picture of it.  Raises MethodFailed, and FactoryError for a damaged
-    subject.
+    Raises MethodFailed, and FactoryError for a damaged subject.
     """
     if method.given:
         try:
@@ -245,8 +251,6 @@ def denoised(method: Method, subject: Subject, device: str) -> tuple[Gray | None
         except FactoryError as error:
             raise MethodFailed(str(error)) from error
     image = subject.seen(method)
-    if image is None:
-        return None, math.nan
     geometry = subject.geometry() if method.uses_geometry else None
     try:
         return _timed(method, image, geometry, device)
@@ -266,22 +270,8 @@ def _timed(
     if loaded.runtime.on_gpu:
         clock = time.perf_counter  # a processor that waits for a GPU seems idle
     start = clock()
-    result = denoised_by(loaded, image, geometry)
+    result = loaded(image, geometry if loaded.runtime.extras else None)
     seconds = clock() - start
     if result.shape != image.shape or not np.isfinite(result).all():
         raise ValueError(f"gave {result.shape} or NaN for a picture of {image.shape}")
     return np.clip(result, 0, 1).astype(np.float32), seconds
-
-
-def _applied(method: Method, task: Task) -> tuple[dict[int, Gray], dict[int, float]] | str:
-    """The method's picture of each subject that has one, and its seconds; or why it failed."""
-    images: dict[int, Gray] = {}
-    seconds: dict[int, float] = {}
-    for number, subject in task.subjects.items():
-        try:
-            image, took = denoised(method, subject, task.device)
-        except MethodFailed as error:
-            return str(error)
-        if image is not None:
-            images[number], seconds[number] = image, took
-    return images, seconds

@@ -75,7 +75,6 @@ class EvaluationSettings:
     ablation: AblationSettings
     device: Literal["auto", "cpu", "gpu"]
     texture: bool
-    robustness: list[str]
     page: PageSettings
     tuning: TuningSettings
     debug: bool
@@ -104,10 +103,8 @@ class RealSettings:
     real: Annotated[str, Field(min_length=1)]
     baselines: list[str]
     models: list[str]
-    groups: Literal["auto"] | bool
-    search: Count
-    limit: Count | None
-    frames: Annotated[int, Field(ge=2)]
+    groups: bool
+    limit: Annotated[int, Field(ge=4)] | None
     in_time: Annotated[int, Field(ge=0)]
     examples: Annotated[int, Field(ge=0)]
     workers: Literal["auto"] | Count

@@ -35,8 +35,9 @@ def program_digest(device: str) -> str:
 
     device: auto, cpu or gpu, as in the settings.
     """
-    parts = [sources_digest(*_SOURCES), *map(_version, _LIBRARIES), _device_kind(device)]
-    return hashlib.blake2b("\n".join(parts).encode(), digest_size=12).hexdigest()
+    known = {one.name: one.version for one in metadata.distributions() if one.name in _LIBRARIES}
+    parts = [sources_digest(*_SOURCES), *sorted(known.items()), _device_kind(device)]
+    return hashlib.blake2b(repr(parts).encode(), digest_size=12).hexdigest()
 
 
 def sources_digest(*folders: Path) -> str:
@@ -55,13 +56,6 @@ def _device_kind(device: str) -> str:
     import torch
 
     return torch.cuda.get_device_name() if torch.cuda.is_available() else "cpu"
-
-
-def _version(library: str) -> str:
-    try:
-        return f"{library} {metadata.version(library)}"
-    except metadata.PackageNotFoundError:
-        return f"{library} absent"
 
 
 class FigureStore:

@@ -22,11 +22,10 @@ from ..factory.progress import progress_bar
 from ..factory.scheduler.workers.tasks import TaskLost, TaskPool
 from .filters import REGISTRY
 from .filters.base import Baseline, Gray, Parameters
-from .item import Item
 from .methods import Method, shown
 from .metrics.fidelity import finite_psnr, psnr
 from .metrics.measure import Levels, fit_levels
-from .pairs import Pair, items_of, picture
+from .pairs import Item, Pair, items_of, picture
 from .runner import MethodFailed, denoised
 from .settings import EvaluationSettings
 from .store import sources_digest
@@ -44,12 +43,8 @@ class Point:
     levels: Levels
 
 
-@dataclass(frozen=True)
-class _Task:
-    baseline: str
-    number: int
-    parameters: Parameters
-    items: tuple[Item, ...]
+_Task = tuple[str, int, Parameters, tuple[Item, ...]]
+"""Name of a baseline, number of the point in its grid, the point, and the pairs."""
 
 
 def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: TaskPool) -> list[str]:
@@ -74,20 +69,19 @@ def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: Task
         grid = [default, *(point for point in baseline.points() if point != default)]
         todo[baseline.name] = key, grid, {}
     waiting = deque(
-        _Task(name, number, point, tuple(items))
+        (name, number, point, tuple(items))
         for name, (_, grid, _) in todo.items()
         for number, point in enumerate(grid)
     )
     limit_s = settings.image_timeout_s * len(items)
     with progress_bar(total=len(waiting), unit="point", desc="tuning") as bar:
-        for task, found in pool.run(_measure_point, waiting, lambda _: limit_s):
+        for (name, number, *_), found in pool.run(_measure_point, waiting, lambda _: limit_s):
             bar.update()
-            name = task.baseline
             if not isinstance(found, Point):
                 lost.setdefault(name, found.reason if isinstance(found, TaskLost) else found)
                 continue
             key, grid, points = todo[name]
-            points[task.number] = found
+            points[number] = found
             if len(points) == len(grid) and name not in lost:
                 # In the order of the grid, whichever came first.
                 whole = [point for _, point in sorted(points.items())]
@@ -132,29 +126,21 @@ def load_tuned(path: Path) -> dict[str, Any]:
 
 def _measure_point(task: _Task) -> Point | str:
     """One point on all pairs, or why it failed."""
-    method = Method(task.baseline, "", task.parameters)
-    outputs = []
+    name, _, parameters, items = task
+    method = Method(name, "", parameters)
     try:
-        for item in task.items:
-            image, _ = denoised(method, Pair(item, 0.0, texture=False), "cpu")
-            assert image is not None
-            outputs.append(image)
+        outputs = [denoised(method, Pair(item, 0.0, texture=False), "cpu")[0] for item in items]
     except MethodFailed as error:
         return str(error)
-    cleans = [picture(item.place).clean for item in task.items]
+    cleans = [picture(item.place).clean for item in items]
     levels = fit_levels(zip(outputs, cleans, strict=True))
     corrected = [levels(output) for output in outputs]
-    return Point(
-        task.parameters, _mean_psnr(outputs, cleans), _mean_psnr(corrected, cleans), levels
-    )
+    return Point(parameters, _mean_psnr(outputs, cleans), _mean_psnr(corrected, cleans), levels)
 
 
 def _mean_psnr(images: list[Gray], cleans: list[Gray]) -> float:
-    values = [
-        finite_psnr(psnr(clean, image, data_range=1.0))
-        for image, clean in zip(images, cleans, strict=True)
-    ]
-    return float(np.mean(values))
+    pairs = zip(cleans, images, strict=True)
+    return float(np.mean([finite_psnr(psnr(*pair, data_range=1.0)) for pair in pairs]))
 
 
 def _entry(baseline: Baseline, points: list[Point]) -> dict[str, Any]:

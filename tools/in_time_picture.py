@@ -42,10 +42,10 @@ def main() -> None:
     for kind in kinds_of(frames):
         rows = rows_of(kind, network, 0.01)
         found = [kind.frames[NUMBER], *(rows[name](NUMBER) for name in COLUMNS[1:])]
-        shown = np.ones_like(kind.frames[NUMBER]) if kind.name == "swimmer" else found[0]
+        shown = np.ones_like(kind.frames[NUMBER]) if kind.name == "ghost" else found[0]
         places = [_liveliest(shown, kind.masks[NUMBER])]
         names = [kind.name]
-        if kind.name == "still":
+        if kind.name == "static":
             places.append(_dimmest(kind.references[NUMBER]))
             names.append("dim ground")
         for (top, left), name in zip(places, names, strict=True):

@@ -47,9 +47,9 @@ def main(folder: Path) -> None:
     denoise = load_denoiser("simnfnd", "cpu")
     shown = []
     for recording in RECORDINGS:
-        (stretch,), _ = open_input(str(folder / recording.path), 400)
+        (stretch,), _ = open_input(str(folder / recording.path))
         group = search((0, stretch, recording.most)).groups[0]
-        frame = next(iter(judged(0, group, [len(group.shots) // 2], 0)))
+        frame = next(iter(judged(0, group, [len(group.shots) // 2])))
         assert frame.reference is not None
         for one in (frame.noisy, denoise(frame.noisy, frame.geometry), frame.reference):
             level = (one - recording.dark) / (recording.bright - recording.dark)

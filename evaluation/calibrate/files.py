@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from ...factory.config import plain
-from ..realism.compare import overall
+from ..realism.compare import REAL, STATISTICS, overall
 from ..realism.report import number, times
 from ..report.page import write_files
 from ..report.tables import as_markdown, as_table
-from .search import Result
+from .search import SIM, Result
 from .settings import FitSettings
 
 # What the recipe's renders, frames and files are is not part of a profile.
@@ -24,7 +23,7 @@ _FORMS = ("uniform", "choice", "normal")
 
 def report(settings: FitSettings, result: Result) -> None:
     """Print what was found, write it, and say how to use it."""
-    print(table(result))
+    print(table(result), "", *summary(result), sep="\n")
     for path in write(settings, result):
         print(f"written: {path}")
     print(
@@ -35,30 +34,24 @@ def report(settings: FitSettings, result: Result) -> None:
 
 def table(result: Result) -> str:
     """Markdown: every statistic before and after, in times the baseline."""
-    rows = [
-        (
-            after.statistic.label,
-            number(after.baseline.mean),
-            number(before.distance["sim"].mean),
-            times(before.ratio("sim")),
-            number(after.distance["sim"].mean),
-            times(after.ratio("sim")),
-        )
-        for before, after in zip(result.before, result.after, strict=True)
-    ]
+    before, after = (
+        one.pivot(index="statistic", columns="against") for one in next(iter(result.parts.values()))
+    )
+    rows = []
+    for name in [one for one in STATISTICS if one in after.index]:
+        cells = [STATISTICS[name].label, number(after["mean", REAL][name])]
+        for one in (before, after):
+            cells += [number(one["mean", SIM][name]), times(one["ratio", SIM][name])]
+        rows.append(cells)
     head = ("real against", "real", "recipe", "ratio", "fitted", "ratio")
-    return "\n".join([as_markdown(as_table(head, rows)), "", *summary(result)])
+    return as_markdown(as_table(head, rows))
 
 
 def summary(result: Result) -> list[str]:
     """What the fit reached, in sentences."""
-    searched, held_out = result.real
-    parts = [(f"{searched} real pictures of the search", result.before, result.after)]
-    if result.held_out is not None:
-        parts.append((f"{held_out} real pictures kept from it", *result.held_out))
     lines = []
-    for what, before, after in parts:
-        old, new = overall(before, "sim"), overall(after, "sim")
+    for what, both in result.parts.items():
+        old, new = (overall(one, SIM) for one in both)
         lines.append(
             f"{what}: mean ratio to the real-real baseline {old['geometric_mean_ratio']:.2f} "
             f"before, {new['geometric_mean_ratio']:.2f} after; within 2 times for "
@@ -84,30 +77,26 @@ def write(settings: FitSettings, result: Result) -> list[Path]:
     The first is the whole noise group, the second chooses it together with the sonar and the other
     groups that form the picture.  Raises FactoryError when they cannot be written.
     """
-    values = plain(result.config)
-    command = (
-        f"simnfnd evaluate fit {shlex.quote(Path(settings.real).name)} name={settings.name} "
-        f"trials={settings.trials} frames={settings.frames} seed={settings.seed} -- "
-        + shlex.join(settings.recipe)
-    )
+    values, real = plain(result.config), Path(settings.real).resolve().name
     story = [
-        f"Fitted to {Path(settings.real).resolve().name}: {result.trials} trials (best: number "
-        f"{result.best}), {result.simulated} simulated pictures.",
-        command,
+        f"Fitted to {real}: {result.trials} trials (best: number {result.best}), "
+        f"{result.simulated} simulated pictures.",
+        f"simnfnd evaluate fit {shlex.quote(real)} name={settings.name} "
+        f"trials={settings.trials} frames={settings.frames} seed={settings.seed} -- "
+        + shlex.join(settings.recipe),
         *summary(result),
     ]
-    noise = settings.folder / "noise" / f"{settings.name}.yaml"
-    recipe = settings.folder / "experiment" / f"{settings.name}.yaml"
+    comment = "".join(f"# {line}\n" for line in story)
     chosen = {key: _whole(values[key]) for key in _PROFILE if key in values}
     head = f"# @package _global_\n# simnfnd make {usage(settings)}\n#\n"
     defaults = f"defaults:\n  - override /noise: {settings.name}\n"
     texts = {
-        noise: _comment(story) + _yaml(values["noise"]),
-        recipe: head + _comment(story) + defaults + _yaml(chosen),
+        "noise": comment + _yaml(values["noise"]),
+        "experiment": head + comment + defaults + _yaml(chosen),
     }
-    for path, text in texts.items():
-        write_files(path.parent, {path.name: text})
-    return [noise, recipe]
+    for group, text in texts.items():
+        write_files(settings.folder / group, {f"{settings.name}.yaml": text})
+    return [settings.folder / group / f"{settings.name}.yaml" for group in texts]
 
 
 def _whole(node: Any) -> Any:
@@ -119,9 +108,5 @@ def _whole(node: Any) -> Any:
     return {key: _whole(value) for key, value in node.items()}
 
 
-def _comment(lines: list[str]) -> str:
-    return "".join(f"# {line}\n" for line in lines)
-
-
-def _yaml(values: Mapping[str, Any]) -> str:
-    return yaml.safe_dump(dict(values), sort_keys=False, default_flow_style=None, width=100)
+def _yaml(values: dict[str, Any]) -> str:
+    return yaml.safe_dump(values, sort_keys=False, default_flow_style=None, width=100)

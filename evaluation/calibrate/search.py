@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from ...factory.errors import FactoryError
 from ...factory.files import explain_os_errors
 from ...factory.progress import progress_bar
 from ...factory.seeds import spawn_key
-from ..realism.compare import STATISTICS, Comparison, Statistic, compare
+from ..realism.compare import compare, ratios
 from ..realism.measure import Measured, measure
 from ..realism.pictures import open_real
 from .settings import FitSettings, Parameter
@@ -23,34 +23,32 @@ from .simulate import Simulation
 
 if TYPE_CHECKING:
     import optuna
+    import pandas as pd
 
     from ...factory.config import FactoryConfig
 
+SIM = "sim"
+"""What comparisons call the simulated pictures."""
 _BLOCKS = 12
 _SPREAD = "~spread"
 _BAD = 1e3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Result:
     """What a search found.
 
     values: key -> value as a config writes it.  config: the recipe with them.
-    trials: how many were tried; best: number of the best.
-    before, after: the real pictures of the search against the recipe as it is and as found.
-    held_out: the same two for the real pictures that the search did not see, None without.
-    real, simulated: how many pictures.
+    trials: how many were tried; best: number of the best.  simulated: how many pictures.
+    parts: what real pictures -> comparison with the recipe as it is, and as found.
     """
 
     values: dict[str, Any]
     config: FactoryConfig
     trials: int
     best: int
-    before: list[Comparison]
-    after: list[Comparison]
-    held_out: tuple[list[Comparison], list[Comparison]] | None
-    real: tuple[int, int]
     simulated: int
+    parts: dict[str, tuple[pd.DataFrame, pd.DataFrame]]
 
 
 def search(settings: FitSettings) -> Result:
@@ -62,24 +60,23 @@ def search(settings: FitSettings) -> Result:
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    statistics = _chosen(settings.statistics)
     simulation = Simulation(settings.recipe, settings.frames, settings.grid)
     for key, parameter in settings.parameters.items():
         simulation.current(key)
         middle = parameter.choices[0] if parameter.choices else sum(parameter.limits) / 2
         simulation.configured({key: written(parameter, middle, parameter.spreads[1])})
-    searched, held = _parts(measure(open_real(settings.real), settings.grid), settings.hold_out)
+    real = _parts(measure(open_real(settings.real), settings.grid), settings.hold_out)
+    searched = next(iter(real.values()))
     study = _study(settings)
     base = simulation.measured({})
 
-    def judge(real: Measured, made: Measured, resamples: int) -> list[Comparison]:
+    def judge(part: Measured, made: Measured, resamples: int) -> pd.DataFrame:
         return compare(
-            real,
-            {"sim": made},
+            part,
+            {SIM: made},
             resamples=resamples,
             halves="random",
             seed=settings.seed,
-            statistics=statistics,
             progress=False,
         )
 
@@ -99,46 +96,29 @@ def search(settings: FitSettings) -> Result:
     best = study.best_trial
     values = _values(settings.parameters, optuna.trial.FixedTrial(best.params))
     made = simulation.measured(values)
-    held_out = None
-    if held is not None:
-        held_out = (judge(held, base, 100), judge(held, made, 100))
-    return Result(
-        values,
-        simulation.configured(values),
-        done,
-        best.number,
-        judge(searched, base, 100),
-        judge(searched, made, 100),
-        held_out,
-        (len(searched), 0 if held is None else len(held)),
-        len(simulation.refs),
-    )
+    parts = {name: (judge(part, base, 100), judge(part, made, 100)) for name, part in real.items()}
+    config, simulated = simulation.configured(values), len(simulation.refs)
+    return Result(values, config, done, best.number, simulated, parts)
 
 
-def _score(comparisons: list[Comparison]) -> float:
+def _score(compared: pd.DataFrame) -> float:
     """Geometric mean of the ratios, each at least 1; what cannot be measured is far away."""
-    ratios = np.array([item.ratio("sim") for item in comparisons])
-    return float(np.exp(np.log(np.clip(np.nan_to_num(ratios, nan=_BAD), 1, _BAD)).mean()))
+    found = ratios(compared, SIM).to_numpy(float)
+    return float(np.exp(np.log(np.clip(np.nan_to_num(found, nan=_BAD), 1, _BAD)).mean()))
 
 
-def _chosen(names: tuple[str, ...] | None) -> Sequence[Statistic]:
-    known = {statistic.name: statistic for statistic in STATISTICS}
-    unknown = [name for name in names or () if name not in known]
-    if unknown:
-        raise FactoryError(f"statistics: no {unknown[0]}; there are {', '.join(known)}")
-    return STATISTICS if names is None else [known[name] for name in names]
-
-
-def _parts(every: Measured, hold_out: bool) -> tuple[Measured, Measured | None]:
-    """The real pictures of the search and those held out: alternate blocks of neighbours."""
-    if not hold_out:
-        return every, None
-    block = np.arange(len(every)) * _BLOCKS // len(every)
-    searched, held = (
-        Measured(**{name: values[block % 2 == odd] for name, values in vars(every).items()})
-        for odd in (0, 1)
-    )
-    return searched, held
+def _parts(every: Measured, hold_out: bool) -> dict[str, Measured]:
+    """The real pictures of the search, first, and those held out: alternate blocks."""
+    count = len(every["amplitude"])
+    block = np.arange(count) * _BLOCKS // count % 2
+    odds = {"of the search": 0, "kept from it": 1} if hold_out else {"of the search": block}
+    found: dict[str, Measured] = {}
+    for what, odd in odds.items():
+        rows = block == odd
+        found[f"{int(rows.sum())} real pictures {what}"] = {
+            name: values[rows] for name, values in every.items()
+        }
+    return found
 
 
 def _study(settings: FitSettings) -> optuna.Study:

@@ -38,27 +38,21 @@ class Parameter:
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
+        (low, high), (least, most) = self.limits, self.spreads
         if self.choices is not None:
-            if self.low is not None or self.high is not None or self.spread or not self.choices:
+            if not self.choices or not math.isnan(low + high) or most:
                 raise ValueError("choices: at least one, and neither low, high nor spread beside")
-            return self
-        low, high = self.limits
-        if not low < high:
-            raise ValueError("give low and high, low < high, or choices")
-        if self.log and low <= 0:
-            raise ValueError("log needs low > 0")
-        low, high = self.spreads
-        if not 0 <= low <= high:
+        elif not low < high or (self.log and low <= 0):
+            raise ValueError("give choices, or low < high; log needs low > 0")
+        elif not 0 <= least <= most:
             raise ValueError("spread must be a number from 0, or [low, high] with 0 <= low <= high")
         return self
 
     @property
     def limits(self) -> tuple[float, float]:
         """Of the value; NaN where there are none."""
-        return (
-            math.nan if self.low is None else self.low,
-            math.nan if self.high is None else self.high,
-        )
+        low, high = (math.nan if end is None else end for end in (self.low, self.high))
+        return low, high
 
     @property
     def spreads(self) -> tuple[float, float]:
@@ -80,7 +74,6 @@ class FitSettings:
     trials: Annotated[int, Field(ge=1)] = 200
     startup: Annotated[int, Field(ge=1)] = 40
     resamples: Annotated[int, Field(ge=2)] = 12
-    statistics: tuple[str, ...] | None = None
     seed: Annotated[int, Field(ge=0)] = 0
     out: str | None = None
     debug: bool = False

@@ -20,8 +20,8 @@ Floats = npt.NDArray[np.float32]
 
 _BLOCK, _STEP, _REACH = 8, 3, 19
 _HARD, _STACK_HARD, _STACK_WIENER = 2.7, 16, 32
-_ALIKE_HARD, _ALIKE_WIENER = 2500 / 255**2, 400 / 255**2  # mean squared difference, sigma <= 40
-_ALIKE_HARD_LOUD, _ALIKE_WIENER_LOUD = 5000 / 255**2, 3500 / 255**2
+# Mean squared difference of blocks that are alike, up to a sigma of 40 and above.
+_ALIKE_HARD, _ALIKE_WIENER = (2500 / 255**2, 5000 / 255**2), (400 / 255**2, 3500 / 255**2)
 _LOUD = 40 / 255
 _COARSE = 2.0  # threshold in units of sigma before comparing blocks of a loud picture
 
@@ -34,13 +34,21 @@ def bm3d(image: Gray, sigma: float) -> Gray:
     noisy = _all_blocks(padded)
     loud = sigma > _LOUD
     compared = np.where(np.abs(noisy) < _COARSE * sigma, 0, noisy) if loud else noisy
-    if loud:
-        compared[..., 0] = noisy[..., 0]
-    tau = _ALIKE_HARD_LOUD if loud else _ALIKE_HARD
-    basic = _pass(noisy, compared, noisy, np.float32(sigma), tau, _STACK_HARD, False)
+    compared[..., 0] = noisy[..., 0]
+    kaiser = np.kaiser(_BLOCK, 2).astype(np.float32)
+    window = np.outer(kaiser, kaiser)
+
+    def filtered(compared: Floats, pilot: Floats, tau: float, stack: int, wiener: bool) -> Floats:
+        """One pass over (R, C, 64) coefficients -> (R + 7, C + 7) picture."""
+        limit, noise = np.float32(tau * _BLOCK**2), np.float32(sigma)
+        total, weights = _filter(
+            noisy, compared, pilot, noise, limit, stack, wiener, _dct(), window
+        )
+        return np.asarray(total / weights, dtype=np.float32)
+
+    basic = filtered(compared, noisy, _ALIKE_HARD[loud], _STACK_HARD, False)
     pilot = _all_blocks(basic)
-    tau = _ALIKE_WIENER_LOUD if loud else _ALIKE_WIENER
-    final = _pass(noisy, pilot, pilot, np.float32(sigma), tau, _STACK_WIENER, True)
+    final = filtered(pilot, pilot, _ALIKE_WIENER[loud], _STACK_WIENER, True)
     return final[_BLOCK : _BLOCK + height, _BLOCK : _BLOCK + width]
 
 
@@ -60,31 +68,6 @@ def _all_blocks(picture: Floats) -> Floats:
     for row, line in enumerate(windows):  # row by row: all at once would take a second copy
         result[row] = (basis @ line @ basis.T).reshape(-1, _BLOCK * _BLOCK)
     return result
-
-
-def _pass(
-    noisy: Floats,
-    compared: Floats,
-    pilot: Floats,
-    sigma: np.float32,
-    tau: float,
-    stack: int,
-    wiener: bool,
-) -> Floats:
-    """One pass; noisy, compared, pilot: (R, C, 64) coefficients -> (R + 7, C + 7) picture."""
-    window = np.kaiser(_BLOCK, 2).astype(np.float32)
-    total, weights = _filter(
-        noisy,
-        compared,
-        pilot,
-        sigma,
-        np.float32(tau * _BLOCK**2),
-        stack,
-        wiener,
-        _dct(),
-        np.outer(window, window),
-    )
-    return np.asarray(total / weights, dtype=np.float32)
 
 
 @numba.njit(cache=True, fastmath=True)

@@ -20,8 +20,6 @@ LEAST = 6
 """Frames of a group: with fewer the reference is hardly cleaner than the frames."""
 MOST_OTHERS = 24
 """Frames that make a reference, those nearest in time: more would not be told from its mean."""
-LEAST_LEFT = 3
-"""Frames that must be left as a reference of several averaged frames."""
 
 _MARGIN_PX = 2.0  # of the sector that does not count, beside what the scene moves
 _LEAST_STILL = 0.25  # share of the sector that must stand still
@@ -55,23 +53,8 @@ class Group:
 
 
 @dataclass(frozen=True, eq=False)
-class Several:
-    """What several frames give without any method, with a reference of none of them.
-
-    mean, median: (H, W) of some frames; reference: (H, W), the mean of all other frames.
-    """
-
-    mean: Gray
-    median: Gray
-    reference: Gray
-
-
-@dataclass(frozen=True, eq=False)
 class Judged:
-    """A frame with its nearly noise-free reference, (H, W) each; None without one.
-
-    several: None where too few frames are left for a reference.
-    """
+    """A frame with its nearly noise-free reference, (H, W) each; None without one."""
 
     group: int | None
     shot: Shot
@@ -79,7 +62,6 @@ class Judged:
     reference: Gray | None
     where: Mask
     geometry: FanGeometry | None
-    several: Several | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,26 +115,15 @@ def search(task: tuple[int, Stretch, int | None]) -> Searched:
     return Searched(found, shots, notes)
 
 
-def judged(number: int, group: Group, places: Sequence[int], several: int) -> Iterator[Judged]:
-    """The frames at these places of a group, each with its reference.
-
-    several: so many frames are averaged for `Judged.several`, the frame and its neighbours; with
-        0 none are.
-    """
+def judged(number: int, group: Group, places: Sequence[int]) -> Iterator[Judged]:
+    """The frames at these places of a group, each with the mean of the others as its reference."""
     frames = [shot.read()[0] for shot in group.shots]
     for place in places:
-        near = nearest(len(frames), place, MOST_OTHERS + 1)
-        laid = dict(zip(near, laid_over(frames, group.static, place, near), strict=True))
-        others = [laid[one] for one in near if one != place]
-        yield Judged(
-            number,
-            group.shots[place],
-            frames[place],
-            mean_of(others),
-            group.where,
-            group.geometry,
-            _several(laid, place, several),
-        )
+        others = [one for one in nearest(len(frames), place, MOST_OTHERS + 1) if one != place]
+        laid = laid_over(frames, group.static, place, others)
+        reference = np.asarray(np.mean(laid, axis=0, dtype=np.float64), np.float32)
+        shot = group.shots[place]
+        yield Judged(number, shot, frames[place], reference, group.where, group.geometry)
 
 
 def alone(shot: Shot) -> Judged:
@@ -166,24 +137,6 @@ def nearest(count: int, place: int, most: int) -> list[int]:
     """The `most` numbers below `count` around `place`, in order; at the ends more to one side."""
     first = min(max(place - most // 2, 0), max(count - most, 0))
     return list(range(first, min(first + most, count)))
-
-
-def mean_of(frames: Sequence[Gray]) -> Gray:
-    """(H, W) mean of (H, W) frames."""
-    return np.asarray(np.mean(frames, axis=0, dtype=np.float64), np.float32)
-
-
-def _several(laid: dict[int, Gray], place: int, count: int) -> Several | None:
-    if count < 2:
-        return None
-    numbers = sorted(laid)
-    chosen = {numbers[one] for one in nearest(len(numbers), numbers.index(place), count)}
-    rest = [frame for number, frame in laid.items() if number not in chosen]
-    if len(rest) < LEAST_LEFT:
-        return None
-    stack = [laid[number] for number in sorted(chosen)]
-    middle = np.median(stack, axis=0)
-    return Several(mean_of(stack), np.asarray(middle, np.float32), mean_of(rest))
 
 
 def _group(
@@ -203,17 +156,12 @@ def _group(
     geometry = next((fans[number] for number in chosen if fans[number] is not None), None)
     sector = sectors[chosen[0]] if geometry is None else sector_of(frames[0], geometry)
     reach = _MARGIN_PX + np.hypot(*(shifts - shifts[0]).T).max()
-    inner = _inside(sector, reach)
+    framed = np.pad(sector, 1).astype(np.uint8)
+    distance = cv2.distanceTransform(framed, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    inner = np.asarray(distance[1:-1, 1:-1] > reach)
     where = inner & ~moving(laid, inner)
     still = float(where.sum() / max(inner.sum(), 1))
     return Group(name, tuple(shots[n] for n in chosen), shifts, geometry, where, still)
-
-
-def _inside(sector: Mask, pixels: float) -> Mask:
-    """What lies further than so many pixels from all that is not in the sector."""
-    framed = np.pad(sector, 1).astype(np.uint8)
-    distance = cv2.distanceTransform(framed, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return np.asarray(distance[1:-1, 1:-1] > pixels)
 
 
 class _Pictures(Sequence[Gray]):

@@ -1,20 +1,20 @@
-"""Recordings of a scene that stands still, judged in time: as they are, moving, with a swimmer.
+"""Recordings of a scene that stands still, judged in time: as they are, moving, with a ghost.
 
 A denoiser may use the frames up to `AWAY` before and after each; the reference is the mean of
 frames further away, whose noise it has not seen.  Three kinds of input are made of the same real
 frames, none of them interpolated, so that the noise stays the sonar's own:
 
-still    the frames as they are;
-moving   a window that travels over them by whole pixels, as if the sonar moved;
-swimmer  the frames as they are, and over them a bright speckled thing that swims.  It must stay
-         where it is, as bright and sharp as a single frame shows it, without a trail.
+static  the frames as they are;
+moving  a window that travels over them by whole pixels, as if the sonar moved;
+ghost   the frames as they are, and over them a bright speckled thing that swims.  It must stay
+        where it is, as bright and sharp as a single frame shows it, without a trail.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
@@ -96,10 +96,10 @@ def kinds_of(frames: Gray, seed: int = 0) -> Iterator[Judged]:
     if len(frames) < LEAST_FRAMES:
         raise ValueError(f"{len(frames)} frames; at least {LEAST_FRAMES} are judged in time")
     references, masks = _references(frames)
-    still = Judged("still", frames, references, masks)
-    yield still
-    yield _moving(still, np.random.default_rng([seed, 1]))
-    yield _swimmer(still, np.random.default_rng([seed, 2]))
+    static = Judged("static", frames, references, masks)
+    yield static
+    yield _moving(static, np.random.default_rng([seed, 1]))
+    yield _ghost(static, np.random.default_rng([seed, 2]))
 
 
 def rows_of(judged: Judged, network: Network, weight: float) -> dict[str, Callable[[int], Gray]]:
@@ -166,9 +166,9 @@ def _references(frames: Gray) -> tuple[Gray, Mask]:
     return references, masks
 
 
-def _moving(still: Judged, rng: np.random.Generator) -> Judged:
+def _moving(static: Judged, rng: np.random.Generator) -> Judged:
     """A window of part of the frame on a smooth random way, whole pixels a frame."""
-    count, *sides = still.frames.shape
+    count, *sides = static.frames.shape
     size = np.array([int(side * _WINDOW) // 8 * 8 for side in sides])
     room, fastest = np.array(sides) - size, np.array(_FASTEST)
     place, speed = room / 2, rng.uniform(-1, 1, 2) * fastest
@@ -185,18 +185,18 @@ def _moving(still: Judged, rng: np.random.Generator) -> Judged:
 
     return Judged(
         "moving",
-        np.asarray(cut(still.frames), np.float32),
-        np.asarray(cut(still.references), np.float32),
-        np.asarray(cut(still.masks), bool),
+        np.asarray(cut(static.frames), np.float32),
+        np.asarray(cut(static.references), np.float32),
+        np.asarray(cut(static.masks), bool),
     )
 
 
-def _swimmer(still: Judged, rng: np.random.Generator) -> Judged:
+def _ghost(static: Judged, rng: np.random.Generator) -> Judged:
     """A bright body with a grain of its own, weaving down the middle of the frame."""
-    _, height, width = still.frames.shape
+    _, height, width = static.frames.shape
     y, x = np.mgrid[:height, :width].astype(np.float32)
-    frames, references = still.frames.copy(), still.references.copy()
-    masks = np.zeros_like(still.masks)
+    frames, references = static.frames.copy(), static.references.copy()
+    masks = np.zeros_like(static.masks)
     wake = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * _WAKE_PX + 1,) * 2)
     for number in range(len(frames)):
         swum = _SWIMS * number
@@ -210,109 +210,74 @@ def _swimmer(still: Judged, rng: np.random.Generator) -> Judged:
         references[number] = references[number] * (1 - body) + _LEVEL * body
         masks[number] = cv2.dilate((body > 0.1).astype(np.uint8), wake) > 0
     frames = np.rint(frames * 255) / np.float32(255)
-    return Judged("swimmer", frames, references, masks, levels=False)
-
-
-@dataclass(frozen=True)
-class TimeRow:
-    """A row on one kind of input of one recording: means over the judged frames."""
-
-    recording: str
-    kind: str
-    row: str
-    frames: int
-    psnr_db: float
-    ssim: float
-
-
-@dataclass(frozen=True, eq=False)
-class TimeRows:
-    """What was judged in time.  notes: what was tuned on what, and what was left out."""
-
-    rows: tuple[TimeRow, ...] = ()
-    notes: tuple[str, ...] = ()
-
-    def table(self) -> pd.DataFrame:
-        """A row a method, and of each kind of input the mean PSNR and SSIM over recordings."""
-        import pandas as pd
-
-        table = pd.DataFrame(map(asdict, self.rows))
-        means = table.groupby(["row", "kind"], sort=False)[["psnr_db", "ssim"]].mean()
-        text = means["psnr_db"].map("{:.2f}".format) + " / " + means["ssim"].map("{:.3f}".format)
-        kinds = list(dict.fromkeys(table["kind"]))
-        wide = text.unstack("kind").loc[list(dict.fromkeys(table["row"])), kinds]
-        wide.columns = [f"{kind}, dB / SSIM" for kind in kinds]
-        return wide.rename_axis("row").reset_index()
-
-
-@dataclass(frozen=True, eq=False)
-class _Task:
-    number: int
-    group: Group
-    others: tuple[Group, ...]
-    weights: str
-    label: str
-    device: str
-    most: int
+    return Judged("ghost", frames, references, masks, levels=False)
 
 
 def judged_in_time(
     settings: RealSettings, groups: Sequence[Group], networks: Sequence[Method], pool: TaskPool
-) -> TimeRows:
-    """The rows of every recording that stands still, by each network; nothing without either."""
-    recordings = [group for group in groups if _is_recording(group)]
-    if not (recordings and networks and settings.in_time):
-        return TimeRows()
+) -> tuple[pd.DataFrame, list[str]]:
+    """The rows of every recording that stands still, by each network; none without either.
+
+    Returns a line for each recording, kind of input and row: means over the judged frames; and
+    notes: what was tuned on what, and what was left out.
+    """
+    import pandas as pd
+
+    recordings = [group for group in groups if _is_recording(group)] if settings.in_time else []
     waiting = deque(
-        _Task(
-            number,
-            group,
-            tuple(one for one in recordings if one is not group),
-            method.weights or "",
-            method.label,
-            settings.device,
-            settings.in_time,
-        )
-        for number, group in enumerate(recordings)
+        (number, recordings, method, settings.device, settings.in_time)
+        for number in range(len(recordings))
         for method in networks
     )
-    found: dict[tuple[int, str, str], TimeRow] = {}
-    notes: dict[str, None] = {}
+    rows, notes = [], []
     with progress_bar(total=len(waiting), unit="recording", desc="in time") as bar:
-        for task, result in pool.run(_judged, waiting, lambda _: _LIMIT_S):
+        for (number, _, method, *_), result in pool.run(_judged, waiting, lambda _: _LIMIT_S):
             bar.update()
             if isinstance(result, TaskLost):
-                notes[f"{task.group.name}, {task.label}: not judged in time ({result.reason})"] = (
-                    None
-                )
-                continue
-            rows, note = result
-            notes[note] = None
-            for row in rows:
-                found.setdefault((task.number, row.kind, row.row), row)
-    return TimeRows(tuple(found.values()), tuple(notes))
+                name = f"{recordings[number].name}, {method.label}"
+                notes.append(f"{name}: not judged in time ({result.reason})")
+            else:
+                rows += [(number, *row) for row in result[0]]
+                notes.append(result[1])
+    columns = ["number", "recording", "kind", "row", "frames", "psnr_db", "ssim"]
+    table = pd.DataFrame(rows, columns=columns).drop_duplicates(["number", "kind", "row"])
+    return table.drop(columns="number"), list(dict.fromkeys(notes))
 
 
-def _judged(task: _Task) -> tuple[list[TimeRow], str]:
-    frames = _frames(task.group, task.most)
-    others = [next(kinds_of(_frames(one, task.most))) for one in task.others]
-    tuned_on = ", ".join(one.name for one in task.others)
+def wide(table: pd.DataFrame) -> pd.DataFrame:
+    """A line a row, and of each kind of input the mean PSNR and SSIM over recordings."""
+    means = table.groupby(["row", "kind"], sort=False)[["psnr_db", "ssim"]].mean()
+    text = means["psnr_db"].map("{:.2f}".format) + " / " + means["ssim"].map("{:.3f}".format)
+    found = text.unstack("kind").loc[table["row"].unique(), table["kind"].unique()]
+    found.columns = [f"{kind}, dB / SSIM" for kind in found.columns]
+    return found.rename_axis("row").reset_index()
+
+
+def _judged(
+    task: tuple[int, list[Group], Method, str, int],
+) -> tuple[list[tuple[str, str, str, int, float, float]], str]:
+    """Recording, kind, row, frames, PSNR and SSIM of each row; and what was tuned on what."""
+    number, recordings, method, device, most = task
+    group = recordings[number]
+    frames, others = _frames(group, most), [one for one in recordings if one is not group]
+    tuning = [next(kinds_of(_frames(one, most))) for one in others]
+    tuned_on = ", ".join(one.name for one in others)
     if not others:
         # Of a single recording the half that comes first, and the whole is judged: said so.
         half = frames[: max(len(frames) // 2, LEAST_FRAMES)]
-        others, tuned_on = [next(kinds_of(half))], f"the first {len(half)} frames of itself"
-    weight = tuned_weight(others)
-    denoiser = network(task.weights, task.device)
+        tuning, tuned_on = [next(kinds_of(half))], f"the first {len(half)} frames of itself"
+    weight = tuned_weight(tuning)
+    denoiser = network(method.weights or "", device)
     rows = []
     for kind in kinds_of(frames):
         for name, make in rows_of(kind, denoiser, weight).items():
             scores = [kind.score(number, make(number)) for number in kind.numbers()]
-            label = f"{task.label}: {name}" if name in _OF_NETWORK else name
-            psnr_db, ssim = (
+            label = f"{method.label}: {name}" if name in _OF_NETWORK else name
+            psnr_db, similarity = (
                 float(np.mean([one[key] for one in scores])) for key in ("psnr_db", "ssim")
             )
-            rows.append(TimeRow(task.group.name, kind.name, label, len(scores), psnr_db, ssim))
-    return rows, f"{task.group.name}: tuned TV has weight {weight:g}, tuned on {tuned_on}"
+            rows.append((group.name, kind.name, label, len(scores), psnr_db, similarity))
+    return rows, f"{group.name}: tuned TV has weight {weight:g}, tuned on {tuned_on}"
 
 
 def _is_recording(group: Group) -> bool:

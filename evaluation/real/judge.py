@@ -6,11 +6,11 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from ...factory.errors import FactoryError
 from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.tasks import TaskLost, TaskPool
 from ..filters.base import Baseline, Parameters
@@ -19,10 +19,13 @@ from ..metrics.statistics import estimate, evenly
 from ..runner import SECONDS, Measured, Subject, run
 from ..settings import RealSettings
 from .groups import LEAST, Group, Judged, Searched, alone, judged, search
-from .in_time import TimeRows, judged_in_time
+from .in_time import judged_in_time
 from .measure import RealPicture
 from .shots import Shot, Stretch
 from .tuning import Part, Task, parts_of, tuned
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 TUNED = "tuned on others"
 """Form of the filters' rows."""
@@ -30,7 +33,6 @@ MARGINS = {"psnr_db": "margin_db", "ssim": "margin_ssim"}
 """Figure -> name of what a row has more of it than the best filter."""
 
 _BATCH = 16  # pictures that are in memory at a time
-_LEAST_LIMIT = 4
 _SEARCH_S = 3600.0  # for a stretch
 
 
@@ -48,7 +50,7 @@ class RealRow:
 
     @property
     def kind(self) -> str:
-        """See `Method.kind`; `pictures` are means and medians of several frames."""
+        """See `Method.kind`."""
         return self.methods[0].kind if self.methods else "baseline"
 
 
@@ -86,7 +88,7 @@ class Outcome:
     shown: dict[int, Judged]
     summaries: dict[str, Summary]
     best: dict[str, str]
-    in_time: TimeRows
+    in_time: pd.DataFrame
     notes: list[str]
 
 
@@ -96,7 +98,7 @@ def judge(settings: RealSettings, stretches: Sequence[Stretch], pool: TaskPool) 
     FactoryError when something cannot be read, or there is nothing to judge.
     """
     baselines = baselines_of(settings.baselines)
-    networks = networks_at(settings.models, {})
+    networks = networks_at(settings.models)
     groups, shots, notes = _found(settings, stretches, pool)
     parts = parts_of(groups)
     if groups:
@@ -116,9 +118,9 @@ def judge(settings: RealSettings, stretches: Sequence[Stretch], pool: TaskPool) 
     found, best = summaries(
         rows, measured, member, bool(groups), resamples=settings.bootstrap, seed=settings.seed
     )
-    in_time = judged_in_time(settings, groups, networks, pool)
+    in_time, more = judged_in_time(settings, groups, networks, pool)
     files = [shot.name for shot in shots]
-    notes += in_time.notes
+    notes += more
     return Outcome(groups, parts, files, rows, measured, shown, found, best, in_time, notes)
 
 
@@ -126,13 +128,8 @@ def _found(
     settings: RealSettings, stretches: Sequence[Stretch], pool: TaskPool
 ) -> tuple[list[Group], list[Shot], list[str]]:
     """Static groups, where they are looked for; all shots that can be read; and notes."""
-    shots = [shot for stretch in stretches for shot in stretch.shots]
-    look = settings.groups
-    if look == "auto":
-        # Whoever marked objects in pictures wants to know of all of them.
-        look = all(shot.mask is None for shot in shots)
-    if not look:
-        return [], shots, []
+    if not settings.groups:
+        return [], [shot for stretch in stretches for shot in stretch.shots], []
     waiting = deque((number, one, settings.limit) for number, one in enumerate(stretches))
     searched: dict[int, Searched] = {}
     with progress_bar(total=len(waiting), unit="folder", desc="static groups") as bar:
@@ -149,11 +146,6 @@ def _found(
         notes.append(
             f"no static group was found ({LEAST} frames at least of a scene that stands still), "
             "so there is no truth and nothing to tune filters on"
-        )
-    elif settings.limit is not None and settings.limit < _LEAST_LIMIT:
-        raise FactoryError(
-            f"limit={settings.limit}: a static group needs {_LEAST_LIMIT} frames; give more, or "
-            "groups=false"
         )
     elif left := len(shots) - sum(len(group.shots) for group in groups):
         notes.append(f"{left} other frames are left out (groups=false judges all, without a truth)")
@@ -173,7 +165,7 @@ def _rows_of_groups(
     frames: dict[int, list[Judged]] = {}
     for number, (group, part) in enumerate(zip(groups, parts, strict=True)):
         for fold, places in part.tuning.items():
-            frames.setdefault(fold, []).extend(judged(number, group, places, 0))
+            frames.setdefault(fold, []).extend(judged(number, group, places))
     waiting = deque(
         Task(f, fold, tuple(own)) for f in filters for fold, own in sorted(frames.items())
     )
@@ -188,15 +180,13 @@ def _rows_of_groups(
             else:
                 why = found.reason if isinstance(found, TaskLost) else found
                 lost.setdefault(task.baseline, f"tuning: {why}")
-    rows: list[tuple[Method, ...]] = [(NOISY,)]
+    alive: list[tuple[Method, ...]] = [(NOISY,)]
     for name in filters:
         if name not in lost:
-            rows.append(tuple(Method(name, TUNED, own) for _, own in sorted(points[name].items())))
-    rows += [(one,) for one in networks]
-    for what in ("mean", "median"):
-        rows.append((Method(f"multi-frame {what} ({settings.frames})", "", {}, given=what),))
-    alive = {methods[0].label: RealRow(methods[0].label, methods) for methods in rows}
-    return [*alive.values(), *(RealRow(f"{n} {TUNED}", (), why) for n, why in lost.items())]
+            alive.append(tuple(Method(name, TUNED, own) for _, own in sorted(points[name].items())))
+    alive += [(one,) for one in networks]
+    rows = [RealRow(methods[0].label, methods) for methods in alive]
+    return [*rows, *(RealRow(f"{name} {TUNED}", (), why) for name, why in lost.items())]
 
 
 def _measured(
@@ -217,7 +207,7 @@ def _measured(
         first = 0
         for number, (group, part) in enumerate(zip(groups, parts, strict=True)):
             if part.fold == fold:
-                yield from enumerate(judged(number, group, part.judged, settings.frames), first)
+                yield from enumerate(judged(number, group, part.judged), first)
             first += len(part.judged)
         if not groups:
             yield from enumerate(map(alone, shots))
@@ -243,10 +233,6 @@ def _measured(
                 every.figures.setdefault(label, {}).update(figures)
             every.lost = {**found.lost, **every.lost}
             every.images |= found.images
-    for label, figures in every.figures.items():
-        if not figures:
-            why = "too few frames of every group are left for a reference"
-            every.lost.setdefault(label, why)
     return every, shown
 
 
@@ -265,44 +251,31 @@ def summaries(
     """
     table = measured.table().replace([np.inf, -np.inf], np.nan)
     table["group"] = member[table["picture"].to_numpy(int)]
-    every = range(int(member.max(initial=-1)) + 1)
-    names = [str(number) for number in every]
-    by_group = {
-        label: part.drop(columns=["method", "picture"]).groupby("group").mean().reindex(every)
-        for label, part in table.groupby("method", sort=False)
-    }
-    alive = [row for row in rows if row.label in by_group]
+    names = [str(number) for number in range(int(member.max(initial=-1)) + 1)]
+    by_group = table.drop(columns="picture").groupby(["method", "group"], sort=False).mean()
+    over = by_group.groupby("method", sort=False).mean()
+    alive = [row for row in rows if row.label in over.index]
     filters = [row.label for row in alive if row.kind == "baseline"]
     best = {
-        name: max(filters, key=lambda label: by_group[label][name].mean())
-        for name in MARGINS
-        if filters and name in table
+        name: str(over.loc[filters, name].idxmax()) for name in MARGINS if filters and name in over
     }
     found = {}
     for row in alive:
-        own, pictures = by_group[row.label], table[table["method"] == row.label]
-        if row.kind != "pictures":
-            for name, label in best.items():
-                if row.label != label:
-                    own[MARGINS[name]] = own[name] - by_group[label][name]
-        values = {
-            str(name): own[name].to_numpy(float)
-            for name in own
-            if name != SECONDS and own[name].notna().any()
-        }
+        own = cast("pd.DataFrame", by_group.loc[row.label]).reindex(range(len(names)))
+        for name, label in best.items():
+            if row.label != label:
+                own[MARGINS[name]] = own[name] - by_group.loc[label][name]
+        own = own.drop(columns=SECONDS).dropna(axis="columns", how="all")
+        values = {str(name): own[name].to_numpy(float) for name in own}
         known = {
             n: estimate(one, names, resamples=resamples, seed=seed) for n, one in values.items()
         }
+        pictures = table[table["method"] == row.label]
         means = {name: one.mean for name, one in known.items()}
-        if pictures[SECONDS].notna().any():
-            means[SECONDS] = float(pictures[SECONDS].median())
-        found[row.label] = Summary(
-            means,
-            {n: (e.low, e.high) for n, e in known.items() if static and e.count > 1},
-            values,
-            int((pictures["unchanged"] > 0).sum()),
-            len(pictures),
-        )
+        means[SECONDS] = float(pictures[SECONDS].median())
+        intervals = {n: (e.low, e.high) for n, e in known.items() if static and e.count > 1}
+        unchanged = int((pictures["unchanged"] > 0).sum())
+        found[row.label] = Summary(means, intervals, values, unchanged, len(pictures))
     return found, best
 
 

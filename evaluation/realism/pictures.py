@@ -9,32 +9,26 @@ and range_max_m.
 from __future__ import annotations
 
 import csv
-import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-import yaml
-from pydantic import Field, model_validator
-from pydantic.dataclasses import dataclass
 
-from ...factory.dataset.read.image_stack import ImageStack
-from ...factory.dataset.read.reader import Split, open_shard, reading, shard_paths, value_range
-from ...factory.dataset.read.source import read_image
+from ...factory.dataset.read.reader import Split
 from ...factory.errors import FactoryError
-from ...factory.settings import STRICT, build
-from ...factory.sonar.geometry import FanGeometry, recorded_sonar
-from ...factory.sonar.settings import SonarSettings
+from ...factory.sonar.geometry import FanGeometry
 from ...models.recordings import PICTURE_SUFFIXES, is_recording, kind_of, open_recording
 from ...models.recordings.fan.finder import find_geometry
 from ...models.recordings.fan.pings import frame_picture
 from ...models.recordings.pictures import read_grey
 from ..metrics.statistics import evenly
+from ..pairs import Place, geometry_of, items_of, picture
 from ..settings import Grid
 
 Gray = npt.NDArray[np.float32]
@@ -66,7 +60,7 @@ _SAME = 0.9
 _LEAST = 0.25
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Source:
     """A picture that can be read when its turn comes.
 
@@ -82,7 +76,7 @@ class Source:
         return to_polar(self.read(), self.geometry, grid)
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Collection:
     """Pictures that belong together.  name: what tables call them.  notes: for the report."""
 
@@ -125,6 +119,16 @@ def _lookup(geometry: FanGeometry, grid: Grid, shape: tuple[int, int]) -> tuple[
     return np.ascontiguousarray(columns, np.float32), np.ascontiguousarray(rows, np.float32)
 
 
+def images_of(root: Path) -> Path:
+    """Where the pictures of a folder lie: in its Images/, or in it."""
+    return root / "Images" if (root / "Images").is_dir() else root
+
+
+def has_geometry(root: Path) -> bool:
+    """Whether a folder is one of pictures whose geometry is known."""
+    return (root / "Images").is_dir() or (root / GEOMETRY_FILE).is_file()
+
+
 def open_real(folder: str | Path) -> Collection:
     """The pictures of a folder in the order of their names, or the frames of recordings.
 
@@ -138,16 +142,13 @@ def open_real(folder: str | Path) -> Collection:
         raise FactoryError(
             f"real={root}: no such folder or recording; give one of real sonar pictures"
         )
-    table = root / GEOMETRY_FILE
-    images = root / "Images" if (root / "Images").is_dir() else root
+    table, images = root / GEOMETRY_FILE, images_of(root)
     files = sorted(path for path in images.iterdir() if path.is_file())
     paths = [path for path in files if kind_of(path) == "pictures"]
-    if not paths and (
-        recordings := [path for path in sorted(root.iterdir()) if is_recording(path)]
-    ):
-        return Collection(
-            root.resolve().name, tuple(one for path in recordings for one in recorded(path))
-        )
+    recordings = [path for path in sorted(root.iterdir()) if is_recording(path)]
+    if recordings and not paths:
+        frames = tuple(one for path in recordings for one in recorded(path))
+        return Collection(root.resolve().name, frames)
     if not paths:
         raise FactoryError(
             f"real={root}: no pictures ({', '.join(PICTURE_SUFFIXES)}) there or in its Images/"
@@ -203,57 +204,13 @@ def outline(picture: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
     return np.asarray(left & right)
 
 
-@dataclass(frozen=True, config=STRICT)
-class _Polar:
-    """A line of geometry.csv."""
-
-    hfov_deg: Annotated[float, Field(gt=0, le=180)]
-    range_min_m: Annotated[float, Field(ge=0)] | None = None
-    range_max_m: float | None = None
-
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
-        ends = self.range_min_m, self.range_max_m
-        if ends[0] is not None and ends[1] is not None and not ends[0] < ends[1]:
-            raise ValueError("needs 0 <= range_min_m < range_max_m")
-        return self
-
-
-@dataclass(frozen=True, config=STRICT, kw_only=True)
-class _Fan(_Polar):
-    """A line of geometry.csv."""
-
-    apex_x_px: float
-    apex_y_px: float
-    near_px: Annotated[float, Field(ge=0)]
-    far_px: float
-    x_scale: Annotated[float, Field(gt=0)] = 1.0
-
-    @model_validator(mode="after")
-    def _whole(self) -> Self:
-        if not self.near_px < self.far_px:
-            raise ValueError("needs near_px < far_px")
-        return self
-
-
 def _with_table(table: Path, paths: list[Path]) -> tuple[Source, ...]:
-    lines: dict[str, FanGeometry] = {}
     try:
         with table.open(newline="", encoding="utf-8-sig") as file:
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FactoryError(f"{table}: cannot be read ({error})") from error
-    for number, row in enumerate(rows, start=2):
-        known = {key: text.strip() for key, text in row.items() if key and text and text.strip()}
-        where = f"{table}: line {number}"
-        name, layout = known.pop("file", None), known.pop("layout", "")
-        if name is None:
-            raise FactoryError(f"{where}: no column 'file', or nothing in it")
-        if layout not in ("fan", "polar"):
-            raise FactoryError(f"{where}: layout must be fan or polar, got {layout!r}")
-        values = {**vars(build(_Fan if layout == "fan" else _Polar, known, where))}
-        sector_rad = math.radians(values.pop("hfov_deg"))
-        lines[name] = getattr(FanGeometry, layout)(sector_rad, **values)
+    lines = dict(_line(row, f"{table}: line {number}") for number, row in enumerate(rows, start=2))
     absent = sorted(set(lines) - {"*"} - {path.name for path in paths})
     if absent:
         raise FactoryError(f"{table}: {absent[0]} is listed but there is no such picture")
@@ -264,6 +221,27 @@ def _with_table(table: Path, paths: list[Path]) -> tuple[Source, ...]:
             raise FactoryError(f"{table}: no line for {path.name}; add one, or one for all: *")
         sources.append(Source(path.name, geometry, partial(read_grey, path)))
     return tuple(sources)
+
+
+def _line(row: Mapping[str, str | None], where: str) -> tuple[str, FanGeometry]:
+    """The picture's name and geometry in a line of geometry.csv.  Raises FactoryError."""
+    known = {key: text.strip() for key, text in row.items() if key and text and text.strip()}
+    name, layout = known.pop("file", None), known.pop("layout", "")
+    if name is None:
+        raise FactoryError(f"{where}: no column 'file', or nothing in it")
+    if layout not in ("fan", "polar"):
+        raise FactoryError(f"{where}: layout must be fan or polar, got {layout!r}")
+    try:
+        values = {key: float(text) for key, text in known.items()}
+        for low, high in (("range_min_m", "range_max_m"), ("near_px", "far_px")):
+            if not 0 <= values.get(low, 0) < values.get(high, math.inf):
+                raise ValueError(f"needs 0 <= {low} < {high}")
+        if not 0 < (sector_deg := values.pop("hfov_deg")) <= 180 or values.get("x_scale", 1) <= 0:
+            raise ValueError("needs 0 < hfov_deg <= 180 and x_scale > 0")
+        geometry: FanGeometry = getattr(FanGeometry, layout)(math.radians(sector_deg), **values)
+    except (ValueError, TypeError, KeyError) as error:
+        raise FactoryError(f"{where}: {error}; docs/realism.md has the columns") from error
+    return name, geometry
 
 
 def recorded(path: Path) -> tuple[Source, ...]:
@@ -297,50 +275,27 @@ def _frame(path: Path, number: int) -> Gray:
 def open_dataset(folder: str | Path, split: Split, layer: str = "noisy") -> Collection:
     """The pictures of a dataset folder.  Raises FactoryError when there are none to compare."""
     root = Path(folder).expanduser()
-    paths = shard_paths(root, split)
-    sonar = _sonar(root)
     sources: list[Source] = []
-    narrow = 0
-    for path in paths:
-        with open_shard(path) as file:
-            meta = file["meta"][:]
-            full = np.float32(value_range(file))
-        for row in range(len(meta)):
-            geometry = FanGeometry.from_record(sonar, meta[row])
-            first, last = geometry.data_fraction
-            if last - first < _LEAST:
-                narrow += 1
-                continue
-            name = f"{path.relative_to(root)}[{row}]"
-            sources.append(Source(name, geometry, partial(_read, path, layer, row, full)))
+    items = items_of(root, split)
+    for item in items:
+        geometry = geometry_of(item.place)
+        if geometry is None:
+            raise FactoryError(
+                f"sim={root}: {item.shard} does not say how its pictures are laid out"
+            )
+        first, last = geometry.data_fraction
+        if last - first >= _LEAST:
+            name = f"{item.shard}[{item.place[1]}]"
+            sources.append(Source(name, geometry, partial(_layer, item.place, layer)))
+    narrow = f"the camera saw less than {_LEAST:.0%} of the sector"
     if not sources:
-        raise FactoryError(
-            f"sim={root}: the camera saw less than {_LEAST:.0%} of the sector in every picture; "
-            "use a narrower sonar.hfov_deg"
-        )
-    notes = [
-        f"{len(sources)} {layer} pictures of {root.name}, sonar {sonar.name}, "
-        f"{sonar.hfov_deg:g} degrees, {sonar.image.layout}"
-    ]
-    if narrow:
-        notes.append(f"{narrow} left out: the camera saw less than {_LEAST:.0%} of the sector")
+        raise FactoryError(f"sim={root}: {narrow} in every picture; use a narrower sonar.hfov_deg")
+    notes = [f"{len(sources)} {layer} pictures of {root.name}, {sources[0].geometry.layout}"]
+    if left := len(items) - len(sources):
+        notes.append(f"{left} left out: {narrow}")
     return Collection(root.resolve().name, tuple(sources), tuple(notes))
 
 
-def _read(path: Path, layer: str, row: int, full: np.float32) -> Gray:
-    with reading(path) as file:
-        picture = read_image(ImageStack(file[layer]), layer, row)
-    return np.asarray(picture, np.float32) / full
-
-
-def _sonar(root: Path) -> SonarSettings:
-    try:
-        sonar = recorded_sonar(yaml.safe_load((root / "config.yaml").read_text(encoding="utf-8")))
-    except (OSError, yaml.YAMLError, UnicodeDecodeError):
-        sonar = None
-    if sonar is None:
-        raise FactoryError(
-            f"sim={root}: config.yaml does not say how its pictures are laid out; finish the "
-            "dataset with the command that began it"
-        )
-    return sonar
+def _layer(place: Place, layer: str) -> Gray:
+    pair = picture(place)
+    return pair.noisy if layer == "noisy" else pair.clean

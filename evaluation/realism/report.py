@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ..report.page import as_data_uri, as_json, own_file, render, write_files
+import numpy as np
+from markupsafe import Markup
+
+from ..report.charts import as_svg
+from ..report.page import as_data_uri, as_json, render, write_files
 from ..report.tables import as_markdown, as_table, plain
 from ..settings import RealismSettings
-from .compare import Comparison, Interval, compare, overall
-from .measure import Measured, measure
-from .pictures import GEOMETRY_FILE, Collection, open_dataset, open_real
-from .plots import distributions, ratios
+from .compare import REAL, STATISTICS, compare, overall
+from .measure import measure
+from .pictures import Collection, has_geometry, open_dataset, open_real
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _OVERALL = {
     "geometric_mean_ratio": "mean ratio",
@@ -26,21 +32,37 @@ _OVERALL = {
 def evaluate(settings: RealismSettings) -> None:
     """Measure, compare, print the table and write the report.  Raises FactoryError."""
     real = open_real(settings.real).at_most(settings.limit)
-    collections = {"real": real, **_simulations(settings)}
+    collections = {REAL: real, **_simulations(settings)}
     measured = {name: measure(item, settings.grid) for name, item in collections.items()}
-    comparisons = compare(
-        measured["real"],
-        {name: one for name, one in measured.items() if name != "real"},
+    compared = compare(
+        measured.pop(REAL),
+        measured,
         resamples=settings.resamples,
         halves=settings.halves,
         seed=settings.seed,
     )
-    first = next(name for name in collections if name != "real")
-    out = Path(settings.out or Path("outputs", "realism", first))
-    write(out, settings, collections, measured, comparisons)
-    for note in (note for item in collections.values() for note in item.notes):
-        print(note)
-    print(table(comparisons))
+    out = Path(settings.out or Path("outputs", "realism", next(iter(measured))))
+    facts = _facts(settings, collections, compared)
+    shown = table(compared)
+    # Far range on top.
+    pictures = {
+        name: [as_data_uri(one.polar(settings.grid)[::-1]) for one in collection.at_most(8).sources]
+        for name, collection in collections.items()
+    }
+    title, rule = f"Simulated against real: {facts['real']}", _explanation(facts)
+    page = render(
+        "realism.html",
+        title=title,
+        notes=facts["notes"],
+        table=shown,
+        explanation=rule,
+        chart=_chart(compared),
+        pictures=pictures,
+    )
+    notes = "".join(f"- {note}\n" for note in facts["notes"])
+    markdown = f"# {title}\n\n{notes}\n{as_markdown(shown, 'llr')}\n\n{rule}\n"
+    write_files(out, {"realism.json": as_json(facts), "realism.md": markdown, "realism.html": page})
+    print(*facts["notes"], as_markdown(shown, "llr"), sep="\n")
     print(f"report: {out / 'realism.html'}")
 
 
@@ -49,65 +71,38 @@ def _simulations(settings: RealismSettings) -> dict[str, Collection]:
     found: dict[str, Collection] = {}
     for folder in settings.sim:
         path = Path(folder).expanduser()
-        pictures = (path / GEOMETRY_FILE).is_file() or (path / "Images").is_dir()
         opened = (
-            open_real(path) if pictures else open_dataset(path, settings.sim_split, settings.layer)
+            open_real(path)
+            if has_geometry(path)
+            else open_dataset(path, settings.sim_split, settings.layer)
         )
         name, number = opened.name, 2
-        while name in found or name == "real":
+        while name in found or name == REAL:
             name, number = f"{opened.name} {number}", number + 1
         found[name] = opened.at_most(settings.limit)
     return found
 
 
-def write(
-    out: Path,
-    settings: RealismSettings,
-    collections: Mapping[str, Collection],
-    measured: Mapping[str, Measured],
-    comparisons: Sequence[Comparison],
-) -> None:
-    """Write realism.json, realism.md and realism.html into `out`.
-
-    collections, measured: "real" first, then the simulations.  Raises FactoryError when the folder
-    cannot be written.
-    """
-    facts = _facts(settings, collections, comparisons)
-    # Far range on top.
-    pictures = {
-        name: [as_data_uri(one.polar(settings.grid)[::-1]) for one in collection.at_most(8).sources]
-        for name, collection in collections.items()
-    }
-    page = render(
-        "realism.html",
-        {"number": number, "times": times},
-        css=own_file("page.css"),
-        title=f"Simulated against real: {facts['real']}",
-        facts=facts,
-        names=list(comparisons[0].distance),
-        comparisons=comparisons,
-        sums=sums(comparisons),
-        explanation=_explanation(facts),
-        ratios=ratios(comparisons),
-        distributions=distributions(measured),
-        pictures=pictures,
-    )
-    markdown = (
-        f"# Simulated against real: {facts['real']}\n\n"
-        + "".join(f"- {note}\n" for note in facts["notes"])
-        + f"\n{table(comparisons)}\n\n{_explanation(facts)}\n"
-    )
-    write_files(out, {"realism.json": as_json(facts), "realism.md": markdown, "realism.html": page})
-
-
 def _facts(
-    settings: RealismSettings,
-    collections: Mapping[str, Collection],
-    comparisons: Sequence[Comparison],
+    settings: RealismSettings, collections: Mapping[str, Collection], compared: pd.DataFrame
 ) -> dict[str, Any]:
-    names = list(comparisons[0].distance)
+    names = [name for name in collections if name != REAL]
+    statistics = {}
+    for statistic, part in compared.groupby("statistic", sort=False):
+        lines = {
+            name: {key: plain(value) for key, value in line.items()}
+            for name, line in part.set_index("against")[["mean", "low", "high"]].T.items()
+        }
+        about = STATISTICS[str(statistic)]
+        statistics[statistic] = {
+            "label": about.label,
+            "unit": about.unit,
+            "baseline": lines[REAL],
+            "distance": {name: lines[name] for name in names},
+            "ratio": {name: plain(part.set_index("against")["ratio"][name]) for name in names},
+        }
     return {
-        "real": collections["real"].name,
+        "real": collections[REAL].name,
         "pictures": {name: len(item.sources) for name, item in collections.items()},
         "notes": [note for item in collections.values() for note in item.notes],
         "grid": asdict(settings.grid),
@@ -117,24 +112,10 @@ def _facts(
         "resamples": settings.resamples,
         "seed": settings.seed,
         "overall": {
-            name: {key: plain(v) for key, v in overall(comparisons, name).items()} for name in names
+            name: {key: plain(v) for key, v in overall(compared, name).items()} for name in names
         },
-        "statistics": {
-            item.statistic.name: {
-                "label": item.statistic.label,
-                "unit": item.statistic.unit,
-                "what": item.statistic.what,
-                "baseline": _interval(item.baseline),
-                "distance": {name: _interval(item.distance[name]) for name in names},
-                "ratio": {name: plain(item.ratio(name)) for name in names},
-            }
-            for item in comparisons
-        },
+        "statistics": statistics,
     }
-
-
-def _interval(interval: Interval) -> dict[str, float | None]:
-    return {key: plain(value) for key, value in asdict(interval).items()}
 
 
 def _explanation(facts: Mapping[str, Any]) -> str:
@@ -145,33 +126,51 @@ def _explanation(facts: Mapping[str, Any]) -> str:
         "they are shown. 'real' is the distance between two halves of the real pictures "
         f"({halves} halves), which a perfect simulation would reach; a ratio is a distance over "
         f"it. All sets in a comparison have one size ({facts['half']}). Figures are means of "
-        f"{resamples} half samples, intervals their 2.5 and 97.5 percentiles."
+        f"{resamples} half samples; intervals, their 2.5 and 97.5 percentiles, are in the chart."
     )
 
 
-def table(comparisons: Sequence[Comparison]) -> str:
-    """Markdown: the baseline, every simulation's distance, and how many times the baseline."""
-    names = list(comparisons[0].distance)
-    head = ["real against", "unit", "real", *(cell for name in names for cell in (name, "ratio"))]
+def table(compared: pd.DataFrame) -> pd.DataFrame:
+    """As text: the baseline, every simulation's distance, and how many times the baseline."""
+    names = [name for name in compared["against"].unique() if name != REAL]
+    head = ["real against", "unit", REAL, *(cell for name in names for cell in (name, "ratio"))]
     rows = []
-    for item in comparisons:
-        cells = [item.statistic.label, item.statistic.unit, number(item.baseline.mean)]
+    for statistic, part in compared.groupby("statistic", sort=False):
+        found, about = part.set_index("against"), STATISTICS[str(statistic)]
+        cells = [about.label, about.unit, number(found["mean"][REAL])]
         for name in names:
-            cells += [number(item.distance[name].mean), times(item.ratio(name))]
+            cells += [number(found["mean"][name]), times(found["ratio"][name])]
         rows.append(cells)
-    for label, values in sums(comparisons):
-        rows.append([f"**{label}**", "", "", *(cell for value in values for cell in ("", value))])
-    return as_markdown(as_table(head, rows), "llr")
+    sums = [overall(compared, name) for name in names]
+    for key, label in _OVERALL.items():
+        form = "{:.0%}".format if key == "within_2" else times
+        rows.append([label, "", "", *(cell for one in sums for cell in ("", form(one[key])))])
+    return as_table(head, rows)
 
 
-def sums(comparisons: Sequence[Comparison]) -> list[tuple[str, list[str]]]:
-    """(label, its value for each simulation) of the figures that sum up the whole table."""
-    found = [overall(comparisons, name) for name in comparisons[0].distance]
-    return [(label, [_sum(key, one[key]) for one in found]) for key, label in _OVERALL.items()]
+def _chart(compared: pd.DataFrame) -> Markup:
+    """Distance over baseline of every statistic, logarithmic."""
+    from matplotlib.figure import Figure  # a Figure needs no display
 
-
-def _sum(key: str, value: float) -> str:
-    return f"{value:.0%}" if key == "within_2" and math.isfinite(value) else times(value)
+    statistics = list(compared["statistic"].unique())
+    figure = Figure(figsize=(8.5, 0.9 + 0.32 * len(statistics)), layout="constrained")
+    axis = figure.subplots()
+    heights = np.arange(len(statistics))[::-1].astype(np.float64)
+    axis.axvspan(1e-3, 2, color="black", alpha=0.1, lw=0)
+    names = [name for name in compared["against"].unique() if name != REAL]
+    for place, name in enumerate(names):
+        rows = compared[compared["against"] == name]
+        base = rows["mean"] / rows["ratio"]
+        middle, low, high = ((rows[key] / base).clip(lower=0.05) for key in ("mean", "low", "high"))
+        at = heights - 0.22 * (place - (len(names) - 1) / 2)
+        bars = [(middle - low).clip(lower=0), (high - middle).clip(lower=0)]
+        axis.errorbar(middle, at, xerr=bars, fmt="o", ms=5, label=name)
+    axis.set(xscale="log", xlabel="distance to real over that of two halves of real (shaded: to 2)")
+    labels = [STATISTICS[one] for one in statistics]
+    axis.set_yticks(heights, [f"{one.label} {one.unit}".strip() for one in labels])
+    axis.set_xlim(0.3, max(3.0, axis.get_xlim()[1]))
+    axis.legend()
+    return as_svg(figure, "distance over baseline")
 
 
 def number(value: float) -> str:

@@ -8,23 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..filters import REGISTRY
 from ..metrics.fidelity import PSNR_CAP_DB
-from ..metrics.statistics import (
-    Estimate,
-    Paired,
-    estimate,
-    frames_needed,
-    holm,
-    paired,
-)
+from ..metrics.statistics import Estimate, estimate, frames_needed, holm, paired
 from ..settings import EvaluationSettings
 from . import paper
 from .measure import Row
 from .tables import METRIC_NAMES, interval, percent, plain, written_p
 
 if TYPE_CHECKING:
-    from ..item import Item
+    from ..pairs import Item
 
 SCHEMA = "simnfnd-report/1"
 _COMPARED = ("psnr", "ssim", "gmsd", "psnr_fan", "ssim_fan", "gmsd_fan", "shadow_iou")
@@ -78,26 +70,19 @@ def best_classical(
     On validation pairs where baselines are tuned, so that the choice has not seen the test pairs.
     Baselines of several looks see more than a network does and do not count.
     """
-    several = {baseline.name for baseline in REGISTRY.values() if baseline.looks}
-    labels = {
-        row["label"]
-        for row in rows
-        if row["kind"] == "baseline" and row["lost"] is None and row["name"] not in several
-    }
-    on_validation = {
-        f"{name} {form}": float(entry[key]["psnr_levels"])
-        for name, entry in tuned.items()
-        for form, key in (("+ levels", "default"), ("tuned + levels", "tuned_levels"))
-    }
-    known = {label: value for label, value in on_validation.items() if label in labels}
-    if known:
-        return max(known, key=lambda label: known[label]), "validation pairs"
-    measured = {
+    psnr = {
         row["label"]: float(row["metrics"]["psnr"]["mean"])
         for row in rows
-        if row["label"] in labels
+        if row["kind"] == "baseline" and row["lost"] is None and not row["looks"]
     }
-    return max(measured, key=lambda label: measured[label], default=None), "these very pairs"
+    known = {
+        label: float(entry[key]["psnr_levels"])
+        for name, entry in tuned.items()
+        for form, key in (("+ levels", "default"), ("tuned + levels", "tuned_levels"))
+        if (label := f"{name} {form}") in psnr
+    }
+    chosen, on = (known, "validation pairs") if known else (psnr, "these very pairs")
+    return max(chosen, key=chosen.__getitem__, default=None), on
 
 
 def verdict(content: Mapping[str, Any]) -> str:
@@ -185,15 +170,9 @@ def shown_rows(rows: Sequence[Mapping[str, Any]], most: int) -> list[str]:
     return ["noisy", *best[:most]]
 
 
-def as_dict(item: Estimate) -> dict[str, Any]:
+def _as_dict(item: Estimate) -> dict[str, Any]:
     """An estimate for JSON."""
-    return {
-        "mean": plain(item.mean),
-        "low": plain(item.low),
-        "high": plain(item.high),
-        "median": plain(item.median),
-        "count": item.count,
-    }
+    return {name: value if name == "count" else plain(value) for name, value in vars(item).items()}
 
 
 def _row(
@@ -205,29 +184,22 @@ def _row(
 ) -> dict[str, Any]:
     method = row.method
     cost = costs.get(method.label, {})
-    metrics = {
-        name: as_dict(estimate(values, groups, resamples=settings.bootstrap, seed=settings.seed))
-        for name, values in row.values.items()
-    }
+    options = {"resamples": settings.bootstrap, "seed": settings.seed}
+    compared = row.lost is None and method.kind != "noisy"
     return {
-        "label": method.label,
-        "name": method.name,
-        "form": method.form,
-        "kind": method.kind,
-        "looks": method.looks,
+        **{name: getattr(method, name) for name in ("label", "name", "form", "kind", "looks")},
         "parameters": dict(method.parameters),
-        "levels": None
-        if method.levels is None
-        else {"gain": method.levels.gain, "offset": method.levels.offset},
+        "levels": None if method.levels is None else vars(method.levels),
         "ablation": method.ablation,
         "milliseconds": plain(row.milliseconds),
         "gmac": cost.get("gmac"),
         "weights": cost.get("parameters"),
         "lost": row.lost,
-        "metrics": metrics,
-        "against_noisy": {}
-        if row.lost or method.kind == "noisy"
-        else _compared(row, noisy, groups, settings),
+        "metrics": {
+            name: _as_dict(estimate(values, groups, **options))
+            for name, values in row.values.items()
+        },
+        "against_noisy": _compared(row, noisy, groups, settings) if compared else {},
         "against_best": {},
     }
 
@@ -235,9 +207,11 @@ def _row(
 def _compared(
     row: Row, other: Row, groups: Sequence[str], settings: EvaluationSettings
 ) -> dict[str, Any]:
-    return {
-        name: paired_dict(
-            paired(
+    """Pair by pair, metric by metric."""
+    found = {}
+    for name in _COMPARED:
+        if name in row.values and name in other.values:
+            result = paired(
                 row.values[name],
                 other.values[name],
                 groups,
@@ -245,15 +219,9 @@ def _compared(
                 resamples=settings.bootstrap,
                 seed=settings.seed,
             )
-        )
-        for name in _COMPARED
-        if name in row.values and name in other.values
-    }
-
-
-def paired_dict(result: Paired) -> dict[str, Any]:
-    """A paired comparison for JSON."""
-    return {**as_dict(result.difference), "p": plain(result.p), "wins": plain(result.wins)}
+            both = {"p": plain(result.p), "wins": plain(result.wins)}
+            found[name] = _as_dict(result.difference) | both
+    return found
 
 
 def _adjust(rows: Sequence[dict[str, Any]], key: str) -> None:

@@ -12,9 +12,8 @@ import numpy.typing as npt
 from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.tasks import TaskPool
 from ..filters.base import Gray
-from ..item import Item
 from ..methods import NOISY, Method
-from ..pairs import Pair, picture
+from ..pairs import Item, Pair, picture
 from ..runner import SECONDS, Measured, Subject, run
 from ..settings import EvaluationSettings
 from ..store import FigureStore
@@ -55,8 +54,6 @@ def measured_rows(
     methods: Sequence[Method],
     store: FigureStore,
     pool: TaskPool,
-    *,
-    title: str = "measuring",
 ) -> list[Row]:
     """The rows of the methods, the noisy images' first; what the store has is not done again.
 
@@ -65,7 +62,7 @@ def measured_rows(
     every = list({method.label: method for method in (NOISY, *methods)}.values())
     picture.cache_clear()  # files may have changed since the last report of this process
     total = len(every) * len(items)
-    with progress_bar(total=total, unit="image", desc=title) as bar:
+    with progress_bar(total=total, unit="image", desc="measuring") as bar:
         measured = run(
             every,
             [_pairs(settings, items)],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from importlib.resources import files as resources
@@ -22,12 +21,12 @@ from ...factory.files import explain_os_errors, write_atomically
 from . import charts, tables
 from .content import best_forms, verdict
 from .measure import Example, Row
-from .tables import METRIC_NAMES, TABLE_METRICS, as_markdown
+from .tables import METRIC_NAMES, as_markdown
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from ..item import Item
+    from ..pairs import Item
 
 PAGE_NAME, REPORT_NAME, RESULTS_NAME = "report.html", "report.json", "results.csv"
 
@@ -42,16 +41,10 @@ def write_results(
     """results.csv: a line for each row of the report and pair, with what was drawn for it."""
     import pandas as pd
 
+    own = ("location", "scene", "frame", "variant")
     pairs = pd.DataFrame(
-        {
-            "shard": [item.shard for item in items],
-            "index": [item.place[1] for item in items],
-            "pair": [item.key for item in items],
-            **{
-                name: [getattr(item, name) for item in items]
-                for name in ("location", "scene", "frame", "variant")
-            },
-        }
+        [(i.shard, i.place[1], i.key, i.location, i.scene, i.frame, i.variant) for i in items],
+        columns=["shard", "index", "pair", *own],
     )
     more = pd.DataFrame({name: values for name, values in drawn.items() if name not in pairs})
     parts = []
@@ -89,7 +82,7 @@ def read_results(folder: Path) -> pd.DataFrame:
 
 
 def write(out: Path, content: Content, examples: Sequence[Example]) -> None:
-    """report.json, report.md, report.html, leaderboard.tex and .png.
+    """report.json, report.md, report.html and leaderboard.tex.
 
     Raises FactoryError when the folder cannot be written to.
     """
@@ -101,7 +94,6 @@ def write(out: Path, content: Content, examples: Sequence[Example]) -> None:
             PAGE_NAME: html(content, examples),
             "report.md": markdown(content),
             "leaderboard.tex": tables.as_latex(rows),
-            "leaderboard.png": charts.leaderboard(content),
         },
     )
 
@@ -132,8 +124,7 @@ def markdown(content: Content) -> str:
     facts, rows = content["facts"], content["rows"]
     parts = [
         f"# Report: {facts['dataset']}, {facts['split']} split",
-        f"{facts['pairs']} pairs of {facts['frames']} frames in {len(facts['scenes'])} scene(s) "
-        f"({facts['image']}; config {facts['config_hash'] or 'unknown'}).",
+        f"{_about(facts)}.",
         "## Leaderboard",
         *folded(rows),
         facts["few_frames"],
@@ -149,12 +140,7 @@ def markdown(content: Content) -> str:
     parts += ["## More metrics", as_markdown(tables.more_metrics(rows))]
     if content["breakdown"]:
         parts.append("## Mean PSNR in dB by place, noise and resampling (number of pairs)")
-        parts += [as_markdown(tables.breakdown(entry)) for entry in content["breakdown"]]
-    for place, entry in enumerate(content["robustness"]):
-        how = ", ".join(f"{key} = {value}" for key, value in entry["differs"].items()) or "nothing"
-        parts += ["## Other noise"] if not place else []
-        parts.append(f"**{entry['dataset']}** ({entry['pairs']} pairs; differs in {how})")
-        parts.append(as_markdown(tables.robustness(entry)))
+        parts += [as_markdown(table) for table in _breakdown(content)]
     parts += ["## How it was measured", *facts["rules"]]
     return "\n\n".join(filter(None, parts)) + "\n"
 
@@ -174,40 +160,39 @@ def html(content: Content, examples: Sequence[Example]) -> str:
     has_costs = any(row["gmac"] for row in rows)
     return render(
         "report.html",
-        css=own_file("page.css"),
-        script=own_file("page.js"),
         content=content,
         rows=rows,
         best=best_forms(rows),
         title=f"{facts['dataset']}, {facts['split']} split",
-        about=(
-            f"{facts['pairs']} pairs of {facts['frames']} frames in {len(facts['scenes'])} "
-            f"scene(s), {facts['image']} pixels, config {facts['config_hash'] or 'unknown'}"
-        ),
+        about=_about(facts),
         board_metrics=board,
         # Method, the metrics, four columns about PSNR, time and cost.
         board_width=len(board) + 6 + has_costs,
         has_costs=has_costs,
         more_metrics=[name for name in METRIC_NAMES if tables.has(rows, name)],
-        paper_metrics=TABLE_METRICS,
+        paper=[tables.beside_paper(content[name]) for name in ("table_2", "table_3")],
         # In parts; every second one is the name of a row.
         verdict=[(part, bool(n % 2)) for n, part in enumerate(verdict(content).split("`"))],
         examples=_data(examples),
         cost_curves=charts.cost(content),
-        breakdown=[(entry, charts.gain(entry)) for entry in content["breakdown"]],
-        robustness=content["robustness"],
-        robustness_curve=charts.robustness(content),
+        breakdown=_breakdown(content),
     )
 
 
-def render(template: str, filters: Mapping[str, Any] | None = None, **values: Any) -> str:
-    """A page of templates/ as text, everything from outside escaped.
+def _about(facts: Content) -> str:
+    return (
+        f"{facts['pairs']} pairs of {facts['frames']} frames in {len(facts['scenes'])} scene(s) "
+        f"({facts['image']}; config {facts['config_hash'] or 'unknown'})"
+    )
 
-    filters: further ones that the template uses.
-    """
-    environment = _environment().overlay()
-    environment.filters = {**environment.filters, **(filters or {})}
-    return environment.get_template(template).render(**values).lstrip()
+
+def _breakdown(content: Content) -> list[pd.DataFrame]:
+    return [tables.as_table(one["columns"], one["data"]) for one in content["breakdown"]]
+
+
+def render(template: str, **values: Any) -> str:
+    """A page of templates/ as text, everything from outside escaped."""
+    return _environment().get_template(template).render(**values).lstrip()
 
 
 def own_file(name: str) -> Markup:
@@ -242,10 +227,6 @@ def _environment() -> Environment:
         keep_trailing_newline=True,
     )
     environment.globals |= {"METRICS": METRIC_NAMES, "own_file": own_file}
-    environment.tests["finite"] = math.isfinite
     names = ("chosen", "interval", "percent", "written", "written_p")
     environment.filters |= {name: getattr(tables, name) for name in names}
-    environment.filters["differences"] = lambda differs: ", ".join(
-        f"{key} = {value}" for key, value in differs.items()
-    )[:80]
     return environment

@@ -149,30 +149,6 @@ def beside_paper(table: Sequence[Content]) -> pd.DataFrame:
     return as_table(["row", "paper PSNR / SSIM / GMSD", "ours", "which row here"], lines)
 
 
-def breakdown(entry: Content) -> pd.DataFrame:
-    """Mean PSNR of the rows in each bin of a factor."""
-    head = [entry["factor"], *(f"{one['label']} ({one['pairs']})" for one in entry["bins"])]
-    lines = [
-        [label, *(written(one["mean"], 2) for one in values)]
-        for label, values in entry["rows"].items()
-    ]
-    return as_table(head, lines)
-
-
-def robustness(entry: Content) -> pd.DataFrame:
-    """PSNR, gain, SSIM and GMSD of the rows on another dataset."""
-    lines: list[list[str]] = []
-    for label, row in entry["rows"].items():
-        if row["lost"]:
-            lines.append([label, f"lost: {row['lost']}", "", "", ""])
-            continue
-        gain = row["gain"]
-        both = "" if label == "noisy" else f"{gain['mean']:+.2f} ({interval(gain, 2)})"
-        ssim, gmsd = (f"{row[name]['mean']:.3f}" for name in ("ssim", "gmsd"))
-        lines.append([label, f"{row['psnr']['mean']:.2f}", both, ssim, gmsd])
-    return as_table(["method", "PSNR, dB", "against noisy, dB", "SSIM", "GMSD"], lines)
-
-
 def as_latex(rows: Sequence[Content]) -> str:
     """A tabular of booktabs: PSNR with interval, SSIM, GMSD, wins; the best of each column bold."""
     alive = [row for row in rows if row["lost"] is None]

@@ -7,17 +7,14 @@ import webbrowser
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
-
 from ...factory.cli import Parser
 from ...factory.dataset.describe.preview import Shown, draw, preview
 from ...factory.errors import FactoryError
 from ...factory.files import write_atomically
-from ...models.recordings import is_recording, open_recording
-from ...models.recordings.base import Frame
-from ...models.recordings.fan.pings import fan_of, grey_of
+from ...models.recordings import is_recording
+from ..metrics.statistics import evenly
 from .server import Viewer
-from .shown import open_shown
+from .shown import ShownRecording, open_shown
 
 
 def view(words: list[str]) -> None:
@@ -65,20 +62,13 @@ def _of_recording(source: Path, out: Path | None, frames: int) -> Path:
         raise FactoryError(f"{source}: a recording has no folder of its own; give --out FILE.png")
     if frames < 1:
         raise FactoryError(f"--pairs must be at least 1, got {frames}")
-    with open_recording(source) as recording:
-        count = len(recording)
-        numbers = sorted({k * count // min(frames, count) for k in range(min(frames, count))})
-        shown = [_shown(recording[number], number) for number in numbers]
+    recording = ShownRecording(source)
+    count = len(recording)
+    shown = []
+    for number in evenly(range(count), frames):
+        picture = recording.picture(number, 0)
+        grey = picture.mean(axis=-1) if picture.ndim == 3 else picture
+        extent = (0.0, float(grey.shape[1]), float(grey.shape[0]), 0.0)
+        shown.append(Shown(f"frame {number}", {"picture": grey}, 255.0, ("row", "column"), extent))
     write_atomically(out, draw(shown, source.name, f"{count} frames"), key="--out")
     return out
-
-
-def _shown(frame: Frame, number: int) -> Shown:
-    grey = grey_of(frame)
-    if frame.beams is not None:
-        grey, _ = fan_of(grey, frame.beams)
-    elif grey.ndim == 3:
-        grey = np.asarray(grey[..., :3].mean(axis=-1), np.float32)
-    height, width = grey.shape
-    extent = (0.0, float(width), float(height), 0.0)
-    return Shown(f"frame {number}", {"picture": grey}, 1.0, ("row", "column"), extent)

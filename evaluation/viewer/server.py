@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import math
 import re
 import secrets
 import socket
@@ -13,17 +12,15 @@ import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qsl
 
 from PIL import Image
 
 from ...factory.errors import FactoryError
-from .shown import Picture, Shown
+from .shown import Shown
 
 ADDRESS = "127.0.0.1"
 _PAGE = Path(__file__).with_name("page.html")
-_PICTURE = re.compile(r"/picture/(\d{1,12})/(\d{1,3})\.png")
-_FACTS = re.compile(r"/facts/(\d{1,12})\.json")
+_ASKED = re.compile(r"/(?:picture|facts)/(\d{1,12})(?:/(\d{1,3})\.png|\.json)")
 
 
 class Viewer(ThreadingHTTPServer):
@@ -66,42 +63,35 @@ class _Handler(BaseHTTPRequestHandler):
         ):
             self._send(403, "text/plain", b"not for other names")
             return
-        path, _, query = self.path.partition("?")
-        _, _, rest = path.partition("/")
-        token, slash, wanted = rest.partition("/")
+        token, slash, wanted = self.path.removeprefix("/").partition("/")
         # In bytes, because a path may have any letters.
         if not secrets.compare_digest(token.encode(), self.server.token.encode()):
             self._send(403, "text/plain", b"open the address that `simnfnd view` printed")
             return
         try:
             with self.server.lock:
-                kind, content = self._answer(slash + wanted, query)
+                kind, content = self._answer(slash + wanted)
             self._send(200, kind, content)
         except LookupError:
             self._send(404, "text/plain", b"not found")
         except FactoryError as error:
             self._send(500, "text/plain; charset=utf-8", str(error).encode())
 
-    def _answer(self, path: str, query: str = "") -> tuple[str, bytes]:
+    def _answer(self, path: str) -> tuple[str, bytes]:
         shown = self.server.shown
         if path == "/":
             return "text/html; charset=utf-8", _PAGE.read_bytes()
         if path == "/about.json":
-            about = {name: getattr(shown, name) for name in ("title", "layers", "scenes", "ranges")}
-            return _json(about | {"count": len(shown)})
-        if path == "/found.json":
-            return _json(shown.found(*_wanted(query)))
-        if found := _PICTURE.fullmatch(path):
-            number, layer = map(int, found.groups())
-            if number >= len(shown) or layer >= len(shown.layers):
-                raise LookupError
-            return "image/png", _png(shown.picture(number, layer))
-        if found := _FACTS.fullmatch(path):
-            number = int(found[1])
-            if number >= len(shown):
-                raise LookupError
+            return _json({"title": shown.title, "layers": shown.layers, "count": len(shown)})
+        found = _ASKED.fullmatch(path)
+        number, layer = (int(one or 0) for one in found.groups()) if found else (len(shown), 0)
+        if number >= len(shown) or layer >= len(shown.layers):
+            raise LookupError
+        if path.startswith("/facts"):
             return _json(shown.facts(number))
-        raise LookupError
+        buffer = io.BytesIO()
+        Image.fromarray(shown.picture(number, layer)).save(buffer, "PNG", compress_level=1)
+        return "image/png", buffer.getvalue()
 
     def _send(self, code: int, kind: str, content: bytes) -> None:
         self.send_response(code)
@@ -116,38 +106,6 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, *_: object) -> None:
         """Nothing: the terminal is the user's."""
-
-
-def _png(picture: Picture) -> bytes:
-    buffer = io.BytesIO()
-    # Blue comes first in ours.
-    Image.fromarray(picture[..., ::-1] if picture.ndim == 3 else picture).save(
-        buffer, "PNG", compress_level=1
-    )
-    return buffer.getvalue()
-
-
-def _wanted(query: str) -> tuple[str | None, dict[str, tuple[float, float]]]:
-    """`scene=NAME&in:COLUMN=LEAST..MOST` in parts; LookupError for other words."""
-    scene, ranges = None, {}
-    try:
-        fields = parse_qsl(query, max_num_fields=50)
-    except ValueError:  # too many
-        raise LookupError(query[:80]) from None
-    for key, value in fields:
-        if key == "scene":
-            scene = value
-            continue
-        kind, _, column = key.partition(":")
-        least, dots, most = value.partition("..")
-        try:
-            ends = float(least or -math.inf), float(most or math.inf)
-        except ValueError:
-            raise LookupError(value) from None
-        if kind != "in" or not dots:
-            raise LookupError(key)
-        ranges[column] = ends
-    return scene, ranges
 
 
 def _json(value: Any) -> tuple[str, bytes]:

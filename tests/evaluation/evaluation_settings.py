@@ -22,7 +22,6 @@ _DEFAULTS: dict[str, Any] = {
     "ablation": {"olddata_l1": None, "simnfnd_l1": None, "simnfnd_newloss": None},
     "device": "cpu",
     "texture": False,
-    "robustness": [],
     "page": {"examples": 2, "methods": 4},
     "debug": False,
 }

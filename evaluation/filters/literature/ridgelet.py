@@ -36,30 +36,6 @@ def ridgelet(image: Gray, strength: float, block_px: int) -> Gray:
     return in_logarithm(image, partial(_shrunk, strength=strength, side=block_px))
 
 
-def finite_radon(block: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
-    """(p, p) -> (p + 1, p): sums over the p lines of each of p + 1 directions, over sqrt(p).
-
-    Raises BaselineError for another shape, or where p is no odd prime.
-    """
-    if block.ndim != 2 or block.shape[0] != block.shape[1]:
-        raise BaselineError(f"ridgelet: a block is square, not {block.shape}")
-    side = block.shape[0]
-    flat = np.asarray(block, dtype=np.float64).ravel()
-    sums = [np.bincount(lines.ravel(), flat, minlength=side) for lines in _lines(side)]
-    return np.asarray(np.stack(sums) / np.sqrt(side))
-
-
-def inverse_finite_radon(projections: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
-    """(p + 1, p) -> (p, p), the exact inverse of `finite_radon`.
-
-    Any two pixels share one line and a pixel is on p + 1, so the sum over the lines of a pixel is p
-    times the pixel and once the whole block.
-    """
-    side = projections.shape[1]
-    through = sum(values[lines] for values, lines in zip(projections, _lines(side), strict=True))
-    return np.asarray((through - projections[0].sum()) / np.sqrt(side))
-
-
 @lru_cache(maxsize=8)
 def _lines(side: int) -> npt.NDArray[np.int64]:
     """(p + 1, p, p): for each direction the line, 0 to p - 1, of every pixel.

@@ -1,10 +1,9 @@
-"""`simnfnd evaluate real` on scenes that stand still: truth, folds, tuning, several frames."""
+"""`simnfnd evaluate real` on scenes that stand still: truth, folds, tuning."""
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +19,9 @@ from simnfnd.evaluation.real.judge import RealRow, summaries
 from simnfnd.evaluation.real.measure import RealPicture
 from simnfnd.evaluation.real.shots import Shot, open_input
 from simnfnd.evaluation.real.tuning import line_search, parts_of
-from simnfnd.evaluation.runner import MethodFailed, run
+from simnfnd.evaluation.runner import run
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from tests.evaluation.real.static_scenes import SHAPE, frames, shuffled
-from tests.project_files import ROOT
-
-GROUPS = ROOT.parent / "shared" / "data" / "mdd-groups"
 
 
 def real(out: Path, *words: str) -> dict[str, Any]:
@@ -61,19 +57,12 @@ def test_a_shuffled_folder_is_judged_by_its_groups(tmp_path: Path) -> None:
     assert low <= blurred["means"]["psnr_db"] <= high
     assert content["best_filter"]["psnr_db"] == "gaussian tuned on others"
     assert noisy["means"]["margin_db"] == pytest.approx(-blurred["means"]["gain_db"], abs=1e-6)
-    # Seven of eleven frames are averaged, four are left as their truth; seven of seven leave none.
-    several = rows["multi-frame mean (7)"]
-    assert several["measured"] == 11
-    # Noise .0064 of a scene of .0225, after levels, and a quarter of it in the truth: 4.2 dB.
-    assert several["means"]["gain_db"] == pytest.approx(4.2, abs=0.5)
-    assert several["means"]["margin_db"] is None, "its truth is another one"
-    assert several["means"]["psnr_db"] > rows["multi-frame median (7)"]["means"]["psnr_db"]
     text = (tmp_path / "out" / "real.md").read_text(encoding="utf-8")
     assert "2 static groups of 18 frames" in text
     assert "## PSNR by group, dB" in text
-    # The example is of the larger group: three rows, two of several frames, and the truth.
+    # The example shows three rows and the truth.
     page = (tmp_path / "out" / "real.html").read_text(encoding="utf-8")
-    assert page.count("data:image/png") == 6
+    assert page.count("data:image/png") == 4
 
 
 def test_of_a_recording_one_half_tunes_and_the_other_is_judged(tmp_path: Path) -> None:
@@ -82,14 +71,13 @@ def test_of_a_recording_one_half_tunes_and_the_other_is_judged(tmp_path: Path) -
     for frame in frames(3, 9):
         video.write(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR))
     video.release()
-    content = real(tmp_path / "out", str(path), "baselines=[gaussian]", "limit=8", "frames=3")
+    content = real(tmp_path / "out", str(path), "baselines=[gaussian]", "limit=8")
     (found,) = content["groups"]
     assert found["frames"] == [f"dive.avi#{number}" for number in range(8)]
     assert found["judged"] == found["frames"][4:]
     assert any("tuned on frames of its first half (4)" in note for note in content["notes"])
     rows = {row["label"]: row for row in content["rows"]}
     assert rows["gaussian tuned on others"]["means"]["gain_db"] > 3
-    assert rows["multi-frame mean (3)"]["means"]["gain_db"] > 2
     assert rows["noisy"]["intervals"] == {}
 
 
@@ -109,39 +97,17 @@ def test_a_group_needs_some_frames(tmp_path: Path, capsys: pytest.CaptureFixture
     folder = shuffled(tmp_path / "in", {0: 6})
     words = (str(folder), "limit=3", "workers=1", f"out={tmp_path / 'out'}", "baselines=[median]")
     assert main(["evaluate", "real", *words]) == 2
-    assert "limit=3: a static group needs 4 frames" in capsys.readouterr().err
+    assert "limit: Input should be greater than or equal to 4" in capsys.readouterr().err
 
 
-def test_the_truth_of_several_frames_holds_none_of_them(tmp_path: Path) -> None:
+def test_the_truth_of_a_frame_does_not_hold_it(tmp_path: Path) -> None:
     values = [10, 20, 30, 40, 50, 60, 70, 90, 100, 130]
-    (one,) = judged(0, group(tmp_path, values), [1], 7)
+    (one,) = judged(0, group(tmp_path, values), [1])
     assert one.reference is not None
-    assert one.several is not None
     assert one.noisy[0, 0] * 255 == pytest.approx(20)
     assert one.reference[0, 0] * 255 == pytest.approx((sum(values) - 20) / 9, rel=1e-5)
-    assert one.several.mean[0, 0] * 255 == pytest.approx(40, rel=1e-5), "the first seven"
-    assert one.several.median[0, 0] * 255 == pytest.approx(40, rel=1e-5)
-    assert one.several.reference[0, 0] * 255 == pytest.approx((90 + 100 + 130) / 3, rel=1e-5)
-    (short,) = judged(0, group(tmp_path, values[:9]), [1], 7)
-    assert short.several is None, "two frames are no truth"
     assert nearest(10, 5, 7) == [2, 3, 4, 5, 6, 7, 8]
     assert nearest(10, 9, 7) == [3, 4, 5, 6, 7, 8, 9]
-
-
-def test_several_frames_are_judged_by_the_others(tmp_path: Path) -> None:
-    values = [10, 20, 30, 40, 50, 60, 70, 90, 100, 130]
-    (one,) = judged(0, group(tmp_path, values), [1], 7)
-    assert one.several is not None
-    picture, mean = RealPicture(one), Method("mean of 7", "", {}, given="mean")
-    given = picture.given(mean)
-    assert given is not None
-    np.testing.assert_array_equal(given, one.several.mean)
-    # Levels make the even pictures equal to their references.
-    figures = picture.measure(one.several.reference, mean)
-    assert figures["psnr_db"] == 100
-    with pytest.raises(MethodFailed, match="several looks"):
-        picture.seen(Method("recursive", "", {"memory": 1.0}))
-    assert RealPicture(replace(one, several=None)).given(mean) is None
 
 
 def test_filters_are_tuned_on_other_frames_than_they_judge(tmp_path: Path) -> None:
@@ -172,7 +138,7 @@ def test_tuning_finds_the_best_point_without_trying_all() -> None:
 
 def test_what_comes_back_as_it_was_is_called_unchanged(tmp_path: Path) -> None:
     folder = shuffled(tmp_path / "in", {0: 2})
-    (stretch,), _ = open_input(str(folder), 9)
+    (stretch,), _ = open_input(str(folder))
     methods = [NOISY, *(Method("gaussian", str(s), {"sigma_px": s}) for s in (0.2, 2.0))]
     pictures = {n: RealPicture(alone(shot)) for n, shot in enumerate(stretch.shots)}
     with TaskPool(1) as pool:
@@ -183,12 +149,3 @@ def test_what_comes_back_as_it_was_is_called_unchanged(tmp_path: Path) -> None:
     rows = [RealRow(method.label, (method,)) for method in methods]
     found, _ = summaries(rows, measured, np.arange(2), False, resamples=100, seed=0)
     assert [found[row.label].unchanged for row in rows] == [2, 2, 0]
-
-
-@pytest.mark.skipif(not GROUPS.is_dir(), reason="needs the static groups of real pictures")
-def test_a_group_of_real_pictures(tmp_path: Path) -> None:
-    content = real(tmp_path / "out", str(GROUPS / "20"), "baselines=[gaussian]", "limit=6")
-    noisy, blurred, *_ = content["rows"]
-    assert 25 < noisy["means"]["psnr_db"] < 28
-    assert blurred["means"]["gain_db"] > 2
-    assert content["groups"][0]["geometry"] == "fan"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -17,10 +15,8 @@ from simnfnd.models.recordings.static import (
     references,
     shift_px,
 )
-from tests.project_files import ROOT
 
 Gray = npt.NDArray[np.float32]
-GROUPS = ROOT.parent / "shared/data/mdd-groups"
 SHAPE = (240, 160)
 SECTOR = np.ones(SHAPE, bool)
 SECTOR[:, :8] = SECTOR[:, -8:] = False
@@ -110,23 +106,3 @@ def test_what_moves_is_found() -> None:
     found = moving(frames, SECTOR)
     assert found[60, 40:110].mean() > 0.9
     assert found[120:].mean() < 0.02
-
-
-@pytest.mark.skipif(not GROUPS.is_dir(), reason="needs the static groups of real pictures")
-def test_groups_of_real_pictures() -> None:
-    paths = [path for name in ("00", "09", "23") for path in sorted((GROUPS / name).glob("*.png"))]
-    pictures = [cv2.imread(str(path), 0).astype(np.float32) / 255 for path in paths]
-    rng = np.random.default_rng(7)
-    order = rng.permutation(len(paths)).tolist()
-    pictures, paths = [pictures[i] for i in order], [paths[i] for i in order]
-    groups = find_groups(pictures, [lit(picture) for picture in pictures])
-    names: list[set[str]] = [{Path(paths[i]).parent.name for i in g.numbers} for g in groups]
-    assert sorted(map(sorted, names)) == [["00"], ["09"], ["23"]]
-    assert sum(len(group.numbers) for group in groups) >= 40
-
-
-def lit(picture: Gray) -> npt.NDArray[np.bool_]:
-    bright = cv2.medianBlur(picture, 5) > 0
-    right = np.maximum.accumulate(bright, axis=1)
-    left = np.maximum.accumulate(bright[:, ::-1], axis=1)[:, ::-1]
-    return np.asarray(right & left)

@@ -33,7 +33,7 @@ def blurred(gray: Any, geometry: object = None, **more: object) -> Any:
     return cv2.GaussianBlur(gray, (0, 0), 1.0)
 
 
-def judged(groups: list[Group], networks: list[Method], most: int = 20) -> in_time.TimeRows:
+def judged(groups: list[Group], networks: list[Method], most: int = 20) -> tuple[Any, list[str]]:
     settings: Any = SimpleNamespace(in_time=most, device="cpu")
     with TaskPool(1) as pool:
         return in_time.judged_in_time(settings, groups, networks, pool)
@@ -44,7 +44,7 @@ def test_rows_of_networks_and_of_frames(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(in_time, "WEIGHTS", (0.02, 0.04))
     one = Method("one", "", {}, weights="one")
     groups = [recording(tmp_path / f"{seed}.avi", seed, 14) for seed in (0, 1)]
-    found = judged(groups, [one], most=12)
+    found, notes = judged(groups, [one], most=12)
     rows = [
         "one: one frame",
         "fused",
@@ -52,24 +52,24 @@ def test_rows_of_networks_and_of_frames(tmp_path: Path, monkeypatch: pytest.Monk
         "mean of 7",
         "mean of 7, tuned TV",
     ]
-    assert list(dict.fromkeys(row.row for row in found.rows)) == rows
-    assert list(dict.fromkeys(row.kind for row in found.rows)) == ["still", "moving", "swimmer"]
-    assert len(found.rows) == 2 * 3 * len(rows)
-    psnr = {(row.kind, row.row): row.psnr_db for row in found.rows}
-    assert psnr["still", "mean of 7, tuned TV"] > psnr["still", "mean of 7"]
+    assert list(found["row"].unique()) == rows
+    assert list(found["kind"].unique()) == ["static", "moving", "ghost"]
+    assert len(found) == 2 * 3 * len(rows)
+    psnr = found.groupby(["kind", "row"])["psnr_db"].last()
+    assert psnr["static", "mean of 7, tuned TV"] > psnr["static", "mean of 7"]
     assert psnr["moving", "mean of 7"] < psnr["moving", "fused"]
-    assert any("0.avi: tuned TV has weight" in n and "tuned on 1.avi" in n for n in found.notes)
-    table = found.table()
-    assert list(table) == ["row", *(f"{k}, dB / SSIM" for k in ("still", "moving", "swimmer"))]
+    assert any("0.avi: tuned TV has weight" in n and "tuned on 1.avi" in n for n in notes)
+    table = in_time.wide(found)
+    assert list(table) == ["row", *(f"{k}, dB / SSIM" for k in ("static", "moving", "ghost"))]
     assert list(table["row"]) == rows
-    alone = judged(groups[:1], [one])
-    assert "tuned on the first 12 frames of itself" in alone.notes[0]
+    _, alone = judged(groups[:1], [one])
+    assert "tuned on the first 12 frames of itself" in alone[0]
 
 
 def test_nothing_is_judged_in_time_without_recordings_or_networks(tmp_path: Path) -> None:
     network = Method("one", "", {}, weights="one")
     short = recording(tmp_path / "short.avi", 0, 8)
     long = recording(tmp_path / "long.avi", 0, 14)
-    assert judged([short], [network]).rows == ()
-    assert judged([long], []).rows == ()
-    assert judged([long], [network], most=0).rows == ()
+    assert judged([short], [network])[0].empty
+    assert judged([long], [])[0].empty
+    assert judged([long], [network], most=0)[0].empty

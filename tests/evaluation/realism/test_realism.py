@@ -99,11 +99,11 @@ def test_geometry_files_are_checked(tmp_path: Path) -> None:
     good = table.read_text()
     assert len(real.open_real(folder).sources) == 4
     for text, said in (
-        ("file,layout,hfov_deg,widht\n*,polar,30,2\n", "line 2.widht: unknown key"),
+        ("file,layout,hfov_deg,widht\n*,polar,30,2\n", "line 2: .*widht"),
         ("layout,hfov_deg\npolar,30\n", "no column 'file'"),
         ("file,layout,hfov_deg\n*,round,30\n", "layout must be fan or polar"),
-        ("file,layout,hfov_deg\n*,polar,wide\n", "hfov_deg: Input should be a valid number"),
-        ("file,layout,hfov_deg\n*,fan,30\n", "apex_x_px: a value is required"),
+        ("file,layout,hfov_deg\n*,polar,wide\n", "could not convert string to float: 'wide'"),
+        ("file,layout,hfov_deg\n*,fan,30\n", "missing .*apex_x_px"),
         ("file,layout,hfov_deg\n000.png,polar,30\n", "no line for 001.png"),
         (good + "999.png,polar,30,,\n", "999.png is listed"),
         ("file,layout,hfov_deg,range_min_m,range_max_m\n*,polar,30,5,1\n", "range_max_m"),
@@ -136,14 +136,14 @@ def test_a_perfect_simulation_reaches_the_baseline_and_another_does_not(
     found = compare.compare(
         many["real"], simulated, resamples=30, halves="random", seed=1, progress=False
     )
-    ratios = {item.statistic.name: item.ratio("same") for item in found}
-    assert len(found) == 22
-    assert np.median(list(ratios.values())) == pytest.approx(1, abs=0.35)
+    ratios = compare.ratios(found, "same")
+    assert len(ratios) == 21
+    assert ratios.median() == pytest.approx(1, abs=0.35)
     assert compare.overall(found, "same")["within_2"] > 0.9
-    amplitude = next(item for item in found if item.statistic.name == "amplitude_emd")
-    assert amplitude.ratio("bright") > 5
-    assert amplitude.distance["bright"].mean == pytest.approx(0.12 * 255, rel=0.1)
-    assert amplitude.distance["bright"].low <= amplitude.distance["bright"].mean
+    bright = found[found["against"] == "bright"].set_index("statistic").loc["amplitude_emd"]
+    assert bright["ratio"] > 5
+    assert bright["mean"] == pytest.approx(0.12 * 255, rel=0.1)
+    assert bright["low"] <= bright["mean"]
     assert compare.overall(found, "bright")["geometric_mean_ratio"] > 1.5
 
 
@@ -153,8 +153,7 @@ def test_the_same_seed_gives_the_same_figures(many: dict[str, Measured]) -> None
         compare.compare(many["real"], same, resamples=3, halves="blocks", seed=9, progress=False)
         for _ in range(2)
     )
-    assert [item.baseline for item in one] == [item.baseline for item in two]
-    assert [item.distance for item in one] == [item.distance for item in two]
+    assert one.equals(two)
 
 
 def test_too_few_pictures_are_refused(many: dict[str, Measured]) -> None:
@@ -180,9 +179,9 @@ def test_the_command_writes_a_report_that_needs_nothing_else(
     assert told["overall"]["made, up"]["geometric_mean_ratio"] > 1
     page = (out / "realism.html").read_text()
     assert page.count("data:image/png;base64,") == 2 * 8, "examples of both"
-    assert page.count("<svg") == 2
+    assert page.count("<svg") == 1
     assert "http" not in page, "works without a network"
-    assert "| **within 2 times** |" in (out / "realism.md").read_text()
+    assert "| within 2 times |" in (out / "realism.md").read_text()
 
 
 @pytest.mark.parametrize(

@@ -13,11 +13,12 @@ import pytest
 from scipy import stats
 
 from simnfnd.command import main
-from simnfnd.evaluation.item import Item
 from simnfnd.evaluation.methods import Method
 from simnfnd.evaluation.metrics import statistics
+from simnfnd.evaluation.pairs import Item
 from simnfnd.evaluation.report import build as builder
-from simnfnd.evaluation.report import charts, paper, sections
+from simnfnd.evaluation.report import paper
+from simnfnd.evaluation.report.breakdown import breakdown_of
 from simnfnd.evaluation.report.content import best_classical, content_of
 from simnfnd.evaluation.report.measure import Row
 from simnfnd.evaluation.report.page import read_results
@@ -129,7 +130,7 @@ def test_networks_are_held_against_the_best_tuned_baseline(tmp_path: Path) -> No
     assert net["against_noisy"]["gmsd"]["wins"] == 1, "low is good"
     json.dumps(content, allow_nan=False)
     assert best_classical(content["rows"], {}) == ("nlm + levels", "these very pairs")
-    several = [*content["rows"], {**content["rows"][1], "name": "recursive", "label": "recursive"}]
+    several = [*content["rows"], {**content["rows"][1], "looks": True, "label": "recursive"}]
     several[-1]["metrics"] = {"psnr": {"mean": 40.0}}
     assert best_classical(several, {})[0] == "nlm + levels", "no network sees several looks"
 
@@ -165,7 +166,7 @@ def test_another_order_than_the_paper_is_said() -> None:
     ]
 
 
-def test_breakdowns_find_where_a_method_is_good(tmp_path: Path) -> None:
+def test_breakdowns_find_where_a_method_is_good() -> None:
     """A method that gains one dB where the effect is strong, and none where it is off."""
     count = 48
     level = np.where(np.arange(count) % 4 == 0, np.nan, np.linspace(0.1, 0.9, count))
@@ -177,63 +178,28 @@ def test_breakdowns_find_where_a_method_is_good(tmp_path: Path) -> None:
         "noise.fixed": np.full(count, 2.0),
         "full_scale": np.linspace(0, 1, count),
     }
-    found = sections.breakdown_of(
-        rows, items(count), drawn, ["noisy", "median"], settings_for(tmp_path / "data")
-    )
-    by_name = {entry["factor"]: entry for entry in found}
-    assert set(by_name) == {"scene", "noise.background.density", "noise.mode"}, "what varies"
-    entry = by_name["noise.background.density"]
-    assert entry["bins"][0]["label"] == "off"
-    assert sum(one["pairs"] for one in entry["bins"]) == count
-    gains = [one["gain"]["mean"] for one in entry["rows"]["median"]]
-    assert gains[0] == 0
-    centres = [one["centre"] for one in entry["bins"]]
-    assert gains[1:] == pytest.approx(centres[1:])
-    assert entry["rows"]["noisy"][0]["gain"] is None
-    assert [one["label"] for one in by_name["noise.mode"]["bins"]] == ["off", "radial"]
-
-
-def test_datasets_that_differ_in_one_number_make_a_curve() -> None:
-    own = {"noise.a": 0.5, "noise.b": 1}
-    other = {"noise.a": 0.7, "noise.b": 1}
-    assert sections.difference(own, other) == {"noise.a": 0.7}
-    entries = [{"differs": {"noise.a": value}} for value in (0.1, 0.9)]
-    assert sections.curve_of(entries, own) == ("noise.a", [0.1, 0.9])
-    assert sections.curve_of([*entries, {"differs": {"noise.b": 2}}], own) is None
-    assert sections.curve_of([{"differs": {"noise.a": True, "noise.b": 2}}], own) is None
-    assert sections.curve_of([], own) is None
-
-
-def test_charts_show_every_point_and_escape_names() -> None:
-    points = (charts.Point(1, 17.0, 16.0, 18.0), charts.Point(100, 19.0, None, None))
-    series = [charts.Series("a <b>", points, 0), charts.Series("c", points[:1], 3)]
-    text = charts.chart(
-        series, x_label="ms", y_label="PSNR", title='say "what"', lines=True, log_x=True
-    )
-    assert text.count("<title>") == 3
-    assert text.count("LineCollection") == 2, "the intervals"
-    assert "var(--c0)" in text
-    assert "var(--c3)" in text
-    assert "#0000" not in text
-    assert "a &lt;b&gt;" in text
-    assert "<b>" not in text
-    assert 'aria-label="say &quot;what&quot;"' in text
-    assert charts.chart([], x_label="", y_label="", title="", lines=False) == ""
-    flat = charts.Series("flat", (charts.Point(2, 5), charts.Point(2, 5)), 0)
-    assert "nan" not in charts.chart([flat], x_label="", y_label="", title="", lines=True)
+    tables = breakdown_of(rows, items(count), drawn, ["noisy", "median"])
+    found = {table.columns[0]: table.set_index(table.columns[0]) for table in tables}
+    assert set(found) == {"scene", "noise.background.density", "noise.mode"}, "what varies"
+    density = found["noise.background.density"]
+    assert next(iter(density)) == "off (12)"
+    assert [str(name).rpartition("(")[2] for name in list(density)[1:]] == ["9)"] * 4
+    low, *_, high = (float(text) for text in density.T["median"].tolist()[1:])
+    assert density.loc["median", "off (12)"] == "17.00"
+    assert 17.1 < low < high < 17.9
+    assert list(found["noise.mode"].columns) == ["off (24)", "radial (24)"]
 
 
 @pytest.fixture(scope="module")
 def reports(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
-    """Two reports on the same twelve frames, the second with another data set beside; one alone."""
+    """Two reports on the same twelve frames, and one on others."""
     root = tmp_path_factory.mktemp("reports")
     dataset = write_dataset(root / "data", train=0, test=24, size=40, per_shard=24)
     other = write_dataset(root / "louder", train=0, test=4, size=40, noise=0.4)
     a, b, c = (root / name for name in "abc")
     page = {"examples": 1, "methods": 2}
     builder.build(settings_for(dataset, out=str(a), baselines=["grey_opening"], page=page))
-    robust = {"robustness": [str(other)]}
-    builder.build(settings_for(dataset, out=str(b), baselines=["gaussian"], page=page, **robust))
+    builder.build(settings_for(dataset, out=str(b), baselines=["gaussian"], page=page))
     builder.build(settings_for(other, out=str(c), baselines=[], page={"examples": 0, "methods": 1}))
     return a, b, c
 
@@ -277,13 +243,3 @@ def test_compare_refuses_what_cannot_be_compared(
         error = capsys.readouterr().err
         assert said in error
         assert error.count("\n") == 1
-
-
-def test_other_noise_is_in_the_report(reports: tuple[Path, Path, Path]) -> None:
-    content = json.loads((reports[1] / "report.json").read_text(encoding="utf-8"))
-    (entry,) = content["robustness"]
-    assert (entry["dataset"], entry["pairs"]) == ("louder", 4)
-    assert set(entry["rows"]) == {"noisy", "gaussian"}
-    noisy = next(row for row in content["rows"] if row["label"] == "noisy")
-    assert entry["rows"]["noisy"]["psnr"]["mean"] < noisy["metrics"]["psnr"]["mean"]
-    assert "**louder** (4 pairs" in (reports[1] / "report.md").read_text(encoding="utf-8")

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
-from urllib.parse import quote, urlencode
+from urllib.parse import quote
 from urllib.request import Request, urlopen
 
 import cv2
@@ -102,41 +102,6 @@ def test_pictures_and_parameters_of_a_dataset(dataset: Path) -> None:
         assert facts["noise.background.density"] == (drawn if np.isfinite(drawn) else None)
 
 
-def test_samples_are_found_by_scene_and_by_what_was_drawn(dataset: Path) -> None:
-    shown = open_shown(dataset)
-    rows = [shown.facts(number) for number in range(len(shown))]
-    drawn = [row["noise.background.density"] for row in rows]
-    known = sorted(float(value) for value in drawn if value is not None)
-    assert len(known) < len(drawn), "the dataset has no value that was not drawn"
-    with served(shown) as url:
-        about = json.loads(fetched(f"{url}about.json"))
-        scenes = [f"{row['location']}/{row['scene']}" for row in rows]
-        assert about["scenes"] == sorted(set(scenes))
-        assert len(set(scenes)) > 1
-        least, most = about["ranges"]["noise.background.density"]
-        assert (least, most) == (known[0], known[-1])
-        assert "variant" not in about["ranges"]  # all alike
-
-        def found(**words: str) -> list[int]:
-            query = urlencode({key.replace("in_", "in:", 1): word for key, word in words.items()})
-            numbers: list[int] = json.loads(fetched(f"{url}found.json?{query}"))
-            return numbers
-
-        assert found() == list(range(12))
-        assert found(scene=scenes[4]) == [n for n in range(12) if scenes[n] == scenes[4]]
-        middle = known[len(known) // 2]
-        density = {"in_noise.background.density": f"..{middle}"}
-        low = [n for n, value in enumerate(drawn) if value is not None and float(value) <= middle]
-        assert found(**density) == low
-        both = found(scene=scenes[4], **density, in_range_max_m="5..")
-        assert both == [
-            n for n in low if scenes[n] == scenes[4] and float(rows[n]["range_max_m"] or 0) >= 5
-        ]
-        assert found(in_range_max_m="99..") == []
-        for words in ("scene=nowhere", "in:frame=1..2", "in:range_max_m=a..b", "range_max_m=1..2"):
-            assert code(f"{url}found.json?{words}") == 404, words
-
-
 def test_only_what_is_shown_and_only_to_this_machine(dataset: Path) -> None:
     with served(open_shown(dataset)) as url:
         assert url.startswith("http://127.0.0.1:")
@@ -146,8 +111,6 @@ def test_only_what_is_shown_and_only_to_this_machine(dataset: Path) -> None:
         for path in ("picture/12/0.png", "picture/0/99.png", "facts/12.json", "../pyproject.toml",
                      "picture/-1/0.png", "page.html"):  # fmt: skip
             assert code(url + path) == 404, path
-        many = "&".join(f"in:c{number}=0..1" for number in range(60))
-        assert code(f"{url}found.json?{many}") == 404
         # Another user of the machine knows the port and not the token.
         for path in ("", "about.json", "picture/0/0.png", f"{'x' * 32}/about.json", "\u00fc/"):
             assert code(f"http://127.0.0.1:{port}/{quote(path)}") == 403, path
@@ -162,11 +125,7 @@ def test_a_recording_before_and_after(tmp_path: Path) -> None:
     with served(open_shown(before, after)) as url:
         about = json.loads(fetched(f"{url}about.json"))
         layers = ["before", "after"]
-        assert about.pop("scenes") == []
-        assert about.pop("ranges") == {}
         assert about == {"title": "before.aris", "count": 3, "layers": layers}
-        assert json.loads(fetched(f"{url}found.json")) == [0, 1, 2]
-        assert code(f"{url}found.json?scene=a") == 404
         fans = [picture(url, 2, layer).astype(int) for layer in (0, 1)]
         assert fans[0].shape == fans[1].shape
         assert np.abs(fans[1] - fans[0] / 2).max() <= 1.5
@@ -202,28 +161,6 @@ def test_what_cannot_be_shown_costs_a_line(dataset: Path, tmp_path: Path) -> Non
             Viewer(open_shown(tmp_path), int(url.split(":")[2].split("/")[0]))
 
 
-# Choose a scene, then a range, step, and choose layers by key.
-_FILTER = """
-<script>
-  const press = (code, key, shiftKey) => document.dispatchEvent(
-    new KeyboardEvent("keydown", {code, key, shiftKey, bubbles: true}));
-  const steps = [
-    () => { press("KeyF", "f"); document.body.dataset.focus = document.activeElement.id; },
-    () => { const all = document.getElementById("scene"); all.value = SCENE;
-            all.dispatchEvent(new Event("change")); },
-    () => { document.getElementById("more").click();
-            const box = document.querySelector(".range");
-            box.querySelector("select").value = "range_max_m";
-            const to = box.querySelectorAll("input")[1];
-            to.value = MOST; to.dispatchEvent(new Event("input")); },
-    () => { press("End", "End"); press("Digit3", "3"); press("Digit2", "@", true); },
-  ];
-  const next = () => { if (steps.length) steps.shift()(); else clearInterval(wait); };
-  const wait = setInterval(next, 300);
-</script>
-"""
-
-
 def browsed(url: str, profile: Path) -> str:
     """What the page has become in Chromium."""
     command = [str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"]
@@ -248,28 +185,3 @@ def test_the_page_steps_by_keyboard(
     assert 'src="picture/10/0.png"' in text
     assert "noise.range_spreading.mode" not in text  # not drawn, so not said
     assert "<td>range_max_m</td>" in text
-
-
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
-def test_the_page_filters_by_scene_and_parameter(
-    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shown = open_shown(dataset)
-    rows = [shown.facts(number) for number in range(len(shown))]
-    scene = f"{rows[3]['location']}/{rows[3]['scene']}"
-    of_scene = [n for n in range(12) if f"{rows[n]['location']}/{rows[n]['scene']}" == scene]
-    reach = sorted(float(rows[n]["range_max_m"] or 0) for n in of_scene)
-    most = reach[-2] + 1e-6
-    fit = [n for n in of_scene if float(rows[n]["range_max_m"] or 0) <= most]
-    assert 1 < len(fit) < len(of_scene) < 12
-    page = tmp_path / "page.html"
-    script = _FILTER.replace("SCENE", json.dumps(scene)).replace("MOST", str(most))
-    page.write_text(server._PAGE.read_text(encoding="utf-8") + script, encoding="utf-8")
-    monkeypatch.setattr(server, "_PAGE", page)
-    with served(shown) as url:
-        text = browsed(url, tmp_path / "profile")
-    assert f'data-shown="{fit[-1]}"' in text
-    assert f">{len(fit)} of {len(fit)} (number {fit[-1] + 1} of 12)<" in text
-    assert f'id="before" alt="" draggable="false" src="picture/{fit[-1]}/1.png"' in text
-    assert f'src="picture/{fit[-1]}/2.png"' in text
-    assert 'data-focus="scene"' in text

@@ -44,7 +44,7 @@ def test_arrays_are_recordings_for_training_and_for_evaluate_real(tmp_path: Path
     np.testing.assert_allclose(picture, pictures[5] / 255, atol=1e-6)
     words = ("data=olddata", f"data.folder='{path}'", "data.patch=16")
     assert len(open_data(composed(*words)[0]).validation) > 0
-    stretches, _ = open_input(str(path), 100)
+    stretches, _ = open_input(str(path))
     assert [len(stretch.shots) for stretch in stretches] == [9]
 
 
