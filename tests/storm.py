@@ -61,7 +61,6 @@ def make(directory: Path, backend: str, config: FakeConfig, shards: int) -> None
             workers=5,
             render_workers=3,
             retries=3,
-            backoff_s=0.05,
             frame_timeout_s=3.0,
         ),
         rerun_command=rerun,

@@ -22,6 +22,7 @@ from ..cli.generate import say_warnings
 from ..errors import FactoryError, FrameError
 from ..frame import FrameRef
 from ..progress import clock
+from ..scheduler.settings import RENDERER_GB, WORKER_GB
 from ..scheduler.plan import ShardTask, plan_shards
 from ..scheduler.workers.machine import available_memory_bytes, usable_cores
 
@@ -164,8 +165,7 @@ def _fits(config: FactoryConfig, disk: float, render: int, noise: int) -> bool:
     while not folder.exists():
         folder = folder.absolute().parent
     free = shutil.disk_usage(folder).free
-    settings = config.scheduler
-    memory = render * settings.memory_per_renderer_gb + noise * settings.memory_per_worker_gb
+    memory = render * RENDERER_GB + noise * WORKER_GB
     available = available_memory_bytes() / 1e9
     good = disk < free and memory < available
     print(f"disk: {_megabytes(free)} free{'' if disk < free else ', TOO LITTLE'}")

@@ -13,7 +13,7 @@ from collections import deque
 import psutil
 import pytest
 
-from simnfnd.factory.scheduler.workers import template, workers_of
+from simnfnd.factory.scheduler.workers import local, workers_of
 from simnfnd.factory.scheduler.workers.contract import BackendName, Pool, WorkerSettings
 from simnfnd.factory.scheduler.workers.local import LocalBackend, WorkerDied
 from simnfnd.factory.scheduler.workers.tasks import TaskLost, TaskPool
@@ -74,7 +74,7 @@ def test_death_in_the_middle_of_an_answer_costs_its_task_alone() -> None:
 def test_a_worker_that_is_stopped_before_it_has_its_task_is_replaced(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(template, "STOPPED_S", 2.0)
+    monkeypatch.setattr(local, "_BEGIN_S", 2.0)
     workers = LocalBackend(WorkerSettings((LIGHT,)))
     try:
         assert workers.submit(task, "a", 60.0, "light").result(60)[0] == "a"

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
-from simnfnd.factory.scheduler.workers import template
+from simnfnd.factory.scheduler.workers import local, template
 from simnfnd.factory.scheduler.workers.contract import Pool, WorkerSettings
 from simnfnd.factory.scheduler.workers.local import LocalBackend
 from tests.project_files import ROOT
@@ -104,7 +104,7 @@ def test_one_that_was_killed_is_replaced() -> None:
 def test_one_that_stands_still_is_killed_and_the_worker_comes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(template, "STOPPED_S", 2.0)
+    monkeypatch.setattr(local, "_PROCESS_S", 2.0)
     template.start((LOADED,))
     the_template().suspend()
     begun = time.monotonic()
