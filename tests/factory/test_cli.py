@@ -72,38 +72,13 @@ def test_a_bad_frame_among_good_ones_is_skipped_and_named(monkeypatch, tmp_path,
     assert "4 of 5 pairs" in capfd.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("words", "share", "check"),
-    [
-        (["sonar.hfov_deg=0.8"], "%", "sonar.hfov_deg=0.8, which is in degrees"),
-        (
-            ["sonar.range={auto: false, min_m: 0, max_m: 3000}"],
-            "%",
-            "sonar.range.max_m=3000, which is in metres",
-        ),
-    ],
-)
-def test_pictures_that_show_next_to_nothing_name_the_likeliest_key(
-    monkeypatch, tmp_path, flsea, capfd, words, share, check
+def test_pictures_that_show_next_to_nothing_name_the_likeliest_keys(
+    monkeypatch, tmp_path, flsea, capfd
 ):
-    out = tmp_path / "out"
-    words = ["scenes=flsea", f"scenes.root={flsea}", f"dataset.dir={out}", *FAST, *words]
-    run(monkeypatch, *words)
-    told = [line for line in capfd.readouterr().err.splitlines() if check in line]
-    assert len(told) == 1
-    assert share in told[0] or told[0].startswith("error: no frame could be used")
-
-
-def test_a_principal_point_outside_the_picture_is_named(monkeypatch, tmp_path, flsea, capfd):
-    images = flsea / "canyons/u_canyon"
-    name = "16233044541765600"
-    (tmp_path / "list.csv").write_text(
-        f"{images}/imgs/{name}.tiff,{images}/depth/{name}_SeaErra_abs_depth.tif\n"
-    )
-    words = ["scenes=csv_list", f"scenes.file={tmp_path / 'list.csv'}", *FAST]
-    words += ["scenes.intrinsics=[100,100,4000,60]", f"dataset.dir={tmp_path / 'out'}"]
-    assert run(monkeypatch, *words) in (0, 2)
-    assert "scenes.intrinsics=[100,100,4000,60]" in capfd.readouterr().err
+    words = ["scenes=flsea", f"scenes.root={flsea}", f"dataset.dir={tmp_path / 'out'}", *FAST]
+    run(monkeypatch, *words, "sonar.range={auto: false, min_m: 0, max_m: 3000}")
+    (told,) = (line for line in capfd.readouterr().err.splitlines() if "sonar.hfov_deg" in line)
+    assert "% of the pictures is lit; check" in told
 
 
 @pytest.mark.parametrize(
@@ -230,7 +205,7 @@ def test_a_sweep_makes_one_named_dataset_a_point_and_one_table(monkeypatch, tmp_
     table = next(tmp_path.glob("outputs/sweeps/*/sweep.md")).read_text().splitlines()
     assert len(table) == 2 + 4
     sheet = cv2.imread(str(next(tmp_path.glob("outputs/sweeps/*/sweep.png"))))
-    assert sheet.shape[0] > 4 * 192, "a row for every point"
+    assert sheet.shape[0] > 2 * 340, "two points a row"
     assert sheet.std() > 10
     assert all(str(folder.name) in "".join(table) for folder in datasets)
     noisy = {
