@@ -74,14 +74,8 @@ def test_the_papers_48_processes_in_a_narrow_shell(
 @pytest.mark.parametrize(
     ("error", "said"),
     [
-        (
-            PermissionError(13, "Permission denied", "a/train"),
-            "error: a/train: Permission denied",
-        ),
-        (
-            OSError(24, "Too many open files"),
-            "error: system: Too many open files; raise",
-        ),
+        (PermissionError(13, "Permission denied", "a/train"), "error: a/train: Permission denied"),
+        (OSError(24, "Too many open files"), "error: system: Too many open files; raise"),
         (OSError(40, "Too many levels of symbolic links", "a"), "error: a: Too many levels"),
         (MemoryError(), "error: memory: not enough of it"),
     ],
