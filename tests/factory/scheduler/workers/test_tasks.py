@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections import deque
@@ -17,7 +15,6 @@ from simnfnd.factory.scheduler.workers import local, workers_of
 from simnfnd.factory.scheduler.workers.contract import Pool, WorkerSettings
 from simnfnd.factory.scheduler.workers.local import LocalBackend, WorkerDied
 from simnfnd.factory.scheduler.workers.tasks import TaskLost, TaskPool
-from tests.project_files import ROOT
 from tests.worker_processes import workers_of as processes_of
 
 HEAVY, LIGHT = Pool("heavy", 1, also_takes=("light",)), Pool("light", 1)
@@ -118,17 +115,3 @@ def test_a_pool_that_takes_others_tasks_prefers_its_own() -> None:
         (_, heavy), (_, light) = first.result(60), second.result(60)
         assert heavy != light
         assert workers.submit(task, "c", 60.0, "heavy").result(60) == ("c", heavy)
-
-
-def test_workers_know_nothing_of_datasets() -> None:
-    code = (
-        "import pkgutil, sys, simnfnd.factory.scheduler.workers as room\n"
-        "for module in pkgutil.iter_modules(room.__path__):\n"
-        "    __import__(f'{room.__name__}.{module.name}')\n"
-        "print(*(name for name in sys.modules if name.startswith('simnfnd.factory.')))"
-    )
-    result = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True
-    )
-    rooms = {name.split(".")[2] for name in result.stdout.split()}
-    assert rooms == {"scheduler", "errors"}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 import subprocess
@@ -127,20 +126,3 @@ def test_it_goes_with_the_process_that_started_it() -> None:
         run.stdout.read()
     _, alive = psutil.wait_procs(below, timeout=20)
     assert not alive
-
-
-def _start_in_a_fork(answer: multiprocessing.SimpleQueue[bool]) -> None:
-    template.start((LOADED,))
-    answer.put(template.runs())
-
-
-def test_a_fork_of_this_process_leaves_it_alone() -> None:
-    template.start((LOADED,))
-    context = multiprocessing.get_context("fork")
-    answer = context.SimpleQueue()
-    child = context.Process(target=_start_in_a_fork, args=(answer,))
-    child.start()
-    assert answer.get() is False
-    child.join(20)
-    assert child.exitcode == 0
-    assert asked()[2]
