@@ -53,7 +53,7 @@ class Parser(argparse.ArgumentParser):
                 f"{self.prog}: {word}: works on files of this machine; fetch the dataset first, "
                 "for example with `aws s3 sync` or `rclone copy`"
             )
-        return super()._get_value(action, word)  # type: ignore[misc]
+        return super()._get_value(action, word)
 
 
 def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:

@@ -183,7 +183,7 @@ class Loop:
         elif work.died(0 if isinstance(work, _Frame) else state.in_hand, kind, reason):
             work.wait()
         elif isinstance(work, _Frame):
-            self._prepared(work, FrameResult(*work.given_up.values()))
+            self._prepared(work, FrameResult(work.given_up[work.ref.name]))
             return
         else:
             self._give_up(work)

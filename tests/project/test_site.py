@@ -121,11 +121,15 @@ def test_a_broken_link_fails_the_build(tmp_path: Path) -> None:
     head = re.sub(r"^plugins:.*?(?=^hooks:)", "plugins: []\n", head, flags=re.DOTALL | re.MULTILINE)
     (tmp_path / "mkdocs.yml").write_text(head, encoding="utf-8")
     (tmp_path / "docs" / "method.md").write_text("# Method\n", encoding="utf-8")
-    text = "[page](method.md) [no](gone.md) [nor](method.md#gone) ![nor this](images/gone.png)\n"
-    text += "[a file that no page shows](../mkdocs.yml)\n"
-    (tmp_path / "docs" / "index.md").write_text(f"# Start\n\n{text}", encoding="utf-8")
-    done = build(tmp_path, tmp_path / "site")
+
+    def built(text: str) -> subprocess.CompletedProcess[str]:
+        (tmp_path / "docs" / "index.md").write_text(f"# Start\n\n{text}\n", encoding="utf-8")
+        return build(tmp_path, tmp_path / "site")
+
+    done = built("[a](method.md) [no](gone.md) [nor](method.md#gone) ![nor this](images/gone.png)")
     assert done.returncode == 1
-    for gone in ("gone.md", "method.md#gone", "images/gone.png", "links to mkdocs.yml"):
+    for gone in ("gone.md", "method.md#gone", "images/gone.png"):
         assert gone in done.stdout
-    assert done.stdout.count("WARNING") == 4
+    done = built("[a file that no page shows](../mkdocs.yml)")
+    assert done.returncode == 1
+    assert "links to mkdocs.yml" in done.stdout

@@ -67,7 +67,8 @@ class TaskPool:
             done, _ = wait(running, return_when=FIRST_COMPLETED)
             for future in done:
                 task = running.pop(future)
-                yield task, _result(future, backend, timeout_s(task))
+                result = _result(future, backend, timeout_s(task))
+                yield task, result
             backend.poll()
 
 
