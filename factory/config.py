@@ -7,6 +7,8 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import field, replace
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -27,7 +29,7 @@ from .scenes.seabed.reader import SeabedSettings, seeing
 from .scheduler.settings import SchedulerSettings, ShardSlice
 from .settings import STRICT, build
 from .sonar.acoustics import WaterSettings
-from .sonar.settings import ImageSettings, SonarSettings
+from .sonar.settings import SonarSettings
 from .sonar_randomization.settings import DeviceSettings
 
 if TYPE_CHECKING:
@@ -98,29 +100,30 @@ class FactoryConfig:
 
     @model_validator(mode="after")
     def _formation(self) -> Self:
-        enabled = [name for name, block in blocks(self.noise).items() if block.enabled]
-        on_field = [name for name in enabled if EFFECTS[name].stage != "points"]
-        moving = [name for name in enabled if EFFECTS[name].moves]
         if self.devices is not None:
             # Each picture draws its formation, and has the effects of that one.
             return self
-        if self.acoustics.formation == "points" and on_field:
-            raise ValueError(
-                f"noise.{on_field[0]} acts on the complex field; set acoustics=field, or "
-                "leave it out (noise=simnfnd)"
-            )
-        if self.acoustics.formation == "field" and self.render.bounces:
+        enabled = [name for name, block in blocks(self.noise).items() if block.enabled]
+        if self.acoustics.formation == "points":
+            on_field = [name for name in enabled if EFFECTS[name].stage != "points"]
+            if on_field:
+                raise ValueError(
+                    f"noise.{on_field[0]} acts on the complex field; set acoustics=field, or "
+                    "leave it out (noise=simnfnd)"
+                )
+            return self
+        if self.render.bounces:
             raise ValueError(
                 "render.bounces adds the brightness of echoes of echoes without their delay; with "
                 "acoustics.formation=field set render.bounces=0 (noise.bottom_multipath and "
                 "noise.surface_multipath have the delay)"
             )
-        if self.acoustics.formation == "field" and not self.resample.is_default:
+        if not self.resample.is_default:
             raise ValueError(
                 "resample thins points, and acoustics.formation=field has none; leave "
                 "resample.kind and resample.rate at their defaults, or set acoustics=points"
             )
-        if self.acoustics.formation == "field" and moving:
+        if moving := [name for name in enabled if EFFECTS[name].moves]:
             raise ValueError(
                 f"noise.{moving[0]} moves points, and acoustics.formation=field has none; "
                 f"set noise.{moving[0]}.enabled=false, or use noise=physical"
@@ -205,6 +208,21 @@ def plain(config: FactoryConfig) -> dict[str, Any]:
     return values
 
 
+# Keys that came later, each with the value that leaves a dataset as it was, and its name.
+_LATER: dict[str, Any] = {
+    "frames.total": None,
+    "sonar.samples_per_bin": 1,
+    "sonar.range.windows_m": [],
+    "sonar.image.sampling": "bilinear",
+    "sonar.image.enlarged": 1.0,
+    "sonar.image.jpeg_quality": None,
+    "sonar.transfer.black": 0.0,
+    "sonar.transfer.full_scale_db": None,
+    "dataset.columns": [],
+    "acoustics.standing": 0.0,
+}
+
+
 def identity(config: FactoryConfig) -> dict[str, Any]:
     """The part of the configuration that decides the bytes of the samples.
 
@@ -222,23 +240,11 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
     if path is not None:
         # Where the platform goes counts, and not where the file lies.
         values["scenes"]["path"] = file_digest(path)
-    if config.sonar.samples_per_bin == 1:
-        # As all datasets were before there was a choice.
-        values["sonar"].pop("samples_per_bin")
-    if not config.sonar.range.windows_m:
-        values["sonar"]["range"].pop("windows_m")
-    image, usual = values["sonar"]["image"], ImageSettings()
-    for key in ("sampling", "enlarged", "jpeg_quality"):
-        if image[key] == getattr(usual, key):
-            image.pop(key)
-    if config.sonar.transfer.black == 0:
-        values["sonar"]["transfer"].pop("black")
-    if config.sonar.transfer.full_scale_db is None:
-        values["sonar"]["transfer"].pop("full_scale_db")
-    if not config.dataset.columns:
-        values["dataset"].pop("columns")
-    if config.acoustics.standing == 0:
-        values["acoustics"].pop("standing")
+    for name, usual in _LATER.items():
+        *groups, key = name.split(".")
+        group = reduce(getitem, groups, values)
+        if group[key] == usual:
+            group.pop(key)
     if (kind := config.scenes.kind) in INTEGERS_PER_M:
         # The value that used to be the default, and the name that goes with it; one that is given
         # divides floating-point depth, too.
@@ -246,9 +252,6 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
             values["scenes"]["depth_scale"] = INTEGERS_PER_M[kind]
         else:
             values["scenes"]["depth_scale_of"] = "all"
-    if config.frames.total is None:
-        # Likewise what datasets are called from before there was a total.
-        values["frames"].pop("total")
     for key in ("dir", "on_existing", "name", "preview_pairs", "licence"):
         values["dataset"].pop(key, None)
     if config.devices is None:

@@ -8,6 +8,7 @@ import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
+from itertools import pairwise
 
 from .verbs import VERBS, Verb
 
@@ -105,15 +106,11 @@ def wrong_word(name: str, verb: Verb, words: Sequence[str]) -> str | None:
     """What is wrong with the words of a Hydra verb, before its grammar says so at length."""
     if not verb.hydra:
         return None
-    places, value = 0, False
-    for word in words:
-        if value or word == "--":
-            if word == "--":
-                return None
-            value = False
-        elif word in _WITH_VALUE:
-            value = True
-        elif not _is_option(word):
+    places = 0
+    for before, word in pairwise(["", *words]):
+        if word == "--":
+            return None
+        if not _is_option(word) and before not in _WITH_VALUE:
             places += 1
             if verb.places is not None and places > verb.places:
                 return f"{word}: not KEY=VALUE; see `simnfnd {name} --help`"

@@ -46,7 +46,6 @@ def job(
         frame_timeout_s=frame_timeout_s,
         recycle_frames=recycle_frames,
         shard_size=8,
-        backoff_s=0.05,
         **(scheduler or {}),
     )
     frames = {"train": refs(12), "test": refs(4, "beta")}

@@ -60,9 +60,8 @@ def make(directory: Path, backend: str, config: FakeConfig, shards: int) -> None
             backend=backend,  # type: ignore[arg-type]
             workers=5,
             render_workers=3,
-            retries=3,
-            backoff_s=0.05,
-            frame_timeout_s=3.0,
+            retries=2,
+            frame_timeout_s=1.5,
         ),
         rerun_command=rerun,
     )

@@ -37,8 +37,7 @@ class _Stopped(BaseException):
     """A point of a sweep was interrupted, and has said so."""
 
 
-# Of which pathlib has left one slash.
-_URL = re.compile(r"[a-z][a-z0-9+.-]+:/")
+_URL = re.compile(r"[a-z][a-z0-9+.-]+://")
 
 
 class Parser(argparse.ArgumentParser):
@@ -48,23 +47,13 @@ class Parser(argparse.ArgumentParser):
         """Raise FactoryError, like every other mistake of the user."""
         raise FactoryError(f"{self.prog}: {message} (see `{self.prog} --help`)")
 
-    def parse_args(self, *words: Any, **more: Any) -> Any:
-        """As argparse has it; a URL where a path is asked for is an error of its own."""
-        return self._of_this_machine(super().parse_args(*words, **more))
-
-    def parse_intermixed_args(self, *words: Any, **more: Any) -> Any:
-        """Likewise, with options between places."""
-        return self._of_this_machine(super().parse_intermixed_args(*words, **more))
-
-    def _of_this_machine(self, given: argparse.Namespace) -> argparse.Namespace:
-        for value in vars(given).values():
-            for path in value if isinstance(value, list) else [value]:
-                if isinstance(path, Path) and _URL.match(str(path)):
-                    raise FactoryError(
-                        f"{self.prog}: {path}: works on files of this machine; fetch the dataset "
-                        "first, for example with `aws s3 sync` or `rclone copy`"
-                    )
-        return given
+    def _get_value(self, action: argparse.Action, word: str) -> Any:
+        if action.type is Path and _URL.match(word):
+            raise FactoryError(
+                f"{self.prog}: {word}: works on files of this machine; fetch the dataset first, "
+                "for example with `aws s3 sync` or `rclone copy`"
+            )
+        return super()._get_value(action, word)
 
 
 def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
@@ -96,14 +85,11 @@ def run_app(task: Callable[[DictConfig], Any], config_name: str) -> int:
             raise _Stopped
         return code
 
-    def start() -> None:
-        hydra.main(version_base="1.3", config_path="pkg://simnfnd.conf", config_name=config_name)(
-            point
-        )()
+    start = hydra.main("pkg://simnfnd.conf", config_name, version_base="1.3")
 
     def everything() -> int:
         try:
-            start()
+            start(point)()
         except _Stopped:
             pass
         except (HydraException, OmegaConfBaseException) as error:

@@ -43,7 +43,10 @@ if TYPE_CHECKING:
 _MANY = 50
 # Pictures of which less is lit are hardly meant.
 _LEAST_LIT = 0.01
-_NARROW_DEG, _FAR_M, _WIDEST = 2.0, 300.0, 3.0
+_LIKELIEST = (
+    "check sonar.hfov_deg (degrees), sonar.range (metres) and, of your own recordings, "
+    "scenes.intrinsics (pixels) and scenes.depth_scale"
+)
 
 
 def generate(composed: DictConfig) -> int:
@@ -119,11 +122,13 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
         count, reason = commonest(report)
         raise FactoryError(
             f"no frame could be used: {len(report.failures)} of {len(report.failures)} failed, "
-            f"{count} of them because: {reason}{_likeliest(config)}"
+            f"{count} of them because: {reason}; {_LIKELIEST}"
         )
     _report_sector(job.directory, config)
     # Again at the end: what was said first has scrolled away.
-    say_warnings((*job.warnings, *_dark(job.directory, config)))
+    say_warnings(job.warnings)
+    if (share := lit_share(job.directory)) < _LEAST_LIT:
+        say_warnings([f"{100 * share:.2g} % of the pictures is lit; {_LIKELIEST}"])
     return report, job.directory
 
 
@@ -202,35 +207,6 @@ def _report_sector(directory: Path, config: FactoryConfig) -> None:
             f"sonar: the camera saw {narrowest:.0f} to {widest:.0f} of {config.sonar.hfov_deg:g} "
             "degrees; the rest is masked (azimuth_min_deg and azimuth_max_deg in /meta)"
         )
-
-
-def _dark(directory: Path, config: FactoryConfig) -> tuple[str, ...]:
-    """A line where next to nothing of the pictures is lit, with the key that is likely wrong."""
-    share = lit_share(directory)
-    if share >= _LEAST_LIT:
-        return ()
-    what = f"{100 * share:.2g} % of the pictures is lit{_likeliest(config)}"
-    return (f"{what}; look at the preview before you use them",)
-
-
-def _likeliest(config: FactoryConfig) -> str:
-    """`; check KEY=VALUE`: what is likeliest wrong where a sonar sees next to nothing."""
-    sonar = config.sonar
-    if sonar.hfov_deg < _NARROW_DEG:
-        return f"; check sonar.hfov_deg={sonar.hfov_deg:g}, which is in degrees"
-    if not sonar.range.auto and sonar.range.max_m > _FAR_M:
-        return f"; check sonar.range.max_m={sonar.range.max_m:g}, which is in metres"
-    pinhole = getattr(config.scenes, "intrinsics", None)
-    if pinhole is not None:
-        fx, fy, cx, cy = pinhole
-        # Beyond that the axis of the lens is at no picture's place.
-        if not (0 < cx < _WIDEST * fx and 0 < cy < _WIDEST * fy):
-            given = ",".join(f"{value:g}" for value in pinhole)
-            return f"; check scenes.intrinsics=[{given}], which is fx,fy,cx,cy in pixels"
-    if getattr(config.scenes, "depth_scale", None) is not None:
-        return f"; check scenes.depth_scale={config.scenes.depth_scale:g}"  # type: ignore[union-attr]
-    keys = "sonar.range, sonar.hfov_deg and, for your own recordings, scenes.intrinsics"
-    return f"; check {keys}"
 
 
 def _rerun_command(ref: FrameRef, arguments: list[str], directory: Path) -> str:

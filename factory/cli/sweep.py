@@ -7,10 +7,10 @@ without a row were not begun.
 from __future__ import annotations
 
 import csv
-import io
 import json
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,8 +28,8 @@ _RESULT = "result.json"
 # Of noisy against clean: mean and spread over the pairs.
 _FIGURES = ("psnr_db", "psnr_db_std", "ssim", "ssim_std", "gmsd", "gmsd_std")
 _ALWAYS = ("pairs", "failed", *_FIGURES, "state", "exit_code", "dataset", "reason")
-_COLUMNS = 4
-_GAP_PX, _LABEL_PX, _PICTURE_PX = 6, 16, 192
+# On the contact sheet.
+_FRAMES = 3
 # Folder and points (the words of each) of the sweep of this process, until its table is written.
 _open: list[tuple[Path, list[list[str]]]] = []
 
@@ -127,53 +127,29 @@ def write_table() -> None:
 
 
 def contact_sheet(points: Sequence[tuple[str, str]], out: Path) -> Path | None:
-    """Draw noisy pictures with points as rows and the same frames as columns; the path, or None.
+    """Draw the same frames of every point, the first of them clean, too; the path, or None.
 
-    points: label and folder of each dataset.  The first column is the clean picture of the first
-    frame.  None where no sample is in all of them.
+    points: label and folder of each dataset.  None where no sample is in all of them.
     """
-    import numpy as np
-    from PIL import Image, ImageDraw
-
-    from ..dataset import PairDataset
+    from ..dataset.describe.preview import _load, draw
+    from ..dataset.read.source import open_source
     from ..files import write_atomically
 
-    samples: list[dict[tuple[str, ...], tuple[str, int]]] = []
-    for _, folder in points:
-        found: dict[tuple[str, ...], tuple[str, int]] = {}
-        for split in ("train", "test"):
-            with suppress(FactoryError), PairDataset(folder, split=split, trusted=True) as pairs:
-                for number, row in enumerate(pairs.meta()):
-                    keys = ("location", "scene", "frame", "variant")
-                    found.setdefault(tuple(str(row[key]) for key in keys), (split, number))
-        samples.append(found)
+    samples = [
+        {(one.location, one.scene, one.frame, one.variant): one for one in source.names()}
+        for source in (open_source(Path(folder), "all") for _, folder in points)
+    ]
     common = [name for name in samples[0] if all(name in found for found in samples)]
     if not common:
         return None
-    names = [common[k * len(common) // _COLUMNS] for k in range(min(_COLUMNS, len(common)))]
-    names = list(dict.fromkeys(names))
-    step = _PICTURE_PX + _GAP_PX
-    size = (_GAP_PX + step * (1 + len(names)), (step + _LABEL_PX) * len(points) + _GAP_PX)
-    sheet = Image.new("L", size)
-    pen = ImageDraw.Draw(sheet)
-    for line, ((label, folder), found) in enumerate(zip(points, samples, strict=True)):
-        top = _GAP_PX + line * (step + _LABEL_PX)
-        pen.text((_GAP_PX, top), f"{label}   (clean, then noisy)", fill=255)
-        for column, (name, what) in enumerate(
-            [(names[0], "clean"), *((n, "noisy") for n in names)]
-        ):
-            split, number = found[name]
-            with PairDataset(
-                folder, split="test" if split == "test" else "train", trusted=True
-            ) as pairs:
-                picture = np.asarray(pairs[number][what])
-                white = pairs.value_range[1]
-            image = Image.fromarray((picture * (255 / white)).clip(0, 255).astype(np.uint8))
-            image.thumbnail((_PICTURE_PX, _PICTURE_PX))
-            sheet.paste(image, (_GAP_PX + column * step, top + _LABEL_PX))
-    buffer = io.BytesIO()
-    sheet.save(buffer, "PNG")
-    write_atomically(out, buffer.getvalue())
+    chosen = dict.fromkeys(common[k * len(common) // _FRAMES] for k in range(_FRAMES))
+    rows = []
+    for (label, _), found in zip(points, samples, strict=True):
+        first, *others = [_load(found[name]) for name in chosen]
+        images = {name: first.images[name] for name in ("clean", "noisy")}
+        images |= {f"noisy, {k + 2}": one.images["noisy"] for k, one in enumerate(others)}
+        rows.append(replace(first, heading=label, images=images))
+    write_atomically(out, draw(rows, f"{len(points)} points", "the same frames of each"))
     return out
 
 

@@ -1,6 +1,6 @@
 """`simnfnd plan [-m] ...`: what a command would make, and what it would cost.
 
-Three frames are really made, in memory and in a folder of the system's temporary files that goes
+Four frames are really made, in memory and in a folder of the system's temporary files that goes
 again; nothing of the dataset, the cache or the sweep is written.
 """
 
@@ -23,12 +23,13 @@ from ..errors import FactoryError, FrameError
 from ..frame import FrameRef
 from ..progress import clock
 from ..scheduler.plan import ShardTask, plan_shards
+from ..scheduler.settings import RENDERER_GB, WORKER_GB
 from ..scheduler.workers.machine import available_memory_bytes, usable_cores
 
 if TYPE_CHECKING:
     from ..config import FactoryConfig
 
-_PROBED = 3
+_PROBED = 4
 
 
 @dataclass(frozen=True)
@@ -97,16 +98,15 @@ def _planned(config: FactoryConfig) -> tuple[tuple[FrameRef, ...], tuple[ShardTa
 
 
 def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
-    """Make three frames from all over the list, and see.
+    """Make four frames from all over the list, and see.
 
-    The first render of a process, which has Blender to load, is not counted.
-    Raises FactoryError when none of the three can be made.
+    The first, which has Blender to load, is not counted.
+    Raises FactoryError when none of them can be made.
     """
     from ..config import with_cache
     from ..dataset.format.schema import Provenance
     from ..dataset.write.writer import write_shard
     from ..pairs import pair_maker
-    from ..render.view import encode
     from ..render.views import ViewMaker
     from ..scheduler.workers.machine import keep_freed_memory
 
@@ -119,15 +119,10 @@ def probe(config: FactoryConfig, frames: Sequence[FrameRef]) -> Cost:
         packed = config.scenes.kind == "pack"
         maker, pairs = None if packed else ViewMaker(config), pair_maker(config)
         render_s, pair_s, made, sizes, problem = [], [], [], [], ""
-        for ref in [chosen[0], *chosen]:
+        for ref in chosen:
             try:
                 begun = time.perf_counter()
-                if maker is None:
-                    sizes.append(0)
-                else:
-                    view = maker.render(ref)
-                    sizes.append(len(encode(view)))
-                    maker.views.cache.put(maker.views.keys.of(ref), view)
+                sizes.append(0 if maker is None else maker.prepare(ref).bytes)
                 rendered = time.perf_counter()
                 made += pairs.pairs(ref, (0,))
             except FrameError as error:
@@ -164,8 +159,7 @@ def _fits(config: FactoryConfig, disk: float, render: int, noise: int) -> bool:
     while not folder.exists():
         folder = folder.absolute().parent
     free = shutil.disk_usage(folder).free
-    settings = config.scheduler
-    memory = render * settings.memory_per_renderer_gb + noise * settings.memory_per_worker_gb
+    memory = render * RENDERER_GB + noise * WORKER_GB
     available = available_memory_bytes() / 1e9
     good = disk < free and memory < available
     print(f"disk: {_megabytes(free)} free{'' if disk < free else ', TOO LITTLE'}")

@@ -153,14 +153,12 @@ def _stored(directory: Path, settings: list[str]) -> FactoryConfig:
         ) from error
     if not isinstance(values, dict):
         raise FactoryError(f"{path}: not a configuration; restore it to rerun")
+    here = compose_config(settings)
+    own = {name: getattr(here, name) for name in ("scheduler", "cache", "shard", "debug")}
     try:
-        config = from_mapping(values)
+        return from_mapping({**values, **own})
     except FactoryError as error:
         raise FactoryError(f"{path}: {error}") from error
-    here = compose_config(settings)
-    return replace(
-        config, scheduler=here.scheduler, cache=here.cache, shard=here.shard, debug=here.debug
-    )
 
 
 def _printable(text: str) -> str:

@@ -48,10 +48,6 @@ class Recipe:
         return self.publication is not None and self.publication.apart
 
 
-def _nothing(added_bytes: int) -> None:
-    pass
-
-
 @dataclass(frozen=True)
 class Job:
     """The dataset in `directory`: what it is made of, how, and by which workers.
@@ -80,7 +76,7 @@ class Job:
     preparer: Callable[[Any], Preparer] | None = None
     skipped: Mapping[str, int] = field(default_factory=dict)
     shard: ShardSlice = field(default_factory=ShardSlice)
-    on_prepared: Callable[[int], None] = _nothing
+    on_prepared: Callable[[int], None] = lambda added_bytes: None
     warnings: tuple[str, ...] = ()
     preload: tuple[str, ...] = ("simnfnd.factory.scheduler.worker",)
 

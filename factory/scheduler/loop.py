@@ -6,22 +6,20 @@ can be made go before frames that can be prepared.
 
 from __future__ import annotations
 
-import pickle
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from ..dataset.write.failures import FailureKind
+from ..dataset.write.failures import Failure, FailureKind
 from ..errors import FactoryError
 from ..frame import FrameRef
 from ..storage.publish import Publication
 from .job import Job
 from .lock import Lock
-from .pending import AttemptState, PendingFrame, PendingShard, backoff_s, told_by
+from .pending import AttemptState, Pending
 from .plan import ShardTask
 from .progress import ProgressBar
 from .results import Results, Resumed
@@ -31,20 +29,46 @@ from .worker import (
     FrameResult,
     ShardAttempt,
     ShardResult,
-    run_frame,
-    run_shard,
+    make_shard,
+    prepare_frame,
 )
 from .workers.contract import Backend
 
 _POLL_S = 0.2
-# Longer than the limit of a frame that a worker may be silent.
+# A worker ends itself when a frame takes too long, which leaves its traceback; one that was stopped
+# cannot, and is killed so much later.
 _GRACE_S = 5.0
 # So many workers that die without having begun a frame, one after another, are no accident.
 _MAX_BARREN_DEATHS = 10
 # A shard whose frames vanish from the cache that often will not be made.
 _MAX_ROUNDS = 20
 
-Pending = PendingShard | PendingFrame
+SomeWork = TypeVar("SomeWork", bound=Pending)
+
+
+class _Shard(Pending):
+    """A shard to make.
+
+    needs: names of the frames that have to be prepared before.
+    keys: of those that were, by their names; see `schema.Prepared`.
+    rounds: how often it was found that a prepared frame was gone again.
+    """
+
+    def __init__(self, task: ShardTask, retries: int) -> None:
+        super().__init__([ref for ref, _ in task.items], retries, task.path)
+        self.task = task
+        self.needs: set[str] = set()
+        self.keys: dict[str, str] = {}
+        self.rounds = 0
+
+
+class _Frame(Pending):
+    """A frame to prepare, and the shards that wait for it."""
+
+    def __init__(self, ref: FrameRef, retries: int) -> None:
+        super().__init__([ref], retries)
+        self.ref = ref
+        self.waiting: list[_Shard] = []
 
 
 class Loop:
@@ -67,10 +91,10 @@ class Loop:
         self._lacking = resumed.lacking
         self._results, self._progress = results, progress
         self._backend = backend
-        self._ready: deque[PendingShard] = deque()
-        self._preparing: deque[PendingFrame] = deque()
-        self._needed: dict[str, PendingFrame] = {}
-        self._running: dict[Future[Any], tuple[Pending, AttemptState, Path]] = {}
+        self._ready: deque[_Shard] = deque()
+        self._preparing: deque[_Frame] = deque()
+        self._needed: dict[str, _Frame] = {}
+        self._running: dict[Future[Any], tuple[_Shard | _Frame, AttemptState]] = {}
         self._unsettled = len(resumed.todo)
         self._failed_frames = 0
         self._barren_deaths = 0
@@ -79,7 +103,7 @@ class Loop:
         progress.frames_total = len(self._needed)
 
     def _add(self, task: ShardTask) -> None:
-        shard = PendingShard(task, self._scheduler.retries)
+        shard = _Shard(task, self._scheduler.retries)
         if not self._prepares:
             self._ready.append(shard)
             return
@@ -99,117 +123,86 @@ class Loop:
             for future in done:
                 self._take_result(*self._running.pop(future), future)
             self._backend.poll()
-            self._progress.show(
-                [
-                    state
-                    for work, state, _ in self._running.values()
-                    if isinstance(work, PendingShard)
-                ],
-                self._failed_frames,
-            )
+            shards = [state for work, state in self._running.values() if isinstance(work, _Shard)]
+            self._progress.show(shards, self._failed_frames)
 
     def _submit_what_fits(self) -> None:
-        now = time.monotonic()
-        while self._backend.free(NOISE) and (shard := _take(self._ready, now)):
-            self._submit_shard(shard)
-        while self._backend.free(RENDER) and (frame := _take(self._preparing, now)):
-            self._submit_frame(frame)
+        while self._backend.free(NOISE) and (shard := _take(self._ready)):
+            self._submit(shard, shard.path, NOISE)
+        while self._backend.free(RENDER) and (frame := _take(self._preparing)):
+            self._submit(frame, frame.ref.name, RENDER)
 
-    def _submit_shard(self, shard: PendingShard) -> None:
-        trace = self._trace(shard.task.path, shard)
-        lacking = self._lacking.get(shard.task.path, ())
-        attempt = ShardAttempt(shard.task, self._recipe, trace, shard.given_up, lacking, shard.keys)
-        self._submit(run_shard, attempt, NOISE, shard, trace)
+    def _submit(self, work: _Shard | _Frame, name: str, pool: str) -> None:
+        work.tries += 1
+        trace = self._recipe.work_folder / f"{name.replace('/', '-')}.{work.tries}.trace"
+        state = AttemptState(trace)
+        more = self._scheduler.frame_timeout_s + _GRACE_S, pool, state.hear
+        if isinstance(work, _Frame):
+            frame = FrameAttempt(work.ref, self._recipe, trace)
+            future: Future[Any] = self._backend.submit(prepare_frame, frame, *more)
+        else:
+            given_up, lacking = tuple(work.given_up.values()), self._lacking.get(work.path, ())
+            shard = ShardAttempt(work.task, self._recipe, trace, given_up, lacking, work.keys)
+            future = self._backend.submit(make_shard, shard, *more)
+        self._running[future] = work, state
 
-    def _submit_frame(self, frame: PendingFrame) -> None:
-        trace = self._trace(frame.ref.name, frame)
-        attempt = FrameAttempt(frame.ref, self._recipe, trace)
-        self._submit(run_frame, attempt, RENDER, frame, trace)
-
-    def _submit(
-        self,
-        function: Callable[[bytes], Any],
-        attempt: ShardAttempt | FrameAttempt,
-        pool: str,
-        work: Pending,
-        trace: Path,
-    ) -> None:
-        state = AttemptState()
-        # A worker ends itself when a frame takes too long, which leaves its traceback; one that
-        # was stopped cannot, and is killed a little later.
-        silence_s = self._scheduler.frame_timeout_s + _GRACE_S
-        pickled = pickle.dumps(attempt)
-        future = self._backend.submit(function, pickled, silence_s, pool, state.hear)
-        self._running[future] = (work, state, trace)
-
-    def _trace(self, name: str, work: Pending) -> Path:
-        work.number += 1
-        return self._recipe.work_folder / f"{name.replace('/', '-')}.{work.number}.trace"
-
-    def _take_result(
-        self, work: Pending, state: AttemptState, trace: Path, future: Future[Any]
-    ) -> None:
+    def _take_result(self, work: _Shard | _Frame, state: AttemptState, future: Future[Any]) -> None:
         error = future.exception()
-        late, place = told_by(trace)
+        late, place = state.cause_of_death(self._scheduler.frame_timeout_s)
         if state.begun or error is None:
             self._barren_deaths = 0
-        if error is None:
-            result = future.result()
-            if isinstance(work, PendingFrame):
-                self._prepared(work, result)
-            elif result.missing:
-                self._need_again(work, result.missing)
-            else:
-                self._settle(work, result)
-            return
-        late = late or state.silent_s() >= self._scheduler.frame_timeout_s
-        kind, reason = self._cause(error, late)
-        reason += place
-        if not state.begun:
-            # Nothing of it was touched yet, so nothing of it is to blame.
-            self._barren_deaths += 1
-            if self._barren_deaths >= _MAX_BARREN_DEATHS:
-                raise FactoryError(f"no worker lives long enough to begin a frame: {reason}")
-            again = True
-        elif isinstance(work, PendingFrame):
-            failure = work.died(kind, reason)
-            again = failure is None
-            if failure is not None:
-                self._prepared(work, FrameResult(failure))
+        if error is not None:
+            kind, reason = self._cause(error, late)
+            self._died(work, state, kind, reason + place)
+        elif isinstance(work, _Frame):
+            self._prepared(work, future.result())
+        elif missing := future.result().missing:
+            self._need_again(work, missing)
         else:
-            again = work.died(state.in_hand, kind, reason)
-            if not again:
-                self._give_up(work)
-        if again:
-            self._retry_later(work, work.deaths if state.begun else self._barren_deaths)
+            self._settle(work, future.result())
 
-    def _retry_later(self, work: Pending, deaths: int) -> None:
-        work.not_before = time.monotonic() + backoff_s(self._scheduler.backoff_s, deaths)
-        if isinstance(work, PendingFrame):
-            self._preparing.appendleft(work)
-        else:
-            self._ready.appendleft(work)
-
-    def _cause(self, error: BaseException, timed_out: bool) -> tuple[FailureKind, str]:
+    def _cause(self, error: BaseException, late: bool) -> tuple[FailureKind, str]:
         """Why a worker died; an error that is no death ends the run."""
         reason = self._backend.why_died(error)
-        if isinstance(error, TimeoutError) or (reason and timed_out):
+        if isinstance(error, TimeoutError) or (reason and late):
             limit_s = self._scheduler.frame_timeout_s
             return "timeout", f"took longer than scheduler.frame_timeout_s={limit_s:g}"
         if reason is None:
             raise error
         return "crash", reason
 
-    def _need(self, shard: PendingShard, refs: Sequence[FrameRef]) -> None:
+    def _died(
+        self, work: _Shard | _Frame, state: AttemptState, kind: FailureKind, reason: str
+    ) -> None:
+        if not state.begun:
+            # Nothing of it was touched yet, so nothing of it is to blame.
+            self._barren_deaths += 1
+            if self._barren_deaths >= _MAX_BARREN_DEATHS:
+                raise FactoryError(f"no worker lives long enough to begin a frame: {reason}")
+            work.wait(self._barren_deaths)
+        elif work.died(0 if isinstance(work, _Frame) else state.in_hand, kind, reason):
+            work.wait()
+        elif isinstance(work, _Frame):
+            self._prepared(work, FrameResult(work.given_up[work.ref.name]))
+            return
+        else:
+            self._give_up(work)
+            return
+        if isinstance(work, _Frame):
+            self._preparing.appendleft(work)
+        else:
+            self._ready.appendleft(work)
+
+    def _need(self, shard: _Shard, refs: Sequence[FrameRef]) -> None:
         """Let the shard wait until these frames are prepared."""
         for ref in refs:
             if ref.name not in self._needed:
-                self._needed[ref.name] = PendingFrame(ref, self._scheduler.retries)
+                self._needed[ref.name] = _Frame(ref, self._scheduler.retries)
                 self._preparing.append(self._needed[ref.name])
             self._needed[ref.name].waiting.append(shard)
             shard.needs.add(ref.name)
 
-    def _need_again(self, shard: PendingShard, missing: Sequence[FrameRef]) -> None:
+    def _need_again(self, shard: _Shard, missing: Sequence[FrameRef]) -> None:
         shard.rounds += 1
         if shard.rounds > _MAX_ROUNDS or self._recipe.preparer is None:
             raise FactoryError(
@@ -219,40 +212,40 @@ class Loop:
         self._need(shard, missing)
         self._progress.frames_total += len(missing)
 
-    def _prepared(self, frame: PendingFrame, result: FrameResult) -> None:
+    def _prepared(self, frame: _Frame, result: FrameResult) -> None:
         del self._needed[frame.ref.name]
         self._progress.prepared(result.hit, result.failure is not None)
         self._job.on_prepared(result.bytes)
         for shard in frame.waiting:
             if result.failure is not None:
-                shard.give_up(result.failure)
+                here = replace(result.failure, shard=shard.path)
+                shard.given_up.setdefault(frame.ref.name, here)
             if result.key:
                 shard.keys[frame.ref.name] = result.key
             shard.needs.discard(frame.ref.name)
             if not shard.needs:
                 self._ready.append(shard)
 
-    def _give_up(self, shard: PendingShard) -> None:
+    def _give_up(self, shard: _Shard) -> None:
         # A finished shard that was only asked for the frames it lacks is as good as before.
-        lacking = self._lacking.get(shard.task.path)
-        failures = tuple(
-            failure for failure in shard.given_up if lacking is None or failure.ref.name in lacking
-        )
+        lacking = self._lacking.get(shard.path)
+        failures: tuple[Failure, ...] = tuple(shard.given_up.values())
+        if lacking is not None:
+            failures = tuple(one for one in failures if one.ref.name in lacking)
         self._settle(shard, ShardResult(None, failures, kept=lacking is not None))
 
-    def _settle(self, shard: PendingShard, result: ShardResult) -> None:
+    def _settle(self, shard: _Shard, result: ShardResult) -> None:
         self._unsettled -= 1
         self._failed_frames += len(result.failures)
-        self._progress.settled_samples += shard.task.samples
         gone = {failure.ref.name for failure in result.failures}
-        self._progress.lost_samples += sum(
-            len(variants) for ref, variants in shard.task.items if ref.name in gone
-        )
+        lost = sum(len(variants) for ref, variants in shard.task.items if ref.name in gone)
+        self._progress.settled(shard.task.samples, lost)
         self._results.settle(shard.task, result)
 
 
-def _take(queue: deque[Any], now: float) -> Any:
+def _take(queue: deque[SomeWork]) -> SomeWork | None:
     """The first of the queue whose time has come, or None."""
+    now = time.monotonic()
     for index, work in enumerate(queue):
         if work.not_before <= now:
             del queue[index]

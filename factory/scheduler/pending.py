@@ -5,16 +5,18 @@ from __future__ import annotations
 import re
 import time
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..dataset.write.failures import Failure, FailureKind
 from ..frame import FrameRef
-from .plan import ShardTask
 
 START, DONE, FAILED = "start", "done", "failed"
 """What a worker tells of a frame: it begins with number N, made N samples, or got none."""
 
+# Before the first new try; each later one waits twice as long.
+_BACKOFF_S, _MOST_BACKOFF_S = 0.2, 30.0
 _PLACE = re.compile(r'File "[^"]*?([^/"]+)", line (\d+) in (\S+)')
 
 
@@ -22,11 +24,13 @@ _PLACE = re.compile(r'File "[^"]*?([^/"]+)", line (\d+) in (\S+)')
 class AttemptState:
     """What the run knows of one attempt.
 
+    trace: file for the traceback of its worker.
     samples: made so far.  failed: frames that failed so far.
     in_hand: index of the frame being worked on, or None between frames.
     begun: whether any frame was begun.  heard_at: when something was told last (time.monotonic).
     """
 
+    trace: Path
     samples: int = 0
     failed: int = 0
     in_hand: int | None = None
@@ -44,107 +48,61 @@ class AttemptState:
             self.samples += value if event == DONE else 0
             self.failed += event == FAILED
 
-    def silent_s(self) -> float:
-        """Seconds since something was told."""
-        return time.monotonic() - self.heard_at
+    def cause_of_death(self, limit_s: float) -> tuple[bool, str]:
+        """Whether the worker was too late, and where it was (in brackets, if that is known).
+
+        The file of its traceback is removed.
+        """
+        late = time.monotonic() - self.heard_at >= limit_s
+        try:
+            text = self.trace.read_text(encoding="utf-8", errors="replace")
+            self.trace.unlink()
+        except OSError:  # it was killed, or shares no folder with us
+            return late, ""
+        # Of the thread that was at work; the others only wait.
+        parts = (part for part in text.split("\n\n") if "in answered" in part)
+        found = _PLACE.search(next(parts, ""))
+        place = f" ({found[3]}, {found[1]}:{found[2]})" if found else ""
+        return late or "Timeout (" in text, place
 
 
-class PendingShard:
-    """A shard that is not settled yet, and what happened to it so far.
+class Pending:
+    """A shard to make, or one frame to prepare, and what happened to it so far.
 
-    A frame that was in hand at `retries` + 1 deaths is given up, and the shard goes on without
-    it.  A shard whose workers die that often between frames is given up as a whole.  Every death
-    uses up a try of one frame, so there is an end whatever happens.
+    A frame that was in hand at `retries` + 1 deaths is given up, and the rest goes on without it.
+    Where workers die that often between frames, all are given up.  Every death uses up a try of one
+    frame, so there is an end whatever happens.
 
-    needs: names of the frames that have to be prepared before the shard can be made.
-    keys: of those that were, by their names; see `schema.Prepared`.
-    rounds: how often it was found that a prepared frame was gone again.
+    refs: its frames.  path: of the shard; empty for a frame.
+    given_up: failures of frames that are not to be tried again, by their names.
     """
 
-    def __init__(self, task: ShardTask, retries: int) -> None:
-        self.task = task
-        self.number = 0
+    def __init__(self, refs: Sequence[FrameRef], retries: int, path: str = "") -> None:
+        self.path = path
+        self.given_up: dict[str, Failure] = {}
         self.not_before = 0.0
-        self.needs: set[str] = set()
-        self.keys: dict[str, str] = {}
-        self.rounds = 0
-        self._retries = retries
+        self.tries = 0
+        self._refs, self._retries = refs, retries
         self._deaths: Counter[int | None] = Counter()
-        self._given_up: dict[str, Failure] = {}
-
-    @property
-    def given_up(self) -> tuple[Failure, ...]:
-        """Failures of the frames that are not to be tried again."""
-        return tuple(self._given_up.values())
-
-    @property
-    def deaths(self) -> int:
-        """Workers that died over this shard."""
-        return self._deaths.total()
-
-    def give_up(self, failure: Failure) -> None:
-        """Go on without a frame that could not be prepared."""
-        here = replace(failure, shard=self.task.path)
-        self._given_up.setdefault(failure.ref.name, here)
 
     def died(self, in_hand: int | None, kind: FailureKind, reason: str) -> bool:
         """Note a death with frame number `in_hand` in hand (None: between frames).
 
-        Returns whether the shard is to be tried again; if not, all its frames are in `given_up`.
+        Returns whether a frame is left to be tried again.
         """
         self._deaths[in_hand] += 1
-        if self._deaths[in_hand] <= self._retries:
-            return True
-        text = f"{reason}, {_tries(self._deaths[in_hand])}"
-        culprits = self.task.items if in_hand is None else (self.task.items[in_hand],)
-        for ref, _ in culprits:
-            self.give_up(Failure(ref, kind, f"{ref.name}: {text}", self.task.path))
-        return in_hand is not None
+        if (deaths := self._deaths[in_hand]) > self._retries:
+            tries = f"in each of {deaths} tries" if deaths > 1 else "once tried"
+            for ref in self._refs if in_hand is None else (self._refs[in_hand],):
+                text = f"{ref.name}: {reason}, {tries}"
+                self.given_up.setdefault(ref.name, Failure(ref, kind, text, self.path))
+        return len(self.given_up) < len(self._refs)
 
+    def wait(self, deaths: int = 0) -> None:
+        """Set when it is tried again: ever later, up to half a minute.
 
-class PendingFrame:
-    """A frame that is to be prepared, and what happened to it so far.
-
-    waiting: the shards that need it.
-    """
-
-    def __init__(self, ref: FrameRef, retries: int) -> None:
-        self.ref = ref
-        self.number = 0
-        self.not_before = 0.0
-        self.deaths = 0
-        self.waiting: list[PendingShard] = []
-        self._retries = retries
-
-    def died(self, kind: FailureKind, reason: str) -> Failure | None:
-        """Note a death over this frame; its failure when it is not to be tried again."""
-        self.deaths += 1
-        if self.deaths <= self._retries:
-            return None
-        text = f"{self.ref.name}: {reason}, {_tries(self.deaths)}"
-        return Failure(self.ref, kind, text, "")
-
-
-def _tries(deaths: int) -> str:
-    return f"in each of {deaths} tries" if deaths > 1 else "once tried"
-
-
-def backoff_s(first_s: float, deaths: int) -> float:
-    """Wait before the try after that many deaths: doubles, up to half a minute."""
-    return float(min(first_s * 2.0 ** max(0, deaths - 1), 30.0))
-
-
-def told_by(trace: Path) -> tuple[bool, str]:
-    """What the traceback of a dead worker tells: it was too late; where it was, in brackets.
-
-    Both are empty for a worker that was killed.  The file is removed.
-    """
-    try:
-        text = trace.read_text(encoding="utf-8", errors="replace")
-        trace.unlink()
-    except OSError:
-        return False, ""
-    # Of the thread that was at work; the others only wait.
-    parts = (part for part in text.split("\n\n") if "in _call_pickled" in part)
-    found = _PLACE.search(next(parts, ""))
-    return "Timeout (" in text, f" ({found[3]}, {found[1]}:{found[2]})" if found else ""
+        deaths: so many workers died, if it was not over this.
+        """
+        deaths = deaths or self._deaths.total()
+        pause_s = min(_BACKOFF_S * 2.0 ** max(0, deaths - 1), _MOST_BACKOFF_S)
+        self.not_before = time.monotonic() + pause_s

@@ -57,15 +57,9 @@ def plan_shards(
         whole list, so that no scene is left out; the last one taken may give fewer variants.
 
     The variants of a frame lie in one shard, unless a frame has more of them than a shard holds:
-    then the frame fills shards of its own.  Raises FactoryError for an unknown split, or when one
-    frame is named twice.
+    then the frame fills shards of its own.  Raises FactoryError when one frame is named twice.
     """
-    unknown = sorted(set(refs_by_split) - set(SPLITS))
-    if unknown:
-        raise FactoryError(f"splits are {' and '.join(SPLITS)}, got {', '.join(unknown)}")
-    if variants < 1 or shard_size < 1:
-        raise FactoryError("frames.variants and scheduler.shard_size must be at least 1")
-    refuse_doubles(refs_by_split)
+    _refuse_doubles(refs_by_split)
     tasks: list[ShardTask] = []
     for split in SPLITS:
         items = _limited(refs_by_split.get(split, ()), variants, (limits or {}).get(split))
@@ -98,8 +92,7 @@ def _cut(
         yield items[start : start + frames]
 
 
-def refuse_doubles(refs_by_split: Mapping[str, Sequence[FrameRef]]) -> None:
-    """Raise FactoryError when a frame is named twice."""
+def _refuse_doubles(refs_by_split: Mapping[str, Sequence[FrameRef]]) -> None:
     seen: dict[str, str] = {}
     for split, refs in refs_by_split.items():
         for ref in refs:

@@ -31,14 +31,13 @@ class ProgressBar:
     """Counts of frames and pairs, shown on stderr and written to status.json.
 
     total: planned samples.  settled: of them, those that need no work any more.
-    settled_samples: planned samples of the shards that are settled (made, kept or given up).
-    lost_samples: of them, those of frames that failed.
+    frames_total: frames to prepare.
     """
 
     def __init__(self, job: Job, crew: Crew, total: int, settled: int) -> None:
-        self.settled_samples = settled
-        self.lost_samples = 0
         self.frames_total = 0
+        # Of the shards that are made, kept or given up; of them, those of frames that failed.
+        self._settled, self._lost = settled, 0
         stem, _, suffix = STATUS_NAME.rpartition(".")
         part = f".{job.shard.part}" if job.shard.part else ""
         self._path = job.directory / f"{stem}{part}.{suffix}"
@@ -60,12 +59,17 @@ class ProgressBar:
         """Count one frame that a render worker is done with."""
         self._frames["failed" if failed else "from_cache" if hit else "rendered"] += 1
 
+    def settled(self, samples: int, lost: int) -> None:
+        """Count the planned samples of one shard that needs no more work, and what it lost."""
+        self._settled += samples
+        self._lost += lost
+
     def show(self, shards: Sequence[AttemptState], failed: int) -> None:
         """Show how far it is; cheap enough to be called several times a second.
 
         shards: state of each that is being made.
         """
-        self._pairs = self.settled_samples + sum(state.samples for state in shards)
+        self._pairs = self._settled + sum(state.samples for state in shards)
         self._failed = failed + sum(state.failed for state in shards)
         self._draw()
         if time.monotonic() - self._written > _EVERY_S:
@@ -99,7 +103,7 @@ class ProgressBar:
             hits = self._frames["from_cache"]
             cached = f" ({hits} from cache)" if hits else ""
             parts.append(f"frames {sum(self._frames.values())}/{self.frames_total}{cached}")
-        parts.append(f"pairs {self._pairs - self.lost_samples}/{self._total}")
+        parts.append(f"pairs {self._pairs - self._lost}/{self._total}")
         if self._failed:
             parts.append(f"{self._failed} failed")
         return ", ".join(parts)
@@ -125,7 +129,7 @@ class ProgressBar:
             "pid": os.getpid(),
             "begun": time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(self._begun)),
             "seconds": round(seconds, 1),
-            "pairs": {"done": self._pairs - self.lost_samples, "total": self._total},
+            "pairs": {"done": self._pairs - self._lost, "total": self._total},
             "pairs_per_second": round(rate, 3),
             "seconds_left": None if left is None else round(left),
             "frames": {"total": self.frames_total, **self._frames},

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 from ..dataset.format.manifest import (
     Manifest,
@@ -87,20 +88,21 @@ def take_up(job: Job, manifest: Manifest) -> Resumed:
         if path in planned and info.plan == planned[path].digest
     ]
     with ThreadPoolExecutor() as pool:
-        found = list(pool.map(lambda info: damage(directory, info), same))
-    good = {info.path: info for info, problem in zip(same, found, strict=True) if not problem}
-    notes = tuple(
-        f"{directory / info.path}: {problem}; it is made again"
-        for info, problem in zip(same, found, strict=True)
-        if problem
-    )
+        found = zip(same, pool.map(partial(damage, directory), same), strict=True)
+    good: dict[str, ShardInfo] = {}
+    notes = []
+    for info, problem in found:
+        if problem:
+            notes.append(f"{directory / info.path}: {problem}; it is made again")
+        else:
+            good[info.path] = info
     if whole:
         _remove_unplanned(job)
     todo = tuple(
         task for task in tasks if task.path not in good or good[task.path].samples < task.samples
     )
     lacking = {task.path: good[task.path].failed for task in todo if task.path in good}
-    return Resumed(_with_shards(manifest, good), todo, lacking, notes)
+    return Resumed(_with_shards(manifest, good), todo, lacking, tuple(notes))
 
 
 def _with_shards(manifest: Manifest, shards: Mapping[str, ShardInfo]) -> Manifest:

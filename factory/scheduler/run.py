@@ -21,7 +21,6 @@ from .lock import Lock
 from .loop import Loop
 from .progress import ProgressBar
 from .results import Results, RunReport, take_up
-from .settings import Crew
 from .workers import workers_of
 from .workers.signals import Interrupted, stop_signals
 
@@ -52,18 +51,13 @@ def make_dataset(job: Job) -> RunReport:
         Lock(job.directory, job.shard.part) as lock,
         publishing(job.directory, job.shard.part, apart=apart) as publication,
     ):
-        manifest = _open(job)
+        emptied = job.dataset.on_existing == "overwrite" and empty_folder(job.directory)
+        manifest = open_folder(job.directory, job.config_values, job.provenance, emptied=emptied)
         report = make_shards(job, manifest, lock, publication)
         if not job.shard.part:
             _forget_slices(job.directory)
             _describe(job, report)
     return report
-
-
-def _open(job: Job) -> Manifest:
-    """Make the folder ready; returns what it already holds of this dataset."""
-    emptied = job.dataset.on_existing == "overwrite" and empty_folder(job.directory)
-    return open_folder(job.directory, job.config_values, job.provenance, emptied=emptied)
 
 
 def make_shards(
@@ -93,7 +87,9 @@ def make_shards(
         # Also when nothing is left to do: a run may have been killed after its last shard.
         _tidy(job)
         if todo:
-            stage(f"starting {_workers(crew)} for {sum(task.samples for task in todo)} pairs")
+            count = f"{crew.total} worker{'s' if crew.total > 1 else ''}"
+            renders = f" ({crew.render} of them for renders)" if crew.render else ""
+            stage(f"starting {count}{renders} for {sum(task.samples for task in todo)} pairs")
             largest = max(len(task.items) for task in todo)
             try:
                 settings = job.scheduler.worker_settings(crew, largest, job.preload)
@@ -109,12 +105,6 @@ def make_shards(
     finally:
         progress.close(state)
     return results.report(already_done=len(tasks) - len(todo))
-
-
-def _workers(crew: Crew) -> str:
-    """Such as `2 workers (1 renders)`."""
-    count = f"{crew.total} worker{'s' if crew.total > 1 else ''}"
-    return f"{count} ({crew.render} of them for renders)" if crew.render else count
 
 
 def _tidy(job: Job) -> None:

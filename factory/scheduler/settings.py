@@ -15,6 +15,8 @@ from .workers.machine import available_memory_bytes, usable_cores, workers_that_
 MAX_AUTO_WORKERS = 48
 # The rest is for the system's file cache and for other programs.
 _MEMORY_SHARE = 0.8
+# Measured of one that adds noise, and of one that holds Blender and a scene.
+WORKER_GB, RENDERER_GB = 0.3, 1.0
 
 RENDER, NOISE = "render", "noise"
 
@@ -63,29 +65,22 @@ class SchedulerSettings:
     address: of a Dask scheduler, tcp://host:port; None starts a Dask cluster on this machine.
     workers: number of worker processes; auto is one a core, as many as fit the memory, at most 48.
     render_workers: how many of them render; auto is at most one a core and what fits the memory.
-    start_all: start every worker at once, not when there is work for it.
     shard_size: samples in a shard.  It decides which file a sample lies in.
     threads: of each worker's numerical libraries.
     frame_timeout_s: a frame that takes longer is given up and its worker replaced.
     retries: how often a frame is tried again after its worker died or it took too long.
-    backoff_s: wait before the first such try; each later one waits twice as long.
     recycle_frames: a worker is replaced by a fresh process after about this many frames.
-    memory_per_worker_gb, memory_per_renderer_gb: what auto counts for one of either kind.
     """
 
     backend: BackendName = "local"
     address: str | None = None
     workers: Annotated[int, Field(ge=1, le=1024)] | Literal["auto"] = "auto"
     render_workers: Annotated[int, Field(ge=1, le=1024)] | Literal["auto"] = "auto"
-    start_all: bool = False
     shard_size: Annotated[int, Field(ge=1)] = 32
     threads: Annotated[int, Field(ge=1)] = 1
     frame_timeout_s: Annotated[float, Field(gt=0)] = 300.0
     retries: Annotated[int, Field(ge=0)] = 1
-    backoff_s: Annotated[float, Field(ge=0)] = 0.5
     recycle_frames: Annotated[int, Field(ge=1)] = 200
-    memory_per_worker_gb: Annotated[float, Field(gt=0)] = 0.3
-    memory_per_renderer_gb: Annotated[float, Field(gt=0)] = 1.0
 
     @model_validator(mode="after")
     def _address(self) -> Self:
@@ -97,18 +92,16 @@ class SchedulerSettings:
         """How many workers of either kind for that many shards, and frames to prepare."""
         memory_gb = available_memory_bytes() / 1e9 * _MEMORY_SHARE
         if self.workers == "auto":
-            fitting = int(memory_gb / self.memory_per_worker_gb)
+            fitting = int(memory_gb / WORKER_GB)
             total = max(1, min(usable_cores(), fitting, MAX_AUTO_WORKERS))
         else:
             total = self.workers
-        if not self.start_all:
-            total = min(total, max(shards, frames))
+        total = min(total, max(shards, frames))
         if not frames:
             return Crew(0, total)
         if self.render_workers == "auto":
-            left_gb = memory_gb - total * self.memory_per_worker_gb
-            more_gb = max(self.memory_per_renderer_gb - self.memory_per_worker_gb, 1e-3)
-            render = max(1, min(usable_cores(), int(left_gb / more_gb)))
+            left_gb = memory_gb - total * WORKER_GB
+            render = max(1, min(usable_cores(), int(left_gb / (RENDERER_GB - WORKER_GB))))
         else:
             render = self.render_workers
         render = min(render, total, frames)
@@ -143,7 +136,6 @@ class SchedulerSettings:
             ),
             backend=self.backend,
             threads=self.threads,
-            start_all=self.start_all,
             address=self.address,
             preload=preload,
         )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import faulthandler
 import multiprocessing
 import os
-import pickle
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -122,30 +121,6 @@ def watch(trace: Path, frame_timeout_s: float) -> Iterator[Clock]:
 _built: dict[str, tuple[tuple[Any, ...], Any]] = {}
 
 
-def run_shard(pickled: bytes) -> ShardResult:
-    """`make_shard` as a worker calls it: attempt in and errors out survive any transport.
-
-    The attempt comes pickled, so that a source that cannot be imported is an error of this call and
-    not the death of a worker that could not unpickle its task.  Errors are raised as plain
-    FactoryError or RuntimeError (with the traceback as text), which every process can unpickle.
-    """
-    return _call_pickled(make_shard, pickled)
-
-
-def run_frame(pickled: bytes) -> FrameResult:
-    """`prepare_frame` as a worker calls it; see `run_shard`."""
-    return _call_pickled(prepare_frame, pickled)
-
-
-def _call_pickled(function: Callable[[Any], T], pickled: bytes) -> T:
-    try:
-        return function(pickle.loads(pickled))
-    except FactoryError as error:
-        raise FactoryError(_one_line(str(error))) from None
-    except Exception:
-        raise RuntimeError(traceback.format_exc()) from None
-
-
 def prepare_frame(attempt: FrameAttempt) -> FrameResult:
     """Prepare the attempt's frame, or say why it cannot be.
 
@@ -209,7 +184,8 @@ class _Shard:
     """Goes through the frames of one attempt and tells of each."""
 
     def __init__(self, attempt: ShardAttempt, clock: Clock) -> None:
-        self._attempt, self._recipe, self._clock = attempt, attempt.recipe, clock
+        self._task, self._recipe, self._clock = attempt.task, attempt.recipe, clock
+        self._lacking = attempt.lacking
         self._source: PairSource = _build(self._recipe.source, self._recipe)
         self._source.expect(attempt.keys)
         # What a frame needs is made here, too, by who shares no folder.
@@ -222,15 +198,15 @@ class _Shard:
 
     def result(self) -> ShardResult:
         """Write the shard, or say why it is not to be written."""
-        task, recipe = self._attempt.task, self._recipe
-        lacking = [item for item in enumerate(task.items) if self._lacks(item[1])]
-        if lacking:
-            if missing := self._missing([item for _, item in lacking]):
-                return ShardResult(None, (), missing=missing)
-            failures = [self._made(index, item)[1] for index, item in lacking]
-            if all(failures):
-                return ShardResult(None, tuple(f for f in failures if f), kept=True)
-        if missing := self._missing(task.items):
+        task, recipe = self._task, self._recipe
+        todo = list(enumerate(task.items))
+        lacking = [item for item in todo if item[1][0].name in self._lacking]
+        if missing := self._missing(lacking):
+            return ShardResult(None, (), missing=missing)
+        failures = [failure for item in lacking if (failure := self._made(*item)[1])]
+        if lacking and len(failures) == len(lacking):
+            return ShardResult(None, tuple(failures), kept=True)
+        if missing := self._missing(todo):
             return ShardResult(None, (), missing=missing)
         how = self._axes, self._columns, recipe.provenance, recipe.dataset
         info = write_shard(recipe.directory, task.path, self._pairs(), *how)
@@ -243,19 +219,16 @@ class _Shard:
             )
         return ShardResult(info, tuple(self._failures))
 
-    def _lacks(self, item: FrameVariants) -> bool:
-        return item[0].name in self._attempt.lacking
-
-    def _missing(self, items: Sequence[FrameVariants]) -> tuple[FrameRef, ...]:
+    def _missing(self, items: Sequence[tuple[int, FrameVariants]]) -> tuple[FrameRef, ...]:
         """Frames that somebody else has to prepare first."""
         if self._preparer is not None:
             return ()
-        refs = (ref for ref, _ in items if ref.name not in self._given_up)
-        return tuple(ref for ref in refs if not self._source.ready(ref))
+        asked = (ref for _, (ref, _) in items if ref.name not in self._given_up)
+        return tuple(ref for ref in asked if not self._source.ready(ref))
 
     def _pairs(self) -> Iterator[Pair]:
         """The pairs of all frames in order; frames without go to the failures."""
-        for index, item in enumerate(self._attempt.task.items):
+        for index, item in enumerate(self._task.items):
             pairs, failure = self._made(index, item)
             if failure:
                 self._failures.append(failure)
@@ -271,10 +244,9 @@ class _Shard:
             return [], self._given_up[ref.name]
         tell(START, index)
         try:
-            if self._preparer is not None:
-                with self._clock():
-                    self._preparer.prepare(ref)
             with self._clock():
+                if self._preparer is not None:
+                    self._preparer.prepare(ref)
                 pairs = self._source.pairs(ref, variants)
             if len(pairs) != len(variants):
                 raise FrameError(f"{ref.name}: {len(pairs)} pairs for {len(variants)} variants")
@@ -282,7 +254,7 @@ class _Shard:
                 check_pair(pair, self._axes, self._columns, ref.name)
             return pairs, None
         except Exception as error:
-            return [], _failure(ref, error, self._attempt.task.path)
+            return [], _failure(ref, error, self._task.path)
 
 
 def _failure(ref: FrameRef, error: Exception, shard: str) -> Failure:

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-FAST = ["render=analytic", "scheduler.workers=1", "dataset.preview_pairs=0"]
+FAST = ["render=analytic", "scheduler=serial", "dataset.preview_pairs=0"]
 
 
 def write_frame(root: Path, name: str, depth_m: np.ndarray, scene="canyons/u_canyon") -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging.config
 import os
 import subprocess
 import sys
@@ -26,18 +25,6 @@ def test_without_slurm_its_launcher_says_so_in_one_line(
     said = capfd.readouterr().err.strip().splitlines()
     assert said[-1].startswith("error: hydra/launcher=submitit_slurm: no srun here; ")
     assert not any("Traceback" in line for line in said)
-
-
-def test_setting_logging_up_anew_leaves_the_streams_of_pytest_open(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    """As Hydra does in a process in which TensorBoard was imported before."""
-    handler = pytest.importorskip("absl.logging").get_absl_handler().python_handler
-    assert handler.stream is sys.__stderr__
-    logging.config.dictConfig({"version": 1, "disable_existing_loggers": False})
-    assert not sys.__stderr__.closed
-    print("still heard", file=sys.stderr)
-    assert capfd.readouterr().err == "still heard\n"
 
 
 @pytest.mark.slow

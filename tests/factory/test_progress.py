@@ -66,15 +66,6 @@ def test_lines_come_ever_more_rarely(monkeypatch):
     assert all(later - earlier == 30 for earlier, later in pairwise(times[6:]))
 
 
-def test_a_stage_is_named_only_when_it_lasts(capfd):
-    with progress.stage_if_slow("looking", 0.05):
-        time.sleep(0.3)
-    assert capfd.readouterr().err == "looking\n"
-    with progress.stage_if_slow("looking", 5.0):
-        pass
-    assert capfd.readouterr().err == ""
-
-
 TERMINAL = """
 import sys
 from pathlib import Path

@@ -6,9 +6,7 @@ import importlib
 import json
 import pickle
 import runpy
-import subprocess
 import sys
-import venv
 from array import array
 from pathlib import Path
 from typing import Any
@@ -61,28 +59,6 @@ def test_h5py_alone_notices_a_missing_shard(dataset: Path, tmp_path: Path) -> No
     done = run("read_with_h5py.py", str(tmp_path), cwd=tmp_path)
     assert done.returncode == 1
     assert "missing: test/shard-00000.h5" in done.stderr
-
-
-@pytest.mark.slow
-def test_an_environment_of_numpy_and_h5py_is_enough(dataset: Path, tmp_path: Path) -> None:
-    """1000 random pairs from index.h5 and 1000 from the shards; nothing else is installed."""
-    venv.create(tmp_path / "venv", with_pip=True)
-    python = str(tmp_path / "venv" / "bin" / "python")
-    pip = [python, "-m", "pip", "--disable-pip-version-check"]
-    installed = subprocess.run(
-        [*pip, "install", "--quiet", "-c", str(ROOT / "constraints.txt"), "numpy", "h5py"],
-        capture_output=True,
-        text=True,
-    )
-    if installed.returncode:
-        pytest.skip(f"no package index here: {installed.stderr.strip()[-200:]}")
-    listed = subprocess.run([*pip, "list", "--format=json"], capture_output=True, text=True)
-    names = {item["name"] for item in json.loads(listed.stdout)}
-    assert names - {"pip", "setuptools"} == {"numpy", "h5py"}
-    done = run("read_with_h5py.py", str(dataset), python=python, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "index.h5: 1000 of 24 pairs" in done.stdout
-    assert "shards: 1000 pairs" in done.stdout
 
 
 def test_a_tiny_network_learns(dataset: Path, tmp_path: Path) -> None:

@@ -3,32 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import h5py
 import pytest
-import yaml
 
 from simnfnd.command import main
-from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.settings import build
-from simnfnd.models.settings import TrainSettings
 from tests.fake_source import FakeConfig
 from tests.project_files import ROOT, modules
 from tests.run_fake import make
-
-
-def training(**given: Any) -> TrainSettings:
-    values = yaml.safe_load((ROOT / "conf/models.yaml").read_text(encoding="utf-8"))["train"]
-    settings: TrainSettings = build(TrainSettings, {**values, **given}, "train")
-    return settings
-
-
-def test_a_short_training_is_checked_at_its_end() -> None:
-    assert training(steps=10).check_every == 10
-    assert training(steps=400).check_every == 200
-    with pytest.raises(FactoryError, match=r"train\.check_every=150 fits"):
-        training(steps=450)
 
 
 def test_bars_of_logs_are_few_lines_for_every_verb() -> None:

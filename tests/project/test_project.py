@@ -13,7 +13,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from packaging.version import Version
 
-from tests.project_files import ROOT, files, imports, module_name, modules, project
+from tests.project_files import ROOT, files, module_name, modules, project
 
 # Slow or heavy to import: only inside the function that needs them.
 HEAVY = (
@@ -99,11 +99,6 @@ def test_no_file_names_a_place_on_somebodys_machine() -> None:
     assert found == []
 
 
-def test_imports_are_seen_wherever_they_stand() -> None:
-    source = "import a.b\nfrom c.d import e\nfrom . import f\ndef g():\n    import h\n"
-    assert list(imports(source)) == [(1, "a"), (2, "c"), (5, "h")]
-
-
 def test_no_module_of_the_factory_imports_anything_heavy() -> None:
     names = [module_name(path) for path in modules("factory")]
     code = (
@@ -142,18 +137,3 @@ def test_ci_is_check_and_test() -> None:
     for name in (".ci/run", "tools/find_python.sh", "tools/debian_packages.sh"):
         assert (ROOT / name).stat().st_mode & 0o111, f"{name} is not executable"
         subprocess.run(["bash", "-n", str(ROOT / name)], check=True)
-
-
-def test_the_makefile_has_every_target() -> None:
-    listed = subprocess.run(
-        ["make", "-s", "help"], cwd=ROOT, capture_output=True, text=True, check=True
-    ).stdout
-    names = {line.split()[0] for line in listed.splitlines()}
-    assert {"setup", "demo", "test", "check", "bench"} <= names
-
-
-def test_the_licence_is_apache() -> None:
-    text = (ROOT / "LICENSE").read_text(encoding="utf-8")
-    assert "Apache License" in text
-    assert "9. Accepting Warranty or Additional Liability." in text
-    assert project()["project"]["license"] == "Apache-2.0"

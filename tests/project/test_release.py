@@ -27,17 +27,6 @@ def test_citation_and_changelog_know_the_version() -> None:
     assert first == "Unreleased" or first.startswith(f"{__version__}, ")
 
 
-def test_pre_commit_runs_what_make_check_runs() -> None:
-    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
-    (repository,) = hooks["repos"]
-    assert repository["repo"] == "local"
-    entries = " ".join(hook["entry"] for hook in repository["hooks"])
-    assert "ruff check" in entries
-    assert "ruff format --check" in entries
-    for path in re.findall(r"tests/\S+", entries):
-        assert (ROOT / path).is_file()
-
-
 def test_the_image_has_what_the_wheels_load_and_the_install_reads() -> None:
     text = (ROOT / "Dockerfile").read_text(encoding="utf-8")
     script = (ROOT / "tools" / "debian_packages.sh").read_text(encoding="utf-8")

@@ -84,12 +84,6 @@ def test_root_installs_after_an_update(machine: Machine) -> None:
     assert "chromium" in more, "for the test of the report"
 
 
-def test_elsewhere_than_debian_it_is_only_a_note(machine: Machine) -> None:
-    said = run("debian_packages.sh", machine({"python3.11": PYTHON}))
-    assert said.returncode == 0
-    assert "libegl1" in said.stdout
-
-
 @pytest.mark.skipif(sys.version_info[:2] != (3, 11), reason="tells Python 3.11 from others")
 def test_the_first_python_that_works_is_found(machine: Machine) -> None:
     path = machine({"python3.11": "exit 127", "python3": PYTHON})

@@ -5,10 +5,12 @@ A task is an importable function and one argument that pickles.  Nothing here kn
 
 from __future__ import annotations
 
+import pickle
 import signal
-from collections.abc import Callable, Iterator
+import traceback
+from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, TypeVar
 
@@ -18,6 +20,8 @@ T = TypeVar("T")
 
 BackendName = Literal["local", "serial", "dask"]
 Hear = Callable[[Any], None]
+
+RESULT, ERROR = "result", "error"
 
 # Who listens to the task of this process.
 _listeners: list[Hear] = []
@@ -36,12 +40,25 @@ def tell(*message: str | int) -> None:
         hear(message)
 
 
-@contextmanager
-def heard_by(hear: Hear | None) -> Iterator[None]:
-    """Within the block, what the task of this process tells goes to `hear`."""
-    _listeners[:] = [hear] if hear else []
+def answered(request: bytes, say: Hear) -> bytes:
+    """What a worker answers to a pickled (function, argument): a pickled (RESULT or ERROR, value).
+
+    say: takes `()` when the task begins, and what it tells.  An error has its traceback as a note;
+    one that does not survive the way is a RuntimeError with that as its text.
+    """
     try:
-        yield
+        function, argument = pickle.loads(request)
+        say(())
+        _listeners[:] = [say]
+        return pickle.dumps((RESULT, function(argument)))
+    except BaseException as error:
+        trace = "".join(traceback.format_exception(error))
+        with suppress(Exception):
+            error.add_note(trace)
+            answer = pickle.dumps((ERROR, error))
+            pickle.loads(answer)
+            return answer
+        return pickle.dumps((ERROR, RuntimeError(trace)))
     finally:
         _listeners.clear()
 
@@ -70,7 +87,6 @@ class WorkerSettings:
     """Which processes run the tasks.
 
     threads: of each worker's numerical libraries.
-    start_all: start every worker at once, not when there is a task for it.
     address: of a Dask scheduler, tcp://host:port; None starts a cluster on this machine.
     preload: modules that every worker needs, loaded once for all (local workers only).
     """
@@ -78,7 +94,6 @@ class WorkerSettings:
     pools: tuple[Pool, ...]
     backend: BackendName = "local"
     threads: int = 1
-    start_all: bool = False
     address: str | None = None
     preload: tuple[str, ...] = ()
 
@@ -96,7 +111,7 @@ class Backend(Protocol):
 
     def submit(
         self,
-        function: Callable[..., T],
+        function: Callable[[Any], T],
         argument: Any,
         silence_s: float,
         pool: str,
@@ -135,7 +150,7 @@ class SerialBackend:
 
     def submit(
         self,
-        function: Callable[..., T],
+        function: Callable[[Any], T],
         argument: Any,
         silence_s: float,
         pool: str,
@@ -144,11 +159,13 @@ class SerialBackend:
         """Run it here and now."""
         self._full = True
         future: Future[T] = Future()
+        _listeners[:] = [hear] if hear else []
         try:
-            with heard_by(hear):
-                future.set_result(function(argument))
+            future.set_result(function(argument))
         except Exception as error:
             future.set_exception(error)
+        finally:
+            _listeners.clear()
         return future
 
     def why_died(self, error: BaseException) -> str | None:

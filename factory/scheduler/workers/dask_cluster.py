@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import os
+import pickle
 import threading
 import time
 import uuid
@@ -20,8 +21,8 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from ...errors import FactoryError
-from .contract import Hear, Pool, WorkerSettings, heard_by
-from .template import THREAD_VARIABLES
+from .contract import RESULT, Hear, Pool, WorkerSettings, answered
+from .template import THREAD_VARIABLES, restore
 
 T = TypeVar("T")
 
@@ -54,14 +55,9 @@ class DaskBackend:
 
     def __init__(self, settings: WorkerSettings) -> None:
         """Connect, or start a cluster.  Raises FactoryError when neither works."""
-        try:
-            import dask
-            import distributed
-        except ImportError as error:
-            raise FactoryError(
-                "scheduler.backend=dask needs the package distributed: "
-                "pip install 'simnfnd[cluster]', or choose scheduler=local"
-            ) from error
+        import dask
+        import distributed
+
         self._distributed: Any = distributed
         self._cluster: Any = None
         self._client: Any = None
@@ -71,7 +67,7 @@ class DaskBackend:
         self._lock = threading.Lock()
         self._settings: Any = dask.config.set({"distributed.scheduler.allowed-failures": 0})
         # Read by the processes of a cluster that is started here: no line for every worker.
-        self._environment = os.environ.get(_LOGGING)
+        self._saved = {_LOGGING: os.environ.get(_LOGGING)}
         os.environ[_LOGGING] = "critical"
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self._restricted = _restricted(settings.pools)
@@ -127,7 +123,7 @@ class DaskBackend:
 
     def submit(
         self,
-        function: Callable[..., T],
+        function: Callable[[Any], T],
         argument: Any,
         silence_s: float,
         pool: str,
@@ -137,8 +133,7 @@ class DaskBackend:
         key = uuid.uuid4().hex
         remote = self._client.submit(
             _run,
-            function,
-            argument,
+            pickle.dumps((function, argument)),
             self._topic,
             key,
             key=f"task-{key}",
@@ -164,25 +159,25 @@ class DaskBackend:
                 task.hear(tuple(message))
 
     def _done(self, key: str, task: _Task) -> None:
-        result, error = None, None
+        kind, value = "", None
         try:
             if task.remote.status == "finished":
-                result = task.remote.result(timeout=_RESULT_S)
+                kind, value = pickle.loads(task.remote.result(timeout=_RESULT_S))
             elif task.remote.status == "error":
-                error = task.remote.exception(timeout=_RESULT_S)
+                value = task.remote.exception(timeout=_RESULT_S)
             else:
-                error = _Lost("its task was lost")
+                value = _Lost("its task was lost")
+        except TimeoutError:  # not of the task: `poll` has its limit
+            value = _Lost("its result did not arrive")
         except Exception as failed:
-            # What ran raises plain errors, and `poll` has the time limit of the task itself.
-            late = isinstance(failed, TimeoutError)
-            error = _Lost("its result did not arrive") if late else failed
+            value = failed
         with self._lock:
             if self._tasks.pop(key, None) is None:
                 return
-        if error is None:
-            task.future.set_result(result)
+        if kind == RESULT:
+            task.future.set_result(value)
         else:
-            task.future.set_exception(error)
+            task.future.set_exception(value)
 
     def why_died(self, error: BaseException) -> str | None:
         """What killed the worker, if that is what `error` of a future means; else None."""
@@ -222,13 +217,10 @@ class DaskBackend:
                 if one is not None:
                     one.close(timeout=_STOP_S)
         self._settings.__exit__(None, None, None)
-        if self._environment is None:
-            os.environ.pop(_LOGGING, None)
-        else:
-            os.environ[_LOGGING] = self._environment
+        restore(self._saved)
 
 
-def _run(function: Callable[[Any], T], argument: Any, topic: str, key: str) -> T:
+def _run(request: bytes, topic: str, key: str) -> bytes:
     """What a worker does with a task: it tells by way of the scheduler how far it is."""
     from distributed import get_worker
     from distributed.utils import sync
@@ -239,9 +231,7 @@ def _run(function: Callable[[Any], T], argument: Any, topic: str, key: str) -> T
         # Not by the worker's own queue of messages, which would be lost with it.
         sync(worker.loop, worker.scheduler.log_event, topic=topic, msg=[key, message])
 
-    say(None)
-    with heard_by(say):
-        return function(argument)
+    return answered(request, say)
 
 
 def _restricted(pools: Sequence[Pool]) -> frozenset[str]:

@@ -1,54 +1,45 @@
 """Worker processes on this machine: single-threaded, replaceable, gone when we go.
 
-Every wait here ends: a process that is silent for too long is killed, and what was said to a
-process that is dead fails at once, because the two share a pair of sockets that nobody else has.
+Every wait here ends: each worker has one deadline, put off by all that it tells, and one thread
+kills whoever misses it.  What was said to a process that is dead fails at once, because the two
+share a pair of sockets that nobody else has.
 """
 
 from __future__ import annotations
 
-import atexit
 import math
 import multiprocessing
 import os
 import pickle
-import select
 import signal
 import threading
 import time
-import traceback
 import weakref
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from queue import SimpleQueue
 from typing import Any, TypeVar
 
+import psutil
+
 from . import template
-from .contract import Hear, Pool, WorkerSettings, heard_by, start_worker_process
+from .contract import ERROR, RESULT, Hear, Pool, WorkerSettings, answered, start_worker_process
 
 T = TypeVar("T")
 
-# An interpreter starts and a task's modules are imported, on a machine that is busy.
-_START_S = 300.0
+# For a process to be there, for its task to begin in a new one, which imports what it needs, and
+# in one that has run others.
+_PROCESS_S, _FIRST_S, _BEGIN_S = 60.0, 300.0, 30.0
 # To end by itself once its connection is closed, or to be gone when it was killed.
 _END_S = 5.0
-_LOOK_S = 1.0
+_LOOK_S = 0.5
 _STOP_S = 10.0
-_BEGUN, _NEWS, _RESULT, _ERROR = "begun", "news", "result", "error"
+_NEWS = "news"
 
 
 class WorkerDied(Exception):
     """The process ended, or had to be ended, before it answered."""
-
-
-@dataclass(frozen=True)
-class _Task:
-    request: bytes
-    silence_s: float
-    future: Future[Any]
-    hear: Hear | None = None
 
 
 class LocalBackend:
@@ -62,33 +53,37 @@ class LocalBackend:
         self._saved = template.tell(settings.threads)
         template.start(settings.preload, settings.threads)
         forks = bool(settings.preload)
-        self._slots = [_Slot(pool, forks) for pool in settings.pools for _ in range(pool.workers)]
-        if settings.start_all:
-            for slot in self._slots:
-                slot.start()
+        self._places = [_Place(pool, forks) for pool in settings.pools for _ in range(pool.workers)]
+        self._stopped = threading.Event()
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    def _watch(self) -> None:
+        while not self._stopped.wait(_LOOK_S):
+            for place in tuple(self._places):
+                place.kill_if_late()
 
     def free(self, pool: str) -> bool:
         """Whether a worker waits for a task of this pool."""
-        return any(slot.free and slot.pool.takes(pool) for slot in self._slots)
+        return any(place.free and place.pool.takes(pool) for place in self._places)
 
     def submit(
         self,
-        function: Callable[..., T],
+        function: Callable[[Any], T],
         argument: Any,
         silence_s: float,
         pool: str,
         hear: Hear | None = None,
     ) -> Future[T]:
         """Run `function(argument)` in a free worker; it is killed when it is silent for longer."""
-        fit = (slot for slot in self._slots if slot.free and slot.pool.takes(pool))
-        slot = min(fit, key=lambda slot: slot.pool.name != pool)
+        fit = (place for place in self._places if place.free and place.pool.takes(pool))
+        place = min(fit, key=lambda place: place.pool.name != pool)
         # To the end of the line, so that all get their share of the work.
-        self._slots.remove(slot)
-        self._slots.append(slot)
-        return slot.submit(function, argument, silence_s, hear)
+        self._places.remove(place)
+        self._places.append(place)
+        return place.submit(function, argument, silence_s, hear)
 
     def poll(self) -> None:
-        """Nothing: each worker's own thread watches it."""
+        """Nothing: threads wait for the workers."""
 
     def why_died(self, error: BaseException) -> str | None:
         """What killed the worker, if that is what `error` of a future means; else None."""
@@ -96,18 +91,19 @@ class LocalBackend:
 
     def stop(self) -> None:
         """Kill the workers now; files are whole or absent if tasks write them atomically."""
-        for slot in self._slots:
-            slot.stop()
+        self._stopped.set()
+        for place in self._places:
+            place.stop()
         deadline = time.monotonic() + _STOP_S
-        for slot in self._slots:
-            while not slot.join(0.05) and time.monotonic() < deadline:
-                # One may have been starting its process at that very moment.
-                slot.kill()
+        for place in self._places:
+            # One may have been starting its process at that very moment.
+            while not place.closed(0.05) and time.monotonic() < deadline:
+                place.stop()
         template.restore(self._saved)
 
 
-class _Slot:
-    """A place for one worker process; a thread of its own waits for it.
+class _Place:
+    """A place for one worker process; each of its tasks is a talk, in a thread of its own.
 
     The process is no fork of this one, which may have rendered and does not survive a fork.
     """
@@ -117,23 +113,18 @@ class _Slot:
         self.pool = pool
         self._forks = forks
         self._future: Future[Any] | None = None
-        self._tasks: SimpleQueue[_Task | None] = SimpleQueue()
+        self._talking = threading.Lock()
         self._child: _Child | None = None
+        self._deadline = math.inf
         self._stopped = False
-        self._thread = threading.Thread(target=self._serve, daemon=True)
-        self._thread.start()
 
     @property
     def free(self) -> bool:
         """Whether a task would be begun at once."""
         return self._future is None or self._future.done()
 
-    def start(self) -> None:
-        """Start the process before there is a task."""
-        self._tasks.put(_Task(b"", _START_S, Future()))
-
     def submit(
-        self, function: Callable[..., T], argument: Any, silence_s: float, hear: Hear | None
+        self, function: Callable[[Any], T], argument: Any, silence_s: float, hear: Hear | None
     ) -> Future[T]:
         """Run `function(argument)`; TimeoutError or WorkerDied when there is no answer."""
         future: Future[T] = Future()
@@ -144,156 +135,148 @@ class _Slot:
         except Exception as error:
             future.set_exception(error)
         else:
-            self._tasks.put(_Task(request, silence_s, future, hear))
+            given = (future, request, silence_s, hear)
+            threading.Thread(target=self._talk, args=given, daemon=True).start()
         return future
 
-    def kill(self) -> None:
-        """Kill the process, if there is one."""
-        if child := self._child:
-            child.kill()
-
-    def stop(self) -> None:
-        """Kill the process and start no other; does not wait."""
-        self._stopped = True
-        self._tasks.put(None)
-        self.kill()
-
-    def join(self, timeout_s: float) -> bool:
-        """Wait for the end of a stopped slot; returns whether it came."""
-        self._thread.join(timeout_s)
-        return not self._thread.is_alive()
-
-    def _serve(self) -> None:
+    def _talk(
+        self, future: Future[Any], request: bytes, silence_s: float, hear: Hear | None
+    ) -> None:
         # Only the main thread answers Ctrl-C, and no process that this one starts.
         template.hold_interrupts()
-        while (task := self._tasks.get()) is not None:
+        with self._talking:
+            kind, value = ERROR, None
             try:
-                if self._stopped:
-                    raise WorkerDied("it was stopped")
-                answer = self._answer(task)
+                kind, value = self._answer(request, silence_s, hear)
             except BaseException as error:
-                task.future.set_exception(error)
+                value = error
+            self._deadline = math.inf
+            if kind == RESULT:
+                future.set_result(value)
             else:
-                task.future.set_result(answer)
+                future.set_exception(value)
             child = self._child
             if child and (not child.alive or child.answered == self.pool.tasks_per_worker > 0):
                 self._child = None
                 child.end()
-        if self._child:
-            self._child.kill()
-            self._child.end()
 
-    def _answer(self, task: _Task) -> Any:
+    def _answer(self, request: bytes, silence_s: float, hear: Hear | None) -> tuple[str, Any]:
+        """What comes of the task.  TimeoutError or WorkerDied: the process is gone."""
         if self._child is None or not self._child.alive:
+            self._child = None
+            self._deadline = time.monotonic() + _PROCESS_S
             self._child = _Child(self._forks)
+        child, begun = self._child, False
+        self._deadline = time.monotonic() + (_BEGIN_S if child.answered else _FIRST_S)
         if self._stopped:  # while it was being started
-            self._child.kill()
-        return self._child.ask(task) if task.request else None
+            child.kill()
+        try:
+            child.connection.send_bytes(request)
+            while True:
+                kind, value = child.received()
+                if kind != _NEWS:
+                    child.answered += 1
+                    return kind, value
+                self._deadline, begun = time.monotonic() + silence_s, True
+                if value and hear:
+                    hear(value)
+        except (EOFError, OSError):
+            if time.monotonic() < self._deadline:
+                raise WorkerDied(_exit_text(child.end())) from None
+            child.end(at_once=True)
+            if begun:
+                raise TimeoutError from None
+            raise WorkerDied("it stood still before it had begun") from None
+
+    def kill_if_late(self) -> None:
+        """Kill what keeps the task waiting, once it does so for too long."""
+        if time.monotonic() > self._deadline:
+            (self._child.kill if self._child else template.kill)()
+
+    def stop(self) -> None:
+        """Kill the process and start no other; does not wait."""
+        self._stopped = True
+        if child := self._child:
+            child.kill()
+
+    def closed(self, timeout_s: float) -> bool:
+        """Wait for the end of a stopped place; returns whether it came."""
+        if not self._talking.acquire(timeout=timeout_s):
+            return False
+        if self._child:
+            self._child.end(at_once=True)
+        return True
 
 
 class _Child:
     """A worker process and our end of the connection to it.
 
-    It is known by a file of its process (pidfd), not by what `multiprocessing` says: once the
-    template is dead, that takes every fork of it for dead and kills none.
+    Whether it lives is not asked of `multiprocessing`: once the template is dead, that takes every
+    fork of it for dead and kills none.
     """
 
     def __init__(self, forks: bool) -> None:
         self.answered = 0
-        self._connection, theirs = multiprocessing.Pipe()
+        self.connection, theirs = multiprocessing.Pipe()
         try:
-            self._process = template.started(forks, _START_S, _work, (theirs, dict(os.environ)))
+            self._process = template.started(forks, _work, (theirs, dict(os.environ)))
         except BaseException:
-            self._connection.close()
+            self.connection.close()
             raise
         finally:
             # So that its end of the connection ends with it.
             theirs.close()
-        self._pid, self._pidfd = self._process.pid or 0, -1
-        with suppress(AttributeError, OSError):  # not Linux, or gone already
-            self._pidfd = os.pidfd_open(self._pid)
-        _children.add(self)
+        self._running: psutil.Process | None = None
+        with suppress(psutil.Error):  # gone already
+            self._running = psutil.Process(self._process.pid)
+        # At its end, multiprocessing would wait for all that live.
+        weakref.finalize(self, _kill, self._running)
 
     @property
     def alive(self) -> bool:
-        return not self._connection.closed and not self._gone(0.0)
+        return not self.connection.closed and self._runs()
 
-    def _gone(self, within_s: float) -> bool:
-        """Whether the process ends within so many seconds."""
-        if self._pidfd < 0:
-            self._process.join(within_s)
-            return not self._process.is_alive()
-        waiting = select.poll()  # a `select` takes no file with a high number
-        waiting.register(self._pidfd, select.POLLIN)
-        return bool(waiting.poll(1000 * within_s))
+    def _runs(self) -> bool:
+        with suppress(psutil.Error):
+            if self._running and self._running.is_running():
+                return self._running.status() != psutil.STATUS_ZOMBIE
+        return False
 
     def kill(self) -> None:
-        with suppress(ValueError, OSError):  # gone already
-            if self._pidfd >= 0:
-                signal.pidfd_send_signal(self._pidfd, signal.SIGKILL)
-            else:
-                self._process.kill()
+        _kill(self._running)
 
-    def ask(self, task: _Task) -> Any:
-        """What the task returns, or raises.  TimeoutError or WorkerDied: the process is gone."""
-        limit_s, begun = _START_S, False
-        try:
-            # What is larger than the pipe's buffer waits for the process to read it.
-            with template.limited(self._pid, self.kill, limit_s, template.STOPPED_S):
-                self._connection.send_bytes(task.request)
-            while True:
-                kind, value = self._received(limit_s, begun)
-                if kind == _BEGUN:
-                    limit_s, begun = task.silence_s, True
-                elif kind == _NEWS:
-                    if task.hear:
-                        task.hear(value)
-                else:
-                    break
-        except TimeoutError:
-            self.end(at_once=True)
-            if begun:
-                raise
-            raise WorkerDied("it stood still before it had begun") from None
-        except (EOFError, OSError):
-            raise WorkerDied(_exit_text(self.end())) from None
-        self.answered += 1
-        if kind == _RESULT:
-            return value
-        raise value
-
-    def _received(self, limit_s: float, begun: bool) -> tuple[str, Any]:
-        # It has minutes to load what it needs, but not to stand still.
-        stopped_s = math.inf if begun else template.STOPPED_S
-        with template.limited(self._pid, self.kill, limit_s, stopped_s):
-            # A copy of its end may live on in a process that something else here has forked.
-            while not self._connection.poll(_LOOK_S):
-                if self._gone(0.0) and not self._connection.poll():
-                    raise EOFError
-            kind, value = pickle.loads(self._connection.recv_bytes())
-            return kind, value
+    def received(self) -> tuple[str, Any]:
+        """The next thing that it says.  Raises EOFError or OSError when it is gone."""
+        # A copy of its end may live on in a process that something else here has forked.
+        while not self.connection.poll(_LOOK_S):
+            if not self._runs() and not self.connection.poll():
+                raise EOFError
+        kind, value = pickle.loads(self.connection.recv_bytes())
+        return kind, value
 
     def end(self, *, at_once: bool = False) -> int | None:
         """Let the process end; its exit code, None when even a kill did not end it."""
-        self._connection.close()
-        if at_once or not self._gone(_END_S):
+        self.connection.close()
+        if at_once or not self._gone():
             self.kill()
-        gone = self._gone(_END_S)
+        gone = self._gone()
         self._process.join(_LOOK_S if gone else 0)
-        if self._pidfd >= 0:
-            pidfd, self._pidfd = self._pidfd, -1
-            os.close(pidfd)
         return self._process.exitcode if gone else None
 
+    def _gone(self) -> bool:
+        """Whether the process ends in time."""
+        end = time.monotonic() + _END_S
+        while self._runs():
+            if time.monotonic() > end:
+                return False
+            time.sleep(0.01)
+        return True
 
-# At its end, multiprocessing would wait for all that live.
-_children: weakref.WeakSet[_Child] = weakref.WeakSet()
 
-
-@atexit.register
-def _kill_children() -> None:
-    for child in list(_children):
-        child.kill()
+def _kill(process: psutil.Process | None) -> None:
+    with suppress(psutil.Error):  # gone already
+        if process:
+            process.kill()
 
 
 def _work(connection: Connection, environment: dict[str, str]) -> None:
@@ -305,33 +288,14 @@ def _work(connection: Connection, environment: dict[str, str]) -> None:
     os.environ.update(environment)
     start_worker_process()
     threading.Thread(target=_exit_with_parent, daemon=True).start()
-
-    def say(kind: str, value: Any = None) -> None:
-        connection.send_bytes(pickle.dumps((kind, value)))
-
     # Closed while we work: nobody waits for what we do.
     with suppress(EOFError, OSError):
         while True:
-            request = connection.recv_bytes()
-            try:
-                function, argument = pickle.loads(request)
-                say(_BEGUN)
-                with heard_by(lambda message: say(_NEWS, message)):
-                    answer = pickle.dumps((_RESULT, function(argument)))
-            except BaseException as error:
-                answer = _pickled(error)
+            answer = answered(
+                connection.recv_bytes(),
+                lambda message: connection.send_bytes(pickle.dumps((_NEWS, message))),
+            )
             connection.send_bytes(answer)
-
-
-def _pickled(error: BaseException) -> bytes:
-    """The error with its traceback as a note, or its text when it cannot be sent."""
-    told = "".join(traceback.format_exception(error))
-    with suppress(Exception):
-        error.add_note(told)
-        answer = pickle.dumps((_ERROR, error))
-        pickle.loads(answer)
-        return answer
-    return pickle.dumps((_ERROR, RuntimeError(told)))
 
 
 def _exit_with_parent() -> None:

@@ -8,7 +8,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from typing import Literal, Self, TypeVar
 
-from .contract import Backend, Pool, WorkerSettings
+from .contract import Backend, Pool, SerialBackend, WorkerSettings
 from .local import LocalBackend
 from .machine import usable_cores
 
@@ -35,7 +35,7 @@ class TaskPool:
     def __init__(self, workers: int | Literal["auto"]) -> None:
         self._workers = usable_cores() if workers == "auto" else workers
         self._in_process = workers == 1
-        self._backend: LocalBackend | None = None
+        self._backend: Backend | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -55,13 +55,9 @@ class TaskPool:
         timeout_s: how long a task may take.
         Exceptions of `function` are raised here.
         """
-        if self._in_process:
-            while waiting:
-                task = waiting.popleft()
-                yield task, function(task)
-            return
         if self._backend is None:
-            self._backend = LocalBackend(WorkerSettings((Pool(_POOL, self._workers),)))
+            settings = WorkerSettings((Pool(_POOL, self._workers),))
+            self._backend = SerialBackend() if self._in_process else LocalBackend(settings)
         backend = self._backend
         running: dict[Future[R], T] = {}
         while waiting or running:
@@ -73,6 +69,7 @@ class TaskPool:
                 task = running.pop(future)
                 result = _result(future, backend, timeout_s(task))
                 yield task, result
+            backend.poll()
 
 
 def _result(future: Future[R], backend: Backend, timeout_s: float) -> R | TaskLost:

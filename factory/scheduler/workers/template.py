@@ -10,18 +10,15 @@ died), workers are spawned.
 from __future__ import annotations
 
 import atexit
-import math
 import multiprocessing
 import os
 import signal
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from multiprocessing import forkserver, resource_tracker, util
 from multiprocessing.process import BaseProcess
-from pathlib import Path
 from typing import Any
 
 THREAD_VARIABLES = (
@@ -34,7 +31,6 @@ THREAD_VARIABLES = (
     "OPENCV_FOR_THREADS_NUM",
 )
 FOLDER_VARIABLE = "SIMNFND_TEMPLATE_FOLDER"
-STOPPED_S = 8.0
 
 
 class _Template:
@@ -81,15 +77,12 @@ def start(modules: tuple[str, ...], threads: int = 1) -> None:
             signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
 
-def started(
-    forks: bool, within_s: float, target: Callable[..., None], arguments: tuple[Any, ...]
-) -> BaseProcess:
+def started(forks: bool, target: Callable[..., None], arguments: tuple[Any, ...]) -> BaseProcess:
     """A process that runs `target(*arguments)`.
 
-    forks: of the template, if one runs and has the right number of threads.  One that died is
-    started again once; after that, and where there is none, the process is spawned.
-    within_s: how long a template may take to load; one that takes longer, or was stopped, is
-    killed.
+    forks: of the template, if one runs and has the right number of threads.  One that died, or is
+    killed meanwhile because it stands still, is started again once; after that, and where there is
+    none, the process is spawned.
     """
     process: BaseProcess
     for _ in range(2 if forks else 0):
@@ -97,56 +90,13 @@ def started(
             break
         process = multiprocessing.get_context("forkserver").Process(target=target, args=arguments)
         # It may die meanwhile, or there is no room for a process at all.
-        pid = vars(forkserver)["_forkserver"]._forkserver_pid
-        with suppress(EOFError, OSError), limited(pid, kill, within_s, STOPPED_S):
+        with suppress(EOFError, OSError):
             process.start()
             return process
         start(_template.modules, int(os.environ.get(THREAD_VARIABLES[0], 1)))
     process = multiprocessing.get_context("spawn").Process(target=target, args=arguments)
     process.start()
     return process
-
-
-@contextmanager
-def limited(
-    pid: int | None, kill: Callable[[], None], within_s: float, stopped_s: float = math.inf
-) -> Iterator[None]:
-    """Call `kill` when the block takes longer, which ends every wait for that process.
-
-    stopped_s: also when the process `pid` stands still (SIGSTOP) for so long.
-    Raises TimeoutError where the block then fails with EOFError or OSError.
-    """
-    ended, late = threading.Event(), threading.Event()
-
-    def watch() -> None:
-        running = time.monotonic()
-        end = running + within_s
-        while not ended.wait(min(1.0, within_s)):
-            now = time.monotonic()
-            running = running if is_stopped(pid) else now
-            if now >= end or now - running > stopped_s:
-                late.set()
-                kill()
-                return
-
-    threading.Thread(target=watch, daemon=True).start()
-    try:
-        yield
-    except (EOFError, OSError):
-        if late.is_set():
-            raise TimeoutError from None
-        raise
-    finally:
-        ended.set()
-
-
-def is_stopped(pid: int | None) -> bool:
-    """Whether a process was stopped by a signal; False where that cannot be seen."""
-    try:
-        state = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[0]
-    except (OSError, IndexError):
-        return False
-    return state in (b"T", b"t")
 
 
 def runs() -> bool:

@@ -22,12 +22,6 @@ def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
         return int(ended.code or 0)
 
 
-@pytest.mark.parametrize("verb", ["preview", "inspect", "merge", "export"])
-def test_verbs_explain_themselves(verb, monkeypatch, capsys) -> None:
-    assert run(monkeypatch, verb, "--help") == 0
-    assert f"simnfnd {verb}" in capsys.readouterr().out
-
-
 def test_what_verbs_do_is_printed(monkeypatch, capsys, tmp_path: Path) -> None:
     source = write(tmp_path / "source")
     assert run(monkeypatch, "inspect", str(source)) == 0

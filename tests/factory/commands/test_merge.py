@@ -58,10 +58,9 @@ def test_the_result_is_valid(two, tmp_path) -> None:
     third = write(tmp_path / "c", place="canyon", seed=3)
     merge(two, tmp_path / "ab")
     merge((tmp_path / "ab", third), tmp_path / "abc")
-    for name in ("ab", "abc"):
-        report = validate(tmp_path / name, deep=True)
-        assert report.errors == ()
-        assert report.samples == 12 * len(name)
+    report = validate(tmp_path / "abc", deep=True)
+    assert report.errors == ()
+    assert report.samples == 36
 
 
 def test_it_says_where_everything_came_from(two, tmp_path) -> None:

@@ -63,9 +63,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 @pytest.mark.parametrize(
     ("place", "number"),
     [
-        ("write_index", signal.SIGINT),
         ("write_index", signal.SIGTERM),
-        ("preview", signal.SIGINT),
         ("write_card", signal.SIGINT),
     ],
 )

@@ -24,14 +24,14 @@ from tests.run_fake import make
 if __name__ == "__main__":
     limit, folder = int(sys.argv[1]), Path(sys.argv[2])
     resource.setrlimit(resource.RLIMIT_NOFILE, (limit, limit))
-    print(guard(lambda: print(make(folder, workers=48, scheduler={"start_all": True}).samples)))
+    print(guard(lambda: print(make(folder, workers=48).samples)))
 """
 
 
 @pytest.mark.parametrize(
     ("limit", "said", "told"),
     [
-        (64, r"ulimit -n is 64: [12] of 48 workers fit and are used; raise it", "32\n0\n"),
+        (64, r"ulimit -n is 64: [12] of 4 workers fit and are used; raise it", "32\n0\n"),
         (40, r"error: scheduler.workers: ulimit -n is 40, in which no worker fits", "2\n"),
     ],
 )
@@ -74,14 +74,8 @@ def test_the_papers_48_processes_in_a_narrow_shell(
 @pytest.mark.parametrize(
     ("error", "said"),
     [
-        (
-            PermissionError(13, "Permission denied", "a/train"),
-            "error: a/train: Permission denied",
-        ),
-        (
-            OSError(24, "Too many open files"),
-            "error: system: Too many open files; raise",
-        ),
+        (PermissionError(13, "Permission denied", "a/train"), "error: a/train: Permission denied"),
+        (OSError(24, "Too many open files"), "error: system: Too many open files; raise"),
         (OSError(40, "Too many levels of symbolic links", "a"), "error: a: Too many levels"),
         (MemoryError(), "error: memory: not enough of it"),
     ],

@@ -18,22 +18,23 @@ from tests.factory.scheduler.run_files import wait_for
 from tests.run_fake import make
 
 HOLD = """
-import sys, time
+import sys
 from pathlib import Path
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.lock import Lock
 try:
     with Lock(Path(sys.argv[1]), sys.argv[2]):
         print("held", flush=True)
-        time.sleep(float(sys.argv[3]))
+        sys.stdin.read()
 except FactoryError:
     pass
 """
 
 
-def holding(folder: Path, part: str = "", seconds: float = 60) -> subprocess.Popen[str]:
-    command = [sys.executable, "-c", HOLD, str(folder), part, str(seconds)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+def holding(folder: Path, part: str = "") -> subprocess.Popen[str]:
+    """A process that holds the lock, if it gets it, until its input ends."""
+    command = [sys.executable, "-c", HOLD, str(folder), part]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
 
 def hold(folder: Path, part: str = "") -> subprocess.Popen[str]:
@@ -75,7 +76,8 @@ def test_slices_run_side_by_side_and_not_beside_the_whole(tmp_path: Path) -> Non
 
 def test_of_many_that_come_at_once_one_gets_the_lock(tmp_path: Path) -> None:
     (tmp_path / LOCK_NAME).write_text("{}")  # of somebody dead
-    crowd = [holding(tmp_path, seconds=6) for _ in range(4)]
+    crowd = [holding(tmp_path) for _ in range(4)]
+    wait_for(lambda: sum(process.poll() is not None for process in crowd) == 3)
     told = [process.communicate()[0] for process in crowd]
     assert told.count("held\n") == 1
     wait_for(lambda: not os.listdir(tmp_path))

@@ -16,7 +16,7 @@ from tests.factory.scheduler.staged import staged
 from tests.fake_source import FakeConfig
 
 PROVENANCE = Provenance({"seed": 0}, config_hash({"seed": 0}), "simnfnd test")
-SLICES, FOLDERS = 4, 20
+SLICES, FOLDERS = 3, 10
 SERIAL = {"backend": "serial"}
 
 

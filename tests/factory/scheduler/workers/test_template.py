@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 import subprocess
@@ -13,7 +12,7 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
-from simnfnd.factory.scheduler.workers import template
+from simnfnd.factory.scheduler.workers import local, template
 from simnfnd.factory.scheduler.workers.contract import Pool, WorkerSettings
 from simnfnd.factory.scheduler.workers.local import LocalBackend
 from tests.project_files import ROOT
@@ -104,7 +103,7 @@ def test_one_that_was_killed_is_replaced() -> None:
 def test_one_that_stands_still_is_killed_and_the_worker_comes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(template, "STOPPED_S", 2.0)
+    monkeypatch.setattr(local, "_PROCESS_S", 2.0)
     template.start((LOADED,))
     the_template().suspend()
     begun = time.monotonic()
@@ -127,20 +126,3 @@ def test_it_goes_with_the_process_that_started_it() -> None:
         run.stdout.read()
     _, alive = psutil.wait_procs(below, timeout=20)
     assert not alive
-
-
-def _start_in_a_fork(answer: multiprocessing.SimpleQueue[bool]) -> None:
-    template.start((LOADED,))
-    answer.put(template.runs())
-
-
-def test_a_fork_of_this_process_leaves_it_alone() -> None:
-    template.start((LOADED,))
-    context = multiprocessing.get_context("fork")
-    answer = context.SimpleQueue()
-    child = context.Process(target=_start_in_a_fork, args=(answer,))
-    child.start()
-    assert answer.get() is False
-    child.join(20)
-    assert child.exitcode == 0
-    assert asked()[2]
