@@ -55,9 +55,10 @@ def generate(composed: DictConfig) -> int:
     0: every frame became pairs.  1: some frames failed (listed in failed.jsonl), the rest is there.
     Raises FactoryError when nothing can be made.
     """
-    from .sweep import note_failure, note_result
+    from .sweep import each_its_folder, note_failure, note_result
 
     try:
+        each_its_folder(composed)
         config = from_mapping(composed_values(composed))
         report, directory = run(config, arguments=sys.argv[1:])
         code = 1 if report.failures else 0

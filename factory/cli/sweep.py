@@ -55,6 +55,18 @@ def note_failure(state: str, reason: str, exit_code: int) -> None:
         _note(state=state, reason=" ".join(reason.split()), exit_code=exit_code)
 
 
+def each_its_folder(composed: DictConfig) -> None:
+    """Within a sweep, drop the folder that a recipe names: every point would write there."""
+    from hydra.core.hydra_config import HydraConfig
+    from omegaconf import OmegaConf
+
+    if not _is_sweep() or "dataset.dir" in _settings(HydraConfig.get().overrides.task):
+        return
+    folder = OmegaConf.to_container(composed.dataset, resolve=False)["dir"]  # type: ignore[call-overload, index]
+    if folder and "${" not in folder:
+        composed.dataset.dir = None
+
+
 def _is_sweep() -> bool:
     from hydra.core.hydra_config import HydraConfig
     from hydra.types import RunMode
