@@ -16,8 +16,7 @@ Fraction = Annotated[float, Field(gt=0, lt=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Patch = Annotated[int, Field(ge=8)]
 Multiple = Annotated[float, Field(gt=0, le=16)]
-Scale = Multiple | tuple[Multiple, Multiple]
-"""Times the dataset's beams, range bins and pixels; or those of beams and bins, and of pixels."""
+"""Times the dataset's beams, range bins and pixels."""
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -73,15 +72,10 @@ class RendersData(DataSettings):
     cache: str | None
     factory: tuple[str, ...]
     fewer: Share
-    scales: Annotated[tuple[Scale, ...], Field(min_length=1)]
+    scales: Annotated[tuple[Multiple, ...], Field(min_length=1)]
     experiment: str | None
     choices: Share
     reuse: Annotated[int, Field(ge=1, le=1000)] = 1
-
-    @property
-    def least_scale(self) -> float:
-        """Pixels of the smallest training picture, as a multiple of the dataset's."""
-        return min(scale[1] if isinstance(scale, tuple) else scale for scale in self.scales)
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -143,7 +137,7 @@ class TrainSettings:
     warmup: Annotated[int, Field(ge=0)]
     clip: Annotated[float, Field(gt=0)]
     ema: Annotated[float, Field(ge=0, lt=1)]
-    precision: Literal["auto", "32-true", "bf16-mixed", "16-mixed"]
+    precision: Literal["auto", "32-true", "bf16-mixed"]
     teacher: str | None = None
     teacher_share: Share = 0.8
 

@@ -44,8 +44,8 @@ MAKE, LOOK, PASS_ON, DENOISE, JUDGE = (
 _COMMANDS = "simnfnd.factory.commands"
 _SONAR = ("cv2", "scipy")
 _NETWORK = ("onnxruntime", "safetensors", *_SONAR)
-_ADAPTING = ("torch", "lightning", "safetensors", *_SONAR)
-_TRAINING = ("torch", "lightning", "safetensors", "tensorboard", *_SONAR)
+_ADAPTING = ("torch", "safetensors", *_SONAR)
+_TRAINING = (*_ADAPTING, "tensorboard")
 
 
 VERBS: dict[str, Verb] = {
@@ -153,7 +153,6 @@ VERBS: dict[str, Verb] = {
         (
             "simnfnd adapt dive.aris --out own.safetensors",
             "simnfnd adapt recordings --out own.safetensors --minutes 20",
-            "simnfnd adapt lamprey.avi --out own.safetensors --pairs outputs/demo",
             "simnfnd denoise dive.aris --weights own.safetensors --out outputs/denoised",
         ),
         needs=_ADAPTING,

@@ -21,7 +21,6 @@ EXTRAS = {
     "bpy": "blender",
     "open3d": "open3d",
     "torch": "train",
-    "lightning": "train",
     "safetensors": "denoise",
     "tensorboard": "train",
     "optuna": "report",

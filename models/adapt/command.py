@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -63,12 +62,6 @@ def _parsed(arguments: Sequence[str]) -> Any:
     length.add_argument("--minutes", type=float, default=5.0, help="about how long it may take (5)")
     length.add_argument("--steps", type=int, help="how many steps instead; repeatable to the bit")
     parser.add_argument(
-        "--pairs",
-        metavar="DATASET",
-        help="folder of `simnfnd make` whose pairs are learned beside, so that they are not "
-        "forgotten",
-    )
-    parser.add_argument(
         "--geometry",
         default=FIND,
         help="of pictures and videos: `find` it in the picture (default), `polar`, `none`, or a "
@@ -120,43 +113,18 @@ def _lessons(found: Found) -> Lessons:
 
 def _adapt(chosen: Any, lessons: Lessons, start: Path, out: Path) -> int:
     # torch takes seconds to import: only when there is something to learn from.
-    import torch
-    from lightning.fabric import Fabric
-
     from ..networks.weights import load_weights, save_weights
-    from ..settings import TrainSettings
-    from .module import CHECKS, AdaptModule, Lesson, steps_within, tune
+    from ..training.device import device_of
+    from .module import Lesson, module_of, steps_within, tune
 
-    if chosen.device == "gpu" and not torch.cuda.is_available():
-        raise FactoryError("--device gpu: no usable GPU here; use --device cpu")
-    logging.getLogger("lightning.fabric").setLevel(logging.ERROR)
-    fabric = Fabric(accelerator=chosen.device, devices=1)
+    device = device_of(chosen.device, "--device ")
     trained = load_weights(start)
-    network = trained.network.to(fabric.device)
-    pairs = Path(chosen.pairs).expanduser() if chosen.pairs else None
-    lesson = Lesson(lessons, chosen.seed, "frames" in network.extras, pairs)
-    remembered = lesson.kept_figure(network) if pairs else 0.0
-
-    def module_of(steps: int) -> AdaptModule:
-        checks = next(count for count in range(CHECKS, 0, -1) if steps % count == 0)
-        return AdaptModule(
-            network,
-            TrainSettings(
-                steps=steps,
-                check_every=steps // checks,
-                patience=None,
-                learning_rate=chosen.learning_rate,
-                weight_decay=1e-4,
-                warmup=10,
-                clip=1.0,
-                ema=0.98,
-                precision="32-true",
-            ),
-            chosen.seed,
-        )
-
-    steps = chosen.steps or steps_within(chosen.minutes, module_of(1), lesson, fabric)
-    best = tune(module_of(steps), lesson, fabric)
+    network = trained.network.to(device)
+    lesson = Lesson(lessons, chosen.seed, "frames" in network.extras)
+    rate, steps = chosen.learning_rate, chosen.steps
+    if not steps:
+        steps = steps_within(chosen.minutes, network, lesson)
+    best = tune(module_of(network, steps, rate, chosen.seed), lesson, device)
     noisy = lesson.noisy_figure()
     print(
         f"frames held out, PSNR after levels: noisy {noisy:.2f}, before {best.before:.2f}, "
@@ -164,11 +132,6 @@ def _adapt(chosen: Any, lessons: Lessons, start: Path, out: Path) -> int:
     )
     if best.after < noisy:
         print("that is less than the frames as they are; more --minutes may help")
-    if pairs:
-        print(
-            f"pairs held out, PSNR: before {remembered:.2f}, "
-            f"after {lesson.kept_figure(network):.2f} dB"
-        )
     if not best.after > best.before:
         print("nothing written: no weights on the way were better than those it began with")
         return 1
@@ -176,11 +139,10 @@ def _adapt(chosen: Any, lessons: Lessons, start: Path, out: Path) -> int:
         "adapted.by": "mean of the other frames",
         "adapted.frames": sum(len(one.frames) for one in lessons.learning),
         "adapted.stretches": len(lessons.learning),
-        **({"pairs": len(lesson.kept)} if pairs else {}),
         "start": sha256_of(start)[:16],
         "start.training": dict(trained.training),
         "steps": steps,
-        "learning_rate": chosen.learning_rate,
+        "learning_rate": rate,
         "seed": chosen.seed,
         "validation": {"step": best.step, "before": best.before, "after": best.after},
     }

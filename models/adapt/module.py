@@ -1,41 +1,37 @@
-"""What weights are fitted to: frames towards the mean of the others, and pairs of a dataset."""
+"""What weights are fitted to: frames towards the mean of the others."""
 
 from __future__ import annotations
 
 import copy
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
-from lightning.fabric import Fabric
 from torch import Tensor
 
 from ...factory.seeds import stream
-from ..data.crops import concatenate, crop, whole_image_batch
-from ..data.pairs import Batch, Image, PairSource, Sample, hold_out, read_table
+from ..data.crops import concatenate, crop, whole_image
+from ..data.pairs import Batch, Image, Sample, spread
 from ..losses import L1
 from ..networks.network import Network, known_extras
 from ..removal import averaged
 from ..settings import TrainSettings
 from ..training.loop import Loop
 from ..training.module import DenoisingModule, Row
-from ..training.samples import denoise_batch
+from ..training.results import denoised
 from .stretches import Lessons, Still
 
 BATCH = 2
-"""Crops of a step from recordings, and as many from pairs."""
+"""Crops of a step."""
 PATCH = 192
 """Crops have as many pixels as a square of this side, where pictures are large enough."""
 CHECKS = 5
 """Times that the weights are measured on the way; the best are kept."""
 
-_KEEP = 0.5  # weight of pairs in the loss, where there are any
-_MOST_PAIRS, _HELD_PAIRS = 64, 8
 _MOST_MEASURED = 4
 _TIMED = 3  # steps whose pace says how many fit into the minutes
 _TRIES = 6
@@ -43,8 +39,6 @@ _LEAST_KNOWN = 0.25  # of a crop's pixels
 _SEVERAL = 0.5  # of the steps show means of frames to weights that know how many
 _MOST_FRAMES = 7
 _LEAST_OTHERS = 3  # frames that a target is the mean of
-
-T = TypeVar("T")
 
 
 @dataclass
@@ -63,18 +57,7 @@ class AdaptModule(DenoisingModule):
     After Lehtinen et al., Noise2Noise, ICML 2018.
     """
 
-    def __init__(self, network: Network, settings: TrainSettings, seed: int) -> None:
-        super().__init__(network, L1(kind="l1"), settings, seed)
-
-    def forward(self, batch: Any) -> Tensor:
-        """The loss of the crops of a step: `still`, one batch, and `kept`, of pairs, several."""
-        loss = self._squares(batch["still"])
-        if batch["kept"]:
-            kept = torch.stack([self._squares(part) for part in batch["kept"]]).mean()
-            loss = (1 - _KEEP) * loss + _KEEP * kept
-        return loss
-
-    def _squares(self, batch: Batch) -> Tensor:
+    def forward(self, batch: Batch) -> Tensor:
         """Mean squared difference where the target is known."""
         known = torch.isfinite(batch["clean"])
         made = self.network(batch["noisy"], **known_extras(self.network, batch))
@@ -83,31 +66,42 @@ class AdaptModule(DenoisingModule):
         return loss
 
 
+def module_of(network: Network, steps: int, learning_rate: float, seed: int) -> AdaptModule:
+    """The network and how it is fitted, checked `CHECKS` times where that divides the steps."""
+    checks = next(count for count in range(CHECKS, 0, -1) if steps % count == 0)
+    settings = TrainSettings(
+        steps=steps,
+        check_every=steps // checks,
+        patience=None,
+        learning_rate=learning_rate,
+        weight_decay=1e-4,
+        warmup=10,
+        clip=1.0,
+        ema=0.98,
+        precision="32-true",
+    )
+    return AdaptModule(network, L1(kind="l1"), settings, seed)
+
+
 class Lesson:
     """Crops of the steps, which depend on the seed and the step alone; and the frames held out."""
 
-    def __init__(
-        self, found: Lessons, seed: int, knows_frames: bool = False, dataset: Path | None = None
-    ) -> None:
-        """knows_frames: whether the weights know how many frames were averaged.
-
-        dataset: whose pairs are learned beside, every other one without its geometry, as pictures
-        often come.  Raises FactoryError when it holds none.
-        """
+    def __init__(self, found: Lessons, seed: int, knows_frames: bool = False) -> None:
+        """knows_frames: whether the weights know how many frames were averaged."""
         self.stills, self.seed, self.knows_frames = found.learning, seed, knows_frames
-        self.kept, self.kept_held = _pairs(dataset, seed) if dataset else ([], [])
         self._odds = odds_of(found.learning)
-        held = [
-            (Sample(frame, target, None, still.geometry))
+        held = tuple(
+            Sample(frame, target, None, still.geometry)
             for still in found.held
             for frame, target in zip(still.frames, still.targets, strict=True)
-        ]
-        self.held = _spread(held)
+        )
+        self.held = spread(held, _MOST_MEASURED)
         if knows_frames:
-            means = [mean_of(still, 0, _most(still)) for still in found.held if _most(still) > 1]
-            self.held += _spread(means)
+            several = (still for still in found.held if _most(still) > 1)
+            means = tuple(mean_of(still, 0, _most(still)) for still in several)
+            self.held += spread(means, _MOST_MEASURED)
 
-    def crops(self, step: int, extras: Sequence[str]) -> dict[str, Any]:
+    def crops(self, step: int, extras: Sequence[str]) -> Batch:
         """What `AdaptModule` learns from in a step."""
         rng = stream(self.seed, "adapt", "still", step)
         still = self.stills[rng.choice(len(self.stills), p=self._odds)]
@@ -120,84 +114,58 @@ class Lesson:
             samples = [
                 Sample(still.frames[i], still.targets[i], None, still.geometry) for i in numbers
             ]
-        parts = [_crop(sample, extras, rng) for sample in samples]
-        kept = []
-        if self.kept:
-            rng = stream(self.seed, "adapt", "kept", step)
-            drawn = rng.integers(len(self.kept), size=BATCH)
-            kept = [_crop(self.kept[number], extras, rng) for number in drawn]
-        return {"still": concatenate(parts), "kept": kept}
+        return concatenate([_crop(sample, extras, rng) for sample in samples])
 
     def figure(self, network: Network) -> float:
         """Mean PSNR in dB after levels against the mean of the other frames; more is better."""
-        made = [(_denoised(network, one), one.clean) for one in self.held]
-        return float(np.mean([psnr_after_levels(a, b) for a, b in made if b is not None]))
+        return self._mean([denoised(network, _shown(one, network)) for one in self.held])
 
     def noisy_figure(self) -> float:
         """The figure of the frames as they are."""
-        pairs = [(one.noisy, one.clean) for one in self.held]
-        return float(np.mean([psnr_after_levels(a, b) for a, b in pairs if b is not None]))
+        return self._mean([one.noisy for one in self.held])
 
-    def kept_figure(self, network: Network) -> float:
-        """Mean PSNR in dB of the pairs held out."""
-        return float(np.mean([_psnr(_denoised(network, one), one) for one in self.kept_held]))
-
-
-def _pairs(dataset: Path, seed: int) -> tuple[list[Sample], list[Sample]]:
-    """Pairs of a dataset's train split to learn from, and others of other scenes."""
-    table = read_table(dataset, "train")
-    parts: list[list[Sample]] = []
-    learning, held = hold_out(table.samples, 0.2, seed)
-    for samples, limit in ((learning, _MOST_PAIRS), (held, _HELD_PAIRS)):
-        order = stream(seed, "adapt", "pairs", len(parts)).permutation(len(samples))[:limit]
-        source = PairSource([samples[i] for i in sorted(order.tolist())], table.sonar)
-        parts.append([source.sample(index, None) for index in range(len(source))])
-    told = [replace(one, geometry=None) if i % 2 else one for i, one in enumerate(parts[0])]
-    return told, parts[1]
+    def _mean(self, pictures: Sequence[Image]) -> float:
+        pairs = zip(pictures, self.held, strict=True)
+        return float(
+            np.mean([psnr_after_levels(a, b.clean) for a, b in pairs if b.clean is not None])
+        )
 
 
-def steps_within(minutes: float, module: AdaptModule, lesson: Lesson, fabric: Fabric) -> int:
+def steps_within(minutes: float, network: Network, lesson: Lesson) -> int:
     """How many steps fit, in whole fifths, by the pace of a few that are thrown away."""
-    tried = copy.deepcopy(module).to(fabric.device)
-    extras = module.network.extras
+    tried = module_of(copy.deepcopy(network), 1, 1e-4, 0)
+    device = next(network.parameters()).device
     started = time.monotonic()
     for step in range(_TIMED):
-        torch.autograd.backward(tried(fabric.to_device(lesson.crops(step, extras))))
+        batch = lesson.crops(step, network.extras)
+        torch.autograd.backward(tried({name: one.to(device) for name, one in batch.items()}))
     step_s = (time.monotonic() - started) / _TIMED
     started = time.monotonic()
-    lesson.figure(module.network)
+    lesson.figure(network)
     check_s = time.monotonic() - started
     left_s = 60 * minutes - CHECKS * check_s
     return max(1, int(left_s / step_s / CHECKS)) * CHECKS
 
 
-def tune(module: AdaptModule, lesson: Lesson, fabric: Fabric) -> Best:
+def tune(module: AdaptModule, lesson: Lesson, device: torch.device) -> Best:
     """Fit the network; it ends with the best weights of all checks, in evaluation mode.
 
     The same seed and number of steps give the same weights.
     Raises FactoryError when the loss becomes no number, and `Stopped` after Ctrl-C.
     """
-    network, settings = module.network, module.settings
+    network, every = module.network, module.settings.check_every
     before = lesson.figure(network)
     best = Best(before, before, copy.deepcopy(network.state_dict()))
-    loop = Loop(
-        fabric,
-        module,
-        steps=settings.steps,
-        check_every=settings.check_every,
-        seed=module.seed,
-        label="adapting",
-    )
+    loop = Loop(module, device, label="adapting")
 
-    def batches(interval: int, done: int) -> Iterator[Any]:
-        first = interval * settings.check_every
-        for step in range(first + done, first + settings.check_every):
+    def batches(interval: int, done: int) -> Iterator[Batch]:
+        for step in range(interval * every + done, (interval + 1) * every):
             yield lesson.crops(step, network.extras)
 
     def check(step: int, loss: float) -> Row:
         averaged: Any = module.average.module.eval()
         figure = lesson.figure(averaged)
-        loop.show(f"{before:.2f} -> {figure:.2f} dB")
+        loop.bar.set_postfix_str(f"{before:.2f} -> {figure:.2f} dB")
         if figure > best.after:
             best.after, best.step = figure, step
             best.state = copy.deepcopy(averaged.state_dict())
@@ -217,8 +185,8 @@ def psnr_after_levels(picture: Image, reference: Image) -> float:
     """
     where = np.isfinite(reference)
     x, y = picture[where].astype(np.float64), reference[where].astype(np.float64)
-    spread = float(x.var())
-    gain = float(((x - x.mean()) * (y - y.mean())).mean()) / spread if spread > 1e-12 else 0.0
+    power = float(x.var())
+    gain = float(((x - x.mean()) * (y - y.mean())).mean()) / power if power > 1e-12 else 0.0
     fitted = np.clip(gain * (x - x.mean()) + y.mean(), 0, 1)
     return float(-10 * np.log10(max(float(np.square(fitted - y).mean()), 1e-10)))
 
@@ -244,21 +212,16 @@ def odds_of(stills: Sequence[Still]) -> npt.NDArray[np.float64]:
     return np.asarray(frames / frames.sum(), np.float64)
 
 
-def crop_size(height: int, width: int) -> tuple[int, int]:
-    """Rows and columns of a crop: of narrow pictures longer than wide, for as many pixels."""
-    rows, columns = min(height, PATCH), min(width, PATCH)
-    if columns < PATCH:
-        rows = min(height, PATCH * PATCH // columns)
-    if rows < PATCH:
-        columns = min(width, PATCH * PATCH // rows)
-    return rows, columns
-
-
 def _crop(sample: Sample, extras: Sequence[str], rng: np.random.Generator) -> Batch:
     """A batch of one, mirrored or not; drawn again while most of its target is unknown."""
     assert sample.clean is not None
     height, width = sample.noisy.shape
-    rows, columns = crop_size(height, width)
+    rows, columns = min(height, PATCH), min(width, PATCH)
+    # Of narrow pictures longer than wide, for as many pixels.
+    if columns < PATCH:
+        rows = min(height, PATCH * PATCH // columns)
+    if rows < PATCH:
+        columns = min(width, PATCH * PATCH // rows)
     for _ in range(_TRIES):
         top = int(rng.integers(height - rows + 1))
         left = int(rng.integers(width - columns + 1))
@@ -267,17 +230,6 @@ def _crop(sample: Sample, extras: Sequence[str], rng: np.random.Generator) -> Ba
     return crop(sample, (top, left), (rows, columns), bool(rng.random() < 0.5), extras)
 
 
-def _denoised(network: Network, sample: Sample) -> Image:
+def _shown(sample: Sample, network: Network) -> Batch:
     shown = Sample(sample.noisy, geometry=sample.geometry, frames=sample.frames)
-    return denoise_batch(network, whole_image_batch(shown, network.extras))
-
-
-def _psnr(picture: Image, sample: Sample) -> float:
-    assert sample.clean is not None
-    return float(-10 * np.log10(max(float(np.square(picture - sample.clean).mean()), 1e-10)))
-
-
-def _spread(found: list[T]) -> list[T]:
-    """At most as many as are measured each time, evenly spaced."""
-    count = min(_MOST_MEASURED, len(found))
-    return [found[number * len(found) // count] for number in range(count)]
+    return whole_image(shown, network.extras)

@@ -26,7 +26,7 @@ from ..recordings.fan.pings import grey_of, polar_geometry
 from ..recordings.palettes import grey_of_colours
 from ..recordings.pictures import read_grey
 from ..recordings.presentation import presentation_of
-from ..recordings.static import StaticGroup, aligned, find_groups, moving, references, shifted
+from ..recordings.static import aligned, find_groups, moving, references, shifted
 
 RUN = 16
 """So many frames that follow each other are read together where not all can be."""
@@ -279,21 +279,14 @@ def _stills(shots: list[Shot]) -> list[tuple[list[Shot], Still]]:
         return []
     kept = [shots[i] for i in group.numbers]
     frames = [shot.grey for shot in kept]
-    known = _known(frames, group, sector)
+    laid = [shifted(frame, shift) for frame, shift in zip(frames, group.shifts_px, strict=True)]
+    # Where all frames show the sector and nothing moves.
+    margin = 2 * math.ceil(float(np.abs(group.shifts_px).max())) + 3
+    inner = cv2.erode(sector.astype(np.uint8), np.ones((margin, margin), np.uint8)).astype(bool)
+    known = inner & ~moving(laid, sector)
     if known.sum() < _LEAST_KNOWN * sector.sum():
         return []
     targets = [
         np.where(known, target, np.nan).astype(np.float32) for target in references(frames, group)
     ]
-    laid = [shifted(frame, shift) for frame, shift in zip(frames, group.shifts_px, strict=True)]
     return [(kept, Still(frames, targets, shots[0].geometry, laid=laid))]
-
-
-def _known(
-    frames: list[Image], group: StaticGroup, sector: npt.NDArray[np.bool_]
-) -> npt.NDArray[np.bool_]:
-    """(H, W) bool: where all frames show the sector and nothing moves."""
-    laid = [shifted(frame, shift) for frame, shift in zip(frames, group.shifts_px, strict=True)]
-    margin = 2 * math.ceil(float(np.abs(group.shifts_px).max())) + 3
-    inner = cv2.erode(sector.astype(np.uint8), np.ones((margin, margin), np.uint8)).astype(bool)
-    return inner & ~moving(laid, sector)

@@ -74,67 +74,39 @@ class Crops(Dataset[Batch]):
         return concatenate(parts)
 
 
-class WholeImages(Dataset[Batch]):
-    """Whole images as batches of one, for validation."""
-
-    def __init__(self, source: Source, extras: Sequence[str] = ()) -> None:
-        self.source, self.extras = source, tuple(extras)
-
-    def __len__(self) -> int:
-        return len(self.source)
-
-    def __getitem__(self, index: int) -> Batch:
-        return whole_image_batch(self.source.sample(index, None), self.extras)
-
-
-def whole_image_batch(sample: Sample, extras: Sequence[str] = ()) -> Batch:
+def whole_image(sample: Sample, extras: Sequence[str] = ()) -> Batch:
     """A sample as a batch of one."""
-    images = _images(sample, extras)
-    if sample.geometry is not None and extras:
-        maps = sample.geometry.maps(0, 0, *sample.noisy.shape)
-        images |= {name: maps[name] for name in extras if name in maps}
-    batch = {
-        name: torch.from_numpy(np.ascontiguousarray(x))[None, None] for name, x in images.items()
-    }
-    return batch | _told(sample, extras)
+    return crop(sample, (0, 0), sample.noisy.shape, False, extras)
 
 
 def crop(
     sample: Sample,
     corner: tuple[int, int],
-    shape: tuple[int, int],
+    shape: tuple[int, ...],
     flip: bool,
     extras: Sequence[str] = (),
 ) -> Batch:
-    """A batch of one of `shape` (rows, columns) from `corner` on, mirrored left to right or not."""
+    """A batch of one of `shape` (rows, columns) from `corner` on, mirrored left to right or not.
+
+    With `remove` (1, 6), where `extras` has it, and `taught` (1, 1, 1, 1), where it is known.
+    """
     (top, left), (height, width) = corner, shape
     window = np.s_[top : top + height, left : left + width]
     step = -1 if flip else 1
     images = {name: image[window][:, ::step] for name, image in _images(sample, extras).items()}
     if sample.geometry is not None and extras:
-        maps: Maps = sample.geometry.maps(top, left, height, width)
-        maps = _mirrored(maps) if flip else maps
-        images |= {name: maps[name] for name in extras if name in maps}
+        maps = sample.geometry.maps(top, left, height, width)
+        found = {name: maps[name][:, ::step] for name in extras if name in maps}
+        if flip and "azimuth_rad" in found:
+            found["azimuth_rad"] = -found["azimuth_rad"]
+        images |= found
     batch = {name: torch.from_numpy(x.copy())[None, None] for name, x in images.items()}
-    return batch | _told(sample, extras)
-
-
-def _told(sample: Sample, extras: Sequence[str]) -> Batch:
-    """What goes with pictures and maps: `remove` (1, 6), and `taught` (1, 1, 1, 1) if known."""
-    told: Batch = {}
     if "remove" in extras:
         remove = vector(DEFAULT) if sample.remove is None else sample.remove
-        told["remove"] = torch.from_numpy(remove)[None]
+        batch["remove"] = torch.from_numpy(remove)[None]
     if sample.taught is not None:
-        told["taught"] = torch.full((1, 1, 1, 1), sample.taught)
-    return told
-
-
-def _mirrored(maps: Maps) -> Maps:
-    """The maps of the picture mirrored left to right: bearings change their sign."""
-    flipped = {name: values[:, ::-1] for name, values in maps.items()}
-    flipped["azimuth_rad"] = -flipped["azimuth_rad"]
-    return flipped
+        batch["taught"] = torch.full((1, 1, 1, 1), sample.taught)
+    return batch
 
 
 def _images(sample: Sample, extras: Sequence[str]) -> Maps:

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from functools import lru_cache
 from pathlib import Path
-
-import numpy as np
 
 from ...factory.errors import FactoryError
 from ...factory.files import sha256_of
@@ -18,14 +15,9 @@ from ..recordings import (
     kind_of,
     open_recording,
 )
-from ..recordings.fan.finder import find_geometry
 from ..recordings.fan.pings import frame_picture
-from ..recordings.pictures import read_grey, read_picture
-from ..recordings.presentation import presentation_of
-from .pairs import Image, Sample, SampleRef
-
-_KEPT = 64
-"""Frames in memory; one of 700x500 pixels takes 2 MB."""
+from ..recordings.pictures import read_grey
+from .pairs import Image, SampleRef
 
 
 def list_images(folder: str | Path, key: str = "data.folder") -> tuple[SampleRef, ...]:
@@ -71,28 +63,9 @@ def read_sample(sample: SampleRef) -> tuple[Image, FanGeometry | None]:
 def smallest_side(samples: tuple[SampleRef, ...]) -> tuple[int, SampleRef]:
     """The shortest side of all images, pixels, and the image that has it."""
     # The frames of a recording are of one size, or nearly.
-    sides = [
-        (min(_shape(sample)), sample)
-        for sample in samples
-        if sample.row == 0 or not is_recording(sample.path)
-    ]
+    firsts = [one for one in samples if one.row == 0]
+    sides = [(min(read_sample(one)[0].shape), one) for one in firsts]
     return min(sides, key=lambda found: found[0])
-
-
-def _shape(sample: SampleRef) -> tuple[int, ...]:
-    if is_recording(sample.path):
-        return read_sample(sample)[0].shape
-    return read_picture(sample.path).shape[:2]
-
-
-@lru_cache(maxsize=_KEPT)
-def frame_of(ref: SampleRef) -> Sample:
-    """A frame as networks are shown it; nobody has its clean picture, which is NaN."""
-    grey, geometry = read_sample(ref)
-    if geometry is None:
-        given = presentation_of(grey, find_geometry(grey))
-        grey, geometry = given.shown(grey), given.geometry
-    return Sample(grey, np.full_like(grey, np.nan), np.zeros_like(grey), geometry)
 
 
 def digest_of(samples: Sequence[SampleRef]) -> str:

@@ -12,7 +12,6 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch.utils.data import Dataset
 
 from ...factory.dataset import PairDataset
 from ...factory.dataset.format.manifest import load_manifest
@@ -68,6 +67,15 @@ class Source(Protocol):
         Its noise may differ from visit to visit, and depends on nothing else.
         Raises FactoryError when it cannot be read.
         """
+
+
+@dataclass(frozen=True)
+class Data:
+    """learning, validation: images.  facts: what decides the weights beside the settings."""
+
+    learning: Source
+    validation: Source
+    facts: dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -170,24 +178,6 @@ def spread(samples: tuple[Anything, ...], limit: int | None) -> tuple[Anything, 
     return tuple(samples[index * len(samples) // limit] for index in range(limit))
 
 
-class PairReader:
-    """Reads pairs, in any process."""
-
-    def __init__(self) -> None:
-        self._open = OpenShards()
-
-    def pair(self, sample: SampleRef) -> tuple[Image, Image]:
-        """(noisy, clean), each (H, W) float32 in 0..1."""
-        noisy, clean = self._open.read(sample.path, ("noisy", "clean"), sample.row)
-        return in_unit_range(noisy), in_unit_range(clean)
-
-    def layers(self, sample: SampleRef) -> tuple[Image, Image, Image]:
-        """(noisy, clean, shadow), each (H, W) float32 in 0..1."""
-        names = ("noisy", "clean", "shadow")
-        noisy, clean, shadow = self._open.read(sample.path, names, sample.row)
-        return in_unit_range(noisy), in_unit_range(clean), shadow.astype(np.float32)
-
-
 def windows_of(source: Source) -> Windows | None:
     """The windows in which the pairs of a dataset at a URL are visited; None for any other source.
 
@@ -220,7 +210,7 @@ class PairSource:
         seed: int = 0,
     ) -> None:
         self.samples, self.sonar, self.weaker, self.seed = tuple(samples), sonar, weaker, seed
-        self._shards = PairReader()
+        self._open = OpenShards()
 
     def __len__(self) -> int:
         return len(self.samples)
@@ -228,7 +218,8 @@ class PairSource:
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
         ref = self.samples[index]
-        noisy, clean, shadow = self._shards.layers(ref)
+        stored = self._open.read(ref.path, ("noisy", "clean", "shadow"), ref.row)
+        noisy, clean = in_unit_range(stored[0]), in_unit_range(stored[1])
         if visit is not None:
             strength = weakened(self.weaker, self.seed, index, visit)
             if strength < 1:
@@ -236,7 +227,7 @@ class PairSource:
         geometry = None
         if self.sonar is not None and ref.window is not None:
             geometry = FanGeometry.from_sonar(self.sonar, *ref.window)
-        return Sample(noisy, clean, shadow, geometry)
+        return Sample(noisy, clean, stored[2].astype(np.float32), geometry)
 
 
 def weakened(share: float, seed: int, *names: int | str) -> float:
@@ -245,16 +236,3 @@ def weakened(share: float, seed: int, *names: int | str) -> float:
     if rng.random() >= share:
         return 1.0
     return 0.0 if rng.random() < 1 / 8 else float(rng.random())
-
-
-class Pairs(Dataset[Batch]):
-    """A split of a dataset for a torch DataLoader: whole images, in order."""
-
-    def __init__(self, dataset: str | Path, split: Split = "train") -> None:
-        self.pairs = PairDataset(dataset, split, scaled=True)
-
-    def __len__(self) -> int:
-        return len(self.pairs)
-
-    def __getitem__(self, index: int) -> Batch:
-        return {name: torch.from_numpy(image)[None] for name, image in self.pairs[index].items()}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +31,10 @@ from ...factory.seeds import stream
 from ...factory.selection import choose_frames, split_frames
 from ...factory.sonar.geometry import FanGeometry
 from ...factory.sonar.settings import SonarSettings
-from ..settings import MixedData, RendersData, Scale
+from ..settings import MixedData, RendersData
+from .any_device import DeviceSource
 from .images import digest_of, list_images
-from .pairs import PairTable, Sample, SampleRef, Source, spread, weakened
+from .pairs import Data, PairTable, Sample, SampleRef, Source, spread, weakened
 
 _DECIDE = ("devices", "noise", "acoustics", "sonar", "water")
 """Groups of the configuration that decide the pictures of drawn devices."""
@@ -52,7 +53,7 @@ class RenderSource:
         weaker: float,
         fewer: float,
         seed: int,
-        scales: tuple[Scale, ...],
+        scales: tuple[float, ...],
     ) -> None:
         """config: how pairs are made.  frames: whose renders are at hand.  See `RendersData`.
 
@@ -61,7 +62,7 @@ class RenderSource:
         self.config, self.frames = replace(config, seed=seed), frames
         self.weaker, self.fewer, self.seed, self.scales = weaker, fewer, seed, scales
         self._sonars = {scale: resized(config.sonar, scale) for scale in (1.0, *scales)}
-        self._makers: dict[Scale, PairMaker] = {}
+        self._makers: dict[float, PairMaker] = {}
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -71,7 +72,7 @@ class RenderSource:
 
     def sample(self, index: int, visit: int | None) -> Sample:
         """See `Source`."""
-        scale: Scale = 1.0 if visit is None else self.scale_of(index, visit)
+        scale: float = 1.0 if visit is None else self.scale_of(index, visit)
         if scale not in self._makers:
             config = replace(self.config, sonar=self._sonars[scale])
             self._makers[scale] = PairMaker(config, open_views(config))
@@ -89,7 +90,7 @@ class RenderSource:
             FanGeometry.from_record(self._sonars[scale], pair.record),
         )
 
-    def scale_of(self, index: int, visit: int) -> Scale:
+    def scale_of(self, index: int, visit: int) -> float:
         """Size of the picture of a visit, as multiples of the dataset's: any of `scales`."""
         return self.scales[stream(self.seed, "scale", index, visit).integers(len(self.scales))]
 
@@ -125,54 +126,43 @@ def scaled(block: Any, factor: float) -> Any:
     return replace(block, **changes)
 
 
-def resized(sonar: SonarSettings, scale: Scale) -> SonarSettings:
+def resized(sonar: SonarSettings, scale: float) -> SonarSettings:
     """The same device with `scale` times as many beams, range bins and pixels.
 
-    scale: one number, or (of beams and range bins, of pixels).
     Its point spread stays as many bins and beams wide, so with more of them it resolves more.
     Raises FactoryError when that is too many, and where there is a table of beams, which says
     nothing of beams between.
     """
-    of_beams, of_pixels = scale if isinstance(scale, tuple) else (scale, scale)
-    named = f"[{of_beams:g}, {of_pixels:g}]" if isinstance(scale, tuple) else f"{scale:g}"
-    if of_beams != 1 and sonar.beam_azimuths_deg is not None:
-        raise FactoryError(
-            f"data.scales: {named}: {sonar.name} has a table of beams; only 1 is possible, or "
-            "[1, multiple of the pixels]"
-        )
+    if scale == 1:
+        return sonar
     image = sonar.image
-    beams, range_bins = (round(of_beams * size) for size in (sonar.beams, sonar.range_bins))
-    width_px, height_px = (round(of_pixels * size) for size in (image.width_px, image.height_px))
+    beams, range_bins, width_px, height_px = (
+        round(scale * size)
+        for size in (sonar.beams, sonar.range_bins, image.width_px, image.height_px)
+    )
     try:
         image = replace(image, width_px=width_px, height_px=height_px)
         return replace(sonar, beams=beams, range_bins=range_bins, image=image)
     except ValueError as error:
         raise FactoryError(
-            f"data.scales: {named} makes {beams} beams, {range_bins} range bins and "
-            f"{width_px}x{height_px} pixels; 2 to 8192 of each are possible"
+            f"data.scales: {scale:g} makes {beams} beams, {range_bins} range bins and "
+            f"{width_px}x{height_px} pixels; 2 to 8192 of each are possible, and of a sonar with a "
+            "table of beams only its own"
         ) from error
 
 
-@dataclass(frozen=True)
-class Renders:
-    """source: what trains.  facts: what it is, for the recipe.  said: a line to show.
-
-    validation: pictures to validate on; None where the dataset's own pairs serve, which is so but
-    for drawn devices.
-    """
-
-    source: Source
-    facts: dict[str, Any]
-    said: str
-    validation: Source | None = None
-
-
 def open_renders(
-    data: RendersData, table: PairTable, validation: tuple[SampleRef, ...], dataset: str, seed: int
-) -> Renders:
-    """The renders of a dataset as training data.
+    data: RendersData,
+    table: PairTable,
+    held: tuple[SampleRef, ...],
+    validation: Source,
+    dataset: str,
+    seed: int,
+) -> Data:
+    """The renders of a dataset as training data; says how many there are.
 
-    table: the dataset's train split.  validation: its pairs that are held out.
+    table: the dataset's train split.  held: its pairs that are held out.  validation: these as
+    images, which are measured on but for drawn devices.
     Raises FactoryError when the dataset was made by another version or its renders are not there.
     """
     config = _config(data, dataset)
@@ -180,18 +170,16 @@ def open_renders(
     if data.pack is None:
         found = choose_frames(found, config)
     training = split_frames(found, config)["train"]
-    held = {sample.scene for sample in validation}
-    if {sample.scene for sample in table.samples} == held:
+    scenes = {sample.scene for sample in held}
+    if {sample.scene for sample in table.samples} == scenes:
         # One scene alone: its frames are held out one by one.
-        names = {(sample.scene, sample.frame) for sample in validation}
+        names = {(sample.scene, sample.frame) for sample in held}
         training = tuple(
             ref for ref in training if (f"{ref.location}/{ref.scene}", ref.frame) not in names
         )
     else:
-        training = tuple(ref for ref in training if f"{ref.location}/{ref.scene}" not in held)
+        training = tuple(ref for ref in training if f"{ref.location}/{ref.scene}" not in scenes)
     views = open_views(config)
-    learned = set(training)
-    held_out = tuple(ref for ref in found if ref not in learned and views.holds(ref))
     ready = tuple(ref for ref in training if views.holds(ref))
     if not ready:
         raise FactoryError(
@@ -200,9 +188,9 @@ def open_renders(
             "command keeps the renders), or give data.cache=FOLDER or data.pack=FILE"
         )
     missing = len(training) - len(ready)
-    said = f"renders: {len(ready)} frames" + (f", {missing} not rendered" if missing else "")
+    print(f"renders: {len(ready)} frames" + (f", {missing} not rendered" if missing else ""))
     names_ = "\n".join(ref.name for ref in ready)
-    facts = {
+    facts: dict[str, Any] = {
         "renders.frames": len(ready),
         "renders.names": hashlib.blake2b(names_.encode(), digest_size=8).hexdigest(),
     }
@@ -210,18 +198,20 @@ def open_renders(
         config, ready, weaker=data.weaker, fewer=data.fewer, scales=data.scales, seed=seed
     )
     if data.experiment is None:
-        return Renders(points, facts, said)
-    found_ = _by_any_device(data, config, ready, held_out, facts, said, seed)
-    return _mixed(data, found_, points, seed) if isinstance(data, MixedData) else found_
+        return Data(points, validation, facts)
+    learned = set(training)
+    shown = tuple(ref for ref in found if ref not in learned and views.holds(ref))
+    drawn = _by_any_device(data, config, ready, shown, facts, seed)
+    return _mixed(data, drawn, points, seed) if isinstance(data, MixedData) else drawn
 
 
-def _mixed(data: MixedData, devices: Renders, points: Source, seed: int) -> Renders:
+def _mixed(data: MixedData, drawn: Data, points: Source, seed: int) -> Data:
     from .time_stacks import MixedSource, open_stacks
 
     stacks = open_stacks(data.recordings, data.least_side)
     refs = tuple(ref for path in data.recordings for ref in list_images(path, "data.recordings"))
     source = MixedSource(
-        devices.source,
+        drawn.learning,
         points,
         stacks,
         points_share=data.points_share,
@@ -230,23 +220,24 @@ def _mixed(data: MixedData, devices: Renders, points: Source, seed: int) -> Rend
         seed=seed,
     )
     still = sum(one.is_still for one in stacks)
-    said = f"{devices.said}; recordings: {len(stacks)}, of which {still} stand still"
-    facts = {**devices.facts, "data.recordings": digest_of(refs)}
-    return replace(devices, source=source, facts=facts, said=said)
+    print(f"recordings: {len(stacks)}, of which {still} stand still")
+    return Data(source, drawn.validation, {**drawn.facts, "data.recordings": digest_of(refs)})
 
 
 def _by_any_device(
     data: RendersData,
     config: FactoryConfig,
     ready: tuple[FrameRef, ...],
-    held_out: tuple[FrameRef, ...],
+    held: tuple[FrameRef, ...],
     facts: dict[str, Any],
-    said: str,
     seed: int,
-) -> Renders:
-    from .any_device import DeviceSource
-
+) -> Data:
     drawn = composed((f"experiment={data.experiment}", *data.factory))
+    if not held or drawn.devices is None:
+        raise FactoryError(
+            f"data.experiment={data.experiment}: draws no devices, or no render is held out; use "
+            "any_sonar, and give data.validation more"
+        )
     config = replace(
         config,
         devices=drawn.devices,
@@ -256,21 +247,14 @@ def _by_any_device(
         water=drawn.water,
     )
     drawn_as = digest({name: plain(config)[name] for name in _DECIDE})
-
-    if not held_out or drawn.devices is None:
-        raise FactoryError(
-            f"data.experiment={data.experiment}: draws no devices, or no render is held out; use "
-            "any_sonar, and give data.validation more"
-        )
-    shown = spread(held_out, data.validation_limit)
+    shown = spread(held, data.validation_limit)
     # A picture without noise has 100 dB, more than all others together can gain or lose.
     noisy = replace(config, devices=replace(drawn.devices, quiet_share=number(0)))
     common: dict[str, Any] = {"patch": data.least_side, "seed": seed}
-    return Renders(
+    return Data(
         DeviceSource(config, ready, weaker=data.weaker, choices=data.choices, **common),
-        {**facts, "renders.devices": drawn_as},
-        said,
         DeviceSource(noisy, shown, weaker=0.0, choices=0.0, **common),
+        {**facts, "renders.devices": drawn_as},
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +10,10 @@ from ...factory.files import sha256_of
 from ...factory.storage.copies import local_folder
 from ..settings import DataSettings, ModelsSettings, OldData, RendersData
 from .images import digest_of, list_images, smallest_side
-from .pairs import PairSource, Source, hold_out, read_table, spread
+from .pairs import Data, PairSource, hold_out, read_table, spread
 
 _SMALLEST = 11
 """Side of the window of SSIM, pixels."""
-
-
-@dataclass(frozen=True)
-class Data:
-    """learning, validation: images.  facts: what decides the weights beside the settings."""
-
-    learning: Source
-    validation: Source
-    facts: dict[str, Any]
 
 
 def open_data(settings: ModelsSettings) -> Data:
@@ -70,7 +60,7 @@ def _of_dataset(data: DataSettings, settings: ModelsSettings) -> Data:
     folder = str(local_folder(folder))
     table = read_table(folder, "train")
     if not (isinstance(data, RendersData) and data.experiment is not None):
-        least = data.least_scale if isinstance(data, RendersData) else 1.0
+        least = min(data.scales) if isinstance(data, RendersData) else 1.0
         height, width = (round(least * side) for side in (table.height, table.width))
         _check_sizes(data, min(height, width), folder, f" ({height}x{width})")
     learning, held = hold_out(table.samples, data.validation, settings.seed)
@@ -79,16 +69,15 @@ def _of_dataset(data: DataSettings, settings: ModelsSettings) -> Data:
         "dataset.pairs": len(table.samples),
         "dataset.image": [table.height, table.width],
     }
-    validation: Source = PairSource(spread(held, data.validation_limit), table.sonar)
+    validation = PairSource(spread(held, data.validation_limit), table.sonar)
     if not isinstance(data, RendersData):
-        source: Source = PairSource(learning, table.sonar, weaker=data.weaker, seed=settings.seed)
+        source = PairSource(learning, table.sonar, weaker=data.weaker, seed=settings.seed)
         return Data(source, validation, facts)
     # Only here: it brings the readers and the whole of the factory.
     from .renders import open_renders
 
-    renders = open_renders(data, table, held, folder, settings.seed)
-    print(renders.said)
-    return Data(renders.source, renders.validation or validation, facts | renders.facts)
+    renders = open_renders(data, table, held, validation, folder, settings.seed)
+    return Data(renders.learning, renders.validation, facts | renders.facts)
 
 
 def _check_sizes(data: DataSettings, side: int, where: str, shape: str = "") -> None:

@@ -17,10 +17,12 @@ import numpy.typing as npt
 from ...factory.errors import FactoryError
 from ...factory.seeds import stream
 from ...factory.sonar.geometry import FanGeometry
+from ..recordings.fan.finder import find_geometry
+from ..recordings.presentation import presentation_of
 from ..recordings.static import find_groups, shifted
 from ..removal import DEFAULT, averaged, vector
-from .images import frame_of, list_images
-from .pairs import Image, Sample, Source
+from .images import list_images, read_sample
+from .pairs import Image, Sample, SampleRef, Source
 
 _ALIKE = 0.75
 """Likeness of two frames in a row from which on a recording stands still."""
@@ -109,10 +111,10 @@ def open_stacks(
     for path in paths:
         refs = list_images(path, key)
         for scene in dict.fromkeys(ref.scene for ref in refs):
-            samples = [frame_of(ref) for ref in refs if ref.scene == scene]
-            shape = samples[0].noisy.shape
-            frames = np.stack([one.noisy for one in samples if one.noisy.shape == shape])
-            geometry = samples[0].geometry
+            shown = [_shown(ref) for ref in refs if ref.scene == scene]
+            first, geometry = shown[0]
+            shape = first.shape
+            frames = np.stack([grey for grey, _ in shown if grey.shape == shape])
             if geometry is None or min(shape) < least_side:
                 continue
             sector = geometry.maps(0, 0, *shape)["sector"] > 0
@@ -126,6 +128,15 @@ def open_stacks(
             "can be found"
         )
     return tuple(found)
+
+
+def _shown(ref: SampleRef) -> tuple[Image, FanGeometry | None]:
+    """A frame as networks are shown it."""
+    grey, geometry = read_sample(ref)
+    if geometry is None:
+        given = presentation_of(grey, find_geometry(grey))
+        grey, geometry = given.shown(grey), given.geometry
+    return grey, geometry
 
 
 class MixedSource:

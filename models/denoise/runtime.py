@@ -1,6 +1,6 @@
 """What computes a network: onnxruntime where its graph ships, torch for any other.
 
-Neither torch nor lightning is imported for a network whose graph ships (`models.pretrained`).
+torch is not imported for a network whose graph ships (`models.pretrained`).
 What is quick in NumPy stands around the graph: the beam and the arc of each cell, the polar grid,
 the sector.
 """

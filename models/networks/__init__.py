@@ -5,8 +5,7 @@ A network is one file beside this one with a settings class and a torch module, 
 
 - `build_network(config)` makes it from the `model` group, with fresh weights.
 - `forward(x)` maps (N, C, H, W) float in 0..1 to the same shape, for any H and W (it pads itself).
-  C is 1 or 3 for any network: three channels are denoised alike, one by one, where the network
-  was not built for three (`channels` of its settings).
+  C is 1 or 3 for any network: three channels are denoised one by one.
 - `extras`, a class attribute, names its optional inputs; each is a keyword of `forward` and of
   `with_heads` that may be left out or None where it is unknown: `range_fraction` (N, 1, H, W),
   slant range of a pixel over range_max; `azimuth_rad` (N, 1, H, W), positive to the right; `sector`
@@ -52,6 +51,10 @@ NETWORKS = {
 when one is built."""
 
 
+_GONE: dict[str, object] = {"channels": 1, "mirror": False}
+"""Keys of weights of earlier versions, with the value that is left."""
+
+
 def build_network(config: Mapping[str, Any]) -> Network:
     """The network that the `model` group of the configuration describes, with fresh weights.
 
@@ -60,6 +63,7 @@ def build_network(config: Mapping[str, Any]) -> Network:
     kind = config.get("kind")
     if not isinstance(kind, str) or kind not in NETWORKS:
         raise FactoryError(f"model.kind: {kind!r} is none of {', '.join(sorted(NETWORKS))}")
+    config = {key: one for key, one in config.items() if (key, one) not in _GONE.items()}
     module_name, name = NETWORKS[kind]
     module = import_module(f".{module_name}", __name__)
     settings: Any = build(getattr(module, f"{name}Settings"), config, "model")

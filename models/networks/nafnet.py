@@ -25,7 +25,6 @@ class NAFNetSettings:
     width: channels at full resolution; they double at each of the len(encoder) downsamplings.
     encoder: blocks at each resolution, from full to coarse; decoder: back, from coarse to full.
     middle: blocks at the coarsest resolution.
-    channels: of the images, 1 or 3.
     """
 
     kind: Literal["nafnet"]
@@ -33,7 +32,6 @@ class NAFNetSettings:
     encoder: tuple[Blocks, ...]
     middle: Blocks
     decoder: tuple[Blocks, ...]
-    channels: Literal[1, 3] = 1
 
     def __post_init__(self) -> None:
         if not self.encoder or len(self.encoder) != len(self.decoder):
@@ -82,9 +80,9 @@ class NAFNet(Network):
     """U-shaped stack of blocks that predicts what to add to the noisy image."""
 
     def __init__(self, settings: NAFNetSettings) -> None:
-        super().__init__(settings.channels, stride=2 ** len(settings.encoder))
+        super().__init__(stride=2 ** len(settings.encoder))
         channels = settings.width
-        self.intro = nn.Conv2d(self.channels, channels, 3, padding=1)
+        self.intro = nn.Conv2d(1, channels, 3, padding=1)
         self.encoders, self.downs = nn.ModuleList(), nn.ModuleList()
         for count in settings.encoder:
             self.encoders.append(_blocks(channels, count))
@@ -98,10 +96,10 @@ class NAFNet(Network):
             )
             channels //= 2
             self.decoders.append(_blocks(channels, count))
-        self.outro = nn.Conv2d(channels, self.channels, 3, padding=1)
+        self.outro = nn.Conv2d(channels, 1, 3, padding=1)
 
     def restore(self, noisy: Tensor, **extras: Tensor) -> Tensor:
-        """(N, channels, H, W) -> the same; H and W divide by `stride`."""
+        """(N, 1, H, W) -> the same; H and W divide by `stride`."""
         x = self.intro(noisy)
         x = down_and_up(x, self.encoders, self.downs, self.middle, self.ups, self.decoders)
         residual: Tensor = self.outro(x)

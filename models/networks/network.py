@@ -30,8 +30,8 @@ class NetworkOutput(NamedTuple):
 class Network(nn.Module):
     """Base of the networks in `models.NETWORKS`; the docstring of `models` is the contract.
 
-    A network sets `channels` (1 or 3, what it was built for) and `stride` (sizes must divide by
-    it) and implements `restore`, or `restore_with_heads` if it has heads.
+    A network sets `stride` (sizes must divide by it) and implements `restore`, or
+    `restore_with_heads` if it has heads, of pictures of one channel.
     """
 
     extras: tuple[str, ...] = ()
@@ -41,12 +41,12 @@ class Network(nn.Module):
     wide_grain: float = 1.0
     """See `models.denoise.sizes`."""
 
-    def __init__(self, channels: int, stride: int) -> None:
+    def __init__(self, stride: int) -> None:
         super().__init__()
-        self.channels, self.stride = channels, stride
+        self.stride = stride
 
     def restore(self, noisy: Tensor, **extras: Tensor) -> Tensor:
-        """(N, channels, H, W) -> the same; H and W divide by `stride`; extras as given."""
+        """(N, 1, H, W) -> the same; H and W divide by `stride`; extras as given."""
         output = self.restore_with_heads(noisy, **extras)
         part = output.weight[:, None, None, None].to(noisy.dtype)
         return noisy + part * (output.image - noisy)
@@ -106,21 +106,16 @@ class Network(nn.Module):
             raise TypeError(f"{type(self).__name__} does not use {', '.join(unknown)}")
         known = {name: value for name, value in extras.items() if value is not None}
         channels = noisy.shape[1]
-        if channels > self.channels:
+        if channels > 1:
             # Each channel is an image of its own.
             noisy = noisy.reshape(-1, 1, *noisy.shape[-2:])
             known = {name: x.repeat_interleave(channels, dim=0) for name, x in known.items()}
-        elif channels < self.channels:
-            noisy = noisy.expand(-1, self.channels, -1, -1)
         maps = {name: padded(x, self.stride) if x.ndim == 4 else x for name, x in known.items()}
         return padded(noisy, self.stride), maps
 
     def _restored(self, image: Tensor, noisy: Tensor) -> Tensor:
         height, width = noisy.shape[-2:]
-        image = image[..., :height, :width]
-        if image.shape[1] > noisy.shape[1]:
-            return image.mean(dim=1, keepdim=True)
-        return image.reshape(noisy.shape)
+        return image[..., :height, :width].reshape(noisy.shape)
 
 
 def known_extras(network: Network, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -223,7 +218,7 @@ class Pointwise(nn.Conv2d):
         super().__init__(channels, out, 1, bias=bias)
 
     def forward(self, x: Tensor) -> Tensor:
-        """(N, channels, H, W) -> (N, out, H, W), in channels-last memory."""
+        """(N, 1, H, W) -> (N, out, H, W), in channels-last memory."""
         product = functional.linear(x.permute(0, 2, 3, 1), self.weight.flatten(1), self.bias)
         return product.permute(0, 3, 1, 2)
 

@@ -30,7 +30,6 @@ class RestormerSettings:
     blocks: transformer blocks at each resolution, from full to coarse, on the way down and, but
     for the coarsest, again on the way up.  refinement: blocks after that, at full resolution.
     heads: attention heads at each resolution.  expansion: of the feed-forward network (gamma).
-    channels: of the images, 1 or 3.
     """
 
     kind: Literal["restormer"]
@@ -39,7 +38,6 @@ class RestormerSettings:
     refinement: Blocks
     heads: tuple[Heads, ...]
     expansion: Annotated[float, Field(gt=0, le=16)]
-    channels: Literal[1, 3] = 1
 
     def __post_init__(self) -> None:
         if len(self.blocks) < 2 or len(self.heads) != len(self.blocks):
@@ -135,7 +133,7 @@ class Restormer(Network):
     """Encoder and decoder of transformer blocks that predict what to add to the noisy image."""
 
     def __init__(self, settings: RestormerSettings) -> None:
-        super().__init__(settings.channels, stride=2 ** (len(settings.blocks) - 1))
+        super().__init__(stride=2 ** (len(settings.blocks) - 1))
         width = settings.width
         levels = len(settings.blocks)
 
@@ -145,7 +143,7 @@ class Restormer(Network):
                 *(TransformerBlock(channels, heads, expansion) for _ in range(count))
             )
 
-        self.embed = nn.Conv2d(self.channels, width, 3, padding=1, bias=False)
+        self.embed = nn.Conv2d(1, width, 3, padding=1, bias=False)
         self.encoders, self.downs = nn.ModuleList(), nn.ModuleList()
         for level in range(levels - 1):
             channels = width * 2**level
@@ -174,10 +172,10 @@ class Restormer(Network):
             self.decoders.append(stack(kept, settings.blocks[level], level))
             coming = kept
         self.refine = stack(coming, settings.refinement, 0)
-        self.output = nn.Conv2d(coming, self.channels, 3, padding=1, bias=False)
+        self.output = nn.Conv2d(coming, 1, 3, padding=1, bias=False)
 
     def restore(self, noisy: Tensor, **extras: Tensor) -> Tensor:
-        """(N, channels, H, W) -> the same; H and W divide by `stride`."""
+        """(N, 1, H, W) -> the same; H and W divide by `stride`."""
         x = self.embed(noisy)
         skips = []
         for blocks, down in zip(self.encoders, self.downs, strict=True):

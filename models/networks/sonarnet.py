@@ -21,7 +21,7 @@ Without geometry it works on the picture as it is; in training the geometry is w
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Annotated, ClassVar, Literal
 
 import torch
@@ -63,15 +63,12 @@ class SonarNetSettings:
     polar: whether fan pictures of known geometry are processed on a polar grid.
     lines: whether features get the means along whole beams and arcs.
     mask: whether the second head gates the picture with the shadow that it predicts.
-    mirror: whether it also denoises the mirrored picture and averages both results, for twice the
-    work; not in training, so trained weights may change it.
     forget: part of the training steps in which the network gets no geometry.
     wide_grain: correlation of neighbouring pixels' grain from which on `simnfnd denoise` denoises
         a picture at half its size first (`models.denoise.sizes`); 1: never; not in training, so
         trained weights may change it.
     told: whether the network is told what to remove; else it always removes the same.
     frames: whether it gets the number of frames averaged in each pixel; not with `polar`.
-    channels: of the images; 1, so that colours are denoised one by one.
     """
 
     kind: Literal["sonarnet"]
@@ -81,11 +78,9 @@ class SonarNetSettings:
     lines: bool
     mask: bool
     forget: Annotated[float, Field(ge=0, le=1)]
-    mirror: bool = False
     wide_grain: Annotated[float, Field(ge=0, le=1)] = 1.0
     told: bool = True
     frames: bool = False
-    channels: Literal[1] = 1
 
     def __post_init__(self) -> None:
         if self.frames and self.polar:
@@ -104,7 +99,7 @@ class SonarNet(Network):
 
     def __init__(self, settings: SonarNetSettings) -> None:
         # Padding happens on the polar grid, which has a size of its own.
-        super().__init__(settings.channels, stride=1)
+        super().__init__(stride=1)
         self.settings = settings
         self.wide_grain = settings.wide_grain
         # Whether known geometries are those of fans; None: seen from the maps.
@@ -138,20 +133,6 @@ class SonarNet(Network):
         `imaging.contract.ARTEFACTS`); without it the usual ones.  frames: (N, 1, H, W), how many
         frames were averaged, as of `removal.averaged`; without it 0, a single frame.
         """
-        output = self._single_pass(noisy, extras)
-        if self.training or not self.settings.mirror:
-            return output
-        maps = {name: extras[name].flip(-1) for name in _MAPS if name in extras}
-        if "azimuth_rad" in maps:
-            maps["azimuth_rad"] = -maps["azimuth_rad"]
-        image, shadow, weight = self._single_pass(noisy.flip(-1), {**extras, **maps})
-        return NetworkOutput(
-            (output.image + image.flip(-1)) / 2,
-            (output.shadow_logits + shadow.flip(-1)) / 2,
-            (output.weight + weight) / 2,
-        )
-
-    def _single_pass(self, noisy: Tensor, extras: Mapping[str, Tensor]) -> NetworkOutput:
         remove, frames = extras.get("remove"), extras.get("frames")
         if remove is None:
             usual = torch.from_numpy(vector(DEFAULT)).to(noisy)

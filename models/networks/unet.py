@@ -22,13 +22,11 @@ class UNetSettings:
 
     widths: channels at each resolution, from full to coarse.
     blocks: residual blocks at each resolution, on the way down and again on the way up.
-    channels: of the images, 1 or 3.
     """
 
     kind: Literal["unet"]
     widths: tuple[Annotated[int, Field(ge=1, le=1024)], ...]
     blocks: Annotated[int, Field(ge=1, le=16)]
-    channels: Literal[1, 3] = 1
 
     def __post_init__(self) -> None:
         if len(self.widths) < 2:
@@ -40,15 +38,15 @@ class UNet(Network):
 
     def __init__(self, settings: UNetSettings) -> None:
         widths, blocks = settings.widths, settings.blocks
-        super().__init__(settings.channels, stride=2 ** (len(widths) - 1))
-        self.intro = nn.Conv2d(self.channels, widths[0], 3, padding=1)
+        super().__init__(stride=2 ** (len(widths) - 1))
+        self.intro = nn.Conv2d(1, widths[0], 3, padding=1)
         levels = u_shape(widths, [blocks] * len(widths))
         self.encoders, self.downs, self.ups, self.decoders = levels
         self.middle = residual_blocks(widths[-1], blocks)
-        self.outro = nn.Conv2d(widths[0], self.channels, 3, padding=1)
+        self.outro = nn.Conv2d(widths[0], 1, 3, padding=1)
 
     def restore(self, noisy: Tensor, **extras: Tensor) -> Tensor:
-        """(N, channels, H, W) -> the same; H and W divide by `stride`."""
+        """(N, 1, H, W) -> the same; H and W divide by `stride`."""
         x = self.intro(noisy)
         x = down_and_up(x, self.encoders, self.downs, self.middle, self.ups, self.decoders)
         residual: Tensor = self.outro(x)

@@ -131,10 +131,9 @@ class RuntimeGraph(Graph):
     def __init__(self, network: Network) -> None:
         """Raises FactoryError for a network that the runtime has no inputs for."""
         super().__init__(network, "none")
-        if not isinstance(network, SonarNet) or network.settings.mirror:
+        if not isinstance(network, SonarNet):
             raise FactoryError(
-                "--to runtime: is for model=sonarnet with mirror=false; use --to onnx for other "
-                "networks"
+                "--to runtime: is for model=sonarnet; use --to onnx for other networks"
             )
         told = [name for name in ("frames", "remove") if name in network.extras]
         self.inputs = ("noisy", "maps", "beams", "arcs", *told)

@@ -10,27 +10,16 @@ from typing import Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
-from ...factory.cli import accept_dataset_folder, run_app, say_error
+from ...factory.cli import accept_dataset_folder, run_app
 from ...factory.errors import FactoryError
 from ...factory.settings import build
 from .. import WEIGHTS_NAME
 
 _GROUPS = ("data", "model", "loss")
-_NEAR_MISSES = {
-    "output": "out",
-    "outdir": "out",
-    "epochs": "train.steps",
-    "lr": "train.learning_rate",
-}
-"""Keys of other programs, too far from ours for a comparison of letters."""
 
 
 def main(words: Sequence[str]) -> int:
     """Train as the configuration says; returns the exit code."""
-    for word in words:
-        key = word.partition("=")[0]
-        if key in _NEAR_MISSES:
-            return say_error(FactoryError(f"{key}: no such key; did you mean {_NEAR_MISSES[key]}?"))
     sys.argv[1:] = words
     if {"--help", "-h"} & set(words):
         sys.argv.append(f"hydra.help.template='{_help()}'")
@@ -61,7 +50,7 @@ def run(config: DictConfig) -> None:
     container = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     values = cast(dict[str, Any], container)
     settings: ModelsSettings = build(ModelsSettings, values)
-    # torch and Lightning take seconds to import: only when there is something to train.
+    # torch takes seconds to import: only when there is something to train.
     from .train import output_folder, train
 
     best = train(settings, values)

@@ -13,9 +13,7 @@ from types import FrameType
 from typing import Any
 
 import torch
-from lightning.fabric import Fabric
 from torch import Tensor
-from torch.optim import Optimizer
 
 from ...factory.progress import progress_bar
 from ...factory.seeds import stream
@@ -57,7 +55,7 @@ class Progress:
 
 
 class Loop:
-    """Takes `steps` steps with a module and checks it every `check_every` of them.
+    """Takes the steps that a module's settings say and checks it every `check_every` of them.
 
     save: keeps `state()` on disk; called after every check, every `SAVE_EVERY_S` seconds, and when
     the loop is stopped by Ctrl-C or SIGTERM; None keeps nothing.
@@ -65,25 +63,21 @@ class Loop:
 
     def __init__(
         self,
-        fabric: Fabric,
         module: DenoisingModule,
+        device: torch.device,
         *,
-        steps: int,
-        check_every: int,
-        seed: int,
         label: str = "training",
         save: Callable[[], None] | None = None,
     ) -> None:
-        self.fabric, self.module, self.save = fabric, module, save
-        self.steps, self.check_every, self.seed, self.label = steps, check_every, seed, label
+        self.module, self.device, self.label, self.save = module.to(device), device, label, save
+        self.steps, self.check_every = module.settings.steps, module.settings.check_every
         self.progress = Progress()
         self.bar: Any = None
         self._asked = _Signals()
         # The same steps give the same weights, as far as the device has such kernels.
         os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")
         torch.use_deterministic_algorithms(True, warn_only=True)
-        found = fabric.setup(module, *module.make_optimizers())
-        self._wrapped, self._optimizers = found[0], list[Optimizer](found[1:])
+        self._optimizers = module.make_optimizers()
 
     def run(self, batches: Batches, check: Check, is_done: Callable[[list[Row]], bool]) -> None:
         """Go on to the last step, or until `is_done` with the rows of the checks.
@@ -110,22 +104,19 @@ class Loop:
             "drawn": torch.get_rng_state() if done.losses else None,
             "module": self.module.state_dict(),
             "optimizers": [one.state_dict() for one in self._optimizers],
-            "precision": self.fabric.strategy.precision.state_dict(),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go on where `state` was taken; `rows` of it are those of the checks done then."""
-        losses = list(state["losses"].to(self.fabric.device))
+        losses = list(state["losses"].to(self.device))
         self.progress = Progress(state["step"], list(state["rows"]), losses, state["drawn"])
         self.module.load_state_dict(state["module"])
         for optimizer, stored in zip(self._optimizers, state["optimizers"], strict=True):
             optimizer.load_state_dict(stored)
-        self.fabric.strategy.precision.load_state_dict(state["precision"])
 
-    def show(self, text: str) -> None:
-        """Say something beside the progress bar."""
-        if self.bar is not None:
-            self.bar.set_postfix_str(text)
+    def moved(self, batch: Batch) -> Batch:
+        """The batch on the device."""
+        return {name: one.to(self.device, non_blocking=True) for name, one in batch.items()}
 
     def stop_if_asked(self) -> None:
         """Raise Stopped after Ctrl-C or SIGTERM, with what was done kept; also for long checks."""
@@ -148,26 +139,25 @@ class Loop:
             return
         saved_s = time.monotonic()
         self.module.train()
-        # The first interval seeds after the loader has drawn its number, the others before it.
-        left = batches(interval, done.step - interval * self.check_every) if not interval else None
-        torch.manual_seed(int(stream(self.seed, "torch", interval).integers(2**62)))
-        if left is None:
-            left = batches(interval, done.step - interval * self.check_every)
+        number = int(stream(self.module.seed, "torch", interval).integers(2**62))
+        if interval:
+            torch.manual_seed(number)
+        left = batches(interval, done.step - interval * self.check_every)
+        if not interval:  # here the loader has drawn its own number before, elsewhere after
+            torch.manual_seed(number)
         if done.drawn is not None:
             torch.set_rng_state(done.drawn)
         while done.step < end:
             try:
-                batch = self.fabric.to_device(next(left))
+                batch = self.moved(next(left))
             except RuntimeError:
                 # A reading process may have been stopped by the same Ctrl-C.
                 self.stop_if_asked()
                 raise
             self.module.step = done.step
-            loss = self.module.update(self.fabric, self._wrapped, self._optimizers, batch)
-            done.losses.append(loss.detach())
+            done.losses.append(self.module.update(self._optimizers, batch).detach())
             done.step += 1
-            if self.bar is not None:
-                self.bar.update()
+            self.bar.update()
             self.stop_if_asked()
             if self.save is not None and time.monotonic() - saved_s > SAVE_EVERY_S:
                 self.save()

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import ClassVar
 
 import torch
-from lightning.fabric import Fabric
 from torch import Tensor, nn
 from torch.optim import Optimizer
 from torch.optim.swa_utils import AveragedModel
@@ -70,7 +69,8 @@ class DenoisingModule(nn.Module):
 
     The average is what is validated and saved.
 
-    step: of the whole training; the loop sets it.
+    step: of the whole training; the loop sets it.  extras: what batches have to hold beside the
+    pictures, the optional inputs of the network and of its teacher.
     """
 
     FIGURES: ClassVar[tuple[str, ...]] = (
@@ -95,6 +95,8 @@ class DenoisingModule(nn.Module):
         self.step = 0
         # No module of torch's own: its weights are neither saved nor averaged.
         self.teacher = teacher
+        taught = teacher.network.extras if teacher else ()
+        self.extras: tuple[str, ...] = tuple(dict.fromkeys((*network.extras, *taught)))
 
     def make_optimizers(self) -> list[Optimizer]:
         """AdamW of all weights that learn."""
@@ -112,40 +114,45 @@ class DenoisingModule(nn.Module):
         chosen = self.settings
         return chosen.learning_rate * learning_rate_factor(step, chosen.warmup, chosen.steps)
 
-    def update(
-        self, fabric: Fabric, wrapped: nn.Module, optimizers: Sequence[Optimizer], batch: Batch
-    ) -> Tensor:
-        """One step; returns its loss.
+    def autocast(self) -> torch.autocast:
+        """The arithmetic of `train.precision`."""
+        device = next(self.network.parameters()).device.type
+        return torch.autocast(device, torch.bfloat16, enabled=self._is_mixed)
 
-        wrapped: this module as the loop's Fabric runs it.
-        Raises FactoryError when the loss is not a number.
-        """
-        (optimizer,) = optimizers
+    @property
+    def _is_mixed(self) -> bool:
+        return self.settings.precision == "bf16-mixed"
+
+    def update(self, optimizers: Sequence[Optimizer], batch: Batch) -> Tensor:
+        """One step; returns its loss.  Raises FactoryError when that is not a number."""
         self.set_learning_rate(optimizers)
-        loss = self.require_finite(wrapped(batch))
-        optimizer.zero_grad()
-        fabric.backward(loss)
-        fabric.clip_gradients(
-            wrapped, optimizer, max_norm=self.settings.clip, error_if_nonfinite=False
-        )
-        optimizer.step()
+        if self._is_mixed:
+            # In 16 bits from the start, as the weights that ship were trained.
+            batch = {k: v.bfloat16() if v.is_floating_point() else v for k, v in batch.items()}
+        with self.autocast():
+            loss: Tensor = self(batch).float()
+        self.turn(optimizers[0], loss)
         self.average.update_parameters(self.network)
         return loss
+
+    def turn(self, optimizer: Optimizer, loss: Tensor) -> None:
+        """Change what the optimizer holds, downhill; FactoryError when the loss is not a number."""
+        if not torch.isfinite(loss):
+            raise FactoryError(
+                f"the loss became {loss.item()} at step {self.step}; lower train.learning_rate, "
+                "or check the dataset for odd values"
+            )
+        optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        weights = [one for group in optimizer.param_groups for one in group["params"]]
+        torch.nn.utils.clip_grad_norm_(weights, self.settings.clip)
+        optimizer.step()
 
     def set_learning_rate(self, optimizers: Sequence[Optimizer]) -> None:
         """That of the present step."""
         for optimizer in optimizers:
             for group in optimizer.param_groups:
                 group["lr"] = self.learning_rate(self.step)
-
-    def require_finite(self, loss: Tensor) -> Tensor:
-        """The loss itself; FactoryError when it is not a number."""
-        if not torch.isfinite(loss):
-            raise FactoryError(
-                f"the loss became {loss.item()} at step {self.step}; lower train.learning_rate, "
-                "or check the dataset for odd values"
-            )
-        return loss
 
     def forward(self, batch: Batch) -> Tensor:
         """The loss of one batch of crops."""

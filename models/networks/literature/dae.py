@@ -23,12 +23,10 @@ class DAESettings:
     """Keys of conf/model/dae.yaml.
 
     widths: channels of the layers before each pooling; the decoder has them in reverse.
-    channels: of the images, 1 or 3.
     """
 
     kind: Literal["dae"]
     widths: tuple[Annotated[int, Field(ge=1, le=1024)], ...]
-    channels: Literal[1, 3] = 1
 
     def __post_init__(self) -> None:
         if not self.widths:
@@ -40,18 +38,18 @@ class DAE(Network):
 
     def __init__(self, settings: DAESettings) -> None:
         widths = settings.widths
-        super().__init__(settings.channels, stride=2 ** len(widths))
+        super().__init__(stride=2 ** len(widths))
         layers: list[nn.Module] = []
-        channels = self.channels
+        channels = 1
         for width in widths:
             layers += [nn.Conv2d(channels, width, 3, padding=1), nn.ReLU(), nn.MaxPool2d(2)]
             channels = width
         for width in reversed(widths):
             layers += [nn.Conv2d(channels, width, 3, padding=1), nn.ReLU(), nn.Upsample(None, 2)]
             channels = width
-        self.layers = nn.Sequential(*layers, nn.Conv2d(channels, self.channels, 3, padding=1))
+        self.layers = nn.Sequential(*layers, nn.Conv2d(channels, 1, 3, padding=1))
 
     def restore(self, noisy: Tensor, **extras: Tensor) -> Tensor:
-        """(N, channels, H, W) -> the same; H and W divide by `stride`."""
+        """(N, 1, H, W) -> the same; H and W divide by `stride`."""
         restored: Tensor = self.layers(noisy)
         return restored

@@ -14,6 +14,8 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Annotated, ClassVar, Literal
 
+import numpy as np
+import torch
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
@@ -34,7 +36,6 @@ class DGPSRGANSettings:
     critic after its first halving; they double at each of the two others.
     adversarial: weight of the critic's judgement, beside the `loss` group as the content term.
     penalty: weight of the penalty in the training of the critic.
-    channels: of the images, 1 or 3.
     """
 
     kind: Literal["dgp_srgan"]
@@ -43,7 +44,6 @@ class DGPSRGANSettings:
     critic_width: Annotated[int, Field(ge=1, le=256)]
     adversarial: NotNegative
     penalty: NotNegative
-    channels: Literal[1, 3] = 1
 
 
 class Residual(nn.Module):
@@ -67,23 +67,55 @@ class DGPSRGAN(Network):
     """The generator."""
 
     adversarial: ClassVar[bool] = True
+    betas: ClassVar[tuple[float, float]] = (0.0, 0.9)
+    """Of both optimizers: no momentum, as the authors of the penalty advise."""
 
     def __init__(self, settings: DGPSRGANSettings) -> None:
-        super().__init__(settings.channels, stride=1)
+        super().__init__(stride=1)
         self.settings = settings
         width = settings.width
-        self.intro = nn.Sequential(nn.Conv2d(self.channels, width, 9, padding=4), nn.PReLU())
+        self.intro = nn.Sequential(nn.Conv2d(1, width, 9, padding=4), nn.PReLU())
         self.blocks = nn.Sequential(
             *(Residual(width) for _ in range(settings.blocks)),
             nn.Conv2d(width, width, 3, padding=1),
         )
-        self.outro = nn.Conv2d(width, self.channels, 9, padding=4)
+        self.outro = nn.Conv2d(width, 1, 9, padding=4)
 
     def restore(self, noisy: Tensor, **extras: Tensor) -> Tensor:
-        """(N, channels, H, W) -> the same."""
+        """(N, 1, H, W) -> the same."""
         shallow = self.intro(noisy)
         residual: Tensor = self.outro(shallow + self.blocks(shallow))
         return noisy + residual
+
+    def opponent(self) -> Critic:
+        """The critic of this network, with fresh weights."""
+        return Critic(self.settings)
+
+    def critic_loss(
+        self,
+        critic: nn.Module,
+        noisy: Tensor,
+        clean: Tensor,
+        denoised: Tensor,
+        rng: np.random.Generator,
+    ) -> Tensor:
+        """It learns to value clean pictures above denoised ones, by as much as its slope allows.
+
+        Images (N, 1, H, W), `denoised` without gradients.  The penalty holds its slope at 1.
+        """
+        difference: Tensor = critic(denoised).mean() - critic(clean).mean()
+        # Slopes of slopes are too fine for half precision.
+        with torch.autocast(clean.device.type, enabled=False):
+            share = torch.from_numpy(rng.random((len(clean), 1, 1, 1), np.float32))
+            mixed = clean.float().lerp(denoised.float(), share.to(clean.device))
+            return difference + self.settings.penalty * penalty(critic, mixed)
+
+    def generator_loss(
+        self, content: Tensor, critic: nn.Module, noisy: Tensor, clean: Tensor, denoised: Tensor
+    ) -> Tensor:
+        """The network learns to be valued, beside the content."""
+        judged: Tensor = critic(denoised).mean()
+        return content - self.settings.adversarial * judged
 
 
 class Critic(nn.Module):
@@ -101,3 +133,12 @@ class Critic(nn.Module):
         """(N, 1, H, W), 16 pixels or more each way -> (N,)."""
         judged: Tensor = self.layers(image).mean(dim=(1, 2, 3))
         return judged
+
+
+def penalty(critic: nn.Module, images: Tensor) -> Tensor:
+    """Scalar: mean of (length of the slope - 1)^2 at these images, (N, 1, H, W)."""
+    images = images.detach().requires_grad_(True)
+    (slope,) = torch.autograd.grad(critic(images).sum(), images, create_graph=True)
+    # Off zero, where a length has no slope.
+    length = (slope.square().sum(dim=(1, 2, 3)) + 1e-12).sqrt()
+    return (length - 1).square().mean()

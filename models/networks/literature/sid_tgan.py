@@ -11,7 +11,7 @@ discriminator.  Sizes, the places of the blocks and the exact terms are ours.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import torch
 from pydantic import Field
@@ -37,7 +37,6 @@ class SIDTGANSettings:
     critic_width: like width, of the discriminator.
     style, similarity, adversarial: weights of these terms of training, beside the `loss` group as
     the content term.
-    channels: of the images, 1 or 3.
     """
 
     kind: Literal["sid_tgan"]
@@ -48,7 +47,6 @@ class SIDTGANSettings:
     style: NotNegative
     similarity: NotNegative
     adversarial: NotNegative
-    channels: Literal[1, 3] = 1
 
     def __post_init__(self) -> None:
         for name in ("width", "critic_width"):
@@ -108,25 +106,57 @@ class SIDTGAN(Network):
     """The generator; predicts what to add to the noisy image."""
 
     adversarial: ClassVar[bool] = True
+    betas: ClassVar[tuple[float, float]] = (0.5, 0.99)
+    """Of both optimizers: a short memory, because the opponent moves (Radford et al. 2016)."""
 
     def __init__(self, settings: SIDTGANSettings) -> None:
-        super().__init__(settings.channels, stride=2**_DOWNSAMPLINGS)
+        super().__init__(stride=2**_DOWNSAMPLINGS)
         self.settings = settings
         widths = [settings.width * 2**level for level in range(_DOWNSAMPLINGS + 1)]
-        self.intro = nn.Conv2d(self.channels, settings.width, 3, padding=1)
+        self.intro = nn.Conv2d(1, settings.width, 3, padding=1)
         levels = u_shape(widths, [1] * _DOWNSAMPLINGS)
         self.encoders, self.downs, self.ups, self.decoders = levels
         self.middle = nn.Sequential(
             *(Fused(widths[-1], settings.heads) for _ in range(settings.blocks))
         )
-        self.outro = nn.Conv2d(settings.width, self.channels, 3, padding=1)
+        self.outro = nn.Conv2d(settings.width, 1, 3, padding=1)
 
     def restore(self, noisy: Tensor, **extras: Tensor) -> Tensor:
-        """(N, channels, H, W) -> the same; H and W divide by `stride`."""
+        """(N, 1, H, W) -> the same; H and W divide by `stride`."""
         x = self.intro(noisy)
         x = down_and_up(x, self.encoders, self.downs, self.middle, self.ups, self.decoders)
         residual: Tensor = self.outro(x)
         return noisy + residual
+
+    def opponent(self) -> Discriminator:
+        """The discriminator of this network, with fresh weights."""
+        return Discriminator(self.settings)
+
+    def critic_loss(
+        self, critic: nn.Module, noisy: Tensor, clean: Tensor, denoised: Tensor, rng: Any
+    ) -> Tensor:
+        """What the discriminator learns by, of images (N, 1, H, W), the last without gradients."""
+        return hinge(critic(noisy, clean)[0], critic(noisy, denoised)[0])
+
+    def generator_loss(
+        self, content: Tensor, critic: nn.Module, noisy: Tensor, clean: Tensor, denoised: Tensor
+    ) -> Tensor:
+        """What the network learns by: content, texture, global features, and the judgement."""
+        judged, local, overall = critic(noisy, denoised)
+        with torch.no_grad():
+            _, true_local, true_overall = critic(noisy, clean)
+        # A texture is the correlation of features over the image, wherever things lie.
+        textures = zip(local, true_local, strict=True)
+        style = torch.stack([(gram(a) - gram(b)).abs().mean() for a, b in textures]).mean()
+        unlike = 1 - functional.cosine_similarity(overall, true_overall, dim=1).mean()
+        weights = self.settings
+        total: Tensor = (
+            content
+            + weights.style * style
+            + weights.similarity * unlike
+            - weights.adversarial * judged.mean()
+        )
+        return total
 
 
 class Discriminator(nn.Module):
@@ -156,3 +186,14 @@ class Discriminator(nn.Module):
         x = self.fused(x)
         judged: Tensor = self.judge(functional.leaky_relu(x, _SLOPE))
         return judged, features, x.mean(dim=(2, 3))
+
+
+def hinge(true: Tensor, false: Tensor) -> Tensor:
+    """Scalar hinge loss of the judgements (Lim, Ye 2017); 0 beyond +1 for true and -1 for false."""
+    return functional.relu(1 - true).mean() + functional.relu(1 + false).mean()
+
+
+def gram(features: Tensor) -> Tensor:
+    """(N, C, C): means over pixels of products of features (N, C, H, W) (Gatys et al. 2016)."""
+    flat = features.flatten(2)
+    return flat @ flat.transpose(1, 2) / flat.shape[-1]

@@ -36,7 +36,6 @@ class ThreeStageSettings:
     width: channels at full resolution.  growth: channels more at each of the two downsamplings.
     blocks: attention blocks at each resolution of the first two stages.
     full_blocks: attention blocks in each of the three groups of the last stage.
-    channels: of the images, 1 or 3.
     """
 
     kind: Literal["three_stage"]
@@ -44,7 +43,6 @@ class ThreeStageSettings:
     growth: Annotated[int, Field(ge=0, le=256)]
     blocks: Annotated[int, Field(ge=1, le=16)]
     full_blocks: Annotated[int, Field(ge=1, le=16)]
-    channels: Literal[1, 3] = 1
 
     @property
     def widths(self) -> tuple[int, ...]:
@@ -153,19 +151,17 @@ class ThreeStage(Network):
 
     def __init__(self, settings: ThreeStageSettings) -> None:
         # Quarters have half the side, and that is halved at each downsampling.
-        super().__init__(settings.channels, stride=2**_LEVELS)
+        super().__init__(stride=2**_LEVELS)
         widths, width = settings.widths, settings.width
         self.shallow = nn.ModuleList(
-            nn.Sequential(
-                nn.Conv2d(self.channels, width, 3, padding=1), _attention_blocks(width, 1)
-            )
+            nn.Sequential(nn.Conv2d(1, width, 3, padding=1), _attention_blocks(width, 1))
             for _ in range(3)
         )
         self.encoders = nn.ModuleList(
             Encoder(widths, settings.blocks, follows) for follows in (False, True)
         )
         self.decoders = nn.ModuleList(Decoder(widths, settings.blocks) for _ in range(2))
-        self.supervised = nn.ModuleList(SupervisedAttention(width, self.channels) for _ in range(2))
+        self.supervised = nn.ModuleList(SupervisedAttention(width, 1) for _ in range(2))
         self.joined = nn.ModuleList(Pointwise(2 * width, width) for _ in range(2))
         self.groups = nn.ModuleList(
             _attention_blocks(width, settings.full_blocks) for _ in range(_LEVELS)
@@ -177,10 +173,10 @@ class ThreeStage(Network):
             )
             for _ in range(2)
         )
-        self.outro = nn.Conv2d(width, self.channels, 3, padding=1)
+        self.outro = nn.Conv2d(width, 1, 3, padding=1)
 
     def restore(self, noisy: Tensor, **extras: Tensor) -> Tensor:
-        """(N, channels, H, W) -> the same; H and W divide by `stride`."""
+        """(N, 1, H, W) -> the same; H and W divide by `stride`."""
         return self.restore_stages(noisy)[-1]
 
     def restore_stages(self, noisy: Tensor, **extras: Tensor) -> list[Tensor]:

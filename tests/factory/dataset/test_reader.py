@@ -186,13 +186,10 @@ def test_threads_read_the_same(sound: Path) -> None:
 def test_a_torch_loader_with_workers_reads_every_sample_once(sound: Path) -> None:
     from torch.utils.data import DataLoader
 
-    from simnfnd.models.data.pairs import Pairs
-
-    loader = DataLoader(
-        Pairs(sound), 3, shuffle=True, num_workers=2, multiprocessing_context="fork"
-    )
+    pairs: Any = PairDataset(sound, scaled=True)
+    loader = DataLoader(pairs, 3, shuffle=True, num_workers=2, multiprocessing_context="fork")
     seen = [image.numpy() for batch in loader for image in batch["noisy"]]
-    assert {image.shape for image in seen} == {(1, 24, 20)}
+    assert {image.shape for image in seen} == {(24, 20)}
     assert {image.dtype for image in seen} == {np.dtype(np.float32)}
     stored = {(pair.noisy.astype(np.float32) * np.float32(1 / 255)).tobytes() for pair in PAIRS}
     assert {image.tobytes() for image in seen} == stored

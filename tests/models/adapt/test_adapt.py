@@ -21,7 +21,6 @@ from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 from tests.models.adapt.scenes import SIDE, Gray, noisy, scene, write
 from tests.project_files import ROOT
-from tests.small_dataset import write_dataset
 
 DATA = ROOT.parent / "shared/data"
 CONFIG = {"kind": "unet", "widths": [8, 8], "blocks": 1}
@@ -92,22 +91,6 @@ def test_recordings_are_learned_from_alike_however_long(tmp_path: Path) -> None:
     odds = odds_of(lessons.learning)
     assert odds.sum() == pytest.approx(1)
     assert odds[recordings.index(1)] == pytest.approx(0.5)
-
-
-def test_pairs_are_mixed_in(
-    tmp_path: Path, weights: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    stand_still(tmp_path / "in", 1)
-    dataset = write_dataset(tmp_path / "pairs", train=12)
-    arguments = ["--weights", str(weights), "--pairs", str(dataset), "--steps", "2"]
-    main([str(tmp_path / "in"), "--out", str(tmp_path / "out.safetensors"), *arguments])
-    said = capsys.readouterr().out
-    assert "1 held out, of the same stretch" in said
-    assert "pairs held out, PSNR: before" in said
-    lessons = find_lessons(clips_of(tmp_path / "in"))
-    assert lessons is not None
-    lesson = Lesson(lessons, 0, dataset=dataset)
-    assert len(lesson.crops(0, ())["kept"]) == 2
 
 
 def test_weights_that_are_no_better_are_not_written(
@@ -190,10 +173,10 @@ def test_crops_show_what_is_known_and_where_it_lies(tmp_path: Path) -> None:
     fan = FanGeometry.polar().with_size(SIDE, SIDE)
     lessons = replace(lessons, learning=[replace(one, geometry=fan) for one in lessons.learning])
     lesson = Lesson(lessons, seed=0)
-    batch = lesson.crops(3, ("azimuth_rad", "sector"))["still"]
+    batch = lesson.crops(3, ("azimuth_rad", "sector"))
     assert batch["noisy"].shape == batch["azimuth_rad"].shape == (2, 1, SIDE, SIDE)
     assert torch.isfinite(batch["clean"]).float().mean() >= 0.25
-    again = lesson.crops(3, ("azimuth_rad", "sector"))["still"]
+    again = lesson.crops(3, ("azimuth_rad", "sector"))
     assert torch.equal(batch["noisy"], again["noisy"])
 
 

@@ -11,7 +11,7 @@ from simnfnd.factory.cli.generate import run
 from simnfnd.factory.render.pack import write_pack
 from simnfnd.factory.render.views import CachedViews
 from simnfnd.models.data.any_device import DeviceSource
-from simnfnd.models.data.pairs import hold_out, read_table
+from simnfnd.models.data.pairs import PairSource, Source, hold_out, read_table
 from simnfnd.models.data.renders import RenderSource, open_renders
 from simnfnd.models.settings import RendersData
 from tests.models.data.data_settings import composed
@@ -38,25 +38,25 @@ def rendered_dataset(folder: Path) -> tuple[Path, Path]:
     return dataset, pack
 
 
-def renders(rendered: tuple[Path, Path], **changes: Any) -> tuple[RenderSource, str]:
-    dataset, pack = rendered
-    settings, _ = composed("data=renders")
-    assert isinstance(settings.data, RendersData)
-    data = replace(settings.data, **{"pack": str(pack), **changes})
-    table = read_table(dataset, "train")
-    _, held = hold_out(table.samples, 0.3, 0)
-    found = open_renders(data, table, held, str(dataset), seed=5)
-    assert isinstance(found.source, RenderSource)
-    return found.source, found.said
+def renders(rendered: tuple[Path, Path], **changes: Any) -> RenderSource:
+    """The dataset's own device and noise."""
+    source = _opened(rendered, (), changes)
+    assert isinstance(source, RenderSource)
+    return source
 
 
 def drawn_devices(rendered: tuple[Path, Path], **changes: Any) -> DeviceSource:
     """Drawn devices on the same renders."""
-    settings, _ = composed("data=renders", "data.experiment=any_sonar")
+    source = _opened(rendered, ("data.experiment=any_sonar",), changes)
+    assert isinstance(source, DeviceSource)
+    return source
+
+
+def _opened(rendered: tuple[Path, Path], words: tuple[str, ...], changes: dict[str, Any]) -> Source:
+    settings, _ = composed("data=renders", *words)
     assert isinstance(settings.data, RendersData)
     data = replace(settings.data, **{"pack": str(rendered[1]), **changes})
     table = read_table(rendered[0], "train")
     _, held = hold_out(table.samples, 0.3, 0)
-    source = open_renders(data, table, held, str(rendered[0]), seed=5).source
-    assert isinstance(source, DeviceSource)
-    return source
+    shown = PairSource(held, table.sonar)
+    return open_renders(data, table, held, shown, str(rendered[0]), seed=5).learning

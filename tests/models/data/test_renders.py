@@ -16,19 +16,20 @@ from simnfnd.factory.noise.registry import POINT_EFFECTS, NoiseSettings
 from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.sonar.settings import SonarSettings
 from simnfnd.models.data.any_device import DeviceSource
-from simnfnd.models.data.crops import Crops, Visit, WholeImages
+from simnfnd.models.data.crops import Crops, Visit, whole_image
 from simnfnd.models.data.pairs import PairSource, hold_out, read_table
 from simnfnd.models.data.renders import resized
 from simnfnd.models.data.sources import open_data
-from simnfnd.models.settings import RendersData
 from simnfnd.models.training.module import DenoisingModule
 from simnfnd.models.training.train import train
 from tests.models.data.data_settings import SMALL, composed
 from tests.models.data.small_renders import drawn_devices, renders
 
 
-def test_renders_train_on_no_scene_that_tests_or_validates(rendered: tuple[Path, Path]) -> None:
-    source, said = renders(rendered)
+def test_renders_train_on_no_scene_that_tests_or_validates(
+    rendered: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = renders(rendered)
     table = read_table(rendered[0], "train")
     _, held = hold_out(table.samples, 0.3, 0)
     scenes = {f"{ref.location}/{ref.scene}" for ref in source.frames}
@@ -37,13 +38,13 @@ def test_renders_train_on_no_scene_that_tests_or_validates(rendered: tuple[Path,
     tested = read_table(rendered[0], "test").samples
     assert scenes.isdisjoint({sample.scene for sample in tested})
     assert len(source) == 2
-    assert said == "renders: 2 frames"
+    assert capsys.readouterr().out == "renders: 2 frames\n"
 
 
 def test_renders_are_the_pairs_of_the_factory_with_other_noise_at_every_visit(
     rendered: tuple[Path, Path],
 ) -> None:
-    source, _ = renders(rendered, weaker=0.0, fewer=0.0)
+    source = renders(rendered, weaker=0.0, fewer=0.0)
     maker = pair_maker(source.config)
     ref = source.frames[1]
     for visit in (0, 3):
@@ -59,7 +60,7 @@ def test_renders_are_the_pairs_of_the_factory_with_other_noise_at_every_visit(
 
 
 def test_weaker_and_fewer_noise_down_to_none(rendered: tuple[Path, Path]) -> None:
-    source, _ = renders(rendered, weaker=0.5, fewer=0.5)
+    source = renders(rendered, weaker=0.5, fewer=0.5)
     settings = [source.noise_of(0, visit) for visit in range(80)]
     kept = [tuple(getattr(one, effect).enabled for effect in POINT_EFFECTS) for one in settings]
     assert 0.2 < np.mean([all(enabled) for enabled in kept]) < 0.6
@@ -72,7 +73,7 @@ def test_weaker_and_fewer_noise_down_to_none(rendered: tuple[Path, Path]) -> Non
     sample = source.sample(0, none)
     assert sample.clean is not None
     np.testing.assert_array_equal(sample.noisy, sample.clean)
-    sure, _ = renders(rendered, weaker=0.0, fewer=0.0)
+    sure = renders(rendered, weaker=0.0, fewer=0.0)
     assert sure.noise_of(0, 3) == sure.config.noise
 
 
@@ -110,8 +111,8 @@ def test_training_on_renders_broken_off_ends_with_the_same_bytes(
 
 
 def test_scales_train_on_pictures_of_several_sizes(rendered: tuple[Path, Path]) -> None:
-    source, _ = renders(rendered, scales=(1.0, 2.0), weaker=0.0, fewer=0.0)
-    once, _ = renders(rendered, weaker=0.0, fewer=0.0)
+    source = renders(rendered, scales=(1.0, 2.0), weaker=0.0, fewer=0.0)
+    once = renders(rendered, weaker=0.0, fewer=0.0)
     height, width = source.config.sonar.shape()
     drawn = {visit: source.scale_of(0, visit) for visit in range(40)}
     assert 8 < sum(scale == 2 for scale in drawn.values()) < 32
@@ -133,33 +134,9 @@ def test_scales_train_on_pictures_of_several_sizes(rendered: tuple[Path, Path]) 
     assert source.sample(0, None).noisy.shape == (height, width), "validation is as the dataset is"
 
 
-def test_pixels_apart_from_beams(rendered: tuple[Path, Path]) -> None:
-    """[1, 2]: the dataset's beams and range bins, drawn on twice as many pixels a side."""
-    source, _ = renders(rendered, scales=((1.0, 2.0),), weaker=0.0, fewer=0.0)
-    height, width = source.config.sonar.shape()
-    sample = source.sample(0, 0)
-    assert sample.noisy.shape == (2 * height, 2 * width)
-    sonar = resized(source.config.sonar, (1.0, 2.0))
-    assert (sonar.beams, sonar.range_bins) == (
-        source.config.sonar.beams,
-        source.config.sonar.range_bins,
-    )
-    expected = pair_maker(replace(source.config, sonar=sonar)).pairs(source.frames[0], (0,))
-    np.testing.assert_array_equal(sample.noisy, in_unit_range(expected[0].noisy))
-    table = SonarSettings(beams=3, beam_azimuths_deg=(-20.0, 1.0, 20.0))
-    assert resized(table, (1, 2)).image.width_px == 2 * table.image.width_px
-    words = (f"dataset.dir='{rendered[0]}'", f"data.pack='{rendered[1]}'", *SMALL)
-    several = ("data.scales=[1, [2, 0.2]]", "data.batch=2", "data.crops=1")
-    settings, _ = composed("data=renders", *words, *several)
-    assert isinstance(settings.data, RendersData)
-    assert settings.data.scales == (1.0, (2.0, 0.2))
-    with pytest.raises(FactoryError, match=r"the images of .* \(8x10\); choose at most 8"):
-        open_data(settings)
-
-
 def test_scales_that_cannot_be(rendered: tuple[Path, Path]) -> None:
     table = SonarSettings(beams=3, beam_azimuths_deg=(-20.0, 1.0, 20.0))
-    with pytest.raises(FactoryError, match=r"data\.scales: 2: camera_matched has a table of beams"):
+    with pytest.raises(FactoryError, match=r"data\.scales: 2 makes 6 beams.*table of beams"):
         resized(table, 2)
     assert resized(table, 1) == table
     with pytest.raises(FactoryError, match=r"data\.scales: 16 makes 16384 beams"):
@@ -204,10 +181,10 @@ def test_renders_that_are_not_there(rendered: tuple[Path, Path], tmp_path: Path)
         renders(rendered, factory=("nonsense",))
     with pytest.raises(FactoryError, match=r"needs a dataset of this version.*noise\.fog"):
         renders(rendered, factory=("noise.fog=1",))
-    source, _ = renders(rendered, factory=("noise.background.density=0.5",))
+    source = renders(rendered, factory=("noise.background.density=0.5",))
     assert source.config.noise.background.density.values == (0.5,)
     # What needs more than the renders, and is no part of a pair.
-    source, _ = renders(rendered, factory=("dataset.layers=[range,rgb,depth]",))
+    source = renders(rendered, factory=("dataset.layers=[range,rgb,depth]",))
     assert source.config.dataset.layers == ()
     (dataset / "config.yaml").rename(tmp_path / "config.yaml")
     try:
@@ -236,5 +213,5 @@ def test_crops_carry_the_maps_of_their_window(rendered: tuple[Path, Path]) -> No
     assert sides == {(6, 1, 40, 48)}
     rising = batch["azimuth_rad"].diff(dim=-1)
     assert (rising > 0).all(), "a mirrored picture has its bearings from left to right, too"
-    whole = WholeImages(source, extras)[0]
+    whole = whole_image(source.sample(0, None), extras)
     assert whole["sector"].shape == (1, 1, 40, 48)

@@ -229,7 +229,7 @@ def test_geometry_reaches_the_network(tmp_path: Path, monkeypatch: pytest.Monkey
         extras = ("range_fraction", "sector")
 
         def __init__(self) -> None:
-            super().__init__(channels=1, stride=1)
+            super().__init__(stride=1)
             self.scale = torch.nn.Parameter(torch.ones(()))
 
         def restore(self, noisy: torch.Tensor, **extras: torch.Tensor) -> torch.Tensor:

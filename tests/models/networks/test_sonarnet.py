@@ -85,22 +85,6 @@ def test_what_to_remove_changes_the_picture() -> None:
         vector(["hiss"])
 
 
-def test_a_network_that_looks_twice_does_not_care_for_left_and_right() -> None:
-    network = stirred(tiny("sonarnet", mirror=True))
-    once = stirred(tiny("sonarnet"))
-    image, extras = told(network, 32)
-    turned = {name: plane.flip(-1) for name, plane in extras.items()}
-    turned["azimuth_rad"] = -turned["azimuth_rad"]
-    for known, mirrored in (({}, {}), (extras, turned)):
-        both, logits, weight = network.with_heads(image, **known)
-        first, second = once.with_heads(image, **known), once.with_heads(image.flip(-1), **mirrored)
-        torch.testing.assert_close(both, (first.image + second.image.flip(-1)) / 2)
-        torch.testing.assert_close(weight, (first.weight + second.weight) / 2)
-        again = network.with_heads(image.flip(-1), **mirrored)
-        torch.testing.assert_close(again.image.flip(-1), both)
-        torch.testing.assert_close(again.shadow_logits.flip(-1), logits)
-
-
 def test_geometry_is_forgotten_in_training_alone() -> None:
     network = stirred(tiny("sonarnet", forget=1.0))
     image, extras = told(network, 32)

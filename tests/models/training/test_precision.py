@@ -7,31 +7,23 @@ from pathlib import Path
 import pytest
 
 from simnfnd.models.networks.weights import load_weights
-from simnfnd.models.training import precision
+from simnfnd.models.training import device
 from simnfnd.models.training.train import train
 from tests.models.training.small_training import SMALL, config_for
 from tests.small_dataset import write_dataset
 
 
-@pytest.mark.parametrize("accelerator", ["cpu", "gpu"])
 @pytest.mark.parametrize(("has", "expected"), [(True, "bf16-mixed"), (False, "32-true")])
-def test_the_device_decides_and_one_line_tells(
-    accelerator: str,
+def test_the_device_decides_and_the_weights_say_so(
     has: bool,
     expected: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    settings = config_for(tmp_path, tmp_path / "out", "train.precision=auto")[0]
-    monkeypatch.setattr(precision, "has_bf16", lambda device: has and device == accelerator)
-    assert precision.with_precision(settings, accelerator).train.precision == expected
-    assert capsys.readouterr().err == f"train.precision=auto: {expected}\n"
-
-
-def test_the_weights_state_the_chosen_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     dataset, out = write_dataset(tmp_path / "data", train=4, test=0, size=48), tmp_path / "out"
     words = (*SMALL, "train.precision=auto", "train.steps=2", "train.check_every=1", "device=cpu")
-    monkeypatch.setattr(precision, "has_bf16", lambda device: False)
+    monkeypatch.setattr(device, "has_bf16", lambda device: has)
     train(*config_for(dataset, out, *words))
-    assert load_weights(out / "weights.safetensors").training["train.precision"] == "32-true"
+    assert f"train.precision=auto: {expected}\n" in capsys.readouterr().err
+    assert load_weights(out / "weights.safetensors").training["train.precision"] == expected

@@ -16,12 +16,12 @@ import pytest
 import torch
 import yaml
 
+from simnfnd import PairDataset
 from simnfnd.evaluation.metrics import fidelity as metrics
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import sha256_of
 from simnfnd.models import WEIGHTS_NAME
 from simnfnd.models.data.crops import Crops, Visit
-from simnfnd.models.data.pairs import PairReader, read_table
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import load_weights, save_weights
 from simnfnd.models.training.loop import Stopped
@@ -62,8 +62,8 @@ def test_training_learns_to_denoise(trained: Path, dataset: Path) -> None:
     }
     # And on scenes that were neither trained nor validated on.
     network = load_weights(trained / "weights.safetensors").network
-    for sample in read_table(dataset, "test").samples:
-        noisy, clean = PairReader().pair(sample)
+    for pair in PairDataset(dataset, "test", scaled=True):
+        noisy, clean = pair["noisy"], pair["clean"]
         with torch.inference_mode():
             denoised = network(torch.from_numpy(noisy)[None, None])[0, 0].clamp(0, 1).numpy()
         before = metrics.psnr(clean, noisy, data_range=1)

@@ -48,7 +48,6 @@ def test_damaged_sample_in_a_reading_process_is_one_line(tmp_path: Path) -> None
     [
         (("data.patch=64",), r"data\.patch=64 is larger than the images .*48x48"),
         (("train.check_every=40",), "multiple of check_every"),
-        (("train.precision=16-mixed", "device=cpu"), "16-mixed needs a GPU"),
         (("data.validation=1.0",), r"data\.validation"),
         (("name=a/b",), "name"),
     ],
@@ -91,7 +90,6 @@ def test_bad_command_lines_are_one_line(tmp_path: Path) -> None:
     for arguments, words in (
         ((), "dataset: give the folder"),
         (("dataset=nowhere", "modle=nafnet"), "modle"),
-        (("dataset=nowhere", "output=here"), "output: no such key; did you mean out?"),
     ):
         done = subprocess.run(
             [sys.executable, "-m", "simnfnd.models", *arguments],
