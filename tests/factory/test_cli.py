@@ -160,6 +160,8 @@ def test_a_sweep_makes_one_named_dataset_a_point_and_one_table(monkeypatch, tmp_
         "-m",
         "noise.background.density=0.1,0.5",
         "resample.rate=0.1,0.3",
+        "experiment=physical",  # which names one folder
+        "acoustics=points",
         "noise=none",
         "noise.background.enabled=true",
         "scenes=flsea",
