@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,12 +19,14 @@ from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE, Beams
 from ..recordings.fan.pings import fan_of, grey_of, polar_geometry
 from ..recordings.pictures import in_unit_range, read_picture
-from ..recordings.rosbag import RosBag
 from ..recordings.video import VideoFile
 from .inputs import Item, SequenceKey, place_in_time
 from .pictures import Denoising, Picture, Place, Seen, finished, shot_of
 from .temporal.stream import InTime
 from .writers import COMPARED, FrameFiles, write_compared, write_image
+
+if TYPE_CHECKING:
+    from ..recordings.rosbag import RosBag
 
 Find = Callable[[Item, Picture], FanGeometry | None]
 """Where range and bearing are in a picture of an item; None where that is not known."""
@@ -156,6 +158,8 @@ def denoise_pings(item: Item, job: Job) -> str:
 
 def open_bag(item: Item, topics: Sequence[str]) -> RosBag:
     """The bag of an item.  Raises FrameError when it cannot be read or has no such topics."""
+    from ..recordings.rosbag import RosBag  # loads an extra, for bags alone
+
     try:
         return RosBag(item.source, topics)
     except FactoryError as error:
