@@ -129,9 +129,7 @@ def _sector(outline: Sequence[float], rows: tuple[float, float]) -> Sector | Non
     return apex_x, apex_y, far, near, -left / squeeze, -right / squeeze, squeeze
 
 
-def _objective(
-    counts: _Counts, outline: Numbers, rows: tuple[float, float]
-) -> _Objective | None:
+def _objective(counts: _Counts, outline: Numbers, rows: tuple[float, float]) -> _Objective | None:
     """With the shares of lit pixels inside and outside `outline`; None if it parts nothing."""
     sector = _sector(outline.tolist(), rows)
     if sector is None:
