@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from rosbags.rosbag2 import Reader as Reader2
     from rosbags.rosbag2 import Writer as Writer2
 
-    Reader, Writer = Reader1 | Reader2, Writer1 | Writer2
+    Reader = Reader1 | Reader2
+    Writer = Writer1 | Writer2
 
 _DAMAGED = "cannot be read, it is damaged or no bag"
 # RIHS01 of a type of which neither the bag nor this program knows more than the name.

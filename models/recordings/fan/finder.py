@@ -186,7 +186,8 @@ def _grey_bytes(picture: npt.NDArray[Any]) -> Bytes:
 def _inside(sector: Sector, height: int, width: int) -> Bytes:
     (top,), (bottom,) = limits(np.array([sector]), np.arange(width, dtype=np.float64))
     row = np.arange(height)[:, None]
-    return ((row >= top) & (row <= bottom)).astype(np.uint8)
+    inside: Bytes = ((row >= top) & (row <= bottom)).astype(np.uint8)
+    return inside
 
 
 def _level_beside(grey: Bytes, sector: Sector) -> int:
