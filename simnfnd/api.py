@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -59,6 +59,7 @@ def denoise(
 
     needed = ("onnxruntime", "safetensors", "cv2", "scipy")
     require(Need("simnfnd.denoise", module) for module in needed)
+    from .factory.sonar.geometry import FanGeometry
     from .models.denoise.pictures import Denoising, check_frames
     from .models.pretrained import find_weights
     from .models.recordings.fan.finder import find_geometry
@@ -78,19 +79,17 @@ def denoise(
     network = _denoiser(named, path.stat().st_mtime_ns, device, chosen, strength, noise)
     if isinstance(geometry, str) and geometry not in ("find", "polar"):
         raise ValueError(f"geometry={geometry!r}: expected 'find', 'polar', a FanGeometry or None")
-    layout = "polar" if geometry == "polar" else None
-
-    one = partial(network, layout=layout)
-    one.knows_frames = getattr(network, "knows_frames", False)  # type: ignore[attr-defined]
 
     def place(image: npt.NDArray[Any]) -> FanGeometry | None:
         if not isinstance(geometry, str):
             return geometry
-        return find_geometry(image) if geometry == "find" else None
+        if geometry == "find":
+            return find_geometry(image)
+        return FanGeometry.polar().with_size(*image.shape[:2])
 
     known = given.astype(np.float32) if given.dtype.kind == "f" else given
     calibrated = remove is None and strength == 1
-    denoising = Denoising(one, frames=frames, causal=causal, calibrated=calibrated)
+    denoising = Denoising(network, frames=frames, causal=causal, calibrated=calibrated)
     if given.ndim == 2 or given.shape[2] in (3, 4):
         return denoising.one(known, place).astype(given.dtype)
     result = np.empty(given.shape, given.dtype)

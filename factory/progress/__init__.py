@@ -11,20 +11,31 @@ import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sized
 from contextlib import contextmanager
-from typing import Any, Self
+from functools import cache
+from typing import TYPE_CHECKING, Any, Self
 
-from tqdm import tqdm
+if TYPE_CHECKING:
+    from tqdm import tqdm
 
 _LINE_EVERY_S = 30.0
 
-# Each process writes its own lines.  The lock that tqdm makes by itself is a semaphore of the
-# system, which a worker that is killed leaves behind.
-tqdm.set_lock(threading.RLock())
+
+@cache
+def terminal_bars() -> type[tqdm[Any]]:
+    """tqdm, which is imported where a terminal needs it, with a lock of this process alone.
+
+    The lock that tqdm makes by itself is a semaphore of the system, which a worker that is killed
+    leaves behind.
+    """
+    from tqdm import tqdm
+
+    tqdm.set_lock(threading.RLock())
+    return tqdm
 
 
 def stage(text: str) -> None:
     """Say what begins now."""
-    tqdm.write(text, file=sys.stderr)
+    terminal_bars().write(text, file=sys.stderr)
     sys.stderr.flush()
 
 
@@ -127,7 +138,9 @@ def progress_bar(
     """
     if sys.stderr.isatty():
         steps: Any = iterable  # None: `update` counts
-        return tqdm(steps, total=total, initial=initial, unit=unit, desc=desc, dynamic_ncols=True)
+        return terminal_bars()(
+            steps, total=total, initial=initial, unit=unit, desc=desc, dynamic_ncols=True
+        )
     if total is None:
         total = len(iterable) if isinstance(iterable, Sized) else 0
     return LineBar(iterable or (), total=total, initial=initial, unit=unit, desc=desc)

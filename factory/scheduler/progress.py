@@ -10,17 +10,18 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any
-
-from tqdm import tqdm
+from typing import TYPE_CHECKING, Any
 
 from ..dataset.write.folder import STATUS_NAME
 from ..errors import FactoryError
 from ..files import write_atomically
-from ..progress import Lines, clock, stage
+from ..progress import Lines, clock, stage, terminal_bars
 from .job import Job
 from .pending import AttemptState
 from .settings import Crew
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
 
 _EVERY_S = 1.0
 # What a pair costs, in frames that are rendered.
@@ -52,7 +53,7 @@ class ProgressBar:
             # A terminal that does not tell its size would get an empty line.
             columns, rows = shutil.get_terminal_size()
             form = "{percentage:3.0f}%|{bar:20}| {desc}"
-            self._bar = tqdm(total=1.0, bar_format=form, ncols=columns, nrows=rows)
+            self._bar = terminal_bars()(total=1.0, bar_format=form, ncols=columns, nrows=rows)
             self._draw()
 
     def prepared(self, hit: bool, failed: bool) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from .settings import SonarSettings
-from .window import Window
+if TYPE_CHECKING:  # settings load pydantic, which pictures of real sonars can do without
+    from .settings import SonarSettings
+    from .window import Window
 
 _LARGEST_PX = 1536  # of an enlarged picture
 

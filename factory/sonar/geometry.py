@@ -8,15 +8,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from ..errors import FactoryError
-from ..settings import build
 from .fan import pixel_size
-from .settings import SonarSettings
+
+if TYPE_CHECKING:
+    from .settings import SonarSettings
 
 Maps = dict[str, npt.NDArray[np.float32]]
 """`range_fraction` (range over range_max), `azimuth_rad` (positive to the right), `sector` (1 where
@@ -262,6 +263,10 @@ class FanGeometry:
 
 def recorded_sonar(config: Mapping[str, Any]) -> SonarSettings | None:
     """The device in a dataset's configuration; None where another program wrote it."""
+    # These load pydantic, which pictures of real sonars can do without.
+    from ..settings import build
+    from .settings import SonarSettings
+
     try:
         sonar: SonarSettings = build(SonarSettings, config["sonar"])
     except (KeyError, TypeError, FactoryError):

@@ -39,12 +39,11 @@ class InTurn:
         gray: Gray,
         geometry: FanGeometry | None = None,
         *,
-        layout: str | None = None,
         frames: float | Gray | None = None,
     ) -> Gray:
         """See `Denoiser`."""
         for step in self._steps:
-            gray = step(gray, geometry, layout=layout, frames=frames)
+            gray = step(gray, geometry, frames=frames)
         return gray
 
 

@@ -30,11 +30,11 @@ from .denoiser import (
     Denoiser,
     load_denoiser,
 )
-from .files import Job, denoise_bag, denoise_files, denoise_pings, denoise_video, open_bag
+from .files import Job, denoise_bag, denoise_files, denoise_recording, open_bag
 from .geometries import FIND, Geometries
 from .inputs import Item, find_items, sequences
 from .pictures import Denoising, check_frames
-from .resume import Finished, stopped_by_sigterm
+from .resume import Finished
 from .temporal.stream import FRAMES
 from .watch import Watched, watch
 
@@ -160,13 +160,12 @@ def main(arguments: Sequence[str]) -> int:
     )
     job = Job(out, denoising, geometries.of, chosen.compare, chosen.topic)
     work = _Work(job, denoise, points)
-    with stopped_by_sigterm():
-        if watched:
-            # Pictures that come one by one have none after them.
-            job.live = {} if chosen.causal else None
-            failed = _watch(work, watched, chosen.every)
-        else:
-            failed = _all(work, items, Finished(out, denoise.digest, list(arguments)))
+    if watched:
+        # Pictures that come one by one have none after them.
+        job.live = {} if chosen.causal else None
+        failed = _watch(work, watched, chosen.every)
+    else:
+        failed = _all(work, items, Finished(out, denoise.digest, list(arguments)))
     for line in (*geometries.summary(), *denoising.summary()):
         print(line)
     used = ", ".join(f"{name} ({count} file(s))" for name, count in work.used.items())
@@ -231,24 +230,12 @@ class _Work:
         return made_of_points(item)
 
     def _on_other(self, item: Item, denoise: Denoiser | InTurn) -> str:
-        if item.kind == "pings":
-            return denoise_pings(item, self.job)
-        if item.kind == "bag":
-            return denoise_bag(item, self.job)
-        if item.kind == "video":
-            denoise_video(item, self.job)
-            return ""
-        from .shards import denoise_shard  # loads h5py, for datasets alone
+        if item.kind == "shard":
+            from .shards import denoise_shard  # loads h5py, for datasets alone
 
-        denoise_shard(
-            item,
-            self.job.out,
-            denoise,
-            weights_sha256=denoise.digest,
-            compare=self.job.compare,
-            tick=self.job.tick,
-        )
-        return ""
+            denoise_shard(item, self.job, denoise)
+            return ""
+        return (denoise_bag if item.kind == "bag" else denoise_recording)(item, self.job)
 
 
 def _unsuited(item: Item, denoise: Denoiser | InTurn, of_points: bool) -> str:

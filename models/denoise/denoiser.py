@@ -62,18 +62,16 @@ class Denoiser:
         gray: Gray,
         geometry: FanGeometry | None = None,
         *,
-        layout: str | None = None,
         frames: float | Gray | None = None,
     ) -> Gray:
         """(H, W) float32 in 0..1 -> the same, denoised.
 
-        geometry: where range and bearing are, if that is known; or layout `polar`: rows are ranges,
-        near range first, and the columns span 30 degrees.  frames: how many were averaged in the
-        picture, 1 or more, or (H, W) float32 of how many in each pixel: one over the sum of the
+        geometry: where range and bearing are, if that is known.  frames: how many were averaged in
+        the picture, 1 or more, or (H, W) float32 of how many in each pixel: one over the sum of the
         squared weights, where these add up to 1; None: a single frame.
         The weights get the picture by its `presentation_of`, and one of wide grain `by_scales`.
         """
-        given = presentation_of(gray, known_geometry(geometry, layout, gray))
+        given = presentation_of(gray, geometry)
         told = None
         if frames is not None and self.knows_frames:
             told = np.broadcast_to(np.asarray(frames, np.float32), gray.shape)
@@ -124,15 +122,6 @@ def _surroundings(gray: Gray, maps: Maps) -> npt.NDArray[np.bool_] | None:
         return None
     outside = maps["sector"] <= 0
     return outside if outside.any() and (gray[outside] > _LIT).mean() > _LIT_SHARE else None
-
-
-def known_geometry(
-    geometry: FanGeometry | None, layout: str | None, gray: Gray
-) -> FanGeometry | None:
-    """The geometry of a picture, where it or its layout tells one; see `Denoiser.__call__`."""
-    if geometry is None and layout == "polar":
-        return FanGeometry.polar().with_size(*gray.shape)
-    return geometry
 
 
 def _told(extras: Sequence[str], remove: Sequence[str] | None) -> Gray | None:

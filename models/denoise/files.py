@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,17 +19,17 @@ from ..recordings.arrays import ArrayFile
 from ..recordings.base import ARRAY_SUFFIX, FULL_SCALE, Beams
 from ..recordings.fan.pings import fan_of, grey_of, polar_geometry
 from ..recordings.pictures import in_unit_range, read_picture
-from ..recordings.rosbag import RosBag
 from ..recordings.video import VideoFile
 from .inputs import Item, SequenceKey, place_in_time
 from .pictures import Denoising, Picture, Place, Seen, finished, shot_of
 from .temporal.stream import InTime
 from .writers import COMPARED, FrameFiles, write_compared, write_image
 
+if TYPE_CHECKING:
+    from ..recordings.rosbag import RosBag
+
 Find = Callable[[Item, Picture], FanGeometry | None]
 """Where range and bearing are in a picture of an item; None where that is not known."""
-Tick = Callable[[], object]
-"""Called after every picture."""
 
 _FURTHEST_TURN_DEG = 20.0  # between two frames; a compass that says more is not to be trusted
 
@@ -40,6 +40,7 @@ class Job:
 
     topics: of bags, whose pictures; none: as `RosBag` says.  finished: of an earlier run.
     live: what takes pictures that come one by one, for each sequence; None: none do.
+    tick: called after every picture.
     """
 
     out: Path
@@ -49,7 +50,7 @@ class Job:
     topics: Sequence[str] = ()
     finished: frozenset[Path] = frozenset()
     live: dict[SequenceKey, InTime[Seen[Item]]] | None = None
-    tick: Tick = field(default=lambda: None)
+    tick: Callable[[], object] = field(default=lambda: None)
 
     def place(self, item: Item) -> Place:
         """Where range and bearing are in pictures of an item."""
@@ -110,52 +111,49 @@ def _in_time(
         yield from finished(stream.push(shot_of(one)))
 
 
-def denoise_video(item: Item, job: Job) -> None:
-    """Denoise a video or stack into one without loss, or into PNG files of a folder of its name.
+def denoise_recording(item: Item, job: Job) -> str:
+    """Denoise a video, a stack, arrays, or a sonar's own recording, ping by ping.
 
-    See `FrameFiles` for which.  FrameError when it has no frames.
-    """
-    shown = []
-    path = job.out / item.relative
-    with _opened(item) as recording, FrameFiles(path, rate_of(recording), recording) as files:
-        for seen, denoised in _frames(item, recording, job):
-            files.add(denoised)
-            if seen.key.number < COMPARED:
-                shown.append((seen.original, denoised))
-            job.tick()
-    if job.compare:
-        write_compared(job.out / item.compared, shown)
-
-
-def denoise_pings(item: Item, job: Job) -> str:
-    """Denoise a sonar's own recording, ping by ping, ranges by beams.
-
-    An ARIS recording becomes one, with the same headers; others a folder of its name with a fan
-    (NNNNNN.png) and the samples (NNNNNN_polar.png, near range first) of each ping.
+    Pictures become what `FrameFiles` says.  An ARIS recording becomes one, with the same headers;
+    others a folder of its name with a fan (NNNNNN.png) and the samples (NNNNNN_polar.png, near
+    range first) of each ping.
     Returns a warning, mostly empty.  FrameError when it cannot be read.
     """
     shown: list[tuple[Picture, Picture]] = []
     path = job.out / item.relative
     with _opened(item) as recording:
-        pings = _shown(_frames(item, recording, job), job, shown)
-        if isinstance(recording, ArisFile):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            recording.rewrite((samples for _, samples in pings), path)
+        frames = _shown(_frames(item, recording, job), job, shown)
+        warning = ""  # how many frames a video says to have is often wrong
+        if item.kind == "video":
+            rate_hz = recording.rate_hz if isinstance(recording, VideoFile) else None
+            with FrameFiles(path, rate_hz, recording) as files:
+                for _, picture in frames:
+                    files.add(picture)
         else:
-            for frame, samples in pings:
-                full = FULL_SCALE[str(samples.dtype)]
-                fan = _view(frame, samples)
-                fan = np.rint(fan * full).astype(samples.dtype) if full > 1 else fan
-                write_image(path / f"{frame.number:06d}.png", fan)
-                write_image(path / f"{frame.number:06d}_polar.png", samples)
-        warning = recording.warning
-    if job.compare:
+            _write_pings(recording, frames, path)
+            warning = recording.warning
+    if shown:
         write_compared(job.out / item.compared, shown)
     return warning
 
 
+def _write_pings(recording: Recording, frames: Iterator[tuple[Frame, Picture]], path: Path) -> None:
+    if isinstance(recording, ArisFile):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        recording.rewrite((samples for _, samples in frames), path)
+        return
+    for frame, samples in frames:
+        full = FULL_SCALE[str(samples.dtype)]
+        fan = _view(frame, samples)
+        fan = np.rint(fan * full).astype(samples.dtype) if full > 1 else fan
+        write_image(path / f"{frame.number:06d}.png", fan)
+        write_image(path / f"{frame.number:06d}_polar.png", samples)
+
+
 def open_bag(item: Item, topics: Sequence[str]) -> RosBag:
     """The bag of an item.  Raises FrameError when it cannot be read or has no such topics."""
+    from ..recordings.rosbag import RosBag  # loads an extra, for bags alone
+
     try:
         return RosBag(item.source, topics)
     except FactoryError as error:
@@ -185,11 +183,6 @@ def denoise_bag(item: Item, job: Job) -> str:
     if shown:
         write_compared(job.out / item.compared, shown)
     return warning
-
-
-def rate_of(recording: Recording) -> float | None:
-    """Frames a second of a video; None where that is not known."""
-    return recording.rate_hz if isinstance(recording, VideoFile) else None
 
 
 def _frames(
@@ -233,10 +226,10 @@ def _turned(
 
 
 def _shown(
-    pings: Iterator[tuple[Seen[Frame], Picture]], job: Job, shown: list[tuple[Picture, Picture]]
+    frames: Iterator[tuple[Seen[Frame], Picture]], job: Job, shown: list[tuple[Picture, Picture]]
 ) -> Iterator[tuple[Frame, Picture]]:
     """Counts frames, and keeps the first of them to compare."""
-    for seen, samples in pings:
+    for seen, samples in frames:
         frame = seen.key
         if job.compare and frame.number < COMPARED:
             shown.append((_view(frame, frame.samples), _view(frame, samples)))

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import signal
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType
 
 from ...factory.files import write_atomically
 from .inputs import Item
@@ -56,29 +52,6 @@ class Finished:
     def forget(self) -> None:
         """The run came to its end."""
         self._path.unlink(missing_ok=True)
-
-
-class Stopped(KeyboardInterrupt):
-    """By SIGTERM."""
-
-    exit_code = 128 + signal.SIGTERM
-
-
-@contextmanager
-def stopped_by_sigterm() -> Iterator[None]:
-    """Within it SIGTERM unwinds the run as Ctrl-C does, so that no half file is left."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def stop(_: int, __: FrameType | None) -> None:
-        raise Stopped
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _state(item: Item) -> list[int]:

@@ -14,17 +14,17 @@ from ...factory.dataset.read.reader import check_in_isolation, open_shard, value
 from ...factory.errors import FactoryError, FrameError
 from ...factory.files import write_atomically
 from ...factory.sonar.geometry import FanGeometry, recorded_sonar
-from .files import Tick
+from .asked import InTurn
+from .denoiser import Denoiser
+from .files import Job
 from .inputs import Item
-from .pictures import Denoise, denoise_image
+from .pictures import denoise_image
 from .writers import COMPARED, write_compared
 
 SCHEMA = "simnfnd-denoised/1"
 
 
-def denoise_shard(
-    item: Item, out: Path, denoise: Denoise, *, weights_sha256: str, compare: bool, tick: Tick
-) -> None:
+def denoise_shard(item: Item, job: Job, denoise: Denoiser | InTurn) -> None:
     """Denoise /noisy of a shard into /denoised of a file of its name; /meta and /axes go along.
 
     Raises FrameError when it is not a shard of this program, or damaged.
@@ -42,7 +42,7 @@ def denoise_shard(
         form, full = source["noisy"], value_range(source)
         target.attrs["schema"] = SCHEMA
         target.attrs["config_hash"] = source.attrs["config_hash"]
-        target.attrs["weights_sha256"] = weights_sha256
+        target.attrs["weights_sha256"] = denoise.digest
         for name in ("meta", "axes"):
             if name in source:
                 source.copy(name, target)
@@ -67,14 +67,14 @@ def denoise_shard(
                 raise FrameError(f"{item.source}: sample {row} is damaged ({error})") from error
             if truth is not None:
                 shown.append(tuple(x / full for x in (image, denoised[row], truth)))
-            tick()
+            job.tick()
         target.flush()
         content = target.id.get_file_image()
-    path = out / item.relative
+    path = job.out / item.relative
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, content)
-    if compare and shown:
-        write_compared(out / item.compared, shown)
+    if job.compare and shown:
+        write_compared(job.out / item.compared, shown)
 
 
 def opened_shard(item: Item) -> h5py.File:

@@ -32,7 +32,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ...factory.errors import FactoryError
-from ...factory.settings import build
 
 if TYPE_CHECKING:
     from .network import Network
@@ -60,6 +59,8 @@ def build_network(config: Mapping[str, Any]) -> Network:
 
     Raises FactoryError for an unknown kind or key.
     """
+    from ...factory.settings import build  # loads pydantic, which graphs that ship do without
+
     kind = config.get("kind")
     if not isinstance(kind, str) or kind not in NETWORKS:
         raise FactoryError(f"model.kind: {kind!r} is none of {', '.join(sorted(NETWORKS))}")

@@ -1,7 +1,8 @@
 """Bags of ROS 1 (.bag) and ROS 2 (a folder, or one .mcap or .db3) by the library rosbags.
 
 Frames are the messages of some topics; `rewrite` makes the same bag with other samples in them.
-What a bag says of its message types is never run: see `ros_messages`.
+What a bag says of its message types is never run: see `ros_messages`.  Compressed bags unpack as
+the library does, without a bound.
 """
 
 from __future__ import annotations
@@ -25,20 +26,21 @@ from .ros_messages import (
     typestore,
     with_samples,
 )
-from .rosbag_files import files_of, messages, reading, size_of
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
+    from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import Reader as Reader2
     from rosbags.rosbag2 import Writer as Writer2
 
-    from .rosbag_files import Reader
-
+    Reader = Reader1 | Reader2
     Writer = Writer1 | Writer2
 
+_DAMAGED = "cannot be read, it is damaged or no bag"
 # RIHS01 of a type of which neither the bag nor this program knows more than the name.
 _UNKNOWN_DIGEST = "RIHS01_" + 64 * "0"
-KINDS = (SONAR, IMAGE, COMPRESSED)
+_KINDS = (SONAR, IMAGE, COMPRESSED)
 
 
 class RosBag(Recording):
@@ -62,7 +64,7 @@ class RosBag(Recording):
         super().__init__(path)
         self.version = 1 if path.is_file() and path.suffix.lower() == ".bag" else 2
         try:
-            with reading(path, self.version) as reader:
+            with _reading(path, self.version) as reader:
                 found = list(reader.connections)
         except FrameError as error:
             raise FactoryError(str(error)) from error
@@ -70,7 +72,7 @@ class RosBag(Recording):
         self.topics = tuple(dict.fromkeys(one.topic for one in self.connections))
         # A message takes a byte at least, whatever the bag says.
         stated = sum(max(0, int(one.msgcount)) for one in self.connections)
-        self._count = min(stated, size_of(path))
+        self._count = min(stated, sum(file.stat().st_size for file in _files(path)))
         if not self._count:
             raise FactoryError(f"{path}: holds no message on {', '.join(self.topics)}")
         self._next, self._frames = 0, self._all()
@@ -106,9 +108,9 @@ class RosBag(Recording):
 
     def _all(self) -> Generator[Frame]:
         # A reader of its own, as two that read in turns would lose their places.
-        with reading(self.path, self.version) as reader:
+        with _reading(self.path, self.version) as reader:
             chosen = _same(reader.connections, self.connections)
-            for number, (one, time_ns, data) in enumerate(messages(self.path, reader, chosen)):
+            for number, (one, time_ns, data) in enumerate(_messages(self.path, reader, chosen)):
                 message, what = self._message(one, data, number)
                 yield frame_of(message, one.msgtype, number, time_ns * 1e-9, what)
 
@@ -137,7 +139,7 @@ class RosBag(Recording):
                 target = Path(folder) / (path.stem if self.path.is_file() else path.name)
                 if self.version == 1:
                     target = target.with_suffix(".bag")
-                with reading(self.path, self.version) as reader:
+                with _reading(self.path, self.version) as reader:
                     self._write(reader, iter(samples), target)
                 if self.version == 2 and self.path.is_file():
                     (target,) = (one for one in target.iterdir() if one.suffix in (".mcap", ".db3"))
@@ -151,7 +153,7 @@ class RosBag(Recording):
             with explained(damaged, passing=OSError, reason=True):
                 targets = {one.id: _added(writer, one) for one in reader.connections}
             number = 0
-            for one, time_ns, data in messages(self.path, reader, reader.connections):
+            for one, time_ns, data in _messages(self.path, reader, reader.connections):
                 content: bytes | memoryview = data
                 if one.id in chosen:
                     message, what = self._message(one, data, number)
@@ -167,6 +169,42 @@ class RosBag(Recording):
             raise ValueError(f"{self.path}: has fewer frames than samples were given")
 
 
+@contextmanager
+def _reading(path: Path, version: int) -> Iterator[Reader]:
+    """A bag of ROS 1 or 2, opened.  Raises FrameError when that cannot be."""
+    from rosbags.rosbag1 import Reader as Reader1
+    from rosbags.rosbag2 import Reader as Reader2
+
+    with explained(f"{path}: {_DAMAGED}", reason=True):
+        reader = Reader1(path) if version == 1 else Reader2(path)
+        reader.open()
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+def _messages(
+    path: Path, reader: Reader, connections: Sequence[Connection]
+) -> Iterator[tuple[Connection, int, bytes]]:
+    """(connection, nanoseconds since 1970, content) of all messages of some connections, in order.
+
+    Raises FrameError at damage.
+    """
+    with explained(f"{path}: {_DAMAGED}", reason=True):
+        found = iter(reader.messages(connections))
+    while True:
+        with explained(f"{path}: {_DAMAGED}", reason=True):
+            message = next(found, None)
+        if message is None:
+            return
+        yield message
+
+
+def _files(path: Path) -> list[Path]:
+    return [path] if path.is_file() else [one for one in path.iterdir() if one.is_file()]
+
+
 def _same(here: Sequence[Connection], wanted: Sequence[Connection]) -> list[Connection]:
     """Those of another reader of the same bag."""
     numbers = {one.id for one in wanted}
@@ -177,7 +215,7 @@ def _chosen(
     path: Path, connections: Sequence[Connection], topics: Sequence[str], version: int
 ) -> list[Connection]:
     """The connections whose messages are the frames."""
-    fit = [one for one in connections if one.msgtype in KINDS]
+    fit = [one for one in connections if one.msgtype in _KINDS]
     names = ", ".join(dict.fromkeys(one.topic[:80] for one in fit)) or "none"
     absent = [topic for topic in topics if topic not in {one.topic for one in fit}]
     if absent:
@@ -219,7 +257,7 @@ def _writing(source: Path, reader: Reader, target: Path) -> Iterator[Writer]:
             if decompressors[kind.value] in used:
                 writer.set_compression(Writer1.CompressionFormat[kind.name])
     else:
-        mcap = any(".mcap" in file.suffixes for file in files_of(source))
+        mcap = any(".mcap" in file.suffixes for file in _files(source))
         plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
         writer = Writer2(target, version=8, storage_plugin=plugin)
         if reader.compression_mode:

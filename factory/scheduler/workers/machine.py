@@ -7,8 +7,6 @@ import os
 import sys
 from pathlib import Path
 
-import psutil
-
 from ...errors import FactoryError
 
 # Measured of 48: what a worker costs the process that starts it, pipes and threads, and what
@@ -29,6 +27,8 @@ def usable_cores() -> int:
 
 def available_memory_bytes() -> int:
     """Memory that can be had without swapping, under a container's limit when there is one."""
+    import psutil  # 20 ms, which a command for one picture can do without
+
     available = int(psutil.virtual_memory().available)
     control_group = Path("/sys/fs/cgroup")
     try:
@@ -61,6 +61,8 @@ def workers_that_fit(wanted: int) -> tuple[int, str]:
     Raises FactoryError when not even one fits.  A limit on open files is raised first, as far as
     the system lets us.
     """
+    import psutil
+
     try:
         import resource
     except ImportError:  # no such limits on this system

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from ....factory.sonar.geometry import FanGeometry
 from ..palettes import find_painted
 from .edges import find_drawn
-from .outline import Numbers, column_limits, fit_sector
+from .outline import Numbers, Sector, fit_sector, limits
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -183,13 +183,14 @@ def _grey_bytes(picture: npt.NDArray[Any]) -> Bytes:
     return np.asarray(np.ceil(np.clip(np.nan_to_num(picture / full), 0, 1) * 255), np.uint8)
 
 
-def _inside(sector: Numbers, height: int, width: int) -> Bytes:
-    top, bottom = column_limits(sector, np.arange(width, dtype=np.float64))
+def _inside(sector: Sector, height: int, width: int) -> Bytes:
+    (top,), (bottom,) = limits(np.array([sector]), np.arange(width, dtype=np.float64))
     row = np.arange(height)[:, None]
-    return ((row >= top) & (row <= bottom)).astype(np.uint8)
+    inside: Bytes = ((row >= top) & (row <= bottom)).astype(np.uint8)
+    return inside
 
 
-def _level_beside(grey: Bytes, sector: Numbers) -> int:
+def _level_beside(grey: Bytes, sector: Sector) -> int:
     """The level below which 97 % of the pixels lie that are 2 to 8 pixels outside the sector."""
     inside = _inside(sector, *grey.shape)
     near = cv2.dilate(inside, np.ones((5, 5), np.uint8))
@@ -198,8 +199,8 @@ def _level_beside(grey: Bytes, sector: Numbers) -> int:
     return int(np.quantile(beside, 0.97)) if beside.size else 0
 
 
-def _geometry(sector: Numbers) -> FanGeometry:
-    apex_x, apex_y, far, near, left, right, squeeze = (float(value) for value in sector)
+def _geometry(sector: Sector) -> FanGeometry:
+    apex_x, apex_y, far, near, left, right, squeeze = sector
     first, last = math.atan(left), math.atan(right)
     return FanGeometry(
         "fan",

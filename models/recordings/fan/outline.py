@@ -8,7 +8,8 @@ or MPEG, text) cost little each.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -16,38 +17,39 @@ import numpy as np
 import numpy.typing as npt
 
 Numbers = npt.NDArray[np.float64]
+Sector = tuple[float, float, float, float, float, float, float]
+"""apex_x, apex_y, far_px, near_px, tangents of the left and the right edge's bearings, and pixels
+along x for one along y."""
 
 _SIDE = 160  # the picture is made about this large for the first guess
 _LEAST_AREA = 0.03  # of the picture
 _PLAINLY = 30.0  # logarithm of a likelihood ratio
 _MOST_SQUEEZE = 2.0
+_NONE = 1e15  # cost of an outline that is no sector
 
 
-def fit_sector(lit: npt.NDArray[np.bool_]) -> Numbers | None:
-    """The sector that best separates lit from black pixels, None where there is none.
-
-    lit: (H, W).  The numbers are those of `_sector`.
-    """
+def fit_sector(lit: npt.NDArray[np.bool_]) -> Sector | None:
+    """The sector that best separates lit from black pixels, (H, W); None where there is none."""
     guess = _first_guess(lit)
     if guess is None:
         return None
     outline, rows, cell = guess
-    above = lit_above(lit)
-    coarse = _objective(above, outline, rows)
+    counts = _Counts(lit)
+    coarse = _objective(counts, outline, rows)
     if coarse is None:
         return None
     outline = coarse.improve(outline, cell, squeezed=False)
     # Now that the shares inside and outside are known better.
-    objective = _objective(above, outline, rows)
+    objective = _objective(counts, outline, rows)
     if objective is None:
         return None
     outline = objective.improve(outline, 1.0, squeezed=False)
     squeezed = objective.improve(outline, 0.5, squeezed=True)
     # Pixels are square unless the arcs say plainly that they are not.
-    if objective.cost(squeezed) < objective.cost(outline) - _PLAINLY:
+    changed, square = objective.costs([squeezed.tolist(), outline.tolist()])
+    if changed < square - _PLAINLY:
         outline = squeezed
-    outline = objective.polish(outline)
-    return _sector(outline, rows)
+    return _sector(objective.polish(outline).tolist(), rows)
 
 
 def _first_guess(lit: npt.NDArray[np.bool_]) -> tuple[Numbers, tuple[float, float], float] | None:
@@ -108,8 +110,11 @@ def _edge(rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]) -> Numbers 
     return np.asarray(line)
 
 
-def _sector(outline: Numbers, rows: tuple[float, float]) -> Numbers | None:
-    """apex_x, apex_y, far_px, near_px, tangents of the edges' bearings, squeeze."""
+def _sector(outline: Sequence[float], rows: tuple[float, float]) -> Sector | None:
+    """The sector of an outline; None where its edges do not meet below.
+
+    Takes plain numbers, as the other loops here do: scalars of NumPy cost ten times as much.
+    """
     upper, lower = rows
     left = (outline[1] - outline[0]) / (lower - upper)
     right = (outline[3] - outline[2]) / (lower - upper)
@@ -121,58 +126,60 @@ def _sector(outline: Numbers, rows: tuple[float, float]) -> Numbers | None:
     far, near = apex_y - outline[4], max(apex_y - outline[5], 0.0)
     if not (far > near and 1 / _MOST_SQUEEZE < squeeze < _MOST_SQUEEZE):
         return None
-    return np.array([apex_x, apex_y, far, near, -left / squeeze, -right / squeeze, squeeze])
+    return apex_x, apex_y, far, near, -left / squeeze, -right / squeeze, squeeze
 
 
-def _objective(
-    above: npt.NDArray[np.int32], outline: Numbers, rows: tuple[float, float]
-) -> _Objective | None:
+def _objective(counts: _Counts, outline: Numbers, rows: tuple[float, float]) -> _Objective | None:
     """With the shares of lit pixels inside and outside `outline`; None if it parts nothing."""
-    sector = _sector(outline, rows)
+    sector = _sector(outline.tolist(), rows)
     if sector is None:
         return None
-    lit, area = lit_inside(above, sector, 1, False)
-    outside = above.size - above.shape[1] - area
+    area, lit = counts.inside([sector], 1, False)[:, 0].tolist()
     inside_share = float(np.clip(lit / max(area, 1.0), 0.05, 0.97))
-    outside_share = float(np.clip((above[-1].sum() - lit) / max(outside, 1.0), 1e-3, 0.05))
+    outside = max(counts.pixels - area, 1.0)
+    outside_share = float(np.clip((counts.lit - lit) / outside, 1e-3, 0.05))
     if inside_share <= outside_share:
         return None
     gain = math.log(inside_share / outside_share)
     price = math.log((1 - outside_share) / (1 - inside_share))
-    return _Objective(above, rows, gain, price)
+    return _Objective(counts, rows, gain, price)
 
 
 @dataclass(frozen=True)
 class _Objective:
     """How badly an outline tells lit from black, to be made small.
 
-    above: see `lit_above`.  rows: see `_first_guess`.
+    rows: see `_first_guess`.
     gain, price: of a lit and of a black pixel inside, logarithms of likelihood ratios.
     """
 
-    above: npt.NDArray[np.int32]
+    counts: _Counts
     rows: tuple[float, float]
     gain: float
     price: float
 
-    def cost(self, outline: Numbers, whole: bool = False) -> float:
-        """Minus the logarithm of the likelihood, but for a constant."""
-        sector = _sector(outline, self.rows)
-        if sector is None:
-            return 1e15
-        step = max(1, self.above.shape[1] // 400)
-        lit, area = lit_inside(self.above, sector, step, whole)
-        return float(self.price * (area - lit) - self.gain * lit) * step
+    def costs(self, outlines: Sequence[Sequence[float]], whole: bool = False) -> Numbers:
+        """Minus the logarithms of their likelihoods, but for a constant."""
+        sectors = [_sector(outline, self.rows) for outline in outlines]
+        there = [sector for sector in sectors if sector is not None]
+        costs = np.full(len(sectors), _NONE)
+        if there:
+            step = max(1, self.counts.width // 400)
+            area, lit = self.counts.inside(there, step, whole)
+            found = (self.price * (area - lit) - self.gain * lit) * step
+            costs[[sector is not None for sector in sectors]] = found
+        return costs
 
     def improve(self, outline: Numbers, size_px: float, squeezed: bool) -> Numbers:
         """The likeliest outline nearby; `size_px`: of the first steps; squeezed: of any squeeze."""
         free = 7 if squeezed else 6
         steps = np.diag([size_px] * 6 + [0.05])[:free, :free]
+        fixed = outline[free:].tolist()
+        simplex = np.vstack([outline[:free], outline[:free] + steps])
 
         def cost(values: Numbers) -> float:
-            return self.cost(np.concatenate([values, outline[free:]]))
+            return float(self.costs([values.tolist() + fixed])[0])
 
-        simplex = np.vstack([outline[:free], outline[:free] + steps])
         best = _lowest(cost, simplex, most=40 * free)
         return np.concatenate([best, outline[free:]])
 
@@ -185,7 +192,7 @@ class _Objective:
             for at in parts:
                 tried = np.repeat(outline[None], len(moves), axis=0)
                 tried[:, at] += moves
-                costs = np.array([self.cost(one, whole=True) for one in tried])
+                costs = self.costs(tried.tolist(), whole=True)
                 # The middle of the places that are as good as the best.
                 outline = tried[costs <= costs.min() + 1e-6].mean(axis=0)
         return outline
@@ -199,105 +206,103 @@ def _lowest(cost: Callable[[Numbers], float], simplex: Numbers, most: int) -> Nu
     """
     size = simplex.shape[1]
     expand, contract, shrink = 1 + 2 / size, 0.75 - 1 / (2 * size), 1 - 1 / size
-    corners = simplex.copy()
-    costs = np.full(len(corners), np.inf)
-    looks = 0
-
-    def look(at: Numbers) -> float:
-        nonlocal looks
-        if looks >= most:
-            raise StopIteration
+    costs = [cost(corner) for corner in simplex]
+    looks = len(costs)
+    by = np.argsort(costs, kind="stable")
+    corners, costs = simplex[by], [costs[place] for place in by]
+    while looks < most:
+        if costs[-1] - costs[0] <= 1.0 and np.abs(corners[1:] - corners[0]).max() <= 0.05:
+            break
+        middle, worst = np.add.reduce(corners[:-1]) / size, corners[-1]
+        tried = 2 * middle - worst
+        found = cost(tried)
         looks += 1
-        return cost(at)
-
-    def order() -> None:
-        by = np.argsort(costs)
-        corners[:], costs[:] = corners[by], costs[by]
-
-    try:
-        for number, corner in enumerate(corners):
-            costs[number] = look(corner)
-        order()
-        while True:
-            wide = np.abs(corners[1:] - corners[0]).max() > 0.05
-            if not wide and np.abs(costs[1:] - costs[0]).max() <= 1.0:
-                break
-            middle, worst = corners[:-1].mean(axis=0), corners[-1]
-            tried = 2 * middle - worst
-            found = look(tried)
-            if found < costs[0]:
-                further = (1 + expand) * middle - expand * worst
-                there = look(further)
-                if there < found:
-                    tried, found = further, there
-            elif found >= costs[-2]:
-                outside = found < costs[-1]
-                limit = found if outside else costs[-1]
-                part = contract if outside else -contract
-                tried = (1 + part) * middle - part * worst
-                found = look(tried)
-                if found > limit or (not outside and found == limit):
-                    for number in range(1, len(corners)):
-                        corners[number] = corners[0] + shrink * (corners[number] - corners[0])
-                        costs[number] = look(corners[number])
-                    order()
-                    continue
-            corners[-1], costs[-1] = tried, found
-            order()
-    except StopIteration:
-        order()
+        if costs[0] <= found < costs[-2]:
+            pass
+        elif looks >= most:
+            break
+        elif found < costs[0]:
+            further = (1 + expand) * middle - expand * worst
+            there = cost(further)
+            looks += 1
+            if there < found:
+                tried, found = further, there
+        else:
+            outside = found < costs[-1]
+            limit = found if outside else costs[-1]
+            part = contract if outside else -contract
+            tried = (1 + part) * middle - part * worst
+            found = cost(tried)
+            looks += 1
+            if found > limit or (not outside and found == limit):
+                for number in range(1, min(len(corners), most - looks + 1)):
+                    corners[number] = corners[0] + shrink * (corners[number] - corners[0])
+                    costs[number] = cost(corners[number])
+                looks += size
+                by = np.argsort(costs, kind="stable")
+                corners, costs = corners[by], [costs[place] for place in by]
+                continue
+        place = bisect_right(costs, found, hi=size)
+        corners[place + 1 :] = corners[place:-1].copy()
+        corners[place] = tried
+        costs[place:] = [found, *costs[place:-1]]
     return np.asarray(corners[0])
 
 
-def column_limits(fan: Numbers, x: Numbers) -> tuple[Numbers, Numbers]:
-    """First and last row of the sector in each column; last < first where it has none.
+def limits(sectors: Numbers, x: Numbers) -> Numbers:
+    """First and last row of each sector, (N, 7), in each column, (W,); last < first outside it.
 
-    fan: apex_x, apex_y, far_px, near_px, tangents of the left and the right edge's bearings, and
-        pixels along x for one along y.
-    x: (W,) columns.  Returns (W,) fractions of a row, twice.
+    (2, N, W), fractions of a row.
     """
-    apex_x, apex_y, far, near, left, right, squeeze = fan
+    apex_x, apex_y, _, _, *_, squeeze = by_name = sectors.T[..., None]
     across = (x - apex_x) / squeeze
-    ahead_far = np.sqrt(np.maximum(far * far - across * across, 0.0))
-    ahead_near = np.sqrt(np.maximum(near * near - across * across, 0.0))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        edge = np.where(across < 0, across / left, across / right)
-    return apex_y - ahead_far, apex_y - np.maximum(edge, ahead_near)
+    reach = np.square(by_name[2:4]) - across * across
+    ahead: Numbers = np.sqrt(np.maximum(reach, 0.0, out=reach), out=reach)
+    # An edge lies ahead on its own side alone.
+    edges = across / by_name[4:6]
+    np.maximum(ahead[1], np.maximum(edges[0], edges[1]), out=ahead[1])
+    return np.subtract(apex_y, ahead, out=ahead)
 
 
-def lit_above(lit: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
-    """(H + 1, W) int32: how many of the pixels above each row's upper border are lit."""
-    count = np.zeros((lit.shape[0] + 1, lit.shape[1]), np.int32)
-    np.cumsum(lit, axis=0, dtype=np.int32, out=count[1:])
-    return count
+class _Counts:
+    """How many pixels of a picture are lit in a sector, quickly: a fit asks two thousand times.
 
-
-def lit_inside(
-    above: npt.NDArray[np.int32], fan: Numbers, step: int, whole: bool
-) -> tuple[float, float]:
-    """(lit pixels, pixels) in the sector, of every `step`-th column.
-
-    above: see `lit_above`.  fan: see `column_limits`.  whole: a pixel counts if its centre is in
-    the sector; else parts of pixels count as such, which is smoother and draws the outline outward.
+    pixels, lit: of the whole picture.
     """
-    height = above.shape[0] - 1
-    columns = np.arange(step // 2, above.shape[1], step)
-    # Pixel r reaches from r - 0.5 to r + 0.5.
-    first, last = (limit + 0.5 for limit in column_limits(fan, columns.astype(np.float64)))
-    if whole:
-        first, last = np.ceil(first - 0.5), np.floor(last + 0.5)
-    first, last = np.clip(first, 0.0, height), np.clip(last, 0.0, height)
-    apex_x, far, squeeze = fan[0], fan[2], fan[6]
-    across = (columns - apex_x) / squeeze
-    shown = (last > first) & (across * across < far * far)
-    if not shown.any():
-        return 0.0, 0.0
-    columns, first, last = columns[shown], first[shown], last[shown]
-    terms = np.empty((len(columns), 4))
-    for at, (rows, sign) in enumerate(((last, 1.0), (first, -1.0))):
-        row = rows.astype(np.int64)
-        here, below = above[row, columns], above[np.minimum(row + 1, height), columns]
-        terms[:, 2 * at] = sign * here
-        terms[:, 2 * at + 1] = sign * (rows - row) * (below - here)
-    # One after the other, so that the sums do not depend on how NumPy splits them.
-    return float(np.cumsum(terms)[-1]), float(np.cumsum(last - first)[-1])
+
+    def __init__(self, lit: npt.NDArray[np.bool_]) -> None:
+        height, self.width = lit.shape
+        # How many of the pixels above each row's upper border are lit, and the last row once more.
+        above = np.zeros((height + 2, self.width), np.int32)
+        np.cumsum(lit, axis=0, dtype=np.int32, out=above[1:-1])
+        above[-1] = above[-2]
+        self._above, self._height = above.ravel(), height
+        self.pixels, self.lit = lit.size, int(above[-1].sum())
+
+    def inside(self, sectors: Sequence[Sector], step: int, whole: bool) -> Numbers:
+        """Pixels in each of N sectors, and lit ones, of every `step`-th column; (2, N).
+
+        whole: a pixel counts if its centre is in the sector; else parts of pixels count as such,
+        which is smoother and draws the outline outward.
+        """
+        columns = np.arange(step // 2, self.width, step)
+        found = np.empty((2, 2, len(sectors), len(columns)))
+        rows, lit = found
+        # Pixel r reaches from r - 0.5 to r + 0.5.
+        np.add(limits(np.array(sectors), columns.astype(np.float64)), 0.5, out=rows)
+        if whole:
+            rows[0], rows[1] = np.ceil(rows[0] - 0.5), np.floor(rows[1] + 0.5)
+        np.maximum(rows, 0.0, out=rows)
+        np.minimum(rows, self._height, out=rows)
+        np.minimum(rows[0], rows[1], out=rows[0])  # nothing where last < first
+        at = rows.astype(np.int64)
+        part = rows - at
+        at *= self.width
+        at += columns
+        here = self._above.take(at)
+        at += self.width
+        np.multiply(part, self._above.take(at) - here, out=lit)
+        lit += here
+        # One after the other, so that the sums do not depend on how NumPy splits them.
+        sums: Numbers = (found[:, 1] - found[:, 0]).cumsum(axis=-1)[..., -1]
+        return sums

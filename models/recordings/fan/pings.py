@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -12,10 +13,12 @@ import numpy.typing as npt
 from ....factory.errors import FactoryError
 from ....factory.sonar.fan import fan_table
 from ....factory.sonar.geometry import FanGeometry
-from ....factory.sonar.settings import ImageSettings, SonarSettings
 from .. import open_recording
 from ..base import FULL_SCALE, Beams, Frame, Recording
 from ..palettes import grey_of_colours
+
+if TYPE_CHECKING:
+    from ....factory.sonar.settings import SonarSettings
 
 MOST_ROWS = 1024
 _MOST_SIDE = 2048
@@ -62,6 +65,8 @@ def fan_of(
 
 @lru_cache(maxsize=8)
 def _sonar(beams: Beams, ranges: int, count: int) -> SonarSettings:
+    from ....factory.sonar.settings import ImageSettings, SonarSettings  # load pydantic
+
     half = max(abs(edge) for edge in _edges_rad(beams))
     near = beams.range_min_m / beams.range_max_m
     pixel = (1 - near) / min(ranges, MOST_ROWS)

@@ -10,7 +10,6 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 import pytest
-import torch
 
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
@@ -20,8 +19,6 @@ from simnfnd.models.denoise.denoiser import load_denoiser
 from simnfnd.models.denoise.inputs import Item, find_items
 from simnfnd.models.denoise.pictures import denoise_image
 from simnfnd.models.denoise.writers import CAPTION_PX
-from simnfnd.models.networks.network import Network
-from simnfnd.models.networks.weights import save_weights
 from tests.models.denoise.untrained import half, through_network, untrained_sonarnet
 from tests.small_dataset import fan_images, write_dataset, write_manifest
 
@@ -53,17 +50,6 @@ def test_weights_do_not_see_a_bright_page_around_a_fan(tmp_path: Path) -> None:
     on_black, on_page = denoise(grey, geometry), denoise(page, geometry)
     np.testing.assert_array_equal(on_page[inside], on_black[inside])
     np.testing.assert_array_equal(on_page[~inside], page[~inside])
-
-
-def test_unusable_pixels_are_refused() -> None:
-    for image, words in (
-        (np.full((4, 4), np.nan, np.float32), r"0\.\.1"),
-        (np.full((4, 4), 3, np.float32), r"0\.\.1"),
-        (np.zeros((4, 4), np.int32), "int32"),
-        (np.zeros((0, 4), np.uint8), "shape"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            denoise_image(image, half)
 
 
 def test_images_keep_name_size_and_dtype(
@@ -220,31 +206,6 @@ def test_nothing_to_denoise(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("words", encoding="utf-8")
     with pytest.raises(FactoryError, match="neither an image nor a shard"):
         find_items([tmp_path / "notes.txt"], tmp_path / "out")
-
-
-def test_geometry_reaches_the_network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    received: list[tuple[str, ...]] = []
-
-    class Recorder(Network):
-        extras = ("range_fraction", "sector")
-
-        def __init__(self) -> None:
-            super().__init__(stride=1)
-            self.scale = torch.nn.Parameter(torch.ones(()))
-
-        def restore(self, noisy: torch.Tensor, **extras: torch.Tensor) -> torch.Tensor:
-            received.append(tuple(extras))
-            return noisy * self.scale
-
-    monkeypatch.setattr("simnfnd.models.networks.weights.build_network", lambda model: Recorder())
-    path = tmp_path / "weights.safetensors"
-    save_weights(path, Recorder(), {"kind": "recorder"}, {})
-    denoise = load_denoiser(path, "cpu")
-    gray = np.zeros((20, 20), np.float32)
-    denoise(gray)
-    denoise(gray, FanGeometry.polar().with_size(20, 20))
-    denoise(gray, layout="polar")
-    assert received == [(), ("range_fraction", "sector"), ("range_fraction", "sector")]
 
 
 def test_the_weights_that_were_used_are_named_and_unsuited_ones_warned_of(

@@ -8,12 +8,9 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import torch
 from PIL import Image, ImageSequence
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.models.networks import build_network
-from simnfnd.models.networks.weights import save_weights
 from simnfnd.models.recordings import open_recording
 from tests.models.denoise.halving import Halving, main
 from tests.models.recordings.array_files import write_array
@@ -137,18 +134,6 @@ def test_a_webp_picture_is_written_without_loss(tmp_path: Path, halving: Halving
     assert np.abs(found - picture / 2.0).max() <= 0.5
 
 
-def test_a_stack_with_a_page_of_another_size_is_left_out(
-    tmp_path: Path, halving: Halving, capsys: pytest.CaptureFixture[str]
-) -> None:
-    page = pings(1, 32, 40)[0]
-    write_stack(tmp_path / "a.tif", [page, page, page[:9]])
-    out = tmp_path / "out"
-    assert cv2.imwrite(str(tmp_path / "b.png"), page)
-    assert main([str(tmp_path), "--out", str(out)]) == 1
-    assert "a.tif: page 3 has 40 x 9 pixels, the first 40 x 32; split" in capsys.readouterr().err
-    assert [path.name for path in out.iterdir()] == ["b.png"]
-
-
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_pings_become_fans_and_samples(tmp_path: Path, halving: Halving, dtype: Any) -> None:
     samples = pings(2, 60, 32).astype(dtype)
@@ -214,17 +199,3 @@ def test_damaged_recordings_are_skipped(
     assert "skipped: " in said
     assert "c.aris" in said
     assert sorted(path.name for path in out.iterdir()) == ["a.aris", "b.aris", "d.aris"]
-
-
-def test_a_network_takes_pings(tmp_path: Path) -> None:
-    config = {
-        **{"kind": "sonarnet", "widths": [4, 4], "blocks": [0, 0], "polar": False},
-        **{"lines": True, "mask": True, "forget": 0.0},
-    }
-    torch.manual_seed(0)
-    weights = tmp_path / "weights.safetensors"
-    save_weights(weights, build_network(config), config, {})
-    write_aris(tmp_path / "a.aris", pings(1, 64, 48))
-    arguments = ["--out", str(tmp_path / "out"), "--weights", str(weights)]
-    assert main([str(tmp_path / "a.aris"), *arguments]) == 0
-    assert len(open_recording(tmp_path / "out" / "a.aris")) == 1

@@ -9,14 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from simnfnd.factory.errors import FactoryError, FrameError
+from simnfnd.factory.errors import FrameError
 from simnfnd.models.denoise.writers import CODECS, FrameFiles
 from simnfnd.models.recordings import open_recording
 from simnfnd.models.recordings.video import VideoFile
 from tests.models.denoise.halving import main
 from tests.models.denoise.untrained import through_network
-from tests.models.recordings.array_files import write_array
-from tests.models.recordings.recording_files import pings
 from tests.small_dataset import fan_images
 
 
@@ -96,24 +94,6 @@ def test_a_video_that_broke_off_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         fails()
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_video_that_is_none_leaves_nothing(weights: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    (tmp_path / "broken.mp4").write_bytes(b"no video")
-    with pytest.raises(FactoryError, match=r"broken\.mp4: not a readable video"):
-        main([str(tmp_path / "broken.mp4"), "--out", str(out), "--weights", str(weights)])
-
-
-@pytest.mark.parametrize("name", ["a.npy", "a.npz", "b.mat"])
-def test_arrays_that_broke_off_leave_nothing(tmp_path: Path, name: str) -> None:
-    source = write_array(tmp_path / name, pings(5, 20, 24))
-    before = source.read_bytes()
-    target = tmp_path / "out" / "a.npy"
-    with pytest.raises(FrameError, match="of no use"):
-        _break_off(source, target)
-    assert list(target.parent.iterdir()) == []
-    assert source.read_bytes() == before
 
 
 def _break_off(source: Path, target: Path) -> None:

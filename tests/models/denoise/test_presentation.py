@@ -151,24 +151,3 @@ def test_samples_of_few_bits_in_files_of_sixteen(bits: int, tmp_path: Path) -> N
     assert np.abs(few / scale - full / 257).mean() < 2
     assert np.abs(full / 257 - grey).mean() > 4, "that is less than what denoising does"
     assert few.max() > 100
-
-
-def test_a_fan_is_found_in_few_bits() -> None:
-    grey, _ = fan(preset("didson_hf", 150, 200), 0.3, holes=False)
-    alone, deep = find_fan(grey), find_fan(np.rint(grey * (1023 / 255)).astype(np.uint16))
-    assert alone is not None
-    assert deep is not None
-    assert deep.geometry.sector_rad == pytest.approx(alone.geometry.sector_rad, rel=0.01)
-
-
-def test_in_python_and_while_learning() -> None:
-    grey = np.random.default_rng(0).rayleigh(0.2, (64, 64)).clip(0, 1).astype(np.float32)
-    usual, dark = simnfnd.denoise(grey), simnfnd.denoise(grey / 16) * 16
-    assert np.abs(usual - dark).mean() < 0.3 * np.abs(usual - grey).mean()
-    shots = [Shot(grey / 16), Shot(grey / 20)]
-    made = presented(shots)
-    np.testing.assert_allclose(made[0].grey / made[1].grey, 20 / 16, rtol=1e-5)
-    assert gain_of(made[0].grey) == pytest.approx(1, abs=1e-5)
-    usual_shots = [Shot(grey), Shot(grey / 16)]
-    for made_usual, given_usual in zip(presented(usual_shots), usual_shots, strict=True):
-        assert made_usual.grey is given_usual.grey

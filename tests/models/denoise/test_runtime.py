@@ -88,12 +88,6 @@ def test_onnxruntime_gets_what_torch_gets(
         assert np.abs(of_torch(picture, known) - wished).max() > 1e-4
 
 
-def test_one_frame_is_what_nothing_told_is(both: tuple[Path, Path]) -> None:
-    gray = np.random.default_rng(0).random((40, 56)).astype(np.float32)
-    denoise = in_onnx(both)
-    assert np.array_equal(denoise(gray), denoise(gray, frames=1.0))
-
-
 @pytest.mark.parametrize("name", sorted(shipped()))
 def test_weights_that_ship_run_in_onnxruntime_as_in_torch(name: str, tmp_path: Path) -> None:
     """And the graph that ships is the one that the command makes."""
@@ -134,11 +128,3 @@ def test_what_it_cannot_run_is_refused_in_a_line(tmp_path: Path) -> None:
         OnnxNetwork(other, graph, "cpu")
     with pytest.raises(FactoryError, match="no usable GPU"):
         OnnxNetwork(weights, graph, "gpu")
-
-
-def test_a_network_without_such_inputs_is_refused(tmp_path: Path) -> None:
-    model = {"kind": "unet", "widths": [4, 8], "blocks": 1, "channels": 1}
-    weights = tmp_path / "unet.safetensors"
-    save_weights(weights, build_network(model), model, {})
-    with pytest.raises(FactoryError, match="--to runtime: is for model=sonarnet"):
-        export([str(weights), "--to", "runtime", "--out", str(tmp_path / "unet.onnx")])

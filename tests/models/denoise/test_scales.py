@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from simnfnd.models.denoise.denoiser import Denoiser, load_denoiser
 from simnfnd.models.denoise.sizes import Grey, Maps, by_scales, correlation, halved
-from simnfnd.models.pretrained import find_weights
 
 
 def grain(side: int, seed: int = 0) -> Grey:
@@ -108,8 +107,3 @@ def test_weights_that_ship_denoise_enlarged_pictures() -> None:
     with_scales = error(once)
     once.runtime.wide_grain = 1.0
     assert with_scales < 0.7 * error(once)
-
-
-def test_the_networks_of_points_know_wide_cells() -> None:
-    for name in ("simnfnd-paper",):
-        assert load_denoiser(find_weights(name), "cpu").runtime.wide_grain == 1

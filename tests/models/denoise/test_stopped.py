@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from simnfnd.command import main as simnfnd_main
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise import command
@@ -34,28 +35,29 @@ class Stopping:
         return gray / 2
 
 
-def use(monkeypatch: pytest.MonkeyPatch, at: int | None, number: int = signal.SIGTERM) -> Stopping:
+def use(monkeypatch: pytest.MonkeyPatch, at: int | None, number: int = signal.SIGINT) -> Stopping:
     made = Stopping(at, number)
     monkeypatch.setattr(command, "asked_denoiser", lambda *given, **named: made)
     return made
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-@pytest.mark.parametrize("window", ["1", "3"])
+@pytest.mark.parametrize(
+    ("number", "window", "code"), [(signal.SIGTERM, "1", 143), (signal.SIGINT, "3", 130)]
+)
 def test_what_is_done_is_skipped_by_the_next_run(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     number: int,
     window: str,
+    code: int,
 ) -> None:
     for one in range(12):
         write(tmp_path / "in" / f"f{one:02d}.png", noisy(scene(0), one))
     out = tmp_path / "out"
     words = [str(tmp_path / "in"), "--out", str(out), "--geometry", "none", "--frames", window]
     use(monkeypatch, 9, number)
-    with pytest.raises(KeyboardInterrupt):
-        command.main(words)
+    assert simnfnd_main(["denoise", *words]) == code
     done = {path.name: path.stat().st_mtime_ns for path in out.glob("*.png")}
     assert 0 < len(done) < 12
     assert f"denoised: {len(done)} file(s) in {out} before it was stopped" in (

@@ -16,7 +16,7 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.models.denoise.inputs import find_items, sequences
 from simnfnd.models.denoise.pictures import check_frames
-from simnfnd.models.denoise.temporal.fusion import Fusion, median
+from simnfnd.models.denoise.temporal.fusion import Fusion
 from simnfnd.models.denoise.temporal.motion import Aligner, Grey, Motion, laid_over
 from simnfnd.models.denoise.temporal.stream import InTime, Shot, Tally
 from simnfnd.models.denoise.temporal.strength import Strength, total_variation
@@ -135,12 +135,6 @@ def test_a_shuffled_folder_falls_back_frame_by_frame() -> None:
         np.testing.assert_allclose(picture, frames[number] / 2, atol=1e-6)
     assert tally.alone == len(frames)
     assert next(tally.lines(7)).endswith("9 of 9 pictures fit no other")
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 7])
-def test_the_network_of_lesser_and_greater_gives_medians(count: int) -> None:
-    planes = np.random.default_rng(0).random((count, 6, 5), np.float32)
-    np.testing.assert_allclose(median(list(planes)), np.median(planes, axis=0), rtol=1e-6)
 
 
 def test_where_nothing_moves_all_frames_count() -> None:

@@ -8,14 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.io
-from hypothesis import given
-from hypothesis import strategies as st
 
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.models.recordings import Levels, base, is_recording, kind_of, open_recording
 from simnfnd.models.recordings.arrays import ArrayFile, NpyWriter, is_table
 from simnfnd.models.recordings.pictures import read_grey, read_picture
-from tests.models.recordings.array_files import matlab, write_array
+from tests.models.recordings.array_files import write_array
 from tests.models.recordings.recording_files import pings
 
 NAMES = ("a.npz", "b.npz", "a.mat", "b.mat")
@@ -143,19 +141,6 @@ def test_levels_and_the_array_that_is_written(tmp_path: Path, name: str) -> None
     np.testing.assert_allclose(found[within], decibels[within] / 2 - 30, atol=1e-4)
 
 
-@given(
-    values=st.lists(st.integers(-1000, 1000), min_size=4, max_size=4),
-    black=st.integers(-900, 900),
-    span=st.integers(-500, 500).filter(bool),
-)
-def test_levels_there_and_back(values: list[int], black: int, span: int) -> None:
-    before = np.array(values, np.int16).reshape(2, 2)
-    levels = Levels(black, black + span)
-    shown = levels.shown(before)
-    assert 0 <= shown.min() <= shown.max() <= 1
-    np.testing.assert_array_equal(levels.stored(shown, before), before)
-
-
 def test_files_that_are_no_arrays(tmp_path: Path) -> None:
     whole = saved(tmp_path / "whole.npy", pings(3, 30, 40)).read_bytes()
     path = tmp_path / "a.npy"
@@ -182,12 +167,3 @@ def test_bombs_are_refused_before_they_unpack(
         scipy.io.savemat(path, {"a": stack}, do_compression=True)
     with pytest.raises(FactoryError, match=rf"{name}.*: unpacks to .* or more, at most .* are"):
         open_recording(path)
-
-
-def test_a_sound_file_that_packs_well_is_read(tmp_path: Path) -> None:
-    stack = np.zeros((40, 256, 256), np.uint8)
-    np.savez_compressed(tmp_path / "a.npz", frames=stack)
-    scipy.io.savemat(tmp_path / "a.mat", {"frames": matlab(stack)}, do_compression=True)
-    for name in ("a.npz", "a.mat"):
-        with open_recording(tmp_path / name) as recording:
-            assert not recording[39].samples.any()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -46,17 +45,11 @@ def check(found: FoundFan | None, true: FanGeometry) -> None:
     assert 0.8 <= found.confidence <= 1
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", PRESETS[::2])
 def test_fans_of_our_devices(name: str) -> None:
     for near in (0.05, 0.3, 0.6):
         check(*shown(name, (192, 192), near, holes=False))
     check(*shown(name, (640, 400), 0.3, holes=True))
-
-
-@pytest.mark.parametrize("name", PRESETS[::5])
-def test_large_fans(name: str) -> None:
-    check(*shown(name, (1024, 1024), 0.3, holes=True))
-    check(*shown(name, (400, 768), 0.05, holes=True))
 
 
 def shown(
@@ -186,17 +179,6 @@ def test_fans_between_drawn_lines_of_chart_plotters() -> None:
             assert math.degrees(fan.sector_rad) == pytest.approx(150.3, abs=1)
 
 
-def test_confidence_says_how_much_of_the_outline_is_seen() -> None:
-    grey, _ = fan(preset("oculus_m1200d_hf", 400, 400), 0.1, False)
-    whole = find_fan(grey)
-    assert whole is not None
-    assert whole.confidence > 0.95
-    dark = grey.copy()
-    dark[:, 300:] = 0
-    part = find_fan(dark)
-    assert part is None or part.confidence < whole.confidence
-
-
 def no_fans() -> dict[str, npt.NDArray[Any]]:
     rng = np.random.default_rng(0)
     noise = rng.rayleigh(60, (300, 400)).clip(1, 255).astype(np.uint8)
@@ -263,20 +245,6 @@ def test_mdd() -> None:
         for edge_rad in (-fan.azimuth_min_rad, fan.azimuth_max_rad):
             assert math.degrees(edge_rad) == pytest.approx(half_deg, abs=0.3)
         assert found.confidence > 0.95
-
-
-def groups() -> list[Path]:
-    return sorted(DATA.glob("mdd-groups/*/*.png"))
-
-
-@pytest.mark.skipif(not groups(), reason="no shared data")
-def test_mdd_groups() -> None:
-    for path in groups()[::20]:
-        found = find_fan(np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))
-        assert found is not None, path
-        fan = found.geometry
-        assert (fan.apex_x_px, fan.apex_y_px) == pytest.approx((159.5, 603), abs=2)
-        assert fan.x_scale == pytest.approx(1, abs=0.01)
 
 
 @pytest.mark.skipif(not (DATA / "didson").is_dir(), reason="no shared data")

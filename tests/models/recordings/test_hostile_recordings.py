@@ -166,9 +166,5 @@ def test_an_error_of_the_source_names_the_source(tmp_path: Path) -> None:
         file.truncate(2000)
     with pytest.raises(FrameError, match=r"a\.aris: ends within"):
         source.rewrite(pings(3, 20, 48), tmp_path / "b.aris")
-    source._file.close()
-    source._file = open("/proc/self/mem", "rb", buffering=0)  # noqa: SIM115  cannot be read at 0
-    with pytest.raises(FrameError, match=r"a\.aris: cannot be read"):
-        source.rewrite(pings(3, 20, 48), tmp_path / "b.aris")
     source.close()
     assert not (tmp_path / "b.aris").exists()

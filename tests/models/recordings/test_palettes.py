@@ -175,12 +175,6 @@ def test_colours_of_no_map() -> None:
     assert [find_painted(case) for case in cases] == [None] * len(cases)
 
 
-def test_colours_near_a_map_are_no_levels() -> None:
-    """As those of photographs of murky water are near some map's."""
-    near = painted(echoes(), "OCEAN") + np.random.default_rng(3).normal(0, 30, (160, 120, 3))
-    assert find_painted(near.clip(0, 255).astype(np.uint8)) is None
-
-
 def test_a_brighter_picture_of_an_unknown_map() -> None:
     """Its bright colours are of the map, too, though the picture before had none of them."""
     levels = np.asarray(echoes() // 3, np.uint8)
