@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import Field
 
 ObjectName = Literal[
     "Bottle",
@@ -29,3 +32,15 @@ ObjectName = Literal[
 
 # 0 to 11 are those of the Marine Debris Dataset; ground is 0.
 CLASSES: tuple[str, ...] = ("Background", *get_args(ObjectName))
+
+ClassName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]{0,39}$")]
+
+
+def class_names(own: Iterable[str]) -> tuple[str, ...]:
+    """CLASSES and, from their end on, the classes of the user's own objects."""
+    return tuple(dict.fromkeys((*CLASSES, *own)))
+
+
+def classes_of(config: Mapping[str, Any]) -> tuple[str, ...]:
+    """The class names of a dataset, from the settings in its shards."""
+    return class_names(config.get("classes", ()))

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ..dataset.format.schema import stored_image
 from ..dataset.read.source import Sample, Source
 from ..errors import FactoryError
-from ..labels import CLASSES
+from ..labels import classes_of
 from .pictures import png
 
 LEAST_PX = 8
@@ -46,10 +46,11 @@ class Objects:
         if not {"segmentation", "instance"} <= set(source.layers):
             raise FactoryError(
                 f"--to {to}: {source.directory} has no labels (/segmentation and /instance); make "
-                "it from procedural scenes with dataset.layers=[segmentation], or export with "
+                "it from scenes with labels and dataset.layers=[segmentation], or export with "
                 "--to png"
             )
         self._source, self._folder = source, folder
+        self.classes = classes_of(source.config)
         self._pictures = self._objects = self._left_out = 0
 
     def of(self, split: str) -> Iterator[tuple[str, list[Shown]]]:
@@ -79,7 +80,7 @@ class Objects:
         for number in np.unique(numbers[numbers > 0]):
             mask = numbers == number
             label = int(np.bincount(labels[mask]).argmax())
-            if label >= len(CLASSES):
+            if label >= len(self.classes):
                 raise FactoryError(
                     f"{self._source.directory}: {sample.key}: /segmentation has a value {label}, "
                     "which names no class"
