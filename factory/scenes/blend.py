@@ -19,19 +19,20 @@ from ..small_files import one_line
 from .painted import Part, linear, painted
 from .seabed.meshes import Mesh, join
 
-_SAMPLES = 16
+_SAMPLES = 8
 _SENSOR_MM = 36.0
 
 
 @lru_cache(maxsize=1)
 def _opened(path: Path) -> Any:
     """Blender with the file open.  Raises FactoryError."""
+    from ..render.blender import import_bpy
+
     try:
-        import bpy
-    except (ImportError, OSError) as error:
+        bpy = import_bpy()
+    except FactoryError as error:
         raise FactoryError(
-            f"needs the module bpy ({one_line(error)}): pip install 'simnfnd[blender]', "
-            "or export a .glb"
+            "needs the module bpy: pip install 'simnfnd[blender]', or export a .glb"
         ) from error
     bpy.context.preferences.filepaths.use_scripts_auto_execute = False
     try:
@@ -121,6 +122,8 @@ def photograph(
     world_from_camera: (4, 4) in units of the file.  lens: fx, fy, cx, cy in pixels.
     """
     bpy = _opened(path.resolve())
+    import mathutils  # comes with Blender
+
     scene = bpy.context.scene
     render, cycles = scene.render, scene.cycles
     render.engine, cycles.device, cycles.samples, cycles.seed = "CYCLES", "CPU", _SAMPLES, 0
@@ -146,8 +149,7 @@ def photograph(
     camera.data.clip_start, camera.data.clip_end = 1e-3, 1e6
     camera.data.shift_x = (width / 2 - (cx + 0.5)) / width
     camera.data.shift_y = ((cy + 0.5) - height / 2) / width * fx / fy
-    camera.matrix_world = (np.array(world_from_camera) * (1, -1, -1, 1)).T.tolist()
-    camera.matrix_world.transpose()
+    camera.matrix_world = mathutils.Matrix((np.array(world_from_camera) * (1, -1, -1, 1)).tolist())
     scene.camera = camera
     with tempfile.TemporaryDirectory() as folder:
         render.filepath = f"{folder}/seen.png"

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field
+from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from ..errors import FactoryError, FrameError
@@ -34,13 +34,27 @@ _GROUND_PX = 9  # side of the picture that looks for the ground below
 Span = tuple[float, float]
 
 
+@dataclass(frozen=True, config=ConfigDict(**STRICT, serialize_by_alias=True), kw_only=True)
+class PartClass:
+    """An entry of `scenes.classes`.
+
+    class: of labels, as of own objects.  parts: name of its parts in the file, or a pattern.
+    reflectivity_db, lambert_exponent: of the class; see `acoustics`.
+    """
+
+    label: Annotated[ClassName, Field(alias="class")]
+    parts: str
+    reflectivity_db: Annotated[float, Field(ge=-80, le=20)] | None = None
+    lambert_exponent: Annotated[float, Field(ge=0, le=8)] | None = None
+
+
 @dataclass(frozen=True, config=STRICT, kw_only=True)
 class MeshSettings(SceneSettings):
     """Keys of `scenes=mesh`.
 
     file: .glb, .gltf, .obj, .ply, .stl, or .blend (whose pictures Cycles makes with its own
         materials); z (of .glb: y) points up.  scale: metres per unit of the file.
-    classes: name of a part, or pattern -> class; other parts are Background.
+    classes: see `PartClass`; other parts are Background.
     poses: a file of `time tx ty tz qx qy qz qw` lines (TUM; commas go, too): camera to world in
         metres, camera axes x right, y down, z forward; null: drawn paths.
     route: orbit (around a named part, or all) or transect (straight over the world).
@@ -54,7 +68,7 @@ class MeshSettings(SceneSettings):
     depth_kind: Literal["z"] = "z"
     file: Root
     scale: Annotated[float, Field(gt=0)] = 1.0
-    classes: dict[str, ClassName] = Field(default_factory=dict)
+    classes: tuple[PartClass, ...] = ()
     poses: Root | None = None
     route: Literal["orbit", "transect"] = "orbit"
     paths: Annotated[int, Field(ge=1, le=9999)] = 4
@@ -70,7 +84,7 @@ class MeshSettings(SceneSettings):
 
     def own_classes(self) -> tuple[str, ...]:
         """See `SceneSettings`."""
-        return tuple(name for name in self.classes.values() if name != "Background")
+        return tuple(one.label for one in self.classes)
 
 
 @plain_dataclass(frozen=True, eq=False)
@@ -151,14 +165,14 @@ class MeshReader:
         parts = read_parts(self._path, _KEY, settings.scale, _LARGEST_M)
         names = class_names(settings.own_classes())
         labels = np.zeros(len(parts), np.uint8)
-        for pattern, label in settings.classes.items():
-            meant = [k for k, part in enumerate(parts) if fnmatchcase(part.name, pattern)]
+        for one in settings.classes:
+            meant = [k for k, part in enumerate(parts) if fnmatchcase(part.name, one.parts)]
             if not meant:
                 known = ", ".join(sorted({part.name for part in parts}))[:200]
                 raise FactoryError(
-                    f"scenes.classes: no part is called {pattern}; there are {known}"
+                    f"scenes.classes: no part is called {one.parts}; there are {known}"
                 )
-            labels[meant] = names.index(label)
+            labels[meant] = names.index(one.label)
         objects = objects_of([part.mesh for part in parts])
         corners = objects.mesh.vertices[objects.mesh.triangles]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
