@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 def rows() -> list[str]:
     """A line of Markdown for each device."""
     names = sorted(path.stem for path in (ROOT / "conf" / "sonar").glob("*.yaml"))
-    return [_row(name, compose_config([f"sonar={name}", "acoustics=field"])) for name in names]
+    return [_row(name, compose_config([f"sonar={name}"])) for name in names]
 
 
 def _row(name: str, config: FactoryConfig) -> str:

@@ -60,7 +60,7 @@ class Objects:
                 path = self._folder / name / split / f"{sample.key}.png"
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(png(stored_image(sample.images[layer], "uint8")))
-            found = list(self._shown(sample))
+            found = list(shown_in(sample, self.classes, self._source.directory))
             large = [shown for shown in found if int(shown.mask.sum()) >= LEAST_PX]
             self._pictures += 1
             self._objects += len(large)
@@ -74,16 +74,17 @@ class Objects:
             f"{LEAST_PX} pixels left out"
         )
 
-    def _shown(self, sample: Sample) -> Iterator[Shown]:
-        """The pixels of each number in /instance, by the label that most of them have."""
-        numbers, labels = sample.images["instance"], sample.images["segmentation"]
-        for number in np.unique(numbers[numbers > 0]):
-            mask = numbers == number
-            label = int(np.bincount(labels[mask]).argmax())
-            if label >= len(self.classes):
-                raise FactoryError(
-                    f"{self._source.directory}: {sample.key}: /segmentation has a value {label}, "
-                    "which names no class"
-                )
-            if label:
-                yield Shown(label, mask)
+
+def shown_in(sample: Sample, classes: tuple[str, ...], directory: Path) -> Iterator[Shown]:
+    """The pixels of each number in /instance, by the label that most of them have."""
+    numbers, labels = sample.images["instance"], sample.images["segmentation"]
+    for number in np.unique(numbers[numbers > 0]):
+        mask = numbers == number
+        label = int(np.bincount(labels[mask]).argmax())
+        if label >= len(classes):
+            raise FactoryError(
+                f"{directory}: {sample.key}: /segmentation has a value {label}, "
+                "which names no class"
+            )
+        if label:
+            yield Shown(label, mask)

@@ -31,7 +31,9 @@ if TYPE_CHECKING:
 _LARGEST_M = 3000.0
 _KEY = "scenes.file"
 _GROUND_PX = 9  # side of the picture that looks for the ground below
+_CLEAR_M = 0.3
 Span = tuple[float, float]
+Points = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, config=ConfigDict(**STRICT, serialize_by_alias=True), kw_only=True)
@@ -240,26 +242,36 @@ class MeshReader:
             distance_m, side = rng.uniform(*settings.distance_m), rng.choice([-1, 1])
             distance_m += float(np.hypot(*(high - low)[:2])) / 2 * (target is not None)
             angle = heading + side * travelled / distance_m
+            turns = np.linspace(0, 2 * np.pi, 9)[1:, None]
+            ring = centre + distance_m * np.hstack([np.cos(turns), np.sin(turns), 0 * turns])
             eye = centre + distance_m * np.array([np.cos(angle), np.sin(angle), 0])
-            eye = self._raised(eye, height_m)
+            eye = self._raised(eye, height_m, ring)
             heading, down = angle + np.pi, np.arctan2(eye[2] - centre[2], distance_m)
         else:
             aside = rng.uniform(-0.25, 0.25) * np.hypot(*(high - low)[:2])
             ahead = np.array([np.cos(heading), np.sin(heading), 0])
-            start = travelled - np.hypot(*(high - low)[:2]) / 2
+            reach = float(np.hypot(*(high - low)[:2])) / 2
+            start = travelled - reach
             left = np.array([-ahead[1], ahead[0], 0])
-            eye = self._raised(centre + start * ahead + aside * left, height_m)
+            line = centre + np.linspace(-1, 1, 9)[:, None] * ahead * reach + aside * left
+            eye = self._raised(centre + start * ahead + aside * left, height_m, line)
             down = np.deg2rad(rng.uniform(*settings.tilt_deg))
         where = pose(eye, float(np.rad2deg(heading)), float(np.rad2deg(down)), 0.0)
         return where, float(view), self._above_ground_m(eye)
 
-    def _raised(self, point: npt.NDArray[np.float64], height_m: float) -> npt.NDArray[np.float64]:
-        """The point so high above the ground under it, or above itself where there is none."""
-        top = float(self._world.objects.mesh.vertices[:, 2].max()) + 1
-        below = self._above_ground_m(np.array([*point[:2], top]))
-        return np.array([*point[:2], (point[2] if below is None else top - below) + height_m])
+    def _raised(self, point: Points, height_m: float, path: Points) -> Points:
+        """The point so high above the middle height of the ground under a path.
 
-    def _above_ground_m(self, eye: npt.NDArray[np.float64]) -> float | None:
+        path: (N, 3).  It is clear of what lies under itself, and above itself without any ground.
+        """
+        top = float(self._world.objects.mesh.vertices[:, 2].max()) + 1
+        below = [self._above_ground_m(np.array([x, y, top])) for x, y, _ in (point, *path)]
+        known = [top - one for one in below[1:] if one is not None]
+        level = (float(np.median(known)) if known else float(point[2])) + height_m
+        clear = level if below[0] is None else max(level, top - below[0] + _CLEAR_M)
+        return np.array([*point[:2], clear])
+
+    def _above_ground_m(self, eye: Points) -> float | None:
         from .seabed.camera import Optics, pose, z_buffer
 
         down = z_buffer(pose(eye, 0, 90, 0), Optics(500, _GROUND_PX, _GROUND_PX), None,

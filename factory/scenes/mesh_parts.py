@@ -173,6 +173,8 @@ def _by_open3d(path: Path) -> list[Part]:
             f"needs the module open3d ({one_line(error)}): pip install 'simnfnd[open3d]', "
             "or give a .glb"
         ) from error
+    if (faces := _claimed_faces(path)) > MOST_FACES:
+        raise FactoryError(f"claims {faces:,} faces; at most {MOST_FACES:,} go: decimate it")
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     io_: Any = open3d.io
     if path.suffix.lower() == ".obj":
@@ -186,6 +188,16 @@ def _by_open3d(path: Path) -> list[Part]:
     if found.has_vertex_colors():
         colours = linear(np.asarray(found.vertex_colors) * 255)
     return [Part(path.stem, mesh(np.asarray(found.vertices), np.asarray(found.triangles), colours))]
+
+
+def _claimed_faces(path: Path) -> int:
+    """What the head of a .ply or a binary .stl says; 0 where it says nothing."""
+    with path.open("rb") as file:
+        head = file.read(1 << 16)
+    if path.suffix.lower() == ".stl" and not head.startswith(b"solid"):
+        return int.from_bytes(head[80:84], "little")
+    found = re.search(rb"^element face (\d{1,18})", head, re.MULTILINE)
+    return int(found[1]) if head.startswith(b"ply") and found else 0
 
 
 def _of_model(found: Any, material: Any) -> Mesh:

@@ -42,6 +42,8 @@ def painted(corners: Floats, places: npt.NDArray[Any], picture: Floats) -> Mesh:
         cut = np.concatenate([np.stack(piece, axis=1) for piece in pieces])
     points = cut.reshape(-1, 5)
     size = np.array(picture.shape[1::-1])
-    column, row = (np.floor(points[:, 3:] % 1 * size).astype(np.int64) % size).T
+    # The far edge belongs to the picture, and what lies beyond it repeats it.
+    inside = np.where(points[:, 3:] == 1, np.float32(1 - 1e-6), points[:, 3:]) % 1
+    column, row = (np.floor(inside * size).astype(np.int64) % size).T
     triangles = np.arange(len(points), dtype=np.int32).reshape(-1, 3)
     return Mesh(np.ascontiguousarray(points[:, :3]), picture[row, column], triangles)
