@@ -36,6 +36,7 @@ for _, _, picture, row, boxes in sorted(found, key=lambda one: (-one[0], one[1])
     far_m, pixel_m = row["range_max_m"], row["metres_per_pixel"]
 
     def place(ahead_m, right_m, far_m=far_m, pixel_m=pixel_m, width=width):
+        """Column and row of points on the ground."""
         x = width / 2 + np.asarray(right_m) / pixel_m
         y = (far_m - np.asarray(ahead_m)) / pixel_m
         return np.round(TIMES * np.stack([x, y], axis=-1)).astype(np.int32)

@@ -5,6 +5,7 @@ All of this runs in the process that `mesh_parts` reads files in: one Blender, o
 
 from __future__ import annotations
 
+import importlib
 import tempfile
 from collections.abc import Sequence
 from functools import lru_cache
@@ -26,13 +27,12 @@ _SENSOR_MM = 36.0
 @lru_cache(maxsize=1)
 def _opened(path: Path) -> Any:
     """Blender with the file open.  Raises FactoryError."""
-    from ..render.blender import import_bpy
-
     try:
-        bpy = import_bpy()
-    except FactoryError as error:
+        bpy: Any = importlib.import_module("bpy")
+    except (ImportError, OSError) as error:
         raise FactoryError(
-            "needs the module bpy: pip install 'simnfnd[blender]', or export a .glb"
+            f"needs the module bpy ({one_line(error)}): pip install 'simnfnd[blender]', "
+            "or export a .glb"
         ) from error
     bpy.context.preferences.filepaths.use_scripts_auto_execute = False
     try:

@@ -26,7 +26,8 @@ class World:
     """One location.
 
     labels, instances: (N,) by object number; pebbles have 0.  finishes: (N, 3) fouling, silt and
-    bump of each object, see `things.Kind`.
+    bump of each object, see `things.Kind`.  first_own: number in `instances` from which on they are
+    the user's own.
     """
 
     location: int
@@ -37,6 +38,7 @@ class World:
     labels: npt.NDArray[np.uint8]
     instances: npt.NDArray[np.uint16]
     finishes: Floats
+    first_own: int = 1 << 16
 
 
 def build_world(
@@ -59,6 +61,7 @@ def build_world(
     path = draw_path(rng, place, terrain, loop, heading)
     site = Site(rng, place, terrain, loop, heading)
     items = furnish(site, location, density, kinds)
+    first_own = 1 + sum(item.kind is not None for item in items)
     place_own(site, path, location, own)
     classes = class_names(one.settings.label for one in own)
     if not items:  # an empty mesh has no shape: one triangle far below the ground
@@ -74,4 +77,5 @@ def build_world(
         labels,
         np.where(labels > 0, np.cumsum(labels > 0), 0).astype(np.uint16),
         np.array([(kind.fouling, kind.silt, kind.bump) for kind in finish], np.float32),
+        first_own,
     )

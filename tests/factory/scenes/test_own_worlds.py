@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
-import open3d
 import pytest
 
 from simnfnd.command import main
@@ -15,7 +16,6 @@ from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig, from_mapping, identity, plain
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export import export
-from simnfnd.factory.frame import Frame
 from simnfnd.factory.pairs import observe
 from simnfnd.factory.render import open_renderer
 from simnfnd.factory.scenes import open_reader
@@ -24,6 +24,7 @@ from simnfnd.factory.scenes.mesh_parts import read_parts
 from simnfnd.factory.scenes.seabed.camera import Optics, objects_of, pose, z_buffer
 from simnfnd.factory.scenes.seabed.meshes import box, join, sphere
 
+open3d: Any = importlib.import_module("open3d")  # its stubs fit no call
 SMALL = ("scenes.width=242", "scenes.height=152", "render=analytic")
 FORWARD = "0 0 0 1 -0.7071068 0 0 0.7071068\n"  # a level camera that looks along y
 
@@ -48,7 +49,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     parts = {"ground": ground, "valve.1": box((0.6, 0.4, 0.5), (0.3, 4, 0.25)),
              "post": box((0.2, 0.2, 2), (-1.2, 5, 1))}  # fmt: skip
     write_gltf(root / "world.gltf", parts)
-    (root / "poses.txt").write_text(FORWARD + "1,0,1,1.5,-0.7071068,0,0,0.7071068\n")
+    (root / "poses.txt").write_text(FORWARD + "1,0.3,0,0.9,-0.7071068,0,0,0.7071068\n")
     return root
 
 
@@ -85,7 +86,7 @@ def world(folder: Path, *words: str) -> FactoryConfig:
     )
 
 
-def frames(config: FactoryConfig) -> list[Frame]:
+def frames(config: FactoryConfig) -> list[Any]:
     reader = open_reader(config.scenes)
     return [reader.load(ref) for ref in reader.discover().frames]
 
@@ -140,7 +141,7 @@ def test_a_world_is_what_rays_meet(folder: Path) -> None:
     assert same.mean() > 0.995
     assert np.mean((first.segmentation == 21) == (which == 1)) > 0.999
     assert first.time_s == 0
-    assert (first.altitude_m, second.altitude_m) == pytest.approx((1, 1.5), abs=1e-4)
+    assert (first.altitude_m, second.altitude_m) == pytest.approx((1, 0.9), abs=1e-4)
     with pytest.raises(FactoryError, match=r"no part is called pump; there are ground, post"):
         frames(world(folder, "scenes.classes=[{class: a, parts: pump}]"))
 
@@ -154,7 +155,7 @@ def test_drawn_paths_go_round_and_across(folder: Path, route: str) -> None:
     eyes = np.array([frame.world_from_camera[:3, 3] for frame in found])
     apart = np.linalg.norm(np.diff(eyes[:4], axis=0), axis=1)
     assert apart == pytest.approx(0.5, rel=0.02)
-    assert all(1 <= frame.altitude_m <= 2.0001 for frame in found if frame.altitude_m)
+    assert all(0.29 <= frame.altitude_m <= 2.6 for frame in found if frame.altitude_m)
     if route == "orbit":
         assert all((frame.segmentation == 21).any() for frame in found)
     again = frames(config)[-1]
@@ -177,7 +178,7 @@ def test_a_box_holds_its_object_and_says_how_much_shows() -> None:
     from simnfnd.factory.scenes.boxes import boxes_of
 
     numbers = np.where(seen.which < 0, 0, 1 + (seen.which >= len(solids[0].triangles)))
-    made = boxes_of(where, optics, objects_of(solids), np.uint8([21, 22]), np.uint16([1, 2]), seen,
+    made = boxes_of(where, optics, objects_of(solids), np.array([21, 22], np.uint8), np.array([1, 2], np.uint16), seen,
                     numbers.astype(np.uint16))  # fmt: skip
     assert made[:, :2].tolist() == [[1, 21], [2, 22]]
     for number, _, *_, alone, hidden in made:
@@ -255,7 +256,7 @@ def overlap(a: tuple, b: tuple) -> float:
     inner = [max(a[0], b[0]), min(a[1], b[1]), max(a[2], b[2]), min(a[3], b[3])]
     common = max(inner[1] - inner[0], 0) * max(inner[3] - inner[2], 0)
     areas = [(x[1] - x[0]) * (x[3] - x[2]) for x in (a, b)]
-    return common / (sum(areas) - common)
+    return float(common / (sum(areas) - common))
 
 
 def echo_level_db(config: FactoryConfig) -> float:
@@ -263,10 +264,10 @@ def echo_level_db(config: FactoryConfig) -> float:
     (frame, *_) = frames(config)
     mount = config.sonar.mount
     rendered = open_renderer(config.render).render(frame, mount)
-    scene = observe(frame, rendered, config).scene
+    scene: Any = observe(frame, rendered, config).scene
     range_m = float(np.median(frame.depth_m[frame.valid]))
     loss_db = 2 * config.water.absorption_db_per_m(config.sonar.frequency_khz) * range_m
-    return 10 * np.log10(float(scene.ping.scatterers.power.sum())) + loss_db
+    return float(10 * np.log10(float(scene.ping.scatterers.power.sum())) + loss_db)
 
 
 @pytest.mark.parametrize("exponent", [1.0, 2.0, 3.0])
