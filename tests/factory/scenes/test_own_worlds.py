@@ -178,8 +178,9 @@ def test_a_box_holds_its_object_and_says_how_much_shows() -> None:
     from simnfnd.factory.scenes.boxes import boxes_of
 
     numbers = np.where(seen.which < 0, 0, 1 + (seen.which >= len(solids[0].triangles)))
-    made = boxes_of(where, optics, objects_of(solids), np.array([21, 22], np.uint8), np.array([1, 2], np.uint16), seen,
-                    numbers.astype(np.uint16))  # fmt: skip
+    labels, instances = np.array([21, 22], np.uint8), np.array([1, 2], np.uint16)
+    of = numbers.astype(np.uint16)
+    made = boxes_of(where, optics, objects_of(solids), labels, instances, seen, of)
     assert made[:, :2].tolist() == [[1, 21], [2, 22]]
     for number, _, *_, alone, hidden in made:
         visible = np.count_nonzero(numbers == number)
