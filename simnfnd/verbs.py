@@ -50,10 +50,10 @@ _TRAINING = ("torch", "lightning", "safetensors", "tensorboard", *_SONAR)
 
 VERBS: dict[str, Verb] = {
     "demo": Verb(
-        MAKE, "a small dataset of procedural scenes, with a preview of it",
-        f"{_COMMANDS}.make:main",
+        MAKE, "two small datasets of procedural scenes, one a profile, with a picture of both",
+        f"{_COMMANDS}.demo:main",
         ("simnfnd demo", "simnfnd demo render=analytic dataset.dir=outputs/first"),
-        before=("experiment=demo",), hydra=True,
+        hydra=True,
     ),
     "make": Verb(
         MAKE, "a dataset as the configuration says; -m for a sweep", f"{_COMMANDS}.make:main",

@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +80,32 @@ def preview(
     # Whoever asks for a preview alone has no key dataset.dir to change.
     write_atomically(path, content, key="dataset.dir" if trusted else "--out")
     return path
+
+
+def side_by_side(directories: Mapping[str, Path], out: Path, pairs: int = 4) -> None:
+    """Draw `pairs` frames that two datasets, just made, have in common; both in one row.
+
+    directories: the name of each, and its folder.
+    """
+    tables = {}
+    for name, folder in directories.items():
+        if (manifest := load_manifest(folder)) is None:
+            raise FactoryError(f"{folder}: no {MANIFEST_NAME}; give the folder of a dataset")
+        names = manifest_source(folder, manifest).names()
+        tables[name] = {(at.location, at.scene, at.frame, at.variant): at for at in names}
+    first = next(iter(tables.values()))
+    common = [key for key in first if all(key in table for table in tables.values())]
+    keys = [
+        (at.location, at.scene, at.frame, at.variant)
+        for at in spread([first[key] for key in common], pairs)
+    ]
+    shown = [
+        replace(sample, heading=f"{name}   {sample.heading}")
+        for key in keys
+        for name, table in tables.items()
+        for sample in [_load(table[key])]
+    ]
+    write_atomically(out, draw(shown, " and ".join(directories), ""), key="dataset.dir")
 
 
 def spread(samples: Sequence[SampleName], count: int) -> list[SampleName]:
