@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, Literal, get_args
-
-from pydantic import Field
+from typing import Any, Literal, get_args
 
 ObjectName = Literal[
     "Bottle",
@@ -32,8 +30,6 @@ ObjectName = Literal[
 
 # 0 to 11 are those of the Marine Debris Dataset; ground is 0.
 CLASSES: tuple[str, ...] = ("Background", *get_args(ObjectName))
-
-ClassName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]{0,39}$")]
 
 
 def class_names(own: Iterable[str]) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from .. import __version__
 from ..errors import FactoryError, NotRendered
 from ..files import explain_os_errors
 from ..frame import FrameRef
-from ..labels import ClassName
+from ..settings import ClassName
 from ..small_files import open_regular, parse_json
 from .mount import Mount
 from .view import View, decode, encode, mount_of

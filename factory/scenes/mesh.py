@@ -20,9 +20,9 @@ from pydantic.dataclasses import dataclass
 
 from ..errors import FactoryError, FrameError
 from ..frame import Frame, FrameRef, checked
-from ..labels import ClassName, class_names
+from ..labels import class_names
 from ..seeds import stream
-from ..settings import STRICT
+from ..settings import STRICT, ClassName
 from .base import Discovery, Root, SceneSettings
 
 if TYPE_CHECKING:

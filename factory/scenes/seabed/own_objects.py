@@ -12,9 +12,8 @@ from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from ...errors import FactoryError
-from ...labels import ClassName
 from ...seeds import stream
-from ...settings import STRICT
+from ...settings import STRICT, ClassName
 from ..base import Root
 
 if TYPE_CHECKING:

@@ -18,6 +18,8 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.export import export
 from simnfnd.factory.pairs import observe
 from simnfnd.factory.render import open_renderer
+from simnfnd.factory.render.pack import write_pack
+from simnfnd.factory.render.view import decode, encode, view_of
 from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.scenes.boxes import oriented
 from simnfnd.factory.scenes.mesh_parts import read_parts
@@ -443,3 +445,19 @@ bpy.ops.wm.save_as_mainfile(filepath={str(made)!r})
     red, green, _ = frame.rgb[on].astype(float).T
     assert np.median(red) > 60
     assert np.median(green) < 0.5 * np.median(red)
+
+
+def test_renders_and_packs_keep_boxes_and_classes(folder: Path, tmp_path: Path) -> None:
+    config = world(folder)
+    reader = open_reader(config.scenes)
+    ref = reader.discover().frames[0]
+    frame, mount = reader.load(ref), config.sonar.mount
+    view = view_of(frame, open_renderer(config.render).render(frame, mount), mount)
+    again = decode(encode(view)).seen
+    assert again.boxes is not None
+    assert np.array_equal(again.boxes, np.round(np.asarray(frame.boxes), 5))
+    classes = config.scenes.own_classes()
+    write_pack(tmp_path / "a.pack", [ref], lambda _: view, mount, "analytic", classes)
+    packed = compose_config(["scenes=pack", f"scenes.root={tmp_path}/a.pack"])
+    assert packed.scenes.own_classes() == ("target",)
+    assert identity(packed)["classes"] == ["target"]
