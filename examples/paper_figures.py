@@ -29,7 +29,7 @@ from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.factory.pairs import ObservedFrame, make_pair, observe
 from simnfnd.factory.render import open_renderer
 from simnfnd.factory.render.base import Rendered
-from simnfnd.factory.scenes import frames_of, open_reader
+from simnfnd.factory.scenes import open_reader
 from simnfnd.factory.selection import choose_frames
 from simnfnd.factory.sonar.surface import insonified
 
@@ -93,7 +93,7 @@ def views(config: FactoryConfig, most: int = 3) -> list[View]:
     """The first frame of (at most `most`) scenes, rendered and observed."""
     reader = open_reader(config.scenes)
     first = {}
-    for ref in choose_frames(frames_of(reader), config):
+    for ref in choose_frames(reader.discover().frames, config):
         first.setdefault((ref.location, ref.scene), ref)
     renderer = open_renderer(config.render)
     found = []

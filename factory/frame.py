@@ -27,6 +27,12 @@ class Intrinsics:
     cy: float
     distortion: tuple[float, ...] = ()
 
+    def directions(
+        self, height: int, width: int
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """(W,) x / z of the columns and (H,) y / z of the rows: P = z K^-1 (u, v, 1)^T."""
+        return (np.arange(width) - self.cx) / self.fx, (np.arange(height) - self.cy) / self.fy
+
 
 @dataclass(frozen=True)
 class FrameRef:
@@ -84,9 +90,8 @@ class Frame:
 
 def _check_unit(name: str, depth_m: npt.NDArray[np.float32]) -> None:
     """Raise FrameError when the depths can hardly be metres: said here, not as a lack of echoes."""
-    thinned = depth_m[::4, ::4]
-    # So few that all of them are looked at in no time.
-    measured = thinned[thinned > 0] if min(depth_m.shape) > 64 else depth_m[depth_m > 0]
+    measured = depth_m[::4, ::4] if min(depth_m.shape) > 64 else depth_m
+    measured = measured[measured > 0]
     if not len(measured):
         return
     median = float(np.median(measured))
@@ -117,21 +122,19 @@ def checked(frame: Frame, *, bad_depth: str = "reject", min_valid: int = 16) -> 
             "give a depth map registered to the colour image"
         )
     # Two looks tell that nothing is wrong, as nearly always; NaN compares false.
-    good = depth_m.size > 0 and depth_m.min() >= 0 and depth_m.max() < np.inf
-    bad = None if good else ~np.isfinite(depth_m) | (depth_m < 0)
-    count = 0 if bad is None else int(bad.sum())
-    if count and bad_depth == "reject":
+    if not (depth_m.size > 0 and depth_m.min() >= 0 and depth_m.max() < np.inf):
         finite = np.isfinite(depth_m)
-        kinds = [
-            f"{int(np.isnan(depth_m).sum())} NaN",
-            f"{int(np.isinf(depth_m).sum())} infinite",
-            f"{int((finite & (depth_m < 0)).sum())} negative",
-        ]
-        raise FrameError(
-            f"{name}: depth has {', '.join(kinds)} pixels; repair the file, "
-            "or set scenes.bad_depth=mask to treat them as unmeasured"
-        )
-    if bad is not None and count:
+        bad = ~finite | (depth_m < 0)
+        if bad_depth == "reject" and bad.any():
+            kinds = [
+                f"{int(np.isnan(depth_m).sum())} NaN",
+                f"{int(np.isinf(depth_m).sum())} infinite",
+                f"{int((finite & bad).sum())} negative",
+            ]
+            raise FrameError(
+                f"{name}: depth has {', '.join(kinds)} pixels; repair the file, "
+                "or set scenes.bad_depth=mask to treat them as unmeasured"
+            )
         depth_m = np.where(bad, np.float32(0), depth_m)
     valid = int(np.count_nonzero(depth_m > 0))
     if valid < min_valid:

@@ -10,7 +10,7 @@ from collections.abc import Collection
 import numpy as np
 import numpy.typing as npt
 
-from ..factory.imaging.contract import ARTEFACTS
+from ..factory.imaging.effect import ARTEFACTS
 
 DEFAULT: tuple[str, ...] = ("speckle", "spokes", "ghosts", "blur")
 """What most want gone of an unknown picture: its ground and its brightness stay as they are."""

@@ -1,7 +1,9 @@
 """Small synthetic scenes of echoes for tests of noise and image formation."""
 
 import numpy as np
+import numpy.typing as npt
 
+from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.sonar.echoes import Echoes, in_plane
 from simnfnd.factory.sonar.window import Window
 
@@ -32,3 +34,13 @@ def camera_scene(count=200_000, seed=0) -> Echoes:
         rng.uniform(-elevation_half_rad, elevation_half_rad, count).astype(np.float32),
         np.ones(count, np.float32),
     )
+
+
+def chosen(echoes: Echoes, mask: npt.NDArray[np.bool_]) -> Echoes:
+    return Echoes(*(values[mask] for values in vars(echoes).values()))
+
+
+def to_sonar(mount: Mount, points_camera_m: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+    """(..., 3) points in camera axes -> the same points in sonar axes, metres."""
+    offset = np.asarray(points_camera_m, np.float64) - mount.position_camera_m()
+    return np.asarray(offset @ mount.rotation_sonar_from_camera().T)

@@ -12,6 +12,7 @@ from simnfnd.factory.config import FactoryConfig, from_mapping
 from simnfnd.factory.frame import Frame, FrameRef, Intrinsics
 from simnfnd.factory.imaging.coherent.scene import FieldScene
 from simnfnd.factory.imaging.coherent.signal import Ping
+from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.pairs import ObservedFrame, observe
 from simnfnd.factory.render.base import Rendered
 
@@ -65,6 +66,12 @@ def observed(settings: FactoryConfig, **frame: Any) -> ObservedFrame:
     """The constant field as the device of `settings` observes it."""
     made, rendered = constant_field(**frame)
     return observe(made, rendered, settings)
+
+
+def effects_of(settings: FactoryConfig, made: ObservedFrame, variant: int = 0) -> Any:
+    """The effects of one sample of it, drawn."""
+    names = StreamNames.of(made.ref, variant, made.has_pose)
+    return draw(settings.noise, settings.seed, names).effects
 
 
 def scene_of(made: ObservedFrame) -> FieldScene:

@@ -28,14 +28,14 @@ class Simulation:
 
     def __init__(self, recipe: tuple[str, ...], frames: int, grid: Grid) -> None:
         """Raises FactoryError when the recipe is wrong or no frame of it is rendered."""
-        from ...factory.scenes import frames_of, open_reader
+        from ...factory.scenes import open_reader
         from ...factory.selection import choose_frames
 
         self.config = compose_config(recipe)
         self.grid = grid
         self._plain = plain(self.config)
         views = open_views(self.config)
-        found = choose_frames(frames_of(open_reader(self.config.scenes)), self.config)
+        found = choose_frames(open_reader(self.config.scenes).discover().frames, self.config)
         there = [ref for ref in found if views.holds(ref)]
         if len(there) < min(8, len(found)):
             raise FactoryError(

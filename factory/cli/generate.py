@@ -146,7 +146,7 @@ def job_of(config: FactoryConfig, arguments: list[str]) -> Job:
     frames = choose_frames(discovery.frames, config)
     splits = split_frames(frames, config)
     print(_told(frames, splits, config), flush=True)
-    warnings = (*discovery.warnings, *split_warnings(splits, config))
+    warnings = split_warnings(splits, config)
     say_warnings(warnings)
     values = {**identity(config), "frames_found": frames_digest(frames)}
     config_hash = digest(values)

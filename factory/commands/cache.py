@@ -62,7 +62,7 @@ def _verify(cache: Cache) -> int:
 def _pack(overrides: list[str], out: Path | None) -> int:
     from ..render.pack import write_pack
     from ..render.views import CachedViews
-    from ..scenes import frames_of, open_reader
+    from ..scenes import open_reader
     from ..selection import choose_frames
 
     if out is None:
@@ -70,7 +70,7 @@ def _pack(overrides: list[str], out: Path | None) -> int:
     config = compose_config(overrides)
     if config.scenes.kind == "pack":
         raise FactoryError("cache pack: scenes=pack is a pack already; copy its file")
-    refs = choose_frames(frames_of(open_reader(config.scenes)), config)
+    refs = choose_frames(open_reader(config.scenes).discover().frames, config)
     views = CachedViews(config)
     there = [ref for ref in refs if views.holds(ref)]
     missing = len(refs) - len(there)

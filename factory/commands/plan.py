@@ -84,12 +84,12 @@ def main(words: list[str]) -> int:
 
 def _planned(config: FactoryConfig) -> tuple[tuple[FrameRef, ...], tuple[ShardTask, ...]]:
     from ..render.views import check_views
-    from ..scenes import frames_of, open_reader
+    from ..scenes import open_reader
     from ..selection import choose_frames, split_frames, split_warnings
 
     require(needs_of(config))
     check_views(config, touch=False)
-    frames = choose_frames(frames_of(open_reader(config.scenes)), config)
+    frames = choose_frames(open_reader(config.scenes).discover().frames, config)
     splits = split_frames(frames, config)
     say_warnings(split_warnings(splits, config))
     how = (config.frames.variants, config.scheduler.shard_size, config.dataset.limits)

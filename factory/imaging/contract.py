@@ -7,10 +7,12 @@ there.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import numpy.typing as npt
+
+from .effect import DrawnEffect
 
 if TYPE_CHECKING:
     from ..sonar.acoustics import WaterSettings
@@ -21,49 +23,6 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float32]
 Layers = npt.NDArray[np.generic]
-
-# When an effect of noise acts: on the echoes as points; on the complex field before the device
-# blurs it; after beamforming; after time-varying gain.
-Stage = Literal["points", "echo", "beam", "picture"]
-
-# What an effect of noise shows in a picture, and what a denoiser can be told to remove: grain that
-# averages out; a level added to the ground; bright beams and arcs; copies of objects at the wrong
-# place; smeared ranges; wrong gains of beams and ranges.
-Artefact = Literal["speckle", "haze", "spokes", "ghosts", "blur", "gains"]
-ARTEFACTS: tuple[Artefact, ...] = ("speckle", "haze", "spokes", "ghosts", "blur", "gains")
-
-
-class DrawnEffect(Protocol):
-    """An effect of noise with the parameters and the random stream of one sample."""
-
-    @property
-    def name(self) -> str:
-        """Its block of the `noise` group."""
-
-    @property
-    def stage(self) -> Stage:
-        """When it acts."""
-
-    @property
-    def moves(self) -> bool:
-        """Of stage points: whether it displaces the scene's echoes; the others add some."""
-
-    @property
-    def systematic(self) -> bool:
-        """Whether it is there in every picture of a scene; the others average out."""
-
-    @property
-    def artefact(self) -> Artefact | None:
-        """What it shows in a picture; None: a property of the scene."""
-
-    def expect(self, expected: Any, context: Any) -> None:
-        """Change expected intensities as it does on average; equal calls do the same."""
-
-    def realise(self, expected: Any, context: Any) -> None:
-        """The same as it does in this one sample, where that differs and can be told."""
-
-    def apply(self, subject: Any, context: Any) -> Any:
-        """What it makes of `subject`; equal calls give equal results."""
 
 
 class ImagingSettings(Protocol):

@@ -22,7 +22,8 @@ from ..sonar.settings import SonarSettings
 from ..sonar.surface import LitSurface
 from ..sonar.window import Window
 from . import resample
-from .contract import DrawnEffect, Floats, Layers
+from .contract import Floats, Layers
+from .effect import DrawnEffect
 
 if TYPE_CHECKING:
     from .contract import ImagingSettings
@@ -155,7 +156,9 @@ def effect_clouds(
     """
     return tuple(
         EffectCloud(
-            effect.name, effect.apply(movable if effect.moves else scene, window), effect.moves
+            effect.name,
+            effect.apply(movable if effect.effect.moves else scene, window),
+            effect.effect.moves,
         )
         for effect in effects
         if effect.stage == "points"

@@ -42,9 +42,9 @@ def random_subset(echoes: Echoes, rate: float, rng: np.random.Generator) -> Echo
     from ..sonar import kernels  # loads numba
 
     lot = rng.random(len(echoes), dtype=np.float32)
-    given = [np.ascontiguousarray(values) for values in vars(echoes).values()]
-    kept = [np.empty(len(echoes) + 1, np.float32) for _ in given]
-    count = kernels.thin(*(*given, lot, np.float32(rate), *kept))
+    given = tuple(map(np.ascontiguousarray, vars(echoes).values()))
+    kept = tuple(np.empty(len(echoes) + 1, np.float32) for _ in given)
+    count = kernels.thin(given, lot, np.float32(rate), kept)
     return Echoes(*(values[:count] for values in kept))
 
 

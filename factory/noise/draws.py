@@ -9,21 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, cast
-
-import numpy as np
 
 from .. import seeds
 from ..dataset.format.schema import Column
 from ..distribution import Distribution
 from ..frame import FrameRef
-from ..imaging.contract import Artefact, Stage
-from .effect import Effect, Parameter, Scope
+from ..imaging.effect import DrawnEffect, Names, Parameter, Scope, Value
 from .registry import EFFECTS, NoiseSettings, blocks
-
-Names = tuple[str | int, ...]
-Value = float | int | str
 
 
 @dataclass(frozen=True)
@@ -49,75 +41,6 @@ class StreamNames:
     def of_scope(self, scope: Scope) -> Names:
         """The names for effects of this scope."""
         return {"sample": self.sample, "recording": self.recording, "world": self.world}[scope]
-
-
-class LateStream:
-    """A random stream that is made when something is drawn from it; many effects draw nothing."""
-
-    def __init__(self, seed: int, *names: str | int) -> None:
-        self._seed, self._names = seed, names
-
-    @cached_property
-    def _stream(self) -> np.random.Generator:
-        return seeds.stream(self._seed, *self._names)
-
-    def __getattr__(self, name: str) -> Any:
-        """What the generator has."""
-        return getattr(self._stream, name)
-
-
-@dataclass(frozen=True)
-class DrawnEffect:
-    """An effect with the parameters and the random stream of one sample.
-
-    stream_names: what its stream is named by; `seed` is the configuration's.
-    """
-
-    name: str
-    effect: Effect
-    parameters: Mapping[str, Value]
-    seed: int
-    stream_names: Names
-
-    @property
-    def stage(self) -> Stage:
-        """When it acts."""
-        return self.effect.stage
-
-    @property
-    def moves(self) -> bool:
-        """See `Effect`."""
-        return self.effect.moves
-
-    @property
-    def systematic(self) -> bool:
-        """See `Effect`."""
-        return self.effect.systematic
-
-    @property
-    def artefact(self) -> Artefact | None:
-        """See `Effect`."""
-        return self.effect.artefact
-
-    def realise(self, expected: Any, context: Any) -> None:
-        """Change expected intensities as the effect does in this sample.  See `Effect`."""
-        change = self.effect.realised or self.effect.expected
-        if change is not None:
-            change(expected, context, self.stream(), **self.parameters)
-
-    def expect(self, expected: Any, context: Any) -> None:
-        """Change expected intensities as the effect does on average.  See `Effect`."""
-        if self.effect.expected is not None:
-            self.effect.expected(expected, context, self.stream(), **self.parameters)
-
-    def stream(self) -> np.random.Generator:
-        """Its random stream, from the beginning."""
-        late = LateStream(self.seed, "noise", self.name, *self.stream_names)
-        return cast(np.random.Generator, late)
-
-    def apply(self, subject: Any, context: Any) -> Any:
-        """What the effect makes of `subject`; equal calls give equal results.  See `Effect`."""
-        return self.effect.function(subject, context, self.stream(), **self.parameters)
 
 
 @dataclass(frozen=True)

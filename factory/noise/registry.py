@@ -8,14 +8,13 @@ function and an `Effect` that joins them.  To add one: its file, one line (and i
 
 from __future__ import annotations
 
-from dataclasses import field
 from typing import Annotated, Any, get_type_hints
 
 from pydantic import SerializerFunctionWrapHandler, model_serializer
 from pydantic.dataclasses import dataclass
 
+from ..imaging.effect import Effect, EffectSettings
 from ..settings import STRICT
-from .effect import Effect, EffectSettings
 from .field.crosstalk import CROSSTALK, CrosstalkSettings
 from .field.gains import (
     BEAM_GAIN,
@@ -31,12 +30,7 @@ from .field.image_source import (
     BottomMultipathSettings,
     SurfaceMultipathSettings,
 )
-from .field.near_range import (
-    COMB_LINES,
-    RING_DOWN,
-    CombLinesSettings,
-    RingDownSettings,
-)
+from .field.near_range import COMB_LINES, RING_DOWN, CombLinesSettings, RingDownSettings
 from .field.path_speckle import PATH_SPECKLE, PathSpeckleSettings
 from .field.receiver import RECEIVER, ReceiverSettings
 from .field.saturation import SATURATION, SaturationSettings
@@ -60,15 +54,11 @@ class NoiseSettings:
     A configuration that names none of the field's effects does not have them.
     """
 
-    range_spreading: Annotated[RangeSpreadingSettings, RANGE_SPREADING] = field(
-        default_factory=RangeSpreadingSettings
-    )
-    multipath: Annotated[MultipathSettings, MULTIPATH] = field(default_factory=MultipathSettings)
-    azimuth: Annotated[AzimuthSettings, AZIMUTH] = field(default_factory=AzimuthSettings)
-    range_arc: Annotated[RangeArcSettings, RANGE_ARC] = field(default_factory=RangeArcSettings)
-    background: Annotated[BackgroundSettings, BACKGROUND] = field(
-        default_factory=BackgroundSettings
-    )
+    range_spreading: Annotated[RangeSpreadingSettings, RANGE_SPREADING] = RangeSpreadingSettings()
+    multipath: Annotated[MultipathSettings, MULTIPATH] = MultipathSettings()
+    azimuth: Annotated[AzimuthSettings, AZIMUTH] = AzimuthSettings()
+    range_arc: Annotated[RangeArcSettings, RANGE_ARC] = RangeArcSettings()
+    background: Annotated[BackgroundSettings, BACKGROUND] = BackgroundSettings()
     speckle: Annotated[SpeckleSettings | None, SPECKLE] = None
     path_speckle: Annotated[PathSpeckleSettings | None, PATH_SPECKLE] = None
     volume: Annotated[VolumeSettings | None, VOLUME] = None

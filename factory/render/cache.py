@@ -16,12 +16,7 @@ from typing import Annotated
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from ..files import (
-    check_writable,
-    explain_os_errors,
-    remove_stale_temporaries,
-    write_atomically,
-)
+from ..files import check_writable, explain_os_errors, remove_stale_temporaries, write_atomically
 from ..settings import STRICT
 from ..small_files import read_regular
 from .view import View, decode, encode
@@ -77,15 +72,10 @@ class Cache:
     def get(self, key: str) -> View | None:
         """The entry, or None when it is absent or was damaged (and is now removed)."""
         path = self._path(key)
-        try:
-            view = decode(read_regular(path, _MOST_BYTES))
-        except FileNotFoundError:
-            return None
-        except (OSError, ValueError):
-            path.unlink(missing_ok=True)
-            return None
-        with suppress(OSError):  # a cache that others own may be read only
-            os.utime(path)
+        view = _whole(path)
+        if view is not None:
+            with suppress(OSError):  # a cache that others own may be read only
+                os.utime(path)
         return view
 
     def put(self, key: str, view: View) -> int:
@@ -109,12 +99,7 @@ class Cache:
 
     def is_whole(self, entry: Entry) -> bool:
         """Whether an entry can be read; one that cannot is removed."""
-        try:
-            decode(read_regular(entry.path, _MOST_BYTES))
-        except (OSError, ValueError):
-            entry.path.unlink(missing_ok=True)
-            return False
-        return True
+        return _whole(entry.path) is not None
 
     def evict(self, max_bytes: int) -> int:
         """When there is more than `max_bytes`, remove what was unused longest; returns bytes left.
@@ -144,6 +129,15 @@ class Cache:
 
     def _path(self, key: str) -> Path:
         return self.folder / key[:2] / f"{key}{_SUFFIX}"
+
+
+def _whole(path: Path) -> View | None:
+    """The entry of this file, or None when it is absent or damaged; then it is removed."""
+    try:
+        return decode(read_regular(path, _MOST_BYTES))
+    except (OSError, ValueError):
+        path.unlink(missing_ok=True)
+        return None
 
 
 class Limit:

@@ -47,7 +47,7 @@ class Mount:
         """(3,) position of the sonar in camera axes, metres."""
         return np.asarray(_SONAR_FROM_CAMERA_AXES.T @ np.asarray(self.translation_m))
 
-    def to_sonar(self, points_camera_m: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
-        """(..., 3) points in camera axes -> the same points in sonar axes, metres."""
-        offset = np.asarray(points_camera_m, dtype=np.float64) - self.position_camera_m()
-        return np.asarray(offset @ self.rotation_sonar_from_camera().T)
+    def axes(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Both of them in single precision, as compiled loops want them."""
+        turn, position_m = self.rotation_sonar_from_camera(), self.position_camera_m()
+        return np.ascontiguousarray(turn, np.float32), position_m.astype(np.float32)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from .base import Discovery, Reader, SceneSettings, frames_of
+from .base import Discovery, Reader, SceneSettings
 from .csv_list import CsvListSettings
 from .flsea import FlseaSettings
 from .mesh import MeshSettings
@@ -16,7 +16,7 @@ from .redwood import RedwoodSettings
 from .seabed import SeabedSettings
 from .tum import TumSettings
 
-__all__ = ["Discovery", "Reader", "SceneSettings", "Scenes", "frames_of", "open_reader"]
+__all__ = ["Discovery", "Reader", "SceneSettings", "Scenes", "open_reader"]
 
 Scenes = Annotated[
     FlseaSettings

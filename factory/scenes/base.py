@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -56,47 +55,36 @@ class Discovery:
     frames: every usable frame, sorted by (location, scene, frame).
     skipped: reason -> how many images were left out for it (for example no depth map).
     notes: one-line remarks for the user (which scenes are absent, which calibration was used).
-    warnings: one line each, about what could not be read and is left out.
     """
 
     frames: tuple[FrameRef, ...]
     skipped: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
 
 
 class Reader(Protocol):
     """Finds frames and loads them.  Built from settings alone, so a worker can build its own."""
 
     def discover(self) -> Discovery:
-        """List the frames; recordings that cannot be read are left out and told.
+        """List the frames.
 
-        Raises FactoryError when the root is missing, or nothing in it is of use.
+        Raises FactoryError when the root is missing, cannot be read, or holds nothing of use.
         """
 
     def load(self, ref: FrameRef) -> Frame:
         """Read one frame, checked (`frame.checked`).  Raises FrameError when it is bad."""
 
 
-def frames_of(reader: Reader) -> tuple[FrameRef, ...]:
-    """The frames that `reader` finds; warnings go to stderr.  Raises FactoryError as it does."""
-    discovery = reader.discover()
-    for line in discovery.warnings:
-        print(f"warning: {line}", file=sys.stderr)
-    return discovery.frames
-
-
-class UnreadableError(FactoryError):
-    """Something of one recording cannot be read; others may be of use without it."""
-
-    def __init__(self, path: Path, error: OSError) -> None:
-        # Nothing within a closed folder can be looked at: the folder is what has to be opened.
-        asked = Path(error.filename or path)
-        closed = next(part for part in (asked, *asked.parents, path) if os.path.lexists(part))
-        super().__init__(
-            f"scenes.root: {closed} cannot be read ({error.strerror or error}); make it readable, "
-            "or leave that recording out"
-        )
+@contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """Raise FactoryError that names what cannot be read at or below `path`."""
+    try:
+        yield
+    except OSError as error:
+        raise FactoryError(
+            f"scenes.root: {error.filename or path} cannot be read ({error.strerror or error}); "
+            "make it readable, or leave that recording out"
+        ) from error
 
 
 @plain_dataclass
@@ -106,40 +94,23 @@ class Found:
     frames: list[FrameRef] = field(default_factory=list)
     skipped: Counter[str] = field(default_factory=Counter)
     notes: list[str] = field(default_factory=list)
-    closed: dict[str, UnreadableError] = field(default_factory=dict)
-
-    @contextmanager
-    def unreadable(self, folder: Path) -> Iterator[None]:
-        """Keep an OSError or UnreadableError of the recording in `folder`, and go on after it."""
-        try:
-            yield
-        except UnreadableError as error:
-            self.closed.setdefault(str(error), error)
-        except OSError as error:
-            closed = UnreadableError(folder, error)
-            self.closed.setdefault(str(closed), closed)
 
     def discovery(self, nothing: str) -> Discovery:
-        """All of it, sorted.  Without frames, raises the first error, or FactoryError(nothing)."""
+        """All of it, sorted.  Without frames, raises FactoryError(nothing)."""
         if not self.frames:
-            raise next(iter(self.closed.values()), FactoryError(nothing))
-        if self.closed:
-            self.skipped["whole folder or list that cannot be read"] = len(self.closed)
+            raise FactoryError(nothing)
         return Discovery(
             tuple(sorted(self.frames, key=lambda ref: (ref.location, ref.scene, ref.frame))),
             {reason: count for reason, count in sorted(self.skipped.items()) if count},
             tuple(self.notes),
-            tuple(self.closed),
         )
 
 
 def root_folder(root: str, expected: str) -> Path:
     """The folder `root` (`~` expanded).  Raises FactoryError that tells which folder to give."""
     folder = Path(root).expanduser()
-    try:
+    with readable(folder):
         exists, is_folder = folder.exists(), folder.is_dir()
-    except OSError as error:
-        raise UnreadableError(folder, error) from error
     if not is_folder:
         fault = "not a folder" if exists else "no such folder"
         raise FactoryError(f"scenes.root={root}: {fault}; set scenes.root to {expected}")
@@ -163,14 +134,11 @@ class FolderReader:
     def discover(self) -> Discovery:
         """See `Reader`."""
         root, found = root_folder(self.root, self.expected), Found()
-        with found.unreadable(root):
-            if self.is_recording(root):
-                self.scan(root, found)
-            else:
-                for folder in sorted(root.iterdir()):
-                    with found.unreadable(folder):
-                        if folder.is_dir() and self.is_recording(folder):
-                            self.scan(folder, found)
+        with readable(root):
+            folders = [root] if self.is_recording(root) else sorted(root.iterdir())
+            for folder in folders:
+                if folder.is_dir() and self.is_recording(folder):
+                    self.scan(folder, found)
         nothing = f"scenes.root={self.root}: no frame found; set scenes.root to {self.expected}"
         return found.discovery(nothing)
 
@@ -199,26 +167,17 @@ def visible_files(folder: Path) -> list[str]:
     if not folder.is_dir():
         return []
     with os.scandir(folder) as entries:
-        return sorted(one.name for one in entries if one.name[0] != "." and _is_file(one))
-
-
-def _is_file(entry: os.DirEntry[str]) -> bool:
-    try:
-        return entry.is_file()
-    except OSError as error:
-        # What lies behind a link cannot be looked at: a bad frame, which names it.
-        return isinstance(error, PermissionError)
+        return sorted(one.name for one in entries if one.name[0] != "." and one.is_file())
 
 
 def numbered_lines(path: Path) -> list[tuple[int, str]]:
     """(line number, text) of the lines that are neither empty nor comments (`#`).
 
-    Raises UnreadableError when the file cannot be read, FactoryError when it is no text.
+    Raises FactoryError when the file cannot be read, or is no text.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise UnreadableError(path, error) from error
+        with readable(path):
+            text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise FactoryError(f"{path}: not a text file; give the recording's own list") from error
     numbered = enumerate((line.strip() for line in text.splitlines()), start=1)

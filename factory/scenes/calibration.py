@@ -134,9 +134,7 @@ def z_from_range(
     z = r / sqrt(1 + ((u - cx) / fx)^2 + ((v - cy) / fy)^2), the inverse of the pinhole
     back-projection that later turns z into points, so the point's distance is r.
     """
-    height, width = range_m.shape
-    x = (np.arange(width) - intrinsics.cx) / intrinsics.fx
-    y = (np.arange(height) - intrinsics.cy) / intrinsics.fy
+    x, y = intrinsics.directions(*range_m.shape)
     stretch = np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)
     return np.asarray(range_m / stretch, dtype=np.float32)
 

@@ -19,7 +19,7 @@ from pydantic.dataclasses import dataclass
 
 from ..frame import Frame, FrameRef, Intrinsics
 from ..settings import STRICT
-from .base import Discovery, Found, Root, SceneSettings, root_folder, visible_files
+from .base import Discovery, Found, Root, SceneSettings, readable, root_folder, visible_files
 from .calibration import finished_frame, read_kalibr, scaled
 from .images import read_depth, read_rgb
 
@@ -85,14 +85,14 @@ class FlseaReader:
         absent: list[str] = []
         calibrations: dict[str, Path | None] = {}
         for scene in (one for one in SCENES if one in (self.settings.scenes or SCENES)):
-            with found.unreadable(root):
+            with readable(root):
                 if (folder := _scene_folder(root, scene)) is None:
                     absent.append(scene)
                     continue
                 calibration = _calibration_file(folder, SCENES[scene])
                 _scan(folder, scene, calibration, found)
-                calibrations.setdefault(SCENES[scene], calibration)
-                folders[scene] = folder
+            calibrations.setdefault(SCENES[scene], calibration)
+            folders[scene] = folder
         notes = [f"FLSea: {len(folders)} of {len(SCENES)} scenes"]
         if absent:
             notes.append(f"FLSea scenes not found here, left out: {', '.join(absent)}")
@@ -146,7 +146,6 @@ def _calibration_file(folder: Path, location: str) -> Path | None:
     """The Kalibr result of the location that a scene folder lies in, by name the first of many."""
     for parent in Path(os.path.abspath(folder)).parents[:2]:
         if parent.name == location and (parent / "calibration").is_dir():
-            os.listdir(parent / "calibration")  # glob would pass over a closed folder
             found = (parent / "calibration").rglob("*kalibr-results-imucam.txt")
             return min(filter(Path.is_file, found), default=None)
     return None

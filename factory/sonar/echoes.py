@@ -32,11 +32,6 @@ class Echoes:
         """(N,) float32 horizontal distance: the range of an orthographic view from above."""
         return np.asarray(self.range_m * np.cos(self.elevation_rad), dtype=np.float32)
 
-    def select(self, chosen: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> Echoes:
-        """The chosen echoes (a mask or indices)."""
-        places = np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen
-        return Echoes(*(values.take(places) for values in vars(self).values()))
-
     def louder(self, factor: float) -> Echoes:
         """The same echoes, every strength times `factor`."""
         strength = self.strength * np.float32(factor)
@@ -85,9 +80,5 @@ def in_plane(
 
 def join(*parts: Echoes) -> Echoes:
     """All echoes of all parts, in order."""
-    return Echoes(
-        np.concatenate([part.range_m for part in parts]),
-        np.concatenate([part.azimuth_rad for part in parts]),
-        np.concatenate([part.elevation_rad for part in parts]),
-        np.concatenate([part.strength for part in parts]),
-    )
+    columns = zip(*(vars(part).values() for part in parts), strict=True)
+    return Echoes(*(np.concatenate(column) for column in columns))

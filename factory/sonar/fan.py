@@ -24,7 +24,6 @@ class FanTable:
     pixel: (P,) int32 flat fan pixels, in order.  corner: (P,) int32 flat polar bin nearest to the
     sonar and furthest left.  down, across: (P,) float32 fractions of the way to the next range bin
     and to the next beam.  inside: (H, W) bool sector mask.  beams: columns of the polar image.
-    pixel_fraction: size of a pixel as a fraction of range_max.
     """
 
     pixel: npt.NDArray[np.int32]
@@ -33,7 +32,6 @@ class FanTable:
     across: npt.NDArray[np.float32]
     inside: npt.NDArray[np.bool_]
     beams: int
-    pixel_fraction: float
 
     def bilinear(self, polar: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
         """(H, W) float32 fan picture of a (range_bins, beams) image; 0 outside the sector."""
@@ -102,7 +100,6 @@ def fan_table(sonar: SonarSettings, near_fraction: float) -> FanTable:
         (beam - beam0).astype(np.float32),
         inside,
         sonar.beams,
-        pixel,
     )
 
 

@@ -19,6 +19,9 @@ _OUT = "float32[::1]"
 _PICTURE = "Array(float32, 2, 'C', readonly=True)"
 _MASK = "Array(bool_, 2, 'C', readonly=True)"
 _PLACES = "Array(int32, 1, 'C', readonly=True)"
+# Depth, radiance and surface of the pixels (H, W); x / z of the columns, y / z of the rows; sonar
+# axes from camera axes, and where the sonar is in these.
+_PIXELS = f"Tuple(({_PICTURE}, {_PICTURE}, {_MASK}, {FLOATS}, {FLOATS}, {_PICTURE}, {FLOATS}))"
 # Whether ranges are those of a view from above; near_m, span_m, rows; left_rad, per_rad, columns.
 _GRID = "Tuple((boolean, float32, float32, int64, float32, float32, int64))"
 
@@ -50,17 +53,10 @@ def _nearest_beam(bin_: Any, azimuth_rad: Any, edges_rad: Any, columns: Any) -> 
 
 
 @compiled()
-def _project(
-    depth_m: Any,
-    across: Any,
-    down: Any,
-    rotation: Any,
-    position_m: Any,
-    slant_m: Any,
-    right_rad: Any,
-    up_rad: Any,
-) -> None:
+def _project(pixels: Any, row: Any, slant_m: Any, right_rad: Any, up_rad: Any) -> None:
     """A row of the picture: P = z K^-1 (u, v, 1)^T, seen from the sonar, in polar form."""
+    depth_m, across, down = pixels[0][row], pixels[3], pixels[4][row]
+    rotation, position_m = pixels[5], pixels[6]
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
@@ -77,35 +73,22 @@ def _project(
         up_rad[column] = atan2(above, np.sqrt(ground2))
 
 
-@compiled(
-    f"UniTuple(float64, 3)({_PICTURE}, {_PICTURE}, {_MASK}, {FLOATS}, {FLOATS}, {_PICTURE},"
-    f"{FLOATS}, float32, float32, boolean, float32, float32, {_OUT})"
-)
+@compiled(f"UniTuple(float64, 3)({_PIXELS}, float32, float32, boolean, float32, float32, {_OUT})")
 def survey(
-    depth_m: Any,
-    radiance: Any,
-    surface: Any,
-    across: Any,
-    down: Any,
-    rotation: Any,
-    position_m: Any,
-    half_hfov_rad: Any,
-    half_vfov_rad: Any,
-    top_view: Any,
-    near_m: Any,
-    far_m: Any,
+    pixels: Any, half_hfov_rad: Any, half_vfov_rad: Any, top_view: Any, near_m: Any, far_m: Any,
     lit_m: Any,
-) -> Any:
+) -> Any:  # fmt: skip
     """Put the distances of lit surface within limits and sector into `lit_m`.
 
     Returns their number and the smallest and largest azimuth within, lit or not.
     """
-    height, width = depth_m.shape
+    radiance, surface = pixels[1], pixels[2]
+    height, width = surface.shape
     away, right, up = np.empty(width, _F), np.empty(width, _F), np.empty(width, _F)
     lit, least, most = np.uint64(0), _F(np.inf), _F(-np.inf)
     inside, kept = np.empty(width, np.bool_), np.empty(width, np.uint8)
     for row in range(height):
-        _project(depth_m[row], across, down[row], rotation, position_m, away, right, up)
+        _project(pixels, row, away, right, up)
         for column in range(width):
             away[column] = _distance(away[column], up[column], top_view)
         there, light = surface[row], radiance[row]
@@ -130,41 +113,21 @@ def survey(
 
 
 @compiled(
-    f"int64({_PICTURE}, {_PICTURE}, {_MASK}, {FLOATS}, {FLOATS}, {_PICTURE}, {FLOATS}, float32,"
-    f"boolean, float32, float32, int64, float32, float32, int64, {FLOATS}, float64, {_OUT}, {_OUT},"
-    f"{_OUT}, {_OUT}, int32[::1], boolean[::1])"
+    f"int64({_PIXELS}, float32, {_GRID}, {FLOATS}, float64, UniTuple({_OUT}, 4), int32[::1],"
+    " boolean[::1])"
 )
 def insonified(
-    depth_m: Any,
-    radiance: Any,
-    surface: Any,
-    across: Any,
-    down: Any,
-    rotation: Any,
-    position_m: Any,
-    half_vfov_rad: Any,
-    top_view: Any,
-    near_m: Any,
-    span_m: Any,
-    rows: Any,
-    left_rad: Any,
-    per_rad: Any,
-    columns: Any,
-    edges_rad: Any,
-    gain_power: Any,
-    range_m: Any,
-    azimuth_rad: Any,
-    elevation_rad: Any,
-    strength: Any,
-    pixel: Any,
-    hit: Any,
-) -> Any:
-    """Fill the last six with the lit surface that falls into a bin; returns how many there are.
+    pixels: Any, half_vfov_rad: Any, grid: Any, edges_rad: Any, gain_power: Any, echoes: Any,
+    pixel: Any, hit: Any,
+) -> Any:  # fmt: skip
+    """Fill the last three with the lit surface that falls into a bin; returns how many there are.
 
-    strength: radiance * range ** gain_power.  hit: set for the bins where an echo falls.
+    echoes: range, azimuth, elevation, strength = radiance * range ** gain_power.  hit: set for the
+    bins where an echo falls.
     """
-    grid = (top_view, near_m, span_m, rows, left_rad, per_rad, columns)
-    height, width = depth_m.shape
+    (range_m, azimuth_rad, elevation_rad, strength), columns = echoes, grid[6]
+    radiance, surface = pixels[1], pixels[2]
+    height, width = surface.shape
     nowhere = len(hit) - 1
     slant, right, up = np.empty(width, _F), np.empty(width, _F), np.empty(width, _F)
     level, bins = np.empty(width, _F), np.empty(width, np.int32)
@@ -172,7 +135,7 @@ def insonified(
     tabled, count = len(edges_rad) > 0, np.uint64(0)
     kept = np.empty(width, np.uint8)
     for row in range(height):
-        _project(depth_m[row], across, down[row], rotation, position_m, slant, right, up)
+        _project(pixels, row, slant, right, up)
         for column in range(width):
             bins[column] = _cell(slant[column], right[column], up[column], grid)
         level[:] = radiance[row]
@@ -210,23 +173,11 @@ def insonified(
     return int(count)
 
 
-@compiled(
-    f"int64({FLOATS}, {FLOATS}, {FLOATS}, {FLOATS}, {FLOATS}, float32, {_OUT}, {_OUT}, {_OUT},"
-    f"{_OUT})"
-)
-def thin(
-    range_m: Any,
-    azimuth_rad: Any,
-    elevation_rad: Any,
-    strength: Any,
-    lot: Any,
-    rate: Any,
-    to_range_m: Any,
-    to_azimuth_rad: Any,
-    to_elevation_rad: Any,
-    to_strength: Any,
-) -> Any:
+@compiled(f"int64(UniTuple({FLOATS}, 4), {FLOATS}, float32, UniTuple({_OUT}, 4))")
+def thin(echoes: Any, lot: Any, rate: Any, kept: Any) -> Any:
     """Copy the echoes whose `lot` is below `rate`; returns how many."""
+    range_m, azimuth_rad, elevation_rad, strength = echoes
+    to_range_m, to_azimuth_rad, to_elevation_rad, to_strength = kept
     count = 0
     for at in range(len(range_m)):
         to_range_m[count] = range_m[at]

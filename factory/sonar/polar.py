@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, reduce
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ from .settings import SonarSettings
 from .window import Window
 
 Polar = npt.NDArray[np.float32]
+Mask = npt.NDArray[np.bool_]
 Grid = tuple[tuple[bool, np.float32, np.float32, int, np.float32, np.float32, int], Polar]
 
 _HOW = {"sum": 0, "max": 1, "mean": 2}
@@ -111,16 +112,16 @@ def covered(hit: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     than the pixel grid of the camera leave pinholes that are no shadow: they are closed.
     """
     size = 2 * _PINHOLE_ROWS + 1, 2 * _PINHOLE_BEAMS + 1
-    border = [(side - 1, side - 1) for side in size]
     # A dilation that reaches beyond the picture, and an erosion of all of that.
-    grown = np.logical_or.reduce(_shifted(np.pad(hit, border), *size))
-    return np.asarray(np.logical_and.reduce(_shifted(grown, *size)))
+    grown = _boxes(np.logical_or, np.pad(hit, [(side - 1, side - 1) for side in size]), *size)
+    return _boxes(np.logical_and, grown, *size)
 
 
-def _shifted(mask: npt.NDArray[np.bool_], down: int, across: int) -> list[npt.NDArray[np.bool_]]:
-    """The mask from each place of a (down, across) box on, all of one size."""
+def _boxes(how: np.ufunc, mask: Mask, down: int, across: int) -> Mask:
+    """All that lies in the (down, across) box from each place on, of those that lie within."""
     height, width = mask.shape[0] - down + 1, mask.shape[1] - across + 1
-    return [mask[i : i + height, j : j + width] for i in range(down) for j in range(across)]
+    rows = reduce(how, (mask[i : i + height] for i in range(down)))
+    return np.asarray(reduce(how, (rows[:, j : j + width] for j in range(across))))
 
 
 def seen_beams(window: Window, sonar: SonarSettings) -> npt.NDArray[np.bool_]:

@@ -80,7 +80,7 @@ def extent(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> Extent:
         np.float32(sonar.range.min_m),
         np.float32(sonar.range.max_m),
     )
-    lit, left_rad, right_rad = kernels.survey(*(*_pixels(frame, rendered, sonar), *sector, lit_m))
+    lit, left_rad, right_rad = kernels.survey(_pixels(frame, rendered, sonar), *sector, lit_m)
     return Extent(lit_m[: int(lit)], left_rad, right_rad)
 
 
@@ -97,9 +97,7 @@ def insonified(
     half_vfov_rad = np.float32(np.deg2rad(sonar.vfov_deg) / 2)
     (bins, edges_rad), gain_power = polar.grid(window, sonar), sonar.tvg_db_per_decade / 10
     pixels = _pixels(frame, rendered, sonar)
-    count = kernels.insonified(
-        *(*pixels, half_vfov_rad, *bins, edges_rad, gain_power, *made, pixel, hit)
-    )
+    count = kernels.insonified(pixels, half_vfov_rad, bins, edges_rad, gain_power, made, pixel, hit)
     echoes = Echoes(*(values[:count] for values in made))
     in_bins = hit[:-1].reshape(sonar.range_bins, sonar.beams)
     return Insonified(echoes, pixel[:count], in_bins)
@@ -129,14 +127,12 @@ def mount_weight(
 
 
 def _pixels(frame: Frame, rendered: Rendered, sonar: SonarSettings) -> tuple[Any, ...]:
-    height, width = frame.depth_m.shape
-    camera, mount = frame.intrinsics, sonar.mount
+    across, down = frame.intrinsics.directions(*frame.depth_m.shape)
     return (
         np.ascontiguousarray(frame.depth_m, dtype=np.float32),
         np.ascontiguousarray(rendered.radiance, dtype=np.float32),
         np.ascontiguousarray(rendered.surface),
-        ((np.arange(width) - camera.cx) / camera.fx).astype(np.float32),
-        ((np.arange(height) - camera.cy) / camera.fy).astype(np.float32),
-        np.ascontiguousarray(mount.rotation_sonar_from_camera(), dtype=np.float32),
-        mount.position_camera_m().astype(np.float32),
+        across.astype(np.float32),
+        down.astype(np.float32),
+        *sonar.mount.axes(),
     )

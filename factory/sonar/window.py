@@ -69,10 +69,6 @@ class Window:
         """(N,) float32 range under this window's projection, metres."""
         return echoes.range_m if self.projection == "slant_range" else echoes.ground_range_m()
 
-    def range_fraction(self, echoes: Echoes) -> npt.NDArray[np.float32]:
-        """(N,) position in the range window: 0 at range_min_m, 1 at range_max_m."""
-        return np.asarray((self.range_of(echoes) - self.range_min_m) / self.range_span_m)
-
 
 def set_window(sonar: SonarSettings, seed: int, ref: FrameRef) -> SonarSettings:
     """The sonar as it is set at the frame's place: with one of `sonar.range.windows_m`.

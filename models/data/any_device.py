@@ -15,7 +15,7 @@ import numpy as np
 from ...factory.config import FactoryConfig
 from ...factory.errors import FactoryError, FrameError
 from ...factory.frame import FrameRef
-from ...factory.imaging.contract import ARTEFACTS
+from ...factory.imaging.effect import ARTEFACTS
 from ...factory.noise.draws import StreamNames, draw
 from ...factory.pairs import ObservedFrame, observe_by
 from ...factory.render.views import Views, open_views

@@ -26,7 +26,7 @@ from ...factory.frame import FrameRef
 from ...factory.noise.registry import NoiseSettings
 from ...factory.pairs import PairMaker
 from ...factory.render.views import open_views
-from ...factory.scenes import frames_of, open_reader
+from ...factory.scenes import open_reader
 from ...factory.seeds import stream
 from ...factory.selection import choose_frames, split_frames
 from ...factory.sonar.geometry import FanGeometry
@@ -176,7 +176,7 @@ def open_renders(
     Raises FactoryError when the dataset was made by another version or its renders are not there.
     """
     config = _config(data, dataset)
-    found = frames_of(open_reader(config.scenes))
+    found = open_reader(config.scenes).discover().frames
     if data.pack is None:
         found = choose_frames(found, config)
     training = split_frames(found, config)["train"]

@@ -16,7 +16,7 @@ from typing import Any
 from ...factory.cli import Parser
 from ...factory.errors import FactoryError, FrameError
 from ...factory.files import check_writable
-from ...factory.imaging.contract import ARTEFACTS
+from ...factory.imaging.effect import ARTEFACTS
 from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.machine import keep_freed_memory
 from ..pretrained import DEFAULT as DEFAULT_WEIGHTS

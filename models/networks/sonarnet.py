@@ -30,7 +30,7 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ...factory.imaging.contract import ARTEFACTS
+from ...factory.imaging.effect import ARTEFACTS
 from ...factory.settings import STRICT
 from ..removal import DEFAULT, vector
 from .blend_head import BlendHead

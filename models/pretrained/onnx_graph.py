@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from ...factory import __version__
 from ...factory.errors import FactoryError
 from ...factory.files import check_writable, write_atomically
-from ...factory.imaging.contract import ARTEFACTS
+from ...factory.imaging.effect import ARTEFACTS
 from ...factory.sonar.geometry import FanGeometry
 from ..denoise.runtime import give_weights, inputs_of, structure
 from ..networks.lines import MapLines

@@ -32,17 +32,6 @@ def test_without_noise_the_noisy_picture_is_the_clean_one():
     assert pair.clean.max() == 255
 
 
-@pytest.mark.parametrize("effect", list(OFF))
-def test_each_effect_alone_changes_the_noisy_picture_only(effect):
-    settings = config(noise=OFF)
-    some = {"enabled": True} | ({"count": 2} if effect in ("range_arc", "multipath") else {})
-    alone = config(noise={**OFF, effect: some})
-    quiet = pairs.make_pair(observed(settings), 0, settings)
-    loud = pairs.make_pair(observed(alone), 0, alone)
-    np.testing.assert_array_equal(loud.clean, quiet.clean)
-    assert np.abs(loud.noisy.astype(int) - quiet.noisy).sum() > 500
-
-
 def test_the_same_sample_has_the_same_bytes_and_variants_differ():
     settings = config()
     first, again = (pairs.make_pair(observed(settings), 1, settings) for _ in range(2))
@@ -124,31 +113,6 @@ def test_voxel_resampling_by_open3d_keeps_the_asked_fraction():
     assert pair.noisy.tobytes() == again.noisy.tobytes()
 
 
-def test_thinning_first_has_the_distribution_of_thinning_everything():
-    """Scene first, noise in proportion: mean and spread of the level as when all is thinned."""
-    from simnfnd.factory.imaging import resample
-    from simnfnd.factory.noise.points.background import background
-    from simnfnd.factory.sonar import polar
-    from tests.clouds import uniform_scene, window
-
-    device = config(sonar={"beams": 16, "range_bins": 16, "range": {"min_m": 1, "max_m": 9}}).sonar
-    scene = uniform_scene(8000)
-    first, last = [], []
-    for seed in range(60):
-        rng = np.random.default_rng(seed)
-        kept = resample.random_subset(scene, 0.3, rng)
-        noise = background(kept, window(), rng, density=0.5, strength=1.0)
-        first.append(
-            polar.accumulate(kept, window(), device) + polar.accumulate(noise, window(), device)
-        )
-        noise = background(scene, window(), rng, density=0.5, strength=1.0)
-        everything = [resample.random_subset(part, 0.3, rng) for part in (scene, noise)]
-        last.append(sum(polar.accumulate(part, window(), device) for part in everything))
-    before, after = np.array(first), np.array(last)
-    assert before.mean() == pytest.approx(after.mean(), rel=0.01)
-    assert before.std(axis=0).mean() == pytest.approx(after.std(axis=0).mean(), rel=0.05)
-
-
 def test_bearings_that_the_camera_did_not_see_are_black_in_both():
     settings = config(sonar={"hfov_deg": 120, "image": {"layout": "polar"}})
     scene = observed(settings)
@@ -168,15 +132,6 @@ def test_fan_pictures_are_black_outside_the_sector():
     outside = ~fan_table(settings.sonar, scene.window.near_fraction).inside
     assert not pair.noisy[outside].any()
     assert not pair.shadow[outside].any()
-
-
-def test_float_pictures_are_the_unquantised_ones():
-    as_float = config(dataset={"dtype": "float32"})
-    as_bytes = config()
-    exact = pairs.make_pair(observed(as_float), 0, as_float)
-    rounded = pairs.make_pair(observed(as_bytes), 0, as_bytes)
-    assert exact.noisy.dtype == np.float32
-    assert np.abs(exact.noisy.astype(float) * 255 - rounded.noisy.astype(float)).max() <= 0.501
 
 
 def test_a_sonar_that_looks_elsewhere_is_a_bad_frame_with_its_name():

@@ -105,6 +105,8 @@ def blurred(planes: Floats, kernel: Floats, sonar: SonarSettings, *, power: bool
 
     kernel: range response.  power: whether the planes are intensities, and not amplitudes.
     """
+    from . import kernels  # loads numba
+
     factors = None if power else modes(sonar)
     rows, beams = planes.shape[-2:]
     out = np.empty_like(planes)
@@ -125,9 +127,7 @@ def blurred(planes: Floats, kernel: Floats, sonar: SonarSettings, *, power: bool
                 _times(along_range(_times(part, into), kernel), out_of)
                 for part, into, out_of in zip(folded, factors[:2], factors[2:], strict=True)
             )
-        made[:, : beams - pairs] = alike[:rows, : beams - pairs]
-        made[:, :pairs] += unlike[:rows, :pairs]
-        made[:, beams - pairs :] = (alike[:rows, :pairs] - unlike[:rows, :pairs])[:, ::-1]
+        kernels.unfold(alike, unlike, pairs, made)
     return out
 
 
@@ -146,12 +146,11 @@ def along_range(plane: Floats, kernel: Floats) -> Floats:
 
 def _fold(plane: Floats, pairs: int, width: int) -> tuple[Floats, Floats]:
     """Sums (the middle beam as it is) and differences of mirrored beams, filled up with zeros."""
-    rows, beams = plane.shape
+    from . import kernels  # loads numba
+
+    rows = len(plane)
     sums, differences = (np.zeros((rows + -rows % 4, width), np.float32) for _ in range(2))
-    mirrored = plane[:, ::-1]
-    sums[:rows, : beams - pairs] = plane[:, : beams - pairs]
-    sums[:rows, :pairs] += mirrored[:, :pairs]
-    np.subtract(plane[:, :pairs], mirrored[:, :pairs], out=differences[:rows, :pairs])
+    kernels.fold(plane, pairs, sums, differences)
     return sums, differences
 
 

@@ -21,8 +21,9 @@ import numpy.typing as npt
 
 from ...sonar import transfer
 from ...sonar.settings import TransferSettings
-from ..contract import DrawnEffect, Floats
-from .signal import Ping
+from ..contract import Floats
+from ..effect import DrawnEffect
+from .signal import Ping, sounds
 
 # The table of expected grey values: levels over full scale, dB, and their fluctuation.
 _BEYOND_DB, _STEPS_PER_DB, _VARIANCES, _QUANTILES, _SHIFTS = 30.0, 2, 9, 512, 33
@@ -116,7 +117,7 @@ def expected(
         if stage == "picture":
             state.scale(ping.gain[:, None])
         for effect in effects:
-            if effect.stage == stage and (systematic or not effect.systematic):
+            if effect.stage == stage and (systematic or not effect.effect.systematic):
                 (effect.realise if realised else effect.expect)(state, ping)
     return state
 
@@ -130,7 +131,7 @@ def display(state: Expected, full_scale: float, settings: TransferSettings) -> F
 
     # E[x^p]^(1/p) of a log-normal x of median 1.
     full_scale /= float(np.exp(_power(settings) * state.scintillation_nepers2 / 2))
-    if not (state.echo.any() or state.noise.any()):
+    if not (sounds(state.echo) or sounds(state.noise)):
         return transfer.grey(np.sqrt(state.steady), float(np.sqrt(full_scale)), settings)
     total, grey = state.total() + _FAINTEST, np.empty_like(state.echo)
     level_db = np.float32(10) * np.log10(np.maximum(total / np.float32(full_scale), _FAINTEST))

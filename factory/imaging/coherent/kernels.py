@@ -30,6 +30,13 @@ _NOTHING, _HALF, _BLOCK = np.uint64(0), np.int32(1), 1024
 
 _TABLE = "Array(float32, 1, 'C', readonly=True)"
 _MATRIX = "Array(float32, 2, 'C', readonly=True)"
+# Of a camera: depths (H, W), directions of its columns and rows, (u - cx) / fx and (v - cy) / fy.
+_CAMERA = f"Tuple(({_MATRIX}, float32[::1], float32[::1]))"
+# Of polar bins: whether ranges count along the ground, near_m, bins_per_m, range bins; (beams + 1,)
+# sines of the beams' edges, and a table that says where in it to begin, so many steps a sine.
+_GRID = "Tuple((boolean, float64, float64, int64, float32[::1], int32[::1], float64))"
+# Of scatterers: (N,) each, flat camera pixel, and how far towards the pixel below, 0 to 1.
+_PLACES = "Tuple((int32[::1], float32[::1]))"
 
 
 @compiled()
@@ -82,6 +89,33 @@ def products(rows: Floats, matrix: Floats, out: Floats) -> None:
                 fourth[at] += d0 * w0 + d1 * w1 + d2 * w2 + d3 * w3
 
 
+@compiled("void(float32[:, ::1], int64, float32[:, ::1], float32[:, ::1])")
+def fold(plane: Floats, pairs: int, sums: Floats, differences: Floats) -> None:
+    """Sums and differences of the outer `pairs` of mirrored beams; the others are sums as well."""
+    beams, last = plane.shape[1], np.uint64(plane.shape[1] - 1)
+    for row in range(plane.shape[0]):
+        given, added, subtracted = plane[row], sums[row], differences[row]
+        for beam in range(pairs):
+            mirrored = given[last - np.uint64(beam)]
+            added[beam] = given[beam] + mirrored
+            subtracted[beam] = given[beam] - mirrored
+        for beam in range(pairs, beams - pairs):
+            added[beam] = given[beam]
+
+
+@compiled(f"void({_MATRIX}, {_MATRIX}, int64, float32[:, ::1])")
+def unfold(sums: Floats, differences: Floats, pairs: int, plane: Floats) -> None:
+    """Fill the beams of a plane (rows, beams) with what their sums and differences became."""
+    beams, last = plane.shape[1], np.uint64(plane.shape[1] - 1)
+    for row in range(plane.shape[0]):
+        made, added, subtracted = plane[row], sums[row], differences[row]
+        for beam in range(pairs):
+            made[beam] = added[beam] + subtracted[beam]
+            made[last - np.uint64(beam)] = added[beam] - subtracted[beam]
+        for beam in range(pairs, beams - pairs):
+            made[beam] = added[beam]
+
+
 @compiled(f"void(uint32, {_MATRIX}, float32[::1], float32[::1], float32[:, :, ::1])")
 def add_white(key: int, table: Floats, along: Floats, across: Floats, planes: Floats) -> None:
     """Add complex circular noise, a function of the key and the place.
@@ -89,13 +123,16 @@ def add_white(key: int, table: Floats, along: Floats, across: Floats, planes: Fl
     along, across: its amplitude is their product, (rows,) and (beams,).  planes: (2, rows, beams).
     """
     rows, beams = planes.shape[1:]
+    drawn = np.empty(beams, np.uint32)
     for row in range(rows):
-        for beam in range(beams):
+        for beam in range(beams):  # several at a time, unlike what is looked up
             place = np.uint32(row * beams + beam)
-            lot = mixed(np.uint32(mixed(place) ^ key)) >> _16
-            amplitude = along[row] * across[beam]
-            planes[0, row, beam] += amplitude * table[lot, 0]
-            planes[1, row, beam] += amplitude * table[lot, 1]
+            drawn[beam] = mixed(np.uint32(mixed(place) ^ key)) >> _16
+        real, imaginary, level = planes[0, row], planes[1, row], along[row]
+        for beam in range(beams):
+            amplitude = level * across[beam]
+            real[beam] += amplitude * table[drawn[beam], 0]
+            imaginary[beam] += amplitude * table[drawn[beam], 1]
 
 
 # --- from rendered pixels to scatterers -------------------------------------------------------
@@ -116,7 +153,7 @@ def _bounded(value: Any, most: Any) -> Any:
 @compiled()
 def _row(
     depth_m: Floats, radiance: Floats, across: Floats, b: float, rotation: Floats,
-    position_m: Floats, ground_up: Floats, near_m: float, bins_per_m: float, made: Floats,
+    position_m: Floats, ground_up: Floats, near_m: Any, bins_per_m: Any, made: Floats,
 ) -> None:  # fmt: skip
     """Of a row of pixels what a processor does for many at once; made: (4, W) out.
 
@@ -147,38 +184,16 @@ def _row(
 
 
 @compiled(
-    f"int64({_MATRIX}, {_MATRIX}, Array(uint8, 2, 'C', readonly=True), {_MATRIX}, float32[::1],"
-    " float32[::1], float32[::1], float32[:, ::1], float32[::1], boolean, float32, float32,"
-    " float32[::1], int32[::1], float32, float32[::1], float32[::1], boolean[::1], float32,"
-    " int32[::1], int32[::1], float32[::1], int32[::1], float32[::1], int32[::1])"
+    f"int64({_CAMERA}, {_MATRIX}, Array(uint8, 2, 'C', readonly=True), {_MATRIX}, float32[::1],"
+    f" Tuple((float32[:, ::1], float32[::1])), {_GRID}, float32[::1], float32,"
+    " Tuple((float32[::1], int32[::1], boolean[::1])),"
+    " Tuple((int32[::1], float32[::1], int32[::1], float32[::1])), int32[::1])"
 )
 def place(
-    depth_m: Floats,
-    radiance: Floats,
-    labels: npt.NDArray[np.uint8],
-    factor: Floats,
-    reflectivity: Floats,
-    across: Floats,
-    down: Floats,
-    rotation: Floats,
-    position_m: Floats,
-    ground_range: bool,
-    near_m: float,
-    bins_per_m: float,
-    edges: Floats,
-    first_beam: Integers,
-    beam_scale: float,
-    pattern: Floats,
-    power: Floats,
-    in_beam: npt.NDArray[np.bool_],
-    widest_sine: float,
-    owner: Integers,
-    bin_of: Integers,
-    power_of: Floats,
-    pixel_of: Integers,
-    part_of: Floats,
-    row_end: Integers,
-) -> int:
+    camera: Any, radiance: Floats, labels: npt.NDArray[np.uint8], factor: Floats,
+    reflectivity: Floats, sonar: Any, grid: Any, pattern: Floats, widest_sine: float,
+    bins: Any, scatterers: Any, row_end: Integers,
+) -> int:  # fmt: skip
     """Each lit pixel as scatterers of polar bins; returns how many there are.
 
     A pixel covers the ranges from its own to that of the pixel below it, where both are one
@@ -187,21 +202,22 @@ def place(
     A line of elements tells apart the angles to itself alone, so its beams are cones:
     sin(bearing) = sin(azimuth) cos(elevation).
 
-    depth_m, radiance: (H, W).  labels: (H, W), or (0, 0) when all are 0; reflectivity: of each,
-    the last of those beyond, too.
+    camera, grid: see above.  radiance: (H, W).  labels: (H, W), or (0, 0) when all are 0;
+    reflectivity: of each, the last of those beyond, too.
     factor: (H, W) multiplies the radiance, or (0, 0).
-    across, down: (u - cx) / fx, (v - cy) / fy.  rotation, position_m: sonar axes from camera axes.
-    edges: (beams + 1,) sines of the beams' edges; first_beam, beam_scale: a table that says
-    where in it to begin.  pattern: vertical intensity pattern at equal steps of sin(elevation) from
-    -1 to 1.
-    power, owner: (bins,) out, summed power and last pixel of a bin (-1: none).  in_beam: (bins,)
-    out, whether a pixel within sin(elevation) of +-widest_sine fills it.
-    bin_of, power_of, pixel_of, part_of: (at least pixels,) out; part: how far towards the pixel
+    sonar: rotation and position, sonar axes from camera axes.
+    pattern: vertical intensity pattern at equal steps of sin(elevation) from -1 to 1.
+    bins: out, (bins,) each, summed power and last pixel of a bin (-1: none), and whether a pixel
+    within sin(elevation) of +-widest_sine fills it.
+    scatterers: out, (at least pixels,) each, bin, power, pixel and part: how far towards the pixel
     below, 0 to 1.  row_end: (H,) out, how many scatterers there are up to the end of each row.
     """
+    (depth_m, across, down), (rotation, position_m) = camera, sonar
+    ground_range, from_m, per_m, rows, edges, first_beam, per_sine = grid
+    near_m, bins_per_m, beam_scale = np.float32(from_m), np.float32(per_m), np.float32(per_sine)
+    (power, owner, in_beam), (bin_of, power_of, pixel_of, part_of) = bins, scatterers
     height, width = depth_m.shape
     beams = edges.shape[0] - 1
-    rows = power.shape[0] // beams
     low, high, most_guess = edges[0], edges[beams], np.float32(first_beam.shape[0] - 1)
     half_steps = np.float32(0.5 * (pattern.shape[0] - 1))
     last_step, last_label = np.float32(pattern.shape[0] - 2), reflectivity.shape[0] - 1
@@ -292,27 +308,19 @@ def place(
 
 
 @compiled(
-    f"void(int32[::1], float32[::1], int32[::1], {_MATRIX}, float32[::1], float32[::1],"
-    " float64[:, ::1], float64, uint32[::1], uint32[::1])"
+    f"void({_PLACES}, int32[::1], {_CAMERA}, float64[:, ::1], float64, uint32[::1], uint32[::1])"
 )
 def cells(
-    pixels: Integers,
-    parts: Floats,
-    row_end: Integers,
-    depth_m: Floats,
-    across: Floats,
-    down: Floats,
-    world_from_camera: Doubles,
-    cell_m: float,
-    name_of: Words,
-    place_of: Words,
-) -> None:
+    scatterers: Any, row_end: Integers, camera: Any, world_from_camera: Doubles, cell_m: float,
+    name_of: Words, place_of: Words,
+) -> None:  # fmt: skip
     """The world cells in which scatterers lie.
 
-    pixels, parts, row_end: as `place` gives them.  cell_m: edge of a cell, a cube.
+    row_end: as `place` gives it.  cell_m: edge of a cell, a cube.
     name_of, place_of: (N,) out, the cell of each as a number that looks random, and where to look
     for it in a table (neighbours are close together).
     """
+    (pixels, parts), (depth_m, across, down) = scatterers, camera
     height, width = depth_m.shape
     m = world_from_camera / cell_m
     m00, m01, m02, m03 = m[0]
@@ -364,12 +372,7 @@ def cells(
 
 @compiled("boolean(uint32[::1], uint32[::1], int64, uint32[:, ::1], uint32[:, ::1], float32[::1])")
 def count_cells(
-    name_of: Words,
-    place_of: Words,
-    parts: int,
-    table: Words,
-    sorted_: Words,
-    share_of: Floats,
+    name_of: Words, place_of: Words, parts: int, table: Words, sorted_: Words, share_of: Floats
 ) -> Any:
     """1 / sqrt(points of its cell) for each point: amplitudes that add up coherently.
 
@@ -424,26 +427,20 @@ def count_cells(
 
 
 @compiled(
-    f"void(int32[::1], float32[::1], uint32[::1], float32[::1], uint16[::1], uint32, {_MATRIX},"
-    f" {_MATRIX}, float32[:, ::1])"
+    "void(int32[::1], float32[::1], uint32[::1], float32[::1], uint16[::1], uint32,"
+    f" UniTuple({_MATRIX}, 2), float32[:, ::1])"
 )
 def scatter(
-    bin_of: Integers,
-    root_of: Floats,
-    name_of: Words,
-    share_of: Floats,
-    phase_of: npt.NDArray[np.uint16],
-    key: int,
-    table: Floats,
-    turns: Floats,
-    bins: Floats,
-) -> None:
+    bin_of: Integers, root_of: Floats, name_of: Words, share_of: Floats,
+    phase_of: npt.NDArray[np.uint16], key: int, tables: Any, bins: Floats,
+) -> None:  # fmt: skip
     """Add each point's amplitude times the coefficient of its cell to its bin; bins: (bins, 2).
 
     The amplitude is root_of times share_of; share_of (0,): all 1.  The complex coefficient of a
-    cell is drawn by `key` from the table (65536, 2) and turned by exp(-2 pi i phase / 65536), whose
-    cosines and sines are `turns`; phase_of (0,): none.
+    cell is drawn by `key` from the first of the tables (65536, 2) and turned by
+    exp(-2 pi i phase / 65536), whose cosines and sines are the second; phase_of (0,): none.
     """
+    table, turns = tables
     for i in range(bin_of.shape[0]):
         at, lot = bin_of[i], mixed(np.uint32(name_of[i] ^ key)) >> _16
         real, imaginary = table[lot, 0], table[lot, 1]
@@ -470,30 +467,22 @@ def _fraction(name: Any, salt: Any) -> Any:
 
 
 @compiled(
-    f"int64(int32[::1], float32[::1], float32[::1], {_MATRIX}, float32[::1], float32[::1],"
-    " float64[:, ::1], float64, uint32[::1], float32[::1], int32[:, ::1])"
+    f"int64({_PLACES}, float32[::1], {_CAMERA}, float64[:, ::1], float64,"
+    " Tuple((uint32[::1], float32[::1], int32[:, ::1])))"
 )
 def gather(
-    pixels: Integers,
-    parts: Floats,
-    powers: Floats,
-    depth_m: Floats,
-    across: Floats,
-    down: Floats,
-    world_from_camera: Doubles,
-    cell_m: float,
-    name_of: Words,
-    power_of: Floats,
-    place_of: Integers,
-) -> Any:
+    scatterers: Any, powers: Floats, camera: Any, world_from_camera: Doubles, cell_m: float,
+    cells: Any,
+) -> Any:  # fmt: skip
     """Spread the scatterers over the cells of the world; returns how many points that takes.
 
     Each pixel is filled with points half a cell apart, towards the pixel below and the one to the
     right as far as these are one surface with it.
-    pixels, parts, powers: as `place` gives them.  name_of, power_of: (slots,) zeros, a table of
-    cells: their number (looks random, not 0) and power; slots a power of two, more than there are
-    cells.  place_of: (slots, 3), the cell.  With tables of no slots it only counts.
+    cells: out, their number (looks random, not 0), power (slots,) and place (slots, 3); the first
+    two are zeros, slots a power of two, more than there are cells.  Of no slots it only counts.
     """
+    (pixels, parts), (depth_m, across, down) = scatterers, camera
+    name_of, power_of, place_of = cells
     height, width = depth_m.shape
     mask = np.uint32(max(name_of.shape[0] - 1, 0))
     filling = name_of.shape[0] > 0
@@ -549,35 +538,21 @@ def gather(
 
 
 @compiled(
-    "int64(uint32[::1], float32[::1], int32[:, ::1], float64, float64[:, ::1], boolean, float64,"
-    " float64, float32[::1], int32[::1], float64, int64, float64, int32[::1], float32[::1],"
-    " uint32[::1], uint16[::1])"
+    "int64(Tuple((uint32[::1], float32[::1], int32[:, ::1])), float64, float64[:, ::1],"
+    f" {_GRID}, float64, Tuple((int32[::1], float32[::1], uint32[::1], uint16[::1])))"
 )
 def locate(
-    name_of: Words,
-    power_of: Floats,
-    place_of: Integers,
-    cell_m: float,
-    sonar_from_world: Doubles,
-    ground_range: bool,
-    near_m: float,
-    bins_per_m: float,
-    edges: Floats,
-    first_beam: Integers,
-    beam_scale: float,
-    rows: int,
-    waves_per_m: float,
-    bin_of: Integers,
-    root_of: Floats,
-    cell_of: Words,
-    phase_of: npt.NDArray[np.uint16],
+    cells: Any, cell_m: float, sonar_from_world: Doubles, grid: Any, waves_per_m: float, found: Any
 ) -> Any:
     """The polar bin, amplitude and phase of every cell in the picture; returns how many there are.
 
-    A cell echoes from one point in it, which is the cell's own.  waves_per_m: wavelengths of the
-    two-way path a metre of range.  The rest is as in `place`; bin_of ... phase_of: out, phases in
-    1 / 65536 of a turn.
+    A cell echoes from one point in it, which is the cell's own.  cells: as `gather` gives them.
+    waves_per_m: wavelengths of the two-way path a metre of range.  found: out, (cells,) each, bin,
+    root of the power, cell and phase in 1 / 65536 of a turn.
     """
+    name_of, power_of, place_of = cells
+    ground_range, near_m, bins_per_m, rows, edges, first_beam, beam_scale = grid
+    bin_of, root_of, cell_of, phase_of = found
     m, beams = sonar_from_world, edges.shape[0] - 1
     low, high = np.float64(edges[0]), np.float64(edges[beams])
     count = 0
@@ -655,17 +630,9 @@ def lattice(
     f" {_TABLE}, {_MATRIX}, float32, float32, float32[::1])"
 )
 def displayed(
-    level_db: Floats,
-    total: Floats,
-    steady: Floats,
-    textured: Floats,
-    looks: float,
-    shifts_db: Floats,
-    table: Floats,
-    low_db: float,
-    steps_per_db: float,
-    grey: Floats,
-) -> None:
+    level_db: Floats, total: Floats, steady: Floats, textured: Floats, looks: float,
+    shifts_db: Floats, table: Floats, low_db: float, steps_per_db: float, grey: Floats,
+) -> None:  # fmt: skip
     """Look up the expected grey value of each bin; see `expected.Expected` and `expected.display`.
 
     level_db: of the total intensity over full scale.
@@ -720,39 +687,25 @@ _NEAREST_M = np.float32(1e-3)  # keeps directions finite
 
 
 @compiled(
-    "void(int32[::1], float32[:, ::1], float32[:, ::1], float32[::1], float32, float32, float32,"
-    f" {_TABLE}, float32, float32, float32, int64, int64, float32[::1], float32[:, ::1],"
-    " float32[::1], float32[:, ::1])"
+    "void(int32[::1], float32[:, ::1], Tuple((float32[:, ::1], float32[::1])),"
+    f" UniTuple(float32, 3), {_TABLE}, float32, float32, float32, int64,"
+    " UniTuple(Tuple((float32[::1], float32[:, ::1])), 2))"
 )
 def mirror(
-    sources: Integers,
-    points_m: Floats,
-    rotation: Floats,
-    position_m: Floats,
-    height_m: float,
-    cosine: float,
-    sine: float,
-    pattern: Floats,
-    loss: float,
-    nepers_per_m: float,
-    bins_per_m: float,
-    beams: int,
-    bins: int,
-    power: Floats,
-    planes: Floats,
-    power_out: Floats,
-    planes_out: Floats,
-) -> None:
+    sources: Integers, points_m: Floats, sonar: Any, level: Any, pattern: Floats, loss: float,
+    nepers_per_m: float, bins_per_m: float, beams: int, echoes: Any,
+) -> None:  # fmt: skip
     """Add to each bin what comes to it by way of a plane; see `noise.field.image_source`.
 
-    sources: (M,) flat bins; points_m: (3, M) where they are, camera axes.  rotation, position_m:
-    sonar axes from camera axes.  height_m: of the plane above the sonar; cosine, sine: of the
-    sonar's tilt.  pattern: vertical intensity pattern at equal steps of sin(elevation) from -1 to
-    1.  loss: intensity that one reflection leaves; nepers_per_m: absorption of intensity, one way.
-    power: (bins,) intensities; planes: (fields, bins) amplitudes; ..._out: the same, added to, but
-    power_out (0,) where all intensities are 0.
+    sources: (M,) flat bins; points_m: (3, M) where they are, camera axes.  sonar: as of `place`.
+    level: height of the plane above the sonar, cosine and sine of the sonar's tilt.  pattern: as of
+    `place`.  loss: intensity that one reflection leaves; nepers_per_m: absorption of intensity, one
+    way.  echoes: (bins,) intensities and (fields, bins) amplitudes, and the same again, which are
+    added to, but (0,) intensities where all are 0.
     """
-    m, steps = rotation, np.float32((pattern.shape[0] - 1) / 2)
+    (m, position_m), (height_m, cosine, sine) = sonar, level
+    (power, planes), (power_out, planes_out) = echoes
+    bins, steps = power.shape[0], np.float32((pattern.shape[0] - 1) / 2)
     # What absorption leaves of the longer way, in steps of a range bin, linear in between.
     left = np.empty(2 * (bins // beams) + 2, np.float32)
     for step in range(left.shape[0]):

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +31,7 @@ from .settings import AcousticsSettings
 
 Floats = npt.NDArray[np.float32]
 
-BEAM_STEPS = 16_384
+_BEAM_STEPS = 16_384
 # Of one part of the table of cells: what the second cache of a core holds, in so few parts that
 # sorting into them is fast.
 _SLOTS = 131_072
@@ -84,35 +85,27 @@ class Scatterers:
         if edge_m not in self._cells:
             from . import kernels  # loads numba
 
-            across, down = directions(self.frame)
             pose = np.ascontiguousarray(self.world_from_camera[:3])
-            size = len(self.pixels)
-            names, places = np.empty(size, np.uint32), np.empty(size, np.uint32)
-            kernels.cells(
-                self.pixels, self.parts, self.row_ends, self.frame.depth_m, across, down, pose,
-                edge_m, names, places,
-            )  # fmt: skip
+            names, places = np.empty((2, len(self.pixels)), np.uint32)
+            where = (self.pixels, self.parts), self.row_ends, camera_of(self.frame), pose
+            kernels.cells(*where, edge_m, names, places)
             self._cells.clear()
             self._cells[edge_m] = Cells(names, shares(names, places))
         return self._cells[edge_m]
 
-    @property
-    def filled(self) -> npt.NDArray[np.int32]:
-        """(M,) flat polar bins in which a surface lies."""
-        return self._surface[0]
-
-    @property
-    def filled_camera_m(self) -> Floats:
-        """(3, M) float32: a point of the surface in each of them, camera axes, metres."""
-        return self._surface[1]
-
     @cached_property
-    def _surface(self) -> tuple[npt.NDArray[np.int32], Floats]:
+    def surface(self) -> tuple[npt.NDArray[np.int32], Floats]:
+        """(M,) int32 flat polar bins in which a surface lies, and (3, M) float32 a point of it.
+
+        Points are in camera axes, metres.
+        """
         bins = np.flatnonzero(self.owner.ravel() >= 0).astype(np.int32)
         pixel = self.owner.ravel()[bins]
-        row, column = np.divmod(pixel, self.frame.depth_m.shape[1])
-        across, down = directions(self.frame)
-        z = self.frame.depth_m.ravel()[pixel]
+        width = self.frame.depth_m.shape[1]
+        row = pixel // width  # by one number: faster than divmod
+        column = pixel - row * width
+        depth_m, across, down = camera_of(self.frame)
+        z = depth_m.ravel()[pixel]
         return bins, np.stack([across[column] * z, down[row] * z, z])
 
 
@@ -144,43 +137,19 @@ def scatterers(
     """
     from . import kernels  # loads numba
 
-    across, down = directions(frame)
-    edges, first_beam = beam_table(sonar)
     size = sonar.range_bins * sonar.beams
     power, owner = np.zeros(size, np.float32), np.full(size, -1, np.int32)
     in_beam = np.zeros(size, np.bool_)
     most = 2 * frame.depth_m.size
-    bins, of = np.empty(most, np.int32), np.empty(most, np.int32)
-    powers, parts = np.empty(most, np.float32), np.empty(most, np.float32)
-    row_ends = np.empty(len(down), np.int32)
-    mount = sonar.mount
+    bins, of = np.empty((2, most), np.int32)
+    powers, parts = np.empty((2, most), np.float32)
+    row_ends = np.empty(len(frame.depth_m), np.int32)
     count = kernels.place(
-        frame.depth_m,
-        rendered.radiance,
-        _labels(frame),
-        _factor(frame, sonar, acoustics),
-        _reflectivity(frame, acoustics),
-        across,
-        down,
-        mount.rotation_sonar_from_camera().astype(np.float32),
-        mount.position_camera_m().astype(np.float32),
-        window.projection == "top_view",
-        window.range_min_m,
-        sonar.range_bins / window.range_span_m,
-        edges,
-        first_beam,
-        BEAM_STEPS / float(edges[-1] - edges[0]),
-        vertical_table(sonar),
-        power,
-        in_beam,
-        float(np.sin(np.deg2rad(sonar.vfov_deg) / 2)),
-        owner,
-        bins,
-        powers,
-        of,
-        parts,
-        row_ends,
-    )
+        camera_of(frame), rendered.radiance, _labels(frame), _factor(frame, sonar, acoustics),
+        _reflectivity(frame, acoustics), sonar.mount.axes(), grid_of(window, sonar),
+        vertical_table(sonar), float(np.sin(np.deg2rad(sonar.vfov_deg) / 2)),
+        (power, owner, in_beam), (bins, powers, of, parts), row_ends,
+    )  # fmt: skip
     if not count:
         raise FrameError(f"{frame.ref.name}: no echo inside the sonar's sector; check sonar.mount")
     range_m = bin_centres_m(window, sonar).astype(np.float64)
@@ -202,13 +171,20 @@ def scatterers(
     )
 
 
-def directions(frame: Frame) -> tuple[Floats, Floats]:
-    """(W,) and (H,) float32: x / z of the columns and y / z of the rows."""
-    height, width = frame.depth_m.shape
-    camera = frame.intrinsics
-    across = (np.arange(width) - camera.cx) / camera.fx
-    down = (np.arange(height) - camera.cy) / camera.fy
-    return across.astype(np.float32), down.astype(np.float32)
+def camera_of(frame: Frame) -> tuple[Floats, Floats, Floats]:
+    """Depths (H, W), and (W,) and (H,) float32 x / z of the columns and y / z of the rows."""
+    across, down = frame.intrinsics.directions(*frame.depth_m.shape)
+    return frame.depth_m, across.astype(np.float32), down.astype(np.float32)
+
+
+def grid_of(window: Window, sonar: SonarSettings) -> tuple[Any, ...]:
+    """The polar bins as `kernels` want them."""
+    edges, first_beam = beam_table(sonar)
+    return (
+        window.projection == "top_view", window.range_min_m,
+        sonar.range_bins / window.range_span_m, sonar.range_bins, edges, first_beam,
+        _BEAM_STEPS / float(edges[-1] - edges[0]),
+    )  # fmt: skip
 
 
 def _labels(frame: Frame) -> npt.NDArray[np.uint8]:
@@ -240,7 +216,7 @@ def beam_table(sonar: SonarSettings) -> tuple[Floats, npt.NDArray[np.int32]]:
     half = min(np.deg2rad(sonar.hfov_deg) / 2, np.deg2rad(89.9))
     between = (centres[1:] + centres[:-1]) / 2
     edges = np.sin(np.concatenate([[-half], between, [half]])).astype(np.float32)
-    steps = np.linspace(edges[0], edges[-1], BEAM_STEPS + 1)[:-1]
+    steps = np.linspace(edges[0], edges[-1], _BEAM_STEPS + 1)[:-1]
     # One step back, for float32 may put a sine into the step before its own.
     first = np.searchsorted(edges, steps - (steps[1] - steps[0]), side="right") - 1
     return edges, np.clip(first, 0, sonar.beams - 1).astype(np.int32)

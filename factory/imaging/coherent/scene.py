@@ -21,12 +21,13 @@ from ...errors import FrameError
 from ...sonar import polar, transfer
 from ...sonar.settings import SonarSettings
 from ...sonar.surface import LitSurface
-from ..contract import DrawnEffect, Floats, Layers
+from ..contract import Floats, Layers
+from ..effect import DrawnEffect
 from ..pointwise import EffectCloud, effect_clouds
 from .expected import Expected, averaged, display, expected
 from .scatterers import scatterers
 from .settings import AcousticsSettings
-from .signal import Ping, Receiver, Signal, beamform, beamform_power
+from .signal import Ping, Receiver, Signal, beamform, beamform_power, sounds
 
 if TYPE_CHECKING:
     from ..contract import ImagingSettings
@@ -61,38 +62,30 @@ class FieldScene:
         self, variant: int, effects: Sequence[DrawnEffect], config: ImagingSettings
     ) -> FieldSample:
         """See `contract.Scene`."""
-        acoustics = config.acoustics
-        return FieldSample(self, effects, acoustics.target, acoustics.standing)
+        acoustics, full_scale = config.acoustics, self.ping.full_scale
+        return FieldSample(
+            self,
+            effects,
+            acoustics.target,
+            acoustics.standing,
+            len(self.ping.scatterers.bins),
+            full_scale,
+            full_scale if self.geometry is None else self.geometry[1],
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class FieldSample:
-    """A scene with the effects of one sample; a `contract.Sample`."""
+    """A scene with the effects of one sample, all of its scatterers kept; a `contract.Sample`."""
 
     scene: FieldScene
     effects: Sequence[DrawnEffect]
     target: str
-    standing: float = 0.0
-
-    @property
-    def rate(self) -> float:
-        """See `contract.Sample`; all scatterers are kept."""
-        return 1.0
-
-    @property
-    def points(self) -> int:
-        """See `contract.Sample`."""
-        return len(self.scene.ping.scatterers.bins)
-
-    @property
-    def full_scale(self) -> float:
-        """See `contract.Sample`."""
-        return self.scene.ping.full_scale
-
-    @property
-    def clean_full_scale(self) -> float:
-        """See `contract.Sample`."""
-        return self.full_scale if self.scene.geometry is None else self.scene.geometry[1]
+    standing: float
+    points: int
+    full_scale: float
+    clean_full_scale: float
+    rate: float = 1.0
 
     @property
     def clean(self) -> Floats:
@@ -231,8 +224,8 @@ def received_field(ping: Ping, effects: Sequence[DrawnEffect]) -> Floats:
     for effect in effects:
         if effect.stage == "echo":
             signal = effect.apply(signal, ping)
-    field = beamform(signal.field, ping) if signal.field.any() else signal.field
-    if signal.power.any():
+    field = beamform(signal.field, ping) if sounds(signal.field) else signal.field
+    if sounds(signal.power):
         # What has no speckle arrives at its expected strength, in phase.
         field[:, 0] += np.sqrt(beamform_power(signal.power, ping))
     for effect in effects:

@@ -7,9 +7,9 @@ from pydantic.dataclasses import dataclass
 
 from ...distribution import AnyNumber, Positive
 from ...imaging.coherent.expected import Expected
-from ...imaging.coherent.signal import Floats, Ping
+from ...imaging.coherent.signal import Floats, Ping, sounds
+from ...imaging.effect import Effect, EffectSettings, parameter
 from ...settings import STRICT
-from ..effect import Effect, EffectSettings, parameter
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -26,12 +26,7 @@ class CrosstalkSettings(EffectSettings):
 
 
 def crosstalk(
-    field: Floats,
-    ping: Ping,
-    rng: np.random.Generator,
-    *,
-    level_db: float,
-    spacing_beams: float,
+    field: Floats, ping: Ping, rng: np.random.Generator, *, level_db: float, spacing_beams: float
 ) -> Floats:
     """The field with what leaks from `spacing_beams` to the left and to the right."""
     step, leaks = max(round(spacing_beams), 1), np.float32(10 ** (level_db / 20)) * field
@@ -59,7 +54,7 @@ def expect_crosstalk(
         (expected.steady, 1.0),
         (expected.textured, alike),
     ):
-        if plane.any():
+        if sounds(plane):
             kernels.leaked(plane, step, leak, correlation)
 
 

@@ -11,8 +11,8 @@ from pydantic.dataclasses import dataclass
 from ...distribution import AnyNumber, NonNegative
 from ...imaging.coherent.expected import Expected
 from ...imaging.coherent.signal import Floats, Ping
+from ...imaging.effect import Effect, EffectSettings, Scope, parameter
 from ...settings import STRICT
-from ..effect import Effect, EffectSettings, Scope, parameter
 
 Decibels = npt.NDArray[np.float64]
 

@@ -17,9 +17,9 @@ from pydantic.dataclasses import dataclass
 from ...distribution import AnyNumber, NonNegative
 from ...imaging.coherent.beams import vertical_table
 from ...imaging.coherent.expected import Expected
-from ...imaging.coherent.signal import Ping, Signal
+from ...imaging.coherent.signal import Ping, Signal, sounds
+from ...imaging.effect import Effect, EffectSettings, parameter
 from ...settings import STRICT
-from ..effect import Effect, EffectSettings, parameter
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -54,32 +54,21 @@ def _with_images(
     """Echoes by way of a level plane `height_m` above the sonar (negative: below)."""
     from ...imaging.coherent import kernels  # loads numba
 
-    scene, mount, tilt_rad = ping.scatterers, ping.sonar.mount, np.deg2rad(tilt_deg)
-    bins = signal.power.size
-    if not (signal.power.any() or signal.field.size):
+    scene, tilt_rad = ping.scatterers, np.deg2rad(tilt_deg)
+    powered = sounds(signal.power)
+    if not (powered or signal.field.size):
         return signal
-    field, planes = signal.field.copy(), (2 * signal.looks, bins)
+    field, planes = signal.field.copy(), (2 * signal.looks, signal.power.size)
     # With speckle there is none; what is there is the frame's, and no effect may change it.
-    power = signal.power.copy() if signal.power.any() else np.empty(0, np.float32)
+    power = signal.power.copy() if powered else np.empty(0, np.float32)
+    level = height_m, float(np.cos(tilt_rad)), float(np.sin(tilt_rad))
     kernels.mirror(
-        scene.filled,
-        scene.filled_camera_m,
-        np.ascontiguousarray(mount.rotation_sonar_from_camera(), np.float32),
-        mount.position_camera_m().astype(np.float32),
-        height_m,
-        np.cos(tilt_rad),
-        np.sin(tilt_rad),
-        vertical_table(ping.sonar),
-        10 ** (-loss_db / 10),
-        np.log(10) / 10 * ping.absorption_db_per_m,
-        1 / ping.bin_m,
-        ping.sonar.beams,
-        bins,
-        signal.power.reshape(-1),
-        signal.field.reshape(planes),
-        power.reshape(-1),
-        field.reshape(planes),
-    )
+        *scene.surface, ping.sonar.mount.axes(), level,
+        vertical_table(ping.sonar), 10 ** (-loss_db / 10),
+        np.log(10) / 10 * ping.absorption_db_per_m, 1 / ping.bin_m, ping.sonar.beams,
+        ((signal.power.reshape(-1), signal.field.reshape(planes)),
+         (power.reshape(-1), field.reshape(planes))),
+    )  # fmt: skip
     return Signal(power if power.size else signal.power, field)
 
 

@@ -13,8 +13,8 @@ from pydantic.dataclasses import dataclass
 from ...distribution import AnyNumber, NonNegative, Positive
 from ...imaging.coherent.expected import Expected
 from ...imaging.coherent.signal import Floats, Ping
+from ...imaging.effect import Effect, EffectSettings, parameter
 from ...settings import STRICT
-from ..effect import Effect, EffectSettings, parameter
 
 # Weaker than this against full scale it is not computed, dB.
 _FAINTEST_DB = -90
@@ -48,12 +48,7 @@ class CombLinesSettings(EffectSettings):
 
 
 def ring_down(
-    field: Floats,
-    ping: Ping,
-    rng: np.random.Generator,
-    *,
-    level_db: float,
-    decay_db_per_m: float,
+    field: Floats, ping: Ping, rng: np.random.Generator, *, level_db: float, decay_db_per_m: float
 ) -> Floats:
     """The field with the ring-down: noise that is alike in all beams but for its phase."""
     relative_db = level_db - decay_db_per_m * ping.range_m

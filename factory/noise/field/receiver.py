@@ -14,15 +14,9 @@ from pydantic.dataclasses import dataclass
 
 from ...distribution import AnyNumber
 from ...imaging.coherent.expected import Expected
-from ...imaging.coherent.signal import (
-    Floats,
-    Ping,
-    add_white_noise,
-    beamform,
-    white_noise,
-)
+from ...imaging.coherent.signal import Floats, Ping, add_white_noise, beamform, white_noise
+from ...imaging.effect import Effect, EffectSettings, option, parameter
 from ...settings import STRICT
-from ..effect import Effect, EffectSettings, option, parameter
 
 
 @dataclass(frozen=True, config=STRICT)

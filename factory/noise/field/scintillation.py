@@ -14,8 +14,8 @@ from pydantic.dataclasses import dataclass
 from ...distribution import NonNegative
 from ...imaging.coherent.expected import Expected
 from ...imaging.coherent.signal import Floats, Ping
+from ...imaging.effect import Effect, EffectSettings, parameter
 from ...settings import STRICT
-from ..effect import Effect, EffectSettings, parameter
 
 _NEPERS_PER_DB = np.log(10) / 10  # of intensity
 

@@ -12,8 +12,8 @@ from pydantic.dataclasses import dataclass
 from ...distribution import AnyNumber
 from ...imaging.coherent.expected import Expected
 from ...imaging.coherent.signal import Floats, Ping
+from ...imaging.effect import Effect, EffectSettings, parameter
 from ...settings import STRICT
-from ..effect import Effect, EffectSettings, parameter
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -18,8 +18,8 @@ from pydantic.dataclasses import dataclass
 from ...distribution import NonNegative, Positive
 from ...imaging.coherent.expected import Expected
 from ...imaging.coherent.signal import Floats, Ping, Signal, beamform, scattered
+from ...imaging.effect import Effect, EffectSettings, parameter
 from ...settings import STRICT
-from ..effect import Effect, EffectSettings, parameter
 
 # Edge of a world cell over what the device tells apart; power is then within 0.15 dB.
 _CELL = 0.3

@@ -11,8 +11,8 @@ from pydantic.dataclasses import dataclass
 from ...distribution import AnyNumber, NonNegative
 from ...imaging.coherent.expected import Expected
 from ...imaging.coherent.signal import Floats, Ping
+from ...imaging.effect import Effect, EffectSettings, option, parameter
 from ...settings import STRICT
-from ..effect import Effect, EffectSettings, option, parameter
 
 # Beyond so many widths a spoke is not there.
 _REACH = 4

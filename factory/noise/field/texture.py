@@ -16,8 +16,8 @@ from pydantic.dataclasses import dataclass
 from ...distribution import Positive
 from ...imaging.coherent.expected import Expected, between
 from ...imaging.coherent.signal import Floats, Ping, gaussian_table
+from ...imaging.effect import Effect, EffectSettings, parameter
 from ...settings import STRICT
-from ..effect import Effect, EffectSettings, parameter
 
 _STEPS, _REACH = 1024, 5.5
 
@@ -41,14 +41,15 @@ def texture(
     from ...imaging.coherent import kernels  # loads numba
 
     scene = ping.scatterers
-    normal = np.empty(len(scene.filled), np.float32)
+    filled, points_m = scene.surface
+    normal = np.empty(len(filled), np.float32)
     key = int(rng.integers(2**32))
     lattice_from_camera = np.ascontiguousarray(scene.world_from_camera[:3] / patch_m)
-    kernels.lattice(scene.filled_camera_m, lattice_from_camera, key, gaussian_table(), normal)
+    kernels.lattice(points_m, lattice_from_camera, key, gaussian_table(), normal)
     planes = field.reshape(-1, field.shape[-2] * field.shape[-1])
     patches = np.sqrt(gamma_of_normal(normal, shape))
     for plane in planes:
-        plane[scene.filled] *= patches
+        plane[filled] *= patches
     return field
 
 
@@ -73,7 +74,8 @@ def expect_texture(
     """What is in the bins that a surface fills varies."""
     expected.shape = shape
     total = (expected.echo + expected.steady).reshape(-1)
-    expected.textured.reshape(-1)[ping.scatterers.filled] = total[ping.scatterers.filled]
+    filled, _ = ping.scatterers.surface
+    expected.textured.reshape(-1)[filled] = total[filled]
 
 
 def realise_texture(

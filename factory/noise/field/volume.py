@@ -14,9 +14,9 @@ from ...distribution import AnyNumber
 from ...imaging.coherent.expected import Expected
 from ...imaging.coherent.signal import Ping, Signal, add_white_noise
 from ...imaging.contract import Floats
+from ...imaging.effect import Effect, EffectSettings, parameter
 from ...settings import STRICT
 from ...sonar import array
-from ..effect import Effect, EffectSettings, parameter
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -10,10 +10,10 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from ...distribution import NonNegative, uniform
+from ...imaging.effect import Effect, EffectSettings, parameter
 from ...settings import STRICT
 from ...sonar.echoes import Echoes, in_plane
 from ...sonar.window import Window
-from ..effect import Effect, EffectSettings, parameter
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -29,12 +29,7 @@ class BackgroundSettings(EffectSettings):
 
 
 def background(
-    scene: Echoes,
-    window: Window,
-    rng: np.random.Generator,
-    *,
-    density: float,
-    strength: float,
+    scene: Echoes, window: Window, rng: np.random.Generator, *, density: float, strength: float
 ) -> Echoes:
     """Noise points for `scene` (its number of points counts, not where they are)."""
     count = round(density * len(scene))

@@ -12,11 +12,11 @@ import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
 from ...distribution import Fraction, NonNegative, choice, uniform
+from ...imaging.effect import Effect, EffectSettings, parameter
 from ...settings import STRICT
 from ...sonar import polar
 from ...sonar.echoes import Echoes, in_plane
 from ...sonar.window import Window
-from ..effect import Effect, EffectSettings, parameter
 
 # Cells of the density map, along range and bearing: about the size of the ghosts.
 _CELLS = (64, 48)

@@ -10,10 +10,10 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from ...distribution import NonNegative
+from ...imaging.effect import Effect, EffectSettings, parameter
 from ...settings import STRICT
 from ...sonar.echoes import Echoes, in_plane
 from ...sonar.window import Window
-from ..effect import Effect, EffectSettings, parameter
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -18,10 +18,10 @@ import numpy.typing as npt
 from pydantic.dataclasses import dataclass
 
 from ...distribution import NonNegative, uniform
+from ...imaging.effect import Effect, EffectSettings, option, parameter
 from ...settings import STRICT
 from ...sonar.echoes import Echoes, from_xyz
 from ...sonar.window import Window
-from ..effect import Effect, EffectSettings, option, parameter
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -38,12 +38,7 @@ class RangeSpreadingSettings(EffectSettings):
 
 
 def range_spreading(
-    scene: Echoes,
-    window: Window,
-    rng: np.random.Generator,
-    *,
-    mode: str,
-    alpha: float,
+    scene: Echoes, window: Window, rng: np.random.Generator, *, mode: str, alpha: float
 ) -> Echoes:
     """The scene's echoes, spread; same number and order of points."""
     if mode == "paper":

@@ -4,19 +4,15 @@ import numpy as np
 import pytest
 from scipy import special
 
-from simnfnd.factory.config import digest, identity
-from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.imaging.coherent import expected
-from simnfnd.factory.noise.draws import StreamNames, draw
-from tests.constant_field import config, observed, scene_of
+from tests.constant_field import config, effects_of, observed, scene_of
 
 EDGE = (slice(12, -12), slice(20, -20))
 
 
 def grey(settings, variant):
     made = observed(settings)
-    names = StreamNames.of(made.ref, variant, made.has_pose)
-    effects = draw(settings.noise, settings.seed, names).effects
+    effects = effects_of(settings, made, variant)
     sample = scene_of(made).sample(variant, effects, settings)
     return sample.noisy([effect.name for effect in effects]), sample.clean
 
@@ -43,28 +39,3 @@ def test_averaged_samples_are_worth_their_looks(window, samples):
     assert decibels == pytest.approx(4.343 * np.sqrt(special.polygamma(1, looks)), rel=0.06)
     # mean_log: the average of the noisy pictures.
     assert abs(float((noisy.mean(axis=0) - clean).mean())) < 0.006
-
-
-def test_looks_of_white_and_of_equal_samples():
-    one = np.ones(1, np.float32)
-    assert expected.looks(one, 3) == pytest.approx(3)
-    assert expected.looks(np.ones(400, np.float32) / 20, 2) == pytest.approx(1, abs=0.01)
-
-
-def test_fixed_full_scale_is_the_same_in_every_frame():
-    transfer = {"kind": "log", "full_scale_db": -70.0, "dynamic_range_db": 80}
-    scene = scene_of(observed(config(noise={"speckle": {}}, sonar={"transfer": transfer})))
-    assert scene.ping.full_scale == pytest.approx(1e-7)
-
-
-def test_too_many_samples_are_refused():
-    with pytest.raises(FactoryError, match="samples_per_bin"):
-        config(sonar={"range_bins": 4000, "samples_per_bin": 4})
-
-
-def test_configurations_without_are_named_as_before():
-    values = identity(config())
-    assert "samples_per_bin" not in values["sonar"]
-    assert "full_scale_db" not in values["sonar"]["transfer"]
-    assert "path" not in values["scenes"]
-    assert digest(values) != digest(identity(config(sonar={"samples_per_bin": 2})))

@@ -11,13 +11,12 @@ import pytest
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.imaging.coherent.expected import Expected, display
-from simnfnd.factory.imaging.contract import ARTEFACTS
-from simnfnd.factory.noise.draws import StreamNames, draw
-from simnfnd.factory.noise.registry import EFFECTS, FIELD_EFFECTS
+from simnfnd.factory.imaging.effect import ARTEFACTS
+from simnfnd.factory.noise.registry import EFFECTS
 from simnfnd.factory.pairs import make_pair, observe
 from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.sonar.settings import TransferSettings
-from tests.constant_field import config, constant_field
+from tests.constant_field import config, constant_field, effects_of
 
 PICTURES = 24
 # Those that the same device in the same place has from ping to ping.
@@ -35,8 +34,7 @@ def ground() -> tuple[Frame, Rendered]:
 def averaged(settings: Any) -> tuple[np.ndarray, np.ndarray]:
     """Mean of many noisy pictures with the same parameters, and the clean one."""
     made = observe(*ground(), settings)
-    names = StreamNames.of(made.ref, 0, made.has_pose)
-    effects = draw(settings.noise, settings.seed, names).effects
+    effects = effects_of(settings, made)
     clean = made.scene.sample(0, effects, settings).clean
     total = np.zeros(clean.shape)
     for seed in range(PICTURES):
@@ -94,13 +92,6 @@ def test_speckle_on_a_log_display_is_2_51_db_below_its_mean_intensity() -> None:
         assert 50 * (float(grey[0, 0]) - 0.5) == pytest.approx(bias_db, abs=0.1)
 
 
-def test_what_does_not_fluctuate_is_shown_as_it_is() -> None:
-    curve = TransferSettings(kind="log", dynamic_range_db=50)
-    nothing, level = np.zeros((2, 3), np.float32), np.full((2, 3), 1e-3, np.float32)
-    state = Expected(nothing, nothing, level, nothing)
-    np.testing.assert_allclose(display(state, 1.0, curve), 0.4, atol=1e-6)
-
-
 def test_restored_has_no_systematic_effect_and_mean_log_has_them() -> None:
     made: dict[tuple[str, int], Any] = {}
     for target in ("mean_log", "restored"):
@@ -113,13 +104,6 @@ def test_restored_has_no_systematic_effect_and_mean_log_has_them() -> None:
     np.testing.assert_array_equal(made["restored", 0], made["restored", 2])
     np.testing.assert_array_equal(made["restored", 0], made["mean_log", 0])
     assert np.abs(made["mean_log", 2] - made["mean_log", 0]).mean() > 0.02
-
-
-def test_every_systematic_effect_says_what_it_is_on_average() -> None:
-    random = {name for name in FIELD_EFFECTS if not EFFECTS[name].systematic}
-    assert random == {"speckle", "path_speckle", "texture", "scintillation", "spokes"}
-    for name in FIELD_EFFECTS:
-        assert (EFFECTS[name].expected is not None) == (name != "spokes")
 
 
 def test_the_record_has_the_scale_of_the_target() -> None:
@@ -140,8 +124,7 @@ def sampled(noise: dict[str, dict[str, Any]]) -> Any:
     """A sample of the ground with these effects."""
     settings = config(noise=noise)
     made = observe(*ground(), settings)
-    names = StreamNames.of(made.ref, 0, made.has_pose)
-    return made.scene.sample(0, draw(settings.noise, settings.seed, names).effects, settings)
+    return made.scene.sample(0, effects_of(settings, made), settings)
 
 
 def test_every_effect_says_what_it_shows_and_texture_is_part_of_the_scene() -> None:
@@ -176,14 +159,3 @@ def test_without_speckle_spokes_texture_and_haze_stay_where_they_are_kept() -> N
     even = sampled({"speckle": {}})
     difference = patches.without(("speckle",)) - even.without(("speckle",))
     assert difference.std() > 0.02
-
-
-def test_points_without_all_artefacts_are_the_clean_picture() -> None:
-    settings = compose_config(["experiment=demo"])
-    made = observe(*ground(), settings)
-    names = StreamNames.of(made.ref, 0, made.has_pose)
-    effects = draw(settings.noise, settings.seed, names).effects
-    sample = made.scene.sample(0, effects, settings)
-    np.testing.assert_array_equal(sample.without(ARTEFACTS), sample.clean)
-    kept = {effect.name for effect in effects} - {"azimuth"}
-    np.testing.assert_array_equal(sample.without(("spokes",)), sample.noisy(kept))

@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from simnfnd.factory import pairs
 from simnfnd.factory.config import FactoryConfig, from_mapping
-from simnfnd.factory.dataset.format.schema import Pair, Provenance, layers
-from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.validate import shard_facts
-from simnfnd.factory.dataset.write.writer import write_shard
+from simnfnd.factory.dataset.format.schema import Pair, layers
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Frame
 from simnfnd.factory.labels import CLASSES
-from simnfnd.factory.sample_table.record import columns, image_axes
 from simnfnd.factory.sonar.fan import fan_table
-from tests.fake_source import FakeConfig, FakeSource, refs
 from tests.frames import HEIGHT_M, POST_M, ground_and_post, plain_render
 
 TRUTH = ["range", "elevation", "valid_azimuth", "segmentation"]
@@ -49,10 +43,6 @@ def made(settings: FactoryConfig, frame: Frame | None = None, variant: int = 0) 
     frame = frame or labelled()
     scene = pairs.observe(frame, plain_render(frame), settings)
     return pairs.make_pair(scene, variant, settings)
-
-
-def test_by_default_there_are_none() -> None:
-    assert made(config()).layers == {}
 
 
 def test_each_effect_layer_is_the_noisy_picture_with_that_effect_alone() -> None:
@@ -119,24 +109,16 @@ def test_valid_azimuth_is_what_the_camera_saw() -> None:
     assert pair.layers["valid_azimuth"].dtype == np.bool_
     assert not valid[~inside].any()
     assert valid[inside].mean() == pytest.approx(46 / 120, abs=0.03)
-    elsewhere = np.asarray(~valid & ~_beside(valid), np.bool_)
+    # Grey values are interpolated beside valid pixels, labels never.
+    elsewhere = ~ndimage.binary_dilation(valid, iterations=3)
     assert not np.asarray(pair.noisy)[elsewhere].any()
 
 
-def _beside(valid: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Pixels next to valid ones: grey values are interpolated there, labels never."""
-    from scipy import ndimage
-
-    return np.asarray(ndimage.binary_dilation(valid, iterations=3))
-
-
 def test_outside_of_the_fan_there_is_nothing() -> None:
-    settings = config(dataset={"layers": TRUTH})
-    pair = made(settings)
-    frame = labelled()
+    settings, frame = config(dataset={"layers": TRUTH}), labelled()
     scene = pairs.observe(frame, plain_render(frame), settings)
     outside = ~fan_table(settings.sonar, scene.window.near_fraction).inside
-    for name, picture in pair.layers.items():
+    for name, picture in pairs.make_pair(scene, 0, settings).layers.items():
         values = np.asarray(picture)[outside]
         assert (np.isnan(values) if values.dtype.kind == "f" else values == 0).all(), name
         assert picture.dtype == {layer.name: layer.dtype for layer in layers("uint8", [name])}[name]
@@ -145,10 +127,7 @@ def test_outside_of_the_fan_there_is_nothing() -> None:
 def test_labels_are_refused_where_there_are_none() -> None:
     with pytest.raises(FactoryError, match=r"segmentation needs labelled frames.*scenes=seabed"):
         from_mapping(
-            {
-                "scenes": {"kind": "flsea", "root": "x"},
-                "dataset": {"layers": ["segmentation"]},
-            }
+            {"scenes": {"kind": "flsea", "root": "x"}, "dataset": {"layers": ["segmentation"]}}
         )
     with pytest.raises(FrameError, match="here/plain/0001: has no labels"):
         made(config(dataset={"layers": ["segmentation"]}), ground_and_post())
@@ -158,42 +137,3 @@ def test_labels_are_refused_where_there_are_none() -> None:
 def test_odd_names_are_refused(names: list[str]) -> None:
     with pytest.raises(FactoryError, match=r"dataset"):
         config(dataset={"layers": names})
-
-
-def test_a_shard_of_a_real_pair_has_all_layers(tmp_path: Path) -> None:
-    settings = config(dataset={"layers": ["effects", *TRUTH], "dtype": "float32"})
-    pair = made(settings)
-    write_shard(
-        tmp_path,
-        "train/shard-00000.h5",
-        [pair],
-        image_axes(settings.sonar),
-        columns(settings.noise),
-        Provenance({}, "0" * 16, "tests"),
-        settings.dataset,
-    )
-    assert not shard_facts(tmp_path / "train/shard-00000.h5", deep=True).problems
-    with h5py.File(tmp_path / "train/shard-00000.h5") as file:
-        for name, picture in pair.layers.items():
-            np.testing.assert_array_equal(file[name][0], picture)
-            assert file[name].chunks == (1, 256, 256)
-            assert file[name].dims[1].label == "ahead"
-        assert file["range"].attrs["units"] == "m"
-        assert list(file["segmentation"].attrs["classes"]) == list(CLASSES)
-        assert list(file["layers/background"].attrs["value_range"]) == [0, 1]
-
-
-def test_pairs_of_one_shard_have_the_same_layers(tmp_path: Path) -> None:
-    source = FakeSource(FakeConfig())
-    first, second = (source.pairs(ref, (0,))[0] for ref in refs(2))
-    second = replace(second, layers={"valid_azimuth": second.shadow})
-    with pytest.raises(FrameError, match="sample 1: has other layers"):
-        write_shard(
-            tmp_path,
-            "train/shard-00000.h5",
-            [first, second],
-            source.axes(),
-            source.columns(),
-            Provenance({}, "0" * 16, "tests"),
-            DatasetSettings(),
-        )

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.errors import FrameError
-from simnfnd.factory.imaging.coherent.path_cells import edge_m, path_cells
 from simnfnd.factory.imaging.coherent.signal import Signal, beamform, beamform_power
-from simnfnd.factory.noise.draws import StreamNames, draw
+from simnfnd.factory.noise.field.path_speckle import PATH_SPECKLE, edge_m
 from simnfnd.factory.pairs import make_pair, observe
-from tests.constant_field import config, ping_of, slope
+from tests.constant_field import config, effects_of, ping_of, slope
 
 DEVICE = {"array": {"beamwidth_deg": 1.0, "bandwidth_khz": 60.0}}
 SETTINGS = config(noise={"path_speckle": {}}, sonar=DEVICE)
@@ -22,7 +21,7 @@ def field_at(sway_m, settings=SETTINGS):
     frame, rendered = slope((sway_m, 0.0, 0.0))
     made = observe(frame, rendered, settings)
     ping = ping_of(made)
-    (effect,) = draw(settings.noise, 0, StreamNames.of(made.ref, 0, made.has_pose)).effects
+    (effect,) = effects_of(settings, made)
     empty = Signal(ping.scatterers.power, np.zeros((1, 2, *ping.shape), np.float32))
     real, imaginary = beamform(effect.apply(empty, ping).field, ping)[0]
     return ping, real + 1j * imaginary
@@ -63,22 +62,6 @@ def test_movement_across_takes_it_as_the_aperture_says(at_rest, beams):
     assert max(found) == pytest.approx(expected, abs=0.08)
 
 
-def test_half_an_aperture_is_enough(at_rest):
-    ping, before = at_rest
-    wavelength_m = ping.water.sound_speed_m_s() / (1000 * ping.sonar.frequency_khz)
-    half_m = 0.5 * wavelength_m * 50.8 / ping.sonar.array.beamwidth_deg
-    _, after = field_at(half_m)
-    rows = np.abs(ping.range_m - RANGE_M) < 0.5
-    alike = [
-        np.corrcoef(
-            (abs(before) ** 2)[rows][:, 20:-20].ravel(),
-            np.roll(abs(after) ** 2, shift, axis=1)[rows][:, 20:-20].ravel(),
-        )[0, 1]
-        for shift in range(-6, 7)
-    ]
-    assert max(alike) < 0.2
-
-
 def test_a_sonar_at_rest_sees_the_same_to_the_byte():
     pairs = []
     for name in ("0", "1"):
@@ -92,4 +75,4 @@ def test_cells_too_small_are_refused():
     ping = ping_of(observe(frame, rendered, SETTINGS))
     assert edge_m(ping) == 2.0 ** round(np.log2(edge_m(ping)))
     with pytest.raises(FrameError, match="scatterer_m"):
-        path_cells(ping, 1e-4)
+        PATH_SPECKLE.function(None, ping, None, looks=1, scatterer_m=1e-4)

@@ -8,16 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import special, stats
+from scipy import stats
 
 from simnfnd.factory.imaging.coherent import kernels
-from simnfnd.factory.imaging.coherent.scatterers import Scatterers, shares
 from simnfnd.factory.imaging.coherent.scene import received
 from simnfnd.factory.imaging.coherent.signal import beamform_power, gaussian_table, white_noise
-from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.noise.field.texture import gamma_of_normal
-from simnfnd.factory.pairs import ObservedFrame, make_pair, observe
-from tests.constant_field import config, observed, ping_of, slope
+from simnfnd.factory.pairs import ObservedFrame, observe
+from tests.constant_field import config, effects_of, observed, ping_of, slope
 
 SPECKLE = {"speckle": {"scatterer_m": 0.004}}
 SHARP = {"bandwidth_khz": 800.0, "beamwidth_deg": 0.06}  # a point-spread within one bin
@@ -26,8 +24,7 @@ EDGE = (slice(20, -20), slice(20, -20))
 
 def amplitude(made: ObservedFrame, variant: int, settings: Any) -> np.ndarray:
     """(range_bins, beams) amplitude over the root of its expectation, without the edges."""
-    ping, names = ping_of(made), StreamNames.of(made.ref, variant, made.has_pose)
-    effects = draw(settings.noise, settings.seed, names).effects
+    ping, effects = ping_of(made), effects_of(settings, made, variant)
     expected = beamform_power(ping.scatterers.power, ping) * ping.gain[:, None]
     return np.asarray((received(ping, effects) / np.sqrt(expected))[EDGE])
 
@@ -58,8 +55,7 @@ def test_looks_make_it_gamma(looks):
 
 
 @pytest.mark.parametrize(
-    ("shape", "golden_si", "golden_enl"),
-    [(0.5, 5, 1.00), (2, 2, 2.26), (10, 1.2, 3.27)],
+    ("shape", "golden_si", "golden_enl"), [(0.5, 5, 1.00), (2, 2, 2.26), (10, 1.2, 3.27)]
 )
 def test_texture_makes_it_k_distributed(shape, golden_si, golden_enl):
     size = 2_000_000
@@ -74,61 +70,6 @@ def test_texture_makes_it_k_distributed(shape, golden_si, golden_enl):
     assert scintillation == pytest.approx(golden_si, rel=0.02)
     root = np.sqrt(intensity)
     assert (root.mean() / root.std()) ** 2 == pytest.approx(golden_enl, rel=0.02)
-
-
-@pytest.mark.parametrize("shape", [0.5, 4, 20])
-def test_the_table_of_gamma_values_is_fine_enough(shape):
-    """Against scipy's quantiles, as far out as one in a million lies."""
-    normal = np.linspace(-4.75, 4.75, 20_001, dtype=np.float32)
-    exact = special.gammaincinv(shape, special.ndtr(normal.astype(np.float64))) / shape
-    np.testing.assert_allclose(gamma_of_normal(normal, shape), exact, rtol=5e-4, atol=1e-5)
-
-
-def test_points_of_a_cell_share_its_power() -> None:
-    """Counted with numpy; cells come back, and some names fall on the same slot of the table."""
-    rng = np.random.default_rng(1)
-    names = rng.integers(0, 400, 3000).astype(np.uint32) * np.uint32(2654435761)
-    found = shares(names, names & np.uint32(0xFFFF0011))
-    _, cell = np.unique(names, return_inverse=True)
-    expected = 1 / np.sqrt(np.bincount(cell)[cell])
-    np.testing.assert_allclose(found, expected, rtol=2e-7)
-
-
-@pytest.mark.parametrize("away_m", [0.0, 4_321_987.6])
-def test_scatterers_of_a_name_lie_in_one_cell_of_the_world(away_m):
-    """Cells from the scatterers' places in double precision; also far from the world's origin."""
-    settings, edge_m = config(), 0.01
-    frame, rendered = slope((away_m, -away_m, 0.3))
-    made: Scatterers = ping_of(observe(frame, rendered, settings)).scatterers
-    assert frame.world_from_camera is not None
-    (height, width), camera = frame.depth_m.shape, frame.intrinsics
-    row, column = np.divmod(made.pixels, width)
-    depth_m = frame.depth_m.astype(np.float64)
-    y_of = ((np.arange(height) - camera.cy) / camera.fy)[:, None] * depth_m
-    below = np.minimum(row + 1, height - 1)
-    z, y = (one[row, column] + made.parts * (one[below, column] - one[row, column])
-            for one in (depth_m, y_of))  # fmt: skip
-    x = (column - camera.cx) / camera.fx * z
-    world = np.stack([x, y, z, np.ones_like(z)], axis=1) @ frame.world_from_camera[:3].T
-    place = world / edge_m
-    # What lies on the border of two cells may be rounded into either.
-    clear = (np.abs(place - np.rint(place)) > 2e-3).all(axis=1)
-    assert clear.mean() > 0.9
-    _, cell = np.unique(np.floor(place[clear]), axis=0, return_inverse=True)
-    cells = made.world_cells(edge_m)
-    _, name = np.unique(cells.names[clear], return_inverse=True)
-    assert len(np.unique(cell)) == len(np.unique(name)) == len(np.unique(cell + 1j * name)) > 1000
-    counted = cells.shares.astype(np.float64) ** -2
-    assert np.rint(counted).min() >= 1
-    # Each cell's points have shares that sum to 1 in intensity.
-    assert (1 / counted).sum() == pytest.approx(len(np.unique(cells.names)), rel=1e-5)
-
-
-def test_texture_in_a_picture() -> None:
-    """Through all stages, with patches smaller than a bin so that one picture holds many."""
-    noise = {**SPECKLE, "texture": {"shape": 5, "patch_m": 0.005}}
-    found = many(config(noise=noise, sonar={"array": SHARP}), 4) ** 2
-    assert found.var() / found.mean() ** 2 == pytest.approx(1.4, rel=0.06)
 
 
 def half_width(correlation: np.ndarray) -> float:
@@ -207,28 +148,3 @@ def test_without_a_pose_every_frame_has_its_own() -> None:
     frames = [_frame_speckle((0, 0, 0), name, posed=False) for name in "001"]
     np.testing.assert_array_equal(frames[0], frames[1])
     assert abs(_alike(frames[0], frames[2])) < 0.1
-
-
-def test_variants_have_speckle_of_their_own() -> None:
-    found = many(config(noise=SPECKLE), 2)
-    assert abs(_alike(found[0], found[1])) < 0.1
-
-
-def test_the_table_of_gaussian_values_has_the_moments_of_the_distribution() -> None:
-    table = gaussian_table().astype(np.float64)
-    intensity = (table**2).sum(axis=1)
-    assert table.mean() == pytest.approx(0, abs=1e-4)
-    assert intensity.mean() == pytest.approx(1, abs=1e-5)
-    assert (intensity**2).mean() == pytest.approx(2, rel=2e-3)
-    assert (table[:, 0] ** 4).mean() == pytest.approx(0.75, rel=5e-3)
-    assert (table[:, 0] * table[:, 1]).mean() == pytest.approx(0, abs=1e-4)
-
-
-def test_pairs_are_the_same_whenever_they_are_made() -> None:
-    settings = config(noise={**SPECKLE, "receiver": {}, "texture": {}, "volume": {}})
-    first, again = observed(settings), observed(settings)
-    for variant in (1, 0):
-        one, two = (make_pair(made, variant, settings) for made in (first, again))
-        np.testing.assert_array_equal(one.noisy, two.noisy)
-        np.testing.assert_array_equal(one.clean, two.clean)
-        assert str(one.record) == str(two.record)  # text, because NaN is not equal to itself

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.pairs import make_pair, observe
-from simnfnd.factory.render.base import Rendered, RenderSettings
+from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.render.mount import Mount
-from simnfnd.factory.render.surface import pixels_of
 from simnfnd.factory.sonar import transfer
 from simnfnd.factory.sonar.settings import TransferSettings
 from simnfnd.factory.sonar.surface import LitSurface, mount_weight
@@ -72,36 +70,6 @@ def test_points_of_an_offset_mount_have_the_area_that_a_pixel_sees() -> None:
     np.testing.assert_allclose(echoes.strength, weight.ravel()[pixel], rtol=1e-6)
     with_camera = replace(surface, sonar=replace(sonar, mount=Mount()))
     assert (with_camera.insonified.echoes.strength == 1).all()
-
-
-@pytest.mark.parametrize("exponent", [1.0, 2.0, 2.6])
-def test_the_weight_of_an_offset_mount_is_that_of_numpy_to_the_bit(exponent: float) -> None:
-    frame, _ = constant_field(size=(60, 90))
-    rng = np.random.default_rng(2)
-    depth_m = (3 + 0.02 * rng.normal(size=(60, 90)).cumsum(axis=1)).astype(np.float32)
-    # Steps, holes, and rows and columns that stand alone.
-    depth_m[20:40, 30:60] -= 1
-    depth_m[rng.random((60, 90)) < 0.2] = 0
-    depth_m[::7] = 0
-    depth_m[2::7] = 0
-    depth_m[:, 80::2] = 0
-    frame = replace(frame, depth_m=depth_m)
-    mount = Mount(translation_m=(0.3, -0.4, 0.2))
-
-    surface = pixels_of(frame, RenderSettings()).surface()
-    points_m, normal = surface.points_m, surface.normals
-    to_sonar_m = mount.position_camera_m().astype(np.float32) - points_m
-
-    def along(a: Any, b: Any) -> Any:
-        return np.einsum("hwc,hwc->hw", a, b)
-
-    camera_m2 = np.maximum(along(points_m, points_m), np.float32(1e-12))
-    sonar_m2 = np.maximum(along(to_sonar_m, to_sonar_m), np.float32(1e-12))
-    least, power = np.float32(0.05), np.float32(exponent - 1)
-    cosine_camera = np.maximum(-along(normal, points_m) / np.sqrt(camera_m2), least)
-    cosine = np.maximum(along(normal, to_sonar_m) / np.sqrt(sonar_m2), least)
-    expected = cosine**power / cosine_camera * (camera_m2 / sonar_m2)
-    np.testing.assert_array_equal(mount_weight(frame, mount, exponent), expected)
 
 
 def test_azimuths_of_conical_beams_are_bearings() -> None:

@@ -15,7 +15,7 @@ from simnfnd.factory.frame import Frame
 from simnfnd.factory.imaging.coherent.scatterers import scatterers
 from simnfnd.factory.imaging.coherent.scene import received
 from simnfnd.factory.imaging.coherent.signal import Ping, Signal, beamform_power
-from simnfnd.factory.noise.draws import DrawnEffect
+from simnfnd.factory.imaging.effect import DrawnEffect
 from simnfnd.factory.noise.field.receiver import receiver
 from simnfnd.factory.noise.field.speckle import SPECKLE
 from simnfnd.factory.noise.field.volume import volume
@@ -36,6 +36,7 @@ HALF_POWER = {"uniform": 0.442946, "hamming": 0.6515}
 INTEGRAL = {"uniform": 1.0, "hamming": 1.3628}
 
 
+@cache
 def composed(recipe: str, *words: str) -> FactoryConfig:
     given = ["experiment=physical", recipe] if recipe.startswith("sonar") else [recipe]
     return compose_config([*given, *words])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory import pairs
-from simnfnd.factory.config import digest, from_mapping, identity
+from simnfnd.factory.config import from_mapping
 from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.validate import shard_facts
 from simnfnd.factory.dataset.write.writer import write_shard
@@ -185,13 +185,3 @@ def test_what_is_not_there_is_refused():
     frame = labelled()
     with pytest.raises(FrameError, match="one look"):
         pairs.make_pair(pairs.observe(frame, plain_render(frame), many), 0, many)
-
-
-def test_nothing_changes_for_who_does_not_ask():
-    assert "columns" not in identity(config())["dataset"]
-    assert digest(identity(config())) == digest(identity(config(columns=[])))
-    frame = labelled()
-    plain = config()
-    pair = pairs.make_pair(pairs.observe(frame, plain_render(frame), plain), 0, plain)
-    assert pair.layers == {}
-    assert not [name for name in pair.record if name.startswith(("sonar.", "camera.", "source"))]

@@ -7,9 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from simnfnd.factory.noise.draws import StreamNames, draw
 from simnfnd.factory.pairs import observe
-from tests.constant_field import config, constant_field
+from tests.constant_field import config, constant_field, effects_of
 
 Pictures = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -23,9 +22,7 @@ def pictures(standing: float) -> Pictures:
         sonar={"transfer": {"kind": "linear", "reference": 0.1, "percentile": 50}},
     )
     made = observe(*constant_field(), settings)
-    names = StreamNames.of(made.ref, 0, made.has_pose)
-    effects = draw(settings.noise, settings.seed, names).effects
-    sample = made.scene.sample(0, effects, settings)
+    sample = made.scene.sample(0, effects_of(settings, made), settings)
     noisy, clean, bare = sample.noisy({"speckle"}), sample.clean, sample.without({"speckle"})
     return noisy[8:-8, 8:-8], clean[8:-8, 8:-8], bare[8:-8, 8:-8]
 
@@ -54,9 +51,3 @@ def test_the_clean_picture_is_as_like_the_noisy_one_as_fields_of_such_a_part(par
     # Averaging took the rest of an exponential intensity, whose contrast is 1.
     power = intensity(clean)
     assert part - 0.1 < power.std() / power.mean() < 1
-
-
-def test_nothing_stands_still_by_default() -> None:
-    assert config(noise={"speckle": {}}).acoustics.standing == 0
-    _, clean, _ = pictures(0.0)
-    assert np.ptp(clean / clean.mean(axis=1, keepdims=True)) < 0.06, "beams at the edges alone"

@@ -11,7 +11,6 @@ import pytest
 from simnfnd.factory.cli.compose import compose_config
 from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.imaging.coherent.beams import vertical_table
-from simnfnd.factory.imaging.coherent.scene import received
 from simnfnd.factory.imaging.coherent.signal import Ping, Signal
 from simnfnd.factory.noise.draws import Draws, StreamNames, draw
 from simnfnd.factory.noise.field.crosstalk import crosstalk
@@ -23,13 +22,11 @@ from simnfnd.factory.noise.field.saturation import saturation
 from simnfnd.factory.noise.field.scintillation import scintillation
 from simnfnd.factory.noise.field.sidelobe_arcs import sidelobe_arcs
 from simnfnd.factory.noise.field.spokes import spokes
-from simnfnd.factory.noise.field.volume import volume
 from simnfnd.factory.noise.registry import EFFECTS, FIELD_EFFECTS, NoiseSettings, blocks
-from simnfnd.factory.pairs import ObservedFrame, make_pair, observe
-from simnfnd.factory.sample_table.record import columns
+from simnfnd.factory.pairs import ObservedFrame, make_pair
 from simnfnd.factory.sonar.acoustics import thermal_noise_db
 from simnfnd.factory.sonar.array import directivity_db
-from tests.constant_field import config, constant_field, observed, ping_of
+from tests.constant_field import config, observed, ping_of
 
 EVERY: dict[str, dict[str, Any]] = {name: {} for name in FIELD_EFFECTS}
 
@@ -85,40 +82,6 @@ def test_receiver_noise_is_mellens_and_flat_before_the_gain() -> None:
     assert noise[:60].mean() == pytest.approx(noise[-60:].mean(), rel=0.05)
     amplitude = np.sqrt(noise)
     assert (amplitude.mean() / amplitude.std()) ** 2 == pytest.approx(3.66, rel=0.02)
-
-
-def test_receiver_noise_grows_with_range_after_the_gain() -> None:
-    settings = config(noise={"receiver": {"level_db": 60}})
-    made = observed(settings, power=1e-20)
-    of = ping_of(made)
-    level = received(of, drawn(settings, made).effects) ** 2
-    grown = decibels(level[-30:].mean() / level[:30].mean())
-    assert grown == pytest.approx(decibels(of.gain[-30:].mean() / of.gain[:30].mean()), abs=0.5)
-
-
-def test_noise_through_the_beamformer_has_the_grain_of_speckle() -> None:
-    of = ping()
-    grains = {}
-    for grain in ("sample", "beam"):
-        noise = receiver(silence(of), of, rng(), level_db=0, grain=grain)[0, 0]
-        grains[grain] = np.corrcoef(noise[:, 1:].ravel(), noise[:, :-1].ravel())[0, 1]
-    assert abs(grains["sample"]) < 0.03
-    assert grains["beam"] > 0.5
-
-
-def test_haze_is_the_volume_of_a_bin() -> None:
-    of = ping()
-    empty = Signal(np.zeros(of.shape, np.float32), silence(of))
-    haze = intensity(volume(empty, of, rng(), strength_db=-50).field).mean(axis=1)
-    row = 100
-    range_m = float(of.range_m[row])
-    # The integral of sinc^4, at -3 dB one way at vfov / 2, is 2/3 sin(vfov / 2) / 0.4429.
-    upright_rad = 2 / 3 * np.sin(np.deg2rad(10)) / 0.4429
-    cell_m3 = range_m**2 * np.deg2rad(24 / 128) * upright_rad * of.bin_m
-    golden_db = (
-        -50 + decibels(cell_m3) - 40 * np.log10(range_m) - 2 * of.absorption_db_per_m * range_m
-    )
-    assert decibels(haze[row - 10 : row + 10].mean()) == pytest.approx(golden_db, abs=0.2)
 
 
 @pytest.mark.parametrize("way", ["surface", "bottom"])
@@ -291,14 +254,6 @@ def test_comb_lines_are_equally_far_apart() -> None:
     np.testing.assert_allclose(steps, -2, atol=1e-3)
 
 
-def test_near_range_lines_of_a_window_that_begins_far_away_are_not_there() -> None:
-    of = ping()
-    assert not comb_lines(
-        silence(of), of, rng(), level_db=0, spacing_m=0.1, decay_db=5, uneven_db=3
-    ).any()
-    assert not ring_down(silence(of), of, rng(), level_db=0, decay_db_per_m=40).any()
-
-
 def test_saturation_limits_and_leaves_the_rest() -> None:
     of = ping()
     limit = of.strongest * 10**0.3 * of.gain[:, None]
@@ -346,71 +301,3 @@ def test_each_layer_is_its_effect_alone(complete):
         np.testing.assert_array_equal(make_pair(made, 0, alone).noisy, layer)
         assert (layer != pair.clean).mean() > 0.005, name
         assert 0 <= layer.min() <= layer.max() <= 1
-
-
-def test_without_effects_noisy_is_clean() -> None:
-    settings = config()
-    pair = make_pair(observed(settings), 0, settings)
-    np.testing.assert_array_equal(pair.noisy, pair.clean)
-
-
-def with_receiver(settings: FactoryConfig, level_db: Any) -> FactoryConfig:
-    block = config(noise={"receiver": {"level_db": level_db}}).noise.receiver
-    return replace(settings, noise=replace(settings.noise, receiver=block))
-
-
-def test_drawn_parameters_are_in_the_record_and_replay_the_sample(complete):
-    made, settings = complete
-    settings = with_receiver(settings, {"uniform": [20, 50]})
-    pair = make_pair(made, 3, settings)
-    level_db = float(pair.record["noise.receiver.level_db"])
-    assert 20 <= level_db <= 50
-    again = make_pair(made, 3, with_receiver(settings, level_db))
-    np.testing.assert_array_equal(again.noisy, pair.noisy)
-    table = columns(settings.noise, "field")
-    assert {column.name for column in table} == set(pair.record)
-    units = {column.name: column.units for column in table}
-    assert units["noise.receiver.level_db"] == "dB"
-    assert units["noise.speckle.scatterer_m"] == "m"
-    assert units["noise.ring_down.decay_db_per_m"] == "dB/m"
-    assert units["noise.surface_multipath.tilt_deg"] == "deg"
-
-
-def test_one_effect_leaves_the_draws_of_the_others() -> None:
-    everything = {**EVERY, "receiver": {"level_db": {"uniform": [0, 30]}}}
-    few = {"receiver": everything["receiver"]}
-    names = StreamNames.of(constant_field()[0].ref, 0, has_pose=True)
-    draws = [draw(config(noise=noise).noise, 3, names) for noise in (everything, few)]
-    assert draws[0]["receiver"] == draws[1]["receiver"]
-
-
-@pytest.mark.parametrize("target", ["mean_log", "restored", "geometry"])
-def test_the_clean_picture_is_the_target_that_was_asked_for(target):
-    settings = config(
-        acoustics={"target": target}, dataset={"dtype": "float32"}, noise={"speckle": {}}
-    )
-    frame, rendered = constant_field()
-    # A target on one side, the rest without an echo.
-    radiance = rendered.radiance.copy()
-    radiance[:, radiance.shape[1] // 2 :] = 0
-    rendered = type(rendered)(radiance, rendered.surface)
-    pair = make_pair(observe(frame, rendered, settings), 0, settings)
-    clean = pair.clean.astype(np.float32)
-    leaks = float((clean[:, 80:] > 0).mean())
-    if target in ("mean_log", "restored"):
-        assert clean[60, 66] > 0  # the beams' skirts reach into the dark
-    else:
-        assert leaks == 0
-    assert clean[:, 8:56].min() > 0
-
-
-def test_noise_workers_need_no_renderer_and_no_torch() -> None:
-    import subprocess
-    import sys
-
-    code = (
-        "import sys, simnfnd.factory.pairs\n"
-        "import simnfnd.factory.imaging.coherent.kernels\n"
-        "sys.exit(bool({'bpy', 'open3d', 'torch'} & set(sys.modules)))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -58,27 +58,6 @@ def test_the_content_of_files_counts_and_not_their_place(tmp_path: Path) -> None
     assert keys.of(FrameRef("", "s", "f", (str(tmp_path / "a"),))) not in of.values()
 
 
-def test_files_of_prepared_frames_are_read_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    settings, ref = config(tmp_path), FrameRef("seabed", "seabed-0000", "0001")
-    key = ViewMaker(settings).prepare(ref).key
-    assert key == CachedViews(settings).keys.of(ref)
-    views = CachedViews(settings)
-    views.expect({ref.name: key})
-
-    def gone(self: FrameKeys, ref: FrameRef) -> str:
-        raise FileNotFoundError(ref.name)
-
-    monkeypatch.setattr(FrameKeys, "of", gone)
-    assert views.holds(ref)
-    assert views.view(ref).seen.valid.any()
-    views.expect({})
-    assert not views.holds(ref)
-    with pytest.raises(NotRendered):
-        views.view(ref)
-
-
 # --- the folder -------------------------------------------------------------------------------
 
 

@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 
 from simnfnd.command import main
-from simnfnd.factory.frame import FrameRef
-from simnfnd.factory.render.views import FrameKeys
 from tests.factory.scheduler.run_files import shard_bytes
 
 WORDS = [
@@ -25,21 +23,6 @@ WORDS = [
 def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
     monkeypatch.setattr(sys, "argv", ["simnfnd"])  # Hydra's words are put there
     return main(words, default="make")
-
-
-def test_a_run_works_out_the_key_of_a_frame_once(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    of, asked = FrameKeys.of, []
-
-    def counted(self: FrameKeys, ref: FrameRef) -> str:
-        asked.append(ref.name)
-        return of(self, ref)
-
-    monkeypatch.setattr(FrameKeys, "of", counted)
-    words = [*WORDS, f"cache.dir={tmp_path / 'cache'}", f"dataset.dir={tmp_path / 'out'}"]
-    assert run(monkeypatch, *words) == 0
-    assert len(asked) == len(set(asked)) == 4
 
 
 def test_from_command_line_to_pack_and_back(
@@ -104,35 +87,3 @@ def assert_same_pictures(one: Path, other: Path) -> None:
         with h5py.File(one / path) as first, h5py.File(other / path) as second:
             for layer in ("noisy", "clean", "shadow"):
                 np.testing.assert_array_equal(first[layer][()], second[layer][()])
-
-
-def test_failed_frames_are_told_and_can_be_tried_again(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    import cv2
-
-    folder = tmp_path / "scene"
-    folder.mkdir()
-    rgb = np.full((80, 120, 3), 120, np.uint8)
-    depth = np.linspace(4000, 1500, 80 * 120).reshape(80, 120).astype(np.uint16)
-    for name, picture in (("good", depth), ("bad", depth * 0)):
-        cv2.imwrite(str(folder / f"{name}.png"), rgb)
-        cv2.imwrite(str(folder / f"{name}_d.png"), picture)
-    (folder / "list.csv").write_text("good.png,good_d.png\nbad.png,bad_d.png\n")
-    out = tmp_path / "out"
-    words = [
-        *("scenes=csv_list", f"scenes.root={folder / 'list.csv'}", "render=analytic"),
-        *("scenes.intrinsics=[100,100,60,40]", "scheduler=serial", "dataset.preview_pairs=0"),
-        *(f"cache.dir={tmp_path / 'cache'}", f"dataset.dir={out}"),
-    ]
-    assert run(monkeypatch, *words) == 1
-    capfd.readouterr()
-    assert run(monkeypatch, "status", str(out), "--failed") == 1
-    stated = capfd.readouterr().out
-    assert "list/bad" in stated
-    assert "frames.only=[list/bad]" in stated
-    cv2.imwrite(str(folder / "bad_d.png"), depth)
-    assert run(monkeypatch, "status", str(out), "--rerun") == 0
-    assert "1 of 1 frames work now" in capfd.readouterr().out
-    assert run(monkeypatch, *words) == 0
-    assert run(monkeypatch, "status", str(out), "--failed") == 0

@@ -11,16 +11,7 @@ import numpy as np
 import pytest
 
 from simnfnd.factory.frame import Frame, Intrinsics
-from tests.factory.render.renderers import (
-    ABOVE,
-    HERE,
-    KINDS,
-    LEFT,
-    digest,
-    opened,
-    relative_error,
-    render,
-)
+from tests.factory.render.renderers import ABOVE, HERE, KINDS, LEFT, digest, opened, render
 from tests.project_files import ROOT
 from tests.render_scenes import frame_of, plane_depth, yard
 
@@ -46,10 +37,7 @@ def fresh_process() -> Iterator[subprocess.Popen[str]]:
         "print(digest(render('cycles', yard(152, 242), LEFT)))\n"
     )
     process = subprocess.Popen(
-        [sys.executable, "-c", script],
-        stdout=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, cwd=ROOT
     )
     yield process
     process.kill()
@@ -95,11 +83,3 @@ def test_bounces_light_up_a_groove() -> None:
     np.testing.assert_array_equal(bounced, again)
     assert bounced.mean() > 1.05 * direct.mean()
     assert (bounced >= direct * 0.999).mean() > 0.999
-
-
-def test_more_samples_stay_at_pixel_centres() -> None:
-    frame = yard(100, 130)
-    one, many = (render("cycles", frame, albedo="constant", samples=count) for count in (1, 8))
-    error = relative_error(many, one)
-    assert np.median(error) < 1e-3
-    assert np.percentile(error, 99) < 0.02

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +12,6 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.render import RenderSettings, check_renderer, open_renderer
 from simnfnd.factory.render.albedo import albedo, linear_luminance
 from simnfnd.factory.settings import build
-from tests.project_files import ROOT
 
 # ---- albedo ----
 
@@ -83,28 +81,6 @@ def test_missing_library_is_one_line_with_the_way_out(
             assert part in text
 
 
-def test_library_that_does_not_load_is_named(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """Installed, but a shared library of the system is not there."""
-    (tmp_path / "bpy.py").write_text(
-        "raise ImportError('libXrender.so.1: cannot open shared object file')"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "bpy", raising=False)
-    with pytest.raises(FactoryError, match=r"libXrender\.so\.1.*make setup"):
-        open_renderer(build(RenderSettings, {"kind": "cycles"}))
-
-
 def test_points_are_for_cycles_only() -> None:
     with pytest.raises(FactoryError, match=r"render\.geometry=points.*render\.geometry=auto"):
         open_renderer(build(RenderSettings, {"kind": "embree", "geometry": "points"}))
-
-
-@pytest.mark.parametrize("kind", ["cycles", "embree", "analytic"])
-def test_config_file_lists_every_key(kind: str) -> None:
-    yaml = pytest.importorskip("yaml")
-    file = ROOT / "conf" / "render" / f"{kind}.yaml"
-    values = yaml.safe_load(file.read_text())
-    assert set(values) == set(RenderSettings.__dataclass_fields__)
-    assert build(RenderSettings, values) == build(RenderSettings, {"kind": kind})

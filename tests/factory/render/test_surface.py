@@ -83,28 +83,6 @@ def test_normals_of_a_sphere() -> None:
     assert off_deg[facing].max() < 0.2
 
 
-def test_normals_next_to_an_edge_are_those_of_their_own_surface() -> None:
-    """Two walls, one before the other: nowhere is a normal a mixture of both."""
-    depth_m = np.where(np.arange(60) < 30, 2.0, 3.0) * np.ones((40, 1))
-    depth_m[10:20, 40:50] = 0
-    found = surface_of(depth_m).normals
-    np.testing.assert_allclose(
-        found[depth_m > 0], np.broadcast_to([0, 0, -1], (int((depth_m > 0).sum()), 3)), atol=1e-6
-    )
-    np.testing.assert_array_equal(found[depth_m == 0], 0)
-
-
-def test_a_strip_one_pixel_wide_faces_the_camera_as_far_as_it_can() -> None:
-    depth_m = np.zeros((9, 9), np.float32)
-    depth_m[4, 2:7] = 2.0
-    surface = surface_of(depth_m)
-    points_m, found = surface.points_m, surface.normals[4, 2:7]
-    sight = -points_m[4, 2:7] / np.linalg.norm(points_m[4, 2:7], axis=-1, keepdims=True)
-    np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1, rtol=1e-5)
-    np.testing.assert_allclose(found[:, 0], 0, atol=1e-6)  # at right angles to the strip
-    assert np.all((found * sight).sum(axis=-1) > 0.9)
-
-
 def test_ground_at_grazing_incidence_stays_whole_and_a_low_step_is_cut() -> None:
     steady = 5.0 * 1.04 ** np.arange(30)[:, None] * np.ones((1, 20))
     assert joined(steady, kernels.DOWN)[:-1].all()
@@ -146,20 +124,3 @@ def test_edges_are_never_bridged(depth_m: npt.NDArray[np.float32], edge_ratio: f
     assert np.all(np.ptp(rows, axis=1) == 1)
     assert np.all(np.ptp(columns, axis=1) == 1)
     assert len({tuple(sorted(triangle)) for triangle in triangles.tolist()}) == len(triangles)
-
-
-@given(DEPTHS, st.sampled_from([0.05, 0.1, 0.5]))
-def test_faces_and_normals_look_at_the_camera(
-    depth_m: npt.NDArray[np.float32], edge_ratio: float
-) -> None:
-    surface = surface_of(depth_m, edge_ratio)
-    points_m = surface.points_m.astype(np.float64)
-    triangles = triangles_of(depth_m, edge_ratio)
-    a, b, c = np.moveaxis(points_m.reshape(-1, 3)[triangles], 1, 0)
-    assert np.all((np.cross(b - a, c - a) * a).sum(axis=-1) < 0)
-
-    mask, found = surface.mask, surface.normals
-    assert set(np.flatnonzero(mask)) == set(triangles.ravel())
-    assert np.all((found * points_m).sum(axis=-1)[mask] < 0)
-    np.testing.assert_allclose(np.linalg.norm(found, axis=-1)[mask], 1, rtol=1e-5)
-    np.testing.assert_array_equal(found[depth_m == 0], 0)

@@ -3,26 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import array_shapes, arrays
 
 from simnfnd.factory.render.base import Rendered
 from simnfnd.factory.render.mount import Mount
-from simnfnd.factory.render.view import (
-    DEPTH,
-    RADIANCE,
-    decode,
-    encode,
-    fold,
-    rounded,
-    unfold,
-    view_of,
-)
+from simnfnd.factory.render.view import DEPTH, RADIANCE, decode, encode, fold, view_of
 from tests.factory.render.small_views import same, some_view
 from tests.frames import ground_and_post, plain_render
 
@@ -83,18 +72,6 @@ def test_anything_else_is_no_view(cut: int, content: bytes) -> None:
             decode(bad)
 
 
-@settings(max_examples=40, deadline=None)
-@given(codes=arrays(np.uint16, array_shapes(min_dims=2, max_dims=2, max_side=9)))
-def test_planes_are_folded_and_unfolded(codes: np.ndarray[Any, Any]) -> None:
-    content = fold(codes)
-    assert len(content) == 2 * codes.size
-    height, width = codes.shape
-    found = rounded(unfold(content, (height, width), DEPTH), DEPTH)[0]
-    np.testing.assert_array_equal(found, np.minimum(codes, 65_534))
-    with pytest.raises(ValueError, match="reshape"):
-        unfold(content[:-1], (height, width), DEPTH)
-
-
 def test_folded_planes_keep_their_bytes() -> None:
     """Caches and packs hold them: 5 is +5, folded to 10; 3 after 5 is -2, folded to 3."""
     assert fold(np.array([[5, 3], [5, 300]], np.uint16)) == bytes([10, 3, 0, 82, 0, 0, 0, 2])
@@ -112,10 +89,3 @@ def test_a_flipped_bit_never_changes_a_picture(place: float, bit: int) -> None:
     except ValueError:
         return
     assert same(found, whole)  # a bit that the codec does not look at
-
-
-def test_codes_are_logarithms_and_0_is_nothing() -> None:
-    values = np.array([[0, -1, 1e-12, 1e-3], [1.0, 1e3, np.inf, 1e-9]], np.float32)
-    low, top = 1, 65_534
-    expected = [[0, 0, low, 1], [1 + 34_539, 1 + 69_078, top, low]]
-    np.testing.assert_array_equal(rounded(values, DEPTH)[0], np.minimum(expected, top))

@@ -11,13 +11,7 @@ import pytest
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.scenes import Scenes, open_reader
 from simnfnd.factory.settings import build
-from tests.factory.scenes.scene_files import (
-    DEPTH,
-    PINHOLE,
-    RGB,
-    reader,
-    write,
-)
+from tests.factory.scenes.scene_files import DEPTH, PINHOLE, RGB, reader, write
 
 # --- CSV lists -----------------------------------------------------------------------------------
 

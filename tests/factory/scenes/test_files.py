@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Intrinsics
-from simnfnd.factory.scenes.calibration import read_kalibr, scaled, undistorted, z_from_range
+from simnfnd.factory.scenes.calibration import read_kalibr, undistorted, z_from_range
 from simnfnd.factory.scenes.images import read_depth, read_rgb
 from simnfnd.factory.scenes.redwood import redwood_poses
 from simnfnd.factory.scenes.tum import pose_at
@@ -182,22 +182,6 @@ def test_other_cameras_and_damaged_calibrations_are_refused(tmp_path: Path, text
         read_kalibr(path)
     assert str(path) in str(caught.value)
     assert not isinstance(caught.value, FrameError)
-
-
-@given(st.integers(2, 2000), st.integers(2, 2000))
-def test_scaling_keeps_the_field_of_view(width: int, height: int) -> None:
-    camera = Intrinsics(1175.4, 1174.3, 466.3, 271.2, (0.1, 0.2, 0.3, 0.4))
-    resized = scaled(camera, (968, 608), (width, height))
-    assert resized.distortion == camera.distortion
-    # The outer edges of the first and last pixels look in the same directions before and after.
-    for first, second in ((-0.5, -0.5), (967.5, width - 0.5)):
-        assert (first - camera.cx) / camera.fx == pytest.approx(
-            (second - resized.cx) / resized.fx, abs=1e-12
-        )
-    for first, second in ((-0.5, -0.5), (607.5, height - 0.5)):
-        assert (first - camera.cy) / camera.fy == pytest.approx(
-            (second - resized.cy) / resized.fy, abs=1e-12
-        )
 
 
 def test_range_of_a_sphere_becomes_points_at_its_radius() -> None:

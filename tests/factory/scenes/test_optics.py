@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 from simnfnd.factory.cli.compose import compose_config
-from simnfnd.factory.config import FactoryConfig, digest, identity
+from simnfnd.factory.config import FactoryConfig
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.scenes import open_reader
@@ -52,17 +51,6 @@ def test_every_sonar_has_ground_all_over_its_sector(sonar: str) -> None:
     half = config.sonar.hfov_deg / 2
     inside = azimuth_deg[np.abs(azimuth_deg) <= half]
     assert inside.max() - inside.min() >= 0.95 * config.sonar.hfov_deg
-
-
-def test_narrow_sonars_keep_their_frames_and_the_names_of_their_datasets() -> None:
-    config = config_of("sonar=camera_matched")
-    assert isinstance(config.scenes, SeabedSettings)
-    assert config.scenes.hfov_deg is None
-    assert "hfov_deg" not in identity(config)["scenes"]
-    wide = config_of("sonar=oculus_m750d_lf")
-    assert identity(wide)["scenes"]["hfov_deg"] == 130
-    other = replace(config, scenes=replace(config.scenes, hfov_deg=60.0, vfov_deg=20.0))
-    assert digest(identity(other)) != digest(identity(config))
 
 
 def test_what_is_asked_for_wins_over_the_sonar() -> None:

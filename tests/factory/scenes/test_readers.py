@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -47,6 +48,33 @@ def test_missing_and_empty_roots_get_one_line(tmp_path: Path, kind: str) -> None
     for unset in ("", "???"):
         with pytest.raises(FactoryError, match=r"scenes\.root: a path is required"):
             build(Scenes, {"kind": kind, "root": unset, **extra}, "scenes")
+
+
+@pytest.mark.parametrize("kind", ["flsea", "redwood"])
+def test_what_cannot_be_read_is_one_line(
+    tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = tmp_path / ("canyons/u_canyon" if kind == "flsea" else "loft")
+    for name in ("imgs/1.tiff", "depth/1_abs_depth.tif", "color/1.png"):
+        write(place / name, RGB)
+
+    def closed(folder: Path) -> None:
+        raise PermissionError(13, "Permission denied", str(folder))
+
+    monkeypatch.setattr("os.scandir", closed)
+    with pytest.raises(FactoryError, match=r"^scenes\.root: .*/(depth|color) cannot be read"):
+        reader(kind, tmp_path).discover()
+
+
+def test_a_pipe_in_a_list_is_a_bad_frame(tmp_path: Path) -> None:
+    (tmp_path / "frames.csv").write_text("1.png,1.tif\n")
+    os.mkfifo(tmp_path / "1.png")
+    csv_list = reader("csv_list", tmp_path / "frames.csv", intrinsics=PINHOLE)
+    with pytest.raises(FactoryError, match="none of the 1 frames"):
+        csv_list.discover()
+    write(tmp_path / "1.tif", DEPTH)
+    with pytest.raises(FrameError, match=r"1\.png: no regular file"):
+        csv_list.load(csv_list.discover().frames[0])
 
 
 # --- TUM -----------------------------------------------------------------------------------------

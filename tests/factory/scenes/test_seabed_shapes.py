@@ -8,24 +8,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from simnfnd.factory.scenes.seabed import kernels, view
 from simnfnd.factory.scenes.seabed.biomes import PLACE_NAMES
 from simnfnd.factory.scenes.seabed.camera import Optics, camera, z_buffer
-from simnfnd.factory.scenes.seabed.fields import waves
-from simnfnd.factory.scenes.seabed.meshes import (
-    Mesh,
-    box,
-    grid_triangles,
-    lathe,
-    sphere,
-    tube,
-)
+from simnfnd.factory.scenes.seabed.meshes import Mesh, box, grid_triangles, lathe, sphere, tube
 from simnfnd.factory.scenes.seabed.terrain import view_mesh
 from simnfnd.factory.scenes.seabed.viewpoint import choose_pose
 from simnfnd.factory.scenes.seabed.world import build_world
+from simnfnd.factory.seeds import stream
 
 
 @pytest.mark.parametrize("location", [3])
@@ -147,11 +138,13 @@ def _ring(count: int) -> npt.NDArray[np.float64]:
     return np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)])
 
 
-@settings(max_examples=8, deadline=None)
-@given(st.integers(0, 2**31))
-def test_waves_have_unit_variance(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    field = waves(rng, 8.0, 0.5)
-    values = field(*rng.uniform(-2000, 2000, (2, 20_000)))
-    assert abs(float(values.mean())) < 0.1
-    assert float(values.std()) == pytest.approx(1, abs=0.1)
+def test_depth_is_lost_far_away_and_behind_edges_in_the_share_drawn() -> None:
+    depth_m = np.full((608, 968), 3.0, np.float32)
+    depth_m[:, 500:] = 4.5
+    depth_m[:60] = np.inf
+    keep = view.measured(stream(1, "gaps"), depth_m, depth_m, 5.0)
+    assert not keep[:60].any()
+    assert 0.6 < keep.mean() < 0.93
+    behind, before = keep[200:400, 500:504].mean(), keep[200:400, 496:500].mean()
+    assert behind < 0.6 < before
+    assert not view.measured(stream(1, "gaps"), depth_m, depth_m, 1.0).any()

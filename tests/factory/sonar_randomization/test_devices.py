@@ -91,33 +91,6 @@ def test_odd_effects_are_those_of_a_share_of_the_pictures() -> None:
     assert share == pytest.approx(0.5, abs=0.15)
 
 
-def test_samples_tremble_where_speckle_stands_still() -> None:
-    words = ("devices.field_share=1", "devices.quiet_share=0", "devices.fewer_share=0")
-    for share in (0, 1):
-        config = compose_config(["experiment=any_sonar", *words, f"devices.standing_share={share}"])
-        assert config.devices is not None
-        device = devices.draw(config.devices, 0, 1)
-        made = devices.configured(config, device, any_size=True)
-        assert made.noise.scintillation is not None
-        assert (made.acoustics.standing > 0) == made.noise.scintillation.enabled == bool(share)
-
-
-def test_a_share_of_the_logarithms_end_softly() -> None:
-    words = (
-        *("devices.field_share=1", "devices.log_share=1"),
-        *("devices.black=0.3", "devices.soft_share=0.5"),
-    )
-    config = compose_config(["experiment=any_sonar", *words])
-    assert config.devices is not None
-    drawn = [devices.draw(config.devices, 0, number) for number in range(60)]
-    shown = [devices.configured(config, one, any_size=True).sonar.transfer for one in drawn]
-    soft = [one for one in shown if one.kind == "soft_log"]
-    assert 15 < len(soft) < 45
-    # Darker than the median echo, however the two were drawn.
-    assert all(0 < one.black < one.reference for one in soft)
-    assert all(one.black == 0 for one in shown if one.kind == "log")
-
-
 def test_the_receivers_noise_follows_the_echoes() -> None:
     words = ("devices.field_share=1", "devices.quiet_share=0", "devices.fewer_share=0")
     levels = [
@@ -125,11 +98,6 @@ def test_the_receivers_noise_follows_the_echoes() -> None:
         for level in (-20, -10)
     ]
     assert levels[1] - levels[0] == pytest.approx(10, abs=1e-6)
-
-
-def test_without_devices_nothing_of_them_is_in_a_datasets_identity() -> None:
-    assert "devices" not in identity(compose_config(["experiment=demo"]))
-    assert "devices" in identity(compose_config(["experiment=any_sonar"]))
 
 
 def test_rasters_show_samples_as_they_are_or_between() -> None:

@@ -109,7 +109,7 @@ def test_old_data_has_the_factorys_noise_where_it_belongs(images: Path) -> None:
         noisy = with_noise(clean, fan, Draws(config, (effect,)), 8)
         assert not noisy[~sector].any()
         errors[effect.name] = float(np.abs(noisy - clean).mean())
-        if not effect.moves:
+        if not effect.effect.moves:
             assert (noisy - clean).min() > -1e-6, "echoes are added, never taken away"
     assert all(error > 0 for name, error in errors.items() if name != "range_arc")
     # Range spreading moves echoes along their bearing and loses few.

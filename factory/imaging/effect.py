@@ -1,17 +1,31 @@
-"""What an effect declares in its own file: its settings, its function, its stage and scope."""
+"""An effect of noise: what it declares in its own file, and what is drawn of it for a sample."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
+import numpy as np
 from pydantic.dataclasses import dataclass as validated
 
+from .. import seeds
 from ..distribution import Distribution, number
-from ..imaging.contract import Artefact, Stage
 from ..settings import STRICT
+
+Names = tuple[str | int, ...]
+Value = float | int | str
+
+# When an effect acts: on the echoes as points; on the complex field before the device blurs it;
+# after beamforming; after time-varying gain.
+Stage = Literal["points", "echo", "beam", "picture"]
+
+# What an effect shows in a picture, and what a denoiser can be told to remove: grain that averages
+# out; a level added to the ground; bright beams and arcs; copies of objects at the wrong place;
+# smeared ranges; wrong gains of beams and ranges.
+Artefact = Literal["speckle", "haze", "spokes", "ghosts", "blur", "gains"]
+ARTEFACTS: tuple[Artefact, ...] = ("speckle", "haze", "spokes", "ghosts", "blur", "gains")
 
 Scope = Literal["sample", "recording", "world"]
 
@@ -90,3 +104,63 @@ class Effect:
             for item in fields(self.settings)
             if item.name != "enabled"
         )
+
+
+class LateStream:
+    """A random stream that is made when something is drawn from it; many effects draw nothing."""
+
+    def __init__(self, seed: int, *names: str | int) -> None:
+        self._seed, self._names = seed, names
+
+    @cached_property
+    def _stream(self) -> np.random.Generator:
+        return seeds.stream(self._seed, *self._names)
+
+    def __getattr__(self, name: str) -> Any:
+        """What the generator has."""
+        return getattr(self._stream, name)
+
+
+@dataclass(frozen=True)
+class DrawnEffect:
+    """An effect with the parameters and the random stream of one sample.
+
+    stream_names: what its stream is named by; `seed` is the configuration's.
+    """
+
+    name: str
+    effect: Effect
+    parameters: Mapping[str, Value]
+    seed: int
+    stream_names: Names
+
+    @property
+    def stage(self) -> Stage:
+        """When it acts."""
+        return self.effect.stage
+
+    @property
+    def artefact(self) -> Artefact | None:
+        """See `Effect`."""
+        return self.effect.artefact
+
+    def realise(self, expected: Any, context: Any) -> None:
+        """Change expected intensities as the effect does in this sample.  See `Effect`."""
+        self._change(self.effect.realised or self.effect.expected, expected, context)
+
+    def expect(self, expected: Any, context: Any) -> None:
+        """Change expected intensities as the effect does on average.  See `Effect`."""
+        self._change(self.effect.expected, expected, context)
+
+    def apply(self, subject: Any, context: Any) -> Any:
+        """What the effect makes of `subject`; equal calls give equal results.  See `Effect`."""
+        return self.effect.function(subject, context, self.stream(), **self.parameters)
+
+    def _change(self, change: Callable[..., None] | None, expected: Any, context: Any) -> None:
+        if change is not None:
+            change(expected, context, self.stream(), **self.parameters)
+
+    def stream(self) -> np.random.Generator:
+        """Its random stream, from the beginning."""
+        late = LateStream(self.seed, "noise", self.name, *self.stream_names)
+        return cast(np.random.Generator, late)
