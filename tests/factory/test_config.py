@@ -1,5 +1,7 @@
 """The configuration: YAML and dataclasses agree, recipes compose, mistakes are one line."""
 
+import re
+
 import pytest
 import yaml
 from hydra import compose, initialize_config_module
@@ -89,7 +91,7 @@ def test_every_experiment_composes(experiment):
         values["scenes"]["root"] = "somewhere"
     values.pop("experiment", None)
     assert from_mapping(values).dataset.name.startswith(
-        experiment.replace("benchmark_", "benchmark-")
+        re.sub("^(benchmark|demo)_", r"\1-", experiment)
     )
 
 
