@@ -19,12 +19,15 @@ from .dataset.format.schema import CAMERA_LAYERS
 from .dataset.format.settings import DatasetSettings
 from .errors import FactoryError
 from .imaging.coherent.settings import AcousticsSettings
+from .imaging.materials import Material, with_materials
 from .imaging.resample import ResampleSettings
+from .labels import class_names
 from .noise.registry import EFFECTS, NoiseSettings, blocks
 from .render.base import RenderSettings
 from .render.cache import CacheSettings
 from .scenes import Scenes
 from .scenes.base import INTEGERS_PER_M
+from .scenes.mesh import MeshSettings
 from .scenes.seabed.reader import SeabedSettings, seeing
 from .scheduler.settings import SchedulerSettings, ShardSlice
 from .settings import STRICT, build
@@ -36,7 +39,7 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 # Recordings whose frames can carry labels: a pack has those that went into it.
-_LABELLED = ("seabed", "pack")
+_LABELLED = ("seabed", "mesh", "pack")
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -185,10 +188,17 @@ def from_mapping(values: Mapping[str, Any]) -> FactoryConfig:
     Raises FactoryError with one line that names every bad key.
     """
     config: FactoryConfig = build(FactoryConfig, values)
-    if isinstance(config.scenes, SeabedSettings):
+    scenes = config.scenes
+    if isinstance(scenes, SeabedSettings | MeshSettings):
         sonar = config.sonar
-        config = replace(config, scenes=seeing(config.scenes, sonar.hfov_deg, sonar.vfov_deg))
-    return config
+        config = replace(config, scenes=seeing(scenes, sonar.hfov_deg, sonar.vfov_deg))
+    own: tuple[Material, ...] = ()
+    if isinstance(scenes, SeabedSettings):
+        own = scenes.own_objects
+    elif isinstance(scenes, MeshSettings):
+        own = scenes.classes
+    classes = class_names(scenes.own_classes())
+    return replace(config, acoustics=with_materials(config.acoustics, classes, own))
 
 
 def with_cache(config: FactoryConfig, work: Path) -> FactoryConfig:
@@ -240,6 +250,7 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
     if path is not None:
         # Where the platform goes counts, and not where the file lies.
         values["scenes"]["path"] = file_digest(path)
+    _with_content(config.scenes, values)
     for name, usual in _LATER.items():
         *groups, key = name.split(".")
         group = reduce(getitem, groups, values)
@@ -264,12 +275,30 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
     return values
 
 
-def file_digest(path: str) -> str:
+def _with_content(scenes: Scenes, values: dict[str, Any]) -> None:
+    """The user's meshes and materials count by their content; without any all is as it was."""
+    own = scenes.own_classes()
+    if own:
+        values["classes"] = list(own)
+    for one in values["scenes"].get("own_objects", ()):
+        one["file"] = file_digest(one["file"], "scenes.own_objects")
+    if not values["scenes"].get("own_objects"):
+        values["scenes"].pop("own_objects", None)
+    if isinstance(scenes, MeshSettings):
+        values["scenes"]["file"] = file_digest(scenes.file, "scenes.file")
+        if scenes.poses is not None:
+            values["scenes"]["poses"] = file_digest(scenes.poses, "scenes.poses")
+    values["acoustics"].pop("materials")
+    if not values["acoustics"]["lambert_exponents"]:
+        values["acoustics"].pop("lambert_exponents")
+
+
+def file_digest(path: str, key: str = "scenes.path") -> str:
     """16 hexadecimal digits of the content of a file.  Raises FactoryError without it."""
     try:
         content = Path(path).expanduser().read_bytes()
     except OSError as error:
-        raise FactoryError(f"scenes.path={path}: cannot be read ({error.strerror})") from error
+        raise FactoryError(f"{key}={path}: cannot be read ({error.strerror})") from error
     return hashlib.blake2b(content, digest_size=8).hexdigest()
 
 

@@ -11,6 +11,7 @@ from .errors import FrameError
 
 # No imaging sonar sees farther, and no camera nearer.
 _LIKELY_M = (0.005, 300.0)
+BOX_FIELDS = 11
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,9 @@ class Frame:
     instance: (H, W) uint16 object number within the scene (0 = none), or None.
     time_s: when it was taken, seconds from any beginning, or None.
     altitude_m: height of the camera above the ground right under it, or None.
+    boxes: (N, 11) float64 of the objects in the picture, or None: number in `instance`, class; box
+        around it, centre ahead, left, up (m), length, width, height (m), yaw from ahead to the left
+        (rad), all in the camera's own axes; pixels it would cover alone; those hidden by others.
     """
 
     ref: FrameRef
@@ -76,6 +80,7 @@ class Frame:
     instance: npt.NDArray[np.uint16] | None = None
     time_s: float | None = None
     altitude_m: float | None = None
+    boxes: npt.NDArray[np.float64] | None = None
 
     @property
     def valid(self) -> npt.NDArray[np.bool_]:

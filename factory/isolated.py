@@ -49,9 +49,13 @@ def look_at(
 
 
 class IsolatedProcess:
-    """Runs importable functions in another process, which is started again when one kills it."""
+    """Runs importable functions in another process, which is started again when one kills it.
 
-    def __init__(self) -> None:
+    memory_bytes: beyond what the process has after its imports; other libraries need more.
+    """
+
+    def __init__(self, memory_bytes: int = _MEMORY_BYTES) -> None:
+        self._memory_bytes = memory_bytes
         self._child: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> IsolatedProcess:
@@ -67,7 +71,7 @@ class IsolatedProcess:
 
         Raises RuntimeError with the traceback for any other error of the function.
         """
-        child = self._child = self._child or _start()
+        child = self._child = self._child or _start(self._memory_bytes)
         assert child.stdin is not None
         assert child.stdout is not None
         name = f"{function.__module__}:{function.__qualname__}"
@@ -161,28 +165,28 @@ def decode(file: IO[bytes]) -> Any:
     return json.loads(line, object_hook=untagged)
 
 
-def _start() -> subprocess.Popen[bytes]:
+def _start(memory_bytes: int) -> subprocess.Popen[bytes]:
     environment = dict(os.environ)
     # Modules are to be found as this process finds them, wherever it was started.
     environment["PYTHONPATH"] = os.pathsep.join(path or os.getcwd() for path in sys.path)
     # Threads of numerical libraries reserve address space, and nothing is computed there.
     environment["OMP_NUM_THREADS"] = environment["OPENBLAS_NUM_THREADS"] = "1"
     return subprocess.Popen(
-        [sys.executable, "-c", f"from {__name__} import serve; serve()"],
+        [sys.executable, "-c", f"from {__name__} import serve; serve({memory_bytes})"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env=environment,
     )
 
 
-def serve() -> None:
+def serve(memory_bytes: int) -> None:
     """Answer the calls that come on standard input until it ends."""
     # Ctrl-C is for the parent, which then ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     answers = os.fdopen(os.dup(1), "wb")
     # What libraries print must not get between the answers.
     os.dup2(2, 1)
-    _limit_memory()
+    _limit_memory(memory_bytes)
     while True:
         try:
             name, limit_s, folder, arguments = decode(sys.stdin.buffer)
@@ -212,12 +216,12 @@ def _found(name: str) -> Any:
     return found
 
 
-def _limit_memory() -> None:
+def _limit_memory(memory_bytes: int) -> None:
     import resource
 
     import h5py  # noqa: F401  (counts as what the process has)
 
-    most = _address_space_bytes() + _MEMORY_BYTES
+    most = _address_space_bytes() + memory_bytes
     _, allowed = resource.getrlimit(resource.RLIMIT_AS)
     if allowed != resource.RLIM_INFINITY:
         most = min(most, allowed)

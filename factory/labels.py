@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from collections.abc import Iterable, Mapping
+from typing import Any, Literal, get_args
 
 ObjectName = Literal[
     "Bottle",
@@ -29,3 +30,13 @@ ObjectName = Literal[
 
 # 0 to 11 are those of the Marine Debris Dataset; ground is 0.
 CLASSES: tuple[str, ...] = ("Background", *get_args(ObjectName))
+
+
+def class_names(own: Iterable[str]) -> tuple[str, ...]:
+    """CLASSES and, from their end on, the classes of the user's own objects."""
+    return tuple(dict.fromkeys((*CLASSES, *own)))
+
+
+def classes_of(config: Mapping[str, Any]) -> tuple[str, ...]:
+    """The class names of a dataset, from the settings in its shards."""
+    return class_names(config.get("classes", ()))

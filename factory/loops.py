@@ -25,7 +25,7 @@ def compile_needed(*, scenes: str = "", field: bool = False) -> None:
     One process of a machine at a time does it: many workers would compile the same loops at once.
     """
     names: tuple[str, ...] = PICTURES
-    if scenes == "seabed":
+    if scenes in ("seabed", "mesh"):
         names += SEABED
     if field:
         names += FIELD

@@ -59,7 +59,7 @@ class ObservedFrame:
     scene: Scene
     shadow: npt.NDArray[np.bool_]
     layers: Mapping[str, npt.NDArray[np.generic]]
-    columns: Mapping[str, float]
+    columns: Mapping[str, float | str]
 
 
 class PairMaker:
@@ -147,7 +147,7 @@ def observe(
         scene,
         lay_out_nearest(shadow, window, sonar),
         {name: lay_out_nearest(picture, window, sonar) for name, picture in behind.items()},
-        requested_row(frame, config),
+        requested_row(lit, config),
     )
 
 

@@ -79,7 +79,8 @@ def _pack(overrides: list[str], out: Path | None) -> int:
             f"cache pack: none of the {len(refs)} frames is rendered in {config.cache.folder}; "
             f"run `simnfnd make {' '.join(overrides)}` first"
         )
-    size = write_pack(out, there, views.view, config.sonar.mount, config.render.kind)
+    classes = config.scenes.own_classes()
+    size = write_pack(out, there, views.view, config.sonar.mount, config.render.kind, classes)
     print(f"pack: {out}: {len(there)} frames, {size / len(there) / 1e3:.0f} kB each")
     if missing:
         print(f"pack: {missing} frames are not rendered yet and left out")

@@ -20,8 +20,9 @@ import numpy.typing as npt
 from ..errors import FactoryError
 from ..files import is_temporary, sha256_of
 from ..isolated import IsolatedProcess
+from ..labels import classes_of
 from .format.axes import echo_names, image_axes
-from .format.layout import inside, optional_layers
+from .format.layout import config_of, inside, optional_layers
 from .format.manifest import INDEX_NAME, MANIFEST_NAME, Manifest, damage, load_manifest
 from .format.schema import REQUIRED_COLUMNS, SPLITS, VALUE_RANGES, Layer, layers, stores_grey
 from .read.image_stack import ImageStack
@@ -228,7 +229,7 @@ def shard_facts(path: Path, deep: bool) -> ShardFacts:
 
 def _facts(file: h5py.File, deep: bool) -> ShardFacts:
     noisy = file["noisy"]
-    known = layers(str(noisy.dtype), optional_layers(file))
+    known = layers(str(noisy.dtype), optional_layers(file), classes_of(config_of(file)))
     sizes = [f"{layer.name} {file[layer.name].shape[1:]}" for layer in known if layer.of_camera]
     table = file["meta"][()]
     axes = [(axis.name, axis.units) for axis in image_axes(noisy)]

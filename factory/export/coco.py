@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ..dataset.read.source import Source
-from ..labels import CLASSES
 from .objects import LEAST_PX, Objects, Shown
 from .pictures import write_notes
 
@@ -26,7 +25,7 @@ def write(source: Source, folder: Path) -> str:
     (folder / "annotations").mkdir()
     categories = [
         {"id": label, "name": name, "supercategory": "object"}
-        for label, name in enumerate(CLASSES)
+        for label, name in enumerate(objects.classes)
         if label
     ]
     for split in source.splits:

@@ -16,6 +16,8 @@ import numpy as np
 from ..dataset.describe.card import hub_fields
 from ..dataset.read.source import Sample, Source, dataset_settings
 from ..errors import FactoryError
+from ..labels import classes_of
+from .objects import shown_in
 from .pictures import is_picture, png
 
 SAMPLES_PER_FILE = 1000
@@ -54,12 +56,20 @@ def _write_part(source: Source, samples: Iterator[Sample], path: Path, count: in
     # PNG bytes do not get smaller, so compression is for the table alone.
     with parquet.ParquetWriter(path, schema, compression="snappy") as writer:
         for first in range(0, count, _SAMPLES_PER_GROUP):
-            rows = [_row(next(samples)) for _ in range(min(_SAMPLES_PER_GROUP, count - first))]
+            rows = [
+                _row(source, next(samples)) for _ in range(min(_SAMPLES_PER_GROUP, count - first))
+            ]
             writer.write_table(pyarrow.Table.from_pylist(rows, schema=schema))
 
 
-def _row(sample: Sample) -> dict[str, Any]:
+def _row(source: Source, sample: Sample) -> dict[str, Any]:
     row: dict[str, Any] = {}
+    if "instance" in sample.images and "segmentation" in sample.images:
+        found = shown_in(sample, classes_of(source.config), source.directory)
+        row["objects"] = [
+            {"bbox": list(one.box), "category": one.label, "area": int(one.mask.sum())}
+            for one in found
+        ]
     for name, image in sample.images.items():
         if is_picture(image.dtype):
             row[name] = {"bytes": png(image), "path": f"{sample.key}.{name}.png"}
@@ -83,6 +93,17 @@ def _schema(source: Source) -> Any:
             fields.append((name, pyarrow.list_(pyarrow.list_(values))))
             shape = list(source.sizes[name])
             features[name] = {"_type": "Array2D", "shape": shape, "dtype": str(dtype)}
+    if {"instance", "segmentation"} <= set(source.layers):
+        number = pyarrow.int32()
+        one = {"bbox": pyarrow.list_(number), "category": pyarrow.int64(), "area": number}
+        fields.append(("objects", pyarrow.list_(pyarrow.struct(list(one.items())))))
+        integer = {"_type": "Value", "dtype": "int32"}
+        names = {"_type": "ClassLabel", "names": list(classes_of(source.config))}
+        box = {"_type": "List", "feature": integer}
+        features["objects"] = {
+            "_type": "List",
+            "feature": {"bbox": box, "category": names, "area": integer},
+        }
     for column in source.columns:
         dtype = np.dtype(column.dtype)
         text = dtype.kind == "S"

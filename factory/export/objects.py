@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ..dataset.format.schema import stored_image
 from ..dataset.read.source import Sample, Source
 from ..errors import FactoryError
-from ..labels import CLASSES
+from ..labels import classes_of
 from .pictures import png
 
 LEAST_PX = 8
@@ -46,10 +46,11 @@ class Objects:
         if not {"segmentation", "instance"} <= set(source.layers):
             raise FactoryError(
                 f"--to {to}: {source.directory} has no labels (/segmentation and /instance); make "
-                "it from procedural scenes with dataset.layers=[segmentation], or export with "
+                "it from scenes with labels and dataset.layers=[segmentation], or export with "
                 "--to png"
             )
         self._source, self._folder = source, folder
+        self.classes = classes_of(source.config)
         self._pictures = self._objects = self._left_out = 0
 
     def of(self, split: str) -> Iterator[tuple[str, list[Shown]]]:
@@ -59,7 +60,7 @@ class Objects:
                 path = self._folder / name / split / f"{sample.key}.png"
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(png(stored_image(sample.images[layer], "uint8")))
-            found = list(self._shown(sample))
+            found = list(shown_in(sample, self.classes, self._source.directory))
             large = [shown for shown in found if int(shown.mask.sum()) >= LEAST_PX]
             self._pictures += 1
             self._objects += len(large)
@@ -73,16 +74,17 @@ class Objects:
             f"{LEAST_PX} pixels left out"
         )
 
-    def _shown(self, sample: Sample) -> Iterator[Shown]:
-        """The pixels of each number in /instance, by the label that most of them have."""
-        numbers, labels = sample.images["instance"], sample.images["segmentation"]
-        for number in np.unique(numbers[numbers > 0]):
-            mask = numbers == number
-            label = int(np.bincount(labels[mask]).argmax())
-            if label >= len(CLASSES):
-                raise FactoryError(
-                    f"{self._source.directory}: {sample.key}: /segmentation has a value {label}, "
-                    "which names no class"
-                )
-            if label:
-                yield Shown(label, mask)
+
+def shown_in(sample: Sample, classes: tuple[str, ...], directory: Path) -> Iterator[Shown]:
+    """The pixels of each number in /instance, by the label that most of them have."""
+    numbers, labels = sample.images["instance"], sample.images["segmentation"]
+    for number in np.unique(numbers[numbers > 0]):
+        mask = numbers == number
+        label = int(np.bincount(labels[mask]).argmax())
+        if label >= len(classes):
+            raise FactoryError(
+                f"{directory}: {sample.key}: /segmentation has a value {label}, "
+                "which names no class"
+            )
+        if label:
+            yield Shown(label, mask)

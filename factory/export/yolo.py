@@ -16,7 +16,6 @@ import numpy.typing as npt
 import yaml
 
 from ..dataset.read.source import Source
-from ..labels import CLASSES
 from .objects import LEAST_PX, Objects, Shown
 from .pictures import write_notes
 
@@ -35,7 +34,7 @@ def write(source: Source, folder: Path) -> str:
         key: f"images/{split if split in splits else splits[0]}"
         for key, split in (("train", "train"), ("val", "test"))
     }
-    names = dict(enumerate(CLASSES[1:]))
+    names = dict(enumerate(objects.classes[1:]))
     text = yaml.safe_dump({**places, "names": names}, sort_keys=False)
     (folder / "data.yaml").write_text(text)
     write_notes(source, folder, _NOTES)

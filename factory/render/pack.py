@@ -9,15 +9,18 @@ from __future__ import annotations
 import json
 import os
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+
+from pydantic import TypeAdapter
 
 from .. import __version__
 from ..errors import FactoryError, NotRendered
 from ..files import explain_os_errors
 from ..frame import FrameRef
+from ..settings import ClassName
 from ..small_files import open_regular, parse_json
 from .mount import Mount
 from .view import View, decode, encode, mount_of
@@ -37,12 +40,14 @@ _TIME = (1980, 1, 1, 0, 0, 0)
 class Contents:
     """What a pack holds.
 
-    members: frame -> name in the archive, in the order of the frames.
+    members: frame -> name in the archive, in the order of the frames.  classes: of the user's own
+    objects, see `labels.class_names`.
     """
 
     members: Mapping[FrameRef, str]
     mount: Mount
     render: str
+    classes: tuple[str, ...] = ()
 
 
 def write_pack(
@@ -51,6 +56,7 @@ def write_pack(
     view: Callable[[FrameRef], View],
     mount: Mount,
     render: str,
+    classes: Sequence[str] = (),
 ) -> int:
     """Write the views of `refs` to `path`, whole or not at all; returns its bytes."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -70,6 +76,7 @@ def write_pack(
                     "render": render,
                     "mount": asdict(mount),
                     "frames": frames,
+                    **({"classes": list(classes)} if classes else {}),
                 }
                 _add(archive, _CONTENTS, json.dumps(head, indent=1).encode())
             size = temporary.stat().st_size
@@ -93,7 +100,8 @@ def read_contents(path: Path) -> Contents:
         if not isinstance(head["frames"], list):
             raise ValueError("frames is no list")
         members = {_ref(item): str(item["member"]) for item in head["frames"]}
-        return Contents(members, mount_of(head["mount"]), str(head["render"]))
+        classes = TypeAdapter(tuple[ClassName, ...]).validate_python(head.get("classes", ()))
+        return Contents(members, mount_of(head["mount"]), str(head["render"]), classes[:200])
     except OSError as error:
         raise FactoryError(f"scenes.root={path}: cannot be read ({error.strerror})") from error
     except _NO_PACK as error:

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..frame import Frame, FrameRef, Intrinsics
+from ..frame import BOX_FIELDS, Frame, FrameRef, Intrinsics
 from ..small_files import parse_json
 from .base import Rendered
 from .mount import Mount
@@ -80,7 +80,8 @@ def view_of(frame: Frame, rendered: Rendered, mount: Mount) -> View:
     """The view of a frame that was just rendered, rounded as the cache keeps it."""
     depth_m = np.where(rendered.surface, frame.depth_m, np.float32(0))
     _, depth_m = rounded(depth_m, DEPTH)
-    seen = replace(frame, rgb=_black(depth_m.shape), depth_m=depth_m)
+    boxes = None if frame.boxes is None else np.round(frame.boxes, 5)
+    seen = replace(frame, rgb=_black(depth_m.shape), depth_m=depth_m, boxes=boxes)
     return View(seen, rounded(rendered.radiance, RADIANCE)[1], mount)
 
 
@@ -109,6 +110,7 @@ def encode(view: View) -> bytes:
         **{name: getattr(seen, name) for name in _NUMBERS if getattr(seen, name) is not None},
         "precision": _PRECISION,
         "labelled": labelled,
+        **({} if seen.boxes is None else {"boxes": seen.boxes.tolist()}),
         "parts": [len(part) for part in parts],
     }
     text = json.dumps(head).encode()
@@ -145,6 +147,8 @@ def decode(content: bytes) -> View:
         if head["labelled"]:
             more["segmentation"] = np.frombuffer(parts[2], np.uint8).reshape(shape)
             more["instance"] = np.frombuffer(parts[3], "<u2").astype(np.uint16).reshape(shape)
+        if "boxes" in head:
+            more["boxes"] = np.array(head["boxes"], float).reshape(-1, BOX_FIELDS)
         depth_m = unfold(parts[0], shape, DEPTH)
         nameless, camera = FrameRef("", "", ""), _camera(head["intrinsics"])
         seen = Frame(nameless, _black(shape), depth_m, camera, **more)

@@ -11,17 +11,19 @@ import numpy as np
 
 from .. import seeds
 from ..dataset.format.schema import Axis, Column
-from ..frame import Frame, FrameRef
+from ..frame import FrameRef
 from ..imaging.coherent.settings import AcousticsSettings
 from ..imaging.contract import Sample
+from ..labels import class_names
 from ..noise import draws as drawn
 from ..noise.draws import Draws
 from ..noise.registry import EFFECTS, NoiseSettings
 from ..sonar.acoustics import WaterSettings
 from ..sonar.fan import pixel_size
 from ..sonar.settings import SonarSettings
+from ..sonar.surface import LitSurface
 from ..sonar.window import Window
-from . import camera, pose
+from . import boxes, camera, pose
 
 if TYPE_CHECKING:
     from ..config import FactoryConfig
@@ -93,6 +95,7 @@ _REQUESTED = {
     "pose": pose.COLUMNS,
     "intrinsics": camera.COLUMNS,
     "calibration": _CALIBRATION,
+    "boxes": boxes.COLUMNS,
 }
 
 
@@ -101,15 +104,17 @@ def requested(names: Sequence[str]) -> tuple[Column, ...]:
     return tuple(column for name in names for column in _REQUESTED[name])
 
 
-def requested_row(frame: Frame, config: FactoryConfig) -> dict[str, float]:
-    """The values of `requested` for a frame."""
-    made: dict[str, float] = {}
+def requested_row(lit: LitSurface, config: FactoryConfig) -> dict[str, float | str]:
+    """The values of `requested` for a frame as the sonar sees it."""
+    frame, made = lit.frame, dict[str, float | str]()
     if "pose" in config.dataset.columns:
         made |= pose.row(frame, config.sonar.mount)
     if "intrinsics" in config.dataset.columns:
         made |= camera.row(frame)
     if "calibration" in config.dataset.columns:
         made |= _calibration(config.sonar, config.water, config.acoustics)
+    if "boxes" in config.dataset.columns:
+        made |= boxes.row(lit, class_names(config.scenes.own_classes()))
     return made
 
 

@@ -10,6 +10,7 @@ from pydantic import Field
 from .base import Discovery, Reader, SceneSettings
 from .csv_list import CsvListSettings
 from .flsea import FlseaSettings
+from .mesh import MeshSettings
 from .pack import PackSettings
 from .redwood import RedwoodSettings
 from .seabed import SeabedSettings
@@ -18,7 +19,13 @@ from .tum import TumSettings
 __all__ = ["Discovery", "Reader", "SceneSettings", "Scenes", "open_reader"]
 
 Scenes = Annotated[
-    FlseaSettings | TumSettings | RedwoodSettings | CsvListSettings | SeabedSettings | PackSettings,
+    FlseaSettings
+    | TumSettings
+    | RedwoodSettings
+    | CsvListSettings
+    | SeabedSettings
+    | MeshSettings
+    | PackSettings,
     Field(discriminator="kind"),
 ]
 
@@ -29,6 +36,7 @@ _READERS = {
     "tum": ("simnfnd.factory.scenes.tum", "TumReader"),
     "redwood": ("simnfnd.factory.scenes.redwood", "RedwoodReader"),
     "csv_list": ("simnfnd.factory.scenes.csv_list", "CsvListReader"),
+    "mesh": ("simnfnd.factory.scenes.mesh", "MeshReader"),
     "pack": ("simnfnd.factory.scenes.pack", "PackReader"),
     "seabed": ("simnfnd.factory.scenes.seabed", "SeabedReader"),
 }

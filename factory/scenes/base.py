@@ -43,6 +43,10 @@ class SceneSettings:
     depth_kind: Literal["z", "range"] = "z"
     bad_depth: Literal["reject", "mask"] = "reject"
 
+    def own_classes(self) -> tuple[str, ...]:
+        """Classes of the user's own objects, beside `labels.CLASSES` or among them."""
+        return ()
+
 
 @plain_dataclass(frozen=True)
 class Discovery:

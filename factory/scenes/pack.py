@@ -21,6 +21,15 @@ class PackSettings(SceneSettings):
     root: Root
     depth_kind: Literal["z"] = "z"
 
+    def own_classes(self) -> tuple[str, ...]:
+        """Those that were packed; none of a pack that cannot be read, as `discover` says."""
+        from ..render.pack import read_contents
+
+        try:
+            return read_contents(Path(self.root).expanduser()).classes
+        except FactoryError:
+            return ()
+
 
 class PackReader:
     """Lists the frames of a pack."""

@@ -178,7 +178,7 @@ def _is_time(word: str) -> bool:
 
 def pose_at(path: Path, time_s: float, max_time_difference_s: float) -> Pose | None:
     """(4, 4) world-from-camera pose nearest in time in a TUM trajectory, None when none is near."""
-    times, poses = _tum_trajectory(path)
+    times, poses = trajectory(path)
     if times.size == 0:
         return None
     nearest = int(np.argmin(np.abs(times - time_s)))
@@ -188,7 +188,7 @@ def pose_at(path: Path, time_s: float, max_time_difference_s: float) -> Pose | N
 
 
 @lru_cache(maxsize=4)
-def _tum_trajectory(path: Path) -> tuple[Pose, Pose]:
+def trajectory(path: Path) -> tuple[Pose, Pose]:
     """Times (N,) in seconds and poses (N, 4, 4) from `time tx ty tz qx qy qz qw` lines."""
     rows = []
     for number, line in numbered_lines(path):

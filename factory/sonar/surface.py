@@ -103,12 +103,14 @@ def insonified(
     return Insonified(echoes, pixel[:count], in_bins)
 
 
-def mount_weight(frame: Frame, mount: Mount, exponent: float) -> npt.NDArray[np.float32]:
+def mount_weight(
+    frame: Frame, mount: Mount, exponent: float | npt.NDArray[np.float64]
+) -> npt.NDArray[np.float32]:
     """(H, W) float32: what the render times a pixel's solid angle lacks of the sonar's echo.
 
     The render is albedo cos_s / r_s^2 with the sonar's incidence and range, a pixel sees the area
     r_c^2 dO / cos_c with the camera's, and backscatter by cos_s^n leaves cos_s^n / r_s^4 of it:
-    cos_s^(n - 1) / cos_c (r_c / r_s)^2.
+    cos_s^(n - 1) / cos_c (r_c / r_s)^2.  exponent: n, of all pixels or (H, W).
     """
     from ..render import kernels  # loads numba, as the next
     from ..render.surface import grid_of
@@ -120,7 +122,7 @@ def mount_weight(frame: Frame, mount: Mount, exponent: float) -> npt.NDArray[np.
     cosine_camera, cosine, nearer = filled
     cosine_camera = np.maximum(cosine_camera, np.float32(_GRAZING_COSINE))
     cosine = np.maximum(cosine, np.float32(_GRAZING_COSINE))
-    power = np.float32(exponent - 1)
+    power = np.asarray(exponent, np.float32) - np.float32(1)
     return np.asarray(cosine**power / cosine_camera * nearer, np.float32)
 
 

@@ -14,6 +14,7 @@ SMALL = (
     "scenes.width=484",
     "scenes.height=304",
 )
+_EXAMPLE = Run(instead=(("python examples", "python {root}/examples"),))
 _SMALL_MAKE = Run((*SMALL, "render=embree"))
 
 # Page -> command -> how it is run, in the order of reading.
@@ -43,6 +44,20 @@ PAGES: dict[str, dict[str, How]] = {
         "dataset.dir=outputs/own": Run(("scheduler=serial",)),
         "simnfnd inspect outputs/own": Run(),
         "simnfnd status outputs/own --failed": Run(),
+    },
+    "docs/tutorials/your-own-object.md": {
+        "python examples/make_valve.py valve.glb": _EXAMPLE,
+        "simnfnd make +scenes/objects=example experiment=physical render=embree scenes.objects=0.5 "
+        "scenes.locations=10 frames.variants=2 dataset.layers=[segmentation] "
+        "dataset.columns=[boxes] dataset.dir=outputs/valves": Run((*SMALL, "frames.variants=1")),
+        "python examples/draw_boxes.py outputs/valves valves.png": _EXAMPLE,
+        "simnfnd export outputs/valves --to coco --out outputs/valves-coco": Run(),
+        "simnfnd export outputs/valves --to yolo --out outputs/valves-yolo": Run(),
+        "simnfnd make scenes=mesh scenes.file=valve.glb "
+        "\"scenes.classes=[{class: valve, parts: '*'}]\" render=analytic scenes.paths=2 "
+        "scenes.views_per_path=3 dataset.layers=[segmentation] dataset.dir=outputs/world": Run(
+            SMALL[2:]
+        ),
     },
     "docs/tutorials/noise-sweep.md": {
         "simnfnd make -m scenes.locations=2 scenes.frames_per_location=2 "

@@ -12,7 +12,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import h5py
@@ -130,13 +130,19 @@ EFFECT_FOLDER = "layers/"
 _EFFECT = re.compile(rf"{EFFECT_FOLDER}[a-z][a-z0-9_]{{0,39}}")
 
 
-def layers(dtype: str, optional: Iterable[str] = ()) -> tuple[Layer, ...]:
+def layers(
+    dtype: str, optional: Iterable[str] = (), classes: tuple[str, ...] = CLASSES
+) -> tuple[Layer, ...]:
     """The image stacks of a shard whose images are stored as `dtype` (uint8 or float32).
 
     optional: names of further layers, in any order; they come out in that of the format.
+    classes: of the dataset, see `simnfnd.factory.labels.classes_of`.
     Raises FactoryError for one that the format does not know.
     """
-    known = {layer.name: layer for layer in OPTIONAL_LAYERS}
+    known = {
+        layer.name: replace(layer, classes=classes) if layer.classes else layer
+        for layer in OPTIONAL_LAYERS
+    }
     further = []
     place = {layer.name: number for number, layer in enumerate(OPTIONAL_LAYERS)}
     for name in sorted(optional, key=lambda name: (place.get(name, len(place)), name)):

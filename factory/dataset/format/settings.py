@@ -27,7 +27,7 @@ LayerName = Literal[
     "rgb",
     "depth",
 ]
-ColumnName = Literal["pose", "intrinsics", "calibration"]
+ColumnName = Literal["pose", "intrinsics", "calibration", "boxes"]
 
 _LEVELS = {"gzip": (0, 9), "zstd": (1, 22)}
 
@@ -52,7 +52,8 @@ class DatasetSettings:
         what the camera saw: rgb and depth, in the frame's own size.
     columns: more columns of /meta: pose (of camera and sonar, tilt, altitude, time), intrinsics
         (of the camera) and calibration (source level, absorption, time-varying gain; of
-        acoustics.formation=field).
+        acoustics.formation=field), boxes (JSON: of each object in sight its box in 3-D, its box in
+        range and bearing, and how much of it the sound reaches).
     max_train, max_test: upper limits on samples; None takes what there is.
     preview_pairs: pairs on the contact sheet preview.png; 0 draws none.
     licence: of the dataset, as the user decides; stated in the dataset card.

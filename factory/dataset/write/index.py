@@ -16,8 +16,9 @@ import h5py
 
 from ...errors import FactoryError
 from ...files import write_atomically
+from ...labels import classes_of
 from ..format.axes import image_axes
-from ..format.layout import optional_layers
+from ..format.layout import config_of, optional_layers
 from ..format.manifest import INDEX_NAME, Manifest, ShardInfo, save_manifest
 from ..format.schema import (
     LIBRARY_VERSIONS,
@@ -78,7 +79,8 @@ def _write_split(
     index: h5py.File, split: str, shards: Sequence[ShardInfo], first: h5py.File
 ) -> None:
     axes = image_axes(first["noisy"])
-    for layer in layers(str(first["noisy"].dtype), optional_layers(first)):
+    classes = classes_of(config_of(first))
+    for layer in layers(str(first["noisy"].dtype), optional_layers(first), classes):
         stack = _virtual(index, split, first[layer.name], shards)
         for key, value in layer_attributes(layer).items():
             stack.attrs[key] = value

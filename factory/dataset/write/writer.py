@@ -16,6 +16,7 @@ from isal import isal_zlib
 
 from ...errors import FactoryError, FrameError
 from ...files import explain_os_errors, write_atomically
+from ...labels import classes_of
 from ..format.checksums import crc32, write_checksums
 from ..format.manifest import ShardInfo
 from ..format.schema import (
@@ -80,7 +81,7 @@ def write_shard(
         for pair in pairs:
             name = f"{relative} sample {len(rows)}"
             row = check_pair(pair, axes, columns, name)
-            wanted = layers(settings.dtype, pair.layers)
+            wanted = layers(settings.dtype, pair.layers, classes_of(provenance.config))
             if not rows:
                 shapes = {layer: image_of(pair, layer.name).shape for layer in wanted}
                 stacks = _create_stacks(file, axes, shapes, compression)

@@ -201,9 +201,12 @@ def _reflectivity(frame: Frame, acoustics: AcousticsSettings) -> Floats:
 
 def _factor(frame: Frame, sonar: SonarSettings, acoustics: AcousticsSettings) -> Floats:
     """(H, W): what the render lacks for other exponents than 2 or a sonar elsewhere, or (0, 0)."""
-    if acoustics.lambert_exponent == 2 and sonar.mount.colocated:
+    exponents = np.array(acoustics.exponents())
+    if (exponents == 2).all() and sonar.mount.colocated:
         return np.empty((0, 0), np.float32)
-    return mount_weight(frame, sonar.mount, acoustics.lambert_exponent)
+    if frame.segmentation is None or (exponents == exponents[0]).all():
+        return mount_weight(frame, sonar.mount, float(exponents[0]))
+    return mount_weight(frame, sonar.mount, exponents[frame.segmentation])
 
 
 @lru_cache(maxsize=8)

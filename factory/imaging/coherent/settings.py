@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import field
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from ...labels import CLASSES
+from ...labels import class_names
 from ...settings import STRICT
 
 Decibel = Annotated[float, Field(ge=-80, le=20)]
@@ -32,6 +32,8 @@ class AcousticsSettings:
     lambert_exponent: backscatter falls as cos(incidence) to this power, in intensity; 2 is Lambert.
     reflectivity_db: backscatter coefficient of each object class at normal incidence, dB, for an
         albedo of 1; classes that are not named, and frames without labels, are Background.
+    lambert_exponents: of object classes that have another.
+    materials: a CSV file of `class,reflectivity_db,lambert_exponent` lines; it wins over both.
     tvg_log: time-varying gain k log10 r + 2 a r, this is k, dB per tenfold range.
     tvg_absorption: whether the gain knows 2 a r.
     """
@@ -41,19 +43,21 @@ class AcousticsSettings:
     standing: Annotated[float, Field(ge=0, le=1)] = 0.0
     lambert_exponent: Annotated[float, Field(ge=0, le=8)] = 2.0
     reflectivity_db: dict[str, Decibel] = field(default_factory=_default_reflectivity)
+    lambert_exponents: dict[str, Annotated[float, Field(ge=0, le=8)]] = field(default_factory=dict)
+    materials: str | None = None
     tvg_log: Annotated[float, Field(ge=0, le=80)] = 30.0
     tvg_absorption: bool = True
 
-    @model_validator(mode="after")
-    def _known_classes(self) -> Self:
-        for name in self.reflectivity_db:
-            if name not in CLASSES:
-                raise ValueError(
-                    f"reflectivity_db: no class is called {name}; there are {', '.join(CLASSES)}"
-                )
-        return self
-
     def reflectivity(self) -> tuple[float, ...]:
-        """Backscatter coefficient of every class, in the order of `labels.CLASSES`."""
+        """Backscatter coefficient of every class, in the order of `labels.class_names`.
+
+        The user's classes are those in `reflectivity_db` that are not in CLASSES, in order.
+        """
         ground = self.reflectivity_db.get("Background", -25.0)
-        return tuple(10 ** (self.reflectivity_db.get(name, ground) / 10) for name in CLASSES)
+        names = class_names(self.reflectivity_db)
+        return tuple(10 ** (self.reflectivity_db.get(name, ground) / 10) for name in names)
+
+    def exponents(self) -> tuple[float, ...]:
+        """Lambert's exponent of every class, in the same order."""
+        usual, names = self.lambert_exponent, class_names(self.reflectivity_db)
+        return tuple(self.lambert_exponents.get(name, usual) for name in names)

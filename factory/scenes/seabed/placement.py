@@ -34,7 +34,8 @@ class Item:
 class Site:
     """A location while it is being furnished.
 
-    taken: (x, y, radius) of what lies there already.
+    taken: (x, y, radius) of what lies there already.  stretch_m: the part of the loop beside which
+    things are put, None for all of it.
     """
 
     rng: np.random.Generator
@@ -44,6 +45,7 @@ class Site:
     heading_rad: float
     items: list[Item] = field(default_factory=list)
     taken: list[tuple[float, float, float]] = field(default_factory=list)
+    stretch_m: tuple[float, float] | None = None
     _known: Points = field(default_factory=lambda: np.empty((0, 3)))
 
     def scatter(self, kind: str, count: int) -> None:
@@ -54,9 +56,9 @@ class Site:
                 continue
             turned = things.drawn_model(self.rng, kind)
             reach = float(np.sqrt((turned.vertices[:, :2] ** 2).sum(axis=1).max()))
-            spot = self._spot(reach, float(turned.vertices[:, 2].max()))
+            spot = self.spot(reach, float(turned.vertices[:, 2].max()))
             if spot is not None:
-                self._settle(turned, kind, spot, reach)
+                self.settle(turned, kind, spot, reach)
 
     def pebbles(self, count: int) -> None:
         """Small stones, in heaps, of a few shapes used again and again."""
@@ -118,7 +120,7 @@ class Site:
             wall = build(rng, rng.uniform(1.5, 4.0), rng.uniform(0.5, 1.4))
             wall = wall.moved(rotation("z", rng.uniform(0, 2 * np.pi)))
             reach = float(np.abs(wall.vertices[:, :2]).max())
-            spot = self._spot(reach, 1.5)
+            spot = self.spot(reach, 1.5)
             if spot is not None:
                 self._fix(wall, kind, np.array([*spot, self._ground(*spot)]), reach)
             return
@@ -131,20 +133,27 @@ class Site:
         if kind == "Pipe":
             self.taken += [(float(x), float(y), 0.25) for x, y in line[::6]]
 
-    def _settle(self, mesh: Mesh, kind: str, spot: tuple[float, float], reach: float) -> None:
-        """Set a thing down so that it follows the slope and sinks in a little."""
+    def settle(
+        self,
+        mesh: Mesh,
+        kind: str,
+        spot: tuple[float, float],
+        reach: float,
+        burial: tuple[float, float] = (0.02, 0.18),
+    ) -> None:
+        """Set a thing down so that it follows the slope and sinks in by a share of its height."""
         x, y = spot
         step = max(min(reach, 0.5), 0.08)
         cross = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]) * step + [x, y]
         height, east, west, north, south = self.terrain.height_m(*cross.T).astype(np.float64)
         dx, dy = (east - west) / (2 * step), (north - south) / (2 * step)
-        if not things.KINDS[kind].upright:
+        if kind not in things.KINDS or not things.KINDS[kind].upright:
             steep = min(float(np.hypot(dx, dy)), 0.8)
             angle, toward = np.arctan(steep), np.arctan2(dy, dx)
             tilt = rotation("z", toward) @ rotation("y", -angle) @ rotation("z", -toward)
             mesh = mesh.moved(tilt)
         size = float(np.ptp(mesh.vertices[:, 2]))
-        sunk = size * self.rng.uniform(0.02, 0.18) + 0.01
+        sunk = size * self.rng.uniform(*burial) + 0.01
         self.items.append(Item(mesh.moved(offset=(x, y, height - sunk)), kind))
         self.taken.append((x, y, 0.85 * reach))
 
@@ -152,7 +161,7 @@ class Site:
         self.items.append(Item(mesh.moved(offset=foot), kind))
         self.taken.append((float(foot[0]), float(foot[1]), reach))
 
-    def _spot(self, reach: float, height: float) -> tuple[float, float] | None:
+    def spot(self, reach: float, height: float) -> tuple[float, float] | None:
         """A free place for a thing of that reach and height, or None after 40 tries."""
         nearest = 0.0 if height < LOW_M else reach + CLEAR_M
         for _ in range(5):  # eight tries at once
@@ -178,7 +187,8 @@ class Site:
 
     def _near_loop(self, aside: Points) -> Points:
         """(N, 2) points beside the loop anywhere along it, (N,) metres to its left."""
-        point, tangent = self.loop.at(self.rng.uniform(0, self.loop.length_m, len(aside)))
+        stretch = self.stretch_m or (0.0, self.loop.length_m)
+        point, tangent = self.loop.at(self.rng.uniform(stretch[0], stretch[1], len(aside)))
         left = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
         return np.asarray(point + aside[:, None] * left)
 

@@ -6,7 +6,7 @@ import re
 from collections import OrderedDict
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
@@ -18,10 +18,13 @@ from ...settings import STRICT
 from ..base import Discovery, Root, SceneSettings
 from .biomes import PLACE_NAMES, PlaceName
 from .camera import HFOV_DEG, camera
+from .own_objects import Owned, OwnObject, owned
 from .path import Movement, movements
 
 if TYPE_CHECKING:
     from .world import World
+
+Wide = TypeVar("Wide", bound=SceneSettings)
 
 _LAST = 10_000  # names have four digits and sort as numbers do
 _HELD = 2  # a location takes a second to build and tens of megabytes
@@ -39,6 +42,7 @@ class SeabedSettings(SceneSettings):
     frames of a location, from the pose of frame 0 on, and `frames_per_location` does not count.
     objects: factor on how many objects lie around.  kinds: only these (null: all).
     places: only these kinds of place, taken in turn (null: all).
+    own_objects: the user's meshes; see `OwnObject`.
     """
 
     kind: Literal["seabed"] = "seabed"
@@ -54,6 +58,11 @@ class SeabedSettings(SceneSettings):
     objects: Annotated[float, Field(ge=0, le=4)] = 1.0
     kinds: tuple[ObjectName, ...] | None = None
     places: Annotated[tuple[PlaceName, ...], Field(min_length=1)] | None = None
+    own_objects: tuple[OwnObject, ...] = ()
+
+    def own_classes(self) -> tuple[str, ...]:
+        """See `SceneSettings`."""
+        return tuple(one.label for one in self.own_objects)
 
     def __post_init__(self) -> None:
         """Refuse locations whose number has more than four digits, and half a sector."""
@@ -63,11 +72,13 @@ class SeabedSettings(SceneSettings):
             raise ValueError(f"first_location + locations must not exceed {_LAST}")
 
 
-def seeing(settings: SeabedSettings, hfov_deg: float, vfov_deg: float) -> SeabedSettings:
+def seeing(settings: Wide, hfov_deg: float, vfov_deg: float) -> Wide:
     """The settings with a camera that sees a sonar's sector, where nothing else was asked for."""
-    if settings.hfov_deg is not None or hfov_deg <= HFOV_DEG:
+    given: Any = settings
+    if given.hfov_deg is not None or hfov_deg <= HFOV_DEG:
         return settings
-    return replace(settings, hfov_deg=hfov_deg, vfov_deg=vfov_deg)
+    wider: Wide = replace(given, hfov_deg=hfov_deg, vfov_deg=vfov_deg)
+    return wider
 
 
 class SeabedReader:
@@ -77,13 +88,16 @@ class SeabedReader:
         """Nothing is built before the first frame is loaded."""
         self._settings = settings
         self._worlds: OrderedDict[int, World] = OrderedDict()
+        self._owned: tuple[Owned, ...] | None = None
 
     def discover(self) -> Discovery:
         """List the frames: scene `seabed-0007` is location number 7, frame `0003` its pose 3."""
         settings = self._settings
         lines, first = self._movements(), settings.first_location
         frames = settings.frames_per_location if lines is None else len(lines)
-        paths = () if settings.path is None else (settings.path,)
+        paths: tuple[str, ...] = () if settings.path is None else (settings.path,)
+        own = self._own()  # what is wrong with a mesh shows before a worker starts
+        paths += tuple(path for one in own for path in one.files)
         refs = [
             FrameRef("seabed", f"seabed-{location:04d}", f"{frame:04d}", paths)
             for location in range(first, first + settings.locations)
@@ -115,6 +129,11 @@ class SeabedReader:
         path = self._settings.path
         return None if path is None else movements(Path(path).expanduser())
 
+    def _own(self) -> tuple[Owned, ...]:
+        if self._owned is None:
+            self._owned = owned(self._settings.own_objects)
+        return self._owned
+
     def _world(self, location: int) -> World:
         from .world import build_world
 
@@ -123,6 +142,8 @@ class SeabedReader:
             places = settings.places or PLACE_NAMES
             while len(self._worlds) >= _HELD:
                 self._worlds.popitem(last=False)
-            self._worlds[location] = build_world(location, places, settings.objects, settings.kinds)
+            self._worlds[location] = build_world(
+                location, places, settings.objects, settings.kinds, self._own()
+            )
         self._worlds.move_to_end(location)
         return self._worlds[location]

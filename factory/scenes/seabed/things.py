@@ -672,6 +672,7 @@ KINDS: dict[str, Kind] = {
     "Barrel": Kind(barrel, 0.45, 0.5, 0.5),
 }
 
+PLAIN = Kind(None, 0.1, 0.1, 0.1)  # of an object of the user's, which has its own colours
 _MODELS = 24  # of a kind, each turned, scaled and tinted anew wherever it lies
 
 

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from ...frame import Frame, FrameRef
 from ...seeds import stream
+from ..boxes import boxes_of
 from .camera import Optics, Points, Pose, ZBuffer, pose, z_buffer
 from .fields import TILE, WORLD_SEED, Floats, tiles
 from .path import Movement
@@ -46,6 +47,7 @@ def take(
     things = np.append(np.uint16(0), world.objects.owner + np.uint16(1))
     first_object = 2 * (shape[0] - 1) * (shape[1] - 1)
     number = things.take(np.maximum(seen.which - (first_object - 1), 0)) * (range_m < clear_m)
+    instance = np.append(np.uint16(0), world.instances).take(number)
     x, y, z = where.eye
     return Frame(
         ref=ref,
@@ -54,9 +56,10 @@ def take(
         intrinsics=optics.intrinsics,
         world_from_camera=where.matrix,
         segmentation=np.append(np.uint8(0), world.labels).take(number),
-        instance=np.append(np.uint16(0), world.instances).take(number),
+        instance=instance,
         time_s=None if movement is None else movement.time_s,
         altitude_m=float(z - world.terrain.height_m(np.array([x]), np.array([y]))[0]),
+        boxes=boxes_of(where, optics, world.objects, world.labels, world.instances, seen, instance),
     )
 
 

@@ -14,6 +14,7 @@ _EVERY = 32  # pixels of FLSea's camera from one ray to the next
 _SIDE_DEG, _DOWN_DEG = 50, 20
 # Two such cameras, to the left and to the right, see all that any candidate sees.
 _LOOKOUT = Optics(70, 203, 122, 2.2, cy=54)
+_OWN = 1.2  # what an object of the user's in sight is worth
 _MOST_LOST = 0.42  # share of the pixels without a depth
 
 
@@ -49,8 +50,10 @@ def choose_pose(world: World, frame: int) -> Pose:
     costs = []
     for candidate, extra in zip(candidates, effort, strict=True):
         toward = np.einsum("ij,rj->ir", candidate.rotation, rays)
-        facts = _facts(toward, length, lookouts, seen, things, world.look.clear_m)
-        costs.append(_cost(*facts) + extra)
+        *facts, shown = _facts(toward, length, lookouts, seen, things, world.look.clear_m)
+        lost, near, middle, share = facts
+        own = np.count_nonzero(shown >= world.first_own)
+        costs.append(_cost(lost, near, middle, share, len(shown)) + extra - _OWN * min(own, 2))
     return candidates[int(np.argmin(costs))]
 
 
@@ -61,12 +64,12 @@ def _facts(
     seen: list[ZBuffer],
     things: list[np.ndarray],
     clear_m: float,
-) -> tuple[float, float, float, float, int]:
+) -> tuple[float, float, float, float, np.ndarray]:
     """What rays of a candidate would see, looked up in the pictures of the lookouts.
 
     toward: (3, R) directions whose length along the candidate's axis is 1.  length: (R,).
     Returns the share of rays beyond `clear_m`, the share nearer than 0.9 m, the median depth, the
-    share on objects within 0.8 `clear_m`, and how many objects those are.
+    share on objects within 0.8 `clear_m`, and the numbers of those.
     """
     fx, fy, cx, cy = _LOOKOUT.lens
     axes = [np.einsum("ij,ir->jr", where.rotation, toward) for where in lookouts]
@@ -79,7 +82,7 @@ def _facts(
     thing = np.where(left, things[0][row, column], things[1][row, column])
     met = inverse > 0
     if not met.any():
-        return 1.0, 0.0, 99.0, 0.0, 0
+        return 1.0, 0.0, 99.0, 0.0, np.empty(0, np.uint16)
     depth = 1 / np.where(met, inverse, 1e-9)
     range_m = depth * length
     named = (thing > 0) & (range_m < 0.8 * clear_m)
@@ -88,7 +91,7 @@ def _facts(
         float((depth < 0.9).mean()),
         float(np.median(depth[met])),
         float(named.mean()),
-        len(np.unique(thing[named])),
+        np.unique(thing[named]),
     )
 
 

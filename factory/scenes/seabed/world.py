@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from ...labels import CLASSES
+from ...labels import class_names
 from ...seeds import stream
 from .biomes import PLACES, Look, PlaceName, draw_look, draw_terrain
 from .camera import Objects, objects_of
 from .fields import WORLD_SEED, Floats
 from .meshes import mesh
+from .own_objects import Owned, place_own
 from .path import Path, draw_loop, draw_path
 from .placement import Item, Site, furnish
 from .terrain import Terrain
-from .things import KINDS
+from .things import KINDS, PLAIN
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +26,8 @@ class World:
     """One location.
 
     labels, instances: (N,) by object number; pebbles have 0.  finishes: (N, 3) fouling, silt and
-    bump of each object, see `things.Kind`.
+    bump of each object, see `things.Kind`.  first_own: number in `instances` from which on they are
+    the user's own.
     """
 
     location: int
@@ -36,12 +38,20 @@ class World:
     labels: npt.NDArray[np.uint8]
     instances: npt.NDArray[np.uint16]
     finishes: Floats
+    first_own: int = 1 << 16
 
 
 def build_world(
-    location: int, places: tuple[PlaceName, ...], density: float, kinds: Iterable[str] | None
+    location: int,
+    places: tuple[PlaceName, ...],
+    density: float,
+    kinds: Iterable[str] | None,
+    own: Sequence[Owned] = (),
 ) -> World:
-    """Build location number `location`; it is a place of kind `places[location % len(places)]`."""
+    """Build location number `location`; it is a place of kind `places[location % len(places)]`.
+
+    own: the user's objects, put there when all else lies there.
+    """
     place = PLACES[places[location % len(places)]]
     rng = stream(WORLD_SEED, "seabed", location, "ground")
     heading = rng.uniform(0, 2 * np.pi)
@@ -49,11 +59,15 @@ def build_world(
     rng = stream(WORLD_SEED, "seabed", location, "path")
     loop = draw_loop(rng, place, terrain, heading)
     path = draw_path(rng, place, terrain, loop, heading)
-    items = furnish(Site(rng, place, terrain, loop, heading), location, density, kinds)
+    site = Site(rng, place, terrain, loop, heading)
+    items = furnish(site, location, density, kinds)
+    first_own = 1 + sum(item.kind is not None for item in items)
+    place_own(site, path, location, own)
+    classes = class_names(one.settings.label for one in own)
     if not items:  # an empty mesh has no shape: one triangle far below the ground
         items = [Item(mesh(np.eye(3) - [0, 0, 1e4], [[0, 1, 2]]), None)]
-    labels = np.array([CLASSES.index(item.kind) if item.kind else 0 for item in items], np.uint8)
-    finish = [KINDS[item.kind or "Boulder"] for item in items]
+    labels = np.array([classes.index(item.kind) if item.kind else 0 for item in items], np.uint8)
+    finish = [KINDS.get(item.kind or "Boulder", PLAIN) for item in items]
     return World(
         location,
         terrain,
@@ -63,4 +77,5 @@ def build_world(
         labels,
         np.where(labels > 0, np.cumsum(labels > 0), 0).astype(np.uint16),
         np.array([(kind.fouling, kind.silt, kind.bump) for kind in finish], np.float32),
+        first_own,
     )

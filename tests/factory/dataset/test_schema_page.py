@@ -29,7 +29,7 @@ PAGE = (ROOT / "docs" / "dataset.md").read_text(encoding="utf-8")
 def test_every_layer_column_and_attribute_is_documented() -> None:
     """By its name, and with its type, unit and meaning in the same line of a table."""
     lines = [line for line in PAGE.splitlines() if line.startswith("| ")]
-    asked = requested(("pose", "intrinsics", "calibration"))
+    asked = requested(("pose", "intrinsics", "calibration", "boxes"))
     expected = [
         *((f"/{one.name}", one.units, one.description) for one in layers("uint8")),
         *((f"/{one.name}", one.dtype, one.units, one.description) for one in OPTIONAL_LAYERS),

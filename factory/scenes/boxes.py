@@ -1,0 +1,91 @@
+"""The oriented box around each object that a camera sees, and how much of it is hidden."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ..frame import BOX_FIELDS
+from .seabed.camera import Objects, Optics, Pose, ZBuffer
+from .seabed.kernels import paint
+
+_SIDE_PX = 64  # of the picture in which an object's outline is counted
+_NEAREST_M = 0.05
+
+Numbers = npt.NDArray[np.float64]
+
+
+def boxes_of(
+    where: Pose,
+    optics: Optics,
+    objects: Objects,
+    labels: npt.NDArray[np.uint8],
+    instances: npt.NDArray[np.uint16],
+    seen: ZBuffer,
+    number: npt.NDArray[np.uint16],
+) -> Numbers:
+    """(N, 11) of the numbered instances in a view; see `Frame.boxes`.
+
+    labels, instances: (objects,).  seen: what the pixels meet.  number: (H, W) their instances.
+    """
+    shown = np.unique(number)
+    rows = []
+    for instance in shown[shown > 0]:
+        which = int(np.flatnonzero(instances == instance)[0])
+        first, _, last, _ = objects.parts[which]
+        points = (objects.mesh.vertices[first:last] - where.eye) @ where.rotation
+        box = oriented(np.stack([points[:, 2], -points[:, 0], -points[:, 1]], axis=-1))
+        counted = _outline(where, optics, objects, which, points, seen)
+        rows.append([int(instance), int(labels[which]), *box, *counted])
+    return np.array(rows, np.float64).reshape(-1, BOX_FIELDS)
+
+
+def oriented(points: npt.NDArray[np.floating]) -> tuple[float, ...]:
+    """Centre (3), length, width, height and yaw (rad) of the box around (V, 3) points, z upright.
+
+    Of all yaws the one with the least ground; the length is the longer side, yaw is from x to y.
+    """
+    flat = cv2.convexHull(np.ascontiguousarray(points[:, :2], np.float32))
+    (x, y), (along, across), turn = cv2.minAreaRect(flat)
+    if across > along:
+        along, across, turn = across, along, turn + 90
+    low, high = float(points[:, 2].min()), float(points[:, 2].max())
+    yaw = np.deg2rad((turn + 90) % 180 - 90)
+    return x, y, (low + high) / 2, along, across, high - low, float(yaw)
+
+
+def _outline(
+    where: Pose, optics: Optics, objects: Objects, which: int, points: Numbers, seen: ZBuffer
+) -> tuple[float, float]:
+    """Pixels that an object alone would cover, beyond the picture too, and those hidden by others.
+
+    points: (V, 3) its own, camera axes.
+    """
+    ahead = points[points[:, 2] > _NEAREST_M]
+    if not len(ahead):
+        return 0.0, 0.0
+    fx, fy, cx, cy = optics.lens
+    height, width = seen.inverse.shape
+    # Of what reaches beside the lens, as far as three pictures.
+    left, right = np.clip(fx * _span(ahead[:, 0] / ahead[:, 2]) + cx, -width, 2 * width)
+    top, bottom = np.clip(fy * _span(ahead[:, 1] / ahead[:, 2]) + cy, -height, 2 * height)
+    step = max((right - left) / _SIDE_PX, (bottom - top) / _SIDE_PX, 0.25)
+    shape = int((bottom - top) / step) + 2, int((right - left) / step) + 2
+    alone = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
+    lens = np.array([fx / step, fy / step, (cx - left) / step, (cy - top) / step])
+    part = np.ascontiguousarray(objects.parts[which : which + 1])
+    sight = where.eye, where.rotation, lens
+    paint(objects.mesh.vertices, objects.mesh.triangles, part, 0, sight, alone)
+    rows, columns = np.nonzero(alone[0])
+    near = alone[0][rows, columns]
+    rows, columns = np.rint(top + step * rows).astype(int), np.rint(left + step * columns)
+    columns = columns.astype(int)
+    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    front = seen.inverse[rows[inside], columns[inside]]
+    hidden = np.count_nonzero(front > near[inside] * np.float32(1.02))
+    return len(near) * step**2, hidden * step**2
+
+
+def _span(values: Numbers) -> Numbers:
+    return np.array([values.min(), values.max()])
