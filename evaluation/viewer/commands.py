@@ -79,6 +79,4 @@ def _shown(frame: Frame, number: int) -> Shown:
         grey, _ = fan_of(grey, frame.beams)
     elif grey.ndim == 3:
         grey = np.asarray(grey[..., :3].mean(axis=-1), np.float32)
-    height, width = grey.shape
-    extent = (0.0, float(width), float(height), 0.0)
-    return Shown(f"frame {number}", {"picture": grey}, 1.0, ("row", "column"), extent)
+    return Shown(f"frame {number}", {"picture": grey}, 1.0)

@@ -141,16 +141,16 @@ def read_everything(root: Path) -> str:
     return "read"
 
 
-def check(root: Path, reader: IsolatedProcess, validator: IsolatedProcess) -> tuple[str, str]:
+def check(root: Path, reader: IsolatedProcess) -> tuple[str, str]:
     """What reader and validator say of a dataset; AssertionError when it is no clear answer.
 
-    reader, validator: processes that may crash or hang instead of this one.
+    reader: a process that may crash or hang instead of this one.
     """
     outcome = reader.call(read_quickly, root, limit_s=30.0)
     assert outcome == "read" or outcome.startswith("refused: ")
     try:
         with mock.patch.object(validate, "_LIMIT_S", 2.0):
-            report = validate.validate_with(validator, root, deep=True)
+            report = validate.validate(root, deep=True)
         found = "; ".join(str(finding) for finding in report.errors) or "valid"
     except FactoryError as error:
         found = f"refused: {error}"

@@ -111,11 +111,11 @@ def test_bits_anywhere_change_nothing_unseen(folder: Path) -> None:
     content, right = path.read_bytes(), given_out(folder)
     rng = np.random.default_rng(5)
     said = []
-    with IsolatedProcess() as process:
-        for _ in range(60):
-            flip(path, *any_bit(path, rng))
-            said.append(process.call(outcome, folder, right, limit_s=20.0))
-            path.write_bytes(content)
+    process = IsolatedProcess()
+    for _ in range(60):
+        flip(path, *any_bit(path, rng))
+        said.append(process.call(outcome, str(folder), right, limit_s=20.0))
+        path.write_bytes(content)
     assert set(said) == {"same", "refused"}
 
 
