@@ -25,7 +25,6 @@ from pydantic.dataclasses import dataclass
 
 from ...factory.dataset.read.image_stack import ImageStack
 from ...factory.dataset.read.reader import Split, open_shard, reading, shard_paths, value_range
-from ...factory.dataset.read.source import read_image
 from ...factory.errors import FactoryError
 from ...factory.settings import STRICT, build
 from ...factory.sonar.geometry import FanGeometry, recorded_sonar
@@ -329,7 +328,7 @@ def open_dataset(folder: str | Path, split: Split, layer: str = "noisy") -> Coll
 
 def _read(path: Path, layer: str, row: int, full: np.float32) -> Gray:
     with reading(path) as file:
-        picture = read_image(ImageStack(file[layer]), layer, row)
+        picture = ImageStack(file[layer])[row]
     return np.asarray(picture, np.float32) / full
 
 

@@ -234,9 +234,8 @@ def _facts(file: h5py.File, deep: bool) -> ShardFacts:
         for layer, stack in stacks.items():
             try:
                 picture = stack[row]
-            except (OSError, RuntimeError, ValueError) as error:
-                reason = " ".join(str(error).split())[:160]
-                problems.append(f"sample {row}: /{layer.name} is damaged ({reason})")
+            except FactoryError as error:
+                problems.append(str(error))
                 continue
             if problem := _picture_problem(picture, layer):
                 problems.append(f"sample {row}: /{layer.name} {problem}")

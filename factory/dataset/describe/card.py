@@ -13,7 +13,7 @@ from ...files import write_atomically
 from ..format.manifest import Manifest
 from ..format.schema import SCHEMA, SPLITS, Provenance, plain_values
 from ..format.settings import DatasetSettings
-from ..read.source import Source, manifest_source
+from ..read.source import Source, open_source
 from ..write.failures import FAILURES_NAME, Failure
 from ..write.folder import CARD_NAME, PREVIEW_NAME
 from .markdown import table
@@ -44,7 +44,7 @@ def write_card(
 
     skipped: reason -> images that were left out before the run.  Needs at least one finished shard.
     """
-    source = manifest_source(directory, manifest)
+    source = open_source(directory, "all", trusted=True)
     rows, columns = source.shape
     counts = Counter((one.split, one.location, one.scene) for one in source.names())
     preview = directory / PREVIEW_NAME
@@ -150,7 +150,7 @@ def _facts(
 
 
 def _reading(source: Source) -> str:
-    row_axis, row_units, _ = source.axes[0]
+    row_axis, row_units = source.axes[0].name, source.axes[0].units
     full = "0..255, 255 is full scale" if source.dtype == "uint8" else "0..1"
     path = source.shards[0][1].relative_to(source.directory).as_posix()
     return f"""\

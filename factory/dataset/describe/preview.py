@@ -19,8 +19,8 @@ from ...files import write_atomically
 from ..format.manifest import MANIFEST_NAME, load_manifest
 from ..format.schema import VALUE_RANGES
 from ..read.image_stack import ImageStack
-from ..read.reader import check_in_isolation, listed_shards, reading
-from ..read.source import CORE, SampleName, manifest_source, read_image
+from ..read.reader import reading
+from ..read.source import CORE, SampleName, open_source
 from ..write.folder import PREVIEW_NAME
 
 _BACKGROUND, _TEXT, _FAINT = "#0d1117", "#e6edf3", "#8b949e"
@@ -63,9 +63,7 @@ def preview(
         raise FactoryError(f"{directory}: no {MANIFEST_NAME}; give the folder of a dataset")
     if pairs < 1:
         raise FactoryError(f"pairs must be at least 1, got {pairs}")
-    if manifest.shards and not trusted:
-        check_in_isolation(listed_shards(directory, "all", manifest))
-    chosen = spread(list(manifest_source(directory, manifest).names()), pairs)
+    chosen = spread(list(open_source(directory, "all", trusted=trusted).names()), pairs)
     title = f"{manifest.samples('train')} train and {manifest.samples('test')} test pairs"
     content = draw([_load(name) for name in chosen], title, f"config {manifest.config_hash[:8]}")
     path = directory / PREVIEW_NAME if out is None else Path(out)
@@ -96,7 +94,7 @@ def spread(samples: Sequence[SampleName], count: int) -> list[SampleName]:
 
 def _load(name: SampleName) -> Shown:
     with reading(name.path) as file:
-        images = {panel: read_image(ImageStack(file[panel]), panel, name.row) for panel in CORE}
+        images = {panel: ImageStack(file[panel])[name.row] for panel in CORE}
         record = file["meta"][name.row]
     place = " / ".join(part for part in (name.location, name.scene, name.frame) if part)
     heading = f"{name.split}   {place}   variant {name.variant}"

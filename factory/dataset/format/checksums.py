@@ -21,6 +21,7 @@ from typing import Any
 import h5py
 import numpy as np
 import numpy.typing as npt
+from isal import isal_zlib
 
 from ...errors import FactoryError
 from .axes import ECHO_PLACE, axis_names, echo_names, exists, image_axes
@@ -31,23 +32,9 @@ _CONTENTS, _TEXTS = SEALS
 _REFERENCES = ("DIMENSION_LIST", "REFERENCE_LIST")
 
 
-def _deflate() -> Any:
-    try:
-        from isal import isal_zlib
-    except ImportError:
-        import zlib
-
-        return zlib
-    return isal_zlib
-
-
-DEFLATE = _deflate()
-"""isal's zlib, in a third to two thirds of the time; readers may have numpy and h5py alone."""
-
-
 def crc32(values: npt.NDArray[Any]) -> int:
     """CRC-32 of an array's bytes in C order."""
-    sums: int = DEFLATE.crc32(np.ascontiguousarray(values).data)
+    sums: int = isal_zlib.crc32(np.ascontiguousarray(values).data)
     return sums
 
 
@@ -99,14 +86,8 @@ def check_texts(file: h5py.File, layers: Iterable[str]) -> None:
         raise FactoryError("units or descriptions differ from their checksum; damaged")
 
 
-def picture_sums(stack: h5py.Dataset) -> npt.NDArray[np.uint32]:
-    """(samples,) `crc32` of each picture of a layer."""
-    sums: npt.NDArray[np.uint32] = all_picture_sums(stack.file)[stack.name.lstrip("/")]
-    return sums
-
-
-def all_picture_sums(file: h5py.File) -> npt.NDArray[np.void]:
-    """The same of all layers, a column each; a read for each layer costs as much."""
+def picture_sums(file: h5py.File) -> npt.NDArray[np.void]:
+    """(samples,) `crc32` of each picture, a column a layer."""
     sums: npt.NDArray[np.void] = file[CHECKSUMS][()]
     return sums
 

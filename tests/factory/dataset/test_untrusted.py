@@ -94,16 +94,19 @@ def set_text_bytes(name: str, value: bytes) -> Callable[[h5py.File], None]:
 
 
 ATTRIBUTES: dict[str, tuple[Callable[[h5py.File], None], str]] = {
-    "no config": (set_attribute("config", None), "attribute config is absent"),
-    "config a number": (set_attribute("config", 7), "attribute config is no text"),
+    "no config": (set_attribute("config", None), "config is absent or no text"),
+    "config a number": (set_attribute("config", 7), "config is absent or no text"),
     "config cut off": (set_attribute("config", '{"seed": 3'), "attribute config is no JSON"),
     "config a list": (set_attribute("config", "[1, 2]"), "attribute config is no JSON object"),
     "config deep": (set_attribute("config", "[" * 60_000), "attribute config is no JSON"),
-    "config not UTF-8": (set_text_bytes("config", b'{"a": "\xff"}'), "config is not UTF-8"),
+    "config not UTF-8": (set_text_bytes("config", b'{"a": "\xff"}'), "config is absent or no text"),
     "no split": (set_attribute("split", None), "attribute split is absent"),
     "no config_hash": (set_attribute("config_hash", None), "attribute config_hash is absent"),
     "no generator": (set_attribute("generator", None), "attribute generator is absent"),
-    "generator numbers": (set_attribute("generator", np.zeros(3)), "generator is no text"),
+    "generator numbers": (
+        set_attribute("generator", np.zeros(3)),
+        "generator is absent or no",
+    ),
     "absolute split": (set_attribute("split", "/x/escaped"), "attribute split is '/x/escaped'"),
     "split above": (set_attribute("split", "../../escaped"), "expected train or test"),
 }
