@@ -13,7 +13,7 @@ import secrets
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -96,21 +96,16 @@ class StoreLock:
     def _refuse_if_held(self, name: str) -> dict[str, Any]:
         """What a lock says that nobody holds any more; raises FactoryError for any other."""
         owner = read_lock(self.store, name)
-        if self._holds(owner):
+        held = is_alive(owner)
+        if held is None:  # of another machine
+            beat = owner.get("beat")
+            held = isinstance(beat, float) and abs(time.time() - beat) < _SILENT_S
+        if held:
             raise FactoryError(
-                f"dataset.dir: {self.store.url} is being written by process {owner['pid']} on "
-                f"{owner['host']}; wait for it, or give another place with dataset.dir="
+                f"dataset.dir: {self.store.url} is being written by process {owner.get('pid')} on "
+                f"{owner.get('host')}; wait for it, or give another place with dataset.dir="
             )
         return owner
-
-    def _holds(self, owner: Mapping[str, Any]) -> bool:
-        if type(owner.get("pid")) is not int or not isinstance(owner.get("host"), str):
-            return False
-        seen = is_alive(owner)
-        if seen is not None:
-            return seen
-        beat = owner.get("beat")
-        return isinstance(beat, float) and abs(time.time() - beat) < _SILENT_S
 
 
 def read_lock(store: Store, name: str) -> dict[str, Any]:

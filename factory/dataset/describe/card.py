@@ -46,6 +46,7 @@ def write_card(
     """
     source = open_source(directory, "all", trusted=True)
     rows, columns = source.shape
+    splits = " and ".join(f"{manifest.samples(split)} {split}" for split in SPLITS)
     counts = Counter((one.split, one.location, one.scene) for one in source.names())
     preview = directory / PREVIEW_NAME
     picture = f"![noisy, clean and shadow images of some samples]({PREVIEW_NAME})\n\n"
@@ -56,9 +57,9 @@ def write_card(
 {hub_fields(settings.name, settings.licence, manifest.samples())}
 ---
 
-# {card_title(settings.name)}
+# {settings.name}: simulated forward-looking sonar images, noisy and clean
 
-{manifest.samples()} pairs of forward-looking-sonar images ({_splits(manifest)}): each sample is a \
+{manifest.samples()} pairs of forward-looking-sonar images ({splits}): each sample is a \
 noisy image, the clean image of the same scene, and the mask of its acoustic shadows. \
 {rows} x {columns} pixels, {source.dtype}, {manifest.total_bytes() / 1e6:.1f} MB.
 
@@ -99,12 +100,6 @@ The method: {PAPER}.
     return path
 
 
-def card_title(name: str) -> str:
-    """What heads a card; `dataset`, which is what a nameless dataset is called, says nothing."""
-    title = "Simulated forward-looking sonar images, noisy and clean"
-    return title if name == "dataset" else f"{name}: {title[0].lower()}{title[1:]}"
-
-
 def hub_fields(name: str, licence: str | None, samples: int) -> str:
     """YAML lines of a card's front matter, for the Hugging Face hub."""
     stated = (licence or "unknown").strip()
@@ -120,10 +115,6 @@ def hub_fields(name: str, licence: str | None, samples: int) -> str:
         "tags:\n" + "\n".join(f"- {tag}" for tag in _TAGS),
     ]
     return "\n".join(lines)
-
-
-def _splits(manifest: Manifest) -> str:
-    return " and ".join(f"{manifest.samples(split)} {split}" for split in SPLITS)
 
 
 def _facts(
