@@ -14,6 +14,9 @@ from ..format.checksums import crc32, picture_sums
 
 Image = npt.NDArray[Any]
 
+# Its stub says that it is an instance.
+_NO_GZIP: Any = isal_zlib.error
+
 
 class ImageStack:
     """`stack[row]` is one (H, W) picture, as stored and writable.
@@ -45,7 +48,7 @@ class ImageStack:
                 self._dataset.read_direct(image, np.s_[number])
             if crc32(image) != self._sums[number]:
                 raise ValueError("its checksum differs")
-        except (MemoryError, OSError, RuntimeError, ValueError, isal_zlib.error) as error:
+        except (MemoryError, OSError, RuntimeError, ValueError, _NO_GZIP) as error:
             reason = " ".join(str(error).split())[:120] or "not in the table of chunks"
             raise FactoryError(
                 f"{self._dataset.name} sample {number} is damaged ({reason}); delete the file and "
