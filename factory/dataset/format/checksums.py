@@ -21,7 +21,6 @@ from typing import Any
 import h5py
 import numpy as np
 import numpy.typing as npt
-from isal import isal_zlib
 
 from ...errors import FactoryError
 from .axes import ECHO_PLACE, axis_names, echo_names, exists, image_axes
@@ -32,9 +31,23 @@ _CONTENTS, _TEXTS = SEALS
 _REFERENCES = ("DIMENSION_LIST", "REFERENCE_LIST")
 
 
+def _deflate() -> Any:
+    try:
+        from isal import isal_zlib
+    except ImportError:
+        import zlib
+
+        return zlib
+    return isal_zlib
+
+
+DEFLATE = _deflate()
+"""isal's zlib, in a third to two thirds of the time; readers may have numpy and h5py alone."""
+
+
 def crc32(values: npt.NDArray[Any]) -> int:
     """CRC-32 of an array's bytes in C order."""
-    sums: int = isal_zlib.crc32(np.ascontiguousarray(values).data)
+    sums: int = DEFLATE.crc32(np.ascontiguousarray(values).data)
     return sums
 
 
