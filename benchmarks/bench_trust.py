@@ -28,7 +28,7 @@ from scipy.io import savemat
 
 from benchmarks.shared import Options, Section, Table, in_own_process
 from simnfnd.factory.dataset.format.manifest import INDEX_NAME, MANIFEST_NAME
-from simnfnd.factory.dataset.validate import validate_with
+from simnfnd.factory.dataset.validate import validate
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.isolated import IsolatedProcess
 from tests.factory.dataset import flips, hostile
@@ -197,22 +197,21 @@ def flipped_file(folder: Path, name: str, times: int) -> Tally:
     folder.mkdir()
     root, tally, rng = hostile.whole(folder / "sound"), Tally(), np.random.default_rng(2)
     sound, found = flips.given_out(root), 0
-    with IsolatedProcess() as process:
-        for _ in range(times):
-            place, bit = flips.any_bit(root / name, rng)
-            flips.flip(root / name, place, bit)
-            try:
-                valid = not validate_with(process, root, deep=False).errors
-            except FactoryError:
-                valid = False
-            if valid and name == INDEX_NAME:
-                tally.wrong.append(f"{name} {place}.{bit}: valid")
-            elif valid:
-                read = flips.outcome(root, sound)
-                tally.must(read in ("same", "refused"), f"{name} {place}.{bit}: {read}")
-            found += not valid
-            flips.flip(root / name, place, bit)
-            tally.done += 1
+    for _ in range(times):
+        place, bit = flips.any_bit(root / name, rng)
+        flips.flip(root / name, place, bit)
+        try:
+            valid = not validate(root).errors
+        except FactoryError:
+            valid = False
+        if valid and name == INDEX_NAME:
+            tally.wrong.append(f"{name} {place}.{bit}: valid")
+        elif valid:
+            read = flips.outcome(root, sound)
+            tally.must(read in ("same", "refused"), f"{name} {place}.{bit}: {read}")
+        found += not valid
+        flips.flip(root / name, place, bit)
+        tally.done += 1
     tally.note = f"{found} found by validate"
     return tally
 
@@ -221,19 +220,18 @@ def forged(folder: Path, times: int) -> Tally:
     """Datasets forged with true checksums, or damaged: a clear answer, no file outside of them."""
     folder.mkdir()
     sound, tally = hostile.whole(folder / "sound"), Tally()
-    readable = 0
-    with IsolatedProcess() as reader, IsolatedProcess() as validator:
-        for number in range(times):
-            root = hostile.copy(sound, folder / "forged")
-            what = hostile.mutate(root, number)
-            begun = time.monotonic()
-            try:
-                read, _ = hostile.check(root, reader, validator)
-                readable += read == "read"
-            except Exception as error:
-                tally.must(False, f"{what}: {type(error).__name__} {error}"[:200])
-            tally.must(time.monotonic() - begun < HUNG_S, f"{what}: hangs")
-            tally.done += 1
+    readable, reader = 0, IsolatedProcess()
+    for number in range(times):
+        root = hostile.copy(sound, folder / "forged")
+        what = hostile.mutate(root, number)
+        begun = time.monotonic()
+        try:
+            read, _ = hostile.check(root, reader)
+            readable += read == "read"
+        except Exception as error:
+            tally.must(False, f"{what}: {type(error).__name__} {error}"[:200])
+        tally.must(time.monotonic() - begun < HUNG_S, f"{what}: hangs")
+        tally.done += 1
     tally.note = f"{readable} still readable"
     return tally
 

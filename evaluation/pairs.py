@@ -23,7 +23,7 @@ from ..factory.dataset.read.reader import (
     shard_paths,
     value_range,
 )
-from ..factory.dataset.read.source import CORE, read_image
+from ..factory.dataset.read.source import CORE
 from ..factory.errors import FactoryError
 from ..factory.files import sha256_of
 from ..models.recordings.base import FULL_SCALE
@@ -152,7 +152,7 @@ def picture(place: Place) -> Picture:
         return Picture(noisy, clean, shadow, sector, has_shadow=mask is not None)
     with reading(Path(path)) as file:
         full = value_range(file)
-        noisy, clean, shadow = (read_image(ImageStack(file[key]), key, row) for key in CORE)
+        noisy, clean, shadow = (ImageStack(file[key])[row] for key in CORE)
     for name, image in (("noisy", noisy), ("clean", clean)):
         if not np.isfinite(image).all():
             raise FactoryError(f"{path}: sample {row}: {name} has NaN or infinite pixels")

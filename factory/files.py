@@ -11,7 +11,6 @@ import os
 import re
 import secrets
 import shutil
-import socket
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,10 +20,7 @@ from typing import Protocol
 from .errors import FactoryError
 from .ownership import check_fences, space
 
-_TEMPORARY = re.compile(
-    r"\..+\.[^.-]+-(?P<space>[0-9a-f]{8})-(?P<pid>\d+)-[0-9a-f]{16}\.tmp$"
-    r"|\..+\.[^.]+-\d+\.tmp$"  # of earlier versions
-)
+_TEMPORARY = re.compile(r"\..+\.(?:[^.-]+-)?(?P<space>[0-9a-f]{8})-(?P<pid>\d+)-[0-9a-f]{16}\.tmp$")
 _FOREIGN_STALE_S = 86_400.0
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
@@ -55,7 +51,8 @@ def write_atomically(
         if durable:
             sync_folder(path.parent)
     if durable:
-        put_out(path, content)
+        for one in _of(path):
+            one.put(path, content)
 
 
 def sync_folder(folder: Path) -> None:
@@ -74,7 +71,7 @@ def remove_stale_temporaries(folder: Path) -> int:
     removed = 0
     for path in sorted(folder.glob(".*.tmp")) if folder.is_dir() else []:
         match = _TEMPORARY.match(path.name)
-        if match and _is_stale(path, match["space"], int(match["pid"] or 0)):
+        if match and _is_stale(path, match["space"], int(match["pid"])):
             path.unlink(missing_ok=True)
             removed += 1
     return removed
@@ -101,11 +98,8 @@ def check_writable(folder: Path, key: str) -> None:
 
 def sha256_of(path: Path) -> str:
     """Hex digest of a file's content, read in pieces."""
-    digest = hashlib.sha256()
     with open(path, "rb") as file:
-        while piece := file.read(1 << 20):
-            digest.update(piece)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @contextmanager
@@ -127,15 +121,11 @@ def explain_os_errors(path: Path, key: str = "dataset.dir") -> Iterator[None]:
 
 def _temporary_for(path: Path) -> Path:
     # The token keeps apart what numbers do not: process 1 of containers that share a host name.
-    owner = f"{_host()}-{space()}-{os.getpid()}-{secrets.token_hex(8)}"
+    owner = f"{space()}-{os.getpid()}-{secrets.token_hex(8)}"
     return path.parent / f".{path.name}.{owner}.tmp"
 
 
-def _host() -> str:
-    return re.sub(r"[^A-Za-z0-9_]", "_", socket.gethostname()) or "host"
-
-
-def _is_stale(path: Path, where: str | None, pid: int) -> bool:
+def _is_stale(path: Path, where: str, pid: int) -> bool:
     try:
         written = path.stat().st_mtime
     except FileNotFoundError:
@@ -145,16 +135,7 @@ def _is_stale(path: Path, where: str | None, pid: int) -> bool:
         return time.time() - written > _FOREIGN_STALE_S
     import psutil  # only needed here, and readers of datasets have numpy and h5py alone
 
-    try:
-        process = psutil.Process(pid)
-        # A process that started after the file was written merely got the same number; a zombie is
-        # dead, and its parent has not collected it yet.
-        late = process.create_time() > written + 1.0
-        return late or process.status() == psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return True
-    except psutil.AccessDenied:
-        return False
+    return not psutil.pid_exists(pid)
 
 
 def refuse_files(folder: Path) -> None:
@@ -181,29 +162,6 @@ def whole_folder(folder: Path) -> Iterator[Path]:
             sync_folder(folder.absolute().parent)
         finally:
             shutil.rmtree(partial, ignore_errors=True)
-
-
-@contextmanager
-def whole_file(path: Path, key: str = "--out") -> Iterator[Path]:
-    """A path beside `path` to write to, which becomes `path` at the end, on the disk.
-
-    For what is too large for `write_atomically`.  When the block fails, nothing is left behind;
-    what a killed process leaves is known by its name (`is_temporary`).
-    Raises FactoryError when it cannot be written.
-    """
-    partial = _temporary_for(path.absolute())
-    with explain_os_errors(path, key):
-        try:
-            yield partial
-            descriptor = os.open(partial, os.O_RDONLY)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
-            os.replace(partial, path)
-            sync_folder(path.absolute().parent)
-        finally:
-            partial.unlink(missing_ok=True)
 
 
 class Outlet(Protocol):
@@ -238,12 +196,6 @@ def outlet(one: Outlet | None) -> Iterator[None]:
         yield
     finally:
         _outlets.remove(one)
-
-
-def put_out(path: Path, content: bytes | None = None) -> None:
-    """Pass a file on that was written; without `content` it is read."""
-    for one in _of(path):
-        one.put(path, path.read_bytes() if content is None else content)
 
 
 def remove_file(path: Path) -> None:

@@ -9,7 +9,6 @@ values and nothing that runs.
 from __future__ import annotations
 
 import atexit
-import base64
 import importlib
 import json
 import os
@@ -38,12 +37,12 @@ def look_at(
     """The answer of a function that reads what may be a stranger's file, in a process that lasts.
 
     path: named in the error.  function: of a module, importable.  Arguments and answer are what
-    `encode` takes.
+    JSON can hold; a path arrives as text.
     Raises FactoryError when the function does, when the process dies of the file, or when it takes
     longer than `limit_s` or more memory than a sound file needs.
     """
     try:
-        return _lasting.call(function, *arguments, limit_s=limit_s)
+        return LASTING.call(function, *arguments, limit_s=limit_s)
     except FactoryError as error:
         raise FactoryError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
 
@@ -51,17 +50,23 @@ def look_at(
 class IsolatedProcess:
     """Runs importable functions in another process, which is started again when one kills it.
 
+    A thread waits for another's call; after a fork there is a new process.
     memory_bytes: beyond what the process has after its imports; other libraries need more.
     """
 
     def __init__(self, memory_bytes: int = _MEMORY_BYTES) -> None:
         self._memory_bytes = memory_bytes
+        self._forget()
+        atexit.register(self.close)
+        if hasattr(os, "register_at_fork"):
+            os.register_at_fork(after_in_child=self._forget)
+
+    def _forget(self) -> None:
+        self._lock = threading.Lock()
         self._child: subprocess.Popen[bytes] | None = None
 
-    def __enter__(self) -> IsolatedProcess:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
+    def close(self) -> None:
+        """End the process; the next call starts another."""
         if self._child:
             self._child.kill()
         self._end()
@@ -71,16 +76,26 @@ class IsolatedProcess:
 
         Raises RuntimeError with the traceback for any other error of the function.
         """
+        name = f"{function.__module__}:{function.__qualname__}"
+        asked = _encode((name, limit_s, os.getcwd(), arguments))
+        with self._lock:
+            kind, result = self._answer(asked, limit_s)
+        if kind == "answer":
+            return result
+        if kind == "memory":
+            raise FactoryError("asks for more memory than a sound file needs")
+        raise FactoryError(str(result)) if kind == "refused" else RuntimeError(result)
+
+    def _answer(self, asked: bytes, limit_s: float) -> tuple[str, Any]:
         child = self._child = self._child or _start(self._memory_bytes)
         assert child.stdin is not None
         assert child.stdout is not None
-        name = f"{function.__module__}:{function.__qualname__}"
-        asked = encode((name, limit_s, os.getcwd(), arguments))
         try:
             child.stdin.write(asked)
             child.stdin.flush()
-            kind, result = decode(child.stdout)
-        except (EOFError, BrokenPipeError, ValueError, LookupError, TypeError) as error:
+            kind, result = _decode(child.stdout)
+            return kind, result
+        except (EOFError, BrokenPipeError, ValueError, TypeError) as error:
             if not isinstance(error, EOFError | BrokenPipeError):
                 child.kill()  # what it sent is no answer
             code = self._end()
@@ -88,14 +103,8 @@ class IsolatedProcess:
                 raise FactoryError(f"not read within {limit_s:g} s; made to hang?") from error
             raise FactoryError("crashes the library that reads it; it is damaged") from error
         except BaseException:
-            child.kill()
-            self._end()
+            self.close()
             raise
-        if kind == "answer":
-            return result
-        if kind == "memory":
-            raise FactoryError("asks for more memory than a sound file needs")
-        raise FactoryError(str(result)) if kind == "refused" else RuntimeError(result)
 
     def _end(self) -> int | None:
         """Stop the process; returns the exit code of one that ended by itself."""
@@ -115,54 +124,21 @@ class IsolatedProcess:
                         pipe.close()
 
 
-class _Lasting:
-    """One process for all calls of `look_at`; after a fork a new one."""
-
-    def __init__(self) -> None:
-        self._forget()
-        if hasattr(os, "register_at_fork"):
-            os.register_at_fork(after_in_child=self._forget)
-
-    def _forget(self) -> None:
-        self._lock = threading.Lock()
-        self._process: IsolatedProcess | None = None
-
-    def call(self, function: Callable[..., Any], *arguments: Any, limit_s: float) -> Any:
-        with self._lock:
-            if self._process is None:
-                self._process = IsolatedProcess()
-                atexit.register(self._process.__exit__)
-            return self._process.call(function, *arguments, limit_s=limit_s)
+LASTING = IsolatedProcess()
+"""That of `look_at`."""
 
 
-_lasting = _Lasting()
+def _encode(value: Any) -> bytes:
+    """A line of JSON.  Raises TypeError for what it cannot hold."""
+    return json.dumps(value, default=os.fspath).encode() + b"\n"
 
 
-def encode(value: Any) -> bytes:
-    """A message: what JSON can hold, and paths and bytes.  Raises TypeError for anything else."""
-
-    def tagged(item: Any) -> Any:
-        if isinstance(item, Path):
-            return {"__path__": str(item)}
-        if isinstance(item, bytes):
-            return {"__bytes__": base64.b64encode(item).decode()}
-        raise TypeError(f"{type(item).__name__} goes to no other process")
-
-    return json.dumps(value, default=tagged).encode() + b"\n"
-
-
-def decode(file: IO[bytes]) -> Any:
-    """The next message of a pipe.  Raises EOFError at its end, ValueError for what is none."""
-
-    def untagged(item: dict[str, Any]) -> Any:
-        if "__path__" in item:
-            return Path(item["__path__"])
-        return base64.b64decode(item["__bytes__"]) if "__bytes__" in item else item
-
+def _decode(file: IO[bytes]) -> Any:
+    """The next line of a pipe.  Raises EOFError at its end, ValueError for what is no JSON."""
     line = file.readline(_MOST_ANSWER_BYTES)
     if not line.endswith(b"\n"):
         raise EOFError
-    return json.loads(line, object_hook=untagged)
+    return json.loads(line)
 
 
 def _start(memory_bytes: int) -> subprocess.Popen[bytes]:
@@ -189,20 +165,20 @@ def serve(memory_bytes: int) -> None:
     _limit_memory(memory_bytes)
     while True:
         try:
-            name, limit_s, folder, arguments = decode(sys.stdin.buffer)
+            name, limit_s, folder, arguments = _decode(sys.stdin.buffer)
         except EOFError:
             return
         os.chdir(folder)  # relative paths mean what they mean to who asks
         # Not caught: it ends the process even where C code never comes back.
         signal.setitimer(signal.ITIMER_REAL, limit_s)
         try:
-            content = encode(("answer", _found(name)(*arguments)))
+            content = _encode(("answer", _found(name)(*arguments)))
         except FactoryError as error:
-            content = encode(("refused", str(error)))
+            content = _encode(("refused", str(error)))
         except MemoryError:
-            content = encode(("memory", None))
+            content = _encode(("memory", None))
         except Exception:
-            content = encode(("error", traceback.format_exc()))
+            content = _encode(("error", traceback.format_exc()))
         signal.setitimer(signal.ITIMER_REAL, 0)
         answers.write(content)
         answers.flush()

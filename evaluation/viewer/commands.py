@@ -68,7 +68,6 @@ def _of_recording(source: Path, out: Path | None, frames: int) -> Path:
     for number in evenly(range(count), frames):
         picture = recording.picture(number, 0)
         grey = picture.mean(axis=-1) if picture.ndim == 3 else picture
-        extent = (0.0, float(grey.shape[1]), float(grey.shape[0]), 0.0)
-        shown.append(Shown(f"frame {number}", {"picture": grey}, 255.0, ("row", "column"), extent))
+        shown.append(Shown(f"frame {number}", {"picture": grey}, 255.0))
     write_atomically(out, draw(shown, source.name, f"{count} frames"), key="--out")
     return out

@@ -108,5 +108,3 @@ def needs_of(config: FactoryConfig) -> Iterator[Need]:
         yield Need("scheduler=dask", "distributed", "scheduler=local")
     if (config.dataset.dir or "").startswith("s3://"):
         yield Need("dataset.dir=s3://...", "s3fs", "a folder of this machine")
-    if config.dataset.compression == "zstd":
-        yield Need("dataset.compression=zstd", "hdf5plugin", "gzip, lzf or none")

@@ -143,21 +143,16 @@ def contact_sheet(points: Sequence[tuple[str, str]], out: Path) -> Path | None:
 
     points: label and folder of each dataset.  None where no sample is in all of them.
     """
-    from ..dataset.describe.preview import _load, draw
-    from ..dataset.read.source import open_source
+    from ..dataset.describe.preview import draw, in_common, load
     from ..files import write_atomically
 
-    samples = [
-        {(one.location, one.scene, one.frame, one.variant): one for one in source.names()}
-        for source in (open_source(Path(folder), "all") for _, folder in points)
-    ]
-    common = [name for name in samples[0] if all(name in found for found in samples)]
+    common = in_common([Path(folder) for _, folder in points])
     if not common:
         return None
     chosen = dict.fromkeys(common[k * len(common) // _FRAMES] for k in range(_FRAMES))
     rows = []
-    for (label, _), found in zip(points, samples, strict=True):
-        first, *others = [_load(found[name]) for name in chosen]
+    for (label, _), samples in zip(points, zip(*chosen, strict=True), strict=True):
+        first, *others = map(load, samples)
         images = {name: first.images[name] for name in ("clean", "noisy")}
         images |= {f"noisy, {k + 2}": one.images["noisy"] for k, one in enumerate(others)}
         rows.append(replace(first, heading=label, images=images))

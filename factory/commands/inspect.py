@@ -33,12 +33,12 @@ def report(found: DatasetSummary, name: str) -> Iterator[str]:
     counts = ", ".join(f"{count} {split}" for split, count in source.splits.items())
     rows, columns = source.shape
     scale = "0..255" if source.dtype == "uint8" else "0..1"
-    (row_axis, row_units, _), (column_axis, column_units, _) = source.axes
+    across, down = (f"{axis.name} [{axis.units}]" for axis in source.axes)
     licence = dataset_settings(source.directory).get("licence") or "not stated"
     yield f"{name}: {found.schema}, made by {found.generator}, config hash {source.config_hash}"
     yield f"samples      {counts}, in {len(source.shards)} file(s)"
     yield f"pictures     {rows} x {columns} {source.dtype} ({scale}), {source.layout}"
-    yield f"axes         rows {row_axis} [{row_units}], columns {column_axis} [{column_units}]"
+    yield f"axes         rows {across}, columns {down}"
     yield f"layers       {', '.join(source.layers)}"
     if camera := [name for name in source.layers if name in CAMERA_LAYERS]:
         high, wide = source.sizes[camera[0]][:2]

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from ..errors import FactoryError
 from ..files import is_temporary, sha256_of
-from ..isolated import IsolatedProcess
+from ..isolated import LASTING
 from ..labels import classes_of
 from .format.axes import echo_names, image_axes
 from .format.layout import config_of, inside, optional_layers
@@ -89,21 +89,12 @@ def validate(directory: Path, deep: bool = False) -> Report:
     Files are opened in an isolated process, which may crash or hang without harm.
     Raises FactoryError when there is no readable manifest.json.
     """
-    with IsolatedProcess() as process:
-        return validate_with(process, directory, deep)
-
-
-def validate_with(process: IsolatedProcess, directory: Path, deep: bool) -> Report:
-    """The same with a process that runs already: for many datasets, one after another."""
     if not directory.is_dir():
         raise FactoryError(f"{directory}: no such folder; give that of a dataset")
     manifest = load_manifest(directory)
     if manifest is None:
         raise FactoryError(f"{directory}: no {MANIFEST_NAME}; give the folder of a dataset")
-    facts = {
-        path: _facts_of(process, directory, manifest, path, deep)
-        for path in sorted(manifest.shards)
-    }
+    facts = {path: _facts_of(directory, manifest, path, deep) for path in sorted(manifest.shards)}
     findings: list[Finding] = []
     for path, found in facts.items():
         findings += [Finding("error", path, problem) for problem in found.problems]
@@ -116,9 +107,7 @@ def validate_with(process: IsolatedProcess, directory: Path, deep: bool) -> Repo
     return Report(tuple(findings), manifest.samples(), len(manifest.shards))
 
 
-def _facts_of(
-    process: IsolatedProcess, directory: Path, manifest: Manifest, path: str, deep: bool
-) -> ShardFacts:
+def _facts_of(directory: Path, manifest: Manifest, path: str, deep: bool) -> ShardFacts:
     info = manifest.shards[path]
     if os.path.lexists(directory / path) and not inside(directory, directory / path):
         return ShardFacts(["no regular file, or leads out of the dataset's folder; not read"])
@@ -126,7 +115,7 @@ def _facts_of(
         return ShardFacts([f"{wrong}; run the command that made the dataset again"])
     limit_s = _LIMIT_S + info.bytes / _BYTES_PER_S
     try:
-        facts = ShardFacts(**process.call(_told, directory / path, deep, limit_s=limit_s))
+        facts = ShardFacts(**LASTING.call(_told, directory / path, deep, limit_s=limit_s))
     except FactoryError as error:
         return ShardFacts([str(error)])
     if facts.problems:
@@ -214,8 +203,8 @@ def _leaks(facts: Mapping[str, ShardFacts]) -> Iterator[Finding]:
 # --- in the isolated process
 
 
-def _told(path: Path, deep: bool) -> dict[str, Any]:
-    return asdict(shard_facts(path, deep))
+def _told(path: str, deep: bool) -> dict[str, Any]:
+    return asdict(shard_facts(Path(path), deep))
 
 
 def shard_facts(path: Path, deep: bool) -> ShardFacts:
@@ -246,9 +235,8 @@ def _facts(file: h5py.File, deep: bool) -> ShardFacts:
         for layer, stack in stacks.items():
             try:
                 picture = stack[row]
-            except (OSError, RuntimeError, ValueError) as error:
-                reason = " ".join(str(error).split())[:160]
-                problems.append(f"sample {row}: /{layer.name} is damaged ({reason})")
+            except FactoryError as error:
+                problems.append(str(error))
                 continue
             if problem := _picture_problem(picture, layer):
                 problems.append(f"sample {row}: /{layer.name} {problem}")

@@ -10,16 +10,9 @@ from ..dataset.read.source import open_source
 from ..errors import FactoryError
 from ..files import refuse_files, whole_folder
 
-# --to -> module with `write(source, folder) -> str`, which fills an empty folder and returns one
-# line that says what it wrote.
-FORMATS = {
-    "webdataset": "simnfnd.factory.export.webdataset",
-    "huggingface": "simnfnd.factory.export.huggingface",
-    "png": "simnfnd.factory.export.png",
-    "mdd": "simnfnd.factory.export.mdd",
-    "coco": "simnfnd.factory.export.coco",
-    "yolo": "simnfnd.factory.export.yolo",
-}
+# Modules with `write(source, folder) -> str`, which fills an empty folder and returns one line that
+# says what it wrote.
+FORMATS = ("webdataset", "huggingface", "png", "mdd", "coco", "yolo")
 
 
 def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") -> str:
@@ -31,7 +24,7 @@ def export(dataset: Path | str, to: str, out: Path | str, split: Split = "all") 
     """
     if to not in FORMATS:
         raise FactoryError(f"--to {to}: no such format; one of {', '.join(FORMATS)}")
-    writer, source = import_module(FORMATS[to]), open_source(Path(dataset), split)
+    writer, source = import_module(f".{to}", __package__), open_source(Path(dataset), split)
     folder = Path(out)
     refuse_files(folder)
     with whole_folder(folder) as unfinished:

@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from ..dataset.describe.card import hub_fields
 from ..dataset.read.source import Sample, Source, dataset_settings
 from ..errors import FactoryError
 from ..labels import classes_of
 from .objects import shown_in
-from .pictures import is_picture, png
+from .pictures import is_picture, png, write_notes
 
 SAMPLES_PER_FILE = 1000
 # The hub reads whole row groups to show one row.
@@ -116,24 +117,20 @@ def _schema(source: Source) -> Any:
 def _write_card(source: Source, folder: Path) -> None:
     settings = dataset_settings(source.directory)
     name, licence = str(settings.get("name") or "dataset"), settings.get("licence")
-    data_files = "".join(
-        f"  - split: {split}\n    path: data/{split}-*.parquet\n" for split in source.splits
-    )
     fields = hub_fields(name, str(licence) if licence else None, sum(source.splits.values()))
-    rows, columns = source.shape
-    (folder / "README.md").write_text(
-        f"---\n{fields}\nconfigs:\n- config_name: default\n  data_files:\n{data_files}---\n\n"
-        f"# {name}\n\n"
-        f"Pairs of simulated forward-looking-sonar images ({rows} x {columns}, {source.dtype}): "
-        "`noisy` is the input of a denoiser, `clean` its target, `shadow` is 255 where no echo "
-        "arrives. The other columns say which frame a sample is of and every number that was drawn "
-        "for it (NaN: not drawn).\n\n"
-        "```python\n"
-        "from datasets import load_dataset\n\n"
-        'pairs = load_dataset("PATH_OF_THIS_FOLDER")\n'
-        "```\n\n"
-        f"Exported from a SimNFND dataset, config hash `{source.config_hash}`.\n\n"
-        f"## Licence\n\n{licence or 'not stated'}. The terms of the source images hold for what is "
-        "derived from them.\n",
-        encoding="utf-8",
-    )
+    files = [{"split": split, "path": f"data/{split}-*.parquet"} for split in source.splits]
+    configs = yaml.safe_dump({"configs": [{"config_name": "default", "data_files": files}]})
+    write_notes(source, folder, _NOTES, front=f"---\n{fields}\n{configs}---\n\n")
+
+
+_NOTES = """\
+`noisy` is the input of a denoiser, `clean` its target, `shadow` is 255 where no echo arrives. The
+other columns say which frame a sample is of and every number that was drawn for it (NaN: not
+drawn).
+
+```python
+from datasets import load_dataset
+
+pairs = load_dataset("PATH_OF_THIS_FOLDER")
+```
+"""

@@ -46,8 +46,8 @@ def sixteen_bit(image: npt.NDArray[np.floating]) -> npt.NDArray[np.uint16]:
     return np.asarray(np.rint(image.astype(np.float64) * 65535), dtype=np.uint16)
 
 
-def write_notes(source: Source, folder: Path, reading: str) -> None:
-    """Write README.md; `reading` says in Markdown what the files are."""
+def write_notes(source: Source, folder: Path, reading: str, *, front: str = "") -> None:
+    """Write README.md; `reading` says in Markdown what the files are, `front` comes before all."""
     settings = dataset_settings(source.directory)
     name, licence = str(settings.get("name") or "dataset"), settings.get("licence") or "not stated"
     counts = "".join(f"- {split}: {count} samples\n" for split, count in source.splits.items())
@@ -59,6 +59,6 @@ def write_notes(source: Source, folder: Path, reading: str) -> None:
     )
     terms = f"{licence}. The terms of the source images hold for what is derived from them."
     (folder / "README.md").write_text(
-        f"# {name}\n\n{text}\n## What the files are\n\n{reading}\n## Licence\n\n{terms}\n",
+        f"{front}# {name}\n\n{text}\n## What the files are\n\n{reading}\n## Licence\n\n{terms}\n",
         encoding="utf-8",
     )

@@ -11,7 +11,6 @@ from ..dataset.format.manifest import MAX_SHARDS, Manifest, load_manifest
 from ..dataset.format.schema import SPLITS
 from ..dataset.write.folder import empty_folder, open_folder
 from ..dataset.write.index import write_index
-from ..dataset.write.writer import compression_filter
 from ..errors import FactoryError
 from ..files import explain_os_errors, remove_file, remove_stale_temporaries
 from ..progress import stage
@@ -39,7 +38,6 @@ def make_dataset(job: Job) -> RunReport:
             f"scheduler.shard_size={job.scheduler.shard_size}: gives {len(job.tasks)} shards, a "
             f"manifest lists {MAX_SHARDS} at most; raise it"
         )
-    compression_filter(job.dataset)
     if job.shard.part and job.dataset.on_existing != "resume":
         raise FactoryError(
             "dataset.on_existing=overwrite: slices would delete each other's shards; "

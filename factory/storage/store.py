@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from datetime import datetime
 from typing import Any
 
 from ..errors import FactoryError
@@ -89,14 +88,6 @@ class Store:
         """Remove an object, which may be absent."""
         with self._place("removed", name) as (system, root), suppress(FileNotFoundError):
             system.rm_file(f"{root}/{name}")
-
-    def changed(self, name: str) -> datetime | None:
-        """When an object was written, by the clock of the storage; None when there is none."""
-        with self._place("read", name) as (system, root), suppress(FileNotFoundError):
-            system.invalidate_cache()
-            when: datetime = system.modified(f"{root}/{name}")
-            return when
-        return None
 
     @property
     def _has_folders(self) -> bool:

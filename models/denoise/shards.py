@@ -63,8 +63,8 @@ def denoise_shard(item: Item, job: Job, denoise: Denoiser | InTurn) -> None:
                 image = noisy[row]
                 truth = clean[row] if row < COMPARED else None
                 denoised[row] = denoise_image(image, denoise, geometry(row))
-            except (OSError, RuntimeError, ValueError) as error:
-                raise FrameError(f"{item.source}: sample {row} is damaged ({error})") from error
+            except FactoryError as error:
+                raise FrameError(f"{item.source}: {error}") from error
             if truth is not None:
                 shown.append(tuple(x / full for x in (image, denoised[row], truth)))
             job.tick()

@@ -13,7 +13,7 @@ from ...files import write_atomically
 from ..format.manifest import Manifest
 from ..format.schema import SCHEMA, SPLITS, Provenance, plain_values
 from ..format.settings import DatasetSettings
-from ..read.source import Source, manifest_source
+from ..read.source import Source, open_source
 from ..write.failures import FAILURES_NAME, Failure
 from ..write.folder import CARD_NAME, PREVIEW_NAME
 from .markdown import table
@@ -44,8 +44,9 @@ def write_card(
 
     skipped: reason -> images that were left out before the run.  Needs at least one finished shard.
     """
-    source = manifest_source(directory, manifest)
+    source = open_source(directory, "all", trusted=True)
     rows, columns = source.shape
+    splits = " and ".join(f"{manifest.samples(split)} {split}" for split in SPLITS)
     counts = Counter((one.split, one.location, one.scene) for one in source.names())
     preview = directory / PREVIEW_NAME
     picture = f"![noisy, clean and shadow images of some samples]({PREVIEW_NAME})\n\n"
@@ -56,9 +57,9 @@ def write_card(
 {hub_fields(settings.name, settings.licence, manifest.samples())}
 ---
 
-# {card_title(settings.name)}
+# {settings.name}: simulated forward-looking sonar images, noisy and clean
 
-{manifest.samples()} pairs of forward-looking-sonar images ({_splits(manifest)}): each sample is a \
+{manifest.samples()} pairs of forward-looking-sonar images ({splits}): each sample is a \
 noisy image, the clean image of the same scene, and the mask of its acoustic shadows. \
 {rows} x {columns} pixels, {source.dtype}, {manifest.total_bytes() / 1e6:.1f} MB.
 
@@ -99,12 +100,6 @@ The method: {PAPER}.
     return path
 
 
-def card_title(name: str) -> str:
-    """What heads a card; `dataset`, which is what a nameless dataset is called, says nothing."""
-    title = "Simulated forward-looking sonar images, noisy and clean"
-    return title if name == "dataset" else f"{name}: {title[0].lower()}{title[1:]}"
-
-
 def hub_fields(name: str, licence: str | None, samples: int) -> str:
     """YAML lines of a card's front matter, for the Hugging Face hub."""
     stated = (licence or "unknown").strip()
@@ -120,10 +115,6 @@ def hub_fields(name: str, licence: str | None, samples: int) -> str:
         "tags:\n" + "\n".join(f"- {tag}" for tag in _TAGS),
     ]
     return "\n".join(lines)
-
-
-def _splits(manifest: Manifest) -> str:
-    return " and ".join(f"{manifest.samples(split)} {split}" for split in SPLITS)
 
 
 def _facts(
@@ -150,7 +141,7 @@ def _facts(
 
 
 def _reading(source: Source) -> str:
-    row_axis, row_units, _ = source.axes[0]
+    row_axis, row_units = source.axes[0].name, source.axes[0].units
     full = "0..255, 255 is full scale" if source.dtype == "uint8" else "0..1"
     path = source.shards[0][1].relative_to(source.directory).as_posix()
     return f"""\

@@ -14,8 +14,13 @@ from ...errors import FactoryError
 from ..format.manifest import INDEX_NAME
 from ..read.image_stack import ImageStack
 from ..read.reader import check_in_isolation, reading
-from ..read.source import Source, open_shards, open_source, read_image
+from ..read.source import Source, open_shards, open_source
 from .quality import psnr_db, ssim
+
+_FILTERS = {
+    h5py.h5z.FILTER_DEFLATE: "gzip", h5py.h5z.FILTER_FLETCHER32: "fletcher32", 32000: "lzf",
+    32015: "zstd",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,31 +93,19 @@ def compression_of(stack: h5py.Dataset) -> str:
     names = []
     for number in range(filters.get_nfilters()):
         code, _, values, name = filters.get_filter(number)
-        known = {
-            h5py.h5z.FILTER_DEFLATE: f"gzip {values[0] if values else ''}".strip(),
-            h5py.h5z.FILTER_FLETCHER32: "fletcher32",
-            h5py.h5z.FILTER_SHUFFLE: "shuffle",
-            32000: "lzf",
-            32015: "zstd",
-        }
-        names.append(known.get(code) or name.decode() or f"filter {code}")
+        level = f" {values[0]}" if code == h5py.h5z.FILTER_DEFLATE and values else ""
+        names.append(_FILTERS.get(code, name.decode()) + level)
     return ", ".join(names) or "none"
 
 
 def _quality(source: Source, pairs: int) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     """PSNR and SSIM of at most `pairs` samples, as evenly over all of them as can be."""
-    total = sum(samples for _, _, samples in source.shards)
-    count = min(pairs, total)
-    chosen = {(2 * k + 1) * total // (2 * count) for k in range(count)}
-    psnr: list[float] = []
-    similarity: list[float] = []
-    first = 0
-    for _, shard, samples in source.shards:
-        with reading(shard) as file:
-            stacks = {name: ImageStack(file[name]) for name in ("noisy", "clean")}
-            for row in sorted(number - first for number in chosen if 0 <= number - first < samples):
-                noisy, clean = (read_image(stack, name, row) for name, stack in stacks.items())
-                psnr.append(psnr_db(clean, noisy))
-                similarity.append(ssim(clean, noisy))
-        first += samples
-    return np.asarray(psnr), np.asarray(similarity)
+    places = [(path, row) for _, path, samples in source.shards for row in range(samples)]
+    count = min(pairs, len(places))
+    found = []
+    for path, row in (places[(2 * k + 1) * len(places) // (2 * count)] for k in range(count)):
+        with reading(path) as file:
+            noisy, clean = (ImageStack(file[name])[row] for name in ("noisy", "clean"))
+        found.append((psnr_db(clean, noisy), ssim(clean, noisy)))
+    psnr, similarity = np.array(found).T
+    return psnr, similarity

@@ -99,14 +99,8 @@ def check_texts(file: h5py.File, layers: Iterable[str]) -> None:
         raise FactoryError("units or descriptions differ from their checksum; damaged")
 
 
-def picture_sums(stack: h5py.Dataset) -> npt.NDArray[np.uint32]:
-    """(samples,) `crc32` of each picture of a layer."""
-    sums: npt.NDArray[np.uint32] = all_picture_sums(stack.file)[stack.name.lstrip("/")]
-    return sums
-
-
-def all_picture_sums(file: h5py.File) -> npt.NDArray[np.void]:
-    """The same of all layers, a column each; a read for each layer costs as much."""
+def picture_sums(file: h5py.File) -> npt.NDArray[np.void]:
+    """(samples,) `crc32` of each picture, a column a layer."""
     sums: npt.NDArray[np.void] = file[CHECKSUMS][()]
     return sums
 

@@ -8,7 +8,7 @@ right one.
 
 from __future__ import annotations
 
-import json
+from contextlib import suppress
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ...errors import FactoryError
+from ...small_files import parse_json
 from .axes import dataset_inside, echo_names, exists, object_inside
 from .checksums import check_contents, require_checksums
 from .schema import (
@@ -40,7 +41,6 @@ _MAX_LAYERS = 64
 # Of all layers of a shard together: what is noted of each takes some hundred bytes.
 _MAX_CHUNKS = 1 << 20
 _MAX_TABLE_BYTES = 1 << 27
-_TEXT_ATTRIBUTES = ("generator", "config", "config_hash", "split")
 
 _DEFLATE, _LZF, _ZSTD, _FLETCHER32 = 1, 32000, 32015, 3
 _CODECS = {_DEFLATE: "gzip", _LZF: "lzf", _ZSTD: "zstd"}
@@ -75,8 +75,6 @@ def check_shard(file: h5py.File) -> None:
     Other exceptions can escape from HDF5 itself when the file is damaged.
     """
     schema = file.attrs.get("schema")
-    if schema is None:
-        raise FactoryError("no schema attribute; not a SimNFND shard")
     if not isinstance(schema, str) or schema != SCHEMA:
         raise FactoryError(
             f"schema {str(schema)[:40]!r}, but this program reads {SCHEMA!r}; "
@@ -119,10 +117,9 @@ def config_of(file: h5py.File) -> dict[str, Any]:
 
     Raises FactoryError (without the file's name) when they are absent or damaged.
     """
-    try:
-        config = json.loads(_text_attribute(file, "config"))
-    except (ValueError, RecursionError) as error:
-        raise FactoryError("attribute config is no JSON; generate the shard again") from error
+    text, config = _text_attribute(file, "config"), None
+    with suppress(ValueError):
+        config = parse_json(text)
     if not isinstance(config, dict):
         raise FactoryError("attribute config is no JSON object; generate the shard again")
     return config
@@ -208,11 +205,10 @@ def _check_table(table: h5py.Dataset, samples: int) -> None:
 
 
 def _check_attributes(file: h5py.File) -> None:
-    for name in _TEXT_ATTRIBUTES:
+    for name in ("generator", "config_hash"):
         _text_attribute(file, name)
     config_of(file)
-    split = _text_attribute(file, "split")
-    if split not in SPLITS:
+    if (split := _text_attribute(file, "split")) not in SPLITS:
         raise FactoryError(
             f"attribute split is {split[:40]!r}; expected {' or '.join(SPLITS)}; generate the "
             "shard again"
@@ -221,15 +217,11 @@ def _check_attributes(file: h5py.File) -> None:
 
 def _text_attribute(file: h5py.File, name: str) -> str:
     value = file.attrs.get(name)
-    if value is None:
-        raise FactoryError(f"attribute {name} is absent; generate the shard again")
-    if not isinstance(value, str):
-        raise FactoryError(f"attribute {name} is no text; generate the shard again")
-    try:
-        value.encode()
-    except UnicodeEncodeError as error:
-        raise FactoryError(f"attribute {name} is not UTF-8; generate the shard again") from error
-    return value
+    with suppress(UnicodeEncodeError):
+        if isinstance(value, str):
+            value.encode()
+            return value
+    raise FactoryError(f"attribute {name} is absent or no text; generate the shard again")
 
 
 def _check_text(rows: npt.NDArray[Any]) -> None:
@@ -237,7 +229,6 @@ def _check_text(rows: npt.NDArray[Any]) -> None:
     for name in rows.dtype.names or ():
         if rows.dtype[name].kind == "S":
             try:
-                for value in rows[name].tolist():
-                    value.decode()
+                b" ".join(rows[name].tolist()).decode()
             except UnicodeDecodeError as error:
                 raise FactoryError(f"/meta: column {name} has text that is not UTF-8") from error

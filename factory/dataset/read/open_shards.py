@@ -11,7 +11,7 @@ from typing import Any
 import h5py
 
 from ...errors import FactoryError
-from ..format.checksums import all_picture_sums
+from ..format.checksums import picture_sums
 from .image_stack import Image, ImageStack
 from .reader import open_shard
 
@@ -49,12 +49,8 @@ class OpenShards:
                 raise FactoryError(
                     f"{path}: has no layer {absent}; make the dataset with it in dataset.layers"
                 ) from error
-            except (OSError, RuntimeError, ValueError) as error:
-                reason = " ".join(str(error).split())[:120]
-                raise FactoryError(
-                    f"{path}: sample {row} is damaged ({reason}); "
-                    "delete the file and run the command that made the dataset again"
-                ) from error
+            except FactoryError as error:
+                raise FactoryError(f"{path}: {error}") from error
 
     def close(self) -> None:
         """Close every file; the next read opens what it needs."""
@@ -98,7 +94,7 @@ class _Stacks(dict[str, ImageStack]):
     def __init__(self, file: h5py.File) -> None:
         super().__init__()
         self.file = file
-        self._sums = all_picture_sums(file)
+        self._sums = picture_sums(file)
 
     def __missing__(self, name: str) -> ImageStack:
         stack = self.file[name]

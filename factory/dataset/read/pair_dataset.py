@@ -7,6 +7,7 @@ from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, Literal, SupportsIndex, get_args
@@ -90,7 +91,6 @@ class PairDataset:
         self._ends = list(accumulate(self._counts))
         self._expected = Expected(infos, hashed=verify == "hash")
         self._shards = OpenShards(self._expected)
-        self._form: tuple[tuple[int, int], str, str] | None = None
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -140,12 +140,12 @@ class PairDataset:
     @property
     def shape(self) -> tuple[int, int]:
         """(H, W) of the images, those of the first shard."""
-        return self._read_form()[0]
+        return self._form[0]
 
     @property
     def dtype(self) -> np.dtype[Any]:
         """Of noisy and clean as they are given out."""
-        return np.dtype(np.float32 if self.scaled else self._read_form()[1])
+        return np.dtype(np.float32 if self.scaled else self._form[1])
 
     @property
     def value_range(self) -> tuple[float, float]:
@@ -155,7 +155,7 @@ class PairDataset:
     @property
     def config_hash(self) -> str:
         """Of the settings that the dataset was made with, the last ones if it was extended."""
-        return self._config_hash or self._read_form()[2]
+        return self._config_hash or self._form[2]
 
     @property
     def axes(self) -> tuple[Axis, Axis]:
@@ -224,13 +224,13 @@ class PairDataset:
         grey = name in ("noisy", "clean") or name.startswith(EFFECT_FOLDER)
         return in_unit_range(image) if self.scaled and grey else image
 
-    def _read_form(self) -> tuple[tuple[int, int], str, str]:
-        if self._form is None:
-            with self._reading(self.paths[0]) as file:
-                noisy = file["noisy"]
-                shape = (noisy.shape[1], noisy.shape[2])
-                self._form = shape, str(noisy.dtype), str(file.attrs["config_hash"])
-        return self._form
+    @cached_property
+    def _form(self) -> tuple[tuple[int, int], str, str]:
+        """Size and dtype of the images and the hash of the settings, of the first shard."""
+        with self._reading(self.paths[0]) as file:
+            noisy = file["noisy"]
+            shape = noisy.shape[1], noisy.shape[2]
+            return shape, str(noisy.dtype), str(file.attrs["config_hash"])
 
 
 def in_unit_range(grey: Image) -> npt.NDArray[np.float32]:

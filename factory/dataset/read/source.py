@@ -19,8 +19,8 @@ from ...errors import FactoryError
 from ...small_files import load_yaml, one_line
 from ..format.axes import image_axes
 from ..format.layout import config_of, optional_layers
-from ..format.manifest import CONFIG_NAME, Manifest
-from ..format.schema import DATASET_NAME, Column
+from ..format.manifest import CONFIG_NAME
+from ..format.schema import DATASET_NAME, Axis, Column
 from .image_stack import ImageStack
 from .reader import Split, check_split, reading, shard_paths
 
@@ -67,8 +67,7 @@ class Source:
     """A dataset, or some of its shards.
 
     shards: (split, path, samples) of every shard, in order.  layers: names and dtypes of the
-    images, the core ones first.  sizes: their shapes.  axes: (name, units, values) of rows and
-    columns.
+    images, the core ones first.  sizes: their shapes.  axes: of rows and columns.
     config: the settings in the first shard.  table: the dtype of /meta.
     """
 
@@ -77,7 +76,7 @@ class Source:
     layers: Mapping[str, np.dtype[Any]]
     sizes: Mapping[str, tuple[int, ...]]
     columns: tuple[Column, ...]
-    axes: tuple[tuple[str, str, npt.NDArray[np.float64]], ...]
+    axes: tuple[Axis, Axis]
     config: Mapping[str, Any]
     config_hash: str
     table: np.dtype[np.void]
@@ -104,7 +103,7 @@ class Source:
     @property
     def layout(self) -> str:
         """Polar (range x azimuth) or fan."""
-        return "polar" if self.axes[1][0] == "azimuth" else "fan"
+        return "polar" if self.axes[1].name == "azimuth" else "fan"
 
     def tables(self) -> Iterator[tuple[str, Path, npt.NDArray[np.void]]]:
         """(split, path, /meta) of every shard.  Raises FactoryError when their columns differ."""
@@ -130,56 +129,47 @@ class Source:
         number = 0
         for _, path, count in (shard for shard in self.shards if shard[0] == split):
             with reading(path) as file:
-                stacks = _stacks(file)
-                if {name: stack.dtype for name, stack in stacks.items()} != dict(self.layers):
-                    raise FactoryError(
-                        f"its layers ({', '.join(stacks)}) are not those of the other "
-                        f"shards ({', '.join(self.layers)}); make the dataset again"
-                    )
+                stacks = {name: ImageStack(stack) for name, stack in self._stacks(file)}
                 table = file["meta"][()]
-                pictures = {name: ImageStack(stack) for name, stack in stacks.items()}
                 for row in range(count):
-                    images = {
-                        name: read_image(stack, name, row) for name, stack in pictures.items()
-                    }
+                    images = {name: stack[row] for name, stack in stacks.items()}
                     yield Sample(split, number, images, _record(table[row]))
                     number += 1
 
+    def _stacks(self, file: h5py.File) -> Iterator[tuple[str, h5py.Dataset]]:
+        """Names and stacks of a shard that has the layers of the first."""
+        found = _stacks(file)
+        if {name: stack.dtype for name, stack in found.items()} != dict(self.layers):
+            raise FactoryError(
+                f"its layers ({', '.join(found)}) are not those of the other shards "
+                f"({', '.join(self.layers)}); make the dataset again"
+            )
+        yield from found.items()
 
-def open_source(directory: Path, split: Split) -> Source:
-    """Open a dataset folder.  Raises FactoryError when it is none or cannot be read."""
-    return open_shards(directory, shard_paths(directory, split))
 
+def open_source(directory: Path, split: Split, *, trusted: bool = False) -> Source:
+    """Open a dataset folder.  Raises FactoryError when it is none or cannot be read.
 
-def manifest_source(directory: Path, manifest: Manifest) -> Source:
-    """The same of a dataset that was just made, or was checked, as its manifest lists it.
-
-    Raises FactoryError when it has no shard, or one cannot be read.
+    trusted: as in `shard_paths`.
     """
-    if not manifest.shards:
-        raise FactoryError(f"{directory}: the dataset has no samples")
-    # Train comes before test here, though not in the alphabet.
-    paths = sorted(manifest.shards, key=lambda name: (not name.startswith("train"), name))
-    return open_shards(directory, [directory / path for path in paths])
+    return open_shards(directory, shard_paths(directory, split, trusted=trusted))
 
 
 def open_shards(directory: Path, paths: Sequence[Path]) -> Source:
-    """Open some shards of one dataset that were checked.
+    """Open some shards of one dataset, at least one, that were checked.
 
     Raises FactoryError when one cannot be read.
     """
+    with reading(paths[0]) as file:
+        first = _describe(directory, file)
     shards: list[tuple[str, Path, int]] = []
-    first: Source | None = None
     for path in paths:
         with reading(path) as file:
-            if first is None:
-                first = _describe(directory, file)
             sizes = {name: stack.shape[1:] for name, stack in _stacks(file).items()}
             if any(first.sizes.get(name, size) != size for name, size in sizes.items()):
                 raise FactoryError("its images differ in size from the other shards'")
             check_split(path, file)
-            shards.append((str(file.attrs["split"]), path, file["noisy"].shape[0]))
-    assert first is not None, "no shard was given"
+            shards.append((str(file.attrs["split"]), path, len(file["noisy"])))
     return replace(first, shards=tuple(shards))
 
 
@@ -199,15 +189,13 @@ def dataset_settings(directory: Path) -> dict[str, object]:
             f"{path}: cannot be read ({one_line(error)}); restore or delete it"
         ) from error
     block = values.get("dataset") if isinstance(values, dict) else None
-    if not isinstance(block, dict):
-        return {}
-    name, licence = block.get("name"), block.get("licence")
-    if name is not None and not (isinstance(name, str) and DATASET_NAME.fullmatch(name)):
+    block = block if isinstance(block, dict) else {}
+    name, licence = block.get("name") or "dataset", block.get("licence")
+    if not (isinstance(name, str) and DATASET_NAME.fullmatch(name)):
         raise FactoryError(
-            f"{path}: dataset.name {str(name)[:40]!r} must be letters, digits, dot, dash and "
-            "underscore"
+            f"{path}: dataset.name {str(name)[:40]!r} is not letters, digits, dot, dash, underscore"
         )
-    if licence is not None and not isinstance(licence, str):
+    if not isinstance(licence, str | None):
         raise FactoryError(f"{path}: dataset.licence {str(licence)[:40]!r} must be text")
     return block
 
@@ -221,25 +209,21 @@ def json_record(record: Mapping[str, Value]) -> dict[str, Value | None]:
 
 
 def _describe(directory: Path, file: h5py.File) -> Source:
-    noisy = file["noisy"]
-    axes = tuple((axis.name, axis.units, axis.values) for axis in image_axes(noisy))
-    table = file["meta"]
-    columns = tuple(
-        Column(
-            name,
-            table.dtype[name].str,
-            str(table.attrs.get(f"{name}.units", "")),
-            str(table.attrs.get(f"{name}.description", "")),
-        )
-        for name in table.dtype.names
-    )
+    table, stacks = file["meta"], _stacks(file)
+
+    def about(name: str, key: str) -> str:
+        return str(table.attrs.get(f"{name}.{key}", ""))
+
     return Source(
         directory,
         (),
-        {name: stack.dtype for name, stack in _stacks(file).items()},
-        {name: stack.shape[1:] for name, stack in _stacks(file).items()},
-        columns,
-        axes,
+        {name: stack.dtype for name, stack in stacks.items()},
+        {name: stack.shape[1:] for name, stack in stacks.items()},
+        tuple(
+            Column(name, table.dtype[name].str, about(name, "units"), about(name, "description"))
+            for name in table.dtype.names
+        ),
+        image_axes(file["noisy"]),
         config_of(file),
         str(file.attrs["config_hash"]),
         table.dtype,
@@ -255,19 +239,6 @@ def _stacks(file: h5py.File) -> dict[str, h5py.Dataset]:
     return {name.replace("/", "_"): file[name] for name in (*CORE, *optional_layers(file))}
 
 
-def read_image(stack: ImageStack, name: str, row: int) -> npt.NDArray[Any]:
-    """One picture.  Raises FactoryError (without the file's name) when it is damaged."""
-    try:
-        return stack[row]
-    except (OSError, RuntimeError, ValueError) as error:
-        raise FactoryError(
-            f"/{name} sample {row} is damaged; run the command that made the dataset again"
-        ) from error
-
-
 def _record(row: np.void) -> dict[str, Value]:
-    record: dict[str, Value] = {}
-    for name in row.dtype.names or ():
-        value = row[name]
-        record[name] = value.decode() if isinstance(value, bytes) else value.item()
-    return record
+    values = {name: row[name].item() for name in row.dtype.names or ()}
+    return {name: v.decode() if isinstance(v, bytes) else v for name, v in values.items()}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from ...files import (
 from ...small_files import read_regular
 from ..format.manifest import (
     CONFIG_NAME,
+    INDEX_NAME,
     MANIFEST_NAME,
     PARTS,
     Manifest,
@@ -36,20 +36,15 @@ CARD_NAME = "README.md"
 PREVIEW_NAME = "preview.png"
 # Of workers that crashed; gone after a run that ended by itself.
 WORK_NAME = ".work"
-# What happened to shards that had trouble.
-LOGS_NAME = "logs"
 STATUS_NAME = "status.json"
 
 # The manifest last: while it is there the folder is known as ours.
 _OURS = (
-    CARD_NAME, PREVIEW_NAME, STATUS_NAME, FAILURES_NAME, "index.h5", "croissant.json",
-    # Of slices, and of earlier versions.
-    "*.*-of-*.json*", "extended.json", "manifest.jsonl",
-    CONFIG_NAME, MANIFEST_NAME,
+    CARD_NAME, PREVIEW_NAME, STATUS_NAME, FAILURES_NAME, INDEX_NAME, CONFIG_NAME, MANIFEST_NAME,
 )  # fmt: skip
 
 # Names of what comes and goes with runs, and of where a copy comes from.
-_COMING = (".lock", ".claim-", ".dead-", ".origin", WORK_NAME)
+_COMING = (".lock", ".origin", WORK_NAME)
 
 _SHOWN_DIFFERENCES = 6
 _HASH = re.compile(r"config hash (\w+)")
@@ -123,9 +118,7 @@ def empty_folder(directory: Path) -> bool:
                 remove_file(path)
         forget_outcomes(directory)
         for name in _OURS:
-            for path in directory.glob(name):
-                remove_file(path)
-        shutil.rmtree(directory / LOGS_NAME, ignore_errors=True)
+            remove_file(directory / name)
         for split in SPLITS:
             if (directory / split).is_dir() and not any((directory / split).iterdir()):
                 (directory / split).rmdir()

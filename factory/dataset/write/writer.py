@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from isal import isal_zlib
 
-from ...errors import FactoryError, FrameError
+from ...errors import FrameError
 from ...files import explain_os_errors, write_atomically
 from ...labels import classes_of
 from ..format.checksums import crc32, write_checksums
@@ -60,10 +60,9 @@ def write_shard(
     any pair no file is written and None is returned.
 
     Raises FrameError for a pair that does not fit the axes or columns, FactoryError when the disk
-    is full, the folder is not writable or the compression is not installed.
+    is full or the folder is not writable.
     """
     split = relative.split("/")[0]
-    compression = compression_filter(settings)
     rows: list[tuple[Any, ...]] = []
     sums: dict[str, list[int]] = {}
     dtype = table_dtype(columns)
@@ -84,7 +83,7 @@ def write_shard(
             wanted = layers(settings.dtype, pair.layers, classes_of(provenance.config))
             if not rows:
                 shapes = {layer: image_of(pair, layer.name).shape for layer in wanted}
-                stacks = _create_stacks(file, axes, shapes, compression)
+                stacks = _create_stacks(file, axes, shapes, settings)
             elif tuple(stacks) != wanted:
                 raise FrameError(f"{name}: has other layers than the samples before it")
             rows.append(row)
@@ -121,38 +120,18 @@ def write_shard(
     )
 
 
-def compression_filter(settings: DatasetSettings) -> Mapping[str, Any]:
-    """h5py's dataset keywords for the chosen compression.
-
-    Everything but `none` has a checksum in every chunk; to compute it would take most of the time
-    of reading a plain one, whose shard the manifest's sha256 still vouches for.
-    Raises FactoryError when zstd is asked for and hdf5plugin is not installed.
-    """
-    if settings.compression == "none":
-        return {}
-    if settings.compression == "zstd":
-        try:
-            import hdf5plugin  # 186 MB of filters: an extra, so imported only when asked for
-        except ImportError as error:
-            raise FactoryError(
-                "dataset.compression=zstd needs the hdf5plugin package: "
-                "pip install 'simnfnd[zstd]', or choose gzip, lzf or none"
-            ) from error
-        return {"fletcher32": True, **hdf5plugin.Zstd(clevel=settings.compression_level)}
-    if settings.compression == "gzip":
-        level = settings.compression_level
-        return {"fletcher32": True, "compression": "gzip", "compression_opts": level}
-    return {"fletcher32": True, "compression": "lzf"}
-
-
 def _create_stacks(
     file: h5py.File,
     axes: tuple[Axis, Axis],
     shapes: Mapping[Layer, tuple[int, ...]],
-    compression: Mapping[str, Any],
+    settings: DatasetSettings,
 ) -> dict[Layer, h5py.Dataset]:
     """Empty, growing image stacks with their axes attached.  shapes: layer -> of its pictures."""
     scales = [write_axis(file, axis) for axis in axes]
+    filters: dict[str, Any] = {}
+    if settings.compression == "gzip":
+        level = settings.compression_level
+        filters = {"fletcher32": True, "compression": "gzip", "compression_opts": level}
     stacks = {}
     for layer, shape in shapes.items():
         stack = file.create_dataset(
@@ -162,7 +141,7 @@ def _create_stacks(
             dtype=layer.dtype,
             chunks=(1, *shape),
             track_times=False,
-            **compression,
+            **filters,
         )
         for key, value in layer_attributes(layer).items():
             stack.attrs[key] = value

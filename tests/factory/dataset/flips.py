@@ -16,8 +16,8 @@ from simnfnd.factory.errors import FactoryError
 LAYERS = ("noisy", "clean", "shadow", "range", "elevation", "segmentation", "layers/background")
 
 
-def given_out(root: Path, verify: Verify = "checksums") -> dict[str, bytes]:
-    """Name -> content of every picture, mask and piece of metadata of the train split.
+def given_out(root: Path, verify: Verify = "checksums") -> dict[str, str]:
+    """Name -> content (hexadecimal) of every picture, mask and piece of metadata of a train split.
 
     Raises FactoryError when the reader refuses anything.
     """
@@ -33,18 +33,18 @@ def given_out(root: Path, verify: Verify = "checksums") -> dict[str, bytes]:
     source = open_source(root, "train")
     told = (source.columns, source.config, source.config_hash, source.splits, dict(source.layers))
     found["source"] = repr(told).encode()
-    return found
+    return {name: content.hex() for name, content in found.items()}
 
 
-def outcome(root: Path, sound: dict[str, bytes], verify: Verify = "checksums") -> str:
+def outcome(root: Path | str, sound: dict[str, str], verify: Verify = "checksums") -> str:
     """`same`, `refused`, or the names of what is another than in the sound dataset."""
     # What hangs is ended after ten seconds; on a busy machine a sound file may take some.
     with mock.patch.object(reader, "_LIMIT_S", 10.0):
         try:
-            found = given_out(root, verify)
+            found = given_out(Path(root), verify)
         except FactoryError:
             return "refused"
-    wrong = sorted(name for name in sound | found if sound.get(name, b"") != found.get(name, b""))
+    wrong = sorted(name for name in sound | found if sound.get(name) != found.get(name))
     return ", ".join(wrong)[:200] or "same"
 
 

@@ -141,16 +141,16 @@ def read_everything(root: Path) -> str:
     return "read"
 
 
-def check(root: Path, reader: IsolatedProcess, validator: IsolatedProcess) -> tuple[str, str]:
+def check(root: Path, reader: IsolatedProcess) -> tuple[str, str]:
     """What reader and validator say of a dataset; AssertionError when it is no clear answer.
 
-    reader, validator: processes that may crash or hang instead of this one.
+    reader: a process that may crash or hang instead of this one.
     """
     outcome = reader.call(read_quickly, root, limit_s=30.0)
     assert outcome == "read" or outcome.startswith("refused: ")
     try:
         with mock.patch.object(validate, "_LIMIT_S", 2.0):
-            report = validate.validate_with(validator, root, deep=True)
+            report = validate.validate(root, deep=True)
         found = "; ".join(str(finding) for finding in report.errors) or "valid"
     except FactoryError as error:
         found = f"refused: {error}"
@@ -188,7 +188,7 @@ def _spoil(content: bytes, rng: Rng) -> tuple[bytes, str]:
     """Some of the bytes of a file changed, as flips, runs, moves, cuts or extreme numbers."""
     data = bytearray(content)
     size = len(data)
-    kind = rng.choice(["flip", "many", "head", "zero", "ones", "noise", "move", "cut", "length"])
+    kind = rng.choice(["flip", "many", "zero", "noise", "cut", "length"])
     at = int(rng.integers(size))
     run = int(rng.integers(1, 400))
     if kind == "flip":
@@ -196,17 +196,10 @@ def _spoil(content: bytes, rng: Rng) -> tuple[bytes, str]:
     elif kind == "many":
         for place in rng.integers(size, size=int(rng.integers(2, 60))):
             data[place] = int(rng.integers(256))
-    elif kind == "head":
-        data[int(rng.integers(min(size, 3000)))] = int(rng.integers(256))
     elif kind == "zero":
         data[at : at + run] = bytes(len(data[at : at + run]))
-    elif kind == "ones":
-        data[at : at + run] = b"\xff" * len(data[at : at + run])
     elif kind == "noise":
         data[at : at + run] = rng.bytes(len(data[at : at + run]))
-    elif kind == "move":
-        other = int(rng.integers(size))
-        data[at : at + run] = data[other : other + run][: len(data[at : at + run])]
     elif kind == "cut":
         del data[at:]
     else:
@@ -334,7 +327,6 @@ OBJECTS: dict[str, Callable[[h5py.File, str, Path], Any]] = {
     "a group": lambda file, name, secret: (file.pop(name), file.create_group(name)),
     "other dtype": lambda file, name, secret: _again(file, name, dtype="f8"),
     "text": lambda file, name, secret: _again(file, name, dtype=h5py.string_dtype()),
-    "references": lambda file, name, secret: _again(file, name, dtype=h5py.ref_dtype),
     "nested compound": lambda file, name, secret: _again(
         file, name, dtype=[("location", [("scene", "S3"), ("frame", "f4")]), ("variant", "i4")]
     ),
@@ -348,12 +340,9 @@ OBJECTS: dict[str, Callable[[h5py.File, str, Path], Any]] = {
     "no sample": lambda file, name, secret: _again(
         file, name, shape=(0, 24, 20), maxshape=(None, 24, 20)
     ),
-    "more samples": lambda file, name, secret: _again(file, name, shape=(400, 24, 20)),
     "contiguous": lambda file, name, secret: _again(file, name, chunks=None),
     "other chunks": lambda file, name, secret: _again(file, name, chunks=(2, 5, 5)),
     "scale-offset": lambda file, name, secret: _again(file, name, scaleoffset=2),
-    "schema a number": lambda file, name, secret: _attribute(file, "schema", 1),
-    "schema 2": lambda file, name, secret: _attribute(file, "schema", "simnfnd/2"),
     "schema an array": lambda file, name, secret: _attribute(file, "schema", np.zeros(3)),
     "axes absent": lambda file, name, secret: file.pop("axes"),
     "no scales": lambda file, name, secret: file["noisy"].attrs.pop("DIMENSION_LIST"),

@@ -29,7 +29,7 @@ from tests.fake_source import FakeConfig, FakeSource, refs
 from tests.frames import ground_and_post
 
 LAYERS = ["rgb", "depth"]
-SEABED = {"kind": "seabed", "locations": 1, "width": 240, "height": 160}
+SEABED = {"kind": "seabed", "locations": 1, "width": 96, "height": 64}
 
 
 def config(folder: Path, scenes: dict[str, Any], **keys: Any) -> FactoryConfig:
@@ -64,7 +64,7 @@ def test_of_a_recording_they_are_the_readers_frames(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Through the whole factory, with two noise variants of each frame."""
-    scenes = recording(tmp_path, *[(240, 160)] * 4)
+    scenes = recording(tmp_path, *[(96, 64)] * 4)
     words = [
         *("scenes=csv_list", f"scenes.file={scenes['file']}", "render=analytic"),
         f"scenes.intrinsics={scenes['intrinsics']}".replace(" ", ""),
@@ -88,7 +88,7 @@ def test_of_a_recording_they_are_the_readers_frames(
             ]
             assert [row[f"camera.{name}"] for name in ("k1", "k2", "p1", "p2")] == [0, 0, 0, 0]
         several = pairs[0:4]
-        assert several["rgb"].shape == (4, 160, 240, 3)
+        assert several["rgb"].shape == (4, 64, 96, 3)
         np.testing.assert_array_equal(several["depth"][3], pairs[3]["depth"])
         with h5py.File(tmp_path / "dataset/index.h5") as index:
             np.testing.assert_array_equal(index["train/rgb"][:4], several["rgb"])
@@ -96,7 +96,7 @@ def test_of_a_recording_they_are_the_readers_frames(
     capsys.readouterr()
     main(["validate", str(tmp_path / "dataset"), "--deep"])
     main(["inspect", str(tmp_path / "dataset")])
-    assert "camera       160 x 240 pixels (rgb, depth)" in capsys.readouterr().out
+    assert "camera       64 x 96 pixels (rgb, depth)" in capsys.readouterr().out
     main(["export", str(tmp_path / "dataset"), "--to", "png", "--out", str(tmp_path / "png")])
     drawn = cv2.imread(str(tmp_path / "png/train/rgb/000000.png"))
     assert drawn is not None
@@ -117,22 +117,22 @@ def test_of_a_procedural_frame_whose_render_is_cached(tmp_path: Path) -> None:
 
 
 def test_a_frame_of_another_size_is_named(tmp_path: Path) -> None:
-    scenes = recording(tmp_path, (240, 160), (120, 80), (240, 160))
+    scenes = recording(tmp_path, (96, 64), (60, 40), (96, 64))
     settings = config(tmp_path, scenes, dataset={"layers": ["depth"]})
     first, small, third = open_reader(settings.scenes).discover().frames
     for ref in (first, small, third):
         ViewMaker(settings).prepare(ref)
     maker = pair_maker(settings)
     assert [maker.pairs(ref, (0,))[0].layers["depth"].shape for ref in (first, third)] == [
-        *((160, 240), (160, 240))
+        *((64, 96), (64, 96))
     ]
-    expected = rf"{small.name}: .* 120x80, that of {first.name} 240x160; .*depth out of dataset"
+    expected = rf"{small.name}: .* 60x40, that of {first.name} 96x64; .*depth out of dataset"
     with pytest.raises(FrameError, match=expected) as caught:
         maker.pairs(small, (0,))
     assert "\n" not in str(caught.value)
     # Of a dataset of that one alone it is the size.
     alone = config(tmp_path, scenes, dataset={"layers": LAYERS}, frames={"only": [small.name]})
-    assert pair_maker(alone).pairs(small, (0,))[0].layers["rgb"].shape == (80, 120, 3)
+    assert pair_maker(alone).pairs(small, (0,))[0].layers["rgb"].shape == (40, 60, 3)
 
 
 def test_a_pack_has_no_frames(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import shutil
 import tarfile
 from pathlib import Path
@@ -13,15 +12,11 @@ import pytest
 
 from simnfnd.command import main
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.format.axes import echo_names, image_axes
-from simnfnd.factory.dataset.format.layout import optional_layers
-from simnfnd.factory.dataset.format.manifest import ShardInfo, load_manifest
-from simnfnd.factory.dataset.format.schema import Column, Pair, Provenance
-from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.format.axes import echo_names
+from simnfnd.factory.dataset.format.manifest import load_manifest
 from simnfnd.factory.dataset.read.reader import Split, reading
 from simnfnd.factory.dataset.validate import validate
 from simnfnd.factory.dataset.write.index import write_index
-from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError
 
 # BLAKE2b (8 bytes) of all samples of a layer, as the readers of 0.3 gave them.
@@ -94,42 +89,6 @@ def test_it_is_valid_and_the_index_is_the_same_to_the_byte(
     index.write_bytes(before[:-1] + bytes([before[-1] ^ 1]))
     (error,) = validate(folder).errors
     assert str(error).startswith("error: index.h5: its SHA-256 is not that of the manifest")
-
-
-def written_again(path: Path, out: Path, settings: DatasetSettings) -> ShardInfo | None:
-    """A shard made anew of all that it holds."""
-    with reading(path) as file:
-        axes = image_axes(file["noisy"])
-        table = file["meta"]
-        columns = tuple(
-            Column(name, table.dtype[name].str.lstrip("|<"), *(
-                table.attrs[f"{name}.{key}"] for key in ("units", "description")
-            ))
-            for name in table.dtype.names
-        )  # fmt: skip
-        names = optional_layers(file)
-        pairs = []
-        for row, values in enumerate(table[()]):
-            record = {name: values[name].item() for name in table.dtype.names}
-            texts = {k: v.decode() for k, v in record.items() if isinstance(v, bytes)}
-            stored = {name: file[name][row] for name in ("noisy", "clean", "shadow", *names)}
-            noisy, clean, shadow = (stored.pop(name) for name in ("noisy", "clean", "shadow"))
-            pairs.append(Pair(noisy, clean, shadow, {**record, **texts}, stored))
-        config, hash_, generator, split = (
-            str(file.attrs[name]) for name in ("config", "config_hash", "generator", "split")
-        )
-    provenance = Provenance(json.loads(config), hash_, generator)
-    return write_shard(out, f"{split}/{path.name}", pairs, axes, columns, provenance, settings)
-
-
-def test_the_writer_gives_the_bytes_of_0_3(made: Path, tmp_path: Path) -> None:
-    settings = DatasetSettings(dtype="float32", compression="lzf")
-    manifest = load_manifest(made / "field")
-    assert manifest is not None
-    for path, info in manifest.shards.items():
-        again = written_again(made / "field" / path, tmp_path, settings)
-        assert again is not None
-        assert again.sha256 == info.sha256
 
 
 def test_lists_of_echoes_are_checked_and_left_to_h5py(made: Path, tmp_path: Path) -> None:

@@ -16,24 +16,18 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given
-from hypothesis import strategies as st
 
 from simnfnd.factory.dataset.describe.card import write_card
 from simnfnd.factory.dataset.describe.preview import preview, spread
 from simnfnd.factory.dataset.format.schema import config_hash
 from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.read.source import SampleName
-from simnfnd.factory.dataset.write.failures import (
-    Failure,
-)
+from simnfnd.factory.dataset.write.failures import Failure
 from simnfnd.factory.dataset.write.folder import open_folder
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.files import (
     check_writable,
-    is_temporary,
     remove_stale_temporaries,
-    whole_file,
     whole_folder,
     write_atomically,
 )
@@ -87,7 +81,6 @@ def test_temp_files_of_the_dead_are_removed_and_of_the_living_left(tmp_path: Pat
         f".shard-00001.h5.{here}-{os.getpid()}-{token}.tmp": True,
         f".shard-00002.h5.{elsewhere}-{dead.pid}-{token}.tmp": True,
         f".shard-00003.h5.{elsewhere}-1-{token}.tmp": False,
-        ".shard-00005.h5.older_version-1.tmp": True,
         "shard-00004.h5": True,
         ".notes.tmp": True,
     }
@@ -105,21 +98,6 @@ def test_a_folder_that_cannot_be_written_is_named_with_its_key(tmp_path: Path, f
     (tmp_path / "file").touch()
     with pytest.raises(FactoryError, match=r"dataset\.dir: cannot write .*; give a writable"):
         check_writable(tmp_path / folder, "dataset.dir")
-
-
-def test_a_large_file_is_whole_or_absent_and_its_partial_name_is_its_own(tmp_path: Path) -> None:
-    path = tmp_path / "film.avi"
-    with whole_file(path) as first, whole_file(path) as second:
-        assert first != second
-        assert is_temporary(first.name)
-        first.write_bytes(b"one")
-        second.write_bytes(b"two")
-    assert [entry.name for entry in tmp_path.iterdir()] == ["film.avi"]
-    with contextlib.suppress(KeyboardInterrupt), whole_file(path) as partial:
-        partial.write_bytes(b"half")
-        raise KeyboardInterrupt
-    assert path.read_bytes() == b"one"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["film.avi"]
 
 
 def test_a_folder_is_whole_or_absent(tmp_path: Path) -> None:
@@ -159,15 +137,11 @@ def test_another_configuration_is_refused_with_the_keys_that_differ(tmp_path: Pa
     assert "noise.density.uniform [0.1, 0.5] -> (absent)" in message
     assert "seed" not in message
     assert "\n" not in message
+    with pytest.raises(FactoryError, match=r"made by simnfnd 0\.1\.0, this is simnfnd 9"):
+        open_folder(tmp_path, {}, replace(PROVENANCE, generator="simnfnd 9"))
     (tmp_path / "manifest.json").unlink()
     with pytest.raises(FactoryError, match="another configuration"):
         open_folder(tmp_path, {}, other)
-
-
-def test_another_release_is_not_mixed_in(tmp_path: Path) -> None:
-    dataset(tmp_path)
-    with pytest.raises(FactoryError, match=r"made by simnfnd 0\.1\.0, this is simnfnd 9"):
-        open_folder(tmp_path, {}, replace(PROVENANCE, generator="simnfnd 9"))
 
 
 def test_a_folder_with_other_things_is_left_alone(tmp_path: Path) -> None:
@@ -231,13 +205,13 @@ def test_the_contact_sheet_shows_the_pixels_of_the_shards(tmp_path: Path) -> Non
     from PIL import Image
 
     dataset(tmp_path)
-    path = preview(tmp_path)
+    path = preview(tmp_path, pairs=3)
     assert path == tmp_path / "preview.png"
     first = path.read_bytes()
-    preview(tmp_path, out=tmp_path / "again.png")
+    preview(tmp_path, out=tmp_path / "again.png", pairs=3)
     assert (tmp_path / "again.png").read_bytes() == first
     image = np.asarray(Image.open(path).convert("RGB")).astype(int)
-    assert image.shape[0] > 1000
+    assert image.shape[0] > 700
     assert image.shape[1] > 2000
     # Shadows are the only blue thing on the sheet, echoes the only amber one.
     blue = (image[..., 2] > image[..., 0] + 60).mean()
@@ -246,18 +220,12 @@ def test_the_contact_sheet_shows_the_pixels_of_the_shards(tmp_path: Path) -> Non
     assert 0.05 < amber < 0.6
 
 
-@given(sizes=st.lists(st.integers(1, 9), min_size=1, max_size=12), count=st.integers(1, 20))
-def test_a_preview_spreads_over_the_scenes(sizes: list[int], count: int) -> None:
+def test_a_preview_spreads_over_the_scenes() -> None:
     samples = [
-        SampleName(Path("train/shard-00000.h5"), row, "train", "reef", f"{scene:02d}", f"{row}", 0)
-        for scene, size in enumerate(sizes)
+        SampleName(Path("train/shard-00000.h5"), row, "train", "reef", f"{scene}", f"{row}", 0)
+        for scene, size in enumerate((9, 1, 4))
         for row in range(size)
     ]
-    chosen = spread(samples, count)
-    assert len(chosen) == len(set(chosen)) == min(count, len(samples))
-    shown = {sample.scene for sample in chosen}
-    assert len(shown) == min(count, len(sizes))
-    shares = [sum(sample.scene == f"{k:02d}" for sample in chosen) for k in range(len(sizes))]
-    full = [share for share, size in zip(shares, sizes, strict=True) if share < size]
-    if count >= len(sizes) and full:
-        assert max(shares) - min(full) <= 1
+    for count, shares in ((2, [1, 0, 1]), (3, [1, 1, 1]), (6, [3, 1, 2]), (20, [9, 1, 4])):
+        chosen = spread(samples, count)
+        assert [sum(sample.scene == f"{k}" for sample in chosen) for k in range(3)] == shares

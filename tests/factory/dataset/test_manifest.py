@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from simnfnd.factory.dataset.format.manifest import (
@@ -75,6 +75,7 @@ def test_what_lies_beside_shards_counts_at_once_and_goes_once_it_is_put_together
     assert not list(tmp_path.glob("*/*"))
 
 
+@settings(max_examples=20)
 @given(cut=st.floats(0, 1), junk=st.binary(max_size=6))
 def test_a_result_that_is_damaged_costs_its_shard_alone(
     tmp_path_factory: pytest.TempPathFactory, cut: float, junk: bytes

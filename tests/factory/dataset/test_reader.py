@@ -25,7 +25,7 @@ from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.dataset.read import open_shards
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError
-from tests.factory.dataset.hostile import PROVENANCE, admit, whole, with_layers
+from tests.factory.dataset.hostile import PROVENANCE, admit, reseal, whole, with_layers
 from tests.fake_source import FakeConfig, FakeSource, refs
 from tests.project_files import ROOT
 
@@ -242,7 +242,7 @@ def test_a_damaged_chunk_names_file_sample_and_cure(folder: Path) -> None:
     path.write_bytes(content)
     with PairDataset(folder) as pairs:
         pairs[5]
-        with pytest.raises(FactoryError, match=r"shard-00001\.h5: sample 2 is damaged.*run the"):
+        with pytest.raises(FactoryError, match=r"00001\.h5: /clean sample 2 is damaged.*run the"):
             pairs[6]
 
 
@@ -253,9 +253,23 @@ def test_a_shard_that_changed_since_opening_is_not_mixed_in(folder: Path) -> Non
         pairs[0]
 
 
-def test_zstd_without_its_plugin_names_file_and_cure(tmp_path: Path) -> None:
-    pytest.importorskip("hdf5plugin")
-    root = whole(tmp_path / "dataset", compression="zstd")
+def test_zstd_without_its_plugin_names_file_and_cure(folder: Path) -> None:
+    """Earlier versions could write it."""
+    plugin = pytest.importorskip("hdf5plugin")
+    path = folder / "train/shard-00000.h5"
+    with h5py.File(path, "r+") as file:
+        file.move("noisy", "gzip")
+        stack = file.create_dataset(
+            "noisy", data=file["gzip"][()], chunks=(1, 24, 20), fletcher32=True, **plugin.Zstd(3)
+        )
+        for name, value in file["gzip"].attrs.items():
+            if name != "DIMENSION_LIST":
+                stack.attrs[name] = value
+        for number in (1, 2):
+            stack.dims[number].attach_scale(file["gzip"].dims[number][0])
+        del file["gzip"]
+        reseal(file)
+    admit(folder)
     code = (
         "import sys; sys.modules['hdf5plugin'] = None\n"
         "from simnfnd.factory.dataset import PairDataset\n"
@@ -263,12 +277,12 @@ def test_zstd_without_its_plugin_names_file_and_cure(tmp_path: Path) -> None:
         "except Exception as error:\n    print(type(error).__name__, error)"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code, str(root)], cwd=ROOT, capture_output=True, text=True
+        [sys.executable, "-c", code, str(folder)], cwd=ROOT, capture_output=True, text=True
     )
     assert done.stdout.startswith("FactoryError ")
     assert "shard-00000.h5: compressed with zstd" in done.stdout
     assert "pip install 'simnfnd[zstd]'" in done.stdout
-    with PairDataset(root) as pairs:
+    with PairDataset(folder) as pairs:
         np.testing.assert_array_equal(pairs[3]["noisy"], PAIRS[3].noisy)
 
 

@@ -82,13 +82,11 @@ def test_bytes_repeat_in_another_second_and_another_process(tmp_path: Path) -> N
     assert third.stdout.strip() == first.sha256
 
 
-@pytest.mark.parametrize("compression", ["gzip", "lzf", "none", "zstd"])
+@pytest.mark.parametrize("compression", ["gzip", "none"])
 @pytest.mark.parametrize("dtype", ["uint8", "float32"])
 def test_every_compression_and_dtype_reads_back(
     tmp_path: Path, compression: str, dtype: str
 ) -> None:
-    if compression == "zstd":
-        pytest.importorskip("hdf5plugin")
     info = write(tmp_path, compression=compression, dtype=dtype)
     assert info is not None
     with h5py.File(tmp_path / info.path, "r") as file:
@@ -158,7 +156,7 @@ def test_settings_file_states_the_defaults() -> None:
     ("values", "message"),
     [
         ({"compression": "bzip2"}, "dataset.compression"),
-        ({"compression_level": 12}, "compression_level 12 must be 0 to 9 for gzip"),
+        ({"compression_level": 12}, "dataset.compression_level"),
         ({"name": "../evil"}, "name '../evil'"),
         ({"max_test": -1}, "dataset.max_test"),
         ({"dtype": "float64"}, "dataset.dtype"),

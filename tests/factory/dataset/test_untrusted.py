@@ -94,16 +94,16 @@ def set_text_bytes(name: str, value: bytes) -> Callable[[h5py.File], None]:
 
 
 ATTRIBUTES: dict[str, tuple[Callable[[h5py.File], None], str]] = {
-    "no config": (set_attribute("config", None), "attribute config is absent"),
-    "config a number": (set_attribute("config", 7), "attribute config is no text"),
+    "no config": (set_attribute("config", None), "config is absent or no text"),
     "config cut off": (set_attribute("config", '{"seed": 3'), "attribute config is no JSON"),
     "config a list": (set_attribute("config", "[1, 2]"), "attribute config is no JSON object"),
     "config deep": (set_attribute("config", "[" * 60_000), "attribute config is no JSON"),
-    "config not UTF-8": (set_text_bytes("config", b'{"a": "\xff"}'), "config is not UTF-8"),
-    "no split": (set_attribute("split", None), "attribute split is absent"),
+    "config not UTF-8": (set_text_bytes("config", b'{"a": "\xff"}'), "config is absent or no text"),
     "no config_hash": (set_attribute("config_hash", None), "attribute config_hash is absent"),
-    "no generator": (set_attribute("generator", None), "attribute generator is absent"),
-    "generator numbers": (set_attribute("generator", np.zeros(3)), "generator is no text"),
+    "generator numbers": (
+        set_attribute("generator", np.zeros(3)),
+        "generator is absent or no",
+    ),
     "absolute split": (set_attribute("split", "/x/escaped"), "attribute split is '/x/escaped'"),
     "split above": (set_attribute("split", "../../escaped"), "expected train or test"),
 }
@@ -131,11 +131,11 @@ def test_every_reader_refuses_them(folder: Path, kind: str, verb: str) -> None:
     assert sorted(folder.parent.rglob("*")) == before
 
 
-@pytest.mark.parametrize("verb", ["read", "export", "inspect"])
-def test_a_shard_of_the_other_split_is_refused(folder: Path, verb: str) -> None:
+def test_a_shard_of_the_other_split_is_refused(folder: Path) -> None:
     change(folder, resealed(set_attribute("split", "test")))
-    with pytest.raises(FactoryError, match=rf"{SHARD}: its attribute split is 'test', but it lies"):
-        READERS[verb](folder)
+    for verb in ("read", "export", "inspect"):
+        with pytest.raises(FactoryError, match=rf"{SHARD}: its attribute split is 'test', but it"):
+            READERS[verb](folder)
 
 
 def number_the_axes(file: h5py.File) -> None:
@@ -143,25 +143,25 @@ def number_the_axes(file: h5py.File) -> None:
     file["noisy"].attrs["DIMENSION_LIST"] = np.arange(3)
 
 
-@pytest.mark.parametrize("verb", sorted(READERS))
-def test_numbers_in_place_of_axes_kill_nobody(folder: Path, verb: str) -> None:
+def test_numbers_in_place_of_axes_kill_nobody(folder: Path) -> None:
     """They end in a crash inside HDF5 when they are followed."""
     change(folder, number_the_axes)
     code = (
         "import sys\nfrom pathlib import Path\n"
         "from simnfnd.factory.errors import FactoryError\n"
         "from tests.factory.dataset.test_untrusted import READERS\n"
-        "try:\n    READERS[sys.argv[2]](Path(sys.argv[1]))\n"
-        "except FactoryError as error:\n    print(error)\n"
+        "for read in READERS.values():\n"
+        "    try:\n        read(Path(sys.argv[1]))\n"
+        "    except FactoryError as error:\n        print(error)\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code, str(folder), verb], cwd=ROOT, capture_output=True, text=True
+        [sys.executable, "-c", code, str(folder)], cwd=ROOT, capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
-    assert f"{SHARD}: the axes of /noisy are damaged" in done.stdout
+    assert done.stdout.count(f"{SHARD}: the axes of /noisy are damaged") == len(READERS)
 
 
-@pytest.mark.parametrize("verb", ["read", "export", "inspect", "preview", "shard paths"])
+@pytest.mark.parametrize("verb", ["read", "export"])
 def test_files_are_opened_in_another_process_first(
     folder: Path, verb: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

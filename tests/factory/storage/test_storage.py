@@ -24,7 +24,6 @@ from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler import run
 from simnfnd.factory.scheduler.results import RunReport
 from simnfnd.factory.scheduler.settings import ShardSlice
-from simnfnd.factory.storage import copies
 from simnfnd.factory.storage.copies import folder_of, local_folder, url_of
 from simnfnd.factory.storage.publish import StoreLock, publishing
 from simnfnd.factory.storage.store import Store
@@ -177,20 +176,6 @@ def test_slices_make_one_dataset(bucket: str, local: Path) -> None:
     assert not [name for name in contents(url) if "-of-" in name]
 
 
-def test_copies_stay_small(bucket: str, monkeypatch: Any) -> None:
-    url = f"{bucket}/small"
-    make(folder_of(url))
-    folder = local_folder(url, fresh=True)
-    size = len(shards_of(url)["train/shard-00000.h5"])
-    shutil.rmtree(copies.copies_folder())
-    monkeypatch.setenv("SIMNFND_CLOUD_CACHE_BYTES", str(2 * size + size // 2))
-    with PairDataset(url) as pairs:
-        first = [sample["noisy"].tobytes() for sample in pairs]
-        kept = list(folder.glob("t*/*.h5"))
-        assert len(kept) == 2
-        assert [sample["noisy"].tobytes() for sample in pairs] == first
-
-
 @pytest.mark.parametrize(
     ("url", "why"),
     [
@@ -246,28 +231,6 @@ def test_workers_that_share_no_folder_prepare_and_put(
     assert [failure.ref.name for failure in report.failures] == ["reef/alpha/0003"]
     assert shards_of(url) == local_shards(tmp_path / "dataset")
     assert not [name for name in contents(url) if name.startswith(".")]
-
-
-def test_shuffled_samples_come_once_by_windows_of_shards(bucket: str, local: Path) -> None:
-    with PairDataset(local) as pairs:
-        every = [sample["noisy"].tobytes() for sample in pairs]
-        orders = [
-            [every.index(sample["noisy"].tobytes()) for sample in pairs.shuffled(seed, window=2)]
-            for seed in (0, 0, 1)
-        ]
-    assert sorted(orders[0]) == list(range(24))
-    assert orders[0] == orders[1] != orders[2]
-    # Three shards of eight: the first sixteen are of two of them, and mixed.
-    first = [number // 8 for number in orders[0][:16]]
-    assert len(set(first)) == 2
-    assert first != sorted(first)
-    assert first != sorted(first, reverse=True)
-    url = f"{bucket}/shuffled"
-    make(folder_of(url))
-    shutil.rmtree(folder_of(url))
-    with PairDataset(url) as pairs:
-        found = [every.index(sample["noisy"].tobytes()) for sample in pairs.shuffled(0, window=2)]
-    assert found == orders[0]
 
 
 @pytest.mark.parametrize("verb", ["status", "merge", "view"])
