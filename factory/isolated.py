@@ -9,6 +9,7 @@ values and nothing that runs.
 from __future__ import annotations
 
 import atexit
+import base64
 import importlib
 import json
 import os
@@ -129,16 +130,28 @@ LASTING = IsolatedProcess()
 
 
 def _encode(value: Any) -> bytes:
-    """A line of JSON.  Raises TypeError for what it cannot hold."""
-    return json.dumps(value, default=os.fspath).encode() + b"\n"
+    """A line of JSON; bytes and paths are tagged.  Raises TypeError for what it cannot hold."""
+
+    def tagged(item: Any) -> Any:
+        if isinstance(item, bytes):
+            return {"__bytes__": base64.b64encode(item).decode()}
+        return {"__path__": os.fspath(item)}
+
+    return json.dumps(value, default=tagged).encode() + b"\n"
 
 
 def _decode(file: IO[bytes]) -> Any:
     """The next line of a pipe.  Raises EOFError at its end, ValueError for what is no JSON."""
+
+    def untagged(item: dict[str, Any]) -> Any:
+        if "__path__" in item:
+            return Path(item["__path__"])
+        return base64.b64decode(item["__bytes__"]) if "__bytes__" in item else item
+
     line = file.readline(_MOST_ANSWER_BYTES)
     if not line.endswith(b"\n"):
         raise EOFError
-    return json.loads(line)
+    return json.loads(line, object_hook=untagged)
 
 
 def _start(memory_bytes: int) -> subprocess.Popen[bytes]:

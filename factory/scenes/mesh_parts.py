@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 import re
-from base64 import b64decode, b64encode
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -100,7 +99,7 @@ def read_parts(path: Path, key: str, scale: float, largest_m: float) -> tuple[Pa
 
 @lru_cache(maxsize=16)
 def _parts(path: str, _modified_ns: int) -> tuple[Part, ...]:
-    content = b64decode(reading_process().call(load, Path(path), limit_s=300.0))
+    content = reading_process().call(load, Path(path), limit_s=300.0)
     with np.load(io.BytesIO(content), allow_pickle=False) as saved:
         names = saved["names"].tolist()
         return tuple(
@@ -115,14 +114,11 @@ def reading_process() -> IsolatedProcess:
     return IsolatedProcess(_MEMORY_BYTES)
 
 
-def load(path: Path | str) -> str:
-    """The parts of a file, each outside out, as .npz in base64.
-
-    Raises FactoryError, which does not name the file.
+def load(path: Path) -> bytes:
+    """The parts of a file as .npz, each outside out.  Raises FactoryError without the file's name.
 
     Runs in a process of its own.
     """
-    path = Path(path)
     suffix = path.suffix.lower()
     if suffix == ".blend":
         from .blend import parts
@@ -149,7 +145,7 @@ def load(path: Path | str) -> str:
         arrays[f"t{k}"] = _outside_out(part.mesh)
     content = io.BytesIO()
     np.savez(content, **arrays)
-    return b64encode(content.getvalue()).decode()
+    return content.getvalue()
 
 
 def _outside_out(solid: Mesh) -> npt.NDArray[np.int32]:
