@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -83,8 +84,16 @@ class ShownRecording:
         frame = self._recordings[layer][number]
         grey = grey_of(frame)
         if frame.beams is not None:
-            return _grey(fan_of(grey, frame.beams)[0])
+            black, white = self._window
+            fan = fan_of(grey, frame.beams)[0]
+            return _grey(np.clip((fan - black) / (white - black), 0, 1))
         return _grey(grey[..., 2::-1] if grey.ndim == 3 else grey)
+
+    @cached_property
+    def _window(self) -> tuple[float, float]:
+        """Grey values of pings shown black and white: raw ones fill a part of the scale."""
+        black, white = np.quantile(grey_of(self._recordings[0][0]), (0.01, 0.999))
+        return (float(black), float(white)) if white > black else (0.0, 1.0)
 
     def facts(self, number: int) -> Facts:
         """What the file says of the frame."""
