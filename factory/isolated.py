@@ -157,7 +157,11 @@ def _decode(file: IO[bytes]) -> Any:
 def _start(memory_bytes: int) -> subprocess.Popen[bytes]:
     environment = dict(os.environ)
     # Modules are to be found as this process finds them, wherever it was started.
-    environment["PYTHONPATH"] = os.pathsep.join(path or os.getcwd() for path in sys.path)
+    # Blender puts folders of its own on the path, where half of bpy hides the whole.
+    bpy = getattr(sys.modules.get("bpy"), "__file__", None)
+    own = (f"{Path(bpy).parents[2]}{os.sep}",) if bpy else ()
+    paths = [path or os.getcwd() for path in sys.path if not path.startswith(own)]
+    environment["PYTHONPATH"] = os.pathsep.join(paths)
     # Threads of numerical libraries reserve address space, and nothing is computed there.
     environment["OMP_NUM_THREADS"] = environment["OPENBLAS_NUM_THREADS"] = "1"
     return subprocess.Popen(
