@@ -19,7 +19,7 @@ from .dataset.format.schema import CAMERA_LAYERS
 from .dataset.format.settings import DatasetSettings
 from .errors import FactoryError
 from .imaging.coherent.settings import AcousticsSettings
-from .imaging.materials import Material, with_materials
+from .imaging.materials import with_materials
 from .imaging.resample import ResampleSettings
 from .labels import class_names
 from .noise.registry import EFFECTS, NoiseSettings, blocks
@@ -192,13 +192,8 @@ def from_mapping(values: Mapping[str, Any]) -> FactoryConfig:
     if isinstance(scenes, SeabedSettings | MeshSettings):
         sonar = config.sonar
         config = replace(config, scenes=seeing(scenes, sonar.hfov_deg, sonar.vfov_deg))
-    own: tuple[Material, ...] = ()
-    if isinstance(scenes, SeabedSettings):
-        own = scenes.own_objects
-    elif isinstance(scenes, MeshSettings):
-        own = scenes.classes
     classes = class_names(scenes.own_classes())
-    return replace(config, acoustics=with_materials(config.acoustics, classes, own))
+    return replace(config, acoustics=with_materials(config.acoustics, classes, scenes.own()))
 
 
 def with_cache(config: FactoryConfig, work: Path) -> FactoryConfig:

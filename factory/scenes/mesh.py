@@ -22,8 +22,8 @@ from ..errors import FactoryError, FrameError
 from ..frame import Frame, FrameRef, checked
 from ..labels import class_names
 from ..seeds import stream
-from ..settings import STRICT, ClassName
-from .base import Discovery, Root, SceneSettings
+from ..settings import STRICT
+from .base import Discovery, OwnClass, Root, SceneSettings
 
 if TYPE_CHECKING:
     from .seabed.camera import Objects, Optics, Pose
@@ -37,17 +37,10 @@ Points = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, config=ConfigDict(**STRICT, serialize_by_alias=True), kw_only=True)
-class PartClass:
-    """An entry of `scenes.classes`.
+class PartClass(OwnClass):
+    """An entry of `scenes.classes`.  parts: name of its parts in the file, or a pattern."""
 
-    class: of labels, as of own objects.  parts: name of its parts in the file, or a pattern.
-    reflectivity_db, lambert_exponent: of the class; see `acoustics`.
-    """
-
-    label: Annotated[ClassName, Field(alias="class")]
     parts: str
-    reflectivity_db: Annotated[float, Field(ge=-80, le=20)] | None = None
-    lambert_exponent: Annotated[float, Field(ge=0, le=8)] | None = None
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -84,9 +77,9 @@ class MeshSettings(SceneSettings):
     hfov_deg: Annotated[float, Field(gt=0, le=150)] | None = None
     vfov_deg: Annotated[float, Field(gt=0, le=60)] | None = None
 
-    def own_classes(self) -> tuple[str, ...]:
+    def own(self) -> tuple[OwnClass, ...]:
         """See `SceneSettings`."""
-        return tuple(one.label for one in self.classes)
+        return self.classes
 
 
 @plain_dataclass(frozen=True, eq=False)

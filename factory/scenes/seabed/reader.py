@@ -15,7 +15,7 @@ from ...errors import FrameError
 from ...frame import Frame, FrameRef, checked
 from ...labels import ObjectName
 from ...settings import STRICT
-from ..base import Discovery, Root, SceneSettings
+from ..base import Discovery, OwnClass, Root, SceneSettings
 from .biomes import PLACE_NAMES, PlaceName
 from .camera import HFOV_DEG, camera
 from .own_objects import Owned, OwnObject, owned
@@ -60,9 +60,9 @@ class SeabedSettings(SceneSettings):
     places: Annotated[tuple[PlaceName, ...], Field(min_length=1)] | None = None
     own_objects: tuple[OwnObject, ...] = ()
 
-    def own_classes(self) -> tuple[str, ...]:
+    def own(self) -> tuple[OwnClass, ...]:
         """See `SceneSettings`."""
-        return tuple(one.label for one in self.own_objects)
+        return self.own_objects
 
     def __post_init__(self) -> None:
         """Refuse locations whose number has more than four digits, and half a sector."""
