@@ -40,7 +40,9 @@ def with_own_materials(path: Path, folder: Path) -> tuple[Path, list[tuple[int, 
         if "uri" not in buffer:
             (folder / "chunk.bin").write_bytes(chunk)
             buffer["uri"] = "chunk.bin"
-    nodes, meshes, materials, owners = document.get("nodes", []), [], [], []
+    nodes, owners = document.get("nodes", []), []
+    meshes: list[dict[str, Any]] = []
+    materials: list[dict[str, Any]] = []
     for number, node in enumerate(nodes):
         if "mesh" not in node:
             continue

@@ -101,11 +101,8 @@ def read_parts(path: Path, key: str, scale: float, largest_m: float) -> tuple[Pa
 def _parts(path: str, _modified_ns: int) -> tuple[Part, ...]:
     content = reading_process().call(load, Path(path), limit_s=300.0)
     with np.load(io.BytesIO(content), allow_pickle=False) as saved:
-        names = saved["names"].tolist()
-        return tuple(
-            Part(name, Mesh(*(saved[f"{kind}{k}"] for kind in "vct")))
-            for k, name in enumerate(names)
-        )
+        parts = enumerate(saved["names"].tolist())
+        return tuple(Part(name, Mesh(*(saved[f"{of}{k}"] for of in "vct"))) for k, name in parts)
 
 
 @lru_cache(maxsize=1)
@@ -187,15 +184,18 @@ def _by_open3d(path: Path, suffix: str, folder: Path) -> list[Part]:
         as_gltf(source, path)
     if suffix == ".obj":
         model = reader.read_triangle_model(str(path))
-        return [Part(path.stem, _of_model(one, model)) for one in model.meshes]
+        meshes = [_of_model(one, model.materials[one.material_idx]) for one in model.meshes]
+        return [Part(path.stem, found) for found in meshes]
     copy, owners = with_own_materials(path, folder)
     model = reader.read_triangle_model(str(copy))
     if owners and not model.meshes:
         raise ValueError("Open3D reads nothing of it; compressed?")
-    meshes: dict[tuple[int, str], list[Mesh]] = {owner: [] for owner in owners}
+    nodes: dict[tuple[int, str], list[Mesh]] = {owner: [] for owner in owners}
     for one in model.meshes:
-        meshes[owners[one.material_idx]].append(_of_model(one, model).moved(_Z_UP))
-    return [Part(name, join(some)) for (_, name), some in meshes.items() if some]
+        material = model.materials[one.material_idx]
+        made = _of_model(one, material, material.base_color[:3])
+        nodes[owners[one.material_idx]].append(made.moved(_Z_UP))
+    return [Part(name, join(some)) for (_, name), some in nodes.items() if some]
 
 
 def _claimed_faces(path: Path) -> int:
@@ -208,13 +208,14 @@ def _claimed_faces(path: Path) -> int:
     return int(found[1]) if head.startswith(b"ply") and found else 0
 
 
-def _of_model(one: Any, model: Any) -> Mesh:
-    found, material = one.mesh, model.materials[one.material_idx]
+def _of_model(one: Any, material: Any, tint: npt.ArrayLike = 1) -> Mesh:
+    """tint: factor of its texture."""
+    found = one.mesh
     points, triangles = np.asarray(found.vertices), np.asarray(found.triangles)
     picture = np.asarray(material.albedo_img) if material.albedo_img else np.empty(0)
     if picture.ndim == 3 and found.has_triangle_uvs():
         places = np.asarray(found.triangle_uvs).reshape(-1, 3, 2) * (1, -1) + (0, 1)
-        albedo = linear(picture[..., :3]) * np.float32(material.base_color[:3])
+        albedo = linear(picture[..., :3]) * np.float32(tint)
         return painted(points[triangles].astype(np.float32), places, albedo)
     colours = np.asarray(found.vertex_colors) if found.has_vertex_colors() else None
     return mesh(points, triangles, material.base_color[:3] if colours is None else colours)
