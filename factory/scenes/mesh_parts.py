@@ -215,7 +215,7 @@ def _of_model(one: Any, material: Any, tint: npt.ArrayLike = 1) -> Mesh:
     picture = np.asarray(material.albedo_img) if material.albedo_img else np.empty(0)
     if picture.ndim == 3 and found.has_triangle_uvs():
         places = np.asarray(found.triangle_uvs).reshape(-1, 3, 2) * (1, -1) + (0, 1)
-        albedo = linear(picture[..., :3]) * np.float32(tint)
+        albedo = linear(picture[..., :3]) * np.asarray(tint, np.float32)
         return painted(points[triangles].astype(np.float32), places, albedo)
     colours = np.asarray(found.vertex_colors) if found.has_vertex_colors() else None
     return mesh(points, triangles, material.base_color[:3] if colours is None else colours)

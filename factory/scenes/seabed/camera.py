@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -134,7 +135,7 @@ class Objects:
     instances: npt.NDArray[np.uint16]
 
     def shown(
-        self, number: npt.NDArray[np.integer]
+        self, number: npt.NDArray[Any]
     ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint16]]:
         """Class and instance of each object number, of which the first is 1 and 0 is none."""
         label, instance = (np.append(of.dtype.type(0), of) for of in (self.labels, self.instances))
