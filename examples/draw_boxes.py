@@ -14,58 +14,45 @@ import cv2
 import h5py
 import numpy as np
 
-SHOWN, TIMES = 6, 2
-folder, out = Path(sys.argv[1]), sys.argv[2]
-wanted = sys.argv[3] if len(sys.argv) > 3 else None
-
+folder, out, *wanted = sys.argv[1:]
 found = []
-for path in sorted(folder.glob("*/shard-*.h5")):
+for path in sorted(Path(folder).glob("*/shard-*.h5")):
     with h5py.File(path) as shard:
         if "boxes" not in shard["meta"].dtype.names:
             sys.exit(f"{folder} has no boxes; make it with dataset.columns=[boxes]")
-        own = {wanted} if wanted else set(shard["segmentation"].attrs["classes"][21:])
+        own = wanted or shard["segmentation"].attrs["classes"][21:]
         for number, row in enumerate(shard["meta"]):
             boxes = [box for box in json.loads(row["boxes"]) if box["class"] in own]
             heard = sum(box["insonified"] for box in boxes)
-            found.append((heard, len(found), shard["noisy"][number], row, boxes))
+            found.append((heard, -len(found), shard["noisy"][number], row, boxes))
 
 tiles = []
-for _, _, picture, row, boxes in sorted(found, key=lambda one: (-one[0], one[1]))[:SHOWN]:
-    height, width = picture.shape
-    # The sonar is below the middle of the picture, whose top is the far end of its range.
-    far_m, pixel_m = row["range_max_m"], row["metres_per_pixel"]
-
-    def place(ahead_m, right_m, far_m=far_m, pixel_m=pixel_m, width=width):
-        """Column and row of points on the ground."""
-        x = width / 2 + np.asarray(right_m) / pixel_m
-        y = (far_m - np.asarray(ahead_m)) / pixel_m
-        return np.round(TIMES * np.stack([x, y], axis=-1)).astype(np.int32)
-
+for _, _, picture, row, boxes in sorted(found, key=lambda one: one[:2], reverse=True)[:3]:
     grey = np.uint8(picture if picture.dtype == np.uint8 else np.rint(255 * picture))
-    larger = cv2.resize(grey, None, fx=TIMES, fy=TIMES, interpolation=cv2.INTER_NEAREST)
-    tile = cv2.cvtColor(larger, cv2.COLOR_GRAY2BGR)
+    tile = cv2.cvtColor(grey.repeat(2, axis=0).repeat(2, axis=1), cv2.COLOR_GRAY2BGR)
     for box in boxes:
         if box["range_m"] is None:
             continue
-        low, high = box["range_m"]
+        # Metres ahead and to the left: the ring around the echoes, and the ground of the box.
         bearing = np.deg2rad(np.linspace(*box["bearing_deg"], 20))
-        ring_m, turn = np.repeat([low, high], 20), np.concatenate([bearing, bearing[::-1]])
-        ring = place(ring_m * np.cos(turn), ring_m * np.sin(turn))
-        cv2.polylines(tile, [ring], True, (90, 200, 255), 1, cv2.LINE_AA)
-        (x, y, z), (length, across, _) = box["centre_m"], box["size_m"]
-        yaw = np.deg2rad(box["yaw_deg"])
-        along = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * (length / 2, across / 2)
-        ahead = x + along[:, 0] * np.cos(yaw) - along[:, 1] * np.sin(yaw)
-        left = y + along[:, 0] * np.sin(yaw) + along[:, 1] * np.cos(yaw)
+        turn = np.append(bearing, bearing[::-1])
+        ring = np.repeat(box["range_m"], 20) * np.exp(-1j * turn)
+        corners = np.array([1 + 1j, 1 - 1j, -1 - 1j, -1 + 1j]) / 2
+        ground = corners.real * box["size_m"][0] + 1j * corners.imag * box["size_m"][1]
+        x, y, z = box["centre_m"]
+        ground = x + 1j * y + ground * np.exp(1j * np.deg2rad(box["yaw_deg"]))
         # A picture shows how far away things are, also those above or below.
-        slant = np.sqrt(1 + z**2 / (ahead**2 + left**2))
-        cv2.polylines(tile, [place(slant * ahead, -slant * left)], True, (120, 255, 120), 1)
-        text = f"{box['class']} {100 * box['insonified']:.0f} %"
-        corner = place(high, high * np.sin(bearing[0])) - (0, 4)
-        cv2.putText(tile, text, tuple(corner.tolist()), 0, 0.4, (90, 200, 255), 1, cv2.LINE_AA)
+        ground *= np.sqrt(1 + (z / np.abs(ground)) ** 2)
+        for points, colour in ((ring, (90, 200, 255)), (ground, (120, 255, 120))):
+            # The sonar is below the middle of the picture, whose top is the far end of its range.
+            place = np.stack([-points.imag, row["range_max_m"] - points.real], axis=-1)
+            pixels = 2 * place / row["metres_per_pixel"] + (picture.shape[1], 0)
+            cv2.polylines(tile, [np.int32(np.rint(pixels))], True, colour, 1, cv2.LINE_AA)
+        text, left, top = (
+            f"{box['class']} {100 * box['insonified']:.0f} %",
+            *np.int32(pixels.min(0)),
+        )
+        cv2.putText(tile, text, (left, top - 4), 0, 0.4, (90, 200, 255), 1, cv2.LINE_AA)
     tiles.append(tile)
-columns = min(3, len(tiles))
-tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
-rows = [np.hstack(tiles[first : first + columns]) for first in range(0, len(tiles), columns)]
-cv2.imwrite(out, np.vstack(rows))
+cv2.imwrite(out, np.hstack(tiles))
 print(f"{out}: {len(found)} pictures, {sum(len(one[4]) for one in found)} boxes")

@@ -19,7 +19,7 @@ from .dataset.format.schema import CAMERA_LAYERS
 from .dataset.format.settings import DatasetSettings
 from .errors import FactoryError
 from .imaging.coherent.settings import AcousticsSettings
-from .imaging.materials import Material, with_materials
+from .imaging.materials import with_materials
 from .imaging.resample import ResampleSettings
 from .labels import class_names
 from .noise.registry import EFFECTS, NoiseSettings, blocks
@@ -28,7 +28,8 @@ from .render.cache import CacheSettings
 from .scenes import Scenes
 from .scenes.base import INTEGERS_PER_M
 from .scenes.mesh import MeshSettings
-from .scenes.seabed.reader import SeabedSettings, seeing
+from .scenes.seabed.camera import HFOV_DEG
+from .scenes.seabed.reader import SeabedSettings
 from .scheduler.settings import SchedulerSettings, ShardSlice
 from .settings import STRICT, build
 from .sonar.acoustics import WaterSettings
@@ -189,16 +190,13 @@ def from_mapping(values: Mapping[str, Any]) -> FactoryConfig:
     """
     config: FactoryConfig = build(FactoryConfig, values)
     scenes = config.scenes
-    if isinstance(scenes, SeabedSettings | MeshSettings):
+    if isinstance(scenes, SeabedSettings | MeshSettings) and scenes.hfov_deg is None:
         sonar = config.sonar
-        config = replace(config, scenes=seeing(scenes, sonar.hfov_deg, sonar.vfov_deg))
-    own: tuple[Material, ...] = ()
-    if isinstance(scenes, SeabedSettings):
-        own = scenes.own_objects
-    elif isinstance(scenes, MeshSettings):
-        own = scenes.classes
+        if sonar.hfov_deg > HFOV_DEG:  # a camera that sees a sonar's sector
+            scenes = replace(scenes, hfov_deg=sonar.hfov_deg, vfov_deg=sonar.vfov_deg)
+            config = replace(config, scenes=scenes)
     classes = class_names(scenes.own_classes())
-    return replace(config, acoustics=with_materials(config.acoustics, classes, own))
+    return replace(config, acoustics=with_materials(config.acoustics, classes, scenes.own()))
 
 
 def with_cache(config: FactoryConfig, work: Path) -> FactoryConfig:
@@ -230,6 +228,7 @@ _LATER: dict[str, Any] = {
     "sonar.transfer.full_scale_db": None,
     "dataset.columns": [],
     "acoustics.standing": 0.0,
+    "acoustics.lambert_exponents": {},
 }
 
 
@@ -277,20 +276,16 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
 
 def _with_content(scenes: Scenes, values: dict[str, Any]) -> None:
     """The user's meshes and materials count by their content; without any all is as it was."""
-    own = scenes.own_classes()
-    if own:
+    if own := scenes.own_classes():
         values["classes"] = list(own)
     for one in values["scenes"].get("own_objects", ()):
         one["file"] = file_digest(one["file"], "scenes.own_objects")
     if not values["scenes"].get("own_objects"):
         values["scenes"].pop("own_objects", None)
     if isinstance(scenes, MeshSettings):
-        values["scenes"]["file"] = file_digest(scenes.file, "scenes.file")
-        if scenes.poses is not None:
-            values["scenes"]["poses"] = file_digest(scenes.poses, "scenes.poses")
+        for key, path in (("file", scenes.file), ("poses", scenes.poses)):
+            values["scenes"][key] = None if path is None else file_digest(path, f"scenes.{key}")
     values["acoustics"].pop("materials")
-    if not values["acoustics"]["lambert_exponents"]:
-        values["acoustics"].pop("lambert_exponents")
 
 
 def file_digest(path: str, key: str = "scenes.path") -> str:

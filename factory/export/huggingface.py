@@ -66,10 +66,9 @@ def _write_part(source: Source, samples: Iterator[Sample], path: Path, count: in
 def _row(source: Source, sample: Sample) -> dict[str, Any]:
     row: dict[str, Any] = {}
     if "instance" in sample.images and "segmentation" in sample.images:
-        found = shown_in(sample, classes_of(source.config), source.directory)
         row["objects"] = [
             {"bbox": list(one.box), "category": one.label, "area": int(one.mask.sum())}
-            for one in found
+            for one in shown_in(sample, classes_of(source.config), source.directory)
         ]
     for name, image in sample.images.items():
         if is_picture(image.dtype):
@@ -95,16 +94,12 @@ def _schema(source: Source) -> Any:
             shape = list(source.sizes[name])
             features[name] = {"_type": "Array2D", "shape": shape, "dtype": str(dtype)}
     if {"instance", "segmentation"} <= set(source.layers):
-        number = pyarrow.int32()
+        number, integer = pyarrow.int32(), {"_type": "Value", "dtype": "int32"}
         one = {"bbox": pyarrow.list_(number), "category": pyarrow.int64(), "area": number}
         fields.append(("objects", pyarrow.list_(pyarrow.struct(list(one.items())))))
-        integer = {"_type": "Value", "dtype": "int32"}
         names = {"_type": "ClassLabel", "names": list(classes_of(source.config))}
-        box = {"_type": "List", "feature": integer}
-        features["objects"] = {
-            "_type": "List",
-            "feature": {"bbox": box, "category": names, "area": integer},
-        }
+        kinds = {"bbox": {"_type": "List", "feature": integer}, "category": names, "area": integer}
+        features["objects"] = {"_type": "List", "feature": kinds}
     for column in source.columns:
         dtype = np.dtype(column.dtype)
         text = dtype.kind == "S"

@@ -6,41 +6,23 @@ import csv
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 from pydantic import TypeAdapter, ValidationError
 
 from ..errors import FactoryError
 from ..labels import CLASSES
+from ..scenes.base import OwnClass
 from ..small_files import one_line, read_regular
 from .coherent.settings import AcousticsSettings
 
-_HEADER = ["class", "reflectivity_db", "lambert_exponent"]
-
-
-class Material(Protocol):
-    """What an object of the user's says of its class."""
-
-    @property
-    def label(self) -> str:
-        """The class."""
-
-    @property
-    def reflectivity_db(self) -> float | None:
-        """See `AcousticsSettings`; None: not said here."""
-
-    @property
-    def lambert_exponent(self) -> float | None:
-        """Likewise."""
-
 
 def with_materials(
-    acoustics: AcousticsSettings, classes: tuple[str, ...], own: Iterable[Material]
+    acoustics: AcousticsSettings, classes: tuple[str, ...], own: Iterable[OwnClass]
 ) -> AcousticsSettings:
     """The settings with a reflectivity for each of the user's classes, in the order of `classes`.
 
-    classes: those of `labels.class_names`.  own: their materials win over the keys, and those of
-    `acoustics.materials` over both.  Raises FactoryError.
+    classes: those of `labels.class_names`.  own: what they say wins over the keys, and what
+    `acoustics.materials` says over both.  Raises FactoryError.
     """
     echo_db, exponents = dict(acoustics.reflectivity_db), dict(acoustics.lambert_exponents)
     said: dict[str, tuple[float | None, float | None]] = {}
@@ -51,46 +33,34 @@ def with_materials(
                 f"scenes.own_objects: {one.label} has two materials; give the same, or two classes"
             )
     if acoustics.materials is not None:
-        said |= _listed(Path(acoustics.materials).expanduser())
+        listed = _listed(Path(acoustics.materials).expanduser())
+        said |= {one.label: (one.reflectivity_db, one.lambert_exponent) for one in listed}
     for name, (level_db, exponent) in said.items():
         echo_db |= {} if level_db is None else {name: level_db}
         exponents |= {} if exponent is None else {name: exponent}
-    for key, names in (("reflectivity_db", echo_db), ("lambert_exponents", exponents)):
-        for name in names:
-            if name not in classes:
-                raise FactoryError(
-                    f"acoustics.{key}: no class is called {name}; there are {', '.join(classes)}"
-                )
+    for name in (*echo_db, *exponents):
+        if name not in classes:
+            raise FactoryError(
+                f"acoustics: no class is called {name}; there are {', '.join(classes)}"
+            )
     ground_db = echo_db.get("Background", -25.0)
     echo_db |= {name: echo_db.pop(name, ground_db) for name in classes[len(CLASSES) :]}
     return replace(acoustics, reflectivity_db=echo_db, lambert_exponents=exponents)
 
 
-def _listed(path: Path) -> dict[str, tuple[float | None, float | None]]:
-    """Class -> reflectivity and exponent, None for an empty field."""
+def _listed(path: Path) -> list[OwnClass]:
+    """The lines of a file."""
+    key, expected = f"acoustics.materials={path}", "expected class,reflectivity_db,lambert_exponent"
     try:
         lines = read_regular(path).decode("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise FactoryError(f"acoustics.materials={path}: {one_line(error)}") from error
-    rows = list(csv.reader(lines))
-    if not rows or [word.strip() for word in rows[0]] != _HEADER:
-        raise FactoryError(
-            f"acoustics.materials={path}: the first line must be {','.join(_HEADER)}"
-        )
-    found = {}
-    for number, row in enumerate(rows[1:], start=2):
+        raise FactoryError(f"{key}: {one_line(error)}") from error
+    found = []
+    for number, line in enumerate(csv.DictReader(lines, skipinitialspace=True), start=2):
+        given = {name: value for name, value in line.items() if value}
         try:
-            name, *fields = (word.strip() for word in row)
-            level_db, exponent = (float(field) if field else None for field in fields)
-            checked = {} if level_db is None else {name: level_db}
-            powers = {} if exponent is None else {name: exponent}
-            TypeAdapter(AcousticsSettings).validate_python(
-                {"reflectivity_db": checked, "lambert_exponents": powers}
-            )
-        except (ValueError, ValidationError) as error:
-            raise FactoryError(
-                f"acoustics.materials={path}:{number}: expected {','.join(_HEADER)}, got "
-                f"{','.join(row)[:60]!r}"
-            ) from error
-        found[name] = level_db, exponent
+            found.append(TypeAdapter(OwnClass).validate_python(given))
+        except ValidationError as error:
+            got = ",".join(map(str, given.values()))
+            raise FactoryError(f"{key}:{number}: {expected}, got {got[:60]!r}") from error
     return found

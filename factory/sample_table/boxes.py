@@ -43,8 +43,7 @@ def row(lit: LitSurface, classes: Sequence[str]) -> dict[str, str]:
     found = []
     for instance, label, *box, alone_px, hidden_px in frame.boxes.tolist():
         own = of == instance
-        count = int(own.sum())
-        shadowed = hidden_px + np.count_nonzero(dark == instance)
+        count, shadowed = int(own.sum()), hidden_px + np.count_nonzero(dark == instance)
         entry = {
             "instance": int(instance),
             "class": classes[int(label)],
@@ -55,13 +54,9 @@ def row(lit: LitSurface, classes: Sequence[str]) -> dict[str, str]:
             "shadowed": round(min(shadowed / max(alone_px, 1), 1.0), 3),
         }
         found.append((-count, entry))
-    text, kept = "[]", []
-    for _, entry in sorted(found, key=lambda one: one[0]):
-        kept.append(entry)
-        longer = json.dumps(kept, separators=(",", ":"))
-        if len(longer) > _MOST_BYTES:
-            break
-        text = longer
+    kept = [entry for _, entry in sorted(found, key=lambda one: one[0])]
+    while len(text := json.dumps(kept, separators=(",", ":"))) > _MOST_BYTES:
+        kept.pop()
     return {"boxes": text}
 
 

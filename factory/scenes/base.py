@@ -11,12 +11,12 @@ from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Literal, Protocol
 
-from pydantic import AfterValidator
+from pydantic import AfterValidator, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from ..errors import FactoryError
 from ..frame import Frame, FrameRef
-from ..settings import STRICT
+from ..settings import STRICT, ClassName
 
 INTEGERS_PER_M = {"csv_list": 1000.0, "redwood": 1000.0, "tum": 5000.0}
 """scenes.kind -> what integer depth is divided by where `depth_scale` is null."""
@@ -32,6 +32,19 @@ def _given(root: str) -> str:
 Root = Annotated[str, AfterValidator(_given)]
 
 
+@dataclass(frozen=True, config=ConfigDict(**STRICT, serialize_by_alias=True), kw_only=True)
+class OwnClass:
+    """What the user says of a class of objects.
+
+    class: what it is called in labels; a name of `labels.CLASSES`, or a new one.
+    reflectivity_db, lambert_exponent: see `AcousticsSettings`; None: not said here.
+    """
+
+    label: Annotated[ClassName, Field(alias="class")]
+    reflectivity_db: Annotated[float, Field(ge=-80, le=20)] | None = None
+    lambert_exponent: Annotated[float, Field(ge=0, le=8)] | None = None
+
+
 @dataclass(frozen=True, config=STRICT)
 class SceneSettings:
     """Keys that all `scenes` kinds have.
@@ -43,9 +56,13 @@ class SceneSettings:
     depth_kind: Literal["z", "range"] = "z"
     bad_depth: Literal["reject", "mask"] = "reject"
 
-    def own_classes(self) -> tuple[str, ...]:
-        """Classes of the user's own objects, beside `labels.CLASSES` or among them."""
+    def own(self) -> tuple[OwnClass, ...]:
+        """What the user's own objects are and how they echo."""
         return ()
+
+    def own_classes(self) -> tuple[str, ...]:
+        """Their classes, beside `labels.CLASSES` or among them."""
+        return tuple(one.label for one in self.own())
 
 
 @plain_dataclass(frozen=True)

@@ -7,18 +7,14 @@ from __future__ import annotations
 
 import importlib
 import tempfile
-from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ..errors import FactoryError
 from ..small_files import one_line
-from .painted import Part, linear, painted
-from .seabed.meshes import Mesh, join
 
 _SAMPLES = 8
 _SENSOR_MM = 36.0
@@ -47,71 +43,12 @@ def _opened(path: Path) -> Any:
     return bpy
 
 
-def parts(path: Path) -> list[Part]:
-    """The meshes of a file as Blender shows them, a part for each object."""
-    bpy, found = _opened(path.resolve()), []
-    graph = bpy.context.evaluated_depsgraph_get()
-    for instance in graph.object_instances:
-        shown = instance.object
-        if shown.type not in ("MESH", "CURVE", "SURFACE", "FONT", "META"):
-            continue
-        made = shown.to_mesh()
-        if made is not None and len(made.polygons):
-            whole = _whole(made, np.array(instance.matrix_world, np.float64))
-            found.append(Part(shown.name, whole))
-        shown.to_mesh_clear()
-    return found
-
-
-def _whole(made: Any, place: npt.NDArray[np.float64]) -> Mesh:
-    made.calc_loop_triangles()
-    points = _array(made.vertices, "co", 3, np.float32)
-    points = (points.astype(np.float64) @ place[:3, :3].T + place[:3, 3]).astype(np.float32)
-    triangles = _array(made.loop_triangles, "vertices", 3, np.int32)
-    if np.linalg.det(place[:3, :3]) < 0:
-        triangles = np.ascontiguousarray(triangles[:, ::-1])
-    slots = _array(made.loop_triangles, "material_index", 1, np.int32).ravel()
-    pieces = []
-    for slot in np.unique(slots):
-        material = made.materials[slot] if slot < len(made.materials) else None
-        colour, image = _surface(material)
-        some = triangles[slots == slot]
-        if image is not None and made.uv_layers.active is not None:
-            loops = _array(made.loop_triangles, "loops", 3, np.int32)[slots == slot]
-            places = _array(made.uv_layers.active.uv, "vector", 2, np.float32)[loops]
-            pieces.append(painted(points[some], places * (1, -1) + (0, 1), image))
-        else:
-            used, order = np.unique(some, return_inverse=True)
-            colours = np.tile(np.array(colour, np.float32), (len(used), 1))
-            faces = order.reshape(-1, 3).astype(np.int32)
-            pieces.append(Mesh(points[used], colours, faces))
-    return join(pieces)
-
-
-def _array(of: Any, name: str, width: int, dtype: Any) -> npt.NDArray[Any]:
-    values = np.empty(len(of) * width, dtype)
-    of.foreach_get(name, values)
-    return values.reshape(-1, width)
-
-
-def _surface(material: Any) -> tuple[Sequence[float], npt.NDArray[np.float32] | None]:
-    """Base colour of a material, and the albedo (H, W, 3) of its texture where it has one."""
-    if material is None:
-        return (0.5, 0.5, 0.5), None
-    nodes = material.node_tree.nodes if material.node_tree is not None else ()
-    for node in nodes:
-        if node.type != "BSDF_PRINCIPLED":
-            continue
-        socket = node.inputs["Base Color"]
-        source = socket.links[0].from_node if socket.is_linked else None
-        if source is not None and source.type == "TEX_IMAGE" and source.image is not None:
-            width, height = source.image.size
-            pixels = np.empty(width * height * 4, np.float32)
-            source.image.pixels.foreach_get(pixels)
-            top_first = pixels.reshape(height, width, 4)[::-1, :, :3]
-            return (1, 1, 1), linear(top_first * 255)
-        return tuple(socket.default_value)[:3], None
-    return tuple(material.diffuse_color)[:3], None
+def as_gltf(path: Path, made: Path) -> None:
+    """Write the meshes of a file as Blender shows them."""
+    _opened(path.resolve()).ops.export_scene.gltf(
+        filepath=str(made), export_apply=True, use_visible=True, export_animations=False,
+        export_skins=False, export_morph=False, export_normals=False,
+    )  # fmt: skip
 
 
 def photograph(

@@ -17,27 +17,18 @@ Numbers = npt.NDArray[np.float64]
 
 
 def boxes_of(
-    where: Pose,
-    optics: Optics,
-    objects: Objects,
-    labels: npt.NDArray[np.uint8],
-    instances: npt.NDArray[np.uint16],
-    seen: ZBuffer,
-    number: npt.NDArray[np.uint16],
+    where: Pose, optics: Optics, objects: Objects, seen: ZBuffer, number: npt.NDArray[np.uint16]
 ) -> Numbers:
-    """(N, 11) of the numbered instances in a view; see `Frame.boxes`.
-
-    labels, instances: (objects,).  seen: what the pixels meet.  number: (H, W) their instances.
-    """
+    """(N, 11) of the instances in a view, whose pixels are `number`; see `Frame.boxes`."""
     shown = np.unique(number)
     rows = []
     for instance in shown[shown > 0]:
-        which = int(np.flatnonzero(instances == instance)[0])
+        which = int(np.flatnonzero(objects.instances == instance)[0])
         first, _, last, _ = objects.parts[which]
         points = (objects.mesh.vertices[first:last] - where.eye) @ where.rotation
         box = oriented(np.stack([points[:, 2], -points[:, 0], -points[:, 1]], axis=-1))
         counted = _outline(where, optics, objects, which, points, seen)
-        rows.append([int(instance), int(labels[which]), *box, *counted])
+        rows.append([int(instance), int(objects.labels[which]), *box, *counted])
     return np.array(rows, np.float64).reshape(-1, BOX_FIELDS)
 
 
@@ -67,9 +58,11 @@ def _outline(
         return 0.0, 0.0
     fx, fy, cx, cy = optics.lens
     height, width = seen.inverse.shape
+    places = ahead[:, :2] / ahead[:, 2:] * (fx, fy) + (cx, cy)
     # Of what reaches beside the lens, as far as three pictures.
-    left, right = np.clip(fx * _span(ahead[:, 0] / ahead[:, 2]) + cx, -width, 2 * width)
-    top, bottom = np.clip(fy * _span(ahead[:, 1] / ahead[:, 2]) + cy, -height, 2 * height)
+    limits = np.array([width, height])
+    left, top = np.clip(places.min(axis=0), -limits, 2 * limits)
+    right, bottom = np.clip(places.max(axis=0), -limits, 2 * limits)
     step = max((right - left) / _SIDE_PX, (bottom - top) / _SIDE_PX, 0.25)
     shape = int((bottom - top) / step) + 2, int((right - left) / step) + 2
     alone = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
@@ -79,13 +72,8 @@ def _outline(
     paint(objects.mesh.vertices, objects.mesh.triangles, part, 0, sight, alone)
     rows, columns = np.nonzero(alone[0])
     near = alone[0][rows, columns]
-    rows, columns = np.rint(top + step * rows).astype(int), np.rint(left + step * columns)
-    columns = columns.astype(int)
+    rows, columns = (np.rint(v).astype(int) for v in (top + step * rows, left + step * columns))
     inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
     front = seen.inverse[rows[inside], columns[inside]]
     hidden = np.count_nonzero(front > near[inside] * np.float32(1.02))
     return len(near) * step**2, hidden * step**2
-
-
-def _span(values: Numbers) -> Numbers:
-    return np.array([values.min(), values.max()])

@@ -6,8 +6,8 @@ procedural scenes: exact, and a tenth of the time of tracing as many rays.
 
 from __future__ import annotations
 
+import itertools
 import re
-from dataclasses import dataclass as plain_dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
@@ -22,8 +22,8 @@ from ..errors import FactoryError, FrameError
 from ..frame import Frame, FrameRef, checked
 from ..labels import class_names
 from ..seeds import stream
-from ..settings import STRICT, ClassName
-from .base import Discovery, Root, SceneSettings
+from ..settings import STRICT
+from .base import Discovery, OwnClass, Root, SceneSettings
 
 if TYPE_CHECKING:
     from .seabed.camera import Objects, Optics, Pose
@@ -37,17 +37,10 @@ Points = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, config=ConfigDict(**STRICT, serialize_by_alias=True), kw_only=True)
-class PartClass:
-    """An entry of `scenes.classes`.
+class PartClass(OwnClass):
+    """An entry of `scenes.classes`.  parts: name of its parts in the file, or a pattern."""
 
-    class: of labels, as of own objects.  parts: name of its parts in the file, or a pattern.
-    reflectivity_db, lambert_exponent: of the class; see `acoustics`.
-    """
-
-    label: Annotated[ClassName, Field(alias="class")]
     parts: str
-    reflectivity_db: Annotated[float, Field(ge=-80, le=20)] | None = None
-    lambert_exponent: Annotated[float, Field(ge=0, le=8)] | None = None
 
 
 @dataclass(frozen=True, config=STRICT, kw_only=True)
@@ -84,19 +77,9 @@ class MeshSettings(SceneSettings):
     hfov_deg: Annotated[float, Field(gt=0, le=150)] | None = None
     vfov_deg: Annotated[float, Field(gt=0, le=60)] | None = None
 
-    def own_classes(self) -> tuple[str, ...]:
+    def own(self) -> tuple[OwnClass, ...]:
         """See `SceneSettings`."""
-        return tuple(one.label for one in self.classes)
-
-
-@plain_dataclass(frozen=True, eq=False)
-class _World:
-    """objects: the parts.  labels, instances: (N,) by part.  shades: (T, 3) uint8 of each face."""
-
-    objects: Objects
-    labels: npt.NDArray[np.uint8]
-    instances: npt.NDArray[np.uint16]
-    shades: npt.NDArray[np.uint8]
+        return self.classes
 
 
 class MeshReader:
@@ -112,54 +95,48 @@ class MeshReader:
         from .mesh_parts import files_of
 
         settings = self._settings
-        paths, name = files_of(self._path, _KEY), self._path.stem
-        assert self._world.objects is not None  # read, so that bad files show here
+        paths, views = files_of(self._path, _KEY), settings.views_per_path
+        scenes = [f"{settings.route}-{path:04d}" for path in range(settings.paths)]
+        assert self._world  # read, so that bad files show here
         if settings.poses is not None:
-            poses = str(Path(settings.poses).expanduser())
-            places = [("poses", k) for k in range(len(self._poses[0]))]
-            paths += (poses,)
-        else:
-            each = range(settings.views_per_path)
-            places = [
-                (f"{settings.route}-{path:04d}", k) for path in range(settings.paths) for k in each
-            ]
-        return Discovery(tuple(FrameRef(name, scene, f"{k:04d}", paths) for scene, k in places))
+            scenes, views = ["poses"], len(self._recorded()[0])
+            paths += (str(Path(settings.poses).expanduser()),)
+        places = itertools.product(scenes, range(views))
+        refs = (FrameRef(self._path.stem, scene, f"{view:04d}", paths) for scene, view in places)
+        return Discovery(tuple(refs))
 
     def load(self, ref: FrameRef) -> Frame:
         """See `Reader`."""
         from .boxes import boxes_of
         from .seabed.camera import camera, z_buffer
 
-        settings, world = self._settings, self._world
+        settings, (objects, _) = self._settings, self._world
         found = re.fullmatch(r"(poses|(?:orbit|transect)-(\d{4}))", ref.scene)
         if found is None or not ref.frame.isdecimal():
             raise FrameError(f"{ref.name}: no view of this world; names are like orbit-0003/0007")
         optics = camera(settings.width, settings.height, settings.hfov_deg, settings.vfov_deg)
-        where, time_s, altitude_m = self._pose(int(found[2] or -1), int(ref.frame))
-        seen = z_buffer(where, optics, None, world.objects)
-        face = np.maximum(seen.which, 0)
-        part = np.where(seen.which < 0, 0, world.objects.owner[face] + np.int64(1))
-        instance = np.append(np.uint16(0), world.instances)[part]
-        with np.errstate(divide="ignore"):
-            depth_m = np.where(seen.inverse > 0, 1 / seen.inverse, np.float32(0))
+        view, path = int(ref.frame), found[2]
+        where, time_s = self._at(view) if path is None else self._drawn(int(path), view)
+        seen = z_buffer(where, optics, None, objects)
+        part = np.append(objects.owner + np.int64(1), 0)[seen.which]
+        segmentation, instance = objects.shown(part)
         frame = Frame(
             ref=ref,
-            rgb=self._photograph(where, optics, face, seen.which < 0),
-            depth_m=np.asarray(depth_m, np.float32),
+            rgb=self._photograph(where, optics, seen.which),
+            depth_m=np.where(seen.which < 0, np.float32(0), seen.depth_m),
             intrinsics=optics.intrinsics,
             world_from_camera=where.matrix,
-            segmentation=np.append(np.uint8(0), world.labels)[part],
+            segmentation=segmentation,
             instance=instance,
             time_s=time_s,
-            altitude_m=altitude_m,
-            boxes=boxes_of(
-                where, optics, world.objects, world.labels, world.instances, seen, instance
-            ),
+            altitude_m=self._above_ground_m(where.eye),
+            boxes=boxes_of(where, optics, objects, seen, instance),
         )
         return checked(frame, bad_depth=settings.bad_depth)
 
     @cached_property
-    def _world(self) -> _World:
+    def _world(self) -> tuple[Objects, npt.NDArray[np.uint8]]:
+        """The parts, and shades (T + 1, 3) of their faces and of nothing."""
         from .mesh_parts import read_parts
         from .seabed.camera import objects_of
 
@@ -175,23 +152,20 @@ class MeshReader:
                     f"scenes.classes: no part is called {one.parts}; there are {known}"
                 )
             labels[meant] = names.index(one.label)
-        objects = objects_of([part.mesh for part in parts])
-        corners = objects.mesh.vertices[objects.mesh.triangles]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        objects = objects_of([part.mesh for part in parts], labels)
+        a, b, c = objects.mesh.vertices[objects.mesh.triangles].transpose(1, 0, 2)
+        normal = np.cross(b - a, c - a)
         up = normal[:, 2] / np.maximum(np.linalg.norm(normal, axis=1), 1e-20)
         light = (0.65 + 0.35 * up)[:, None]  # from above, through water
         albedo = objects.mesh.colours[objects.mesh.triangles].mean(axis=1)
         shades = np.round(255 * np.clip(albedo * light, 0, 1) ** (1 / 2.2)).astype(np.uint8)
-        numbers = np.where(labels > 0, np.cumsum(labels > 0), 0).astype(np.uint16)
-        return _World(objects, labels, numbers, shades)
+        return objects, np.append(shades, np.zeros((1, 3), np.uint8), axis=0)
 
     def _photograph(
-        self, where: Pose, optics: Optics, face: npt.NDArray[np.int32], empty: npt.NDArray[np.bool_]
+        self, where: Pose, optics: Optics, face: npt.NDArray[np.int32]
     ) -> npt.NDArray[np.uint8]:
         if self._path.suffix.lower() != ".blend":
-            rgb = self._world.shades[face]
-            rgb[empty] = 0
-            return rgb
+            return self._world[1][face]
         import cv2
 
         from . import blend
@@ -199,72 +173,62 @@ class MeshReader:
 
         matrix = where.matrix
         matrix[:3, 3] /= self._settings.scale
-        lens, size = optics.lens.tolist(), (optics.width, optics.height)
-        process, given = reading_process(), (self._path, matrix.tolist(), lens, *size)
-        content = process.call(blend.photograph, *given, limit_s=600.0)
+        given = matrix.tolist(), optics.lens.tolist(), optics.width, optics.height
+        content = reading_process().call(blend.photograph, self._path, *given, limit_s=600.0)
         picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
         return np.ascontiguousarray(picture[..., ::-1])
 
-    @cached_property
-    def _poses(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def _recorded(self) -> tuple[Points, Points]:
         from .tum import trajectory
 
-        assert self._settings.poses is not None
-        return trajectory(Path(self._settings.poses).expanduser())
+        return trajectory(Path(self._settings.poses or "").expanduser())
 
-    def _pose(self, path: int, view: int) -> tuple[Pose, float, float | None]:
-        """Pose, time and height above the ground of a view."""
+    def _at(self, view: int) -> tuple[Pose, float]:
+        """Recorded pose and time of a view."""
         from .seabed.camera import Pose
 
-        if path < 0:
-            times, poses = self._poses
-            if view >= len(times):
-                raise FrameError(f"scenes.poses={self._settings.poses}: has no line {view + 1}")
-            matrix = poses[view]
-            where = Pose(matrix[:3, 3].copy(), np.ascontiguousarray(matrix[:3, :3]))
-            return where, float(times[view]), self._above_ground_m(where.eye)
-        return self._drawn(path, view)
+        times, poses = self._recorded()
+        if view >= len(times):
+            raise FrameError(f"scenes.poses={self._settings.poses}: has no line {view + 1}")
+        rotation = np.ascontiguousarray(poses[view, :3, :3])
+        return Pose(poses[view, :3, 3].copy(), rotation), float(times[view])
 
-    def _drawn(self, path: int, view: int) -> tuple[Pose, float, float | None]:
+    def _drawn(self, path: int, view: int) -> tuple[Pose, float]:
+        """Drawn pose and time of a view."""
         from .seabed.camera import pose
 
-        settings, objects = self._settings, self._world.objects
+        settings, objects = self._settings, self._world[0]
         rng = stream(0, "mesh", settings.route, path)
-        targets = np.flatnonzero(self._world.labels)
-        target = int(rng.choice(targets)) if len(targets) else None
+        targets = np.flatnonzero(objects.labels)
         points = objects.mesh.vertices
-        if target is not None:
-            points = points[objects.parts[target, 0] : objects.parts[target, 2]]
+        if len(targets):
+            first, _, last, _ = objects.parts[rng.choice(targets)]
+            points = points[first:last]
         low, high = points.min(axis=0).astype(float), points.max(axis=0).astype(float)
         centre, travelled = (low + high) / 2, settings.speed_m_s * view
+        reach = float(np.hypot(*(high - low)[:2])) / 2
         height_m, heading = rng.uniform(*settings.height_m), rng.uniform(0, 2 * np.pi)
         if settings.route == "orbit":
             distance_m, side = rng.uniform(*settings.distance_m), rng.choice([-1, 1])
-            distance_m += float(np.hypot(*(high - low)[:2])) / 2 * (target is not None)
-            angle = heading + side * travelled / distance_m
-            turns = np.linspace(0, 2 * np.pi, 9)[1:, None]
-            ring = centre + distance_m * np.hstack([np.cos(turns), np.sin(turns), 0 * turns])
-            eye = centre + distance_m * np.array([np.cos(angle), np.sin(angle), 0])
-            eye = self._raised(eye, height_m, ring)
-            heading, down = angle + np.pi, np.arctan2(eye[2] - centre[2], distance_m)
+            distance_m += reach * (len(targets) > 0)
+            heading += side * travelled / distance_m
+            ring = centre + distance_m * _level(np.linspace(0, 2 * np.pi, 9)[1:])
+            eye = self._raised(centre + distance_m * _level(heading), height_m, ring)
+            heading, down = heading + np.pi, np.arctan2(eye[2] - centre[2], distance_m)
         else:
-            aside = rng.uniform(-0.25, 0.25) * np.hypot(*(high - low)[:2])
-            ahead = np.array([np.cos(heading), np.sin(heading), 0])
-            reach = float(np.hypot(*(high - low)[:2])) / 2
-            start = travelled - reach
-            left = np.array([-ahead[1], ahead[0], 0])
-            line = centre + np.linspace(-1, 1, 9)[:, None] * ahead * reach + aside * left
-            eye = self._raised(centre + start * ahead + aside * left, height_m, line)
+            aside = 2 * rng.uniform(-0.25, 0.25) * reach * _level(heading + np.pi / 2)
+            ahead = _level(heading)
+            line = centre + np.linspace(-1, 1, 9)[:, None] * ahead * reach + aside
+            eye = self._raised(centre + (travelled - reach) * ahead + aside, height_m, line)
             down = np.deg2rad(rng.uniform(*settings.tilt_deg))
-        where = pose(eye, float(np.rad2deg(heading)), float(np.rad2deg(down)), 0.0)
-        return where, float(view), self._above_ground_m(eye)
+        return pose(eye, float(np.rad2deg(heading)), float(np.rad2deg(down)), 0.0), float(view)
 
     def _raised(self, point: Points, height_m: float, path: Points) -> Points:
         """The point so high above the middle height of the ground under a path.
 
         path: (N, 3).  It is clear of what lies under itself, and above itself without any ground.
         """
-        top = float(self._world.objects.mesh.vertices[:, 2].max()) + 1
+        top = float(self._world[0].mesh.vertices[:, 2].max()) + 1
         below = [self._above_ground_m(np.array([x, y, top])) for x, y, _ in (point, *path)]
         known = [top - one for one in below[1:] if one is not None]
         level = (float(np.median(known)) if known else float(point[2])) + height_m
@@ -274,7 +238,12 @@ class MeshReader:
     def _above_ground_m(self, eye: Points) -> float | None:
         from .seabed.camera import Optics, pose, z_buffer
 
-        down = z_buffer(pose(eye, 0, 90, 0), Optics(500, _GROUND_PX, _GROUND_PX), None,
-                        self._world.objects)  # fmt: skip
-        nearest = down.inverse[_GROUND_PX // 2, _GROUND_PX // 2]
+        optics, down = Optics(500, _GROUND_PX, _GROUND_PX), pose(eye, 0, 90, 0)
+        nearest = z_buffer(down, optics, None, self._world[0]).inverse[(_GROUND_PX // 2,) * 2]
         return float(1 / nearest) if nearest > 0 else None
+
+
+def _level(angle_rad: npt.ArrayLike) -> Points:
+    """(..., 3) unit vectors along headings."""
+    angle = np.asarray(angle_rad)
+    return np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=-1)

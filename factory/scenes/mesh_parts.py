@@ -1,6 +1,6 @@
 """Strangers' meshes: read in a process of their own, bounded, and said in one line what is wrong.
 
-.glb and .gltf by `gltf`, .blend by `blend`, .obj, .ply and .stl by Open3D.
+All by Open3D: .glb and .gltf after `gltf`, .blend after `blend` has made them that.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import io
 import re
 from functools import lru_cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import unquote
 
@@ -17,17 +18,18 @@ import numpy.typing as npt
 
 from ..errors import FactoryError
 from ..isolated import IsolatedProcess
-from ..small_files import one_line, parse_json
+from ..small_files import one_line
+from .gltf import document_of, linked, with_own_materials
 from .painted import Part, linear, painted
-from .seabed.meshes import GREY, Mesh, mesh
+from .seabed.meshes import GREY, Mesh, join, mesh
 
 MOST_FACES = 2_000_000
 _MOST_BYTES = 1 << 29
 # Blender reserves more than a gigabyte before it has read anything.
 _MEMORY_BYTES = 3 << 30
-_OPEN3D = (".obj", ".ply", ".stl")
-SUFFIXES = (".glb", ".gltf", *_OPEN3D, ".blend")
+SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".blend")
 _SMALLEST_M = 0.005
+_Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # from y up, z towards the viewer
 
 
 def files_of(path: Path, key: str) -> tuple[str, ...]:
@@ -56,10 +58,7 @@ def files_of(path: Path, key: str) -> tuple[str, ...]:
 def _named(path: Path) -> list[Path]:
     """Files that a .gltf or .obj names."""
     if path.suffix.lower() == ".gltf":
-        document = parse_json(path.read_bytes())
-        listed = [*document.get("buffers", ()), *document.get("images", ())]
-        uris = [one["uri"] for one in listed if "uri" in one]
-        return [path.parent / unquote(uri) for uri in uris if not uri.startswith("data:")]
+        return [path.parent / unquote(one["uri"]) for one in linked(document_of(path)[0])]
     if path.suffix.lower() != ".obj":
         return []
     libraries = _words(path, "mtllib")
@@ -101,11 +100,8 @@ def read_parts(path: Path, key: str, scale: float, largest_m: float) -> tuple[Pa
 def _parts(path: str, _modified_ns: int) -> tuple[Part, ...]:
     content = reading_process().call(load, Path(path), limit_s=300.0)
     with np.load(io.BytesIO(content), allow_pickle=False) as saved:
-        names = saved["names"].tolist()
-        return tuple(
-            Part(name, Mesh(*(saved[f"{kind}{k}"] for kind in "vct")))
-            for k, name in enumerate(names)
-        )
+        parts = enumerate(saved["names"].tolist())
+        return tuple(Part(name, Mesh(*(saved[f"{of}{k}"] for of in "vct"))) for k, name in parts)
 
 
 @lru_cache(maxsize=1)
@@ -120,14 +116,9 @@ def load(path: Path) -> bytes:
     Runs in a process of its own.
     """
     suffix = path.suffix.lower()
-    if suffix == ".blend":
-        from .blend import parts
-    elif suffix in _OPEN3D:
-        parts = _by_open3d
-    else:
-        from .gltf import parts
     try:
-        found = parts(path)
+        with TemporaryDirectory() as folder:
+            found = _by_open3d(path, suffix, Path(folder))
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OSError) as error:
         raise FactoryError(f"damaged, or no {suffix} file ({one_line(error)})") from error
     found = [part for part in found if len(part.mesh.triangles)]
@@ -162,29 +153,46 @@ def _outside_out(solid: Mesh) -> npt.NDArray[np.int32]:
     return solid.triangles
 
 
-def _by_open3d(path: Path) -> list[Part]:
+def _by_open3d(path: Path, suffix: str, folder: Path) -> list[Part]:
+    """folder: for copies, an empty one."""
     try:
         import open3d
     except (ImportError, OSError) as error:
         raise FactoryError(
-            f"needs the module open3d ({one_line(error)}): pip install 'simnfnd[open3d]', "
-            "or give a .glb"
+            f"needs the module open3d ({one_line(error)}): pip install 'simnfnd[open3d]'"
         ) from error
     if (faces := _claimed_faces(path)) > MOST_FACES:
         raise FactoryError(f"claims {faces:,} faces; at most {MOST_FACES:,} go: decimate it")
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
-    io_: Any = open3d.io
-    if path.suffix.lower() == ".obj":
-        model = io_.read_triangle_model(str(path))
-        meshes = [_of_model(one.mesh, model.materials[one.material_idx]) for one in model.meshes]
+    reader: Any = open3d.io
+    if suffix in (".ply", ".stl"):
+        found = reader.read_triangle_mesh(str(path))
+        if not found.has_vertex_colors():  # .stl has each corner of each face
+            found.remove_duplicated_vertices()
+        colours: npt.ArrayLike = GREY
+        if found.has_vertex_colors():
+            colours = linear(np.asarray(found.vertex_colors) * 255)
+        solid = mesh(np.asarray(found.vertices), np.asarray(found.triangles), colours)
+        return [Part(path.stem, solid)]
+    if suffix == ".blend":
+        from .blend import as_gltf
+
+        source, path = path, folder / "scene.glb"
+        as_gltf(source, path)
+    if suffix == ".obj":
+        model = reader.read_triangle_model(str(path))
+        meshes = [_of_model(one, model.materials[one.material_idx]) for one in model.meshes]
         return [Part(path.stem, found) for found in meshes]
-    found = io_.read_triangle_mesh(str(path))
-    if not found.has_vertex_colors():  # .stl has each corner of each face
-        found.remove_duplicated_vertices()
-    colours: npt.ArrayLike = GREY
-    if found.has_vertex_colors():
-        colours = linear(np.asarray(found.vertex_colors) * 255)
-    return [Part(path.stem, mesh(np.asarray(found.vertices), np.asarray(found.triangles), colours))]
+    copy, owners = with_own_materials(path, folder)
+    model = reader.read_triangle_model(str(copy))
+    if owners and not model.meshes:
+        raise ValueError("Open3D reads nothing of it; compressed?")
+    nodes: dict[tuple[int, str], list[Mesh]] = {owner: [] for owner in owners}
+    for one in model.meshes:
+        material = model.materials[one.material_idx]
+        made = _of_model(one, material, material.base_color[:3])
+        nodes[owners[one.material_idx]].append(made.moved(_Z_UP))
+    return [Part(name, join(some)) for (_, name), some in nodes.items() if some]
 
 
 def _claimed_faces(path: Path) -> int:
@@ -197,10 +205,14 @@ def _claimed_faces(path: Path) -> int:
     return int(found[1]) if head.startswith(b"ply") and found else 0
 
 
-def _of_model(found: Any, material: Any) -> Mesh:
+def _of_model(one: Any, material: Any, tint: npt.ArrayLike = 1) -> Mesh:
+    """tint: factor of its texture."""
+    found = one.mesh
     points, triangles = np.asarray(found.vertices), np.asarray(found.triangles)
     picture = np.asarray(material.albedo_img) if material.albedo_img else np.empty(0)
     if picture.ndim == 3 and found.has_triangle_uvs():
         places = np.asarray(found.triangle_uvs).reshape(-1, 3, 2) * (1, -1) + (0, 1)
-        return painted(points[triangles].astype(np.float32), places, linear(picture[..., :3]))
-    return mesh(points, triangles, material.base_color[:3])
+        albedo = linear(picture[..., :3]) * np.asarray(tint, np.float32)
+        return painted(points[triangles].astype(np.float32), places, albedo)
+    colours = np.asarray(found.vertex_colors) if found.has_vertex_colors() else None
+    return mesh(points, triangles, material.base_color[:3] if colours is None else colours)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -121,7 +122,8 @@ class Objects:
     """All objects of a location as one mesh.
 
     owner: (T,) object number of each triangle.  parts: (N, 4) first point, first triangle and the
-    ends of both, of each object.  balls: (N, 4) centre and radius around each.
+    ends of both, of each object.  balls: (N, 4) centre and radius around each.  labels, instances:
+    (N,) class, and number among those that have one, 0 for none.
     """
 
     mesh: Mesh
@@ -129,10 +131,19 @@ class Objects:
     owner: npt.NDArray[np.uint16]
     parts: npt.NDArray[np.int64]
     balls: Points
+    labels: npt.NDArray[np.uint8]
+    instances: npt.NDArray[np.uint16]
+
+    def shown(
+        self, number: npt.NDArray[Any]
+    ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint16]]:
+        """Class and instance of each object number, of which the first is 1 and 0 is none."""
+        label, instance = (np.append(of.dtype.type(0), of) for of in (self.labels, self.instances))
+        return label.take(number), instance.take(number)
 
 
-def objects_of(meshes: Sequence[Mesh]) -> Objects:
-    """Join the objects of a location."""
+def objects_of(meshes: Sequence[Mesh], labels: npt.NDArray[np.uint8]) -> Objects:
+    """Join the objects of a location, whose classes are `labels`."""
     whole = join(meshes)
     points = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
     triangles = np.cumsum([0] + [len(mesh.triangles) for mesh in meshes])
@@ -145,6 +156,8 @@ def objects_of(meshes: Sequence[Mesh]) -> Objects:
         owner=np.repeat(np.arange(len(meshes), dtype=np.uint16), np.diff(triangles)),
         parts=np.stack([points[:-1], triangles[:-1], points[1:], triangles[1:]], axis=-1),
         balls=np.concatenate([(low + high) / 2, radius], axis=1),
+        labels=labels,
+        instances=np.where(labels > 0, np.cumsum(labels > 0), 0).astype(np.uint16),
     )
 
 

@@ -13,8 +13,8 @@ from pydantic.dataclasses import dataclass
 
 from ...errors import FactoryError
 from ...seeds import stream
-from ...settings import STRICT, ClassName
-from ..base import Root
+from ...settings import STRICT
+from ..base import OwnClass, Root
 
 if TYPE_CHECKING:
     from .meshes import Mesh
@@ -29,26 +29,21 @@ _Count = Annotated[int, Field(ge=0, le=200)]
 
 
 @dataclass(frozen=True, config=ConfigDict(**STRICT, serialize_by_alias=True), kw_only=True)
-class OwnObject:
-    """An entry of `scenes.own_objects`.
+class OwnObject(OwnClass):
+    """An entry of `scenes.own_objects`; see also `OwnClass`.
 
     file: .glb, .gltf, .obj, .ply, .stl or .blend; its z (of .glb: y) points up.
-    class: what it is called in labels; a name of `labels.CLASSES`, or a new one.
     per_place: least and most of them in a place.  scale: metres per unit of the file.
     burial: least and most of its height in the ground.  tilt_deg: likewise, from upright.
     colour: albedo (red, green, blue; 0 to 1) instead of the mesh's own colours and textures.
-    reflectivity_db, lambert_exponent: of the class; see `acoustics`.
     """
 
     file: Root
-    label: Annotated[ClassName, Field(alias="class")]
     per_place: tuple[_Count, _Count] = (0, 1)
     scale: Annotated[float, Field(gt=0)] = 1.0
     burial: tuple[_Share, _Share] = (0.02, 0.18)
     tilt_deg: tuple[float, float] = (0.0, 10.0)
     colour: tuple[_Share, _Share, _Share] | None = None
-    reflectivity_db: Annotated[float, Field(ge=-80, le=20)] | None = None
-    lambert_exponent: Annotated[float, Field(ge=0, le=8)] | None = None
 
     def __post_init__(self) -> None:
         for name in ("per_place", "burial", "tilt_deg"):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections import OrderedDict
-from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
@@ -15,16 +15,14 @@ from ...errors import FrameError
 from ...frame import Frame, FrameRef, checked
 from ...labels import ObjectName
 from ...settings import STRICT
-from ..base import Discovery, Root, SceneSettings
+from ..base import Discovery, OwnClass, Root, SceneSettings
 from .biomes import PLACE_NAMES, PlaceName
-from .camera import HFOV_DEG, camera
+from .camera import camera
 from .own_objects import Owned, OwnObject, owned
 from .path import Movement, movements
 
 if TYPE_CHECKING:
     from .world import World
-
-Wide = TypeVar("Wide", bound=SceneSettings)
 
 _LAST = 10_000  # names have four digits and sort as numbers do
 _HELD = 2  # a location takes a second to build and tens of megabytes
@@ -60,9 +58,9 @@ class SeabedSettings(SceneSettings):
     places: Annotated[tuple[PlaceName, ...], Field(min_length=1)] | None = None
     own_objects: tuple[OwnObject, ...] = ()
 
-    def own_classes(self) -> tuple[str, ...]:
+    def own(self) -> tuple[OwnClass, ...]:
         """See `SceneSettings`."""
-        return tuple(one.label for one in self.own_objects)
+        return self.own_objects
 
     def __post_init__(self) -> None:
         """Refuse locations whose number has more than four digits, and half a sector."""
@@ -72,15 +70,6 @@ class SeabedSettings(SceneSettings):
             raise ValueError(f"first_location + locations must not exceed {_LAST}")
 
 
-def seeing(settings: Wide, hfov_deg: float, vfov_deg: float) -> Wide:
-    """The settings with a camera that sees a sonar's sector, where nothing else was asked for."""
-    given: Any = settings
-    if given.hfov_deg is not None or hfov_deg <= HFOV_DEG:
-        return settings
-    wider: Wide = replace(given, hfov_deg=hfov_deg, vfov_deg=vfov_deg)
-    return wider
-
-
 class SeabedReader:
     """Makes frames of procedural locations.  A frame depends on settings and its name alone."""
 
@@ -88,7 +77,6 @@ class SeabedReader:
         """Nothing is built before the first frame is loaded."""
         self._settings = settings
         self._worlds: OrderedDict[int, World] = OrderedDict()
-        self._owned: tuple[Owned, ...] | None = None
 
     def discover(self) -> Discovery:
         """List the frames: scene `seabed-0007` is location number 7, frame `0003` its pose 3."""
@@ -96,8 +84,8 @@ class SeabedReader:
         lines, first = self._movements(), settings.first_location
         frames = settings.frames_per_location if lines is None else len(lines)
         paths: tuple[str, ...] = () if settings.path is None else (settings.path,)
-        own = self._own()  # what is wrong with a mesh shows before a worker starts
-        paths += tuple(path for one in own for path in one.files)
+        # What is wrong with a mesh shows before a worker starts.
+        paths += tuple(path for one in self._own for path in one.files)
         refs = [
             FrameRef("seabed", f"seabed-{location:04d}", f"{frame:04d}", paths)
             for location in range(first, first + settings.locations)
@@ -129,10 +117,9 @@ class SeabedReader:
         path = self._settings.path
         return None if path is None else movements(Path(path).expanduser())
 
+    @cached_property
     def _own(self) -> tuple[Owned, ...]:
-        if self._owned is None:
-            self._owned = owned(self._settings.own_objects)
-        return self._owned
+        return owned(self._settings.own_objects)
 
     def _world(self, location: int) -> World:
         from .world import build_world
@@ -143,7 +130,7 @@ class SeabedReader:
             while len(self._worlds) >= _HELD:
                 self._worlds.popitem(last=False)
             self._worlds[location] = build_world(
-                location, places, settings.objects, settings.kinds, self._own()
+                location, places, settings.objects, settings.kinds, self._own
             )
         self._worlds.move_to_end(location)
         return self._worlds[location]

@@ -47,7 +47,7 @@ def take(
     things = np.append(np.uint16(0), world.objects.owner + np.uint16(1))
     first_object = 2 * (shape[0] - 1) * (shape[1] - 1)
     number = things.take(np.maximum(seen.which - (first_object - 1), 0)) * (range_m < clear_m)
-    instance = np.append(np.uint16(0), world.instances).take(number)
+    segmentation, instance = world.objects.shown(number)
     x, y, z = where.eye
     return Frame(
         ref=ref,
@@ -55,11 +55,11 @@ def take(
         depth_m=np.where(keep, depth_m, np.float32(0)),
         intrinsics=optics.intrinsics,
         world_from_camera=where.matrix,
-        segmentation=np.append(np.uint8(0), world.labels).take(number),
+        segmentation=segmentation,
         instance=instance,
         time_s=None if movement is None else movement.time_s,
         altitude_m=float(z - world.terrain.height_m(np.array([x]), np.array([y]))[0]),
-        boxes=boxes_of(where, optics, world.objects, world.labels, world.instances, seen, instance),
+        boxes=boxes_of(where, optics, world.objects, seen, instance),
     )
 
 

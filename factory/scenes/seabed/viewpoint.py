@@ -36,14 +36,14 @@ def choose_pose(world: World, frame: int) -> Pose:
                 candidates.append(pose(eye, heading + yaw, pitch + lower, roll))
                 effort.append(turning * abs(yaw) + 0.01 * abs(lower))
     ground = _ground_around(world, eye, np.deg2rad(heading))
-    wanted = world.instances > 0
+    wanted = world.objects.instances > 0
     lookouts = [pose(eye, heading + side, _DOWN_DEG, 0) for side in (_SIDE_DEG, -_SIDE_DEG)]
     seen = [
         z_buffer(where, _LOOKOUT, ground, world.objects, wanted, world.look.clear_m)
         for where in lookouts
     ]
     first_object = 2 * (ground.shape[0] - 1) * (ground.shape[1] - 1)
-    numbers = np.append(world.instances[world.objects.owner], np.uint16(0))
+    numbers = np.append(world.objects.instances[world.objects.owner], np.uint16(0))
     things = [numbers[np.where(s.which >= first_object, s.which - first_object, -1)] for s in seen]
     rays = camera(968, 608).directions(np.eye(3), _EVERY).reshape(-1, 3)
     length = np.sqrt((rays**2).sum(axis=1))

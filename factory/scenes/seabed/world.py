@@ -6,7 +6,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from ...labels import class_names
 from ...seeds import stream
@@ -25,9 +24,8 @@ from .things import KINDS, PLAIN
 class World:
     """One location.
 
-    labels, instances: (N,) by object number; pebbles have 0.  finishes: (N, 3) fouling, silt and
-    bump of each object, see `things.Kind`.  first_own: number in `instances` from which on they are
-    the user's own.
+    finishes: (N, 3) fouling, silt and bump of each object, see `things.Kind`.  first_own: number in
+    `objects.instances` from which on they are the user's own.
     """
 
     location: int
@@ -35,8 +33,6 @@ class World:
     path: Path
     look: Look
     objects: Objects
-    labels: npt.NDArray[np.uint8]
-    instances: npt.NDArray[np.uint16]
     finishes: Floats
     first_own: int = 1 << 16
 
@@ -73,9 +69,7 @@ def build_world(
         terrain,
         path,
         draw_look(stream(WORLD_SEED, "seabed", location, "light"), place),
-        objects_of([item.mesh for item in items]),
-        labels,
-        np.where(labels > 0, np.cumsum(labels > 0), 0).astype(np.uint16),
+        objects_of([item.mesh for item in items], labels),
         np.array([(kind.fouling, kind.silt, kind.bump) for kind in finish], np.float32),
         first_own,
     )

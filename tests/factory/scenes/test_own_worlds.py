@@ -176,13 +176,12 @@ def test_a_box_holds_its_object_and_says_how_much_shows() -> None:
     assert (length, width, height) == pytest.approx((0.6, 0.4, 0.5), abs=1e-5)
     # The nearer one hides the left half of the other's width, seen from the ground's height.
     optics, where = Optics(300, 242, 152), pose(np.array([0.0, 0, 0.25]), 90, 0, 0)
-    seen = z_buffer(where, optics, None, objects_of(solids))
+    objects = objects_of(solids, np.array([21, 22], np.uint8))
+    seen = z_buffer(where, optics, None, objects)
     from simnfnd.factory.scenes.boxes import boxes_of
 
     numbers = np.where(seen.which < 0, 0, 1 + (seen.which >= len(solids[0].triangles)))
-    labels, instances = np.array([21, 22], np.uint8), np.array([1, 2], np.uint16)
-    of = numbers.astype(np.uint16)
-    made = boxes_of(where, optics, objects_of(solids), labels, instances, seen, of)
+    made = boxes_of(where, optics, objects, seen, numbers.astype(np.uint16))
     assert made[:, :2].tolist() == [[1, 21], [2, 22]]
     for number, _, *_, alone, hidden in made:
         visible = np.count_nonzero(numbers == number)

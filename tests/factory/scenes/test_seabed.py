@@ -139,7 +139,7 @@ def test_an_empty_seabed_works() -> None:
 def test_leaving_a_kind_out_does_not_move_the_ground() -> None:
     whole = build_world(0, PLACE_NAMES, 1.0, None)
     fewer = build_world(0, PLACE_NAMES, 1.0, ("Tire",))
-    assert len(fewer.labels) < len(whole.labels)
+    assert len(fewer.objects.labels) < len(whole.objects.labels)
     x = np.linspace(-9, 9, 50, dtype=np.float32)
     np.testing.assert_array_equal(whole.terrain.height_m(x, x), fewer.terrain.height_m(x, x))
     np.testing.assert_array_equal(whole.path.loop.points, fewer.path.loop.points)
