@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -37,6 +36,8 @@ def oriented(points: npt.NDArray[np.floating]) -> tuple[float, ...]:
 
     Of all yaws the one with the least ground; the length is the longer side, yaw is from x to y.
     """
+    import cv2  # of the extra sonar
+
     flat = cv2.convexHull(np.ascontiguousarray(points[:, :2], np.float32))
     (x, y), (along, across), turn = cv2.minAreaRect(flat)
     if across > along:
