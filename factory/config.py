@@ -195,6 +195,9 @@ def from_mapping(values: Mapping[str, Any]) -> FactoryConfig:
         if sonar.hfov_deg > HFOV_DEG:  # a camera that sees a sonar's sector
             scenes = replace(scenes, hfov_deg=sonar.hfov_deg, vfov_deg=sonar.vfov_deg)
             config = replace(config, scenes=scenes)
+    if isinstance(scenes, SeabedSettings) and "boxes" in config.dataset.columns:
+        scenes = replace(scenes, boxes=True)
+        config = replace(config, scenes=scenes)
     classes = class_names(scenes.own_classes())
     return replace(config, acoustics=with_materials(config.acoustics, classes, scenes.own()))
 
@@ -280,8 +283,9 @@ def _with_content(scenes: Scenes, values: dict[str, Any]) -> None:
         values["classes"] = list(own)
     for one in values["scenes"].get("own_objects", ()):
         one["file"] = file_digest(one["file"], "scenes.own_objects")
-    if not values["scenes"].get("own_objects"):
-        values["scenes"].pop("own_objects", None)
+    for key in ("own_objects", "boxes"):
+        if not values["scenes"].get(key):
+            values["scenes"].pop(key, None)
     if isinstance(scenes, MeshSettings):
         for key, path in (("file", scenes.file), ("poses", scenes.poses)):
             values["scenes"][key] = None if path is None else file_digest(path, f"scenes.{key}")

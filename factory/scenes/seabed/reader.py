@@ -41,6 +41,7 @@ class SeabedSettings(SceneSettings):
     objects: factor on how many objects lie around.  kinds: only these (null: all).
     places: only these kinds of place, taken in turn (null: all).
     own_objects: the user's meshes; see `OwnObject`.
+    boxes: of each frame's objects; `dataset.columns=[boxes]` sets it.
     """
 
     kind: Literal["seabed"] = "seabed"
@@ -57,6 +58,7 @@ class SeabedSettings(SceneSettings):
     kinds: tuple[ObjectName, ...] | None = None
     places: Annotated[tuple[PlaceName, ...], Field(min_length=1)] | None = None
     own_objects: tuple[OwnObject, ...] = ()
+    boxes: bool = False
 
     def own(self) -> tuple[OwnClass, ...]:
         """See `SceneSettings`."""
@@ -110,7 +112,8 @@ class SeabedReader:
             if number >= len(lines):
                 raise FrameError(f"{ref.name}: scenes.path={settings.path} has no such line")
             number, movement = 0, lines[number]
-        frame = take(self._world(int(scene[1])), number, ref, optics, movement)
+        world = self._world(int(scene[1]))
+        frame = take(world, number, ref, optics, movement, boxes=settings.boxes)
         return checked(frame, bad_depth=settings.bad_depth)
 
     def _movements(self) -> tuple[Movement, ...] | None:

@@ -23,7 +23,13 @@ _FURTHEST_M = 20.0  # stereo matching reaches no further, however clear the wate
 
 
 def take(
-    world: World, frame: int, ref: FrameRef, optics: Optics, movement: Movement | None = None
+    world: World,
+    frame: int,
+    ref: FrameRef,
+    optics: Optics,
+    movement: Movement | None = None,
+    *,
+    boxes: bool = False,
 ) -> Frame:
     """Take frame number `frame` of a location.
 
@@ -59,7 +65,7 @@ def take(
         instance=instance,
         time_s=None if movement is None else movement.time_s,
         altitude_m=float(z - world.terrain.height_m(np.array([x]), np.array([y]))[0]),
-        boxes=boxes_of(where, optics, world.objects, seen, instance),
+        boxes=boxes_of(where, optics, world.objects, seen, instance) if boxes else None,
     )
 
 

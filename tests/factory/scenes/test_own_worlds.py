@@ -99,7 +99,7 @@ def own(folder: Path, entry: str, *words: str) -> FactoryConfig:
 
 def test_own_objects_lie_in_every_place_and_leave_the_rest_as_it_was(folder: Path) -> None:
     asked = "cube.ply, class: crate, per_place: [2, 3], reflectivity_db: -7"
-    config = own(folder, asked, "scenes.locations=2")
+    config = own(folder, asked, "scenes.locations=2", "scenes.boxes=true")
     assert config.acoustics.reflectivity_db["crate"] == -7
     assert from_mapping(plain(config)) == config
     without = compose_config([*SMALL, "scenes.locations=2"])
@@ -172,8 +172,8 @@ def test_a_box_holds_its_object_and_says_how_much_shows() -> None:
     *centre, length, width, height, yaw = oriented(points)
     c, s = np.cos(yaw), np.sin(yaw)
     local = (points - centre) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    assert np.abs(local).max(axis=0) == pytest.approx([length / 2, width / 2, height / 2], abs=1e-5)
-    assert (length, width, height) == pytest.approx((0.6, 0.4, 0.5), abs=1e-5)
+    assert np.abs(local).max(axis=0) == pytest.approx([length / 2, width / 2, height / 2], abs=1e-3)
+    assert (length, width, height) == pytest.approx((0.6, 0.4, 0.5), abs=1e-3)
     # The nearer one hides the left half of the other's width, seen from the ground's height.
     optics, where = Optics(300, 242, 152), pose(np.array([0.0, 0, 0.25]), 90, 0, 0)
     objects = objects_of(solids, np.array([21, 22], np.uint8))
