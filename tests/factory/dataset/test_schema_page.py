@@ -66,7 +66,7 @@ def test_a_stranger_can_compute_the_config_hash(tmp_path: Path) -> None:
 def test_the_python_of_the_documentation_runs(tmp_path: Path) -> None:
     whole(tmp_path / "outputs" / "demo")
     blocks = [step for step in readme_steps.steps(PAGE) if step.kind == "python"]
-    assert len(blocks) == 4
+    assert len(blocks) == 3
     for block in blocks:
         done = subprocess.run(
             [sys.executable, "-c", block.text],
@@ -76,4 +76,3 @@ def test_the_python_of_the_documentation_runs(tmp_path: Path) -> None:
             text=True,
         )
         assert done.returncode == 0, done.stderr
-    assert "8 (24, 20) (0.0, 1.0) m b'alpha'" in done.stdout
