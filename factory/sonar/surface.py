@@ -122,7 +122,7 @@ def mount_weight(
     cosine_camera, cosine, nearer = filled
     cosine_camera = np.maximum(cosine_camera, np.float32(_GRAZING_COSINE))
     cosine = np.maximum(cosine, np.float32(_GRAZING_COSINE))
-    power = np.asarray(exponent, np.float32) - np.float32(1)
+    power = np.float32(exponent - 1)
     return np.asarray(cosine**power / cosine_camera * nearer, np.float32)
 
 
