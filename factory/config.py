@@ -195,7 +195,7 @@ def from_mapping(values: Mapping[str, Any]) -> FactoryConfig:
         if sonar.hfov_deg > HFOV_DEG:  # a camera that sees a sonar's sector
             scenes = replace(scenes, hfov_deg=sonar.hfov_deg, vfov_deg=sonar.vfov_deg)
             config = replace(config, scenes=scenes)
-    if isinstance(scenes, SeabedSettings) and "boxes" in config.dataset.columns:
+    if isinstance(scenes, SeabedSettings | MeshSettings) and "boxes" in config.dataset.columns:
         scenes = replace(scenes, boxes=True)
         config = replace(config, scenes=scenes)
     classes = class_names(scenes.own_classes())

@@ -38,21 +38,26 @@ def oriented(points: npt.NDArray[np.floating]) -> tuple[float, ...]:
     """
     flat = points[:, :2].astype(np.float64)
     middle = flat.mean(axis=0)
-    turns, best = np.deg2rad(np.arange(0.0, 90.0)), 0.0
-    for step_rad in (np.deg2rad(0.05), 0.0):
-        # One side along, seen from each yaw at once.
-        axes = np.array([[np.cos(turns), -np.sin(turns)], [np.sin(turns), np.cos(turns)]])
-        seen = np.tensordot(flat - middle, axes, 1)
-        least, most = seen.min(axis=0), seen.max(axis=0)
-        at = int(np.argmin(np.prod(most - least, axis=0)))
-        best, extent, offset = turns[at], (most - least)[:, at], (most + least)[:, at] / 2
-        turns = best + step_rad * np.arange(-20, 21)
-    x, y = axes[:, :, at] @ offset + middle
-    yaw = best if extent[0] >= extent[1] else best + np.pi / 2
+    coarse, _, _ = _narrowest(flat - middle, np.arange(0.0, 90.0))
+    yaw_deg, extent, centre = _narrowest(flat - middle, coarse + 0.05 * np.arange(-20, 21))
     low, high = float(points[:, 2].min()), float(points[:, 2].max())
-    along, across = float(extent.max()), float(extent.min())
-    yaw = float((yaw + np.pi / 2) % np.pi - np.pi / 2)
-    return float(x), float(y), (low + high) / 2, along, across, high - low, yaw
+    yaw = np.deg2rad((yaw_deg + (0 if extent[0] >= extent[1] else 90) + 90) % 180 - 90)
+    x, y = (centre + middle).tolist()
+    return x, y, (low + high) / 2, *sorted(extent.tolist(), reverse=True), high - low, float(yaw)
+
+
+def _narrowest(flat: Numbers, yaws_deg: Numbers) -> tuple[float, Numbers, Numbers]:
+    """Of the rectangles around (V, 2) points at some yaws the one of least area.
+
+    Its yaw, its extent along and across that, and its centre.
+    """
+    cosine, sine = np.cos(np.deg2rad(yaws_deg)), np.sin(np.deg2rad(yaws_deg))
+    axes = np.array([[cosine, -sine], [sine, cosine]])
+    seen = np.tensordot(flat, axes, 1)
+    least, most = seen.min(axis=0), seen.max(axis=0)
+    at = int(np.argmin(np.prod(most - least, axis=0)))
+    centre = axes[:, :, at] @ (most + least)[:, at] / 2
+    return float(yaws_deg[at]), (most - least)[:, at], centre
 
 
 def _outline(

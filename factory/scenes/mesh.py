@@ -56,7 +56,7 @@ class MeshSettings(SceneSettings):
     paths, views_per_path: how many paths, each a scene, and views of each, a second apart.
     height_m: least and most above the ground right under the camera.  distance_m: of an orbit.
     tilt_deg: how far a transect looks down.  speed_m_s: of the camera.
-    width, height, hfov_deg, vfov_deg: of the camera, as of `scenes=seabed`.
+    width, height, hfov_deg, vfov_deg: of the camera; these and boxes as of `scenes=seabed`.
     """
 
     kind: Literal["mesh"] = "mesh"
@@ -76,6 +76,7 @@ class MeshSettings(SceneSettings):
     height: Annotated[int, Field(ge=48, le=4096)] = 608
     hfov_deg: Annotated[float, Field(gt=0, le=150)] | None = None
     vfov_deg: Annotated[float, Field(gt=0, le=60)] | None = None
+    boxes: bool = False
 
     def own(self) -> tuple[OwnClass, ...]:
         """See `SceneSettings`."""
@@ -130,7 +131,7 @@ class MeshReader:
             instance=instance,
             time_s=time_s,
             altitude_m=self._above_ground_m(where.eye),
-            boxes=boxes_of(where, optics, objects, seen, instance),
+            boxes=boxes_of(where, optics, objects, seen, instance) if settings.boxes else None,
         )
         return checked(frame, bad_depth=settings.bad_depth)
 
@@ -169,12 +170,12 @@ class MeshReader:
         import cv2
 
         from . import blend
-        from .mesh_parts import reading_process
+        from .mesh_parts import READING
 
         matrix = where.matrix
         matrix[:3, 3] /= self._settings.scale
         given = matrix.tolist(), optics.lens.tolist(), optics.width, optics.height
-        content = reading_process().call(blend.photograph, self._path, *given, limit_s=600.0)
+        content = READING.call(blend.photograph, self._path, *given, limit_s=600.0)
         picture = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
         return np.ascontiguousarray(picture[..., ::-1])
 

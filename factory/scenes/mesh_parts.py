@@ -98,16 +98,14 @@ def read_parts(path: Path, key: str, scale: float, largest_m: float) -> tuple[Pa
 
 @lru_cache(maxsize=16)
 def _parts(path: str, _modified_ns: int) -> tuple[Part, ...]:
-    content = reading_process().call(load, Path(path), limit_s=300.0)
+    content = READING.call(load, Path(path), limit_s=300.0)
     with np.load(io.BytesIO(content), allow_pickle=False) as saved:
         parts = enumerate(saved["names"].tolist())
         return tuple(Part(name, Mesh(*(saved[f"{of}{k}"] for of in "vct"))) for k, name in parts)
 
 
-@lru_cache(maxsize=1)
-def reading_process() -> IsolatedProcess:
-    """Where files are read: what hangs, crashes or takes all memory there harms nothing here."""
-    return IsolatedProcess(_MEMORY_BYTES)
+READING = IsolatedProcess(_MEMORY_BYTES)
+"""Where files are read: what hangs, crashes or takes all memory there harms nothing here."""
 
 
 def load(path: Path) -> bytes:

@@ -77,7 +77,7 @@ def side_by_side(directories: Mapping[str, Path], out: Path, pairs: int = 4) -> 
 
     directories: the name of each, and its folder.
     """
-    rows = {row[0]: row for row in in_common(list(directories.values()))}
+    rows = {row[0]: row for row in in_common(list(directories.values()), trusted=True)}
     shown = []
     for first in spread(list(rows), pairs):
         for name, sample in zip(directories, rows[first], strict=True):
@@ -86,11 +86,16 @@ def side_by_side(directories: Mapping[str, Path], out: Path, pairs: int = 4) -> 
     write_atomically(out, draw(shown, " and ".join(directories), ""), key="dataset.dir")
 
 
-def in_common(directories: Sequence[Path]) -> list[tuple[SampleName, ...]]:
-    """What all datasets have of the same frame and variant, one of each, in order."""
+def in_common(
+    directories: Sequence[Path], *, trusted: bool = False
+) -> list[tuple[SampleName, ...]]:
+    """What all datasets have of the same frame and variant, one of each, in order.
+
+    trusted: as of `preview`.
+    """
     tables = [
         {(one.location, one.scene, one.frame, one.variant): one for one in source.names()}
-        for source in (open_source(folder, "all", trusted=True) for folder in directories)
+        for source in (open_source(folder, "all", trusted=trusted) for folder in directories)
     ]
     common = [name for name in tables[0] if all(name in table for table in tables)]
     return [tuple(table[name] for table in tables) for name in common]

@@ -447,7 +447,7 @@ bpy.ops.wm.save_as_mainfile(filepath={str(made)!r})
 
 
 def test_renders_and_packs_keep_boxes_and_classes(folder: Path, tmp_path: Path) -> None:
-    config = world(folder)
+    config = world(folder, "scenes.boxes=true")
     reader = open_reader(config.scenes)
     ref = reader.discover().frames[0]
     frame, mount = reader.load(ref), config.sonar.mount
