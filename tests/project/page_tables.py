@@ -15,7 +15,9 @@ SMALL = (
     "scenes.height=304",
 )
 _EXAMPLE = Run(instead=(("python examples", "python {root}/examples"),))
-_SMALL_MAKE = Run((*SMALL, "render=embree"))
+_SERIAL = (*SMALL, "scheduler=serial")
+_SMALL_MAKE = Run((*_SERIAL, "render=embree"))
+_FEW = ("limit=2", "bootstrap=100", "workers=1")
 
 # Page -> command -> how it is run, in the order of reading.
 PAGES: dict[str, dict[str, How]] = {
@@ -27,13 +29,13 @@ PAGES: dict[str, dict[str, How]] = {
     },
     "docs/tutorials/first-dataset.md": {
         # README.md has made it: the command finds it whole.
-        "simnfnd demo": Run((*SMALL, "scenes.frames_per_location=2")),
+        "simnfnd demo": Run((*_SERIAL, "scenes.frames_per_location=2")),
         "simnfnd preview outputs/demo --out outputs/sheet.png --pairs 4": Run(),
         "simnfnd inspect outputs/demo": Run(),
         "simnfnd validate outputs/demo --deep": Run(),
         "simnfnd export outputs/demo --to huggingface --out outputs/hub": Run(),
         "simnfnd make render=analytic scenes.locations=3 scenes.frames_per_location=2 "
-        "frames.variants=2 dataset.dir=outputs/larger": Run(SMALL),
+        "frames.variants=2 dataset.dir=outputs/larger": Run(_SERIAL),
         "simnfnd plan render=analytic scenes.locations=100": Elsewhere(
             "tests/factory/render/test_cache_commands.py", '"plan", *words'
         ),
@@ -49,14 +51,14 @@ PAGES: dict[str, dict[str, How]] = {
         "python examples/make_valve.py valve.glb": _EXAMPLE,
         "simnfnd make +scenes/objects=example experiment=physical render=embree scenes.objects=0.5 "
         "scenes.locations=10 frames.variants=2 dataset.layers=[segmentation] "
-        "dataset.columns=[boxes] dataset.dir=outputs/valves": Run((*SMALL, "frames.variants=1")),
+        "dataset.columns=[boxes] dataset.dir=outputs/valves": Run((*_SERIAL, "frames.variants=1")),
         "python examples/draw_boxes.py outputs/valves valves.png": _EXAMPLE,
         "simnfnd export outputs/valves --to coco --out outputs/valves-coco": Run(),
         "simnfnd export outputs/valves --to yolo --out outputs/valves-yolo": Run(),
         "simnfnd make scenes=mesh scenes.file=valve.glb "
         "\"scenes.classes=[{class: valve, parts: '*'}]\" render=analytic scenes.paths=2 "
         "scenes.views_per_path=3 dataset.layers=[segmentation] dataset.dir=outputs/world": Run(
-            SMALL[2:]
+            _SERIAL[2:]
         ),
     },
     "docs/tutorials/noise-sweep.md": {
@@ -75,12 +77,12 @@ PAGES: dict[str, dict[str, How]] = {
         "simnfnd denoise outputs/demo --out outputs/denoised-own "
         "--weights outputs/models/nafnet/weights.safetensors": Run(),
         "simnfnd denoise outputs/demo --out outputs/denoised": Run(),
-        "simnfnd evaluate dataset=outputs/demo": Run(("limit=2", "bootstrap=100")),
+        "simnfnd evaluate dataset=outputs/demo": Run(_FEW),
         "simnfnd evaluate dataset=outputs/demo baselines=[all] "
         "models=[outputs/models/nafnet,simnfnd]": Run(
-            ("limit=2", "bootstrap=100"), instead=(("baselines=[all]", "baselines=[median]"),)
+            _FEW, instead=(("baselines=[all]", "baselines=[median]"),)
         ),
-        "simnfnd evaluate tune dataset=outputs/demo": Run(("tuning.pairs=2", "baselines=[median]")),
+        "simnfnd evaluate tune dataset=outputs/demo": Run(("tuning.pairs=2", "workers=1", "baselines=[median]")),
         "simnfnd evaluate compare outputs/evaluation/demo-test outputs/evaluation/demo-test "
         "--row-b noisy": Run(),
     },
@@ -97,7 +99,7 @@ PAGES: dict[str, dict[str, How]] = {
     },
     "docs/how-to/sonar.md": {
         "simnfnd make sonar=oculus_m750d_hf sonar.mount.translation_m='[0, 0, 0.5]' "
-        "scenes.locations=2 scenes.frames_per_location=2 dataset.dir=outputs/oculus": Run(SMALL),
+        "scenes.locations=2 scenes.frames_per_location=2 dataset.dir=outputs/oculus": Run(_SERIAL),
         "simnfnd make sonar.image.layout=polar sonar.transfer.kind=log scenes.locations=2 "
         "scenes.frames_per_location=2 dataset.dir=outputs/polar": _SMALL_MAKE,
         "simnfnd make --help": Run(),
@@ -111,7 +113,7 @@ PAGES: dict[str, dict[str, How]] = {
     },
     "docs/how-to/flsea.md": {
         "simnfnd make experiment=simnfnd scenes.root=flsea-vi dataset.dir=outputs/flsea": Run(
-            ("frames.limit=1",),
+            ("frames.limit=1", "scheduler=serial"),
             instead=(("scenes.root=flsea-vi", "scenes.root={shared}/data/flsea-vi"),),
             needs="{shared}/data/flsea-vi",
         ),

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
+import shlex
 import subprocess
 import sys
 import textwrap
@@ -16,6 +18,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
+
+from simnfnd.command import main
 from tests.project_files import ROOT
 
 SHARED = ROOT.parent / "shared"
@@ -158,8 +163,7 @@ def missing(how: Run, sandbox: Path) -> str | None:
     return None if Path(path).exists() else path
 
 
-def command(step: Step, how: Run, sandbox: Path) -> list[str]:
-    """The argument vector that runs `step` as `how` says.  ValueError when they do not fit."""
+def _text(step: Step, how: Run, sandbox: Path) -> str:
     text = step.text
     for old, new in how.instead:
         if old not in text:
@@ -167,7 +171,36 @@ def command(step: Step, how: Run, sandbox: Path) -> list[str]:
                 f"{step.page}:{step.line}: the table replaces `{old}`, which is not there"
             )
         text = text.replace(old, new)
-    text = _filled(text, sandbox)
+    return _filled(text, sandbox)
+
+
+def here(step: Step, how: Run, sandbox: Path) -> int:
+    """Run `step` in this process, with `sandbox` as working directory; returns its exit code.
+
+    Nothing has to be started and imported, which takes most of the time of a small command.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(sandbox)
+        text = _text(step, how, sandbox)
+        if step.kind == "python":
+            exec(compile(text, step.page, "exec"), {"__name__": "__main__"})
+            return 0
+        program, *words = [*shlex.split(text), *(_filled(word, sandbox) for word in how.extra)]
+        try:
+            if program == "python":
+                patch.setattr(sys, "argv", words)
+                runpy.run_path(words[0], run_name="__main__")
+                return 0
+            assert program == "simnfnd", f"{step.page}:{step.line}: {program} is none of ours"
+            patch.setattr(sys, "argv", ["simnfnd"])  # Hydra's words are put there
+            return main(words)
+        except SystemExit as ended:
+            return int(ended.code or 0)
+
+
+def command(step: Step, how: Run, sandbox: Path) -> list[str]:
+    """The argument vector that runs `step` as `how` says.  ValueError when they do not fit."""
+    text = _text(step, how, sandbox)
     extra = _filled(" ".join(how.extra), sandbox)
     if step.kind == "python":
         return [sys.executable, "-c", text]

@@ -1,7 +1,8 @@
 """Every command of README.md, of the tutorials and of the how-to pages runs, smaller.
 
 The tables say with what sizes: that of README.md here, the others in page_tables.py.  All run in
-one folder, so that a page may use what an earlier one made.
+one folder, so that a page may use what an earlier one made: README.md as its reader runs it, the
+others in this process.
 """
 
 from __future__ import annotations
@@ -102,8 +103,12 @@ RUN_HERE = [
 @pytest.mark.parametrize(
     ("step", "how"), RUN_HERE, ids=[f"{Path(step.page).stem}-{step.line}" for step, _ in RUN_HERE]
 )
-def test_step_runs(step: Step, how: Run, sandbox: Path) -> None:
+def test_step_runs(step: Step, how: Run, sandbox: Path, capfd) -> None:
     if lacking := readme_steps.missing(how, sandbox):
         pytest.skip(f"needs {lacking}")
-    done = readme_steps.run(step, how, sandbox, TIMEOUT_S)
-    assert done.returncode == 0, f"{step.page}:{step.line}: {step.text}\n{done.stdout[-4000:]}"
+    if step.page == "README.md":
+        done = readme_steps.run(step, how, sandbox, TIMEOUT_S)
+        code, said = done.returncode, done.stdout
+    else:
+        code, said = readme_steps.here(step, how, sandbox), "".join(capfd.readouterr())
+    assert code == 0, f"{step.page}:{step.line}: {step.text}\n{said[-4000:]}"
