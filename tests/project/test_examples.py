@@ -20,6 +20,7 @@ from simnfnd import denoise
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
 from tests.fake_ros import write_fake_ros
+from tests.project.page_steps import PAGES, steps
 from tests.project.run_example import EXAMPLES, run
 from tests.project_files import ROOT
 from tests.small_dataset import write_dataset
@@ -139,8 +140,7 @@ def test_the_papers_figures(tmp_path: Path) -> None:
 def test_every_example_is_tested() -> None:
     tests = "".join(
         path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py")
-    )
-    pages = (ROOT / "tests/project/page_tables.py").read_text(encoding="utf-8")
+    ) + "".join(step.text for page in PAGES for step in steps(page))
     for path in EXAMPLES.glob("*.py"):
-        run = f'"{path.name}"' in tests or f'"python examples/{path.name} ' in pages
+        run = f'"{path.name}"' in tests or f"python examples/{path.name} " in tests
         assert run, f"{path.name} is run by no test"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
+
+import pytest
 
 from simnfnd.factory.dataset.format.schema import (
     OPTIONAL_LAYERS,
@@ -20,10 +20,11 @@ from simnfnd.factory.noise.registry import NoiseSettings
 from simnfnd.factory.sample_table.record import columns, requested
 from tests.factory.dataset.hostile import whole
 from tests.fake_source import FakeConfig, FakeSource, refs
-from tests.project import readme_steps
+from tests.project.page_steps import run, steps
 from tests.project_files import ROOT
 
 PAGE = (ROOT / "docs" / "dataset.md").read_text(encoding="utf-8")
+PYTHON = [step for step in steps(ROOT / "docs" / "dataset.md") if step.kind == "python"]
 
 
 def test_every_layer_column_and_attribute_is_documented() -> None:
@@ -43,7 +44,9 @@ def test_every_layer_column_and_attribute_is_documented() -> None:
     assert ", ".join(f"{number} {name}" for number, name in enumerate(CLASSES)) in PAGE
 
 
-def test_a_stranger_can_compute_the_config_hash(tmp_path: Path) -> None:
+def test_a_stranger_can_compute_the_config_hash(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """With the Python of the documentation, of a shard as the factory writes it."""
     config = {"seed": 7, "noise": {"rate": 0.1, "modes": ("radial", "ärger")}, "limit": None}
     source = FakeSource(FakeConfig())
@@ -56,23 +59,13 @@ def test_a_stranger_can_compute_the_config_hash(tmp_path: Path) -> None:
         Provenance(config, config_hash(config), "tests"),
         DatasetSettings(),
     )
-    (block,) = (step for step in readme_steps.steps(PAGE) if "blake2b" in step.text)
-    done = subprocess.run(
-        [sys.executable, "-c", block.text], cwd=tmp_path, capture_output=True, text=True
-    )
-    assert done.stdout.split() == [config_hash(config)] * 2, done.stderr
+    (block,) = (step for step in PYTHON if "blake2b" in step.text)
+    run(block, tmp_path)
+    assert capsys.readouterr().out.split() == [config_hash(config)] * 2
 
 
 def test_the_python_of_the_documentation_runs(tmp_path: Path) -> None:
     whole(tmp_path / "outputs" / "demo")
-    blocks = [step for step in readme_steps.steps(PAGE) if step.kind == "python"]
-    assert len(blocks) == 3
-    for block in blocks:
-        done = subprocess.run(
-            [sys.executable, "-c", block.text],
-            cwd=tmp_path,
-            env={"PYTHONPATH": str(ROOT)},
-            capture_output=True,
-            text=True,
-        )
-        assert done.returncode == 0, done.stderr
+    assert len(PYTHON) == 3
+    for block in PYTHON:
+        run(block, tmp_path)
