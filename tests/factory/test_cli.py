@@ -1,7 +1,6 @@
 """The command line: what it makes, what it says, and how it ends."""
 
 import json
-import shutil
 import signal
 import sys
 
@@ -12,9 +11,6 @@ import pytest
 
 from simnfnd.command import main
 from tests.factory.cli_frames import FAST, ground, write_frame
-from tests.project_files import ROOT
-
-FLSEA = ROOT.parent / "shared/data/flsea-vi"
 
 
 def run(monkeypatch, *words: str) -> int:
@@ -130,23 +126,6 @@ def test_bad_input_is_one_clear_line_and_exit_code_2(monkeypatch, tmp_path, word
     assert not (tmp_path / "out").exists()
 
 
-def test_an_output_that_cannot_be_written_is_said_before_work_starts(
-    monkeypatch, tmp_path, flsea, capfd
-):
-    (tmp_path / "file").write_text("in the way")
-    code = run(
-        monkeypatch,
-        "scenes=flsea",
-        f"scenes.root={flsea}",
-        f"dataset.dir={tmp_path}/file/out",
-        *FAST,
-    )
-    error = capfd.readouterr().err
-    assert code == 2
-    assert "file" in error
-    assert len(error.strip().splitlines()) == 1
-
-
 def test_a_traceback_is_shown_with_debug_only(monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "argv", ["simnfnd"])
     with pytest.raises(Exception, match=r"resample\.rate"):
@@ -252,18 +231,3 @@ def test_stride_limit_variants_and_only(monkeypatch, tmp_path, flsea):
     assert run(monkeypatch, *words, f"dataset.dir={one}", f"frames.only=[{name}]") == 0
     with h5py.File(next(one.glob("*/*.h5"))) as shard:
         assert shard["meta"]["frame"].tolist() == [b"16233044541765601"]
-
-
-@pytest.mark.skipif(not FLSEA.exists(), reason="no FLSea frames beside the project")
-def test_real_frames_make_pairs(monkeypatch, tmp_path, capfd):
-    out = tmp_path / "real"
-    shutil.rmtree(out, ignore_errors=True)
-    code = run(
-        monkeypatch, "experiment=simnfnd", f"scenes.root={FLSEA}", f"dataset.dir={out}", *FAST
-    )
-    assert code == 0
-    manifest = json.loads((out / "manifest.json").read_text())
-    counts: dict[str, int] = {}
-    for shard in manifest["shards"]:
-        counts[shard["split"]] = counts.get(shard["split"], 0) + shard["samples"]
-    assert counts == {"test": 4, "train": 2}

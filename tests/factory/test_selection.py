@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 
 from simnfnd.command import main
-from simnfnd.factory.config import digest, from_mapping, identity
+from simnfnd.factory.config import from_mapping
 from simnfnd.factory.frame import FrameRef
 from simnfnd.factory.selection import choose_frames, split_frames, split_warnings
 from tests.factory.cli_frames import FAST, ground, write_frame
@@ -42,12 +42,6 @@ def test_a_larger_total_keeps_the_frames_of_a_smaller_one():
     chosen = [set(choose_frames(frames, settings(frames={"total": n}))) for n in range(1, 90)]
     assert all(few <= more for few, more in pairwise(chosen))
     assert [len(one) for one in chosen] == [*range(1, 89), 88]
-
-
-def test_datasets_without_a_total_are_called_as_before():
-    assert "total" not in identity(settings())["frames"]
-    hashes = {digest(identity(settings(frames={"total": n}))) for n in (None, 3, 4)}
-    assert len(hashes) == 3
 
 
 def test_a_split_that_stays_empty_is_told_with_one_that_works():

@@ -84,13 +84,6 @@ def test_root_installs_after_an_update(machine: Machine) -> None:
     assert "chromium" in more, "for the test of the report"
 
 
-@pytest.mark.skipif(sys.version_info[:2] != (3, 11), reason="tells Python 3.11 from others")
-def test_the_first_python_that_works_is_found(machine: Machine) -> None:
-    path = machine({"python3.11": "exit 127", "python3": PYTHON})
-    said = run("find_python.sh", path)
-    assert (said.returncode, said.stdout.strip()) == (0, str(path / "python3"))
-
-
 def test_no_python_311_is_one_clear_line(machine: Machine) -> None:
     said = run("find_python.sh", machine({"python3": "exit 1"}))
     assert said.returncode == 2
