@@ -64,12 +64,6 @@ class Method:
         return "baseline" if self.weights is None else "network"
 
     @property
-    def looks(self) -> bool:
-        """Whether it sees several pictures of a scene at once."""
-        known = REGISTRY.get(self.name) if self.kind == "baseline" else None
-        return known is not None and known.looks
-
-    @property
     def uses_geometry(self) -> bool:
         """Whether it may ask where range and bearing are."""
         return self.kind == "network" or REGISTRY[self.name].uses_geometry

@@ -48,11 +48,8 @@ class Subject:
         """Changes with everything that a method sees of it and is measured by; '': not stored."""
         return ""
 
-    def seen(self, method: Method) -> Gray:
-        """(H, W) in 0..1, or (T, H, W) for a method of several looks.
-
-        Raises FactoryError for a damaged picture, MethodFailed for a method that needs more.
-        """
+    def seen(self) -> Gray:
+        """(H, W) in 0..1.  Raises FactoryError for a damaged picture."""
         raise NotImplementedError
 
     def geometry(self) -> FanGeometry | None:
@@ -250,7 +247,7 @@ def denoised(method: Method, subject: Subject, device: str) -> tuple[Gray, float
             return subject.given(method), math.nan
         except FactoryError as error:
             raise MethodFailed(str(error)) from error
-    image = subject.seen(method)
+    image = subject.seen()
     geometry = subject.geometry() if method.uses_geometry else None
     try:
         return _timed(method, image, geometry, device)

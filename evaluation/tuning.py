@@ -62,9 +62,6 @@ def tune(settings: EvaluationSettings, baselines: Sequence[Baseline], pool: Task
         key = _key(baseline, items)
         if known.get(baseline.name, {}).get("key") == key:
             continue
-        if baseline.looks and all(len(item.looks) < 2 for item in items):
-            lost[baseline.name] = "needs several noise variants a frame"
-            continue
         default = dict(baseline.default)
         grid = [default, *(point for point in baseline.points() if point != default)]
         todo[baseline.name] = key, grid, {}

@@ -8,7 +8,6 @@ from ...factory.errors import FactoryError
 from .base import Baseline
 from .bm3d import bm3d
 from .deblur import richardson_lucy_range
-from .literature import LITERATURE
 from .plain import (
     bilateral,
     gaussian,
@@ -64,8 +63,8 @@ _FILTERS = (
              "Richardson 1972, Lucy 1974; along range"),
 )  # fmt: skip
 
-REGISTRY: dict[str, Baseline] = {one.name: one for one in (*_FILTERS, *LITERATURE)}
-"""All filters by name: those that users know first, then those after the literature."""
+REGISTRY: dict[str, Baseline] = {one.name: one for one in _FILTERS}
+"""All filters by name, those that users know first."""
 
 
 def chosen(names: Sequence[str]) -> list[Baseline]:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ...factory.sonar.geometry import FanGeometry
 
 Gray = npt.NDArray[np.float32]
-"""(H, W) in 0..1, 0 = no echo; for methods of several looks (T, H, W)."""
+"""(H, W) in 0..1, 0 = no echo."""
 
 Number = int | float
 Parameters = dict[str, Number]
@@ -31,8 +31,8 @@ class BaselineError(FactoryError, ValueError):
 class Baseline:
     """One method.
 
-    function: (image, **parameters) -> (H, W); the image is (H, W) or, with `looks`, (T, H, W).  One
-        with a parameter `geometry` gets where range and bearing are, or None.
+    function: (image, **parameters) -> (H, W).  One with a parameter `geometry` gets where range and
+        bearing are, or None.
     default: what its authors or its library recommend, scaled to 0..1.
     grid: the values to try of each parameter, ascending; parameters not in it stay at the default.
     source: where the method was published.
@@ -43,7 +43,6 @@ class Baseline:
     default: Mapping[str, Number]
     grid: Mapping[str, tuple[Number, ...]]
     source: str
-    looks: bool = False
 
     @property
     def uses_geometry(self) -> bool:
@@ -69,8 +68,8 @@ class Baseline:
         image = np.ascontiguousarray(image, dtype=np.float32)
         known = {"geometry": geometry} if self.uses_geometry else {}
         result = np.asarray(self.function(image, **parameters, **known))
-        if result.shape != image.shape[-2:]:
-            raise BaselineError(f"{self.name}: gave {result.shape} for {image.shape[-2:]}")
+        if result.shape != image.shape:
+            raise BaselineError(f"{self.name}: gave {result.shape} for {image.shape}")
         if not np.isfinite(result).all():
             raise BaselineError(f"{self.name}: gave NaN or infinite pixels")
         return np.clip(result, 0, 1).astype(np.float32)

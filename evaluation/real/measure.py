@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from ...factory.errors import FactoryError
 from ..filters.base import Gray
-from ..methods import Method
 from ..metrics.fidelity import decibels, edge_preservation, finite_psnr, psnr, ssim
 from ..metrics.measure import Figures, fit_levels
 from ..metrics.speckle import (
@@ -25,7 +24,7 @@ from ..metrics.speckle import (
     ratio_image,
     zone_enl,
 )
-from ..runner import MethodFailed, Subject
+from ..runner import Subject
 from .groups import Judged
 
 if TYPE_CHECKING:
@@ -109,10 +108,8 @@ class RealPicture(Subject):
 
     judged: Judged
 
-    def seen(self, method: Method) -> Gray:
+    def seen(self) -> Gray:
         """See `Subject`."""
-        if method.looks:
-            raise MethodFailed("needs several looks at a scene that stands still")
         return self.judged.noisy
 
     def geometry(self) -> FanGeometry | None:

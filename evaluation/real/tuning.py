@@ -81,8 +81,6 @@ def parts_of(groups: Sequence[Group]) -> list[Part]:
 def tuned(task: Task) -> Parameters | str:
     """The best parameters of a filter on some frames, or why it failed."""
     baseline = REGISTRY[task.baseline]
-    if baseline.looks:
-        return "needs several looks at a scene that stands still"
     try:
         frames = task.frames
         # Where range and bearing count, a part of a picture is another thing.

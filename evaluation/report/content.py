@@ -68,12 +68,11 @@ def best_classical(
     """(label of the best baseline, what it was chosen on).
 
     On validation pairs where baselines are tuned, so that the choice has not seen the test pairs.
-    Baselines of several looks see more than a network does and do not count.
     """
     psnr = {
         row["label"]: float(row["metrics"]["psnr"]["mean"])
         for row in rows
-        if row["kind"] == "baseline" and row["lost"] is None and not row["looks"]
+        if row["kind"] == "baseline" and row["lost"] is None
     }
     known = {
         label: float(entry[key]["psnr_levels"])
@@ -187,7 +186,7 @@ def _row(
     options = {"resamples": settings.bootstrap, "seed": settings.seed}
     compared = row.lost is None and method.kind != "noisy"
     return {
-        **{name: getattr(method, name) for name in ("label", "name", "form", "kind", "looks")},
+        **{name: getattr(method, name) for name in ("label", "name", "form", "kind")},
         "parameters": dict(method.parameters),
         "levels": None if method.levels is None else vars(method.levels),
         "ablation": method.ablation,

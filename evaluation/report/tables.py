@@ -109,7 +109,6 @@ def leaderboard(rows: Sequence[Content]) -> pd.DataFrame:
     lines: list[list[str]] = []
     for row in rows:
         title = f"{row['label']}{shown(row['parameters'])}"
-        title += " (several looks)" if row["looks"] else ""
         if row["lost"] is not None:
             lines.append([title, f"lost: {row['lost']}", *[""] * (len(head) - 2)])
             continue

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import subprocess
 import sys
 from contextlib import closing
@@ -28,6 +27,7 @@ from simnfnd.evaluation.store import FigureStore
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
 from tests.evaluation.evaluation_settings import settings_for
+from tests.evaluation.filters.scenes import BROKEN
 from tests.project_files import ROOT
 from tests.small_dataset import write_dataset
 
@@ -133,19 +133,10 @@ def test_tuning_never_opens_the_test_split(tmp_path: Path) -> None:
     tune(dataset, tmp_path / "t.json", "median")
 
 
-def break_a_method(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(image: Any) -> Any:
-        if image.mean() > 0:
-            raise ZeroDivisionError("no such\nluck")
-        return image
-
-    monkeypatch.setitem(REGISTRY, "broken", Baseline("broken", broken, {}, {}, "here"))
-
-
 def test_a_method_that_crashes_loses_its_row_alone(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    break_a_method(monkeypatch)
+    monkeypatch.setitem(REGISTRY, "broken", BROKEN)
     lines = tune(dataset, tmp_path / "t.json", "broken", "median")
     assert lines[0] == "broken: lost (ZeroDivisionError: no such luck)"
     assert lines[1].startswith("median: ")
@@ -167,14 +158,13 @@ def test_a_method_that_crashes_loses_its_row_alone(
 
 def test_rows_are_what_the_methods_give(dataset: Path, tmp_path: Path) -> None:
     file = tmp_path / "t.json"
-    names = ("median", "recursive", "identity")
+    names = ("median", "identity")
     tune(dataset, file, *names)
     rows = measured(dataset, file, *names, texture=True)
     forms = ["", " + levels", " tuned", " tuned + levels"]
     assert list(rows) == [
         "noisy",
         *(f"median{form}" for form in forms),
-        *(f"recursive{form}" for form in forms),
         "noisy + levels",
     ]
     items, noisy, row = items_of(dataset, "test"), rows["noisy"], rows["median tuned + levels"]
@@ -204,15 +194,6 @@ def test_tuning_in_processes_writes_the_same_bytes(dataset: Path, tmp_path: Path
     for workers in (1, 2):
         tune(dataset, tmp_path / f"{workers}.json", "median", "grey_opening", workers=workers)
     assert (tmp_path / "1.json").read_bytes() == (tmp_path / "2.json").read_bytes()
-
-
-def test_several_looks_need_several_variants(tmp_path: Path) -> None:
-    dataset = write_dataset(tmp_path / "data", train=16, test=3, size=48)
-    assert [len(item.looks) for item in items_of(dataset, "test")] == [2, 2, 1]
-    assert all(item.looks[-1] == item.place for item in items_of(dataset, "test"))
-    row = measured(dataset, tmp_path / "t.json", "recursive")["recursive"]
-    assert row.lost == "needs several noise variants a frame"
-    assert math.isnan(row.milliseconds)
 
 
 def test_the_tune_command(

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from simnfnd.evaluation.filters import REGISTRY
 from simnfnd.evaluation.report import build as builder
 from simnfnd.evaluation.report import page
 from tests.evaluation.evaluation_settings import settings_for
+from tests.evaluation.filters.scenes import BROKEN
 from tests.evaluation.report import browser
 from tests.small_dataset import write_dataset
 
@@ -23,8 +25,10 @@ needs_browser = pytest.mark.skipif(
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("page")
     dataset = write_dataset(root / "data", train=0, test=11, size=48, per_shard=11)
-    names = ["median", "gaussian", "grey_opening", "recursive"]
-    builder.build(settings_for(dataset, out=str(root / "out"), baselines=names, texture=True))
+    names = ["median", "gaussian", "grey_opening", "broken"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(REGISTRY, "broken", BROKEN)
+        builder.build(settings_for(dataset, out=str(root / "out"), baselines=names, texture=True))
     return root / "out" / page.PAGE_NAME
 
 
@@ -107,8 +111,8 @@ return {
 def test_a_reader_can_sort_and_compare(report: Path, tmp_path: Path) -> None:
     found = browser.found_on(report, SORTED, tmp_path, size=(1280, 900))
     assert (found["complaints"], found["asked"]) == ([], []), found
-    assert found["before"][-1] == "recursive", "lost: one frame has a single look"
-    assert found["after"][-1] == "recursive", "lost rows stay last"
+    assert found["before"][-1] == "broken"
+    assert found["after"][-1] == "broken", "lost rows stay last"
     assert found["order"] == "ascending"
     assert found["up"] == sorted(found["up"])
     assert found["down"] == found["up"][::-1]

@@ -1,4 +1,4 @@
-"""Complex wavelets, sparse codes and the geometry of a fan: baselines with a theory to keep to."""
+"""Deconvolution along range, across a fan too."""
 
 from __future__ import annotations
 
@@ -9,12 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy import ndimage
 
 from simnfnd.evaluation.filters import REGISTRY
-from simnfnd.evaluation.filters.literature.dtcwt_map import forward, inverse
 from simnfnd.evaluation.methods import Method
 from simnfnd.evaluation.pairs import Pair as Pair_
 from simnfnd.evaluation.pairs import geometry_of, items_of, picture
@@ -25,42 +22,8 @@ from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.sonar.fan import fan_table, pixel_size
 from simnfnd.factory.sonar.geometry import FanGeometry
 from simnfnd.factory.sonar.settings import ImageSettings, SonarSettings
-from tests.evaluation.filters.scenes import noisy_scene, run, scene
 
 Array = npt.NDArray[Any]
-
-
-@settings(max_examples=10, deadline=None)
-@given(
-    rows=st.integers(1, 4),
-    columns=st.integers(1, 4),
-    levels=st.integers(1, 4),
-    seed=st.integers(0, 2**32 - 1),
-)
-def test_dual_tree_is_a_tight_frame(rows: int, columns: int, levels: int, seed: int) -> None:
-    shape = (rows * 2**levels, columns * 2**levels)
-    image = np.random.default_rng(seed).random(shape, dtype=np.float32)
-    found = forward(image, levels)
-    np.testing.assert_allclose(inverse(found), image, atol=2e-6)
-    power = sum(float((np.abs(band) ** 2).sum()) for band in found.bands)
-    power += float((found.lows**2).sum())
-    assert power == pytest.approx(float((image**2).sum()), rel=1e-5)
-
-
-def test_dtcwt_map_keeps_the_mean_and_leaves_a_noiseless_picture() -> None:
-    noisy = noisy_scene("speckle", 61)
-    assert run("dtcwt_map", noisy, strength=0.5).mean() == pytest.approx(noisy.mean(), rel=1e-2)
-    np.testing.assert_allclose(run("dtcwt_map", noisy, strength=0.0), noisy, atol=0.005)
-    speckle = np.random.default_rng(0).gamma(12, 1 / 12, (128, 128))
-    speckled = np.where(scene(128) > 0, 0.5, 0) * speckle
-    smooth = run("dtcwt_map", speckled.astype(np.float32))
-    even = np.s_[8:24, 8:56]
-    assert smooth[even].std() < 0.25 * speckled[even].std()
-
-
-def test_structural_leaves_a_noiseless_picture() -> None:
-    image = noisy_scene("white", 41)
-    np.testing.assert_allclose(run("structural", image, strength=1e-4), image, atol=2e-3)
 
 
 def blurred_fan(sigma_px: float) -> tuple[SonarSettings, float, Array, Array]:
