@@ -29,8 +29,6 @@ SUFFIXES = (
     ),
 )
 
-SequenceKey = tuple[str, ...]
-
 _NUMBER = re.compile(r"\d+")
 
 
@@ -99,9 +97,9 @@ def sequences(items: Sequence[Item]) -> list[list[Item]]:
 
     A sequence is the pictures of a folder whose names differ in their last number alone.
     """
-    found: dict[SequenceKey, list[tuple[int, Item]]] = {}
+    found: dict[tuple[str, ...], list[tuple[int, Item]]] = {}
     for item in items:
-        key, number = place_in_time(item)
+        key, number = _place_in_time(item)
         found.setdefault(key, []).append((number, item))
     return [
         [item for _, item in sorted(some, key=lambda one: (one[0], one[1].source))]
@@ -109,7 +107,7 @@ def sequences(items: Sequence[Item]) -> list[list[Item]]:
     ]
 
 
-def place_in_time(item: Item) -> tuple[SequenceKey, int]:
+def _place_in_time(item: Item) -> tuple[tuple[str, ...], int]:
     """The sequence of a file, and its number there; see `sequences`."""
     name = item.source.name
     numbers = list(_NUMBER.finditer(name)) if item.kind == "image" else []
