@@ -146,7 +146,6 @@ class DenoisingModule(nn.Module):
     def forward(self, batch: Batch) -> Tensor:
         """The loss of one batch of crops."""
         extras = known_extras(self.network, batch)
-        batch = {**batch, "progress": torch.tensor(self.step / self.settings.steps)}
         if self.network.has_heads:
             output = self.network.with_heads(batch["noisy"], **extras)
             prediction = output.image

@@ -133,7 +133,6 @@ def test_what_cannot_be_exported_costs_a_line(tmp_path: Path) -> None:
         (("--to", "onnx", "--out", "a.pt"), r"must end in \.onnx"),
         (("--to", "onnx", "--geometry", "fan", "--out", onnx_file), "does not use the geometry"),
         (("--geometry", "fan", "--out", "a.safetensors"), "for --to onnx"),
-        (("--to", "onnx", "--limits", "a.md", "--out", onnx_file), "are for the card"),
     ):
         with pytest.raises(FactoryError, match=said):
             main([given, *words])
