@@ -248,7 +248,7 @@ def denoised(method: Method, subject: Subject, device: str) -> tuple[Gray, float
         except FactoryError as error:
             raise MethodFailed(str(error)) from error
     image = subject.seen()
-    geometry = subject.geometry() if method.uses_geometry else None
+    geometry = subject.geometry() if method.weights is not None else None
     try:
         return _timed(method, image, geometry, device)
     except Exception as error:  # a method that crashes loses its row, not the report
@@ -261,7 +261,7 @@ def _timed(
     clock = time.process_time  # what other processes take does not count
     if method.weights is None:
         start = clock()
-        result = REGISTRY[method.name](image, method.parameters, geometry)
+        result = REGISTRY[method.name](image, method.parameters)
         return result, clock() - start
     loaded = network(method.weights, device)  # before the clock runs
     if loaded.runtime.on_gpu:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from ...factory.errors import FactoryError
 from .base import Baseline
 from .bm3d import bm3d
-from .deblur import richardson_lucy_range
 from .plain import (
     bilateral,
     gaussian,
@@ -57,10 +56,6 @@ _FILTERS = (
     Baseline("srad", srad, {"iterations": 100, "initial_cv": 1.0, "step": 0.2, "decay": 1 / 6},
              {"iterations": (1, 10, 30, 100, 250), "initial_cv": (0.1, 0.3, 1.0, 3.0)},
              "Yu and Acton 2002"),
-    Baseline("richardson_lucy", richardson_lucy_range, {"sigma_px": 1.5, "iterations": 10},
-             {"sigma_px": (0.2, 0.6, 1.0, 2.0, 4.0, 6.0, 9.0, 13.0, 20.0),
-              "iterations": (1, 3, 10, 30)},
-             "Richardson 1972, Lucy 1974; along range"),
 )  # fmt: skip
 
 REGISTRY: dict[str, Baseline] = {one.name: one for one in _FILTERS}

@@ -83,8 +83,7 @@ def tuned(task: Task) -> Parameters | str:
     baseline = REGISTRY[task.baseline]
     try:
         frames = task.frames
-        # Where range and bearing count, a part of a picture is another thing.
-        middles = frames if baseline.uses_geometry else [_middle(frame) for frame in frames]
+        middles = [_middle(frame) for frame in frames]
         for _ in range(2):  # the first one loads and compiles
             start = time.process_time()
             _psnr(baseline, dict(baseline.default), frames[:1])
@@ -168,7 +167,7 @@ def _psnr(baseline: Baseline, point: Parameters, frames: Sequence[Judged]) -> fl
     values = []
     for frame in frames:
         assert frame.reference is not None
-        picture = baseline(frame.noisy, point, frame.geometry)
+        picture = baseline(frame.noisy, point)
         values.append(psnr_of(picture, frame.reference, frame.where))
     return float(np.mean(values))
 

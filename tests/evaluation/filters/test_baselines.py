@@ -21,7 +21,7 @@ NAMES = tuple(REGISTRY)
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("size", [(33, 47), (12, 12), (40, 64)])
+@pytest.mark.parametrize("size", [(33, 47), (12, 12)])
 def test_gives_a_picture_for_every_picture(name: str, size: tuple[int, int]) -> None:
     rng = np.random.default_rng(1)
     for image in (
@@ -49,9 +49,7 @@ def test_some_point_of_the_grid_helps(name: str) -> None:
     white = ("bm3d", "nlm", "tv", "wavelet", "bilateral")
     kind = "white" if name in white else "speckle"
     clean, noisy = scene(), noisy_scene(kind)
-    if name == "richardson_lucy":  # is made for blur
-        noisy = ndimage.gaussian_filter1d(clean, 2, axis=0, mode="nearest")
-    if name == "grey_opening":  # and this for specks
+    if name == "grey_opening":  # is made for specks
         noisy = np.where(np.random.default_rng(0).random(clean.shape) < 0.03, 1, clean)
         noisy = noisy.astype(np.float32)
     before = psnr(clean, noisy.astype(np.float32), data_range=1)
@@ -179,23 +177,6 @@ def test_the_wavelet_gives_back_what_it_got(
     image = np.random.default_rng(seed).random((height, width), dtype=np.float32)
     same = run("wavelet", image, strength=0.0, levels=levels)
     np.testing.assert_allclose(same, image, atol=1e-5)
-
-
-def test_richardson_lucy_undoes_its_blur_along_range_alone() -> None:
-    clean = np.full((64, 48), 0.1, np.float32)
-    clean[30:32, 20:24] = 0.9
-    down = ndimage.gaussian_filter1d(clean, 2, axis=0, mode="nearest")
-    across = ndimage.gaussian_filter1d(clean, 2, axis=1, mode="nearest")
-    errors = [
-        np.abs(run("richardson_lucy", down, sigma_px=2, iterations=n) - clean).mean()
-        for n in (1, 3, 10, 30)
-    ]
-    assert errors == sorted(errors, reverse=True)
-    assert errors[-1] < 0.8 * np.abs(down - clean).mean()
-    sharpened = run("richardson_lucy", across, sigma_px=2, iterations=30)
-    assert np.abs(sharpened - clean).mean() > 0.8 * np.abs(across - clean).mean()
-    # Light is kept but for rounding.
-    assert run("richardson_lucy", down, sigma_px=2).sum() == pytest.approx(down.sum(), rel=1e-3)
 
 
 @settings(max_examples=20, deadline=None)

@@ -93,15 +93,15 @@ def test_the_report_of_a_folder_without_static_groups(
 ) -> None:
     monkeypatch.setitem(REGISTRY, "broken", BROKEN)
     folder, out = fans(tmp_path / "mdd", 2), tmp_path / "out"
-    words = ("baselines=[gaussian,richardson_lucy,broken]", "examples=2")
+    words = ("baselines=[gaussian,median,broken]", "examples=2")
     assert real(str(folder), f"out={out}", *words) == 0
     assert "| noisy |" in capsys.readouterr().out
     content = json.loads((out / "real.json").read_text(encoding="utf-8"))
     rows = {row["label"]: row for row in content["rows"]}
-    assert list(rows) == ["noisy", "gaussian", "richardson_lucy", "broken"]
+    assert list(rows) == ["noisy", "gaussian", "median", "broken"]
     assert "no such luck" in rows["broken"]["lost"]
     assert rows["gaussian"]["means"]["enl"] > rows["noisy"]["means"]["enl"]
-    for label in ("noisy", "gaussian", "richardson_lucy"):
+    for label in ("noisy", "gaussian", "median"):
         assert len(rows[label]["pictures"]) == 2
     page = (out / "real.html").read_text(encoding="utf-8")
     assert page.count("data:image/png") == 2 * 3
