@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from simnfnd.evaluation import runner
 from simnfnd.evaluation import store as store_module
 from simnfnd.evaluation.methods import costs_of, networks_of
 from simnfnd.evaluation.metrics.fidelity import psnr
-from simnfnd.evaluation.pairs import items_of, picture
+from simnfnd.evaluation.pairs import geometry_of, items_of, picture
 from simnfnd.evaluation.report.measure import measured_rows
 from simnfnd.evaluation.runner import Task, measure_task
 from simnfnd.evaluation.store import FigureStore
+from simnfnd.factory.dataset.format.schema import Axis, Column, Pair, Provenance
+from simnfnd.factory.dataset.format.settings import DatasetSettings
+from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError
 from simnfnd.factory.scheduler.workers.tasks import TaskPool
+from simnfnd.factory.sonar.geometry import FanGeometry
+from simnfnd.factory.sonar.settings import SonarSettings
 from tests.evaluation.evaluation_settings import settings_for
-from tests.small_dataset import write_dataset
+from tests.small_dataset import COLUMNS, fan_images, write_dataset
 
 
 def weights(path: Path, seed: int) -> Path:
@@ -64,6 +71,24 @@ def test_networks_are_rows_with_their_costs(tmp_path: Path) -> None:
     assert costs["small"] == costs["other"]
     assert 0 < costs["small"]["gmac"] < 1
     assert costs["small"]["parameters"] > 100
+
+
+def test_networks_are_told_where_range_is(tmp_path: Path) -> None:
+    sonar = SonarSettings()
+    window = {"range_min_m": 1.0, "range_max_m": 5.0, "azimuth_min_deg": -9, "azimuth_max_deg": 9}
+    columns = (*COLUMNS, *(Column(name, "f8") for name in window))
+    identity = {"location": "a", "scene": "b", "frame": "c", "variant": 0}
+    record: dict[str, Any] = {**identity, **window}
+    noisy, clean, shadow = fan_images(64, np.random.default_rng(0))
+    axes = Axis("row", "px", np.arange(64.0)), Axis("column", "px", np.arange(64.0))
+    provenance = Provenance({"sonar": asdict(sonar)}, "0123abcd", "tests")
+    pair = Pair(noisy, clean, shadow, record)
+    name = "test/shard-00000.h5"
+    write_shard(tmp_path, name, [pair], axes, columns, provenance, DatasetSettings())
+    (item,) = items_of(tmp_path, "test")
+    known = geometry_of(item.place)
+    assert known is not None
+    assert known.far_px == pytest.approx(FanGeometry.from_sonar(sonar, 1.0, 5.0).far_px)
 
 
 def test_paths_without_weights_are_named(tmp_path: Path) -> None:
