@@ -139,7 +139,6 @@ VERBS: dict[str, Verb] = {
         (
             "simnfnd denoise outputs/demo --out outputs/denoised",
             "simnfnd denoise dive.aris --out outputs/denoised",
-            "simnfnd denoise --watch incoming --out outputs/live",
             "simnfnd denoise dive.bag --topic /sonar/image --out outputs/denoised",
             "simnfnd denoise picture.png --out outputs/denoised --remove speckle,haze --compare",
             "simnfnd denoise lamprey.avi --frames 7 --out outputs/denoised",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar
 
@@ -98,16 +98,14 @@ class DenoisingModule(nn.Module):
         taught = teacher.network.extras if teacher else ()
         self.extras: tuple[str, ...] = tuple(dict.fromkeys((*network.extras, *taught)))
 
-    def make_optimizers(self) -> list[Optimizer]:
+    def make_optimizer(self) -> Optimizer:
         """AdamW of all weights that learn."""
-        return [
-            torch.optim.AdamW(
-                [weights for weights in self.network.parameters() if weights.requires_grad],
-                lr=self.settings.learning_rate,
-                betas=(0.9, 0.99),
-                weight_decay=self.settings.weight_decay,
-            )
-        ]
+        return torch.optim.AdamW(
+            [weights for weights in self.network.parameters() if weights.requires_grad],
+            lr=self.settings.learning_rate,
+            betas=(0.9, 0.99),
+            weight_decay=self.settings.weight_decay,
+        )
 
     def learning_rate(self, step: int) -> float:
         """A linear warm-up and a cosine decay to zero, counted in steps."""
@@ -123,20 +121,15 @@ class DenoisingModule(nn.Module):
     def _is_mixed(self) -> bool:
         return self.settings.precision == "bf16-mixed"
 
-    def update(self, optimizers: Sequence[Optimizer], batch: Batch) -> Tensor:
+    def update(self, optimizer: Optimizer, batch: Batch) -> Tensor:
         """One step; returns its loss.  Raises FactoryError when that is not a number."""
-        self.set_learning_rate(optimizers)
+        for group in optimizer.param_groups:
+            group["lr"] = self.learning_rate(self.step)
         if self._is_mixed:
             # In 16 bits from the start, as the weights that ship were trained.
             batch = {k: v.bfloat16() if v.is_floating_point() else v for k, v in batch.items()}
         with self.autocast():
             loss: Tensor = self(batch).float()
-        self.turn(optimizers[0], loss)
-        self.average.update_parameters(self.network)
-        return loss
-
-    def turn(self, optimizer: Optimizer, loss: Tensor) -> None:
-        """Change what the optimizer holds, downhill; FactoryError when the loss is not a number."""
         if not torch.isfinite(loss):
             raise FactoryError(
                 f"the loss became {loss.item()} at step {self.step}; lower train.learning_rate, "
@@ -147,21 +140,12 @@ class DenoisingModule(nn.Module):
         weights = [one for group in optimizer.param_groups for one in group["params"]]
         torch.nn.utils.clip_grad_norm_(weights, self.settings.clip)
         optimizer.step()
-
-    def set_learning_rate(self, optimizers: Sequence[Optimizer]) -> None:
-        """That of the present step."""
-        for optimizer in optimizers:
-            for group in optimizer.param_groups:
-                group["lr"] = self.learning_rate(self.step)
+        self.average.update_parameters(self.network)
+        return loss
 
     def forward(self, batch: Batch) -> Tensor:
         """The loss of one batch of crops."""
         extras = known_extras(self.network, batch)
-        batch = {**batch, "progress": torch.tensor(self.step / self.settings.steps)}
-        if self.network.has_stages:
-            stages = self.network.with_stages(batch["noisy"], **extras)
-            losses = [self.loss(image, batch["clean"], batch) for image in stages]
-            return torch.stack(losses).mean()
         if self.network.has_heads:
             output = self.network.with_heads(batch["noisy"], **extras)
             prediction = output.image

@@ -26,7 +26,7 @@ from ..networks.weights import save_weights
 from .module import DenoisingModule, Row
 
 CHECKPOINT_NAME = "checkpoint.ckpt"
-_FORMAT = "simnfnd-checkpoint/2"
+_FORMAT = "simnfnd-checkpoint/3"
 _GAP = 4
 
 
