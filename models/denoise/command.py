@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -20,7 +19,7 @@ from ...factory.progress import progress_bar
 from ...factory.scheduler.workers.machine import keep_freed_memory
 from ..pretrained import DEFAULT as DEFAULT_WEIGHTS
 from ..pretrained import POINTS, REMOVAL
-from ..recordings import Levels, open_recording
+from ..recordings import open_recording
 from ..removal import DEFAULT
 from .asked import NOISES, OF_POINTS, OVER, REAL, InTurn, asked_denoiser
 from .denoiser import (
@@ -97,14 +96,6 @@ def main(arguments: Sequence[str]) -> int:
         "table of fans (file, apex_x, apex_y, ...); shards and recordings know theirs",
     )
     parser.add_argument(
-        "--levels",
-        nargs=2,
-        type=float,
-        metavar=("BLACK", "WHITE"),
-        help="of arrays and TIFF files: which numbers show as black and as white, such as -60 0 "
-        "for decibels",
-    )
-    parser.add_argument(
         "--topic",
         action="append",
         default=[],
@@ -123,9 +114,8 @@ def main(arguments: Sequence[str]) -> int:
     if not 0 <= chosen.strength <= 1:
         raise FactoryError(f"--strength {chosen.strength:g}: must lie between 0 and 1")
     out = Path(chosen.out).expanduser()
-    levels = _levels(chosen.levels)
     inputs = [Path(name).expanduser() for name in chosen.inputs]
-    items = find_items(inputs, out, levels, compare=chosen.compare)
+    items = find_items(inputs, out, compare=chosen.compare)
     geometries = Geometries(chosen.geometry)
     remove = None if chosen.remove is None else chosen.remove.split(",")
     # What is asked for by hand is not what predicts other frames of a recording.
@@ -154,15 +144,6 @@ def main(arguments: Sequence[str]) -> int:
     print(f"weights: {used or denoise.name}")
     print(f"denoised: {work.done} file(s) in {out}")
     return 1 if failed else 0
-
-
-def _levels(given: Sequence[float] | None) -> Levels | None:
-    if given is None:
-        return None
-    black, white = given
-    if not (math.isfinite(black) and math.isfinite(white) and black != white):
-        raise FactoryError(f"--levels {black:g} {white:g}: give two different numbers")
-    return Levels(black, white)
 
 
 @dataclass
@@ -282,7 +263,7 @@ def _pictures(item: Item, topics: Sequence[str]) -> int:
                 return len(shard["noisy"])
         if item.kind == "bag":
             return len(open_bag(item, topics))
-        with open_recording(item.source, item.levels) as recording:
+        with open_recording(item.source) as recording:
             return len(recording)
     except FactoryError:
         return 0

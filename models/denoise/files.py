@@ -237,6 +237,6 @@ def _write_picture(item: Item, denoised: Picture, out: Path) -> None:
 
 def _opened(item: Item) -> Recording:
     try:
-        return open_recording(item.source, item.levels)
+        return open_recording(item.source)
     except FactoryError as error:
         raise FrameError(str(error)) from error
