@@ -79,15 +79,15 @@ class Loop:
         torch.use_deterministic_algorithms(True, warn_only=True)
         self._optimizer = module.make_optimizer()
 
-    def run(self, batches: Batches, check: Check, is_done: Callable[[list[Row]], bool]) -> None:
-        """Go on to the last step, or until `is_done` with the rows of the checks.
+    def run(self, batches: Batches, check: Check) -> None:
+        """Go on to the last step.
 
         Raises Stopped, FactoryError where the loss becomes no number, and what the calls raise.
         """
         done = self.progress
         self.bar = progress_bar(total=self.steps, initial=done.step, unit="step", desc=self.label)
         with self._asked, closing(self.bar):
-            while len(done.rows) * self.check_every < self.steps and not is_done(done.rows):
+            while len(done.rows) * self.check_every < self.steps:
                 self._steps(batches, len(done.rows))
                 loss = float(torch.stack(done.losses).mean())
                 done.rows.append(check(done.step, loss))

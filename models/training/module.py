@@ -28,11 +28,11 @@ class Teacher:
 
     What a small network cannot do shows as noise in the gradients when it learns from clean
     pictures alone; the pictures of a larger one that learned from the same are nearer to what it
-    can do.  Heads are taught as well: the shadow that the teacher sees.
+    can do.
     """
 
     def __init__(self, weights: Path, share: float) -> None:
-        """weights: a file that training wrote.  share: of its pictures in the loss, 0 to 1.
+        """weights: a file that training wrote.  share: of its pictures in the targets, 0 to 1.
 
         Raises FactoryError for a file that holds no weights.
         """
@@ -40,28 +40,15 @@ class Teacher:
         self.share = share
 
     @torch.no_grad()
-    def seen(self, batch: Batch) -> tuple[Tensor, Tensor | None]:
-        """(N, C, H, W) with the whole change, and shadow (N, 1, H, W) of a teacher with heads."""
+    def seen(self, batch: Batch) -> Tensor:
+        """(N, C, H, W) with the whole change."""
         noisy = batch["noisy"]
         self.network.to(noisy.device)
         known = known_extras(self.network, batch)
         if not self.network.has_heads:
-            return self.network(noisy, **known), None
-        output = self.network.with_heads(noisy, **known)
-        return output.image, torch.sigmoid(output.shadow_logits.float())
-
-    def loss(self, loss: Loss, prediction: Tensor, batch: Batch) -> Tensor:
-        """Scalar tensor: the loss against clean pictures and teacher's, weighed by `share`.
-
-        prediction: (N, C, H, W).  batch: as losses get it, with the heads' output.
-        """
-        # How much of a change is right is measured against the truth, never against the teacher.
-        lesson = {name: batch[name] for name in batch if name not in ("weight", "shadow")}
-        image, shadow = self.seen(batch)
-        if shadow is not None:
-            lesson["shadow"] = shadow
-        taught = loss(prediction, image.to(prediction.dtype), lesson)
-        return self.share * taught + (1 - self.share) * loss(prediction, batch["clean"], batch)
+            image: Tensor = self.network(noisy, **known)
+            return image
+        return self.network.with_heads(noisy, **known).image
 
 
 class DenoisingModule(nn.Module):
@@ -152,10 +139,8 @@ class DenoisingModule(nn.Module):
             batch |= {"shadow_logits": output.shadow_logits, "weight": output.weight}
         else:
             prediction = self.network(batch["noisy"], **extras)
-        if "taught" in batch:
+        if "taught" in batch or self.teacher is not None:
             batch = completed(batch, prediction, self.teacher)
-        elif self.teacher is not None:
-            return self.teacher.loss(self.loss, prediction, batch)
         return self.loss(prediction, batch["clean"], batch)
 
     def measure(self, batch: Batch) -> dict[str, float]:
@@ -171,14 +156,14 @@ class DenoisingModule(nn.Module):
 
 
 def completed(batch: Batch, prediction: Tensor, teacher: Teacher | None) -> Batch:
-    """The batch with a target everywhere: `taught` of it is the teacher's picture.
+    """The batch with a target everywhere: `taught` of it (else its share) is the teacher's picture.
 
     Where nothing is known (NaN) the target is the prediction, which then costs nothing.
     """
-    clean, taught = batch["clean"], batch["taught"]
-    batch = dict(batch)
+    clean, batch = batch["clean"], dict(batch)
     if teacher is not None:
-        image = teacher.seen(batch)[0].to(clean.dtype)
+        image = teacher.seen(batch).to(clean.dtype)
+        taught = batch.get("taught", torch.full_like(clean[:, :1, :1, :1], teacher.share))
         mixed = torch.where(clean.isnan(), image, torch.lerp(clean, image, taught))
         clean = torch.where(taught > 0, mixed, clean)
     batch["clean"] = torch.where(clean.isnan(), prediction.detach(), clean)

@@ -121,14 +121,6 @@ def best_row(rows: Sequence[Row]) -> Row:
     return max(rows, key=lambda row: row["psnr"])
 
 
-def is_stopped(rows: Sequence[Row], patience: int | None) -> bool:
-    """Whether none of the last `patience` rows is better than the best before them."""
-    if patience is None or len(rows) <= patience:
-        return False
-    best = best_row(rows[:-patience])["psnr"]
-    return all(row["psnr"] <= best for row in rows[-patience:])
-
-
 def read_checkpoint(path: Path) -> dict[str, Any]:
     """The state, recipe and rows of a checkpoint.  Raises FactoryError when it is damaged."""
     try:

@@ -32,7 +32,6 @@ from .results import (
     Results,
     best_row,
     contact_sheet,
-    is_stopped,
     read_checkpoint,
     write_grey,
 )
@@ -73,8 +72,7 @@ def train(settings: ModelsSettings, config: Mapping[str, Any]) -> Row:
         tensorboard=settings.tensorboard,
     )
     rows: list[Row] = checkpoint["rows"] if checkpoint else []
-    finished = rows and rows[-1]["step"] == settings.train.steps
-    if finished or is_stopped(rows, settings.train.patience):
+    if rows and rows[-1]["step"] == settings.train.steps:
         print(f"{out} holds this training already, finished; resume=false trains it afresh")
     else:
         # With the precision that was chosen: the file is to make the same weights elsewhere.
@@ -143,7 +141,7 @@ def _fit(
         loop.restore(checkpoint)
     learning, visits = _loader(settings, device, data, module)
     try:
-        loop.run(batches, check, lambda rows: is_stopped(rows, settings.train.patience))
+        loop.run(batches, check)
     except FactoryError as error:
         raise FactoryError(_innermost(error)) from error
     except torch.OutOfMemoryError as error:
