@@ -12,7 +12,6 @@ from ..dataset.format.schema import PairSource, Preparer, Provenance
 from ..dataset.format.settings import DatasetSettings
 from ..dataset.write.folder import WORK_NAME
 from ..frame import FrameRef
-from ..ownership import Fence
 from ..storage.publish import Publication
 from .plan import ShardTask
 from .settings import SchedulerSettings, ShardSlice
@@ -27,7 +26,6 @@ class Recipe:
     preparer: likewise builds what prepares the frames, in the workers that render; None when
         nothing is to be prepared.
     work_folder: for tracebacks of crashed workers, and what only this run needs.
-    fence: asked before a shard is put in its place.
     publication: where the dataset goes when its folder is the copy of a URL.
     """
 
@@ -39,7 +37,6 @@ class Recipe:
     dataset: DatasetSettings
     frame_timeout_s: float
     work_folder: Path
-    fence: Fence | None = None
     publication: Publication | None = None
 
     @property

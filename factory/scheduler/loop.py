@@ -18,7 +18,6 @@ from ..errors import FactoryError
 from ..frame import FrameRef
 from ..storage.publish import Publication
 from .job import Job
-from .lock import Lock
 from .pending import AttemptState, Pending
 from .plan import ShardTask
 from .progress import ProgressBar
@@ -80,12 +79,11 @@ class Loop:
         resumed: Resumed,
         results: Results,
         progress: ProgressBar,
-        lock: Lock,
         backend: Backend,
         publication: Publication | None = None,
     ) -> None:
         self._job, self._scheduler = job, job.scheduler
-        self._recipe = replace(job.recipe, fence=lock.fence, publication=publication)
+        self._recipe = replace(job.recipe, publication=publication)
         # Who shares no folder shares no renders either, and makes those of its own shard.
         self._prepares = job.preparer is not None and not self._recipe.apart
         self._lacking = resumed.lacking

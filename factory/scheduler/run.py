@@ -46,12 +46,12 @@ def make_dataset(job: Job) -> RunReport:
     apart = job.scheduler.address is not None
     with (
         stop_signals(),
-        Lock(job.directory, job.shard.part) as lock,
+        Lock(job.directory, job.shard.part),
         publishing(job.directory, job.shard.part, apart=apart) as publication,
     ):
         emptied = job.dataset.on_existing == "overwrite" and empty_folder(job.directory)
         manifest = open_folder(job.directory, job.config_values, job.provenance, emptied=emptied)
-        report = make_shards(job, manifest, lock, publication)
+        report = make_shards(job, manifest, publication)
         if not job.shard.part:
             _forget_slices(job.directory)
             _describe(job, report)
@@ -59,7 +59,7 @@ def make_dataset(job: Job) -> RunReport:
 
 
 def make_shards(
-    job: Job, manifest: Manifest, lock: Lock, publication: Publication | None = None
+    job: Job, manifest: Manifest, publication: Publication | None = None
 ) -> RunReport:
     """Make every shard of the job that `manifest` does not hold whole already.
 
@@ -92,7 +92,7 @@ def make_shards(
             try:
                 settings = job.scheduler.worker_settings(crew, largest, job.preload)
                 with workers_of(settings) as backend:
-                    Loop(job, resumed, results, progress, lock, backend, publication).run()
+                    Loop(job, resumed, results, progress, backend, publication).run()
             finally:
                 _tidy(job)
         results.put_together()

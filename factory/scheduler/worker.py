@@ -19,7 +19,6 @@ from ..dataset.write.writer import write_shard
 from ..errors import FactoryError, FrameError, NotRendered
 from ..files import outlet
 from ..frame import FrameRef
-from ..ownership import fenced
 from ..storage.publish import apart_copy
 from .job import Recipe
 from .pending import DONE, FAILED, START
@@ -161,7 +160,6 @@ def _at_hand(attempt: ShardAttempt, here: ExitStack) -> ShardAttempt:
     """The attempt as this process can work on it: who shares no folder has one of its own."""
     publication = attempt.recipe.publication
     if publication is None or not attempt.recipe.apart:
-        here.enter_context(fenced(attempt.recipe.fence))
         here.enter_context(outlet(publication))
         return attempt
     publication = here.enter_context(apart_copy(publication))
