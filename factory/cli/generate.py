@@ -104,7 +104,7 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     require(needs_of(config))
     check_views(config)
     forked = template.runs() and config.scheduler.backend == "local"
-    if not (forked and config.scheduler.threads == 1):
+    if not forked:
         # Else the process that workers are forked from loads them, and the first worker compiles
         # what that does not find.
         compile_needed(

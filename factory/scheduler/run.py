@@ -58,9 +58,7 @@ def make_dataset(job: Job) -> RunReport:
     return report
 
 
-def make_shards(
-    job: Job, manifest: Manifest, publication: Publication | None = None
-) -> RunReport:
+def make_shards(job: Job, manifest: Manifest, publication: Publication | None = None) -> RunReport:
     """Make every shard of the job that `manifest` does not hold whole already.
 
     Raises as `make_dataset` does.  No worker process outlives the call.

@@ -38,9 +38,9 @@ def none_before() -> Iterator[None]:
     assert not workers_of(os.getpid())
 
 
-def asked(threads: int = 1, preload: tuple[str, ...] = (LOADED,)) -> tuple[int, int, bool, str]:
+def asked() -> tuple[int, int, bool, str]:
     """(process, parent, whether LOADED is, OMP_NUM_THREADS) of a worker."""
-    backend = LocalBackend(WorkerSettings((POOL,), threads=threads, preload=preload))
+    backend = LocalBackend(WorkerSettings((POOL,), preload=(LOADED,)))
     try:
         found = backend.submit(seen, "OMP_NUM_THREADS", 60.0, POOL.name).result(60)
     finally:
@@ -54,12 +54,6 @@ def test_what_was_loaded_is_there_and_nothing_is_forked_from_this_process() -> N
     assert (loaded, threads) == (True, "1")
     assert parent != os.getpid()
     assert asked()[1] == parent
-
-
-def test_libraries_that_were_loaded_for_other_threads_are_loaded_anew() -> None:
-    assert asked()[2]
-    _, parent, loaded, threads = asked(threads=2)
-    assert (parent, loaded, threads) == (os.getpid(), False, "2")
 
 
 def test_environment_and_folder_are_those_of_now(
