@@ -19,7 +19,6 @@ from .quality import psnr_db, ssim
 
 _FILTERS = {
     h5py.h5z.FILTER_DEFLATE: "gzip", h5py.h5z.FILTER_FLETCHER32: "fletcher32", 32000: "lzf",
-    32015: "zstd",
 }  # fmt: skip
 
 

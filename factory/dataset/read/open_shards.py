@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import h5py
 
@@ -20,13 +18,9 @@ _MOST_FILES = 64
 
 
 class OpenShards:
-    """Reads images; opens each shard when it is first needed, and the least recent one is closed.
+    """Reads images; opens each shard when it is needed, and closes the least recent one."""
 
-    accept: called with a shard just opened; raises FactoryError when it is not to be read.
-    """
-
-    def __init__(self, accept: Callable[[Path, h5py.File], None] | None = None) -> None:
-        self._accept = accept
+    def __init__(self) -> None:
         self._forget()
 
     def read(self, path: Path, layers: tuple[str, ...], row: int) -> list[Image]:
@@ -38,9 +32,7 @@ class OpenShards:
             # After a fork: HDF5's state and a lock that another thread holds stay behind.
             self._forget()
         with self._lock:
-            stacks = self._open.pop(path, None)
-            if stacks is None:
-                stacks = self._opened(path)
+            stacks = self._open.pop(path, None) or self._opened(path)
             self._open[path] = stacks
             try:
                 return [stacks[name][row] for name in layers]
@@ -49,7 +41,7 @@ class OpenShards:
                 raise FactoryError(
                     f"{path}: has no layer {absent}; make the dataset with it in dataset.layers"
                 ) from error
-            except FactoryError as error:
+            except (FactoryError, IndexError) as error:
                 raise FactoryError(f"{path}: {error}") from error
 
     def close(self) -> None:
@@ -63,14 +55,7 @@ class OpenShards:
     def _opened(self, path: Path) -> _Stacks:
         while len(self._open) >= _MOST_FILES:
             self._close_oldest()
-        file = open_shard(path)
-        try:
-            if self._accept:
-                self._accept(path, file)
-        except BaseException:
-            file.close()
-            raise
-        return _Stacks(file)
+        return _Stacks(open_shard(path))
 
     def _close_oldest(self) -> None:
         self._open.pop(next(iter(self._open))).file.close()
@@ -80,12 +65,8 @@ class OpenShards:
         self._lock = threading.Lock()
         self._process = os.getpid()
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {"_accept": self._accept}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._forget()
+    def __reduce__(self) -> tuple[type[OpenShards], tuple[()]]:
+        return OpenShards, ()
 
 
 class _Stacks(dict[str, ImageStack]):
