@@ -25,7 +25,6 @@ class Recipe:
         worker process calls it for itself.
     preparer: likewise builds what prepares the frames, in the workers that render; None when
         nothing is to be prepared.
-    work_folder: for tracebacks of crashed workers, and what only this run needs.
     publication: where the dataset goes when its folder is the copy of a URL.
     """
 
@@ -35,8 +34,6 @@ class Recipe:
     config: Any
     provenance: Provenance
     dataset: DatasetSettings
-    frame_timeout_s: float
-    work_folder: Path
     publication: Publication | None = None
 
     @property
@@ -85,16 +82,13 @@ class Job:
     @property
     def recipe(self) -> Recipe:
         """The part that workers need."""
-        directory = Path(os.path.abspath(self.directory))
         return Recipe(
-            directory,
+            Path(os.path.abspath(self.directory)),
             self.source,
             self.preparer,
             self.config,
             self.provenance,
             self.dataset,
-            self.scheduler.frame_timeout_s,
-            work_folder(directory, self.shard),
         )
 
 
