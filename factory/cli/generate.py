@@ -214,7 +214,7 @@ def _rerun_command(ref: FrameRef, arguments: list[str], directory: Path) -> str:
     words = [
         word
         for word in arguments
-        if not word.startswith(("dataset.dir=", "dataset.on_existing=", "frames.only="))
+        if not word.startswith(("dataset.dir=", "frames.only="))
         and word not in ("-m", "--multirun")
     ]
     again = [*words, f"frames.only=[{ref.name}]", f"dataset.dir={shown(directory)}-retry"]

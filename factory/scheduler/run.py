@@ -9,7 +9,7 @@ from ..dataset.describe.card import write_card
 from ..dataset.describe.preview import preview
 from ..dataset.format.manifest import MAX_SHARDS, Manifest, load_manifest
 from ..dataset.format.schema import SPLITS
-from ..dataset.write.folder import empty_folder, open_folder
+from ..dataset.write.folder import open_folder
 from ..dataset.write.index import write_index
 from ..errors import FactoryError
 from ..files import explain_os_errors, remove_file, remove_stale_temporaries
@@ -38,19 +38,13 @@ def make_dataset(job: Job) -> RunReport:
             f"scheduler.shard_size={job.scheduler.shard_size}: gives {len(job.tasks)} shards, a "
             f"manifest lists {MAX_SHARDS} at most; raise it"
         )
-    if job.shard.part and job.dataset.on_existing != "resume":
-        raise FactoryError(
-            "dataset.on_existing=overwrite: slices would delete each other's shards; "
-            "empty the folder first"
-        )
     apart = job.scheduler.address is not None
     with (
         stop_signals(),
         Lock(job.directory, job.shard.part),
         publishing(job.directory, job.shard.part, apart=apart) as publication,
     ):
-        emptied = job.dataset.on_existing == "overwrite" and empty_folder(job.directory)
-        manifest = open_folder(job.directory, job.config_values, job.provenance, emptied=emptied)
+        manifest = open_folder(job.directory, job.config_values, job.provenance)
         report = make_shards(job, manifest, publication)
         if not job.shard.part:
             _forget_slices(job.directory)

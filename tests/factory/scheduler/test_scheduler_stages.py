@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from simnfnd.factory.dataset.format.settings import DatasetSettings
 from simnfnd.factory.errors import FactoryError
 from tests.factory.scheduler.run_files import failures, litter, shard_bytes
 from tests.factory.scheduler.staged import staged
@@ -135,17 +134,3 @@ def test_frames_that_never_stay_end_the_run_in_one_line(
     with pytest.raises(FactoryError, match=r"vanishes from the cache.*cache\.max_bytes"):
         staged(tmp_path / "dataset", scheduler=SERIAL)
     assert status(tmp_path / "dataset")["state"] == "broken"
-
-
-def test_overwrite_makes_another_dataset_in_the_folder(
-    tmp_path: Path, expected: dict[str, bytes]
-) -> None:
-    directory = tmp_path / "dataset"
-    make(directory, FakeConfig(shape=(30, 20)), scheduler=SERIAL, identity={"seed": 1})
-    with pytest.raises(FactoryError, match="another configuration"):
-        make(directory, scheduler=SERIAL)
-    (directory / "notes.txt").write_text("mine")
-    over = DatasetSettings(preview_pairs=0, on_existing="overwrite")
-    assert make(directory, scheduler=SERIAL, dataset=over).kept == 0
-    assert shard_bytes(directory) == expected
-    assert (directory / "notes.txt").read_text() == "mine"
