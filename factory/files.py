@@ -175,9 +175,6 @@ class Outlet(Protocol):
     def remove(self, path: Path) -> None:
         """A file of the folder was removed, or was found absent."""
 
-    def names(self) -> list[str]:
-        """The shards that are there, below the folder, with forward slashes."""
-
 
 # Of this process.
 _outlets: list[Outlet] = []
@@ -201,11 +198,6 @@ def remove_file(path: Path) -> None:
     path.unlink(missing_ok=True)
     for one in _of(path):
         one.remove(path)
-
-
-def names_outside(folder: Path, split: str) -> list[str]:
-    """The shards of a split that lie wherever the files of this folder go."""
-    return [name for one in _of(folder) for name in one.names() if name.startswith(f"{split}/")]
 
 
 def _of(path: Path) -> list[Outlet]:

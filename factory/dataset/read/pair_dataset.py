@@ -20,8 +20,7 @@ from ...storage.copies import local_folder
 from ..format.axes import image_axes
 from ..format.manifest import INDEX_NAME, load_manifest
 from ..format.schema import EFFECT_FOLDER, VALUE_RANGES, Axis, layers
-from .image_stack import Image
-from .open_shards import OpenShards
+from .image_stack import Image, OpenShards
 from .reader import Split, check_in_isolation, listed_shards, reading
 from .stream import THREADS, WINDOW, Windows
 

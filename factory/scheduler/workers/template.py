@@ -17,7 +17,7 @@ import sys
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from multiprocessing import forkserver, resource_tracker, util
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.process import BaseProcess
 from typing import Any
 
@@ -30,7 +30,6 @@ THREAD_VARIABLES = (
     "VECLIB_MAXIMUM_THREADS",
     "OPENCV_FOR_THREADS_NUM",
 )
-FOLDER_VARIABLE = "SIMNFND_TEMPLATE_FOLDER"
 
 
 class _Template:
@@ -61,15 +60,13 @@ def start(modules: tuple[str, ...]) -> None:
             return
         saved, held = one_thread(), hold_interrupts()
         forkserver.set_forkserver_preload(list(modules))
-        # Its socket lies there: it removes the folder when we were killed and cannot.
-        os.environ[FOLDER_VARIABLE] = util.get_temp_dir()
         try:
             forkserver.ensure_running()
             _template.owner, _template.modules = os.getpid(), modules
         except ChildProcessError:
             pass  # in a process that is itself a fork, it is another's
         finally:
-            restore({**saved, FOLDER_VARIABLE: None})
+            restore(saved)
             signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
 

@@ -20,7 +20,7 @@ import pytest
 
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.read import open_shards
+from simnfnd.factory.dataset.read import image_stack
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError
 from tests.factory.dataset.hostile import PROVENANCE, admit, whole, with_layers
@@ -134,7 +134,7 @@ def test_nothing_is_open_before_the_first_read_and_after_the_last(folder: Path) 
 def test_a_dataset_of_many_shards_keeps_few_open(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(open_shards, "_MOST_FILES", 4)
+    monkeypatch.setattr(image_stack, "_MOST_FILES", 4)
     for number in range(7):
         write_shard(
             tmp_path,

@@ -99,7 +99,6 @@ def test_what_is_damaged_or_gone_there_is_made_again(bucket: str, local: Path) -
     content = bytearray(shards_of(url)["train/shard-00000.h5"])
     content[-100] ^= 1
     store.put("train/shard-00000.h5", bytes(content))
-    store.put("train/shard-00009.h5", b"of an earlier cut")
     assert make(folder_of(url)).kept == 2
     assert shards_of(url) == local_shards(local)
 
