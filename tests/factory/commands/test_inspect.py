@@ -52,14 +52,6 @@ def test_figures_are_those_of_the_files(dataset) -> None:
     assert found.psnr_db == pytest.approx([psnr_db(*pair) for pair in pairs])
 
 
-def test_few_pairs_are_spread_over_all(dataset) -> None:
-    everything = summarize(dataset)
-    for pairs in (1, 3, 5):
-        few = summarize(dataset, pairs=pairs)
-        at = [(2 * k + 1) * 12 // (2 * pairs) for k in range(pairs)]
-        assert list(few.psnr_db) == list(everything.psnr_db[at])
-
-
 def test_the_report_says_it_in_words(dataset) -> None:
     lines = list(report(summarize(dataset), "little"))
     text = "\n".join(lines)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -83,15 +82,6 @@ def the_template() -> psutil.Process:
             (one,) = named
             return one
         time.sleep(0.01)
-
-
-def test_one_that_was_killed_is_replaced() -> None:
-    template.start((LOADED,))
-    one = the_template()
-    one.send_signal(signal.SIGKILL)
-    while one.status() != psutil.STATUS_ZOMBIE:
-        time.sleep(0.01)
-    assert asked()[2]
 
 
 def test_one_that_stands_still_is_killed_and_the_worker_comes(
