@@ -265,7 +265,7 @@ def identity(config: FactoryConfig) -> dict[str, Any]:
             values["scenes"]["depth_scale"] = INTEGERS_PER_M[kind]
         else:
             values["scenes"]["depth_scale_of"] = "all"
-    for key in ("dir", "on_existing", "name", "preview_pairs", "licence"):
+    for key in ("dir", "name", "preview_pairs", "licence"):
         values["dataset"].pop(key, None)
     if config.devices is None:
         values.pop("devices")

@@ -142,10 +142,6 @@ class Publication:
         """As `Outlet` says."""
         self._owned().remove(self._name(path))
 
-    def names(self) -> list[str]:
-        """The shards at the URL."""
-        return shard_names(Store(self.url).sizes())
-
     def _name(self, path: Path) -> str:
         return Path(os.path.abspath(path)).relative_to(self.folder).as_posix()
 

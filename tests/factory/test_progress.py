@@ -6,13 +6,11 @@ import re
 import subprocess
 import sys
 import time
-from itertools import pairwise
 
 from simnfnd.factory import progress
 from tests.factory.scheduler.staged import staged
 from tests.fake_source import FakeConfig
 from tests.project_files import ROOT
-from tests.run_fake import make
 
 COUNTS = re.compile(r"frames (\d+)/16.*, pairs (\d+)/32; \d+:\d\d gone(?:, \d+:\d\d left)?")
 
@@ -30,15 +28,6 @@ def test_a_run_counts_frames_and_pairs_from_the_first_one_on(tmp_path, capfd):
     assert lines[-1] == "writing index, card"
 
 
-def test_pairs_of_one_long_shard_are_foretold_before_it_lands(tmp_path, capfd, monkeypatch):
-    monkeypatch.setattr(progress.Lines, "due", lambda self: True)
-    make(tmp_path / "dataset", FakeConfig(delay_s=0.15), workers=1)
-    lines = [line for line in capfd.readouterr().err.splitlines() if line.startswith("pairs")]
-    first = int(lines[0].partition("/")[0].removeprefix("pairs "))
-    assert 0 < first < 8  # of the 8 of the first shard
-    assert "left" in lines[0]
-
-
 def test_a_bar_in_a_file_is_a_few_whole_lines(capfd):
     with progress.progress_bar(total=5000, unit="step", desc="training") as bar:
         for step in range(5000):
@@ -52,18 +41,6 @@ def test_a_bar_in_a_file_is_a_few_whole_lines(capfd):
     assert lines[-1] == "training: 5000 of 5000 steps in 0:00; loss 1.67e+03"
     assert list(progress.progress_bar(range(3), unit="draw", desc="draws")) == [0, 1, 2]
     assert capfd.readouterr().err.splitlines()[-1] == "draws: 3 of 3 draws in 0:00"
-
-
-def test_lines_come_ever_more_rarely(monkeypatch):
-    now = 100.0
-    monkeypatch.setattr(time, "monotonic", lambda: now)
-    lines, times = progress.Lines(), []
-    for second in range(600):
-        now = 100.0 + second
-        if lines.due():
-            times.append(second)
-    assert times[:6] == [0, 2, 4, 8, 16, 32]
-    assert all(later - earlier == 30 for earlier, later in pairwise(times[6:]))
 
 
 TERMINAL = """

@@ -79,7 +79,7 @@ def test_a_dataset_on_a_storage_is_that_of_a_folder(url: str, local: Path) -> No
         assert (name in found) == (local / name).exists()
     assert found["manifest.json"] == (local / "manifest.json").read_bytes()
     shutil.rmtree(folder_of(url))
-    with PairDataset(url, verify="hash") as pairs, PairDataset(local) as expected:
+    with PairDataset(url) as pairs, PairDataset(local) as expected:
         assert not list(pairs.folder.glob("t*/*.h5")), "nothing is fetched before it is asked for"
         assert len(pairs) == len(expected) == 24
         np.testing.assert_array_equal(pairs[17]["noisy"], expected[17]["noisy"])
@@ -99,9 +99,6 @@ def test_what_is_damaged_or_gone_there_is_made_again(bucket: str, local: Path) -
     content = bytearray(shards_of(url)["train/shard-00000.h5"])
     content[-100] ^= 1
     store.put("train/shard-00000.h5", bytes(content))
-    store.put("train/shard-00009.h5", b"of an earlier cut")
-    with pytest.raises(FactoryError, match=r"SHA-256 differs|damaged"):
-        PairDataset(local_folder(url, fresh=True), verify="hash")[0]
     assert make(folder_of(url)).kept == 2
     assert shards_of(url) == local_shards(local)
 
@@ -117,7 +114,9 @@ def test_a_killed_run_goes_on_on_another_machine(bucket: str, local: Path, tmp_p
         [sys.executable, "-c", code, url], cwd=ROOT, stderr=subprocess.DEVNULL
     )
     deadline = time.monotonic() + 60
-    while not shards_of(url) and time.monotonic() < deadline:
+    # Without its result, which follows it, a shard is made again.
+    while not any(name.endswith(".json") and "/" in name for name in contents(url)):
+        assert time.monotonic() < deadline
         time.sleep(0.1)
     process.send_signal(signal.SIGKILL)
     process.wait(20)
