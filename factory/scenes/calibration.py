@@ -68,7 +68,6 @@ def finished_frame(
     settings: SceneSettings,
     *,
     undistort: bool = False,
-    world_from_camera: npt.NDArray[np.float64] | None = None,
 ) -> Frame:
     """A checked frame with z depth, undistorted on demand.
 
@@ -79,9 +78,7 @@ def finished_frame(
     the file's pixels) and once more after undistortion, which moves pixels out of the picture.
     """
     try:
-        frame = checked(
-            Frame(ref, rgb, depth_m, intrinsics, world_from_camera), bad_depth=settings.bad_depth
-        )
+        frame = checked(Frame(ref, rgb, depth_m, intrinsics), bad_depth=settings.bad_depth)
         if undistort and intrinsics.distortion:
             rgb, depth_m = undistorted(frame.rgb, frame.depth_m, intrinsics)
             flat = replace(intrinsics, distortion=())

@@ -180,7 +180,7 @@ class MeshReader:
         return np.ascontiguousarray(picture[..., ::-1])
 
     def _recorded(self) -> tuple[Points, Points]:
-        from .tum import trajectory
+        from .trajectory import trajectory
 
         return trajectory(Path(self._settings.poses or "").expanduser())
 
