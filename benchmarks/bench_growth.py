@@ -1,4 +1,4 @@
-"""How cost grows with the number of shards: making, indexing, validating.
+"""How cost grows with the number of shards: planning, indexing, validating.
 
 Tiny shards (one 64x64 pair each, one render for all), so that what is measured is the bookkeeping.
 """
@@ -26,11 +26,12 @@ def measure(options: Options) -> Section:
                 f"frames.variants={shards}", "split.test_fraction=0", "dataset.preview_pairs=0",
                 f"dataset.dir={folder}/{shards}", f"cache.dir={folder}/cache",
             )  # fmt: skip
+            plan = run_command("plan", *words)
             made = run_command("make", *words, "scheduler.workers=2")
             again = run_command("make", *words)
             validated = run_command("validate", f"{folder}/{shards}")
-            rows.append((shards, made.cpu, again.cpu, validated.cpu))
-    columns = ("shards", "make, CPU s", "make again (resume)", "validate")
+            rows.append((shards, plan.cpu, made.cpu, again.cpu, validated.cpu))
+    columns = ("shards", "plan, CPU s", "make", "make again (resume)", "validate")
     slopes = [
         1e3 * (float(last) - float(first)) / (amounts[1] - amounts[0])
         for first, last in zip(rows[0][1:], rows[1][1:], strict=True)

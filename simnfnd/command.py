@@ -50,7 +50,7 @@ def main(words: Sequence[str] | None = None, default: str | None = None) -> int:
             print(f"{head(name, verb)}\n", flush=True)
         elif not any(word.split("=")[0] in _SHOW for word in rest):
             _check_installed(name, verb)
-            if sys.stderr.isatty() and (verb.hydra or verb.needs):
+            if sys.stderr.isatty() and (verb.hydra or verb.needs or name == "plan"):
                 # What follows imports for seconds; in a file nobody waits for the first word.
                 print(f"simnfnd {name}: starting", file=sys.stderr, flush=True)
         module, function = verb.target.split(":")

@@ -67,6 +67,11 @@ VERBS: dict[str, Verb] = {
         ),
         hydra=True,
     ),
+    "plan": Verb(
+        MAKE, "what `make` would make, and the disk, memory and time it would take",
+        f"{_COMMANDS}.plan:main",
+        ("simnfnd plan experiment=simnfnd scenes.root=flsea-vi", "simnfnd plan -m seed=1,2,3"),
+    ),
     "cache": Verb(
         MAKE, "the renders that are kept on disk: stats, verify, pack, clear",
         f"{_COMMANDS}.cache:main",
@@ -84,6 +89,7 @@ VERBS: dict[str, Verb] = {
             "simnfnd status outputs/demo",
             "simnfnd status outputs/demo --verify",
             "simnfnd status outputs/demo --failed",
+            "simnfnd status outputs/demo --rerun",
         ),
     ),
     "preview": Verb(

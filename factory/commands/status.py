@@ -1,21 +1,25 @@
-"""`simnfnd status DIR`: how far a dataset is, and which frames failed."""
+"""`simnfnd status DIR`: how far a dataset is, which frames failed, and another try of those."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..cli import Parser
-from ..dataset.format.manifest import damage, load_manifest
+from ..dataset.format.manifest import CONFIG_NAME, damage, load_manifest
 from ..dataset.format.schema import SPLITS
-from ..dataset.write.failures import load_failures
+from ..dataset.write.failures import FAILURES_NAME, load_failures
 from ..dataset.write.folder import STATUS_NAME
 from ..errors import FactoryError
 from ..scheduler.lock import owner_of
-from ..small_files import parse_json, read_regular
+from ..small_files import load_yaml, one_line, parse_json, read_regular
+
+if TYPE_CHECKING:
+    from ..config import FactoryConfig
 
 
 def main(words: list[str]) -> int:
@@ -25,9 +29,22 @@ def main(words: list[str]) -> int:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--verify", action="store_true", help="read every shard, too")
     what.add_argument("--failed", action="store_true", help="list the frames that failed, and why")
-    given = parser.parse_args(words)
+    what.add_argument(
+        "--rerun",
+        action="store_true",
+        help="try them again, with the dataset's configuration, in the folder DIR-retry",
+    )
+    parser.add_argument(
+        "settings", nargs="*", metavar="KEY=VALUE",
+        help="with --rerun: words of `simnfnd make` for scheduler and cache",
+    )  # fmt: skip
+    given = parser.parse_intermixed_args(words)
+    if given.settings and not given.rerun:
+        raise FactoryError(f"{given.settings[0]}: settings are for --rerun")
     failures = load_failures(given.dir)
-    if given.failed:
+    if given.rerun and failures:
+        return _rerun(given.dir, [item["frame"] for item in failures], given.settings)
+    if given.failed or given.rerun:
         return _list(given.dir, failures)
     return _state(given.dir, failures, verify=given.verify)
 
@@ -84,6 +101,64 @@ def _list(directory: Path, failures: Sequence[dict[str, str]]) -> int:
         print(_printable(f"  {item['command']}"))
     print(f"{len(failures)} frames failed; running the dataset's command again tries them, too")
     return 1
+
+
+def _rerun(directory: Path, failed: list[str], settings: list[str]) -> int:
+    """Make the failed frames once more.  Nothing that the dataset's files say is executed."""
+    from ..cli.generate import run
+
+    frames = tuple(dict.fromkeys(failed))
+    retry = Path(f"{directory}-retry")
+    config = _stored(directory, settings)
+    config = replace(
+        config,
+        frames=replace(config.frames, only=frames),
+        dataset=replace(
+            config.dataset, dir=str(retry), on_existing="overwrite", preview_pairs=0,
+            max_train=None, max_test=None,
+        ),
+    )  # fmt: skip
+    if load_manifest(retry) is not None:
+        (retry / FAILURES_NAME).unlink(missing_ok=True)
+    try:
+        run(config, arguments=settings)
+    except FactoryError:
+        # A run in which every frame failed ends like this, too, and has listed them.
+        if not load_failures(retry):
+            raise
+    reasons = {item["frame"]: item["reason"] for item in load_failures(retry)}
+    for frame in frames:
+        print(_printable(f"{frame}: {reasons.get(frame, 'works')}"))
+    cured = sum(frame not in reasons for frame in frames)
+    print(f"{cured} of {len(frames)} frames work now", end="")
+    print("; run the dataset's command again to take them in" if cured else "")
+    return 0 if cured == len(frames) else 1
+
+
+def _stored(directory: Path, settings: list[str]) -> FactoryConfig:
+    """What config.yaml says of the samples; scheduler and cache are those of `settings`.
+
+    A dataset may come from a stranger, so it does not choose where renders are written or which
+    cluster is connected to.
+    """
+    from ..cli.compose import compose_config
+    from ..config import from_mapping
+
+    path = directory / CONFIG_NAME
+    try:
+        values = load_yaml(path)
+    except (OSError, ValueError) as error:
+        raise FactoryError(
+            f"{path}: cannot be read ({one_line(error)}); restore it to rerun"
+        ) from error
+    if not isinstance(values, dict):
+        raise FactoryError(f"{path}: not a configuration; restore it to rerun")
+    here = compose_config(settings)
+    own = {name: getattr(here, name) for name in ("scheduler", "cache", "shard", "debug")}
+    try:
+        return from_mapping({**values, **own})
+    except FactoryError as error:
+        raise FactoryError(f"{path}: {error}") from error
 
 
 def _printable(text: str) -> str:

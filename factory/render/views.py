@@ -228,12 +228,15 @@ class ViewMaker:
         return view_of(frame, self._renderer.render(frame, mount), mount)
 
 
-def check_views(config: RenderNeeds) -> None:
-    """Raise FactoryError when renders can be neither made nor kept; loads nothing heavy."""
+def check_views(config: RenderNeeds, *, touch: bool = True) -> None:
+    """Raise FactoryError when renders can be neither made nor kept; loads nothing heavy.
+
+    touch: try to write into the cache.
+    """
     from . import check_renderer
 
     if config.scenes.kind == "pack":
         return
     check_renderer(config.render)
-    if config.cache.enabled:
+    if config.cache.enabled and touch:
         Cache(config.cache.folder).check()

@@ -97,3 +97,5 @@ def test_a_partial_download_without_test_scenes_is_told_first_and_last(
     assert any("u_canyon, coral_table_loop" in line for line in lines)
     manifest = json.loads((tmp_path / "o/manifest.json").read_text())
     assert [shard["split"] for shard in manifest["shards"]] == ["train"]
+    assert main(["plan", *words[:2], *FAST]) == 0
+    assert "the test split is empty" in capfd.readouterr().err

@@ -84,6 +84,7 @@ def look_at(folder: Path, name: str) -> None:
     verbs: list[Callable[[], Any]] = [
         lambda: status.main([str(folder)]),
         lambda: status.main([str(folder), "--failed"]),
+        lambda: status.main([str(folder), "--rerun"]),
         lambda: dataset_settings(folder),
         lambda: PairDataset(folder, trusted=True)[0],
         lambda: owner_of(folder),

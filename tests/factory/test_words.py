@@ -45,7 +45,7 @@ def test_a_typo_is_answered_with_what_is_nearest(monkeypatch, capfd, word, answe
 @pytest.mark.parametrize(
     ("words", "answer"),
     [
-        (["demo", "noise.background.densty=1"], "noise.background.density"),
+        (["plan", "noise.background.densty=1"], "noise.background.density"),
         (["train", "dataset=x", "train.stps=3"], "did you mean train.steps?"),
         (["evaluate", "dataset=x", "basline=[all]"], "did you mean baselines?"),
         (["evaluate", "real", "x", "modls=[a]"], "did you mean models?"),

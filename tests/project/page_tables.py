@@ -34,6 +34,9 @@ PAGES: dict[str, dict[str, How]] = {
         "simnfnd export outputs/demo --to huggingface --out outputs/hub": Run(),
         "simnfnd make render=analytic scenes.locations=3 scenes.frames_per_location=2 "
         "frames.variants=2 dataset.dir=outputs/larger": Run(SMALL),
+        "simnfnd plan render=analytic scenes.locations=100": Elsewhere(
+            "tests/factory/render/test_cache_commands.py", '"plan", *words'
+        ),
     },
     "docs/tutorials/own-data.md": {
         "simnfnd make scenes=csv_list scenes.root=recording/frames.csv "

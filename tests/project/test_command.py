@@ -267,6 +267,7 @@ for name in (name for name, verb in VERBS.items() if not verb.hydra):
     said(f"{name} --help", 0)
 small = "scenes.locations=2 scenes.frames_per_location=1 scenes.width=242 scenes.height=152"
 made = f"render=analytic experiment=demo {small} scheduler=serial cache.dir=cache dataset.dir=made"
+said(f"plan {made}", 0)
 said(f"make {made}", 0, "dataset: made")
 said("status made --verify", 0)
 said("status made --failed", 0)

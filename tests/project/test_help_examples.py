@@ -24,6 +24,7 @@ QUICK = ("render=analytic", "scheduler=serial", "dataset.preview_pairs=0", "fram
 REAL: dict[str, tuple[str, ...]] = {
     "demo": (*QUICK, *SMALL),
     "make": QUICK,
+    "plan": QUICK,
     "cache stats": (),
     "cache verify": (),
     "cache pack": QUICK,

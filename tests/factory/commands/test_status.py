@@ -1,4 +1,4 @@
-"""`simnfnd status --failed`, and the run that tries such frames again."""
+"""`simnfnd status --rerun` runs frames, never words that a dataset's files hold."""
 
 from __future__ import annotations
 
@@ -9,16 +9,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 from simnfnd.command import main
 
-
-def words_for(folder: Path) -> list[str]:
-    return [
-        *("scenes=csv_list", f"scenes.file={folder}/scene/list.csv", "render=analytic"),
-        *("scenes.intrinsics=[100,100,60,40]", "dataset.preview_pairs=0", "scheduler=serial"),
-        *(f"cache.dir={folder}/cache", f"dataset.dir={folder}/out"),
-    ]
+SERIAL = ("scheduler=serial",)
 
 
 @pytest.fixture
@@ -33,19 +28,65 @@ def failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         cv2.imwrite(str(folder / f"{name}.png"), np.full((80, 120, 3), 120, np.uint8))
         cv2.imwrite(str(folder / f"{name}_d.png"), picture)
     (folder / "list.csv").write_text("good.png,good_d.png\nbad.png,bad_d.png\n")
-    assert main(["make", *words_for(tmp_path)]) == 1
+    out = tmp_path / "out"
+    words = [
+        *("scenes=csv_list", f"scenes.root={folder / 'list.csv'}", "render=analytic"),
+        *("scenes.intrinsics=[100,100,60,40]", "dataset.preview_pairs=0", *SERIAL),
+        *(f"cache.dir={tmp_path / 'cache'}", f"dataset.dir={out}"),
+    ]
+    assert main(["make", *words]) == 1
     cv2.imwrite(str(folder / "bad_d.png"), depth)
-    return tmp_path / "out"
+    return out
 
 
-def test_failed_frames_are_listed_and_tried_by_the_same_command(failed: Path, capfd) -> None:
-    """What a file of the dataset says is shown, without what a terminal would obey."""
-    path = failed / "failed.jsonl"
+def rewrite(out: Path, **changes: str) -> None:
+    path = out / "failed.jsonl"
     item = json.loads(path.read_text())
-    assert item["frame"] == "list/bad"
-    path.write_text(json.dumps({**item, "command": "x; touch stolen \x1b[2J"}) + "\n")
-    assert main(["status", str(failed), "--failed"]) == 1
-    assert "x; touch stolen ?[2J" in capfd.readouterr().out
-    assert main(["make", *words_for(failed.parent)]) == 0
-    assert main(["status", str(failed), "--failed"]) == 0
-    assert "no frame failed" in capfd.readouterr().out
+    path.write_text(json.dumps({**item, **changes}) + "\n")
+
+
+def test_a_forged_command_is_shown_and_not_run(failed: Path, capfd) -> None:
+    stolen = failed.parent / "stolen"
+    for command in (
+        f"simnfnd make --config-dir {failed.parent} dataset.dir={stolen} render=analytic",
+        f"x; touch {stolen} \x1b[2J",
+    ):
+        rewrite(failed, command=command)
+        assert main(["status", str(failed), "--failed"]) == 1
+        shown = capfd.readouterr().out
+        assert command.replace("\x1b", "?") in shown
+        assert main(["status", str(failed), "--rerun", *SERIAL]) == 0
+        assert "1 of 1 frames work now" in capfd.readouterr().out
+        assert not stolen.exists()
+
+
+def test_a_forged_frame_is_refused(failed: Path, capfd) -> None:
+    rewrite(failed, frame="../../other")
+    assert main(["status", str(failed), "--rerun", *SERIAL]) == 2
+    assert capfd.readouterr().err == "error: frames.only: no frame named ../../other\n"
+
+
+def test_a_forged_configuration_chooses_no_folder_and_no_cluster(failed: Path, capfd) -> None:
+    elsewhere = failed.parent / "elsewhere"
+    path = failed / "config.yaml"
+    text = path.read_text()
+    values = yaml.safe_load(text)
+    values["cache"]["dir"] = values["dataset"]["dir"] = str(elsewhere)
+    values["scheduler"] |= {"backend": "dask", "address": "tcp://127.0.0.1:9"}
+    path.write_text(yaml.safe_dump(values))
+    assert main(["status", str(failed), "--rerun", *SERIAL]) == 0
+    assert not elsewhere.exists()
+    path.write_text("!!python/object/apply:os.system ['touch elsewhere']")
+    assert main(["status", str(failed), "--rerun", *SERIAL]) == 2
+    assert "config.yaml: cannot be read" in capfd.readouterr().err
+    assert not elsewhere.exists()
+
+
+def test_a_frame_that_still_fails_says_why(failed: Path, capfd) -> None:
+    depth = failed.parent / "scene/bad_d.png"
+    depth.write_bytes(b"no picture")
+    for _ in range(2):
+        assert main(["status", str(failed), "--rerun", *SERIAL]) == 1
+        printed = capfd.readouterr().out
+        assert "list/bad: " in printed
+        assert "0 of 1 frames work now" in printed

@@ -1,8 +1,9 @@
-"""The cache on the command line: make, status, verify, pack, and frames that failed."""
+"""The cache on the command line: plan, make, status, verify, pack, and frames that failed."""
 
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -27,10 +28,15 @@ def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
 def test_from_command_line_to_pack_and_back(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """make, status, verify with a flipped bit, pack, and the same pairs out of the pack."""
+    """plan, make, status, verify with a flipped bit, pack, and the same pairs out of the pack."""
     cache = f"cache.dir={tmp_path / 'cache'}"
     out = tmp_path / "out"
     words = [*WORDS, cache, f"dataset.dir={out}", "scheduler.shard_size=2"]
+    assert run(monkeypatch, "plan", *words) == 0
+    stated = capfd.readouterr().out
+    assert "train: 2 pairs in 1 shards" in stated
+    assert "renders: 0 of 4 are in the cache" in stated
+    assert sorted(os.listdir(tmp_path)) == [], "a plan wrote something"
     assert run(monkeypatch, *words) == 0
     assert run(monkeypatch, "status", str(out), "--verify") == 0
     stated = capfd.readouterr().out
