@@ -6,7 +6,6 @@ import re
 import subprocess
 import sys
 import time
-from itertools import pairwise
 
 from simnfnd.factory import progress
 from tests.factory.scheduler.staged import staged
@@ -52,18 +51,6 @@ def test_a_bar_in_a_file_is_a_few_whole_lines(capfd):
     assert lines[-1] == "training: 5000 of 5000 steps in 0:00; loss 1.67e+03"
     assert list(progress.progress_bar(range(3), unit="draw", desc="draws")) == [0, 1, 2]
     assert capfd.readouterr().err.splitlines()[-1] == "draws: 3 of 3 draws in 0:00"
-
-
-def test_lines_come_ever_more_rarely(monkeypatch):
-    now = 100.0
-    monkeypatch.setattr(time, "monotonic", lambda: now)
-    lines, times = progress.Lines(), []
-    for second in range(600):
-        now = 100.0 + second
-        if lines.due():
-            times.append(second)
-    assert times[:6] == [0, 2, 4, 8, 16, 32]
-    assert all(later - earlier == 30 for earlier, later in pairwise(times[6:]))
 
 
 TERMINAL = """

@@ -106,23 +106,6 @@ def test_one_shard_and_the_index_can_be_given(dataset, tmp_path) -> None:
         (dataset / "index.h5").unlink()
 
 
-@pytest.mark.parametrize(
-    ("compression", "said"),
-    [("none", "fletcher32"), ("gzip", "gzip 1, fletcher32")],
-)
-def test_compression_is_told(compression, said, tmp_path) -> None:
-    from simnfnd.factory.dataset.describe.summary import compression_of
-
-    filters = {} if compression == "none" else {"compression": compression}
-    if compression == "gzip":
-        filters["compression_opts"] = 1
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        stack = file.create_dataset(
-            "x", shape=(2, 4, 4), dtype="u1", chunks=(1, 4, 4), fletcher32=True, **filters
-        )
-        assert compression_of(stack) == said
-
-
 def test_what_is_no_dataset_is_said(tmp_path, dataset) -> None:
     with pytest.raises(FactoryError, match="no such file or folder"):
         summarize(tmp_path / "nothing")
