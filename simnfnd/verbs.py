@@ -117,7 +117,7 @@ VERBS: dict[str, Verb] = {
         ("simnfnd merge outputs/a outputs/b --out outputs/both",),
     ),
     "export": Verb(
-        PASS_ON, "a dataset as WebDataset, Hugging Face, PNG, MDD, COCO or YOLO",
+        PASS_ON, "a dataset as WebDataset, Hugging Face, PNG, COCO or YOLO",
         f"{_COMMANDS}.export:main",
         (
             "simnfnd export outputs/demo --to huggingface --out outputs/hub",
