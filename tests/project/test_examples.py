@@ -22,6 +22,7 @@ from simnfnd.command import main
 from simnfnd.models.networks import build_network
 from simnfnd.models.networks.weights import save_weights
 from tests.fake_ros import write_fake_ros
+from tests.project.page_steps import PAGES, steps
 from tests.project.run_example import EXAMPLES, run
 from tests.project_files import ROOT
 from tests.small_dataset import write_dataset
@@ -168,8 +169,7 @@ def test_a_listed_recording_becomes_pairs(tmp_path: Path, monkeypatch: pytest.Mo
 def test_every_example_is_tested() -> None:
     tests = "".join(
         path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py")
-    )
-    pages = (ROOT / "tests/project/page_tables.py").read_text(encoding="utf-8")
+    ) + "".join(step.text for page in PAGES for step in steps(page))
     for path in EXAMPLES.glob("*.py"):
-        run = f'"{path.name}"' in tests or f'"python examples/{path.name} ' in pages
+        run = f'"{path.name}"' in tests or f"python examples/{path.name} " in tests
         assert run, f"{path.name} is run by no test"
