@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Protocol
 
 from .errors import FactoryError
-from .ownership import check_fences, space
+from .ownership import space
 
 _TEMPORARY = re.compile(r"\..+\.(?:[^.-]+-)?(?P<space>[0-9a-f]{8})-(?P<pid>\d+)-[0-9a-f]{16}\.tmp$")
 _FOREIGN_STALE_S = 86_400.0
@@ -32,8 +32,7 @@ def write_atomically(
 
     durable: wait until the disk has it; without, a power cut may leave half a file after all, which
         is for files that tell damage themselves.  key: named in the error.
-    Raises FactoryError with one line when the folder cannot be written, the disk is full, or
-    another run has taken over the folder.
+    Raises FactoryError with one line when the folder cannot be written or the disk is full.
     """
     temporary = _temporary_for(path)
     with explain_os_errors(path, key):
@@ -43,7 +42,6 @@ def write_atomically(
                 file.flush()
                 if durable:
                     os.fsync(file.fileno())
-            check_fences(path)
             os.replace(temporary, path)
         except BaseException:
             temporary.unlink(missing_ok=True)
@@ -177,9 +175,6 @@ class Outlet(Protocol):
     def remove(self, path: Path) -> None:
         """A file of the folder was removed, or was found absent."""
 
-    def names(self) -> list[str]:
-        """The shards that are there, below the folder, with forward slashes."""
-
 
 # Of this process.
 _outlets: list[Outlet] = []
@@ -203,11 +198,6 @@ def remove_file(path: Path) -> None:
     path.unlink(missing_ok=True)
     for one in _of(path):
         one.remove(path)
-
-
-def names_outside(folder: Path, split: str) -> list[str]:
-    """The shards of a split that lie wherever the files of this folder go."""
-    return [name for one in _of(folder) for name in one.names() if name.startswith(f"{split}/")]
 
 
 def _of(path: Path) -> list[Outlet]:

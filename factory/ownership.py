@@ -1,25 +1,16 @@
-"""Who owns a folder: processes told apart across containers and machines, and writes that ask.
-
-A worker that outlived its run writes no more into a folder that is another run's by now.
-"""
+"""Which process owns something: processes told apart across containers and machines."""
 
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import socket
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from .errors import FactoryError
-from .small_files import parse_json, read_regular
-
-_MOST_BYTES = 1 << 12
 
 
 @cache
@@ -74,62 +65,9 @@ def _started(pid: int) -> float | None:
         return None
 
 
-@dataclass(frozen=True)
-class Fence:
-    """lock: absolute path of a lock file, without `..`.  token: what it holds while it is ours."""
-
-    lock: Path
-    token: str
-
-    def check(self) -> None:
-        """Raise FactoryError when the lock is another's, or gone."""
-        owner = read_owner(self.lock)
-        if owner.get("token") != self.token:
-            raise taken(self.lock.parent, owner)
-
-
-def taken(place: Path | str, owner: Mapping[str, Any]) -> FactoryError:
-    """The error of a run that has lost its folder or URL to another."""
+def taken(place: str, owner: Mapping[str, Any]) -> FactoryError:
+    """The error of a run that has lost its URL to another."""
     by = f"by process {owner['pid']} on {owner.get('host')}" if "pid" in owner else "away"
     return FactoryError(
         f"{place}: was taken {by} while this run stood still; nothing more is written here"
     )
-
-
-# Of this process.
-_fences: list[Fence] = []
-
-
-@contextmanager
-def fenced(fence: Fence | None) -> Iterator[None]:
-    """Within the block, `check_fences` checks this one, too."""
-    if fence is None:
-        yield
-        return
-    _fences.append(fence)
-    try:
-        yield
-    finally:
-        _fences.remove(fence)
-
-
-def check_fences(path: Path) -> None:
-    """Raise FactoryError when `path` lies in a folder that this process had and lost."""
-    place = Path(os.path.abspath(path))
-    for fence in _fences:
-        if place.is_relative_to(fence.lock.parent):
-            fence.check()
-
-
-def read_owner(lock: Path) -> dict[str, Any]:
-    """What a lock file says; empty when it is absent or says nothing."""
-    try:
-        owner = parse_json(read_regular(lock, _MOST_BYTES))
-    except (OSError, ValueError):
-        return {}
-    return owner if isinstance(owner, dict) else {}
-
-
-def owner_text(owner: dict[str, Any]) -> bytes:
-    """The content of a lock file."""
-    return json.dumps(owner).encode()

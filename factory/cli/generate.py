@@ -63,7 +63,7 @@ def generate(composed: DictConfig) -> int:
         report, directory = run(config, arguments=sys.argv[1:])
         code = 1 if report.failures else 0
         if config.shard.count == 1:
-            note_result(directory, config, report, code)
+            note_result(directory, report, code)
     except FactoryError as error:
         note_failure("failed", str(error), EXIT_BAD_INPUT)
         raise
@@ -104,7 +104,7 @@ def run(config: FactoryConfig, arguments: list[str]) -> tuple[RunReport, Path]:
     require(needs_of(config))
     check_views(config)
     forked = template.runs() and config.scheduler.backend == "local"
-    if not (forked and config.scheduler.threads == 1):
+    if not forked:
         # Else the process that workers are forked from loads them, and the first worker compiles
         # what that does not find.
         compile_needed(
@@ -214,7 +214,7 @@ def _rerun_command(ref: FrameRef, arguments: list[str], directory: Path) -> str:
     words = [
         word
         for word in arguments
-        if not word.startswith(("dataset.dir=", "dataset.on_existing=", "frames.only="))
+        if not word.startswith(("dataset.dir=", "frames.only="))
         and word not in ("-m", "--multirun")
     ]
     again = [*words, f"frames.only=[{ref.name}]", f"dataset.dir={shown(directory)}-retry"]

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import atexit
 import gc
-import os
-import shutil
 import sys
 from contextlib import suppress
 
@@ -24,10 +21,6 @@ with suppress(Exception):
     from ..scheduler import worker  # noqa: F401
 
     load_compiled()
-
-# The template ends after all that came of it; what it was started by may have been killed.
-if folder := os.environ.pop("SIMNFND_TEMPLATE_FOLDER", ""):
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
 
 gc.freeze()
 gc.enable()

@@ -21,12 +21,11 @@ from ..errors import FactoryError
 if TYPE_CHECKING:
     from omegaconf import DictConfig
 
-    from ..config import FactoryConfig
     from ..scheduler.results import RunReport
 
 _RESULT = "result.json"
 # Of noisy against clean: mean and spread over the pairs.
-_FIGURES = ("psnr_db", "psnr_db_std", "ssim", "ssim_std", "gmsd", "gmsd_std")
+_FIGURES = ("psnr_db", "psnr_db_std")
 _ALWAYS = ("pairs", "failed", *_FIGURES, "state", "exit_code", "dataset", "reason")
 # On the contact sheet.
 _FRAMES = 3
@@ -34,7 +33,7 @@ _FRAMES = 3
 _open: list[tuple[Path, list[list[str]]]] = []
 
 
-def note_result(directory: Path, config: FactoryConfig, report: RunReport, exit_code: int) -> None:
+def note_result(directory: Path, report: RunReport, exit_code: int) -> None:
     """Within a sweep, leave the row of a point that was made; else do nothing."""
     from ..dataset.describe.quality import noisiness
 

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from ..cli import Parser
 from ..dataset.format.manifest import CONFIG_NAME, damage, load_manifest
 from ..dataset.format.schema import SPLITS
-from ..dataset.write.failures import FAILURES_NAME, load_failures
+from ..dataset.write.failures import load_failures
 from ..dataset.write.folder import STATUS_NAME
 from ..errors import FactoryError
 from ..scheduler.lock import owner_of
@@ -32,7 +33,7 @@ def main(words: list[str]) -> int:
     what.add_argument(
         "--rerun",
         action="store_true",
-        help="try them again, with the dataset's configuration, in the folder DIR-retry",
+        help="try them again, with the dataset's configuration; renders go to the cache",
     )
     parser.add_argument(
         "settings", nargs="*", metavar="KEY=VALUE",
@@ -108,25 +109,22 @@ def _rerun(directory: Path, failed: list[str], settings: list[str]) -> int:
     from ..cli.generate import run
 
     frames = tuple(dict.fromkeys(failed))
-    retry = Path(f"{directory}-retry")
     config = _stored(directory, settings)
-    config = replace(
-        config,
-        frames=replace(config.frames, only=frames),
-        dataset=replace(
-            config.dataset, dir=str(retry), on_existing="overwrite", preview_pairs=0,
-            max_train=None, max_test=None,
-        ),
-    )  # fmt: skip
-    if load_manifest(retry) is not None:
-        (retry / FAILURES_NAME).unlink(missing_ok=True)
-    try:
-        run(config, arguments=settings)
-    except FactoryError:
-        # A run in which every frame failed ends like this, too, and has listed them.
-        if not load_failures(retry):
-            raise
-    reasons = {item["frame"]: item["reason"] for item in load_failures(retry)}
+    # What it renders goes to the cache.
+    with TemporaryDirectory(prefix="simnfnd-") as retry:
+        limits: dict[str, Any] = {"preview_pairs": 0, "max_train": None, "max_test": None}
+        config = replace(
+            config,
+            frames=replace(config.frames, only=frames),
+            dataset=replace(config.dataset, dir=retry, **limits),
+        )
+        try:
+            run(config, arguments=settings)
+        except FactoryError:
+            # A run in which every frame failed ends like this, too, and has listed them.
+            if not load_failures(Path(retry)):
+                raise
+        reasons = {item["frame"]: item["reason"] for item in load_failures(Path(retry))}
     for frame in frames:
         print(_printable(f"{frame}: {reasons.get(frame, 'works')}"))
     cured = sum(frame not in reasons for frame in frames)

@@ -12,7 +12,6 @@ from ..dataset.format.schema import PairSource, Preparer, Provenance
 from ..dataset.format.settings import DatasetSettings
 from ..dataset.write.folder import WORK_NAME
 from ..frame import FrameRef
-from ..ownership import Fence
 from ..storage.publish import Publication
 from .plan import ShardTask
 from .settings import SchedulerSettings, ShardSlice
@@ -26,8 +25,6 @@ class Recipe:
         worker process calls it for itself.
     preparer: likewise builds what prepares the frames, in the workers that render; None when
         nothing is to be prepared.
-    work_folder: for tracebacks of crashed workers, and what only this run needs.
-    fence: asked before a shard is put in its place.
     publication: where the dataset goes when its folder is the copy of a URL.
     """
 
@@ -37,9 +34,6 @@ class Recipe:
     config: Any
     provenance: Provenance
     dataset: DatasetSettings
-    frame_timeout_s: float
-    work_folder: Path
-    fence: Fence | None = None
     publication: Publication | None = None
 
     @property
@@ -88,16 +82,13 @@ class Job:
     @property
     def recipe(self) -> Recipe:
         """The part that workers need."""
-        directory = Path(os.path.abspath(self.directory))
         return Recipe(
-            directory,
+            Path(os.path.abspath(self.directory)),
             self.source,
             self.preparer,
             self.config,
             self.provenance,
             self.dataset,
-            self.scheduler.frame_timeout_s,
-            work_folder(directory, self.shard),
         )
 
 

@@ -11,14 +11,13 @@ from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 from ..dataset.write.failures import Failure, FailureKind
 from ..errors import FactoryError
 from ..frame import FrameRef
 from ..storage.publish import Publication
 from .job import Job
-from .lock import Lock
 from .pending import AttemptState, Pending
 from .plan import ShardTask
 from .progress import ProgressBar
@@ -35,15 +34,10 @@ from .worker import (
 from .workers.contract import Backend
 
 _POLL_S = 0.2
-# A worker ends itself when a frame takes too long, which leaves its traceback; one that was stopped
-# cannot, and is killed so much later.
-_GRACE_S = 5.0
 # So many workers that die without having begun a frame, one after another, are no accident.
 _MAX_BARREN_DEATHS = 10
 # A shard whose frames vanish from the cache that often will not be made.
 _MAX_ROUNDS = 20
-
-SomeWork = TypeVar("SomeWork", bound=Pending)
 
 
 class _Shard(Pending):
@@ -80,12 +74,11 @@ class Loop:
         resumed: Resumed,
         results: Results,
         progress: ProgressBar,
-        lock: Lock,
         backend: Backend,
         publication: Publication | None = None,
     ) -> None:
         self._job, self._scheduler = job, job.scheduler
-        self._recipe = replace(job.recipe, fence=lock.fence, publication=publication)
+        self._recipe = replace(job.recipe, publication=publication)
         # Who shares no folder shares no renders either, and makes those of its own shard.
         self._prepares = job.preparer is not None and not self._recipe.apart
         self._lacking = resumed.lacking
@@ -119,7 +112,7 @@ class Loop:
             self._submit_what_fits()
             done, _ = wait(self._running, timeout=_POLL_S, return_when=FIRST_COMPLETED)
             if not self._running:
-                time.sleep(0.01)  # all that is left waits for its next try
+                time.sleep(_POLL_S)  # until a worker of the cluster comes back
             for future in done:
                 self._take_result(*self._running.pop(future), future)
             self._backend.poll()
@@ -127,33 +120,25 @@ class Loop:
             self._progress.show(shards, self._failed_frames)
 
     def _submit_what_fits(self) -> None:
-        while self._backend.free(NOISE) and (shard := _take(self._ready)):
-            self._submit(shard, shard.path, NOISE)
-        while self._backend.free(RENDER) and (frame := _take(self._preparing)):
-            self._submit(frame, frame.ref.name, RENDER)
-
-    def _submit(self, work: _Shard | _Frame, name: str, pool: str) -> None:
-        work.tries += 1
-        trace = self._recipe.work_folder / f"{name.replace('/', '-')}.{work.tries}.trace"
-        state = AttemptState(trace)
-        more = self._scheduler.frame_timeout_s + _GRACE_S, pool, state.hear
-        if isinstance(work, _Frame):
-            frame = FrameAttempt(work.ref, self._recipe, trace)
-            future: Future[Any] = self._backend.submit(prepare_frame, frame, *more)
-        else:
-            given_up, lacking = tuple(work.given_up.values()), self._lacking.get(work.path, ())
-            shard = ShardAttempt(work.task, self._recipe, trace, given_up, lacking, work.keys)
-            future = self._backend.submit(make_shard, shard, *more)
-        self._running[future] = work, state
+        limit_s = self._scheduler.frame_timeout_s
+        while self._ready and self._backend.free(NOISE):
+            shard, state = self._ready.popleft(), AttemptState()
+            given_up, lacking = tuple(shard.given_up.values()), self._lacking.get(shard.path, ())
+            attempt = ShardAttempt(shard.task, self._recipe, given_up, lacking, shard.keys)
+            future = self._backend.submit(make_shard, attempt, limit_s, NOISE, state.hear)
+            self._running[future] = shard, state
+        while self._preparing and self._backend.free(RENDER):
+            frame, state = self._preparing.popleft(), AttemptState()
+            work = FrameAttempt(frame.ref, self._recipe)
+            done = self._backend.submit(prepare_frame, work, limit_s, RENDER, state.hear)
+            self._running[done] = frame, state
 
     def _take_result(self, work: _Shard | _Frame, state: AttemptState, future: Future[Any]) -> None:
         error = future.exception()
-        late, place = state.cause_of_death(self._scheduler.frame_timeout_s)
         if state.begun or error is None:
             self._barren_deaths = 0
         if error is not None:
-            kind, reason = self._cause(error, late)
-            self._died(work, state, kind, reason + place)
+            self._died(work, state, *self._cause(error))
         elif isinstance(work, _Frame):
             self._prepared(work, future.result())
         elif missing := future.result().missing:
@@ -161,12 +146,12 @@ class Loop:
         else:
             self._settle(work, future.result())
 
-    def _cause(self, error: BaseException, late: bool) -> tuple[FailureKind, str]:
+    def _cause(self, error: BaseException) -> tuple[FailureKind, str]:
         """Why a worker died; an error that is no death ends the run."""
-        reason = self._backend.why_died(error)
-        if isinstance(error, TimeoutError) or (reason and late):
+        if isinstance(error, TimeoutError):
             limit_s = self._scheduler.frame_timeout_s
             return "timeout", f"took longer than scheduler.frame_timeout_s={limit_s:g}"
+        reason = self._backend.why_died(error)
         if reason is None:
             raise error
         return "crash", reason
@@ -174,24 +159,20 @@ class Loop:
     def _died(
         self, work: _Shard | _Frame, state: AttemptState, kind: FailureKind, reason: str
     ) -> None:
-        if not state.begun:
+        left = True
+        if state.begun:
+            left = work.died(0 if isinstance(work, _Frame) else state.in_hand, kind, reason)
+        else:
             # Nothing of it was touched yet, so nothing of it is to blame.
             self._barren_deaths += 1
             if self._barren_deaths >= _MAX_BARREN_DEATHS:
                 raise FactoryError(f"no worker lives long enough to begin a frame: {reason}")
-            work.wait(self._barren_deaths)
-        elif work.died(0 if isinstance(work, _Frame) else state.in_hand, kind, reason):
-            work.wait()
-        elif isinstance(work, _Frame):
-            self._prepared(work, FrameResult(work.given_up[work.ref.name]))
-            return
-        else:
-            self._give_up(work)
-            return
-        if isinstance(work, _Frame):
+        if isinstance(work, _Shard):
+            self._ready.appendleft(work) if left else self._give_up(work)
+        elif left:
             self._preparing.appendleft(work)
         else:
-            self._ready.appendleft(work)
+            self._prepared(work, FrameResult(work.given_up[work.ref.name]))
 
     def _need(self, shard: _Shard, refs: Sequence[FrameRef]) -> None:
         """Let the shard wait until these frames are prepared."""
@@ -241,13 +222,3 @@ class Loop:
         lost = sum(len(variants) for ref, variants in shard.task.items if ref.name in gone)
         self._progress.settled(shard.task.samples, lost)
         self._results.settle(shard.task, result)
-
-
-def _take(queue: deque[SomeWork]) -> SomeWork | None:
-    """The first of the queue whose time has come, or None."""
-    now = time.monotonic()
-    for index, work in enumerate(queue):
-        if work.not_before <= now:
-            del queue[index]
-            return work
-    return None

@@ -7,9 +7,7 @@ all of them, and they go.
 
 from __future__ import annotations
 
-import re
 import time
-from collections import Counter
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -26,13 +24,10 @@ from ..dataset.format.manifest import (
 )
 from ..dataset.format.schema import SPLITS
 from ..dataset.write.failures import Failure, failure_lines, save_failures
-from ..errors import FactoryError
-from ..files import explain_os_errors, names_outside, remove_file
+from ..files import explain_os_errors, remove_file
 from .job import Job
 from .plan import ShardTask
 from .worker import ShardResult
-
-_SHARD_NAME = re.compile(r"shard-\d{5,}\.h5")
 
 
 @dataclass(frozen=True)
@@ -58,7 +53,7 @@ class RunReport:
 class Resumed:
     """Where a run starts.
 
-    manifest: the shards that are whole and planned the same.
+    manifest: the shards that are whole.
     todo: tasks to make, or to try again because they lack frames.
     lacking: path of such a shard -> names of the frames it lacks.
     notes: one line about each shard that was found damaged.
@@ -71,70 +66,30 @@ class Resumed:
 
 
 def take_up(job: Job, manifest: Manifest) -> Resumed:
-    """Compare plan, results and disk; shards that the plan no longer has are removed.
-
-    Of a slice nothing is removed.
-    Raises FactoryError when the plan has fewer samples than the folder already holds: then frames
-    have gone missing since, and going on would throw finished work away.
-    """
-    directory, tasks = job.directory, job.own_tasks
-    whole = not job.shard.part
-    planned = {task.path: task for task in tasks}
-    if whole:
-        _refuse_shrinking(job, manifest)
-    same = [
-        info
-        for path, info in manifest.shards.items()
-        if path in planned and info.plan == planned[path].digest
-    ]
+    """Compare plan, results and disk."""
+    tasks = {task.path: task for task in job.own_tasks}
+    there = [info for path, info in manifest.shards.items() if path in tasks]
     with ThreadPoolExecutor() as pool:
-        found = zip(same, pool.map(partial(damage, directory), same), strict=True)
-    good: dict[str, ShardInfo] = {}
-    notes = []
-    for info, problem in found:
-        if problem:
-            notes.append(f"{directory / info.path}: {problem}; it is made again")
-        else:
-            good[info.path] = info
-    if whole:
-        _remove_unplanned(job)
+        problems = list(pool.map(partial(damage, job.directory), there))
+    good = {i.path: i for i, problem in zip(there, problems, strict=True) if not problem}
+    notes = tuple(
+        f"{job.directory / info.path}: {problem}; it is made again"
+        for info, problem in zip(there, problems, strict=True)
+        if problem
+    )
     todo = tuple(
-        task for task in tasks if task.path not in good or good[task.path].samples < task.samples
+        task
+        for path, task in tasks.items()
+        if path not in good or good[path].samples < task.samples
     )
     lacking = {task.path: good[task.path].failed for task in todo if task.path in good}
-    return Resumed(_with_shards(manifest, good), todo, lacking, tuple(notes))
+    return Resumed(_with_shards(manifest, good), todo, lacking, notes)
 
 
 def _with_shards(manifest: Manifest, shards: Mapping[str, ShardInfo]) -> Manifest:
     """The manifest with these shards; an index.h5 that shows others counts no more."""
     index = manifest.index_sha256 if shards == manifest.shards else ""
     return replace(manifest, shards=dict(shards), index_sha256=index)
-
-
-def _refuse_shrinking(job: Job, manifest: Manifest) -> None:
-    planned: Counter[str] = Counter()
-    for task in job.tasks:
-        planned[task.split] += task.samples
-    for split in SPLITS:
-        there = manifest.samples(split)
-        if there > planned[split]:
-            raise FactoryError(
-                f"dataset.dir: {job.directory} holds {there} {split} samples, but the scenes now "
-                f"give only {planned[split]}; bring the frames back, or give another folder"
-            )
-
-
-def _remove_unplanned(job: Job) -> None:
-    """Shards of an earlier cut of the same frames would be read as part of the dataset."""
-    planned = {task.path for task in job.tasks}
-    for split in SPLITS:
-        folder = job.directory / split
-        found = {path.name for path in folder.glob("shard-*.h5")}
-        found |= {name.rpartition("/")[2] for name in names_outside(job.directory, split)}
-        for name in sorted(found):
-            if _SHARD_NAME.fullmatch(name) and f"{split}/{name}" not in planned:
-                with explain_os_errors(folder / name):
-                    remove_file(folder / name)
 
 
 class Results:

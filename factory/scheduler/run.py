@@ -9,7 +9,7 @@ from ..dataset.describe.card import write_card
 from ..dataset.describe.preview import preview
 from ..dataset.format.manifest import MAX_SHARDS, Manifest, load_manifest
 from ..dataset.format.schema import SPLITS
-from ..dataset.write.folder import empty_folder, open_folder
+from ..dataset.write.folder import open_folder
 from ..dataset.write.index import write_index
 from ..errors import FactoryError
 from ..files import explain_os_errors, remove_file, remove_stale_temporaries
@@ -38,29 +38,21 @@ def make_dataset(job: Job) -> RunReport:
             f"scheduler.shard_size={job.scheduler.shard_size}: gives {len(job.tasks)} shards, a "
             f"manifest lists {MAX_SHARDS} at most; raise it"
         )
-    if job.shard.part and job.dataset.on_existing != "resume":
-        raise FactoryError(
-            "dataset.on_existing=overwrite: slices would delete each other's shards; "
-            "empty the folder first"
-        )
     apart = job.scheduler.address is not None
     with (
         stop_signals(),
-        Lock(job.directory, job.shard.part) as lock,
+        Lock(job.directory, job.shard.part),
         publishing(job.directory, job.shard.part, apart=apart) as publication,
     ):
-        emptied = job.dataset.on_existing == "overwrite" and empty_folder(job.directory)
-        manifest = open_folder(job.directory, job.config_values, job.provenance, emptied=emptied)
-        report = make_shards(job, manifest, lock, publication)
+        manifest = open_folder(job.directory, job.config_values, job.provenance)
+        report = make_shards(job, manifest, publication)
         if not job.shard.part:
             _forget_slices(job.directory)
             _describe(job, report)
     return report
 
 
-def make_shards(
-    job: Job, manifest: Manifest, lock: Lock, publication: Publication | None = None
-) -> RunReport:
+def make_shards(job: Job, manifest: Manifest, publication: Publication | None = None) -> RunReport:
     """Make every shard of the job that `manifest` does not hold whole already.
 
     Raises as `make_dataset` does.  No worker process outlives the call.
@@ -92,7 +84,7 @@ def make_shards(
             try:
                 settings = job.scheduler.worker_settings(crew, largest, job.preload)
                 with workers_of(settings) as backend:
-                    Loop(job, resumed, results, progress, lock, backend, publication).run()
+                    Loop(job, resumed, results, progress, backend, publication).run()
             finally:
                 _tidy(job)
         results.put_together()

@@ -62,11 +62,10 @@ class SchedulerSettings:
     """Keys of the `scheduler` group.
 
     backend: local (processes on this machine), serial (none; to debug), dask (a cluster).
-    address: of a Dask scheduler, tcp://host:port; None starts a Dask cluster on this machine.
+    address: of a Dask scheduler, tcp://host:port.
     workers: number of worker processes; auto is one a core, as many as fit the memory, at most 48.
     render_workers: how many of them render; auto is at most one a core and what fits the memory.
     shard_size: samples in a shard.  It decides which file a sample lies in.
-    threads: of each worker's numerical libraries.
     frame_timeout_s: a frame that takes longer is given up and its worker replaced.
     retries: how often a frame is tried again after its worker died or it took too long.
     recycle_frames: a worker is replaced by a fresh process after about this many frames.
@@ -77,15 +76,14 @@ class SchedulerSettings:
     workers: Annotated[int, Field(ge=1, le=1024)] | Literal["auto"] = "auto"
     render_workers: Annotated[int, Field(ge=1, le=1024)] | Literal["auto"] = "auto"
     shard_size: Annotated[int, Field(ge=1)] = 32
-    threads: Annotated[int, Field(ge=1)] = 1
     frame_timeout_s: Annotated[float, Field(gt=0)] = 300.0
     retries: Annotated[int, Field(ge=0)] = 1
     recycle_frames: Annotated[int, Field(ge=1)] = 200
 
     @model_validator(mode="after")
     def _address(self) -> Self:
-        if self.address is not None and self.backend != "dask":
-            raise ValueError("address is for scheduler.backend=dask only")
+        if (self.address is not None) != (self.backend == "dask"):
+            raise ValueError("address and backend=dask go together; give scheduler.address=")
         return self
 
     def crew(self, shards: int, frames: int) -> Crew:
@@ -135,7 +133,6 @@ class SchedulerSettings:
                 Pool(NOISE, crew.noise, (), shards_per_worker),
             ),
             backend=self.backend,
-            threads=self.threads,
             address=self.address,
             preload=preload,
         )

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import faulthandler
-import multiprocessing
-import os
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,7 +16,6 @@ from ..dataset.write.writer import write_shard
 from ..errors import FactoryError, FrameError, NotRendered
 from ..files import outlet
 from ..frame import FrameRef
-from ..ownership import fenced
 from ..storage.publish import apart_copy
 from .job import Recipe
 from .pending import DONE, FAILED, START
@@ -27,15 +23,12 @@ from .plan import FrameVariants, ShardTask
 from .workers.contract import tell
 
 T = TypeVar("T")
-Clock = Callable[[], Any]
-"""Makes a block in which a frame's time limit is kept."""
 
 
 @dataclass(frozen=True)
 class ShardAttempt:
     """One attempt at one shard.
 
-    trace: file for the traceback of a crash.
     given_up: frames that killed their workers; recorded as failures without another try.
     lacking: frames that the finished shard on disk lacks.  While all of them still fail, that
         shard is good as it is and kept.
@@ -44,7 +37,6 @@ class ShardAttempt:
 
     task: ShardTask
     recipe: Recipe
-    trace: Path
     given_up: tuple[Failure, ...] = ()
     lacking: tuple[str, ...] = ()
     keys: Mapping[str, str] = field(default_factory=dict)
@@ -69,7 +61,6 @@ class FrameAttempt:
 
     ref: FrameRef
     recipe: Recipe
-    trace: Path
 
 
 @dataclass(frozen=True)
@@ -85,38 +76,6 @@ class FrameResult:
     key: str = ""
 
 
-@contextmanager
-def watch(trace: Path, frame_timeout_s: float) -> Iterator[Clock]:
-    """The clock of an attempt; `trace` gets the traceback of a crash, or of a frame that is late.
-
-    It is a C thread of the interpreter, which also ends native code that never returns, and ends
-    no process but one of its own.  Where the file cannot be written there is no traceback, and
-    nothing else is lost.
-    """
-    alone = multiprocessing.parent_process() is not None
-    with open(os.devnull, "w") as nowhere, ExitStack() as files:
-        file = nowhere
-        with suppress(OSError):
-            trace.parent.mkdir(parents=True, exist_ok=True)
-            file = files.enter_context(trace.open("a"))
-        if alone:
-            faulthandler.enable(file)
-            files.callback(faulthandler.disable)
-
-        @contextmanager
-        def clock() -> Iterator[None]:
-            if not alone:
-                yield
-                return
-            faulthandler.dump_traceback_later(frame_timeout_s, exit=True, file=file)
-            try:
-                yield
-            finally:
-                faulthandler.cancel_dump_traceback_later()
-
-        yield clock
-
-
 # Built once a process: a preparer holds the renderer and its scene, which are slow to build.
 _built: dict[str, tuple[tuple[Any, ...], Any]] = {}
 
@@ -128,16 +87,13 @@ def prepare_frame(attempt: FrameAttempt) -> FrameResult:
     """
     recipe, ref = attempt.recipe, attempt.ref
     assert recipe.preparer is not None
-    with watch(attempt.trace, recipe.frame_timeout_s) as clock:
-        with clock():
-            preparer: Preparer = _build(recipe.preparer, recipe)
-        tell(START, 0)
-        try:
-            with clock():
-                made = preparer.prepare(ref)
-            return FrameResult(None, made.hit, made.bytes, made.key)
-        except Exception as error:
-            return FrameResult(_failure(ref, error, ""))
+    preparer: Preparer = _build(recipe.preparer, recipe)
+    tell(START, 0)
+    try:
+        made = preparer.prepare(ref)
+        return FrameResult(None, made.hit, made.bytes, made.key)
+    except Exception as error:
+        return FrameResult(_failure(ref, error, ""))
 
 
 def make_shard(attempt: ShardAttempt) -> ShardResult:
@@ -146,10 +102,7 @@ def make_shard(attempt: ShardAttempt) -> ShardResult:
     Raises FactoryError for what no other frame can do better: a missing renderer, a full disk.
     """
     with ExitStack() as here:
-        attempt = _at_hand(attempt, here)
-        clock = here.enter_context(watch(attempt.trace, attempt.recipe.frame_timeout_s))
-        with clock():
-            shard = _Shard(attempt, clock)
+        shard = _Shard(_at_hand(attempt, here))
         try:
             return shard.result()
         except NotRendered as error:
@@ -161,12 +114,11 @@ def _at_hand(attempt: ShardAttempt, here: ExitStack) -> ShardAttempt:
     """The attempt as this process can work on it: who shares no folder has one of its own."""
     publication = attempt.recipe.publication
     if publication is None or not attempt.recipe.apart:
-        here.enter_context(fenced(attempt.recipe.fence))
         here.enter_context(outlet(publication))
         return attempt
     publication = here.enter_context(apart_copy(publication))
     recipe = replace(attempt.recipe, directory=publication.folder, publication=publication)
-    return replace(attempt, recipe=recipe, trace=publication.folder / attempt.trace.name)
+    return replace(attempt, recipe=recipe)
 
 
 def _build(maker: Callable[[Any], T], recipe: Recipe) -> T:
@@ -183,8 +135,8 @@ def _build(maker: Callable[[Any], T], recipe: Recipe) -> T:
 class _Shard:
     """Goes through the frames of one attempt and tells of each."""
 
-    def __init__(self, attempt: ShardAttempt, clock: Clock) -> None:
-        self._task, self._recipe, self._clock = attempt.task, attempt.recipe, clock
+    def __init__(self, attempt: ShardAttempt) -> None:
+        self._task, self._recipe = attempt.task, attempt.recipe
         self._lacking = attempt.lacking
         self._source: PairSource = _build(self._recipe.source, self._recipe)
         self._source.expect(attempt.keys)
@@ -244,10 +196,9 @@ class _Shard:
             return [], self._given_up[ref.name]
         tell(START, index)
         try:
-            with self._clock():
-                if self._preparer is not None:
-                    self._preparer.prepare(ref)
-                pairs = self._source.pairs(ref, variants)
+            if self._preparer is not None:
+                self._preparer.prepare(ref)
+            pairs = self._source.pairs(ref, variants)
             if len(pairs) != len(variants):
                 raise FrameError(f"{ref.name}: {len(pairs)} pairs for {len(variants)} variants")
             for pair in pairs:

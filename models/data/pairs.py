@@ -15,7 +15,7 @@ import torch
 
 from ...factory.dataset import PairDataset
 from ...factory.dataset.format.manifest import load_manifest
-from ...factory.dataset.read.open_shards import OpenShards
+from ...factory.dataset.read.image_stack import OpenShards
 from ...factory.dataset.read.pair_dataset import in_unit_range
 from ...factory.dataset.read.reader import Split, open_shard
 from ...factory.dataset.read.stream import Windows

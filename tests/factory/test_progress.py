@@ -11,7 +11,6 @@ from simnfnd.factory import progress
 from tests.factory.scheduler.staged import staged
 from tests.fake_source import FakeConfig
 from tests.project_files import ROOT
-from tests.run_fake import make
 
 COUNTS = re.compile(r"frames (\d+)/16.*, pairs (\d+)/32; \d+:\d\d gone(?:, \d+:\d\d left)?")
 
@@ -27,15 +26,6 @@ def test_a_run_counts_frames_and_pairs_from_the_first_one_on(tmp_path, capfd):
     assert counted[-1] is not None
     assert counted[-1].groups() == ("16", "32")
     assert lines[-1] == "writing index, card"
-
-
-def test_pairs_of_one_long_shard_are_foretold_before_it_lands(tmp_path, capfd, monkeypatch):
-    monkeypatch.setattr(progress.Lines, "due", lambda self: True)
-    make(tmp_path / "dataset", FakeConfig(delay_s=0.15), workers=1)
-    lines = [line for line in capfd.readouterr().err.splitlines() if line.startswith("pairs")]
-    first = int(lines[0].partition("/")[0].removeprefix("pairs "))
-    assert 0 < first < 8  # of the 8 of the first shard
-    assert "left" in lines[0]
 
 
 def test_a_bar_in_a_file_is_a_few_whole_lines(capfd):

@@ -26,7 +26,7 @@ from simnfnd.factory.render import view as views
 from simnfnd.factory.render.cache import Cache
 from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.pack import PackViews, read_contents, write_pack
-from simnfnd.factory.scheduler.lock import Lock, owner_of
+from simnfnd.factory.scheduler.lock import owner_of
 from simnfnd.factory.small_files import parse_json, parse_yaml, read_regular
 from tests.factory.dataset.hostile import whole
 from tests.factory.render.small_views import some_view
@@ -97,9 +97,6 @@ def look_at(folder: Path, name: str) -> None:
             said.append(str(error))
     assert all(name in line for line in said)
     assert said or name in ("status.json", ".lock")
-    if name == ".lock":
-        with Lock(folder):
-            assert (folder / name).is_file(), "nobody holds a pipe"
 
 
 def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path) -> None:

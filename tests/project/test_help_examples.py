@@ -34,8 +34,8 @@ REAL: dict[str, tuple[str, ...]] = {
     "preview": (),
     "export": (),
 }
-# Ends only when it is stopped, or takes long and has tests of its own.
-LONG = ("--watch", "export-weights simnfnd", "evaluate paper")
+# Take long, and have tests of their own.
+LONG = ("export-weights simnfnd", "evaluate paper")
 NOT_HERE = ("dive.aris", "simnfnd view")
 
 
@@ -97,7 +97,7 @@ def test_an_example_of_a_help_does_what_it_says(
     name: str, example: str, place: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd
 ) -> None:
     if example == "simnfnd demo" or any(part in example for part in LONG):
-        pytest.skip("runs for ever, or for long; it has tests of its own")
+        pytest.skip("takes long, and has tests of its own")
     monkeypatch.setattr(sys, "argv", ["simnfnd"])
     said = shlex.split(example)
     verb = " ".join(said[1:3]) if said[1] == "cache" else said[1]

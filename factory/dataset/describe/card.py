@@ -13,7 +13,7 @@ from ...files import write_atomically
 from ..format.manifest import Manifest
 from ..format.schema import SCHEMA, SPLITS, Provenance, plain_values
 from ..format.settings import DatasetSettings
-from ..read.source import Source, open_source
+from ..read.source import open_source
 from ..write.failures import FAILURES_NAME, Failure
 from ..write.folder import CARD_NAME, PREVIEW_NAME
 from .markdown import table
@@ -48,10 +48,18 @@ def write_card(
     rows, columns = source.shape
     splits = " and ".join(f"{manifest.samples(split)} {split}" for split in SPLITS)
     counts = Counter((one.split, one.location, one.scene) for one in source.names())
-    preview = directory / PREVIEW_NAME
-    picture = f"![noisy, clean and shadow images of some samples]({PREVIEW_NAME})\n\n"
-    scenes = [(*key, str(count)) for key, count in counts.items()]
+    preview = (directory / PREVIEW_NAME).exists()
     config = {key: provenance.config[key] for key in _SECTIONS if key in provenance.config}
+    facts = [
+        f"made by {provenance.generator}, format {SCHEMA}, config hash `{provenance.config_hash}`",
+        *(
+            f"{how} a dataset of {part['samples']} pairs, config hash `{part['config_hash']}`"
+            for key, how in (("merged", "merged from"), ("extends", "extends"))
+            for part in manifest.config.get(key, ())
+        ),
+        *(f"images left out: {count}, {why}" for why, count in sorted((skipped or {}).items())),
+        *([f"frames that failed: {len(failures)}, reasons in {FAILURES_NAME}"] if failures else []),
+    ]
     text = f"""\
 ---
 {hub_fields(settings.name, settings.licence, manifest.samples())}
@@ -63,37 +71,42 @@ def write_card(
 noisy image, the clean image of the same scene, and the mask of its acoustic shadows. \
 {rows} x {columns} pixels, {source.dtype}, {manifest.total_bytes() / 1e6:.1f} MB.
 
-{picture if preview.exists() else ""}\
+{f"![noisy, clean and shadow images of some samples]({PREVIEW_NAME})" if preview else ""}
+
 ## How it was made
 
 Simulated, not measured at sea: RGBD frames were turned into 3-D scenes, insonified by a renderer \
 with its light at the sonar, and projected into ideal sonar images; noise was added to the echoes \
-before projection, so both images of a pair share one scene. Values are relative echo strengths \
-after the transfer curve, not target strengths; what the settings below do not name was not \
-simulated.
+before projection, so both images of a pair share one scene. The method: {PAPER}.
 
-{_facts(provenance, manifest, failures, skipped or {})}
-## What is in it
-
-{table(("split", "location", "scene", "pairs"), scenes, "l")}
-
-## Settings
-
+{"".join(f"- {fact}{chr(10)}" for fact in facts)}
 ```yaml
 {yaml.safe_dump(plain_values(config), sort_keys=False, default_flow_style=None).rstrip()}
 ```
 
-{_reading(source)}
+## What is in it
+
+{table(("split", "location", "scene", "pairs"), [(*key, n) for key, n in counts.items()], "l")}
+
+## How to read it
+
+```python
+import h5py
+
+with h5py.File("{source.shards[0][1].relative_to(source.directory).as_posix()}") as shard:
+    noisy, clean, shadow = (shard[name][0] for name in ("noisy", "clean", "shadow"))
+    made_from = dict(zip(shard["meta"].dtype.names, shard["meta"][0]))
+```
+
+`noisy` and `clean` are {"0..255" if source.dtype == "uint8" else "0..1"}; `shadow` is true inside \
+the sonar's sector where no echo arrives. `meta` has, for each sample, its frame and every \
+number that was drawn for it; `axes` has range and bearing. One chunk is one image. `simnfnd \
+validate` checks a copy, `simnfnd export` writes other formats.
+
 ## Licence
 
-Of this dataset: {settings.licence or "not stated (set `dataset.licence`)"}.
-
-The terms of the source images hold for what is derived from them. They are yours to read and to \
-respect before you use or pass on this dataset.
-
-## Citation
-
-The method: {PAPER}.
+Of this dataset: {settings.licence or "not stated (set `dataset.licence`)"}. The terms of the \
+source images hold for what is derived from them.
 """
     path = directory / CARD_NAME
     write_atomically(path, text.encode())
@@ -115,53 +128,3 @@ def hub_fields(name: str, licence: str | None, samples: int) -> str:
         "tags:\n" + "\n".join(f"- {tag}" for tag in _TAGS),
     ]
     return "\n".join(lines)
-
-
-def _facts(
-    provenance: Provenance,
-    manifest: Manifest,
-    failures: Sequence[Failure],
-    skipped: Mapping[str, int],
-) -> str:
-    lines = [
-        f"generator: {provenance.generator}, format {SCHEMA}",
-        f"config hash: `{provenance.config_hash}` (BLAKE2b, 8 bytes, of what the shards hold as "
-        "`config`; all settings are in config.yaml)",
-        *([f"seed: {provenance.config['seed']}"] if "seed" in provenance.config else []),
-        f"{len(manifest.shards)} shards, checksums in manifest.json",
-        *(
-            f"{how} a dataset of {part['samples']} pairs, config hash `{part['config_hash']}`"
-            for key, how in (("merged", "merged from"), ("extends", "extends"))
-            for part in manifest.config.get(key, ())
-        ),
-        *(f"images left out: {count}, {reason}" for reason, count in sorted(skipped.items())),
-        *([f"frames that failed: {len(failures)}, reasons in {FAILURES_NAME}"] if failures else []),
-    ]
-    return "".join(f"- {line}\n" for line in lines)
-
-
-def _reading(source: Source) -> str:
-    row_axis, row_units = source.axes[0].name, source.axes[0].units
-    full = "0..255, 255 is full scale" if source.dtype == "uint8" else "0..1"
-    path = source.shards[0][1].relative_to(source.directory).as_posix()
-    return f"""\
-## How to read it
-
-```python
-import h5py
-
-with h5py.File("{path}") as shard:
-    noisy, clean, shadow = (shard[name][0] for name in ("noisy", "clean", "shadow"))
-    {row_axis} = shard["axes/{row_axis}"][:]  # of every row, in units of {row_units!r}
-    made_from = dict(zip(shard["meta"].dtype.names, shard["meta"][0]))
-```
-
-`noisy` and `clean` are {full}; `shadow` is true inside the sonar's sector where no echo arrives. \
-`meta` has, for each sample, the frame it is of and every number that was drawn for it. One chunk \
-is one image, so samples can be read in any order. index.h5 shows all shards as one file \
-(`train/noisy`, `test/noisy`, ...); check first that every file of manifest.json is there, because \
-HDF5 shows zeros for one that is not.
-
-`simnfnd validate` checks a copy, `simnfnd export` writes WebDataset, Hugging Face, PNG and other \
-formats.
-"""

@@ -39,8 +39,6 @@ class DatasetSettings:
     dtype: of /noisy and /clean: uint8 (0..255) or float32 (0..1).
     compression: none reads five times as fast as gzip, and takes more room.
     compression_level: of gzip.
-    on_existing: what to do with a dataset that is in the folder: resume goes on with it when it is
-        the very same, overwrite makes it anew.
     layers: more pictures for each sample: `effects` (the noisy picture with one noise effect alone,
         for each), and what lies behind a pixel: range, azimuth, elevation, elevation_min,
         elevation_max, valid_azimuth, segmentation (of procedural scenes; brings instance); of
@@ -56,7 +54,6 @@ class DatasetSettings:
     """
 
     dir: str | None = None
-    on_existing: Literal["resume", "overwrite"] = "resume"
     name: str = "dataset"
     dtype: Literal["uint8", "float32"] = "uint8"
     compression: Literal["gzip", "none"] = "gzip"

@@ -6,13 +6,11 @@ import operator
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, Literal, SupportsIndex, get_args
+from typing import Any, SupportsIndex
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 
@@ -20,15 +18,13 @@ from ...errors import FactoryError
 from ...seeds import stream
 from ...storage.copies import local_folder
 from ..format.axes import image_axes
-from ..format.manifest import INDEX_NAME, MANIFEST_NAME, load_manifest
+from ..format.manifest import INDEX_NAME, load_manifest
 from ..format.schema import EFFECT_FOLDER, VALUE_RANGES, Axis, layers
-from .image_stack import Image
-from .open_shards import OpenShards
-from .reader import Expected, Split, check_in_isolation, listed_shards, reading
+from .image_stack import Image, OpenShards
+from .reader import Split, check_in_isolation, listed_shards, reading
 from .stream import THREADS, WINDOW, Windows
 
 Sample = dict[str, Image]
-Verify = Literal["checksums", "hash"]
 
 
 class PairDataset:
@@ -49,15 +45,11 @@ class PairDataset:
     manifest.json decides which shards count; while a run adds some, the ones of the moment of
     opening stay.
 
-    verify: "checksums" compares those of pictures, tables and texts at every read.  "hash" compares
-    the SHA-256 of each shard with the manifest, too, when this process opens it for the first time.
-
     trusted: False has another process open every shard first (a third of a second, and some
     milliseconds a shard), because a damaged file can make HDF5 crash or hang.
 
-    Raises FactoryError: no dataset, an empty split, another schema, a shard that is absent, damaged
-    or compressed by what is not installed, pictures of several sizes, verify="hash" without
-    manifest.json.
+    Raises FactoryError: no dataset, an empty split, another schema, a shard that is absent or
+    damaged, pictures of several sizes.
     """
 
     def __init__(
@@ -68,29 +60,23 @@ class PairDataset:
         layers: Sequence[str] = ("noisy", "clean"),
         scaled: bool = False,
         trusted: bool = False,
-        verify: Verify = "checksums",
     ) -> None:
-        if verify not in get_args(Verify):
-            raise FactoryError(f"verify={verify!r}: checksums or hash")
         given = local_folder(folder)
         self.folder = given.parent if given.name == INDEX_NAME else given
         self.split, self.layers, self.scaled = split, tuple(layers), scaled
         _check_names(self.layers)
         manifest = load_manifest(self.folder)
         self.paths = listed_shards(self.folder, split, manifest)
-        if verify == "hash" and manifest is None:
-            raise FactoryError(
-                f"{self.folder}: verify='hash' needs {MANIFEST_NAME}, which has them"
-            )
-        listed = manifest.shards if manifest else {}
         self._config_hash = manifest.config_hash if manifest else ""
-        infos = {self.folder / name: info for name, info in listed.items()}
+        infos = {
+            self.folder / name: info for name, info in (manifest.shards if manifest else {}).items()
+        }
         if not trusted:
             check_in_isolation(self.paths)
+        self._sizes = {path: info.bytes for path, info in infos.items()}
         self._counts = [infos[p].samples if p in infos else _count(p) for p in self.paths]
         self._ends = list(accumulate(self._counts))
-        self._expected = Expected(infos, hashed=verify == "hash")
-        self._shards = OpenShards(self._expected)
+        self._shards = OpenShards()
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -122,8 +108,7 @@ class PairDataset:
         """
         counts = zip(self.paths, self._counts, strict=True)
         places = [path for path, count in counts for _ in range(count)]
-        sizes = {path: info.bytes for path, info in self._expected.shards.items()}
-        windows = Windows(places, window, sizes=sizes)
+        windows = Windows(places, window, sizes=self._sizes)
         try:
             for position, index in enumerate(windows.order(stream(seed, "shuffled", epoch))):
                 windows.reach(position)
@@ -160,7 +145,7 @@ class PairDataset:
     @property
     def axes(self) -> tuple[Axis, Axis]:
         """Row and column axes of the images."""
-        with self._reading(self.paths[0]) as file:
+        with reading(self.paths[0]) as file:
             return image_axes(file["noisy"])
 
     def meta(self) -> npt.NDArray[np.void]:
@@ -170,7 +155,7 @@ class PairDataset:
         """
 
         def table(path: Path) -> tuple[tuple[int, int], npt.NDArray[np.void]]:
-            with self._reading(path) as file:
+            with reading(path) as file:
                 return file["noisy"].shape[1:], file["meta"][()]
 
         # Those at a URL are fetched on the way.
@@ -194,12 +179,6 @@ class PairDataset:
 
     def __repr__(self) -> str:
         return f"PairDataset({str(self.folder)!r}, {self.split!r}, {len(self)} samples)"
-
-    @contextmanager
-    def _reading(self, path: Path) -> Iterator[h5py.File]:
-        with reading(path) as file:
-            self._expected(path, file)
-            yield file
 
     def _index(self, item: Any) -> int:
         if isinstance(item, bool | np.bool_):
@@ -227,7 +206,7 @@ class PairDataset:
     @cached_property
     def _form(self) -> tuple[tuple[int, int], str, str]:
         """Size and dtype of the images and the hash of the settings, of the first shard."""
-        with self._reading(self.paths[0]) as file:
+        with reading(self.paths[0]) as file:
             noisy = file["noisy"]
             shape = noisy.shape[1], noisy.shape[2]
             return shape, str(noisy.dtype), str(file.attrs["config_hash"])

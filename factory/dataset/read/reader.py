@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import stat
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
@@ -13,13 +13,12 @@ import h5py
 import numpy as np
 
 from ...errors import FactoryError
-from ...files import sha256_of
 from ...isolated import look_at
 from ...storage.copies import fetched, url_of
 from ..format.axes import echo_names
 from ..format.checksums import check_texts
 from ..format.layout import check_shard, inside, optional_layers
-from ..format.manifest import Manifest, ShardInfo, load_manifest
+from ..format.manifest import Manifest, load_manifest
 from ..format.schema import SPLITS
 
 Split = Literal["train", "test", "all"]
@@ -50,20 +49,22 @@ def listed_shards(root: Path, split: Split, manifest: Manifest | None) -> tuple[
     """The same for a manifest that was read already, or was found absent (None)."""
     if not root.is_dir():
         raise FactoryError(f"dataset={root}: no such folder; give one that `simnfnd make` made")
-    found = {name: _of_split(root, name, manifest) for name in SPLITS}
-    if not any(found.values()):
+    if manifest is None:
+        found = {path: None for name in SPLITS for path in sorted((root / name).glob("*.h5"))}
+    else:
+        shards = (info for name in SPLITS for info in manifest.of_split(name))
+        found = {root / info.path: info.bytes for info in shards}
+    if not found:
         raise FactoryError(f"dataset={root}: no shards in train/ or test/; is it a dataset folder?")
-    wanted = SPLITS if split == "all" else (split,)
-    paths = tuple(path for name in wanted for path in found[name])
+    paths = tuple(path for path in found if split in ("all", path.parent.name))
     if not paths:
-        other = next(name for name in SPLITS if found[name])
+        other = next(iter(found)).parent.name
         raise FactoryError(
-            f"dataset={root}: the {split} split is empty; it has {len(found[other])} shard(s) in "
+            f"dataset={root}: the {split} split is empty; it has {len(found)} shard(s) in "
             f"{other} (split={other})"
         )
-    for path in paths:
-        if url_of(root):
-            continue  # it is fetched, and looked at, when it is opened
+    # What lies at a URL is fetched, and looked at, when it is opened.
+    for path in () if url_of(root) else paths:
         if not path.exists():
             raise FactoryError(
                 f"{path}: listed in the manifest but absent; run the command that made the "
@@ -71,6 +72,11 @@ def listed_shards(root: Path, split: Split, manifest: Manifest | None) -> tuple[
             )
         if not inside(root, path):
             raise FactoryError(f"{path}: leads out of the dataset's folder; not read")
+        if found[path] not in (None, size := path.stat().st_size):
+            raise FactoryError(
+                f"{path}: {size} bytes, the manifest says {found[path]}; run the command that "
+                "made the dataset again"
+            )
     return paths
 
 
@@ -102,37 +108,7 @@ def read_attributes(file: h5py.File) -> None:
     check_texts(file, ("noisy", "clean", "shadow", *optional_layers(file), *echo_names(file)))
 
 
-class Expected:
-    """Refuses a shard that is not the one that the manifest listed when the dataset was opened.
-
-    shards: as the manifest lists them.  hashed: compare the SHA-256 of each, once.
-    """
-
-    def __init__(self, shards: Mapping[Path, ShardInfo], *, hashed: bool) -> None:
-        self.shards = shards
-        self._unhashed = set(shards) if hashed else set()
-
-    def __call__(self, path: Path, file: h5py.File) -> None:
-        """Raises FactoryError when it is another one, or of the other split."""
-        info = self.shards.get(path)
-        if info and path in self._unhashed:
-            if sha256_of(path) != info.sha256:
-                raise FactoryError(
-                    f"{path}: SHA-256 differs from the manifest's; run the command that made the "
-                    "dataset again"
-                )
-            self._unhashed.discard(path)
-        found = (len(file["noisy"]), path.stat().st_size)
-        if info and found != (info.samples, info.bytes):
-            raise FactoryError(
-                f"{path}: {found[0]} samples in {found[1]} bytes, the manifest said "
-                f"{info.samples} in {info.bytes}; open the dataset again if it was being extended, "
-                "otherwise generate the shard again"
-            )
-        check_split(path, file)
-
-
-def check_split(path: Path, file: h5py.File) -> None:
+def _check_split(path: Path, file: h5py.File) -> None:
     """Raise FactoryError when a shard in train/ or test/ says that it belongs to the other one."""
     split = str(file.attrs["split"])
     if path.parent.name in SPLITS and path.parent.name != split:
@@ -142,11 +118,8 @@ def check_split(path: Path, file: h5py.File) -> None:
         )
 
 
-def bring(path: Path, *, wait: bool = True) -> None:
-    """Fetch a shard of a copy that is not here, and have another process look at it first.
-
-    wait: for another that fetches it now, or leave it to that.
-    """
+def bring(path: Path) -> None:
+    """Fetch a shard of a copy that is not here, and have another process look at it first."""
 
     def look(aside: Path) -> None:
         try:
@@ -156,7 +129,7 @@ def bring(path: Path, *, wait: bool = True) -> None:
         # It keeps its state when it gets its name.
         _note_sound(path, _state_of(aside), ours=True)
 
-    fetched(path, look, wait=wait)
+    fetched(path, look)
 
 
 def open_shard(path: Path) -> h5py.File:
@@ -189,6 +162,7 @@ def open_shard(path: Path) -> h5py.File:
     try:
         with _explained(path):
             check_shard(file)
+        _check_split(path, file)
     except FactoryError:
         file.close()
         raise
@@ -241,9 +215,3 @@ def _note_sound(path: Path, state: _State, *, ours: bool = False) -> None:
 def value_range(file: h5py.File) -> float:
     """The value of full scale: 255 for uint8 shards, 1 for float32 ones."""
     return 255.0 if file["noisy"].dtype == np.uint8 else 1.0
-
-
-def _of_split(root: Path, split: str, manifest: Manifest | None) -> list[Path]:
-    if manifest is None:
-        return sorted((root / split).glob("*.h5"))
-    return [root / path for path, s in sorted(manifest.shards.items()) if s.split == split]

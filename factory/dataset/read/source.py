@@ -22,7 +22,7 @@ from ..format.layout import config_of, optional_layers
 from ..format.manifest import CONFIG_NAME
 from ..format.schema import DATASET_NAME, Axis, Column
 from .image_stack import ImageStack
-from .reader import Split, check_split, reading, shard_paths
+from .reader import Split, reading, shard_paths
 
 CORE = ("noisy", "clean", "shadow")
 Value = float | int | str
@@ -168,7 +168,6 @@ def open_shards(directory: Path, paths: Sequence[Path]) -> Source:
             sizes = {name: stack.shape[1:] for name, stack in _stacks(file).items()}
             if any(first.sizes.get(name, size) != size for name, size in sizes.items()):
                 raise FactoryError("its images differ in size from the other shards'")
-            check_split(path, file)
             shards.append((str(file.attrs["split"]), path, len(file["noisy"])))
     return replace(first, shards=tuple(shards))
 

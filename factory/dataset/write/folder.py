@@ -12,36 +12,26 @@ import yaml
 from ...errors import FactoryError
 from ...files import (
     check_writable,
-    explain_os_errors,
     is_temporary,
-    remove_file,
     remove_stale_temporaries,
     write_atomically,
 )
 from ...small_files import read_regular
 from ..format.manifest import (
     CONFIG_NAME,
-    INDEX_NAME,
     MANIFEST_NAME,
     PARTS,
     Manifest,
-    forget_outcomes,
     load_manifest,
     save_manifest,
 )
 from ..format.schema import SCHEMA, SPLITS, Provenance, plain_values
-from .failures import FAILURES_NAME
 
 CARD_NAME = "README.md"
 PREVIEW_NAME = "preview.png"
 # Of workers that crashed; gone after a run that ended by itself.
 WORK_NAME = ".work"
 STATUS_NAME = "status.json"
-
-# The manifest last: while it is there the folder is known as ours.
-_OURS = (
-    CARD_NAME, PREVIEW_NAME, STATUS_NAME, FAILURES_NAME, INDEX_NAME, CONFIG_NAME, MANIFEST_NAME,
-)  # fmt: skip
 
 # Names of what comes and goes with runs, and of where a copy comes from.
 _COMING = (".lock", ".origin", WORK_NAME)
@@ -50,16 +40,8 @@ _SHOWN_DIFFERENCES = 6
 _HASH = re.compile(r"config hash (\w+)")
 
 
-def open_folder(
-    directory: Path,
-    config: Mapping[str, Any],
-    provenance: Provenance,
-    *,
-    emptied: bool = False,
-) -> Manifest:
+def open_folder(directory: Path, config: Mapping[str, Any], provenance: Provenance) -> Manifest:
     """Make `directory` ready for a run of `provenance` and return what it already holds.
-
-    emptied: a dataset was just removed from the folder, which may hold other files, too.
 
     A new folder gets an empty manifest.json and `config` as config.yaml; one of the same dataset
     is taken up again.  Temp files of dead writers are removed.
@@ -72,7 +54,7 @@ def open_folder(
     foreign = _foreign_files(directory)
     # Asked later: another slice may make the folder a dataset just now.
     ours = _is_dataset(directory)
-    if foreign and not ours and not emptied:
+    if foreign and not ours:
         raise FactoryError(
             f"dataset.dir: {directory} holds other files ({foreign}) and no dataset; "
             "give an empty or new folder with dataset.dir="
@@ -105,26 +87,6 @@ def _foreign_files(directory: Path) -> str:
     return ", ".join(foreign[:3]) + (", ..." if len(foreign) > 3 else "")
 
 
-def empty_folder(directory: Path) -> bool:
-    """Remove the dataset in `directory`, and nothing that is not of a dataset.
-
-    Returns whether there was one.
-    """
-    if not _is_dataset(directory):
-        return False
-    with explain_os_errors(directory):
-        for split in SPLITS:
-            for path in (directory / split).glob("shard-*.h5"):
-                remove_file(path)
-        forget_outcomes(directory)
-        for name in _OURS:
-            remove_file(directory / name)
-        for split in SPLITS:
-            if (directory / split).is_dir() and not any((directory / split).iterdir()):
-                (directory / split).rmdir()
-    return True
-
-
 def _same_dataset(directory: Path, provenance: Provenance) -> Manifest | None:
     """The folder's manifest when it is of this very dataset, None when it has none any more."""
     manifest = load_manifest(directory)
@@ -145,7 +107,7 @@ def _difference(directory: Path, manifest: Manifest | None, provenance: Provenan
     listed = list_differences(changes) if manifest and changes else "its config hash differs"
     return (
         f"dataset.dir: {directory} holds a dataset of another configuration ({listed}); "
-        f"give another folder with dataset.dir=, or the old settings to go on with it"
+        f"give another folder with dataset.dir=, or remove this one"
     )
 
 

@@ -86,21 +86,14 @@ class Pool:
 class WorkerSettings:
     """Which processes run the tasks.
 
-    threads: of each worker's numerical libraries.
-    address: of a Dask scheduler, tcp://host:port; None starts a cluster on this machine.
+    address: of a Dask scheduler, tcp://host:port.
     preload: modules that every worker needs, loaded once for all (local workers only).
     """
 
     pools: tuple[Pool, ...]
     backend: BackendName = "local"
-    threads: int = 1
     address: str | None = None
     preload: tuple[str, ...] = ()
-
-    @property
-    def total(self) -> int:
-        """All workers."""
-        return sum(pool.workers for pool in self.pools)
 
 
 class Backend(Protocol):

@@ -1,32 +1,27 @@
-"""Workers of a Dask cluster: one on this machine, or any that a scheduler's address leads to.
+"""Workers of a Dask cluster, which a scheduler's address leads to.
 
-Each worker has one thread and a nanny that replaces it when it dies.  Dask retries nothing itself:
-a death is reported at once (`allowed-failures` 0 on clusters started here; docs/cluster.md says how
-to set it for others).  Tasks of a pool that not every worker serves go only to workers with a
-resource of the pool's name.
+Each worker has one thread and a nanny that replaces it when it dies, and takes tasks of all pools.
+Dask is to retry nothing itself: docs/cluster.md says how to start a cluster.
 """
 
 from __future__ import annotations
 
 import logging
-import os
 import pickle
 import threading
 import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from ...errors import FactoryError
-from .contract import RESULT, Hear, Pool, WorkerSettings, answered
-from .template import THREAD_VARIABLES, restore
+from .contract import RESULT, Hear, WorkerSettings, answered
 
 T = TypeVar("T")
 
-_LOGGING = "DASK_LOGGING__DISTRIBUTED"
 _CONNECT_S = 20.0
 _STOP_S = 4.0
 _COUNT_EVERY_S = 2.0
@@ -42,7 +37,6 @@ class _Lost(Exception):
 
 @dataclass(eq=False)
 class _Task:
-    pool: str
     future: Future[Any]
     remote: Any
     silence_s: float
@@ -54,72 +48,44 @@ class DaskBackend:
     """A `contract.Backend` over `distributed.Client`."""
 
     def __init__(self, settings: WorkerSettings) -> None:
-        """Connect, or start a cluster.  Raises FactoryError when neither works."""
-        import dask
+        """Connect.  Raises FactoryError when no scheduler with workers answers."""
         import distributed
 
         self._distributed: Any = distributed
-        self._cluster: Any = None
         self._client: Any = None
         self._counted = 0.0
         self._tasks: dict[str, _Task] = {}
         self._topic = f"simnfnd-{uuid.uuid4().hex}"
         self._lock = threading.Lock()
-        self._settings: Any = dask.config.set({"distributed.scheduler.allowed-failures": 0})
-        # Read by the processes of a cluster that is started here: no line for every worker.
-        self._saved = {_LOGGING: os.environ.get(_LOGGING)}
-        os.environ[_LOGGING] = "critical"
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
-        self._restricted = _restricted(settings.pools)
-        self._total, self._serving = 0, dict.fromkeys(self._restricted, 0)
-        address = settings.address
+        self._workers = 0
         try:
-            if address is None:
-                self._cluster = _start_cluster(distributed, settings, self._restricted)
-                address = self._cluster.scheduler_address
-            self._client = self._distributed.Client(
-                address, timeout=_CONNECT_S, set_as_default=False
+            self._client = distributed.Client(
+                settings.address, timeout=_CONNECT_S, set_as_default=False
             )
             self._client.subscribe_topic(self._topic, self._heard)
-            if self._cluster is not None:
-                self._client.wait_for_workers(settings.total, timeout=_START_S)
             self._count()
-            if not self._total:
+            if not self._workers:
                 raise ValueError("it has no workers")
-            for pool in settings.pools:
-                if pool.workers and self._serving.get(pool.name) == 0:
-                    raise ValueError(f"no worker was started with --resources {pool.name}=1")
         except (TimeoutError, OSError, ValueError, RuntimeError) as error:
             self.stop()
-            where = (
-                f"scheduler.address={settings.address}: no Dask scheduler answers"
-                if settings.address
-                else "scheduler.backend=dask: no cluster comes up on this machine"
-            )
             raise FactoryError(
-                f"{where} ({error}); check the address, or start one (docs/cluster.md)"
+                f"scheduler.address={settings.address}: no Dask scheduler answers ({error}); "
+                "check the address, or start one (docs/cluster.md)"
             ) from error
 
     def _count(self) -> None:
-        """Take in workers that have come or gone; those of a pool that not all of them serve."""
+        """Take in workers that have come or gone."""
         with suppress(Exception):
             found = self._client.sync(
                 self._client.scheduler.identity, n_workers=-1, callback_timeout=_RESTART_S
-            )["workers"].values()
-            if found:
-                self._total = len(found)
-                self._serving = {
-                    name: sum(name in worker.get("resources", {}) for worker in found)
-                    for name in self._restricted
-                }
+            )
+            self._workers = len(found["workers"]) or self._workers
 
     def free(self, pool: str) -> bool:
-        """Whether fewer tasks are under way than there are workers for them."""
+        """Whether fewer tasks are under way than there are workers."""
         with self._lock:
-            running = [task.pool for task in self._tasks.values()]
-        if len(running) >= self._total:
-            return False
-        return pool not in self._restricted or running.count(pool) < self._serving[pool]
+            return len(self._tasks) < self._workers
 
     def submit(
         self,
@@ -139,13 +105,12 @@ class DaskBackend:
             key=f"task-{key}",
             pure=False,
             retries=0,
-            resources={pool: 1} if pool in self._restricted else None,
         )
         future: Future[T] = Future()
         # Until it is heard of, its worker may still be starting.
         heard_at = time.monotonic() + _START_S
         with self._lock:
-            self._tasks[key] = task = _Task(pool, future, remote, silence_s, hear, heard_at)
+            self._tasks[key] = task = _Task(future, remote, silence_s, hear, heard_at)
         remote.add_done_callback(lambda _: self._done(key, task))
         return future
 
@@ -209,15 +174,12 @@ class DaskBackend:
             task.future.set_exception(TimeoutError())
 
     def stop(self) -> None:
-        """Leave the cluster; one that was started here is taken down."""
+        """Leave the cluster."""
         with self._lock:
             self._tasks.clear()
-        for one in (self._client, self._cluster):
-            with suppress(Exception):
-                if one is not None:
-                    one.close(timeout=_STOP_S)
-        self._settings.__exit__(None, None, None)
-        restore(self._saved)
+        with suppress(Exception):
+            if self._client is not None:
+                self._client.close(timeout=_STOP_S)
 
 
 def _run(request: bytes, topic: str, key: str) -> bytes:
@@ -232,36 +194,3 @@ def _run(request: bytes, topic: str, key: str) -> bytes:
         sync(worker.loop, worker.scheduler.log_event, topic=topic, msg=[key, message])
 
     return answered(request, say)
-
-
-def _restricted(pools: Sequence[Pool]) -> frozenset[str]:
-    """Names of the pools that some workers do not serve."""
-    return frozenset(
-        pool.name for pool in pools if not all(other.takes(pool.name) for other in pools)
-    )
-
-
-def _start_cluster(distributed: Any, settings: WorkerSettings, restricted: frozenset[str]) -> Any:
-    """A scheduler and the workers of all pools as processes of this machine."""
-
-    def spec(pool: Pool) -> dict[str, Any]:
-        options = {
-            "nthreads": 1,
-            "env": dict.fromkeys(THREAD_VARIABLES, str(settings.threads)),
-            "memory_limit": 0,
-            "death_timeout": _START_S,
-            "resources": {name: 1 for name in restricted if pool.takes(name)},
-            "preload": ["simnfnd.factory.scheduler.workers.contract"],
-            "dashboard": False,
-        }
-        return {"cls": distributed.Nanny, "options": options}
-
-    workers = [pool for pool in settings.pools for _ in range(pool.workers)]
-    return distributed.SpecCluster(
-        workers={number: spec(pool) for number, pool in enumerate(workers)},
-        scheduler={
-            "cls": distributed.Scheduler,
-            "options": {"dashboard": False, "host": "127.0.0.1", "port": 0},
-        },
-        silence_logs=50,
-    )

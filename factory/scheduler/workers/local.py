@@ -50,8 +50,8 @@ class LocalBackend:
 
     def __init__(self, settings: WorkerSettings) -> None:
         # Read when a library is loaded, so set before a worker exists; recycled ones read it too.
-        self._saved = template.tell(settings.threads)
-        template.start(settings.preload, settings.threads)
+        self._saved = template.one_thread()
+        template.start(settings.preload)
         forks = bool(settings.preload)
         self._places = [_Place(pool, forks) for pool in settings.pools for _ in range(pool.workers)]
         self._stopped = threading.Event()

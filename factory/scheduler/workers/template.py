@@ -17,7 +17,7 @@ import sys
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from multiprocessing import forkserver, resource_tracker, util
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.process import BaseProcess
 from typing import Any
 
@@ -30,70 +30,62 @@ THREAD_VARIABLES = (
     "VECLIB_MAXIMUM_THREADS",
     "OPENCV_FOR_THREADS_NUM",
 )
-FOLDER_VARIABLE = "SIMNFND_TEMPLATE_FOLDER"
 
 
 class _Template:
     """What is known of the one template of this process.
 
     owner: the process that started it, 0 for none; whoever is forked from that has none.
-    threads: how many its libraries were told to use when they were loaded.
     modules: what it has loaded.
     """
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
         self.owner = 0
-        self.threads: dict[str, str | None] = {}
         self.modules: tuple[str, ...] = ()
 
 
 _template = _Template()
 
 
-def start(modules: tuple[str, ...], threads: int = 1) -> None:
+def start(modules: tuple[str, ...]) -> None:
     """Start it, unless it runs; returns at once, while it imports `modules`.
 
-    threads: of the numerical libraries in workers forked from it.  Without modules a fork would
-    spare little, and nothing is started.
+    Without modules a fork would spare little, and nothing is started.
     """
     if not modules or not sys.platform.startswith("linux"):
         return
     with _template.lock:
         if runs():
             return
-        saved, held = tell(threads), hold_interrupts()
+        saved, held = one_thread(), hold_interrupts()
         forkserver.set_forkserver_preload(list(modules))
-        # Its socket lies there: it removes the folder when we were killed and cannot.
-        os.environ[FOLDER_VARIABLE] = util.get_temp_dir()
         try:
             forkserver.ensure_running()
-            _template.owner, _template.threads = os.getpid(), _threads_told()
-            _template.modules = modules
+            _template.owner, _template.modules = os.getpid(), modules
         except ChildProcessError:
             pass  # in a process that is itself a fork, it is another's
         finally:
-            restore({**saved, FOLDER_VARIABLE: None})
+            restore(saved)
             signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
 
 def started(forks: bool, target: Callable[..., None], arguments: tuple[Any, ...]) -> BaseProcess:
     """A process that runs `target(*arguments)`.
 
-    forks: of the template, if one runs and has the right number of threads.  One that died, or is
-    killed meanwhile because it stands still, is started again once; after that, and where there is
-    none, the process is spawned.
+    forks: of the template, if one runs.  One that died, or is killed meanwhile because it stands
+    still, is started again once; after that, and where there is none, the process is spawned.
     """
     process: BaseProcess
     for _ in range(2 if forks else 0):
-        if not (runs() and _template.threads == _threads_told()):
+        if not runs():
             break
         process = multiprocessing.get_context("forkserver").Process(target=target, args=arguments)
         # It may die meanwhile, or there is no room for a process at all.
         with suppress(EOFError, OSError):
             process.start()
             return process
-        start(_template.modules, int(os.environ.get(THREAD_VARIABLES[0], 1)))
+        start(_template.modules)
     process = multiprocessing.get_context("spawn").Process(target=target, args=arguments)
     process.start()
     return process
@@ -117,10 +109,10 @@ def kill() -> None:
         server._stop()
 
 
-def tell(threads: int) -> dict[str, str | None]:
-    """Let libraries of processes started from now on use so many threads; what `restore` takes."""
-    saved = _threads_told()
-    os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
+def one_thread() -> dict[str, str | None]:
+    """Let libraries of processes started from now on use one thread; what `restore` takes."""
+    saved = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     return saved
 
 
@@ -131,10 +123,6 @@ def restore(saved: Mapping[str, str | None]) -> None:
             os.environ.pop(name, None)
         else:
             os.environ[name] = value
-
-
-def _threads_told() -> dict[str, str | None]:
-    return {name: os.environ.get(name) for name in THREAD_VARIABLES}
 
 
 def hold_interrupts() -> set[int]:

@@ -9,20 +9,19 @@ import numpy as np
 
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.read import reader
-from simnfnd.factory.dataset.read.pair_dataset import Verify
 from simnfnd.factory.dataset.read.source import open_source
 from simnfnd.factory.errors import FactoryError
 
 LAYERS = ("noisy", "clean", "shadow", "range", "elevation", "segmentation", "layers/background")
 
 
-def given_out(root: Path, verify: Verify = "checksums") -> dict[str, str]:
+def given_out(root: Path) -> dict[str, str]:
     """Name -> content (hexadecimal) of every picture, mask and piece of metadata of a train split.
 
     Raises FactoryError when the reader refuses anything.
     """
     found: dict[str, bytes] = {}
-    with PairDataset(root, "train", layers=LAYERS, verify=verify) as pairs:
+    with PairDataset(root, "train", layers=LAYERS) as pairs:
         for number, sample in enumerate(pairs):
             found |= {f"picture {number} {name}": x.tobytes() for name, x in sample.items()}
         table, both = pairs.meta(), pairs.axes
@@ -36,12 +35,12 @@ def given_out(root: Path, verify: Verify = "checksums") -> dict[str, str]:
     return {name: content.hex() for name, content in found.items()}
 
 
-def outcome(root: Path | str, sound: dict[str, str], verify: Verify = "checksums") -> str:
+def outcome(root: Path | str, sound: dict[str, str]) -> str:
     """`same`, `refused`, or the names of what is another than in the sound dataset."""
     # What hangs is ended after ten seconds; on a busy machine a sound file may take some.
     with mock.patch.object(reader, "_LIMIT_S", 10.0):
         try:
-            found = given_out(Path(root), verify)
+            found = given_out(Path(root))
         except FactoryError:
             return "refused"
     wrong = sorted(name for name in sound | found if sound.get(name) != found.get(name))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +14,11 @@ from PIL import Image
 from simnfnd.command import main
 from simnfnd.factory.config import FactoryConfig, from_mapping
 from simnfnd.factory.dataset import PairDataset
-from simnfnd.factory.dataset.format.checksums import crc32, write_checksums
-from simnfnd.factory.dataset.format.schema import Provenance
-from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.validate import shard_facts
-from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
 from simnfnd.factory.frame import Frame, FrameRef
 from simnfnd.factory.pairs import pair_maker
 from simnfnd.factory.render.views import ViewMaker
 from simnfnd.factory.scenes import open_reader
-from tests.fake_source import FakeConfig, FakeSource, refs
 from tests.frames import ground_and_post
 
 LAYERS = ["rgb", "depth"]
@@ -138,48 +131,3 @@ def test_a_frame_of_another_size_is_named(tmp_path: Path) -> None:
 def test_a_pack_has_no_frames(tmp_path: Path) -> None:
     with pytest.raises(FactoryError, match=r"dataset\.layers: rgb is of the camera, and a pack"):
         config(tmp_path, {"kind": "pack", "root": "x"}, dataset={"layers": ["rgb"]})
-
-
-@pytest.fixture
-def shard(tmp_path: Path) -> Path:
-    source = FakeSource(FakeConfig())
-    rgb = np.arange(6 * 8 * 3, dtype=np.uint8).reshape(6, 8, 3)
-    seen: dict[str, Any] = {"rgb": rgb, "depth": rgb[..., 0].astype(np.float32)}
-    pairs = [replace(source.pairs(ref, (0,))[0], layers=seen) for ref in refs(3)]
-    write_shard(
-        tmp_path, "train/shard-00000.h5", pairs, source.axes(), source.columns(),
-        Provenance({}, "0" * 16, "tests"), DatasetSettings(),
-    )  # fmt: skip
-    return tmp_path / "train/shard-00000.h5"
-
-
-def _replaced(path: Path, name: str, values: Any) -> None:
-    """The layer with other values and true checksums."""
-    with h5py.File(path, "r+") as file:
-        names = [layer for layer in file["checksums"].dtype.names if layer != name]
-        sums: dict[str, Any] = {layer: file["checksums"][layer].tolist() for layer in names}
-        units, about = (file[name].attrs[key] for key in ("units", "description"))
-        del file[name], file["checksums"]
-        stack = file.create_dataset(name, data=values, chunks=(1, *values.shape[1:]))
-        stack.attrs.update({"units": units, "description": about})
-        write_checksums(file, {**sums, name: [*map(crc32, values), 0][: len(file["noisy"])]})
-
-
-@pytest.mark.parametrize(
-    ("name", "values", "words"),
-    [
-        ("rgb", np.zeros((3, 6, 8, 4), np.uint8), "expected 3 samples of camera_row"),
-        ("rgb", np.zeros((3, 6, 8), np.uint8), "expected 3 samples of camera_row"),
-        ("rgb", np.zeros((2, 6, 8, 3), np.uint8), "expected 3 samples of camera_row"),
-        ("rgb", np.zeros((3, 6, 8, 3), np.float32), "is float32; expected uint8"),
-        ("depth", np.zeros((3, 6, 8, 1), np.float32), "expected 3 samples of camera_row"),
-        ("depth", np.full((3, 6, 8), -1, np.float32), "has values outside 0..inf"),
-        ("depth", np.full((3, 6, 8), np.inf, np.float32), "has values outside 0..inf"),
-    ],
-)
-def test_what_is_no_picture_of_a_camera_is_told(
-    shard: Path, name: str, values: Any, words: str
-) -> None:
-    assert not shard_facts(shard, deep=True).problems
-    _replaced(shard, name, values)
-    assert words in " ".join(shard_facts(shard, deep=True).problems)

@@ -1,4 +1,4 @@
-"""What tells of damage: checksums of pictures, tables and texts, chunks, `verify="hash"`."""
+"""What tells of damage: checksums of pictures, tables and texts, chunks."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import shutil
 import struct
 import zlib
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -16,16 +15,10 @@ import pytest
 
 from simnfnd.factory.dataset import PairDataset
 from simnfnd.factory.dataset.format.layout import check_shard
-from simnfnd.factory.dataset.format.manifest import load_manifest, save_manifest
 from simnfnd.factory.dataset.format.settings import DatasetSettings
-from simnfnd.factory.dataset.read import reader
 from simnfnd.factory.dataset.read.image_stack import ImageStack
-from simnfnd.factory.dataset.write.writer import (
-    fletcher32,
-    write_shard,
-)
+from simnfnd.factory.dataset.write.writer import fletcher32, write_shard
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import sha256_of
 from simnfnd.factory.isolated import IsolatedProcess
 from tests.factory.dataset.flips import any_bit, flip, given_out, outcome
 from tests.factory.dataset.hostile import PROVENANCE, admit, keep_only, whole, with_layers
@@ -117,41 +110,6 @@ def test_bits_anywhere_change_nothing_unseen(folder: Path) -> None:
         said.append(process.call(outcome, str(folder), right, limit_s=20.0))
         path.write_bytes(content)
     assert set(said) == {"same", "refused"}
-
-
-def test_a_hash_is_compared_when_it_is_asked_for(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    hashed: list[str] = []
-
-    def counted(path: Path) -> str:
-        hashed.append(path.name)
-        return sha256_of(path)
-
-    monkeypatch.setattr(reader, "sha256_of", counted)
-    with PairDataset(folder, verify="hash") as pairs:
-        assert not hashed
-        for _ in range(3):
-            list(pairs)
-            pairs.meta()
-            pairs.close()
-    assert sorted(hashed) == ["shard-00000.h5", "shard-00001.h5"], "once a shard"
-    # Of what was exchanged on purpose nothing else tells.
-    manifest = load_manifest(folder)
-    assert manifest is not None
-    change(folder, lambda file: file.attrs.create("about", "another"))
-    now = load_manifest(folder)
-    assert now is not None
-    before = manifest.shards[SHARD].sha256
-    save_manifest(folder, now.with_shard(replace(now.shards[SHARD], sha256=before)))
-    with PairDataset(folder) as pairs:
-        list(pairs)
-    for action in (lambda pairs: pairs[0], lambda pairs: pairs.meta(), lambda pairs: pairs.axes):
-        with (
-            PairDataset(folder, verify="hash") as pairs,
-            pytest.raises(FactoryError, match=r"shard-00000\.h5: SHA-256 differs from the mani"),
-        ):
-            action(pairs)
 
 
 # --- chunks

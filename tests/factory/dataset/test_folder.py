@@ -190,17 +190,6 @@ def test_the_card_says_what_is_there_and_its_code_runs(
     assert names["made_from"]["scene"] == b"alpha"
 
 
-def test_an_own_licence_is_told_to_the_hub_as_other(tmp_path: Path) -> None:
-    manifest = dataset(tmp_path)
-    for licence, expected in (
-        ("Lab use only: ask", {"license": "other", "license_name": "lab-use-only-ask"}),
-        (None, {"license": "unknown"}),
-    ):
-        write_card(tmp_path, manifest, PROVENANCE, DatasetSettings(licence=licence))
-        header = yaml.safe_load((tmp_path / "README.md").read_text().split("---\n")[1])
-        assert {key: value for key, value in header.items() if "license" in key} == expected
-
-
 def test_the_contact_sheet_shows_the_pixels_of_the_shards(tmp_path: Path) -> None:
     from PIL import Image
 

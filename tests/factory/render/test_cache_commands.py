@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sys
 from pathlib import Path
 
@@ -48,9 +49,9 @@ def test_from_command_line_to_pack_and_back(
     content = bytearray(path.read_bytes())
     content[-30] ^= 16
     path.write_bytes(content)
-    again = [*words, "dataset.on_existing=overwrite"]
     before = shard_bytes(out)
-    assert run(monkeypatch, *again) == 0
+    shutil.rmtree(out)
+    assert run(monkeypatch, *words) == 0
     frames = json.loads((out / "status.json").read_text())["frames"]
     # Four were there, and one of them had to be made anew.
     assert (frames["rendered"], frames["from_cache"]) == (1, 4)
@@ -60,7 +61,8 @@ def test_from_command_line_to_pack_and_back(
     capfd.readouterr()
     assert run(monkeypatch, "cache", "verify", cache) == 1
     assert "3 of 4 renders are whole" in capfd.readouterr().out
-    assert run(monkeypatch, *again) == 0
+    shutil.rmtree(out)
+    assert run(monkeypatch, *words) == 0
 
     pack = tmp_path / "views.pack"
     assert run(monkeypatch, "cache", "pack", "--out", str(pack), *words) == 0

@@ -11,8 +11,6 @@ from pathlib import Path
 import pytest
 
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.files import write_atomically
-from simnfnd.factory.ownership import Fence, check_fences, fenced
 from simnfnd.factory.scheduler.lock import LOCK_NAME, Lock, owner_of
 from tests.factory.scheduler.run_files import wait_for
 from tests.run_fake import make
@@ -89,22 +87,3 @@ def test_a_file_that_nobody_holds_is_no_lock(tmp_path: Path, content: bytes) -> 
     with Lock(tmp_path):
         pass
     assert not os.listdir(tmp_path)
-    (tmp_path / LOCK_NAME).mkdir()
-    with Lock(tmp_path):
-        pass
-
-
-def test_a_worker_asks_for_the_token_of_its_run(tmp_path: Path) -> None:
-    write_atomically(tmp_path / "a", b"before")
-    (tmp_path / LOCK_NAME).write_text(json.dumps({"token": "other", "pid": 7, "host": "there"}))
-    fence = Fence(tmp_path / LOCK_NAME, "mine")
-    with fenced(fence):
-        with pytest.raises(FactoryError, match=r"taken by process 7 on there.*nothing more"):
-            write_atomically(tmp_path / "a", b"late")
-        with pytest.raises(FactoryError, match="was taken"):
-            check_fences(tmp_path / "x" / ".." / "a")
-        write_atomically(tmp_path.parent / "beside", b"elsewhere")
-    assert (tmp_path / "a").read_bytes() == b"before"
-    assert sorted(os.listdir(tmp_path)) == [LOCK_NAME, "a"]
-    with Lock(tmp_path):
-        write_atomically(tmp_path / "a", b"after")

@@ -10,11 +10,9 @@ import pytest
 
 from simnfnd.factory.dataset.format.manifest import load_manifest
 from simnfnd.factory.errors import FactoryError
-from simnfnd.factory.scheduler.plan import plan_shards
-from simnfnd.factory.scheduler.results import take_up
 from tests.factory.scheduler.run_files import failures, litter, shard_bytes, undisturbed_shards
 from tests.fake_source import BrokenSource, FakeConfig, LethalSource, refs
-from tests.run_fake import job, make
+from tests.run_fake import make
 from tests.worker_processes import workers_of
 
 
@@ -157,25 +155,3 @@ def test_a_full_disk_is_said_in_one_line_and_cured_by_running_again(
     assert litter(directory) == []
     assert make(directory).samples == 32
     assert shard_bytes(directory) == undisturbed
-
-
-def test_frames_gone_missing_do_not_cost_finished_samples(tmp_path: Path) -> None:
-    make(tmp_path / "dataset")
-    manifest = load_manifest(tmp_path / "dataset")
-    assert manifest is not None
-    fewer = plan_shards({"train": refs(6), "test": refs(4, "beta")}, 2, 8)
-    with pytest.raises(FactoryError, match=r"holds 24 train samples.*only 12"):
-        take_up(job(tmp_path / "dataset", tasks=fewer), manifest)
-    assert len(shard_bytes(tmp_path / "dataset")) == 4
-
-
-def test_another_cut_of_the_same_frames_leaves_no_stray_shard(tmp_path: Path) -> None:
-    make(tmp_path / "dataset")
-    manifest = load_manifest(tmp_path / "dataset")
-    assert manifest is not None
-    larger = plan_shards({"train": refs(12), "test": refs(4, "beta")}, 2, 100)
-    resumed = take_up(job(tmp_path / "dataset", tasks=larger), manifest)
-    # Both test cuts hold the same samples, so that shard stays.
-    assert [task.path for task in resumed.todo] == ["train/shard-00000.h5"]
-    assert set(resumed.manifest.shards) == {"test/shard-00000.h5"}
-    assert not (tmp_path / "dataset/train/shard-00001.h5").exists()

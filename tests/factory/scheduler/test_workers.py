@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from multiprocessing import forkserver
 from pathlib import Path
@@ -19,7 +17,6 @@ from simnfnd.factory.scheduler.workers.contract import Pool, WorkerSettings
 from simnfnd.factory.scheduler.workers.local import LocalBackend
 from tests.factory.scheduler.run_files import wait_for
 from tests.fake_source import FakeConfig
-from tests.project_files import ROOT
 from tests.run_fake import make
 
 FORKED = WorkerSettings((Pool("all", 2),), preload=("simnfnd.factory.scheduler.worker",))
@@ -35,15 +32,12 @@ def nap(seconds: float) -> int:
     return os.getpid()
 
 
-def test_a_stopped_worker_costs_the_limit_and_some_seconds(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("simnfnd.factory.scheduler.loop._GRACE_S", 1.0)
+def test_a_stopped_worker_costs_the_limit_and_some_seconds(tmp_path: Path) -> None:
     config = FakeConfig(stops=("reef/alpha/0002",))
     make(tmp_path / "first", workers=2)  # the template is warm
     begun = time.monotonic()
     report = make(tmp_path / "dataset", config, workers=2, retries=0, frame_timeout_s=1.0)
-    assert time.monotonic() - begun < 1 + 1 + 12, "the rest of the run on a busy machine"
+    assert time.monotonic() - begun < 1 + 12, "the rest of the run on a busy machine"
     (failure,) = report.failures
     assert (report.samples, failure.ref.name, failure.kind) == (30, "reef/alpha/0002", "timeout")
     assert "frame_timeout_s=1" in failure.reason
@@ -72,32 +66,3 @@ def _alive(pid: int) -> bool:
         return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
     except psutil.NoSuchProcess:
         return False
-
-
-KILLED = """
-import os, sys, time
-from simnfnd.factory.cli import PRELOADED
-from simnfnd.factory.scheduler.workers.contract import Pool, WorkerSettings
-from simnfnd.factory.scheduler.workers.local import LocalBackend
-if __name__ == "__main__":
-    backend = LocalBackend(WorkerSettings((Pool("all", 1),), preload=PRELOADED))
-    print(backend.submit(abs, -1, 60.0, "all").result(120), flush=True)
-    time.sleep(60)
-"""
-
-
-def test_a_killed_run_leaves_no_temporary_folder(
-    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    script = tmp_path / "run.py"
-    script.write_text(KILLED)
-    folder = tmp_path_factory.mktemp("t")  # a socket's name is short
-    environment = {**os.environ, "TMPDIR": str(folder), "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(
-        [sys.executable, str(script)], stdout=subprocess.PIPE, env=environment, cwd=ROOT
-    ) as run:
-        assert run.stdout is not None
-        assert run.stdout.readline() == b"1\n"
-        assert list(folder.glob("pymp-*"))
-        run.kill()
-    wait_for(lambda: not list(folder.glob("pymp-*")), 30)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
 import time
 from collections import deque
 
@@ -50,22 +49,6 @@ def test_a_task_that_dies_or_sleeps_costs_itself_alone() -> None:
     assert "SIGKILL" in died.reason
     assert slept == TaskLost("took longer than 1 s")
     assert not children()
-
-
-def large(name: str) -> bytes:
-    """More than any buffer on the way holds; or death with half of it told."""
-    if name == "half":
-        threading.Timer(0.15, os.kill, (os.getpid(), signal.SIGKILL)).start()
-        # Whoever pickles this is at it when the time comes.
-        return bytes(1 << 27)
-    return bytes(1 << 22)
-
-
-def test_death_in_the_middle_of_an_answer_costs_its_task_alone() -> None:
-    with TaskPool(2) as pool:
-        found = dict(pool.run(large, deque(["half", "a", "half", "b"]), lambda _: 60.0))
-    assert isinstance(found["half"], TaskLost)
-    assert found["a"] == found["b"] == bytes(1 << 22)
 
 
 def test_a_worker_that_is_stopped_before_it_has_its_task_is_replaced(

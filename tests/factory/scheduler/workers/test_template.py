@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -38,9 +37,9 @@ def none_before() -> Iterator[None]:
     assert not workers_of(os.getpid())
 
 
-def asked(threads: int = 1, preload: tuple[str, ...] = (LOADED,)) -> tuple[int, int, bool, str]:
+def asked() -> tuple[int, int, bool, str]:
     """(process, parent, whether LOADED is, OMP_NUM_THREADS) of a worker."""
-    backend = LocalBackend(WorkerSettings((POOL,), threads=threads, preload=preload))
+    backend = LocalBackend(WorkerSettings((POOL,), preload=(LOADED,)))
     try:
         found = backend.submit(seen, "OMP_NUM_THREADS", 60.0, POOL.name).result(60)
     finally:
@@ -54,12 +53,6 @@ def test_what_was_loaded_is_there_and_nothing_is_forked_from_this_process() -> N
     assert (loaded, threads) == (True, "1")
     assert parent != os.getpid()
     assert asked()[1] == parent
-
-
-def test_libraries_that_were_loaded_for_other_threads_are_loaded_anew() -> None:
-    assert asked()[2]
-    _, parent, loaded, threads = asked(threads=2)
-    assert (parent, loaded, threads) == (os.getpid(), False, "2")
 
 
 def test_environment_and_folder_are_those_of_now(
@@ -89,15 +82,6 @@ def the_template() -> psutil.Process:
             (one,) = named
             return one
         time.sleep(0.01)
-
-
-def test_one_that_was_killed_is_replaced() -> None:
-    template.start((LOADED,))
-    one = the_template()
-    one.send_signal(signal.SIGKILL)
-    while one.status() != psutil.STATUS_ZOMBIE:
-        time.sleep(0.01)
-    assert asked()[2]
 
 
 def test_one_that_stands_still_is_killed_and_the_worker_comes(
