@@ -212,7 +212,7 @@ def test_memory_stays_flat() -> None:
         tracemalloc.stop()
         return most
 
-    assert peak(60) < 1.1 * peak(20)
+    assert peak(36) < 1.1 * peak(16)
 
 
 def test_the_recording_chooses_the_strength() -> None:
