@@ -4,8 +4,6 @@ import json
 import sys
 from itertools import pairwise
 
-import pytest
-
 from simnfnd.command import main
 from simnfnd.factory.config import from_mapping
 from simnfnd.factory.frame import FrameRef
@@ -58,18 +56,6 @@ def test_a_split_that_stays_empty_is_told_with_one_that_works():
     assert empty.startswith("the train split is empty")
     (empty,) = warnings(found(pool=9))
     assert "one scene, pool" in empty
-
-
-@pytest.mark.parametrize(
-    "groups",
-    [
-        {"dataset": {"max_test": 0}},
-        {"split": {"test_fraction": 0}},
-        {"frames": {"only": ["sea/pool/0001"]}},
-    ],
-)
-def test_a_split_that_nobody_asked_for_is_no_matter(groups):
-    assert warnings(found(pool=9), **groups) == ()
 
 
 def test_a_partial_download_without_test_scenes_is_told_first_and_last(

@@ -15,13 +15,12 @@ from simnfnd.factory.dataset.format.schema import Provenance
 from simnfnd.factory.dataset.validate import shard_facts
 from simnfnd.factory.dataset.write.writer import write_shard
 from simnfnd.factory.errors import FactoryError, FrameError
-from simnfnd.factory.labels import CLASSES
 from simnfnd.factory.pairs import PairMaker
 from simnfnd.factory.render.mount import Mount
 from simnfnd.factory.render.view import view_of
 from simnfnd.factory.render.views import OneView
 from simnfnd.factory.sample_table import pose
-from tests.frames import HEIGHT_M, PITCH_RAD, POST_M, ground_and_post, plain_render
+from tests.frames import HEIGHT_M, PITCH_RAD, POST_M, ground_and_post, labelled, plain_render
 from tests.project_files import ROOT
 
 LAYERS = ["range", "azimuth", "elevation", "elevation_min", "elevation_max", "segmentation"]
@@ -30,6 +29,7 @@ OFF = ("range_spreading", "multipath", "azimuth", "range_arc", "background")
 # A camera that looks along the world's x, 20 degrees down, from 1.5 m above the ground.
 C, S = np.cos(PITCH_RAD), np.sin(PITCH_RAD)
 POSE = np.array([[0, -S, C, 2], [-1, 0, 0, 5], [0, -C, -S, HEIGHT_M], [0, 0, 0, 1]], np.float64)
+PLACE = {"world_from_camera": POSE, "time_s": 12.5, "altitude_m": HEIGHT_M}
 
 
 def config(**dataset):
@@ -49,24 +49,11 @@ def config(**dataset):
     )  # fmt: skip
 
 
-def labelled():
-    frame = ground_and_post(480, 320)
-    post = frame.depth_m == np.float32(POST_M)
-    return replace(
-        frame,
-        segmentation=np.where(post, CLASSES.index("Pillar"), 0).astype(np.uint8),
-        instance=np.where(post, 7, 0).astype(np.uint16),
-        world_from_camera=POSE,
-        time_s=12.5,
-        altitude_m=HEIGHT_M,
-    )
-
-
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """(folder of a dataset of one sample, its configuration, its pair)."""
     settings = config(layers=LAYERS + RECEIVED, columns=["pose", "calibration"], dtype="float32")
-    frame = labelled()
+    frame = labelled(**PLACE)
     view = view_of(frame, plain_render(frame), settings.sonar.mount)
     maker = PairMaker(settings, OneView(view))
     (pair,) = maker.pairs(frame.ref, (0,))
@@ -125,7 +112,7 @@ def test_pose_of_the_sonar(made):
     assert row["sonar.altitude_m"] == pytest.approx(HEIGHT_M)
     assert [row[f"camera.{axis}_m"] for axis in "xyz"] == [2, 5, HEIGHT_M]
     mount = Mount(translation_m=(1.0, 0.5, 0.25), pitch_deg=10, yaw_deg=30)
-    moved = pose.row(labelled(), mount)
+    moved = pose.row(labelled(**PLACE), mount)
     assert moved["sonar.x_m"] == pytest.approx(2 + C + 0.25 * S)
     assert moved["sonar.y_m"] == pytest.approx(5.5)
     assert moved["sonar.heading_deg"] > 25
@@ -182,6 +169,6 @@ def test_what_is_not_there_is_refused():
         settings.noise.speckle, looks=type(settings.noise.speckle.looks)("number", (3.0,))
     )
     many = replace(settings, noise=replace(settings.noise, speckle=speckle))
-    frame = labelled()
+    frame = labelled(**PLACE)
     with pytest.raises(FrameError, match="one look"):
         pairs.make_pair(pairs.observe(frame, plain_render(frame), many), 0, many)
