@@ -153,7 +153,7 @@ def test_a_sweep_makes_one_named_dataset_a_point_and_one_table(monkeypatch, tmp_
     }
     assert noisy["0.1"] > noisy["0.5"]
     names = [cell.strip() for cell in table[0].split("|")]
-    assert {"psnr_db", "psnr_db_std"} < {*names}
+    assert {"psnr_db", "psnr_db_std", "ssim", "ssim_std", "gmsd", "gmsd_std"} < {*names}
 
 
 def test_a_bad_point_of_a_sweep_does_not_stop_the_others(monkeypatch, tmp_path, flsea):

@@ -169,7 +169,7 @@ RECORDING = (*ANALYTIC, "scenes=csv_list", "scenes.root={in}/list.csv",
     [
         (("make", "dataset.dir={out}"), "bpy", "blender"),
         ((*RECORDING, "resample=voxel"), "open3d", "open3d"),
-        ((*RECORDING, "scheduler=dask", "scheduler.address=tcp://x:1"), "distributed", "cluster"),
+        ((*RECORDING, "scheduler=dask"), "distributed", "cluster"),
         (("export", "{in}", "--to", "huggingface", "--out", "{out}"), "pyarrow", "export"),
         (("train", "dataset={in}", "out={out}"), "torch", "train"),
         ((*ONNX, "--out", "{out}.onnx"), "onnx", "onnx"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -14,7 +15,7 @@ from ..format.manifest import INDEX_NAME
 from ..read.image_stack import ImageStack
 from ..read.reader import check_in_isolation, reading
 from ..read.source import Source, open_shards, open_source
-from .quality import psnr_db
+from .quality import psnr_db, ssim
 
 _FILTERS = {
     h5py.h5z.FILTER_DEFLATE: "gzip", h5py.h5z.FILTER_FLETCHER32: "fletcher32", 32000: "lzf",
@@ -29,7 +30,7 @@ class DatasetSummary:
     table: (samples,) structured array, the rows of /meta of all shards.
     splits: (samples,) the split of each row.
     stored_bytes: of all files.  image_bytes: of the images without compression.
-    psnr_db: noisy against clean, of `measured` samples spread evenly.
+    psnr_db, ssim: noisy against clean, of `measured` samples spread evenly.
     """
 
     source: Source
@@ -41,6 +42,7 @@ class DatasetSummary:
     stored_bytes: int
     image_bytes: int
     psnr_db: npt.NDArray[np.float64]
+    ssim: npt.NDArray[np.float64]
 
     def numbers(self, name: str) -> npt.NDArray[np.float64]:
         """The finite values of one numeric column."""
@@ -69,6 +71,7 @@ def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
     a_sample = sum(
         int(np.prod(source.sizes[name])) * dtype.itemsize for name, dtype in source.layers.items()
     )
+    psnr, similarity = _quality(source, pairs)
     return DatasetSummary(
         source,
         schema,
@@ -78,7 +81,8 @@ def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
         np.concatenate([np.full(len(rows), split) for split, _, rows in tables]),
         sum(shard.stat().st_size for _, shard, _ in source.shards),
         a_sample * sum(source.splits.values()),
-        _psnr_db(source, pairs),
+        psnr,
+        similarity,
     )
 
 
@@ -93,13 +97,14 @@ def compression_of(stack: h5py.Dataset) -> str:
     return ", ".join(names) or "none"
 
 
-def _psnr_db(source: Source, pairs: int) -> npt.NDArray[np.float64]:
-    """PSNR of at most `pairs` samples, as evenly over all of them as can be."""
+def _quality(source: Source, pairs: int) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """PSNR and SSIM of at most `pairs` samples, as evenly over all of them as can be."""
     places = [(path, row) for _, path, samples in source.shards for row in range(samples)]
     count = min(pairs, len(places))
     found = []
     for path, row in (places[(2 * k + 1) * len(places) // (2 * count)] for k in range(count)):
         with reading(path) as file:
             noisy, clean = (ImageStack(file[name])[row] for name in ("noisy", "clean"))
-        found.append(psnr_db(clean, noisy))
-    return np.array(found)
+        found.append((psnr_db(clean, noisy), ssim(clean, noisy)))
+    psnr, similarity = np.array(found).T
+    return psnr, similarity
