@@ -31,6 +31,7 @@ RUN_HERE = {
     for step in reversed(STEPS[page])
     if not step.text.startswith(NOT_HERE)
 }
+IN_ORDER = sorted(RUN_HERE.values(), key=lambda step: (PAGES.index(step.page), step.line))
 NAMES = [page.relative_to(ROOT).as_posix() for page in PAGES]
 
 
@@ -75,11 +76,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "step",
-    sorted(RUN_HERE.values(), key=lambda step: (PAGES.index(step.page), step.line)),
-    ids=lambda step: f"{step.page.stem}-{step.line}",
-)
+@pytest.mark.parametrize("step", IN_ORDER, ids=[f"{one.page.stem}-{one.line}" for one in IN_ORDER])
 def test_step_runs(step: Step, folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     for name in ("flsea-vi", "mdd"):
         if name in step.text and not (folder / name).exists():
