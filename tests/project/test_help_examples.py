@@ -34,8 +34,8 @@ REAL: dict[str, tuple[str, ...]] = {
     "preview": (),
     "export": (),
 }
-# Take long, and have tests of their own.
-LONG = ("export-weights simnfnd", "evaluate paper")
+# Take long, and have tests of their own; the sweep is that of a tutorial.
+LONG = ("export-weights simnfnd", "evaluate paper", "make -m noise.background.density=0.1,0.5")
 NOT_HERE = ("dive.aris", "simnfnd view")
 
 

@@ -1,7 +1,5 @@
 """What was received, where from and by whom: optional layers and columns, read back by examples."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +19,7 @@ from simnfnd.factory.render.view import view_of
 from simnfnd.factory.render.views import OneView
 from simnfnd.factory.sample_table import pose
 from tests.frames import HEIGHT_M, PITCH_RAD, POST_M, ground_and_post, labelled, plain_render
+from tests.project.run_example import run
 from tests.project_files import ROOT
 
 LAYERS = ["range", "azimuth", "elevation", "elevation_min", "elevation_max", "segmentation"]
@@ -120,17 +119,14 @@ def test_pose_of_the_sonar(made):
     assert np.isnan(list(unknown.values())).all()
 
 
-def run(script, *words):
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "examples" / script), *map(str, words)],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+def shown(script, *words):
+    done = run(script, *map(str, words), cwd=ROOT)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 def test_example_of_a_point_cloud(made, tmp_path: Path):
-    assert "1 objects" in run("point_cloud.py", made[0], tmp_path / "cloud.ply")
+    assert "1 objects" in shown("point_cloud.py", made[0], tmp_path / "cloud.ply")
     content = (tmp_path / "cloud.ply").read_bytes()
     head, body = content.split(b"end_header\n", 1)
     kinds = [(n, "<f4") for n in ("x", "y", "z", "strength")] + [("class", "u1"), ("i", "<u2")]
@@ -144,12 +140,12 @@ def test_example_of_a_point_cloud(made, tmp_path: Path):
 
 
 def test_example_of_boxes(made):
-    assert "here/plain" not in (found := run("boxes.py", made[0])).replace("plain/0001", "")
+    assert "here/plain" not in (found := shown("boxes.py", made[0])).replace("plain/0001", "")
     assert "plain/0001: Pillar 7" in found
 
 
 def test_example_of_a_complex_field(made):
-    found = run("complex_field.py", made[0])
+    found = shown("complex_field.py", made[0])
     difference = float(found.split("at most ")[1].split()[0])
     assert difference < 1e-3
     one, two, four = (float(x.split()[-2]) for x in found.splitlines() if "looks:" in x)
