@@ -60,7 +60,7 @@ class DaskBackend:
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self._workers = 0
         try:
-            self._client = distributed.Client(
+            self._client = self._distributed.Client(
                 settings.address, timeout=_CONNECT_S, set_as_default=False
             )
             self._client.subscribe_topic(self._topic, self._heard)
