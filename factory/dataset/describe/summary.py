@@ -16,10 +16,6 @@ from ..read.reader import check_in_isolation, reading
 from ..read.source import Source, open_shards, open_source
 from .quality import psnr_db
 
-_FILTERS = {
-    h5py.h5z.FILTER_DEFLATE: "gzip", h5py.h5z.FILTER_FLETCHER32: "fletcher32", 32000: "lzf",
-}  # fmt: skip
-
 
 @dataclass(frozen=True, eq=False)
 class DatasetSummary:
@@ -84,13 +80,9 @@ def summarize(path: Path, pairs: int = 200) -> DatasetSummary:
 
 def compression_of(stack: h5py.Dataset) -> str:
     """The filters of a dataset in words, for example `gzip 1, fletcher32`."""
-    filters = stack.id.get_create_plist()
-    names = []
-    for number in range(filters.get_nfilters()):
-        code, _, values, name = filters.get_filter(number)
-        level = f" {values[0]}" if code == h5py.h5z.FILTER_DEFLATE and values else ""
-        names.append(_FILTERS.get(code, name.decode()) + level)
-    return ", ".join(names) or "none"
+    level = "" if stack.compression_opts is None else f" {stack.compression_opts}"
+    names = [f"{stack.compression}{level}"] if stack.compression else []
+    return ", ".join(names + ["fletcher32"] * bool(stack.fletcher32)) or "none"
 
 
 def _psnr_db(source: Source, pairs: int) -> npt.NDArray[np.float64]:

@@ -12,12 +12,9 @@ import h5py
 import numpy as np
 
 from ...errors import FactoryError
-from .schema import CAMERA_LAYERS, Axis
+from .schema import CAMERA_LAYERS, CHECKSUMS, Axis
 
 ECHO_PLACE = "echoes/place"
-_ECHO_FIELDS = (
-    "bin", "range", "azimuth", "elevation", "strength", "pixel", "segmentation", "instance",
-)  # fmt: skip
 
 
 def image_axes(stack: h5py.Dataset) -> tuple[Axis, Axis]:
@@ -109,11 +106,11 @@ def echo_names(file: h5py.File) -> tuple[str, ...]:
 
     Raises FactoryError when one lies in another file.
     """
-    if not exists(file, "echoes") or not isinstance(object_inside(file, "echoes"), h5py.Group):
-        return ()
-    dataset_inside(file, ECHO_PLACE)
-    names = [name for field in _ECHO_FIELDS if exists(file, name := f"echoes/{field}")]
-    return tuple(name for name in names if dataset_inside(file, name))
+    listed = dataset_inside(file, CHECKSUMS).dtype.names if exists(file, CHECKSUMS) else None
+    names = tuple(name for name in listed or () if name.startswith("echoes/"))
+    for name in (ECHO_PLACE, *names) if names else ():
+        dataset_inside(file, name)
+    return names
 
 
 def exists(file: h5py.File, name: str) -> bool:
